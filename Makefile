@@ -1,0 +1,48 @@
+# Every target sets up its own virtual environment when it is missing or out of date.
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+SCENARIO ?= chatelain2013_fig5
+ARGS ?=
+
+SHELL := /bin/bash
+.PHONY: help run test bench lint clean
+.DEFAULT_GOAL := help
+
+help:
+	@echo "make run    simulate $(SCENARIO): the robot finds a needle and follows it"
+	@echo "make test   run the tests            make bench  run the benchmarks"
+	@echo "make lint   ruff and mypy            make clean  remove what was built"
+
+$(VENV)/.run: pyproject.toml
+	@echo "Setting up $(VENV): sonoservo and what it needs (a minute or two, once) ..."
+	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v <= (3, 13) else "sonoservo needs Python 3.11 to 3.13; this is %d.%d" % v)'
+	@$(PYTHON) -m venv $(VENV) || { echo "Could not make $(VENV): on Debian or Ubuntu, install the package python3-venv."; exit 1; }
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@touch $@
+
+$(VENV)/.dev: $(VENV)/.run
+	@echo "Adding the development tools ..."
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@
+
+run: $(VENV)/.run
+	@$(BIN)/sonoservo run $(SCENARIO) $(ARGS)
+
+test: $(VENV)/.dev
+	@$(BIN)/python -m pytest -n 2 $(ARGS)
+
+bench: $(VENV)/.dev
+	@mkdir -p out
+	@$(BIN)/python -m pytest tests/benchmarks --benchmark-enable --benchmark-only --benchmark-json=out/bench.json $(ARGS)
+
+# mypy finds packages by folder: the links give it the name that pyproject.toml maps to this folder.
+lint: $(VENV)/.dev
+	@$(BIN)/ruff check . && $(BIN)/ruff format --check .
+	@mkdir -p build/typing/sonoservo
+	@ln -sfn $(CURDIR)/systems $(CURDIR)/diagrams $(CURDIR)/models build/typing/sonoservo/
+	@MYPYPATH=build/typing $(BIN)/mypy -p sonoservo
+
+clean:
+	rm -rf $(VENV) out build *.egg-info .pytest_cache .mypy_cache .ruff_cache .benchmarks
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,1 @@
+"""How blocks are wired: station, tracker, controller, experiment; scenarios, command line."""

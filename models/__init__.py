@@ -1,0 +1,1 @@
+"""What exists: arm, probe, phantoms, transducers, and one loader for their data."""

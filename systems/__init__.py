@@ -1,0 +1,1 @@
+"""Building blocks: one Drake system a file, beside the pure functions it calls."""

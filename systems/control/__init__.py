@@ -1,0 +1,1 @@
+"""Where the probe should go: visual servo, force law, twist to joints."""

@@ -1,0 +1,1 @@
+"""Something moved: volume difference, geometric median, insertion detector."""

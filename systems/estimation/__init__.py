@@ -1,0 +1,1 @@
+"""Where the needle is, given all volumes so far."""

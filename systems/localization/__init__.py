@@ -1,0 +1,1 @@
+"""Where the needle is in one volume: candidates, RANSAC, tip."""

@@ -1,0 +1,1 @@
+"""What a needle is, and the hand that pushes it."""

@@ -1,0 +1,57 @@
+"""The part of a real needle that is inside the tissue."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.math import RigidTransform
+
+from sonoservo.systems.needle.curve import NeedleCurve
+from sonoservo.systems.values import Immutable, read_only, require, require_positive
+
+
+@dataclass(frozen=True, eq=False)
+class Needle(Immutable):
+    """The inserted part of a needle.
+
+    Parameters
+    ----------
+    shaft
+        (m, 3) points along the needle's axis in m, from the entry to the tip; (0, 3) while the
+        needle is outside.
+    radius
+        Outer radius in m.
+    """
+
+    shaft: NDArray[np.float64]
+    radius: float
+
+    def __post_init__(self) -> None:
+        shaft = read_only(self.shaft, "shaft", (None, 3))
+        require(len(shaft) != 1, "shaft", len(shaft), "no point, or at least 2")
+        object.__setattr__(self, "shaft", shaft)
+        require_positive(radius=self.radius)
+
+    def __bool__(self) -> bool:
+        return len(self.shaft) > 0
+
+    @property
+    def tip(self) -> NDArray[np.float64]:
+        """(3,) position of the tip in m."""
+        return self.shaft[-1]
+
+    @property
+    def length(self) -> float:
+        """Inserted length along the shaft, in m."""
+        return float(np.linalg.norm(np.diff(self.shaft, axis=0), axis=1).sum())
+
+    @property
+    def curve(self) -> NeedleCurve:
+        """The straight curve from entry to tip (order 2)."""
+        return NeedleCurve(self.shaft[[0, -1]])
+
+    def transformed(self, X: RigidTransform) -> "Needle":
+        """Return the needle expressed in another frame."""
+        if not self:
+            return self
+        return Needle(X.multiply(self.shaft.T).T, self.radius)

@@ -1,0 +1,1 @@
+"""From the world to volumes: transducer, tissue, echoes, scanner, scan conversion."""
