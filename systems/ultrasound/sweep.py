@@ -115,7 +115,9 @@ class SweepGeometry(Immutable):
         fraction = np.asarray(step) / (self.frames * self.lines - 1) - 0.5
         return self.frame_pitch * self.frames * fraction
 
-    def position(self, k: ArrayLike, j: ArrayLike, i: ArrayLike, direction: int) -> NDArray[np.float64]:
+    def position(
+        self, k: ArrayLike, j: ArrayLike, i: ArrayLike, direction: int
+    ) -> NDArray[np.float64]:
         """Position in P of sample i on line j of frame k.
 
         Parameters
