@@ -1,0 +1,69 @@
+"""A system that turns sweeps into volumes."""
+
+from dataclasses import dataclass, field
+
+from pydrake.common.value import Value
+from pydrake.systems.framework import Context, LeafSystem
+
+from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
+from sonoservo.systems.ultrasound.sweep import Sweep, SweepGeometry
+from sonoservo.systems.values import NotFound, evaluate, require
+
+
+@dataclass(kw_only=True)
+class ScanConversionParameters:
+    """The grid of the volumes.
+
+    Parameters
+    ----------
+    spacing
+        Voxel size along X, Y, Z in m.
+    """
+
+    spacing: list[float] = field(default_factory=lambda: [0.7e-3, 0.7e-3, 0.7e-3])
+
+    def __post_init__(self) -> None:
+        require(
+            len(self.spacing) == 3 and all(0.1e-3 <= s <= 5e-3 for s in self.spacing),
+            "spacing",
+            self.spacing,
+            "three voxel sizes from 0.0001 to 0.005 m",
+        )
+
+
+class ScanConverter(LeafSystem):
+    """Converts each sweep to a Cartesian volume; stateless, the result is cached.
+
+    .. pydrake_system::
+
+        name: ScanConverter
+        input_ports:
+        - sweep
+        output_ports:
+        - volume
+
+    ``sweep`` holds a `Sweep`, or a `NotFound` that is passed on; ``volume`` a `Volume`.
+
+    Parameters
+    ----------
+    geometry
+        Of the sweeps to come.
+    parameters
+        The grid.
+    """
+
+    def __init__(self, *, geometry: SweepGeometry, parameters: ScanConversionParameters) -> None:
+        super().__init__()
+        self.set_name("scan_converter")
+        self._converter = ScanConversion(geometry, make_grid(geometry, parameters.spacing))
+        sweep = self.DeclareAbstractInputPort("sweep", Value[object](NotFound("no sweep")))
+        self.DeclareAbstractOutputPort(
+            "volume",
+            lambda: Value[object](NotFound("no volume")),
+            self._calc_volume,
+            prerequisites_of_calc={sweep.ticket()},
+        )
+
+    def _calc_volume(self, context: Context, output: Value) -> None:
+        sweep = evaluate(self, context, "sweep", (Sweep, NotFound))
+        output.set_value(sweep if isinstance(sweep, NotFound) else self._converter(sweep))

@@ -1,0 +1,87 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sonoservo.systems.needle.hand import Hand
+from sonoservo.systems.needle.insertion import Insertion, InsertionParameters, Push
+
+
+def make(**changes):
+    return Insertion(InsertionParameters(**changes), np.random.default_rng(1))
+
+
+def test_depth_follows_pushes_pauses_and_withdrawal():
+    pushes = [Push(duration=4, speed=5e-3), Push(duration=2), Push(duration=3, speed=-4e-3)]
+    insertion = make(start=1.0, pushes=pushes, ramp=0.5)
+    assert insertion.depth(1.0) == 0
+    assert insertion.depth(6.0) == pytest.approx(20e-3)
+    assert insertion.depth(7.0) == pytest.approx(20e-3)
+    assert insertion.depth(100.0) == pytest.approx(8e-3)
+    assert insertion.end == pytest.approx(10.5)
+
+
+def test_speed_changes_within_the_ramp_and_never_jumps():
+    insertion = make(start=1.0, pushes=[Push(duration=2, speed=10e-3)], ramp=0.4)
+    times = np.arange(0.5, 4, 1e-3)
+    speed = np.gradient([insertion.depth(t) for t in times], 1e-3)
+    assert np.abs(np.gradient(speed, 1e-3)).max() <= 10e-3 / 0.4 * 1.01
+    assert speed[np.searchsorted(times, 2.0)] == pytest.approx(10e-3, rel=1e-3)
+
+
+def test_withdrawn_past_the_entry_the_needle_is_outside():
+    insertion = make(pushes=[Push(duration=1, speed=1e-2), Push(duration=2, speed=-1e-2)])
+    assert not insertion.needle(20.0)
+
+
+@given(
+    azimuth=st.floats(-180, 180),
+    dip=st.floats(-80, 80),
+    roll=st.floats(-180, 180),
+    radius=st.floats(0.1, 1.0),
+)
+def test_bent_shaft_lies_on_a_circle_and_has_the_pushed_length(azimuth, dip, roll, radius):
+    insertion = make(
+        azimuth_deg=azimuth,
+        dip_deg=dip,
+        bend_radius=radius,
+        bend_roll_deg=roll,
+        pushes=[Push(duration=10, speed=6e-3)],
+    )
+    needle = insertion.needle(30.0)
+    first_step = needle.shaft[1] - needle.shaft[0]
+    assert needle.length == pytest.approx(60e-3, rel=1e-4)
+    assert first_step @ insertion.direction == pytest.approx(np.linalg.norm(first_step), rel=1e-3)
+    assert insertion.direction[2] == pytest.approx(-np.sin(np.deg2rad(dip)))
+    chord = np.linalg.norm(needle.tip - needle.shaft[0])
+    assert chord == pytest.approx(2 * radius * np.sin(60e-3 / 2 / radius))
+
+
+def test_tremor_has_the_stated_size_and_is_repeatable():
+    changes = {"pushes": [Push(duration=5, speed=6e-3)], "tremor": 1e-4}
+    times = np.arange(20, 60, 0.01)
+    first = np.array([make(**changes).depth(t) for t in times[:5]])
+    insertion = make(**changes)
+    depths = np.array([insertion.depth(t) for t in times])
+    assert np.std(depths) == pytest.approx(1e-4, rel=0.1)
+    np.testing.assert_array_equal(first, depths[:5])
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("gauge", 19), ("entry", [0.0, 0.0]), ("dip_deg", 91.0), ("bend_radius", 0.0), ("ramp", 0.0)],
+)
+def test_bad_parameters_name_the_field_and_what_is_allowed(field, value):
+    with pytest.raises(ValueError, match=f"{field}: .* must be"):
+        InsertionParameters(**{field: value})
+
+
+def test_hand_gives_the_needle_of_the_context_time():
+    insertion = make(pushes=[Push(duration=5, speed=6e-3)])
+    hand = Hand(insertion=insertion)
+    context = hand.CreateDefaultContext()
+    assert not hand.GetOutputPort("needle").Eval(context)
+    context.SetTime(4.0)
+    np.testing.assert_array_equal(
+        hand.GetOutputPort("needle").Eval(context).shaft, insertion.needle(4.0).shaft
+    )
