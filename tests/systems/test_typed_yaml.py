@@ -1,0 +1,91 @@
+from dataclasses import dataclass, field
+
+import pytest
+
+from sonoservo.systems.typed_yaml import ConfigurationError, assign, load_typed, read_yaml, suggest
+from sonoservo.systems.values import require_positive
+
+
+@dataclass(kw_only=True)
+class Wheel:
+    radius: float = 0.3
+    spokes: int = 32
+
+    def __post_init__(self):
+        require_positive(radius=self.radius)
+
+
+@dataclass(kw_only=True)
+class Bicycle:
+    name: str = "roadster"
+    front: Wheel = field(default_factory=Wheel)
+    spares: list[Wheel] = field(default_factory=list)
+    gears: list[float] = field(default_factory=lambda: [1.0])
+    bell: bool = True
+    basket: float | None = None
+
+
+def test_loads_over_defaults():
+    bicycle = load_typed(
+        Bicycle, {"front": {"radius": "3e-1"}, "spares": [{"spokes": 36}], "basket": 2}, "x"
+    )
+    assert bicycle == Bicycle(front=Wheel(radius=0.3), spares=[Wheel(spokes=36)], basket=2.0)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ({"front": {"spoke": 3}}, "front.spoke: unknown field; did you mean 'spokes'?"),
+        ({"zzz": 3}, "zzz: unknown field; known: basket, bell"),
+        ({"front": 3}, "front: 3 is not allowed; a mapping is wanted"),
+        ({"front": {"radius": "abc"}}, "front.radius: 'abc' is not allowed; a number is wanted"),
+        ({"front": {"radius": True}}, "front.radius: True is not allowed"),
+        ({"front": {"spokes": 1.5}}, "front.spokes: 1.5 is not allowed; a whole number"),
+        ({"front": {"radius": -1.0}}, "front.radius: -1.0 is not allowed; it must be"),
+        ({"front": {"radius": float("nan")}}, "front.radius: nan is not allowed"),
+        ({"spares": [{}, {"radius": 0}]}, "spares.1.radius: 0.0 is not allowed"),
+        ({"spares": {"radius": 1}}, "a list is wanted"),
+        ({"gears": ["a"]}, "gears.0: 'a' is not allowed"),
+        ({"bell": "yes"}, "bell: 'yes' is not allowed; true or false"),
+        ({"name": [1]}, "name: [1] is not allowed; text"),
+        ({"name": None}, "name: None is not allowed"),
+    ],
+)
+def test_mistakes_are_named_by_their_path(data, message):
+    with pytest.raises(ConfigurationError) as error:
+        load_typed(Bicycle, data, "my bicycle")
+    assert str(error.value).startswith("my bicycle: ")
+    assert message in str(error.value)
+
+
+def test_assignments_reach_nested_fields_and_list_items():
+    data = {"spares": [{"spokes": 1}]}
+    assign(data, "front.radius=0.4")
+    assign(data, "spares.0.spokes=24")
+    assign(data, "gears=[1, 2.5]")
+    assert data == {"spares": [{"spokes": 24}], "front": {"radius": 0.4}, "gears": [1, 2.5]}
+
+
+@pytest.mark.parametrize(
+    "text", ["no equals", "=3", "name.deeper=3", "spares.7.spokes=1", "gears=[1"]
+)
+def test_bad_assignments_are_refused(text):
+    with pytest.raises(ConfigurationError):
+        assign({"name": "a", "spares": []}, text)
+
+
+@pytest.mark.parametrize("content", ["- 1", "", "{a: 1", "\xff\xfe"])
+def test_files_without_a_mapping_are_refused(tmp_path, content):
+    path = tmp_path / "file.yaml"
+    path.write_bytes(content.encode("latin-1"))
+    with pytest.raises(ConfigurationError, match=r"file\.yaml: "):
+        read_yaml(path)
+
+
+def test_missing_file_is_refused(tmp_path):
+    with pytest.raises(ConfigurationError, match="cannot be read"):
+        read_yaml(tmp_path / "none.yaml")
+
+
+def test_suggestion_is_the_nearest_name():
+    assert suggest("chatelain", ["chatelain2013", "zhao2012"]) == "did you mean 'chatelain2013'?"
