@@ -1,0 +1,85 @@
+"""How the phantom is moved while the robot works on it."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from pydrake.trajectories import PiecewisePolynomial
+
+from sonoservo.systems.values import require, require_not_negative, require_positive
+
+
+@dataclass(kw_only=True)
+class Move:
+    """One smooth displacement of the phantom, from rest to rest.
+
+    Parameters
+    ----------
+    start, duration
+        In s.
+    translation
+        (3,) displacement in W, in m.
+    rotation_deg
+        (3,) change of roll, pitch and yaw about the rest pose's axes, in deg.
+    """
+
+    start: float = 0.0
+    duration: float = 1.0
+    translation: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    rotation_deg: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+
+    def __post_init__(self) -> None:
+        require_not_negative(start=self.start)
+        require_positive(duration=self.duration)
+        require(len(self.translation) == 3, "translation", self.translation, "three lengths in m")
+        require(len(self.rotation_deg) == 3, "rotation_deg", self.rotation_deg, "three angles")
+
+
+@dataclass(kw_only=True)
+class PhantomMotionParameters:
+    """All displacements of the phantom.
+
+    Parameters
+    ----------
+    moves
+        One after the other, none before the last has ended.
+    """
+
+    moves: list[Move] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        for earlier, later in zip(self.moves, self.moves[1:], strict=False):
+            require(
+                later.start >= earlier.start + earlier.duration,
+                "moves",
+                later.start,
+                f"a start at or after {earlier.start + earlier.duration} s, "
+                "when the move before it ends",
+            )
+
+
+def make_phantom_trajectory(parameters: PhantomMotionParameters) -> PiecewisePolynomial:
+    """Return the phantom's displacement from its rest pose.
+
+    Returns
+    -------
+    Trajectory of (6,): x, y, z in m, roll, pitch, yaw in rad; cubic from rest to rest, and constant
+    before, between and after the moves.
+    """
+    breaks = [-1.0]
+    displacement = np.zeros(6)
+    knots = [displacement]
+    for move in parameters.moves:
+        change = np.concatenate([move.translation, np.deg2rad(move.rotation_deg)])
+        for time, knot in (
+            (move.start, displacement),
+            (move.start + move.duration, displacement + change),
+        ):
+            # Where one move starts as the last one ends, the knot is there already.
+            if time > breaks[-1]:
+                breaks.append(time)
+                knots.append(knot)
+        displacement = displacement + change
+    breaks.append(breaks[-1] + 1e4)
+    knots.append(displacement)
+    samples = np.array(knots).T
+    return PiecewisePolynomial.CubicHermite(breaks, samples, np.zeros_like(samples))
