@@ -78,6 +78,9 @@ class InsertionParameters:
         Time the hand takes to change speed, in s.
     tremor
         Root mean square of the hand's tremor along the needle, in m.
+    entry_spread, angle_spread_deg
+        How much one insertion differs from the next: greatest deviation, uniformly distributed, of
+        each coordinate of the entry in m, and of azimuth and dip in deg.
     """
 
     gauge: int = 18
@@ -90,6 +93,8 @@ class InsertionParameters:
     pushes: list[Push] = field(default_factory=list)
     ramp: float = 0.5
     tremor: float = 0.0
+    entry_spread: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    angle_spread_deg: float = 0.0
 
     def __post_init__(self) -> None:
         allowed = ", ".join(str(gauge) for gauge in OUTER_DIAMETER)
@@ -98,7 +103,15 @@ class InsertionParameters:
         require(abs(self.dip_deg) <= 90, "dip_deg", self.dip_deg, "from -90 to 90 deg")
         if self.bend_radius is not None:
             require(self.bend_radius >= 0.05, "bend_radius", self.bend_radius, "at least 0.05 m")
-        require_not_negative(start=self.start, tremor=self.tremor)
+        require_not_negative(
+            start=self.start, tremor=self.tremor, angle_spread_deg=self.angle_spread_deg
+        )
+        require(
+            len(self.entry_spread) == 3 and min(self.entry_spread) >= 0,
+            "entry_spread",
+            self.entry_spread,
+            "three lengths in m of at least 0",
+        )
         require_positive(ramp=self.ramp)
 
 
@@ -110,7 +123,7 @@ class Insertion:
     parameters
         Of the needle and the hand.
     rng
-        Draws the tremor's frequencies and phases.
+        Draws this insertion's deviations, and the tremor's frequencies and phases.
     """
 
     def __init__(self, parameters: InsertionParameters, rng: np.random.Generator) -> None:
@@ -118,9 +131,12 @@ class Insertion:
         azimuth, dip, roll = np.deg2rad(
             [parameters.azimuth_deg, parameters.dip_deg, parameters.bend_roll_deg]
         )
+        azimuth, dip = [azimuth, dip] + np.deg2rad(parameters.angle_spread_deg) * rng.uniform(
+            -1, 1, 2
+        )
         heading = np.array([np.cos(azimuth), np.sin(azimuth), 0])
         up = np.array([0, 0, 1.0])
-        self._entry = np.array(parameters.entry, dtype=float)
+        self._entry = parameters.entry + np.array(parameters.entry_spread) * rng.uniform(-1, 1, 3)
         self._direction = np.cos(dip) * heading - np.sin(dip) * up
         normal = np.sin(dip) * heading + np.cos(dip) * up
         self._bend = np.cos(roll) * normal + np.sin(roll) * np.cross(self._direction, normal)

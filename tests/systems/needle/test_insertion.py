@@ -67,6 +67,25 @@ def test_tremor_has_the_stated_size_and_is_repeatable():
     np.testing.assert_array_equal(first, depths[:5])
 
 
+def test_insertions_spread_within_the_stated_bounds():
+    changes = {
+        "entry": [0.01, 0.02, -0.03],
+        "entry_spread": [0.0, 2e-3, 4e-3],
+        "dip_deg": 10.0,
+        "angle_spread_deg": 3.0,
+        "pushes": [Push(duration=5, speed=6e-3)],
+    }
+    insertions = [
+        Insertion(InsertionParameters(**changes), np.random.default_rng(seed)) for seed in range(60)
+    ]
+    offsets = np.array([i.needle(20.0).shaft[0] for i in insertions]) - changes["entry"]
+    np.testing.assert_array_equal(offsets[:, 0], 0)
+    assert 1.5e-3 < np.abs(offsets[:, 1]).max() <= 2e-3
+    assert 3e-3 < np.abs(offsets[:, 2]).max() <= 4e-3
+    dips = np.rad2deg([np.arcsin(-i.direction[2]) for i in insertions])
+    assert 7 <= dips.min() < 8 < 12 < dips.max() <= 13
+
+
 @pytest.mark.parametrize(
     ("field", "value"),
     [("gauge", 19), ("entry", [0.0, 0.0]), ("dip_deg", 91.0), ("bend_radius", 0.0), ("ramp", 0.0)],
