@@ -1,0 +1,83 @@
+"""The command line: ``sonoservo list`` and ``sonoservo run``."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from sonoservo.systems.typed_yaml import ConfigurationError
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="A robot holds a 3D ultrasound probe, finds a needle and follows it.",
+)
+_console = Console()
+
+JsonOption = Annotated[
+    Path | None, typer.Option("--json", help="Also write what is printed to this file.")
+]
+
+
+@app.command("list")
+def list_command(json_path: JsonOption = None) -> None:
+    """List the scenarios that come with the package."""
+    from sonoservo.diagrams.scenario import list_scenarios, load_scenario
+
+    rows = {name: load_scenario(name).description for name in list_scenarios()}
+    table = Table("scenario", "what happens")
+    for name, description in rows.items():
+        table.add_row(name, description)
+    _console.print(table)
+    _write_json(json_path, rows)
+
+
+@app.command("run")
+def run_command(
+    scenario: Annotated[str, typer.Argument(help="A name from `sonoservo list`, or a YAML file.")],
+    changes: Annotated[
+        list[str] | None, typer.Option("--set", help="Change a field: path.to.field=value.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for the results.")] = None,
+    meshcat: Annotated[
+        bool, typer.Option(help="Show the run in a browser, at real time.")
+    ] = True,
+    json_path: JsonOption = None,
+) -> None:
+    """Run a scenario; end with a table of figures and a folder of results."""
+    _console.print("Loading Drake and the compiled kernels ...", style="dim")
+    from sonoservo.diagrams.experiment import run
+    from sonoservo.diagrams.scenario import load_scenario
+    from sonoservo.diagrams.terminal import Progress, summary_table
+
+    loaded = load_scenario(scenario, changes=changes, seed=seed)
+    folder = out or Path("out") / f"{loaded.name}_seed{loaded.seed}"
+    with Progress(_console, loaded) as progress:
+        result = run(loaded, out=folder, display=meshcat, progress=progress)
+    _console.print(summary_table(result.summary, loaded.published))
+    _console.print(f"Results: {folder}/  (start with {folder / 'report.html'})")
+    _write_json(json_path, result.summary)
+    if result.summary["interrupted"]:
+        raise typer.Exit(130)
+
+
+def _write_json(path: Path | None, data: Any) -> None:
+    if path is not None:
+        from sonoservo.systems.recording.files import write_atomically
+
+        write_atomically(path, json.dumps(data, indent=2).encode())
+
+
+def main() -> None:
+    """Run the command line; a user's mistake is one line and exit code 2."""
+    try:
+        app()
+    except ConfigurationError as error:
+        print(f"sonoservo: {error}", file=sys.stderr)
+        sys.exit(2)

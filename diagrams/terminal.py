@@ -1,0 +1,132 @@
+"""What a person sees in the terminal: progress while it runs, figures when it ends."""
+
+import math
+from collections.abc import Mapping
+from types import TracebackType
+from typing import Any, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as RichProgress
+from rich.table import Table
+
+from sonoservo.diagrams.scenario import Scenario
+
+_ROWS = {
+    "detection.volume": "insertion detected at volume",
+    "detection.visible_mm": "needle in view at detection, mm",
+    "detection.false_starts": "false starts before it",
+    "tracking.tracked": "volumes with a tracked needle",
+    "tracking.lost_events": "times lost",
+    "tracking.tip_error_mm.median": "tip error, median, mm",
+    "tracking.tip_error_mm.p95": "tip error, 95 %, mm",
+    "tracking.axis_error_deg.median": "axis error, median, deg",
+    "tracking.axis_error_deg.p95": "axis error, 95 %, deg",
+    "servo.at_rest.x_mm": "at rest: mean |X|, true, mm",
+    "servo.at_rest.z_mm": "at rest: mean |Z|, true, mm",
+    "servo.at_rest.theta_deg": "at rest: mean |Theta|, true, deg",
+    "servo.at_rest_estimated.x_mm": "at rest: mean |X|, estimated, mm",
+    "servo.at_rest_estimated.z_mm": "at rest: mean |Z|, estimated, mm",
+    "servo.at_rest_estimated.theta_deg": "at rest: mean |Theta|, estimated, deg",
+    "force.mean_n": "contact force, mean, N",
+    "force.rms_error_n": "contact force, RMS error, N",
+    "force.max_n": "contact force, largest, N",
+    "compute_ms.render.median": "rendering a sweep, median, ms",
+    "compute_ms.convert.median": "scan conversion, median, ms",
+    "compute_ms.track.median": "tracking, median, ms",
+    "real_time_factor": "simulated time / wall time",
+}
+
+
+def look_up(summary: Mapping[str, Any], path: str) -> Any:
+    """Return the entry of a nested mapping at a dotted path; None where there is none."""
+    node: Any = summary
+    for key in path.split("."):
+        node = node.get(key) if isinstance(node, Mapping) else None
+    return node
+
+
+def summary_table(summary: Mapping[str, Any], published: Mapping[str, float]) -> Table:
+    """Return the figures of a run beside the published ones, for a terminal.
+
+    Parameters
+    ----------
+    summary
+        Of the run.
+    published
+        Dotted paths into the summary, and the published figures.
+    """
+    table = Table(title=f"{summary['scenario']}, seed {summary['seed']}")
+    table.add_column("quantity")
+    table.add_column("this run", justify="right")
+    if published:
+        table.add_column("paper", justify="right")
+    for path, label in _ROWS.items():
+        cells = [label, format_figure(look_up(summary, path))]
+        if published:
+            cells.append(format_figure(published[path]) if path in published else "")
+        table.add_row(*cells)
+    return table
+
+
+def format_figure(value: Any) -> str:
+    """Return a figure with three significant digits, a whole number as it is, or a dash."""
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return "-"
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+class Progress:
+    """A bar that shows how far a run has come and what the tracker does.
+
+    Call it with the simulated time in s and the tracker's mode.
+
+    Parameters
+    ----------
+    console
+        Where to draw.
+    scenario
+        Tells the duration.
+    """
+
+    def __init__(self, console: Console, scenario: Scenario) -> None:
+        self._console = console
+        self._duration = scenario.duration
+        self._name = scenario.name
+        self._bar = RichProgress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.fields[state]}"),
+            TimeRemainingColumn(),
+            console=console,
+        )
+        self._task = self._bar.add_task("setting up ...", total=scenario.duration, state="")
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._bar.stop()
+
+    def say(self, message: str) -> None:
+        """Print a line above the bar."""
+        self._console.print(message)
+
+    def stage(self, description: str) -> None:
+        """Name what is going on now."""
+        self._bar.update(self._task, description=description)
+
+    def __call__(self, time: float, mode: str) -> None:
+        """Move the bar."""
+        self._bar.update(
+            self._task,
+            description=self._name,
+            completed=time,
+            state=f"{time:5.1f} of {self._duration:g} s  {mode}",
+        )
