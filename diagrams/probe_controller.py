@@ -1,0 +1,100 @@
+"""The controller of the probe: visual servo, force law, twist to joints."""
+
+from dataclasses import dataclass, field
+
+from pydrake.systems.framework import Diagram, DiagramBuilder
+
+from sonoservo.systems.control.differential_kinematics import (
+    DifferentialKinematics,
+    DifferentialKinematicsParameters,
+)
+from sonoservo.systems.control.force_controller import ForceController
+from sonoservo.systems.control.force_law import ForceControllerParameters
+from sonoservo.systems.control.visual_servo import VisualServo, VisualServoParameters
+from sonoservo.systems.robot.arm import MakeArmPlant
+from sonoservo.systems.values import require_positive
+
+
+@dataclass(kw_only=True)
+class ProbeControllerParameters:
+    """How the probe is moved.
+
+    Parameters
+    ----------
+    time_step
+        Of force law and joint commands, in s.
+    visual_servo, force, kinematics
+        Of the three blocks.
+    """
+
+    time_step: float = 0.005
+    visual_servo: VisualServoParameters = field(default_factory=VisualServoParameters)
+    force: ForceControllerParameters = field(default_factory=ForceControllerParameters)
+    kinematics: DifferentialKinematicsParameters = field(
+        default_factory=DifferentialKinematicsParameters
+    )
+
+    def __post_init__(self) -> None:
+        require_positive(time_step=self.time_step)
+
+
+def MakeProbeController(*, parameters: ProbeControllerParameters) -> Diagram:
+    """Make the controller of the probe.
+
+    .. pydrake_system::
+
+        name: probe_controller
+        input_ports:
+        - estimate
+        - X_WP
+        - wrist_force
+        - joint_state
+        output_ports:
+        - joint_command
+        - planar_velocity
+        - approach_velocity
+        - pressing_force
+
+    `estimate` is the tracker's NeedleEstimate; the other inputs and `joint_command` fit the ports
+    of the station that bear their names. The last three outputs are for logs: what the servo and
+    the force law ask for, and the filtered force they act on.
+
+    Parameters
+    ----------
+    parameters
+        How the probe is moved.
+    """
+    plant, arm = MakeArmPlant()
+    builder = DiagramBuilder()
+    servo = builder.AddNamedSystem("visual_servo", VisualServo(parameters=parameters.visual_servo))
+    force = builder.AddNamedSystem(
+        "force_controller",
+        ForceController(
+            parameters=parameters.force,
+            mass=arm.probe.default_mass(),
+            time_step=parameters.time_step,
+        ),
+    )
+    kinematics = builder.AddNamedSystem(
+        "differential_kinematics",
+        DifferentialKinematics(
+            parameters=parameters.kinematics,
+            plant=plant,
+            probe=arm.probe.body_frame(),
+            time_step=parameters.time_step,
+        ),
+    )
+    for output, block in (("planar_velocity", servo), ("approach_velocity", force)):
+        builder.Connect(block.GetOutputPort(output), kinematics.GetInputPort(output))
+    builder.ExportInput(servo.GetInputPort("estimate"), "estimate")
+    builder.ExportInput(servo.GetInputPort("X_WP"), "X_WP")
+    builder.ConnectInput("X_WP", force.GetInputPort("X_WP"))
+    builder.ExportInput(force.GetInputPort("wrist_force"), "wrist_force")
+    builder.ExportInput(kinematics.GetInputPort("joint_state"), "joint_state")
+    builder.ExportOutput(kinematics.GetOutputPort("joint_command"), "joint_command")
+    builder.ExportOutput(servo.GetOutputPort("planar_velocity"), "planar_velocity")
+    for name in ("approach_velocity", "pressing_force"):
+        builder.ExportOutput(force.GetOutputPort(name), name)
+    controller = builder.Build()
+    controller.set_name("probe_controller")
+    return controller

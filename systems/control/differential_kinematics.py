@@ -1,0 +1,143 @@
+"""Leaf: joint positions and velocities that move the probe as asked."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.multibody.inverse_kinematics import (
+    DifferentialInverseKinematicsParameters,
+    DoDifferentialInverseKinematics,
+)
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import Frame, JacobianWrtVariable
+from pydrake.systems.framework import Context, DiscreteValues, EventStatus, LeafSystem
+
+from sonoservo.systems.values import require, require_not_negative, require_positive
+
+
+@dataclass(kw_only=True)
+class DifferentialKinematicsParameters:
+    """How the probe's velocity becomes the joints'.
+
+    Parameters
+    ----------
+    axis
+        (3,) direction in W that the probe's Y axis is kept along.
+    axis_gain
+        How fast a deviation from it is taken back, in 1/s.
+    """
+
+    axis: list[float] = field(default_factory=lambda: [0.0, 0.0, -1.0])
+    axis_gain: float = 1.0
+
+    def __post_init__(self) -> None:
+        length = float(np.linalg.norm(self.axis))
+        require(len(self.axis) == 3 and length > 0, "axis", self.axis, "3 numbers, not all 0")
+        require_not_negative(axis_gain=self.axis_gain)
+
+
+def probe_twist(
+    planar_velocity: NDArray[np.float64], approach_velocity: float, tilt: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """(6,) spatial velocity of P in P, rotation first, in rad/s and m/s.
+
+    Parameters
+    ----------
+    planar_velocity
+        (3,) v_x, v_z, omega_y in P.
+    approach_velocity
+        v_y in P.
+    tilt
+        (3,) angular velocity in P that keeps the axis; its part about Y is left out.
+    """
+    v_x, v_z, omega_y = planar_velocity
+    return np.array([tilt[0], omega_y, tilt[2], v_x, approach_velocity, v_z])
+
+
+class DifferentialKinematics(LeafSystem):
+    """Turns the probe's wanted velocity into commands for the joints' servo.
+
+    .. pydrake_system::
+
+        name: DifferentialKinematics
+        input_ports:
+        - planar_velocity
+        - approach_velocity
+        - joint_state
+        output_ports:
+        - joint_command
+
+    Every step Drake's differential inverse kinematics finds joint velocities that move P as asked,
+    slower where a limit of a joint's position or velocity demands it, never in another direction.
+    They are integrated from where the joints are at the start (`joint_state`, read only then).
+    Velocities are those of P, in P: `planar_velocity` (v_x, v_z, omega_y), `approach_velocity` v_y,
+    in m/s and rad/s; `joint_command` is 6 positions and 6 velocities, in rad and rad/s.
+
+    Parameters
+    ----------
+    parameters
+        What the axis is kept along.
+    plant
+        The arm alone, finalized, with limits of its joints' positions and velocities.
+    probe
+        Frame P in the plant.
+    time_step
+        In s.
+    """
+
+    def __init__(
+        self,
+        *,
+        parameters: DifferentialKinematicsParameters,
+        plant: MultibodyPlant,
+        probe: Frame,
+        time_step: float,
+    ):
+        require_positive(time_step=time_step)
+        super().__init__()
+        self._plant = plant
+        self._plant_context = plant.CreateDefaultContext()
+        self._probe = probe
+        self._axis = np.array(parameters.axis) / np.linalg.norm(parameters.axis)
+        self._axis_gain = parameters.axis_gain
+        self._time_step = time_step
+        n = plant.num_positions()
+        self._limits = DifferentialInverseKinematicsParameters(n, n)
+        self._limits.set_time_step(time_step)
+        self._limits.set_joint_position_limits(
+            (plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits())
+        )
+        self._limits.set_joint_velocity_limits(
+            (plant.GetVelocityLowerLimits(), plant.GetVelocityUpperLimits())
+        )
+        self.DeclareVectorInputPort("planar_velocity", 3)
+        self.DeclareVectorInputPort("approach_velocity", 1)
+        self.DeclareVectorInputPort("joint_state", 2 * n)
+        self.DeclareStateOutputPort("joint_command", self.DeclareDiscreteState(2 * n))
+        self.DeclareInitializationDiscreteUpdateEvent(self._initialize)
+        self.DeclarePeriodicDiscreteUpdateEvent(time_step, 0, self._update_joint_command)
+
+    def _initialize(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
+        state = self.GetInputPort("joint_state").Eval(context)
+        q = state[: len(state) // 2]
+        discrete_state.set_value(np.concatenate([q, np.zeros_like(q)]))
+        return EventStatus.Succeeded()
+
+    def _update_joint_command(self, context: Context, discrete_state: DiscreteValues) -> None:
+        q, v = np.split(context.get_discrete_state_vector().value(), 2)
+        plant, plant_context, frame = self._plant, self._plant_context, self._probe
+        plant.SetPositions(plant_context, q)
+        axis_P = frame.CalcPoseInWorld(plant_context).rotation().matrix().T @ self._axis
+        # The shortest rotation from Y_P to the axis.
+        tilt = self._axis_gain * np.array([axis_P[2], 0, -axis_P[0]])
+        V_WP_P = probe_twist(
+            self.GetInputPort("planar_velocity").Eval(context),
+            self.GetInputPort("approach_velocity").Eval(context)[0],
+            tilt,
+        )
+        J = plant.CalcJacobianSpatialVelocity(
+            plant_context, JacobianWrtVariable.kV, frame, np.zeros(3), plant.world_frame(), frame
+        )
+        result = DoDifferentialInverseKinematics(q, v, V_WP_P, J, self._limits)
+        v = np.zeros_like(q) if result.joint_velocities is None else result.joint_velocities
+        discrete_state.set_value(np.concatenate([q + self._time_step * v, v]))

@@ -1,0 +1,77 @@
+"""Leaf: how fast the probe moves along its axis to press with a constant force."""
+
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform
+from pydrake.multibody.math import SpatialForce
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
+
+from sonoservo.systems.control.force_law import (
+    ForceControllerParameters,
+    ForceState,
+    approach_velocity,
+    next_state,
+    pressing_force,
+)
+from sonoservo.systems.values import evaluate, require_positive
+
+
+class ForceController(LeafSystem):
+    """Presses with a constant force; approaches by itself, also after contact was lost.
+
+    .. pydrake_system::
+
+        name: ForceController
+        input_ports:
+        - wrist_force
+        - X_WP
+        output_ports:
+        - approach_velocity
+        - pressing_force
+
+    v_y = K_p (F* - F) + K_i int (F* - F) dt, with F the filtered force of the probe along its Y
+    axis, free of the probe's weight. `wrist_force` is the SpatialForce of the arm on the probe in
+    P, `X_WP` a RigidTransform; `approach_velocity` is v_y of P in P, in m/s, and `pressing_force`
+    is F in N.
+
+    Parameters
+    ----------
+    parameters
+        Of the law.
+    mass
+        Of what hangs on the sensor, in kg.
+    time_step
+        In s.
+    """
+
+    def __init__(self, *, parameters: ForceControllerParameters, mass: float, time_step: float):
+        require_positive(mass=mass, time_step=time_step)
+        super().__init__()
+        self._parameters = parameters
+        self._mass = mass
+        self._time_step = time_step
+        self.DeclareAbstractInputPort("wrist_force", Value[object]())
+        self.DeclareAbstractInputPort("X_WP", Value[object]())
+        self.DeclareDiscreteState(3)
+        for name, calc in (
+            ("approach_velocity", self._calc_approach_velocity),
+            ("pressing_force", self._calc_pressing_force),
+        ):
+            self.DeclareVectorOutputPort(name, 1, calc, prerequisites_of_calc={self.xd_ticket()})
+        self.DeclarePeriodicDiscreteUpdateEvent(time_step, 0, self._update_state)
+
+    def _state(self, context: Context) -> ForceState:
+        force, integral, in_contact = context.get_discrete_state_vector().value().tolist()
+        return ForceState(force, integral, bool(in_contact))
+
+    def _update_state(self, context: Context, discrete_state: DiscreteValues) -> None:
+        wrist_force = evaluate(self, context, "wrist_force", SpatialForce)
+        X_WP = evaluate(self, context, "X_WP", RigidTransform)
+        force = pressing_force(wrist_force, X_WP.rotation(), self._mass)
+        state = next_state(self._state(context), force, self._time_step, self._parameters)
+        discrete_state.set_value([state.force, state.integral, state.in_contact])
+
+    def _calc_approach_velocity(self, context: Context, output: BasicVector) -> None:
+        output.SetAtIndex(0, approach_velocity(self._state(context), self._parameters))
+
+    def _calc_pressing_force(self, context: Context, output: BasicVector) -> None:
+        output.SetAtIndex(0, self._state(context).force)

@@ -1,0 +1,40 @@
+"""Leaf: the pose of one body."""
+
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform
+from pydrake.multibody.tree import BodyIndex
+from pydrake.systems.framework import Context, LeafSystem
+
+
+class BodyPose(LeafSystem):
+    """Picks the pose of one body of a plant.
+
+    .. pydrake_system::
+
+        name: BodyPose
+        input_ports:
+        - body_poses
+        output_ports:
+        - pose
+
+    `body_poses` is the plant's list of poses; `pose` is the RigidTransform X_WB.
+
+    Parameters
+    ----------
+    body
+        Index of the body.
+    """
+
+    def __init__(self, *, body: BodyIndex):
+        super().__init__()
+        self._body = int(body)
+        poses = self.DeclareAbstractInputPort("body_poses", Value[list[RigidTransform]]())
+        self.DeclareAbstractOutputPort(
+            "pose",
+            lambda: Value[object](RigidTransform()),
+            self._calc_pose,
+            prerequisites_of_calc={poses.ticket()},
+        )
+
+    def _calc_pose(self, context: Context, output: Value) -> None:
+        output.set_value(self.get_input_port().Eval(context)[self._body])

@@ -1,0 +1,54 @@
+"""Leaf: how hard the probe really presses."""
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import ContactResults
+from pydrake.systems.framework import BasicVector, Context, LeafSystem
+
+from sonoservo.systems.values import evaluate
+
+
+def normal_force(contact: ContactResults, X_WT: RigidTransform) -> float:
+    """Force in N that presses the phantom's top down, summed over all contacts.
+
+    Parameters
+    ----------
+    contact
+        Of a plant whose only contact is that of probe and phantom.
+    X_WT
+        Pose of the phantom: the force is taken along its Z axis.
+    """
+    total = np.zeros(3)
+    for i in range(contact.num_hydroelastic_contacts()):
+        total += contact.hydroelastic_contact_info(i).F_Ac_W().translational()
+    for i in range(contact.num_point_pair_contacts()):
+        total += contact.point_pair_contact_info(i).contact_force()
+    return float(abs(X_WT.rotation().matrix()[:, 2] @ total))
+
+
+class ContactForce(LeafSystem):
+    """The true normal force between probe and phantom: for logs and figures, never for control.
+
+    .. pydrake_system::
+
+        name: ContactForce
+        input_ports:
+        - contact_results
+        - X_WT
+        output_ports:
+        - contact_force
+
+    `contact_force` has one element, in N.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.DeclareAbstractInputPort("contact_results", Value[ContactResults]())
+        self.DeclareAbstractInputPort("X_WT", Value[object]())
+        self.DeclareVectorOutputPort("contact_force", 1, self._calc_contact_force)
+
+    def _calc_contact_force(self, context: Context, output: BasicVector) -> None:
+        contact = self.GetInputPort("contact_results").Eval(context)
+        X_WT = evaluate(self, context, "X_WT", RigidTransform)
+        output.SetAtIndex(0, normal_force(contact, X_WT))

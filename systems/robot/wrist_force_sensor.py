@@ -1,0 +1,71 @@
+"""Leaf: what a force sensor between flange and probe reads."""
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.multibody.math import SpatialForce
+from pydrake.multibody.tree import JointIndex
+from pydrake.systems.framework import Context, LeafSystem
+
+from sonoservo.systems.values import require_not_negative, require_positive
+
+
+class WristForceSensor(LeafSystem):
+    """A six-axis force sensor at the wrist.
+
+    .. pydrake_system::
+
+        name: WristForceSensor
+        input_ports:
+        - reaction_forces
+        output_ports:
+        - wrist_force
+
+    `wrist_force` is the SpatialForce, in N m and N, that the arm applies to the probe at the
+    sensor, whose axes are parallel to those of the probe frame P. Like a real sensor it bears the
+    weight and the inertia of all that hangs on it. `reaction_forces` is the plant's list.
+
+    Parameters
+    ----------
+    wrist
+        Index of the joint that the sensor sits in.
+    force_noise, torque_noise
+        Standard deviation of every sample of a force, in N, and of a torque, in N m.
+    period
+        Time between samples in s: within it the noise is one and the same.
+    seed
+        Of the noise: equal seeds and times give equal noise.
+    """
+
+    def __init__(
+        self,
+        *,
+        wrist: JointIndex,
+        force_noise: float,
+        torque_noise: float,
+        period: float,
+        seed: int,
+    ):
+        require_not_negative(force_noise=force_noise, torque_noise=torque_noise, seed=seed)
+        require_positive(period=period)
+        super().__init__()
+        self._wrist = int(wrist)
+        self._deviation = np.repeat([torque_noise, force_noise], 3)
+        self._period = period
+        self._seed = seed
+        self.DeclareAbstractInputPort("reaction_forces", Value[list[SpatialForce]]())
+        self.DeclareAbstractOutputPort(
+            "wrist_force",
+            lambda: Value[object](SpatialForce.Zero()),
+            self._calc_wrist_force,
+            prerequisites_of_calc={self.all_input_ports_ticket(), self.time_ticket()},
+        )
+
+    def _calc_wrist_force(self, context: Context, output: Value) -> None:
+        reaction = self.GetInputPort("reaction_forces").Eval(context)[self._wrist]
+        output.set_value(reaction + SpatialForce(self._noise(context.get_time())))
+
+    def _noise(self, time: float) -> np.ndarray:
+        # Counted by samples, not drawn in turn: the sensor needs no state to be repeatable.
+        counter = round(time / self._period)
+        random = np.random.Generator(np.random.Philox(key=self._seed, counter=counter))
+        return self._deviation * random.standard_normal(6)
