@@ -1,0 +1,163 @@
+"""Needle trackers: diagrams that turn volumes into an estimate of the needle."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from pydrake.common.value import Value
+from pydrake.systems.framework import Diagram, DiagramBuilder
+
+from sonoservo.systems.detection.insertion_detector import (
+    InsertionDetector,
+    InsertionDetectorParameters,
+)
+from sonoservo.systems.detection.volume_memory import VolumeMemory
+from sonoservo.systems.estimation.estimate import NeedleEstimate
+from sonoservo.systems.estimation.needle_kalman_filter import (
+    NeedleKalmanFilter,
+    NeedleKalmanFilterParameters,
+)
+from sonoservo.systems.localization.needle_localizer import (
+    NeedleLocalizer,
+    NeedleLocalizerParameters,
+)
+from sonoservo.systems.ultrasound.volume import Volume
+from sonoservo.systems.values import require
+
+
+@dataclass(kw_only=True)
+class NeedleTrackerParameters:
+    """Which tracker, and its parts.
+
+    Parameters
+    ----------
+    kind
+        "chatelain2013".
+    order
+        n of the needle's curve: 2 straight, 3 bent. It replaces the parts' own.
+    interval
+        How many volumes before the present one lies the volume it is compared with to detect an
+        insertion. 2 compares sweeps of like direction: a motorised probe samples the tissue
+        slightly differently on its way back, so neighbouring volumes differ everywhere.
+    detector, localizer, kalman_filter
+        Of the parts.
+    """
+
+    kind: str = "chatelain2013"
+    order: int = 2
+    interval: int = 2
+    detector: InsertionDetectorParameters = field(default_factory=InsertionDetectorParameters)
+    localizer: NeedleLocalizerParameters = field(default_factory=NeedleLocalizerParameters)
+    kalman_filter: NeedleKalmanFilterParameters = field(
+        default_factory=NeedleKalmanFilterParameters
+    )
+
+    def __post_init__(self) -> None:
+        require(self.kind == "chatelain2013", "kind", self.kind, '"chatelain2013"')
+        require(self.order in (2, 3), "order", self.order, "2 or 3")
+        require(self.interval in (1, 2), "interval", self.interval, "1 or 2")
+
+
+def MakeNeedleTracker(
+    *,
+    parameters: NeedleTrackerParameters | None = None,
+    period: float,
+    offset: float = 0.0,
+    seed: int = 0,
+) -> Diagram:
+    """Make a needle tracker.
+
+    .. pydrake_system::
+
+        name: needle_tracker
+        input_ports:
+        - volume
+        output_ports:
+        - estimate
+        - measurement
+        - detection
+
+    ``volume`` is a `Volume`, or a `NotFound` while there is none; ``estimate`` a `NeedleEstimate`.
+    ``measurement`` and ``detection`` are those of the last update, for a log.
+
+    Parameters
+    ----------
+    parameters
+        Which tracker, and its parts.
+    period, offset
+        Of the events at which it looks for a new volume, in s.
+    seed
+        Of every random choice.
+    """
+    parameters = parameters or NeedleTrackerParameters()
+    builder = DiagramBuilder()
+    memory = builder.AddNamedSystem(
+        "volume_memory",
+        VolumeMemory(interval=parameters.interval, period=period, offset=offset),
+    )
+    detector = builder.AddNamedSystem(
+        "insertion_detector", InsertionDetector(parameters=parameters.detector, seed=seed)
+    )
+    localizer = builder.AddNamedSystem(
+        "needle_localizer",
+        NeedleLocalizer(
+            parameters=replace(parameters.localizer, order=parameters.order), seed=seed
+        ),
+    )
+    kalman_filter = builder.AddNamedSystem(
+        "needle_kalman_filter",
+        NeedleKalmanFilter(
+            parameters=replace(parameters.kalman_filter, order=parameters.order),
+            period=period,
+            offset=offset,
+        ),
+    )
+    volume = builder.ExportInput(memory.GetInputPort("volume"), "volume")
+    for each in (detector, localizer, kalman_filter):
+        builder.ConnectInput(volume, each.GetInputPort("volume"))
+    for source, port, target in (
+        (memory, "previous_volume", detector),
+        (detector, "detection", kalman_filter),
+        (localizer, "measurement", kalman_filter),
+        (kalman_filter, "prediction", localizer),
+    ):
+        builder.Connect(source.GetOutputPort(port), target.GetInputPort(port))
+    builder.ExportOutput(kalman_filter.GetOutputPort("estimate"), "estimate")
+    builder.ExportOutput(kalman_filter.GetOutputPort("last_measurement"), "measurement")
+    builder.ExportOutput(kalman_filter.GetOutputPort("last_detection"), "detection")
+    diagram = builder.Build()
+    diagram.set_name("needle_tracker")
+    return diagram
+
+
+def track(
+    volumes: Iterable[Volume],
+    *,
+    parameters: NeedleTrackerParameters | None = None,
+    seed: int = 0,
+) -> list[NeedleEstimate]:
+    """Track a needle through volumes in order of time, without a simulation.
+
+    Parameters
+    ----------
+    volumes
+        From any source.
+    parameters
+        Of the tracker.
+    seed
+        Of every random choice.
+
+    Returns
+    -------
+    The estimate after each volume.
+    """
+    # No event is ever due: one is forced for each volume.
+    tracker = MakeNeedleTracker(parameters=parameters, period=1.0, seed=seed)
+    context = tracker.CreateDefaultContext()
+    estimates: list[NeedleEstimate] = []
+    for volume in volumes:
+        tracker.GetInputPort("volume").FixValue(context, Value[object](volume))
+        tracker.ExecuteForcedEvents(context)
+        estimate: Any = tracker.GetOutputPort("estimate").Eval(context)
+        estimates.append(estimate)
+    return estimates

@@ -1,0 +1,232 @@
+"""Detects that a needle enters the field of view."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.common.value import Value
+from pydrake.systems.framework import Context, LeafSystem
+
+from sonoservo.systems.detection.geometric_median import geometric_median
+from sonoservo.systems.detection.volume_difference import largest_differences
+from sonoservo.systems.ultrasound.volume import Volume
+from sonoservo.systems.values import (
+    Immutable,
+    NotFound,
+    evaluate,
+    read_only,
+    require_not_negative,
+    require_positive,
+)
+
+
+@dataclass(kw_only=True)
+class InsertionDetectorParameters:
+    """When a change between two volumes counts as an insertion.
+
+    The paper publishes none of these values.
+
+    Parameters
+    ----------
+    candidate_volume
+        Volume that the candidate voxels |X| fill together, in m^3.
+    largest_deviation
+        Root of the variance threshold tau: of the trace of the candidates' covariance, in m.
+    largest_depth
+        delta: from the side of the field of view to the median, in m.
+    least_change
+        Least difference T_t of the candidates, in dB; below it nothing but noise has moved.
+    stillness
+        The probe counts as still between two volumes if no voxel moved farther, in m.
+    decibels_per_level
+        dB per unit of a voxel's intensity.
+    """
+
+    candidate_volume: float = 20e-9
+    largest_deviation: float = 8e-3
+    largest_depth: float = 15e-3
+    least_change: float = 8.0
+    stillness: float = 0.15e-3
+    decibels_per_level: float = 60 / 255
+
+    def __post_init__(self) -> None:
+        require_positive(
+            candidate_volume=self.candidate_volume,
+            largest_deviation=self.largest_deviation,
+            largest_depth=self.largest_depth,
+            stillness=self.stillness,
+            decibels_per_level=self.decibels_per_level,
+        )
+        require_not_negative(least_change=self.least_change)
+
+
+@dataclass(frozen=True, eq=False)
+class InsertionDetection(Immutable):
+    """Where something has just entered. Where nothing has, a `NotFound` takes its place.
+
+    Parameters
+    ----------
+    p_WEntry, p_WMedian
+        (3,) the candidate entry point E_t on the side of the field of view, and the candidates'
+        geometric median, in m.
+    deviation
+        Root of the trace of the candidates' covariance, in m.
+    change
+        Least difference among the candidates, in dB.
+    time
+        When the median was acquired, in s.
+    """
+
+    p_WEntry: NDArray[np.float64]
+    p_WMedian: NDArray[np.float64]
+    deviation: float
+    change: float
+    time: float
+
+    def __post_init__(self) -> None:
+        for name in ("p_WEntry", "p_WMedian"):
+            object.__setattr__(self, name, read_only(getattr(self, name), name, (3,)))
+
+
+def closest_side(volume: Volume, p_P: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Project a position on the closest lateral or elevation side of the field of view.
+
+    A needle enters beside the probe: its face and the end of the depth are no candidates. The side
+    is the swept sector's where the volume knows its sweep, else the grid's.
+
+    Parameters
+    ----------
+    volume
+        Whose field of view it is.
+    p_P
+        (3,) position in the probe frame, in m.
+
+    Returns
+    -------
+    (3,) position in the probe frame, in m.
+    """
+    if volume.motion is None:
+        sides = np.repeat(p_P[np.newaxis], 4, axis=0)
+        sides[[0, 1, 2, 3], [0, 0, 2, 2]] = [
+            volume.origin[0], volume.upper[0], volume.origin[2], volume.upper[2]
+        ]  # fmt: skip
+    else:
+        geometry, direction = volume.motion.geometry, volume.motion.direction
+        k, j, i = (float(x) for x in geometry.index(p_P, direction))
+        frames, lines = geometry.frames - 1, geometry.lines - 1
+        sides = geometry.position([k, k, 0, frames], [0, lines, j, j], i, direction)
+    return np.asarray(sides[np.argmin(np.linalg.norm(sides - p_P, axis=1))])
+
+
+def largest_motion(current: Volume, previous: Volume) -> float:
+    """Largest distance that a corner of the volume moved in W between two volumes, in m."""
+    corners = np.array(np.meshgrid(*zip(current.origin, current.upper, strict=True))).reshape(3, -1)
+    corners = np.vstack([corners, np.ones(corners.shape[1])])
+    if current.motion is None or previous.motion is None:
+        poses = current.X_WP.GetAsMatrix4() - previous.X_WP.GetAsMatrix4()
+    else:
+        poses = current.motion.X_WP - previous.motion.X_WP
+    return float(np.linalg.norm((poses @ corners)[..., :3, :], axis=-2).max())
+
+
+def detect_insertion(
+    volume: Volume,
+    previous: Volume,
+    parameters: InsertionDetectorParameters,
+    rng: np.random.Generator,
+) -> InsertionDetection | NotFound:
+    """Find where something has entered between two volumes (Chatelain 2013, section II-B).
+
+    Parameters
+    ----------
+    volume, previous
+        On the same grid.
+    parameters
+        Thresholds.
+    rng
+        Chooses among equal differences.
+    """
+    if volume.intensities.shape != previous.intensities.shape or not (
+        np.allclose(volume.origin, previous.origin)
+        and np.allclose(volume.spacing, previous.spacing)
+    ):
+        return NotFound("the previous volume lies on another grid")
+    motion = largest_motion(volume, previous)
+    if motion > parameters.stillness:
+        return NotFound(f"the probe moved {1e3 * motion:.2f} mm between the volumes")
+    count = max(4, round(parameters.candidate_volume / float(np.prod(volume.spacing))))
+    # Sweeps of unlike direction see slightly different sectors: their edges are no change.
+    unlike = (
+        volume.motion is not None
+        and previous.motion is not None
+        and volume.motion.direction != previous.motion.direction
+    )
+    index, threshold = largest_differences(
+        volume.intensities, previous.intensities, count, rng, both_seen=unlike
+    )
+    change = threshold * parameters.decibels_per_level
+    if len(index) < count or change < parameters.least_change:
+        return NotFound(f"nothing changed by more than {change:.1f} dB")
+    p_P = volume.position(index)
+    deviation = float(np.sqrt(p_P.var(axis=0).sum()))
+    if deviation > parameters.largest_deviation:
+        return NotFound(f"the change is spread over {1e3 * deviation:.1f} mm")
+    median = geometric_median(p_P)
+    entry = closest_side(volume, median)
+    depth = float(np.linalg.norm(entry - median))
+    if depth > parameters.largest_depth:
+        return NotFound(f"the change lies {1e3 * depth:.1f} mm inside the field of view")
+    p_W, times = volume.to_world(np.stack([entry, median]))
+    return InsertionDetection(p_W[0], p_W[1], deviation, change, float(times[1]))
+
+
+class InsertionDetector(LeafSystem):
+    """Detects a needle's insertion from the difference of two volumes.
+
+    .. pydrake_system::
+
+        name: InsertionDetector
+        input_ports:
+        - volume
+        - previous_volume
+        output_ports:
+        - detection
+
+    Stateless. Of the voxels that changed most (Chatelain 2013, eq. 1), the variance tells a
+    localized motion from a global one, and the geometric median (eq. 2), projected on the closest
+    side of the field of view, gives the entry point. The output is an `InsertionDetection`, or a
+    `NotFound` that says why there is none; it is valid only if the probe stood still.
+
+    Parameters
+    ----------
+    parameters
+        Thresholds, in SI units.
+    seed
+        Of the choice among equal differences.
+    """
+
+    def __init__(
+        self, *, parameters: InsertionDetectorParameters | None = None, seed: int = 0
+    ) -> None:
+        super().__init__()
+        self._parameters = parameters or InsertionDetectorParameters()
+        self._seed = seed
+        self.DeclareAbstractInputPort("volume", Value[object]())
+        self.DeclareAbstractInputPort("previous_volume", Value[object]())
+        self.DeclareAbstractOutputPort("detection", lambda: Value[object](), self._calc_detection)
+
+    def _calc_detection(self, context: Context, output: Value) -> None:
+        volume = evaluate(self, context, "volume", (Volume, NotFound))
+        previous = evaluate(self, context, "previous_volume", (Volume, NotFound))
+        if not isinstance(volume, Volume):
+            output.set_value(volume)
+        elif not isinstance(previous, Volume):
+            output.set_value(previous)
+        else:
+            output.set_value(
+                detect_insertion(volume, previous, self._parameters, self._rng(volume))
+            )
+
+    def _rng(self, volume: Volume) -> np.random.Generator:
+        # Keyed by the volume's time, so that a stateless system repeats itself.
+        return np.random.default_rng([self._seed, int(abs(volume.time) * 1e9)])

@@ -1,0 +1,282 @@
+"""Tracks the needle's control points from volume to volume."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from filterpy.kalman import update
+from pydrake.common.value import Value
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from scipy.stats import chi2
+
+from sonoservo.systems.detection.insertion_detector import InsertionDetection
+from sonoservo.systems.estimation.estimate import TrackingMode
+from sonoservo.systems.estimation.track import NeedleMotionParameters, NeedleTrack
+from sonoservo.systems.localization.measurement import NeedleMeasurement
+from sonoservo.systems.ultrasound.volume import Volume
+from sonoservo.systems.values import (
+    Immutable,
+    NotFound,
+    evaluate,
+    require,
+    require_not_negative,
+    require_positive,
+)
+
+
+@dataclass(kw_only=True)
+class NeedleKalmanFilterParameters:
+    """How the filter starts, what it believes and when it gives up. The paper publishes no values.
+
+    Parameters
+    ----------
+    order
+        n of the curve: 2 straight, 3 bent.
+    motion
+        How the needle may accelerate: Q.
+    first_deviation, first_speed
+        Standard deviations of the control points, in m, and of their velocities, in m/s, at a
+        detection.
+    gate
+        Probability that a true measurement passes the gate on the innovation.
+    volumes_to_confirm
+        Within which the localizer must see the detected needle.
+    volumes_to_lose
+        In a row without the needle, after which it is sought everywhere.
+    seconds_to_give_up
+        Without the needle, after which a new insertion is awaited.
+    """
+
+    order: int = 2
+    motion: NeedleMotionParameters = field(default_factory=NeedleMotionParameters)
+    first_deviation: float = 3e-3
+    first_speed: float = 10e-3
+    gate: float = 0.9999
+    volumes_to_confirm: int = 4
+    volumes_to_lose: int = 4
+    seconds_to_give_up: float = 10.0
+
+    def __post_init__(self) -> None:
+        require(self.order in (2, 3), "order", self.order, "2 or 3")
+        require_positive(
+            first_deviation=self.first_deviation,
+            first_speed=self.first_speed,
+            gate=self.gate,
+            seconds_to_give_up=self.seconds_to_give_up,
+        )
+        require(self.gate < 1, "gate", self.gate, "below 1")
+        for name in ("volumes_to_confirm", "volumes_to_lose"):
+            require(getattr(self, name) >= 1, name, getattr(self, name), "1 or more")
+
+
+def start_track(
+    detection: InsertionDetection, parameters: NeedleKalmanFilterParameters
+) -> NeedleTrack:
+    """Start a track, not yet confirmed, at a detected insertion.
+
+    The needle reaches from the entry through the median of what has just moved, about as far
+    beyond it; entry and tip are uncertain in every direction.
+    """
+    n = parameters.order
+    reach = 2 * (detection.p_WMedian - detection.p_WEntry)
+    points = detection.p_WEntry + np.outer(np.linspace(0, 1, n), reach)
+    deviations = np.repeat([parameters.first_deviation, parameters.first_speed], 3 * n)
+    return NeedleTrack(
+        TrackingMode.SEARCHING,
+        detection.time,
+        parameters.motion,
+        np.concatenate([points.ravel(), np.zeros(3 * n)]),
+        np.diag(deviations**2),
+        since=detection.time,
+    )
+
+
+def restart_track(
+    measurement: NeedleMeasurement, parameters: NeedleKalmanFilterParameters
+) -> NeedleTrack:
+    """Start a track at a measurement: of a needle found again."""
+    size = 3 * measurement.curve.order
+    covariance = np.zeros((2 * size, 2 * size))
+    covariance[:size, :size] = measurement.covariance
+    covariance[size:, size:] = np.eye(size) * parameters.first_speed**2
+    return NeedleTrack(
+        TrackingMode.TRACKING,
+        measurement.time,
+        parameters.motion,
+        np.concatenate([measurement.curve.control_points.ravel(), np.zeros(size)]),
+        covariance,
+        since=measurement.time,
+    )
+
+
+def innovation_distance(track: NeedleTrack, measurement: NeedleMeasurement) -> float:
+    """Squared Mahalanobis distance of a measurement from the track predicted to its time."""
+    assert track.mean is not None
+    assert track.covariance is not None
+    size = 3 * track.order
+    y = measurement.curve.control_points.ravel() - track.mean[:size]
+    S = track.covariance[:size, :size] + measurement.covariance
+    return float(y @ np.linalg.solve(S, y))
+
+
+def update_track(track: NeedleTrack, measurement: NeedleMeasurement) -> NeedleTrack:
+    """Update the track with a measurement at its time (Chatelain 2013, eqs. 12-14)."""
+    C = np.eye(3 * track.order, 6 * track.order)
+    mean, covariance = update(
+        track.mean,
+        track.covariance,
+        measurement.curve.control_points.ravel(),
+        measurement.covariance,
+        C,
+    )
+    return replace(
+        track,
+        mode=TrackingMode.TRACKING,
+        mean=mean,
+        covariance=0.5 * (covariance + covariance.T),
+        missed=0,
+        since=measurement.time,
+        reason="",
+    )
+
+
+def _reason(value: Immutable) -> str:
+    return value.reason if isinstance(value, NotFound) else ""
+
+
+class NeedleKalmanFilter(LeafSystem):
+    """Filters the needle's control points, and decides whether the needle is being tracked.
+
+    .. pydrake_system::
+
+        name: NeedleKalmanFilter
+        input_ports:
+        - volume
+        - detection
+        - measurement
+        output_ports:
+        - estimate
+        - prediction
+        - last_detection
+        - last_measurement
+
+    The state is X = (p_1 ... p_n, their velocities) in W (Chatelain 2013, eq. 3), predicted by
+    eqs. 10 and 11 to the time at which the tip was acquired, and updated by eqs. 12 to 14.
+
+    A detection starts a track, which stays unconfirmed until the localizer sees the needle. A
+    volume without it, or whose innovation fails the gate, is coasted over, while the volume of
+    interest grows; after some such volumes the needle is lost and sought in the whole volume; after
+    some time, or when it was withdrawn, a new insertion is awaited.
+
+    All outputs depend on the state only. ``prediction`` is the `NeedleTrack` from which the
+    localizer predicts; ``last_detection`` and ``last_measurement`` are what the last update used,
+    for a log. Updates come with new volumes: an event at which the volume is no newer than the last
+    does nothing.
+
+    Parameters
+    ----------
+    parameters
+        Of the filter, in SI units.
+    period, offset
+        Of the event, in s.
+    """
+
+    def __init__(
+        self,
+        *,
+        parameters: NeedleKalmanFilterParameters | None = None,
+        period: float,
+        offset: float = 0.0,
+    ) -> None:
+        super().__init__()
+        require_positive(period=period)
+        require_not_negative(offset=offset)
+        self._parameters = parameters or NeedleKalmanFilterParameters()
+        self._gate = float(chi2.ppf(self._parameters.gate, 3 * self._parameters.order))
+        for name in ("volume", "detection", "measurement"):
+            self.DeclareAbstractInputPort(name, Value[object]())
+        empty = NeedleTrack(TrackingMode.SEARCHING, 0.0, self._parameters.motion)
+        none = NotFound("no volume has been seen")
+        self._track = self.DeclareAbstractState(Value[object](empty))
+        self._detection = self.DeclareAbstractState(Value[object](none))
+        self._measurement = self.DeclareAbstractState(Value[object](none))
+        self.DeclareAbstractOutputPort(
+            "estimate",
+            lambda: Value[object](),
+            self._calc_estimate,
+            prerequisites_of_calc={self.abstract_state_ticket(self._track)},
+        )
+        self.DeclareStateOutputPort("prediction", self._track)
+        self.DeclareStateOutputPort("last_detection", self._detection)
+        self.DeclareStateOutputPort("last_measurement", self._measurement)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, offset, self._update)
+        self.DeclareForcedUnrestrictedUpdateEvent(self._update)
+
+    def _calc_estimate(self, context: Context, output: Value) -> None:
+        track: NeedleTrack = context.get_abstract_state(self._track).get_value()
+        output.set_value(track.estimate)
+
+    def _update(self, context: Context, state: State) -> EventStatus:
+        volume = evaluate(self, context, "volume", (Volume, NotFound))
+        track: NeedleTrack = context.get_abstract_state(self._track).get_value()
+        if not isinstance(volume, Volume) or volume.time <= track.volume_time:
+            return EventStatus.DidNothing()
+        # Inputs are pulled only where they are wanted: a localizer that nobody asks costs nothing.
+        detection: Immutable = NotFound("a needle is being tracked")
+        measurement: Immutable = NotFound("no needle has been detected")
+        if track.mode == TrackingMode.SEARCHING:
+            detection = evaluate(self, context, "detection", (InsertionDetection, NotFound))
+        if track:
+            measurement = evaluate(self, context, "measurement", (NeedleMeasurement, NotFound))
+        track = self._next(track, volume.time, detection, measurement)
+        for index, value in (
+            (self._track, replace(track, volume_time=volume.time)),
+            (self._detection, detection),
+            (self._measurement, measurement),
+        ):
+            state.get_mutable_abstract_state(index).set_value(value)
+        return EventStatus.Succeeded()
+
+    def _next(
+        self,
+        track: NeedleTrack,
+        time: float,
+        detection: Immutable,
+        measurement: Immutable,
+    ) -> NeedleTrack:
+        """Return the track after a volume."""
+        if isinstance(measurement, NeedleMeasurement):
+            if track.mode == TrackingMode.LOST:
+                return restart_track(measurement, self._parameters)
+            predicted = track.predicted(measurement.time)
+            distance = innovation_distance(predicted, measurement)
+            if distance <= self._gate:
+                return update_track(predicted, measurement)
+            reason = f"the measurement lies {np.sqrt(distance):.1f} deviations from the prediction"
+        else:
+            reason = _reason(measurement)
+        return self._missed(track, time, detection, reason)
+
+    def _missed(
+        self,
+        track: NeedleTrack,
+        time: float,
+        detection: Immutable,
+        reason: str,
+    ) -> NeedleTrack:
+        """Return the track after a volume that did not confirm it."""
+        p = self._parameters
+        missed = track.missed + 1
+        empty = NeedleTrack(TrackingMode.SEARCHING, time, p.motion, reason=reason)
+        if track.mode == TrackingMode.SEARCHING:
+            if isinstance(detection, InsertionDetection):
+                return start_track(detection, p)
+            if not track or missed >= p.volumes_to_confirm:
+                return replace(empty, reason=reason if track else _reason(detection))
+            return replace(track, missed=missed, reason=reason)
+        if time - track.since > p.seconds_to_give_up:
+            return empty
+        if missed >= p.volumes_to_lose:
+            return replace(track, mode=TrackingMode.LOST, missed=missed, reason=reason)
+        return replace(
+            track.predicted(time), mode=TrackingMode.COASTING, missed=missed, reason=reason
+        )

@@ -1,0 +1,160 @@
+"""Candidate voxels near a predicted needle."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from sonoservo.systems.localization.axis import Axis
+from sonoservo.systems.ultrasound.volume import Volume
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _voxels_near(  # pragma: no cover - compiled
+    intensities: Any,
+    origin: Any,
+    spacing: Any,
+    axis_origin: Any,
+    direction: Any,
+    coefficients: Any,
+    start: float,
+    stop: float,
+    radius: float,
+    lower: Any,
+    upper: Any,
+) -> Any:
+    capacity = 4096
+    index = np.empty((capacity, 3), np.int32)
+    abscissa = np.empty(capacity)
+    found = 0
+    order = coefficients.shape[0]
+    for i in range(lower[0], upper[0]):
+        x = origin[0] + spacing[0] * i
+        for j in range(lower[1], upper[1]):
+            y = origin[1] + spacing[1] * j
+            base = (x - axis_origin[0]) * direction[0] + (y - axis_origin[1]) * direction[1]
+            for k in range(lower[2], upper[2]):
+                if intensities[i, j, k] == 0:
+                    continue
+                z = origin[2] + spacing[2] * k
+                a = base + (z - axis_origin[2]) * direction[2]
+                if a < start or a >= stop:
+                    continue
+                dx, dy, dz, power = x, y, z, 1.0
+                for n in range(order):
+                    dx -= coefficients[n, 0] * power
+                    dy -= coefficients[n, 1] * power
+                    dz -= coefficients[n, 2] * power
+                    power *= a
+                if dx * dx + dy * dy + dz * dz > radius * radius:
+                    continue
+                if found == capacity:
+                    capacity *= 2
+                    more_index = np.empty((capacity, 3), np.int32)
+                    more_index[:found] = index
+                    index = more_index
+                    more_abscissa = np.empty(capacity)
+                    more_abscissa[:found] = abscissa
+                    abscissa = more_abscissa
+                index[found, 0], index[found, 1], index[found, 2] = i, j, k
+                abscissa[found] = a
+                found += 1
+    return index[:found], abscissa[:found]
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Candidate voxels.
+
+    Parameters
+    ----------
+    p_P
+        (m, 3) positions in the probe frame, in m.
+    weights
+        (m,) from 0 to 1: how far a voxel stands out among the candidates of its slab.
+    """
+
+    p_P: NDArray[np.float64]
+    weights: NDArray[np.float64]
+
+
+def select_candidates(
+    volume: Volume,
+    axis: Axis,
+    *,
+    start: float,
+    stop: float,
+    radius: float,
+    cross_section: float,
+    slab: float,
+    rng: np.random.Generator,
+) -> Candidates:
+    """Brightest voxels around a predicted axis (Chatelain 2013, eq. 15).
+
+    The volume of interest follows the axis from ``start`` to ``stop``. It is cut into slabs across
+    the axis, and the threshold is an order statistic of each slab: the needle is some 20 dB
+    brighter where a line of sound meets it at a right angle, and a common threshold would leave
+    candidates there only. The candidates' number grows with the predicted length.
+
+    Parameters
+    ----------
+    volume
+        To search.
+    axis
+        Predicted, in the probe frame, in m.
+    start, stop
+        Abscissae between which to search, in m.
+    radius
+        Of the volume of interest around the axis, in m.
+    cross_section
+        Area that the candidates fill across the axis, in m^2.
+    slab
+        Thickness of a slab, in m.
+    rng
+        Chooses among equally bright voxels.
+    """
+    ends = axis.position(np.linspace(start, stop, 9))
+    lower = np.floor((ends.min(axis=0) - radius - volume.origin) / volume.spacing)
+    upper = np.ceil((ends.max(axis=0) + radius - volume.origin) / volume.spacing) + 1
+    shape = np.array(volume.intensities.shape)
+    index, abscissa = _voxels_near(
+        volume.intensities,
+        volume.origin,
+        volume.spacing,
+        axis.origin,
+        axis.direction,
+        axis.coefficients,
+        start,
+        stop,
+        radius,
+        np.clip(lower, 0, shape).astype(np.int64),
+        np.clip(upper, 0, shape).astype(np.int64),
+    )
+    value = volume.intensities[index[:, 0], index[:, 1], index[:, 2]].astype(float)
+    number = ((abscissa - start) / slab).astype(np.int64)
+    order = np.lexsort((rng.random(len(value)), -value, number))
+    index, value, number = index[order], value[order], number[order]
+    first = np.searchsorted(number, np.arange(math.ceil((stop - start) / slab) + 1))
+    rank = np.arange(len(value)) - first[number]
+    count = max(1, round(cross_section * slab / float(np.prod(volume.spacing))))
+    chosen = rank < count
+    last = np.minimum(first[number] + count, first[number + 1]) - 1
+    span = value[first[number]] - value[last]
+    weights = (value - value[last] + 0.1 * span + 1e-9) / (1.1 * span + 1e-9)
+    return Candidates(volume.position(index[chosen]), weights[chosen])
+
+
+def acquired_from(volume: Volume, p_W: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(m, 3) positions in P, in m, at which a volume shows positions in W: inverts `to_world`.
+
+    Two steps of a fixed-point iteration: the probe moves little while a volume is acquired.
+    """
+    p_P = volume.to_probe(p_W)
+    if volume.motion is not None:
+        R_PW = volume.X_WP.rotation().matrix().T
+        for _ in range(2):
+            p_P = p_P + (p_W - volume.to_world(p_P)[0]) @ R_PW.T
+    return p_P

@@ -1,0 +1,142 @@
+"""Seeks long thin bright lines in a whole volume, for a needle that was lost."""
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
+
+from sonoservo.systems.ultrasound.volume import Volume
+
+
+@njit(cache=True, nogil=True)
+def _block_maxima(intensities: Any, bx: int, by: int, bz: int) -> Any:  # pragma: no cover
+    """Largest value in each block of voxels, and where it lies."""
+    nx, ny, nz = intensities.shape
+    shape = ((nx + bx - 1) // bx, (ny + by - 1) // by, (nz + bz - 1) // bz)
+    maxima = np.zeros(shape, np.float32)
+    where = np.zeros((*shape, 3), np.int16)
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                value = intensities[i, j, k]
+                if value > maxima[i // bx, j // by, k // bz]:
+                    maxima[i // bx, j // by, k // bz] = value
+                    where[i // bx, j // by, k // bz, 0] = i
+                    where[i // bx, j // by, k // bz, 1] = j
+                    where[i // bx, j // by, k // bz, 2] = k
+    return maxima, where
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _longest_line(  # pragma: no cover - compiled
+    points: Any, samples: Any, distance: float, separation: float, pitch: float, gap: int
+) -> Any:
+    """Sample whose line has the longest stretch of points; its score, and the stretch's ends."""
+    bins = 512
+    occupied = np.zeros(bins, np.int32)
+    best = (-1, 0, 0.0, 0.0)
+    for s in range(samples.shape[0]):
+        first = points[samples[s, 0]]
+        k = points[samples[s, 1]] - first
+        length = np.sqrt(np.sum(k * k))
+        if length < separation:
+            continue
+        k = k / length
+        low, high = bins, -1
+        for m in range(points.shape[0]):
+            x = points[m, 0] - first[0]
+            y = points[m, 1] - first[1]
+            z = points[m, 2] - first[2]
+            a = x * k[0] + y * k[1] + z * k[2]
+            if x * x + y * y + z * z - a * a < distance * distance:
+                at = min(max(int(np.floor(a / pitch)) + bins // 2, 0), bins - 1)
+                occupied[at] = s + 1
+                low, high = min(low, at), max(high, at)
+        start, score, missing = low, 0, 0
+        for at in range(low, high + 1):
+            if occupied[at] == s + 1:
+                if score == 0:
+                    start = at
+                score += 1
+                missing = 0
+                if score > best[1]:
+                    best = (
+                        s, score, (start - bins // 2) * pitch, (at + 1 - bins // 2) * pitch
+                    )  # fmt: skip
+            else:
+                missing += 1
+                if missing > gap:
+                    score = 0
+    return best
+
+
+def bright_lines(
+    volume: Volume,
+    rng: np.random.Generator,
+    *,
+    count: int = 3,
+    block: float = 2.2e-3,
+    surroundings: float = 16e-3,
+    points: int = 500,
+    draws: int = 6000,
+    distance: float = 2.5e-3,
+    separation: float = 6e-3,
+    largest_gap: float = 5e-3,
+) -> list[NDArray[np.float64]]:
+    """Longest thin bright lines of a volume.
+
+    The volume is reduced to the maxima of blocks; those that stand out most from their
+    surroundings are the candidates, so that a broad bright structure yields few of them. Lines
+    through random pairs are scored not by the number of candidates near them but by the length
+    over which they follow one another: compact inclusions, however bright, score low.
+
+    Parameters
+    ----------
+    volume
+        To search.
+    rng
+        Draws the pairs.
+    count
+        Largest number of lines.
+    block, surroundings
+        Edges of the blocks and of the cube a block is compared with, in m.
+    points, draws
+        Numbers of candidates and of pairs.
+    distance
+        Of a line's candidates from it, in m.
+    separation
+        Least distance between the points of a pair, in m.
+    largest_gap
+        Between successive candidates along a line, in m.
+
+    Returns
+    -------
+    Lines, longest first, each (2, 3): ends in the probe frame, in m.
+    """
+    size = np.maximum(1, np.round(block / volume.spacing)).astype(int)
+    maxima, where = _block_maxima(volume.intensities, *size)
+    seen = maxima > 0
+    window = tuple(2 * max(1, round(surroundings / block / 2)) + 1 for _ in range(3))
+    mean = uniform_filter(maxima, window, mode="constant")
+    share = uniform_filter(seen.astype(np.float32), window, mode="constant")
+    contrast = np.where(seen, maxima - mean / np.maximum(share, 1e-3), -np.inf)
+    top = np.argpartition(contrast.ravel(), -min(points, contrast.size))[-points:]
+    top = top[np.isfinite(contrast.ravel()[top]) & (contrast.ravel()[top] > 0)]
+    p_P = volume.position(where.reshape(-1, 3)[top])
+    lines: list[NDArray[np.float64]] = []
+    while len(lines) < count and len(p_P) >= 4:
+        samples = rng.integers(0, len(p_P), (draws, 2))
+        best, score, start, stop = _longest_line(
+            p_P, samples, distance, separation, block, round(largest_gap / block)
+        )
+        if best < 0 or score * block < separation:
+            break
+        first, second = p_P[samples[best]]
+        k = (second - first) / np.linalg.norm(second - first)
+        lines.append(first + np.outer([start, stop], k))
+        a = (p_P - first) @ k
+        near = np.linalg.norm(p_P - first - np.outer(a, k), axis=1) < 2 * distance
+        p_P = p_P[~(near & (a > start - block) & (a < stop + block))]
+    return lines

@@ -1,0 +1,360 @@
+"""Localizes the needle in one volume, given a prediction."""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.common.value import Value
+from pydrake.systems.framework import Context, LeafSystem
+
+from sonoservo.systems.estimation.estimate import TrackingMode
+from sonoservo.systems.estimation.track import NeedleTrack
+from sonoservo.systems.localization.axis import AxisFit, axis_through, fit_axis
+from sonoservo.systems.localization.candidates import acquired_from, select_candidates
+from sonoservo.systems.localization.line_search import bright_lines
+from sonoservo.systems.localization.measurement import NeedleMeasurement
+from sonoservo.systems.localization.ransac import RansacParameters, ransac_axis
+from sonoservo.systems.localization.tip import (
+    NeedleExtent,
+    TipParameters,
+    axis_profile,
+    find_extent,
+)
+from sonoservo.systems.needle.curve import NeedleCurve
+from sonoservo.systems.ultrasound.volume import Volume
+from sonoservo.systems.values import NotFound, evaluate, require, require_positive
+
+
+@dataclass(kw_only=True)
+class NeedleLocalizerParameters:
+    """Where the needle is sought, and what counts as found. The paper publishes no values.
+
+    Parameters
+    ----------
+    order
+        n of the curve: 2 straight, 3 bent.
+    margin
+        Around the predicted curve, beyond three standard deviations, in m.
+    margin_growth
+        Further margin for every volume that did not confirm the needle, in m.
+    largest_radius
+        Of the volume of interest, in m.
+    largest_angle_deg
+        alpha_0 about a certain prediction, in degrees; the prediction's uncertainty is added.
+    cross_section
+        Area of the candidates across the needle, in m^2.
+    slab
+        Length of needle that shares a threshold, in m.
+    least_length
+        That must be visible, in m.
+    least_inlier_ratio
+        Of the candidates between entry and tip.
+    least_visible
+        Share of the needle's visible stretch that stands out from the background.
+    correlation_length
+        Length of needle that one beam width blurs into one observation, in m.
+    tip_deviation, entry_deviation
+        Standard deviations along the axis, in m. The entry rests and is not observed along it.
+    unseen_tip_deviation
+        The same where the needle leaves the field of view.
+    systematic_deviation
+        Of every control point in every direction, in m.
+    """
+
+    order: int = 2
+    margin: float = 4e-3
+    margin_growth: float = 2e-3
+    largest_radius: float = 20e-3
+    largest_angle_deg: float = 10.0
+    cross_section: float = 4e-6
+    slab: float = 2e-3
+    least_length: float = 4e-3
+    least_inlier_ratio: float = 0.4
+    least_visible: float = 0.6
+    correlation_length: float = 2e-3
+    tip_deviation: float = 0.6e-3
+    entry_deviation: float = 5e-3
+    unseen_tip_deviation: float = 10e-3
+    systematic_deviation: float = 0.1e-3
+    ransac: RansacParameters = field(default_factory=RansacParameters)
+    tip: TipParameters = field(default_factory=TipParameters)
+
+    def __post_init__(self) -> None:
+        require(self.order in (2, 3), "order", self.order, "2 or 3")
+        require_positive(
+            margin=self.margin,
+            margin_growth=self.margin_growth,
+            largest_radius=self.largest_radius,
+            largest_angle_deg=self.largest_angle_deg,
+            cross_section=self.cross_section,
+            slab=self.slab,
+            least_length=self.least_length,
+            least_inlier_ratio=self.least_inlier_ratio,
+            least_visible=self.least_visible,
+            correlation_length=self.correlation_length,
+            tip_deviation=self.tip_deviation,
+            entry_deviation=self.entry_deviation,
+            unseen_tip_deviation=self.unseen_tip_deviation,
+            systematic_deviation=self.systematic_deviation,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Region:
+    """Where to look: around a curve in W."""
+
+    curve: NeedleCurve
+    radius: float
+    before: float
+    beyond: float
+    largest_angle: float
+    entry_known: bool
+
+
+def _predicted_region(
+    track: NeedleTrack, time: float, parameters: NeedleLocalizerParameters
+) -> _Region:
+    """Capsule around the predicted curve, from the prediction's covariance."""
+    track = track.predicted(time)
+    assert track.covariance is not None
+    curve, n, k = track.curve, track.order, track.curve.direction
+    project = np.eye(3) - np.outer(k, k)
+    across = along = 0.0
+    for i in (0, n - 1):
+        block = track.covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
+        along = math.sqrt(float(k @ block @ k))
+        across = max(across, math.sqrt(np.linalg.eigvalsh(project @ block @ project)[-1]))
+    margin = parameters.margin + track.missed * parameters.margin_growth
+    return _Region(
+        curve=curve,
+        radius=min(margin + 3 * across, parameters.largest_radius),
+        before=margin,
+        beyond=min(margin + 3 * along, 3 * parameters.largest_radius),
+        largest_angle=min(
+            math.radians(parameters.largest_angle_deg)
+            + math.atan2(3 * across, max(curve.chord, 1e-3)),
+            math.pi / 2,
+        ),
+        entry_known=True,
+    )
+
+
+def _localize_in(
+    volume: Volume,
+    region: _Region,
+    parameters: NeedleLocalizerParameters,
+    rng: np.random.Generator,
+) -> NeedleMeasurement | NotFound:
+    axis = axis_through(acquired_from(volume, region.curve.control_points))
+    if isinstance(axis, NotFound):
+        return axis
+    candidates = select_candidates(
+        volume,
+        axis,
+        start=-region.before,
+        stop=region.curve.chord + region.beyond,
+        radius=region.radius,
+        cross_section=parameters.cross_section,
+        slab=parameters.slab,
+        rng=rng,
+    )
+    if len(candidates.p_P) == 0:
+        return NotFound("the predicted needle lies outside the field of view")
+    points = volume.to_world(candidates.p_P)[0]
+    found = ransac_axis(
+        points,
+        candidates.weights,
+        order=parameters.order,
+        rng=rng,
+        parameters=parameters.ransac,
+        direction=region.curve.direction,
+        largest_angle=region.largest_angle,
+    )
+    if isinstance(found, NotFound):
+        return found
+    return _measure(volume, region, parameters, points, candidates.weights, found.fit)
+
+
+def _measure(
+    volume: Volume,
+    region: _Region,
+    parameters: NeedleLocalizerParameters,
+    points: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    fit: AxisFit,
+) -> NeedleMeasurement | NotFound:
+    """Find the needle's ends along the axis, refit between them, and judge."""
+    extent = _extent(volume, region, parameters, fit)
+    if isinstance(extent, NotFound):
+        return extent
+    inliers = _between(points, fit, extent) & (
+        fit.axis.distance(points) < parameters.ransac.inlier_distance
+    )
+    refit = fit_axis(points[inliers], weights[inliers], parameters.order)
+    if isinstance(refit, NotFound):
+        return refit
+    fit = refit if refit.axis.direction @ fit.axis.direction > 0 else refit.reversed()
+    extent = _extent(volume, region, parameters, fit)
+    if isinstance(extent, NotFound):
+        return extent
+    candidates = _between(points, fit, extent)
+    inliers = candidates & (fit.axis.distance(points) < parameters.ransac.inlier_distance)
+    return _judge(volume, region, parameters, fit, extent, inliers.sum(), candidates.sum())
+
+
+def _extent(
+    volume: Volume, region: _Region, parameters: NeedleLocalizerParameters, fit: AxisFit
+) -> NeedleExtent | NotFound:
+    """Find where the needle begins and ends along an axis."""
+    start = float(fit.axis.abscissa(region.curve.entry)) - region.before
+    stop = float(fit.axis.abscissa(region.curve.tip)) + region.beyond
+    extent = find_extent(
+        axis_profile(volume, fit.axis, start, stop, parameters.tip), parameters.tip
+    )
+    if isinstance(extent, NeedleExtent) and extent.tip - extent.start < parameters.least_length:
+        return NotFound(f"only {1e3 * (extent.tip - extent.start):.1f} mm of it are visible")
+    return extent
+
+
+def _between(points: NDArray[np.float64], fit: AxisFit, extent: NeedleExtent) -> NDArray[np.bool_]:
+    a = fit.axis.abscissa(points)
+    return np.asarray((a >= extent.start) & (a <= extent.tip))
+
+
+def _judge(
+    volume: Volume,
+    region: _Region,
+    parameters: NeedleLocalizerParameters,
+    fit: AxisFit,
+    extent: NeedleExtent,
+    inliers: int,
+    candidates: int,
+) -> NeedleMeasurement | NotFound:
+    """Measure the control points and their covariance, unless there is too little to believe."""
+    ratio = float(inliers / max(candidates, 1))
+    if ratio < parameters.least_inlier_ratio:
+        return NotFound(f"only {100 * ratio:.0f} % of the candidates lie on the axis")
+    if extent.visible < parameters.least_visible:
+        return NotFound(f"only {100 * extent.visible:.0f} % of the axis stands out")
+    start = float(fit.axis.abscissa(region.curve.entry)) if region.entry_known else extent.start
+    if extent.tip - start < parameters.least_length:
+        return NotFound("the needle has been withdrawn to its entry")
+    # Interior points uniform in chord: the entry rests, the tip moves, no point slides.
+    u = np.linspace(0, 1, parameters.order)
+    a = start + u * (extent.tip - start)
+    curve = NeedleCurve(fit.axis.position(a))
+    independent = max(
+        (extent.tip - extent.start) / parameters.correlation_length, parameters.order + 1.0
+    )
+    k = fit.axis.direction
+    tip_deviation = parameters.unseen_tip_deviation if extent.leaves else parameters.tip_deviation
+    ends = np.stack([1 - u, u], axis=1)
+    along = ends @ np.diag([parameters.entry_deviation**2, tip_deviation**2]) @ ends.T
+    covariance = (
+        fit.covariance(a, independent)
+        + np.kron(along, np.outer(k, k))
+        + parameters.systematic_deviation**2 * np.eye(3 * len(u))
+    )
+    time = float(volume.to_world(acquired_from(volume, curve.control_points[-1:]))[1][0])
+    return NeedleMeasurement(curve, covariance, time, int(inliers), ratio)
+
+
+def localize(
+    volume: Volume,
+    track: NeedleTrack,
+    parameters: NeedleLocalizerParameters,
+    rng: np.random.Generator,
+) -> NeedleMeasurement | NotFound:
+    """Find the needle in a volume (Chatelain 2013, section II-D).
+
+    Parameters
+    ----------
+    volume
+        To search.
+    track
+        What is known so far; it is predicted to the volume's time. A lost needle is sought in the
+        whole volume.
+    parameters
+        Thresholds.
+    rng
+        Draws samples.
+
+    Returns
+    -------
+    The measurement in W, or a `NotFound` that says why there is none.
+    """
+    if not track:
+        return NotFound("no needle has been detected")
+    if track.mode != TrackingMode.LOST:
+        region = _predicted_region(track, volume.time, parameters)
+        return _localize_in(volume, region, parameters, rng)
+    best: NeedleMeasurement | None = None
+    for line in bright_lines(volume, rng):
+        ends = volume.to_world(line)[0]
+        if (ends[1] - ends[0]) @ track.curve.direction < 0:
+            ends = ends[::-1]
+        found = _localize_in(
+            volume,
+            _Region(
+                curve=NeedleCurve(np.linspace(ends[0], ends[1], parameters.order)),
+                radius=2 * parameters.margin,
+                before=2 * parameters.margin,
+                beyond=2 * parameters.margin,
+                largest_angle=math.radians(2 * parameters.largest_angle_deg),
+                entry_known=False,
+            ),
+            parameters,
+            rng,
+        )
+        if isinstance(found, NeedleMeasurement):
+            best = found if best is None or found.curve.chord > best.curve.chord else best
+    return best or NotFound("no needle in the whole volume")
+
+
+class NeedleLocalizer(LeafSystem):
+    """Localizes the needle in one volume.
+
+    .. pydrake_system::
+
+        name: NeedleLocalizer
+        input_ports:
+        - volume
+        - prediction
+        output_ports:
+        - measurement
+
+    Stateless. Candidate voxels are the brightest ones around the predicted curve (Chatelain 2013,
+    eq. 15); a random sample consensus fits the axis (eqs. 16-22); the tip is where the intensity
+    along it drops. ``prediction`` is a `NeedleTrack`, ``measurement`` a `NeedleMeasurement` in W or
+    a `NotFound` that says why there is none.
+
+    Parameters
+    ----------
+    parameters
+        Thresholds, in SI units.
+    seed
+        Of the random samples.
+    """
+
+    def __init__(
+        self, *, parameters: NeedleLocalizerParameters | None = None, seed: int = 0
+    ) -> None:
+        super().__init__()
+        self._parameters = parameters or NeedleLocalizerParameters()
+        self._seed = seed
+        self.DeclareAbstractInputPort("volume", Value[object]())
+        self.DeclareAbstractInputPort("prediction", Value[object]())
+        self.DeclareAbstractOutputPort(
+            "measurement", lambda: Value[object](), self._calc_measurement
+        )
+
+    def _calc_measurement(self, context: Context, output: Value) -> None:
+        volume = evaluate(self, context, "volume", (Volume, NotFound))
+        track = evaluate(self, context, "prediction", NeedleTrack)
+        if not isinstance(volume, Volume):
+            output.set_value(volume)
+            return
+        # Keyed by the volume's time, so that a stateless system repeats itself.
+        rng = np.random.default_rng([self._seed, int(abs(volume.time) * 1e9)])
+        output.set_value(localize(volume, track, self._parameters, rng))
