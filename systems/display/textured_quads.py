@@ -1,0 +1,136 @@
+"""Pictures in space, as glTF."""
+
+import base64
+import io
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from sonoservo.systems.display.image_planes import Plane
+
+_FLOAT, _UNSIGNED_SHORT = 5126, 5123
+_LINEAR, _CLAMP_TO_EDGE = 9729, 33071
+
+
+def gltf_textured_quads(planes: Sequence[Plane], images: Sequence[NDArray[np.uint8]]) -> str:
+    """Return rectangles with pictures on them as one self-contained glTF 2.0 document.
+
+    Parameters
+    ----------
+    planes
+        Where the pictures are, in the frame of the whole object.
+    images
+        As many arrays: (rows, columns) grey, (rows, columns, 2) grey and opacity, or
+        (rows, columns, 4) red, green, blue and opacity. Columns run along +X of a plane, rows
+        along +Y. What is less than half opaque is not drawn.
+
+    Returns
+    -------
+    JSON text. The pictures keep their own brightness (no light falls on them) and show on both
+    sides. Axes are such that Drake's Meshcat, which turns glTF's +Y up into its own +Z, shows them
+    at their true place.
+    """
+    buffers: list[dict[str, Any]] = []
+    views: list[dict[str, Any]] = []
+    accessors: list[dict[str, Any]] = []
+
+    def store(array: NDArray[Any], kind: str, component: int) -> int:
+        data = array.tobytes()
+        buffers.append(
+            {"uri": _data_uri("application/octet-stream", data), "byteLength": len(data)}
+        )
+        views.append({"buffer": len(buffers) - 1, "byteLength": len(data)})
+        accessors.append(
+            {
+                "bufferView": len(views) - 1,
+                "componentType": component,
+                "count": len(array),
+                "type": kind,
+                "min": array.min(axis=0).ravel().tolist(),
+                "max": array.max(axis=0).ravel().tolist(),
+            }
+        )
+        return len(accessors) - 1
+
+    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    texture = store(corners.astype("<f4"), "VEC2", _FLOAT)
+    triangles = store(np.array([0, 1, 2, 0, 2, 3], "<u2"), "SCALAR", _UNSIGNED_SHORT)
+    primitives = []
+    for number, plane in enumerate(planes):
+        p_S = np.zeros((3, 4))
+        p_S[:2] = (corners - 0.5).T * [[plane.width], [plane.height]]
+        x, y, z = plane.X_PS.multiply(p_S)
+        position = store(np.stack([x, z, -y], axis=1).astype("<f4"), "VEC3", _FLOAT)
+        primitives.append(
+            {
+                "attributes": {"POSITION": position, "TEXCOORD_0": texture},
+                "indices": triangles,
+                "material": number,
+            }
+        )
+    document = {
+        "asset": {"version": "2.0"},
+        "extensionsUsed": ["KHR_materials_unlit"],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": primitives}],
+        "materials": [
+            {
+                "pbrMetallicRoughness": {"baseColorTexture": {"index": number}},
+                "extensions": {"KHR_materials_unlit": {}},
+                "alphaMode": "MASK",
+                "doubleSided": True,
+            }
+            for number in range(len(planes))
+        ],
+        "textures": [{"source": number, "sampler": 0} for number in range(len(planes))],
+        "samplers": [
+            {
+                "magFilter": _LINEAR,
+                "minFilter": _LINEAR,
+                "wrapS": _CLAMP_TO_EDGE,
+                "wrapT": _CLAMP_TO_EDGE,
+            }
+        ],
+        "images": [{"uri": _data_uri("image/png", _png(image))} for image in images],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": buffers,
+    }
+    return json.dumps(document, separators=(",", ":"))
+
+
+def text_image(text: str, colour: Sequence[float], height: int = 64) -> NDArray[np.uint8]:
+    """Return a text as a (rows, columns, 4) picture with a clear background.
+
+    Parameters
+    ----------
+    text
+        One line.
+    colour
+        Red, green, blue from 0 to 1.
+    height
+        Of the letters in pixels.
+    """
+    font = ImageFont.load_default(size=height)
+    left, top, right, bottom = font.getbbox(text)
+    size = (int(right - left) + 8, int(bottom - top) + 8)
+    fill = tuple(round(255 * each) for each in colour)
+    image = Image.new("RGBA", size, (*fill, 0))
+    ImageDraw.Draw(image).text((4 - left, 4 - top), text, font=font, fill=(*fill, 255))
+    return np.array(image)
+
+
+def _png(image: NDArray[np.uint8]) -> bytes:
+    buffer = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(image)).save(buffer, "PNG", compress_level=6)
+    return buffer.getvalue()
+
+
+def _data_uri(kind: str, data: bytes) -> str:
+    return f"data:{kind};base64,{base64.b64encode(data).decode()}"

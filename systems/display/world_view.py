@@ -1,0 +1,200 @@
+"""The leaf that draws the needle, its estimate and the ultrasound slices in Meshcat."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.geometry import Meshcat, Rgba
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.systems.framework import Context, LeafSystem
+
+from sonoservo.systems.display.film import Film
+from sonoservo.systems.display.image_planes import sample_plane, slice_planes
+from sonoservo.systems.display.needle_view import EstimateView, NeedleView
+from sonoservo.systems.display.rod import Rod
+from sonoservo.systems.display.shapes import sector_edges, tubes
+from sonoservo.systems.display.textured_quads import gltf_textured_quads
+from sonoservo.systems.estimation.estimate import NeedleEstimate
+from sonoservo.systems.needle.needle import Needle
+from sonoservo.systems.ultrasound.sweep import SweepGeometry
+from sonoservo.systems.ultrasound.volume import Volume
+from sonoservo.systems.values import (
+    NotFound,
+    evaluate,
+    require,
+    require_not_negative,
+    require_positive,
+)
+
+_SECTOR, _FORCE = Rgba(0.0, 0.45, 0.70), Rgba(0.9, 0.6, 0.0)
+_METRES_PER_NEWTON = 0.02
+
+
+@dataclass(kw_only=True)
+class WorldViewParameters:
+    """How the world is shown.
+
+    Parameters
+    ----------
+    publish_period
+        Between two pictures, in s.
+    pixel
+        Of the slices, in m.
+    film_frames
+        Most slices kept for a replay, about 60 KB each; 0 where none is wanted.
+    film_period
+        Least time between slices kept, in s.
+    needle_length
+        Of the whole needle, in m: what is not in the tissue is drawn outside it.
+    label_position
+        Of the word that names the tracking mode, in W, in m.
+    camera, camera_target
+        Where the view begins, in W, in m.
+    """
+
+    publish_period: float = 1 / 32
+    pixel: float = 1e-3
+    film_frames: int = 0
+    film_period: float = 0.0
+    needle_length: float = 0.15
+    label_position: list[float] = field(default_factory=lambda: [0.45, -0.2, 0.3])
+    camera: list[float] = field(default_factory=lambda: [0.74, -0.36, 0.50])
+    camera_target: list[float] = field(default_factory=lambda: [0.43, 0.0, 0.26])
+
+    def __post_init__(self) -> None:
+        require_positive(
+            publish_period=self.publish_period, pixel=self.pixel, needle_length=self.needle_length
+        )
+        require_not_negative(film_frames=self.film_frames, film_period=self.film_period)
+        for name in ("label_position", "camera", "camera_target"):
+            require(len(getattr(self, name)) == 3, name, getattr(self, name), "three numbers")
+
+
+class WorldView(LeafSystem):
+    """Draws the needle, what the tracker believes, and slices through the needle in Meshcat.
+
+    .. pydrake_system::
+
+        name: WorldView
+        input_ports:
+        - X_WP
+        - X_WT
+        - needle (optional)
+        - estimate (optional)
+        - volume (optional)
+        - contact_force (optional)
+
+    The true `needle` (a Needle in T) is steel with a green hub; the `estimate` is red while
+    tracking, yellow while coasting, light blue when lost, and a word names the mode. The outline of
+    the sweep moves with the probe; the slices of each new `volume` stay where it was acquired: one
+    along needle and beam, one along the needle across the beam (Chatelain 2013, fig. 3). A bar
+    beside the probe, 20 mm/N, shows the `contact_force` in N. Arm, probe and phantom are for
+    Drake's MeshcatVisualizer to draw.
+
+    Slices are drawn only while a browser is connected, or while a film is kept for the replay.
+
+    Parameters
+    ----------
+    meshcat
+        To draw in.
+    path
+        Of everything that is drawn.
+    parameters
+        How it is drawn.
+    """
+
+    def __init__(
+        self,
+        *,
+        meshcat: Meshcat,
+        path: str = "ultrasound",
+        parameters: WorldViewParameters | None = None,
+    ) -> None:
+        super().__init__()
+        self._meshcat, self._path = meshcat, path
+        self._parameters = parameters or WorldViewParameters()
+        self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
+        self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
+        for name in ("needle", "estimate", "volume"):
+            self.DeclareAbstractInputPort(name, Value[object]())
+        self.DeclareVectorInputPort("contact_force", 1)
+        self._start()
+        self.DeclareInitializationPublishEvent(publish=lambda context: self._start())
+        self.DeclarePeriodicPublishEvent(self._parameters.publish_period, 0.0, self._publish)
+        self.DeclareForcedPublishEvent(self._publish)
+
+    def _start(self) -> None:
+        meshcat, path, parameters = self._meshcat, self._path, self._parameters
+        meshcat.Delete(path)
+        camera: Any = parameters.camera
+        target: Any = parameters.camera_target
+        meshcat.SetCameraPose(camera, target)
+        self._force = Rod(meshcat=meshcat, path=f"{path}/force", radius=3e-3, colour=_FORCE)
+        self._needle: NeedleView | None = None  # until its radius is known
+        self._estimate = EstimateView(
+            meshcat=meshcat, path=f"{path}/estimate", X_WLabel=_facing(parameters)
+        )
+        self._film = Film(
+            meshcat=meshcat, path=f"{path}/slices",
+            frames=parameters.film_frames, period=parameters.film_period,
+        )  # fmt: skip
+        self._sector: SweepGeometry | None = None
+        self._sliced = -np.inf  # time of the volume whose slices are shown
+
+    def _publish(self, context: Context) -> None:
+        time = context.get_time()
+        X_WP = evaluate(self, context, "X_WP", RigidTransform)
+        self._meshcat.SetTransform(f"{self._path}/sector", X_WP, time)
+        if self._connected(context, "needle"):
+            needle = evaluate(self, context, "needle", Needle)
+            if self._needle is None:
+                self._needle = NeedleView(
+                    meshcat=self._meshcat, path=f"{self._path}/needle",
+                    length=self._parameters.needle_length, radius=needle.radius,
+                )  # fmt: skip
+            self._needle.draw(needle, evaluate(self, context, "X_WT", RigidTransform), time)
+        estimate = None
+        if self._connected(context, "estimate"):
+            estimate = evaluate(self, context, "estimate", NeedleEstimate)
+            self._estimate.draw(estimate, time)
+        if self._connected(context, "contact_force"):
+            force = evaluate(self, context, "contact_force", np.ndarray)[0]
+            bar = [[0.06, 0.0, 0.0], [0.06, -_METRES_PER_NEWTON * max(force, 0.0), 0.0]]
+            self._force.show(X_WP.multiply(np.transpose(bar)).T, time)
+        if self._connected(context, "volume"):
+            volume = evaluate(self, context, "volume", (Volume, NotFound))
+            if isinstance(volume, Volume):
+                self._draw_volume(volume, estimate, time)
+
+    def _connected(self, context: Context, port: str) -> bool:
+        return self.GetInputPort(port).HasValue(context)
+
+    def _draw_volume(self, volume: Volume, estimate: NeedleEstimate | None, time: float) -> None:
+        geometry = volume.motion.geometry if volume.motion else None
+        if geometry is not None and geometry is not self._sector:
+            mesh = tubes(sector_edges(geometry), 3e-4)
+            self._meshcat.SetObject(f"{self._path}/sector", mesh, _SECTOR)
+            self._sector = geometry
+        if not self._parameters.film_frames and not self._meshcat.GetNumActiveConnections():
+            return
+        # The planes follow the needle as it is seen in this volume: wait for the tracker.
+        seen = not estimate or estimate.volume_time >= volume.time
+        if volume.time <= self._sliced or not seen:
+            return
+        planes = slice_planes(volume, estimate.curve if estimate else None)
+        images = [sample_plane(volume, plane, self._parameters.pixel) for plane in planes]
+        if planes:
+            self._film.show(gltf_textured_quads(planes, images), volume.X_WP, time)
+        self._sliced = volume.time
+
+
+def _facing(parameters: WorldViewParameters) -> RigidTransform:
+    """Pose of an upright label that faces the camera: X to the right, Y down."""
+    position: Any = np.array(parameters.label_position)
+    away = position - parameters.camera
+    away[2] = 0.0
+    down = np.array([0.0, 0.0, -1.0])
+    away = away / max(float(np.linalg.norm(away)), np.finfo(float).tiny)
+    R_WLabel: Any = np.stack([np.cross(down, away), down, away], axis=1)
+    return RigidTransform(RotationMatrix(R_WLabel), position)

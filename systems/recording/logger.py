@@ -1,0 +1,204 @@
+"""The leaf that keeps what happened."""
+
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform
+from pydrake.multibody.math import SpatialForce
+from pydrake.systems.framework import Context, LeafSystem
+
+from sonoservo.systems.estimation.estimate import NeedleEstimate
+from sonoservo.systems.localization.measurement import NeedleMeasurement
+from sonoservo.systems.needle.needle import Needle
+from sonoservo.systems.recording.run_log import Array, Column, RunLog, columns
+from sonoservo.systems.ultrasound.volume import Volume
+from sonoservo.systems.values import NotFound, evaluate, require_not_negative, require_positive
+
+T = TypeVar("T")
+Row = dict[str, Any]
+
+
+class RunLogger(LeafSystem):
+    """Keeps samples of truth and estimates, and a row for every volume the tracker has seen.
+
+    .. pydrake_system::
+
+        name: RunLogger
+        input_ports:
+        - X_WP
+        - X_WT
+        - needle (optional)
+        - estimate (optional)
+        - measurement (optional)
+        - detection (optional)
+        - volume (optional)
+        - joint_state (optional)
+        - wrist_force (optional)
+        - contact_force (optional)
+        - planar_velocity (optional)
+
+    Every port may stay unconnected; what it would give is then missing in the log. `X_WP` and
+    `X_WT` are RigidTransforms, `needle` the true Needle in T, `wrist_force` a SpatialForce,
+    `contact_force` a force in N, the others what their names say.
+
+    A measurement exists only at the instant at which the tracker takes it: afterwards the
+    prediction that it depends on is another one. So volumes are looked at on the tracker's own
+    beat. Drake publishes before it updates, hence the value kept is the one the tracker is about to
+    use, shared through the cache; the estimate that follows is added at the next look.
+
+    The logger remembers one run: it starts anew whenever a simulator is initialised.
+
+    Parameters
+    ----------
+    period
+        Between samples, in s.
+    volume_period, volume_offset
+        When the tracker looks at its volume, in s; by default with every sample.
+    joints
+        Of the arm; `joint_state` has twice as many elements.
+    """
+
+    def __init__(
+        self,
+        *,
+        period: float = 1 / 32,
+        volume_period: float | None = None,
+        volume_offset: float = 0.0,
+        joints: int = 6,
+    ) -> None:
+        super().__init__()
+        require_positive(period=period, volume_period=volume_period or period)
+        require_not_negative(volume_offset=volume_offset)
+        self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
+        self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
+        for name in ("needle", "estimate", "measurement", "detection", "volume"):
+            self.DeclareAbstractInputPort(name, Value[object]())
+        self.DeclareVectorInputPort("joint_state", 2 * joints)
+        self.DeclareAbstractInputPort("wrist_force", Value(SpatialForce()))
+        self.DeclareVectorInputPort("contact_force", 1)
+        self.DeclareVectorInputPort("planar_velocity", 3)
+        self._joint_state = 2 * joints
+        self._start()
+        self.DeclareInitializationPublishEvent(publish=lambda context: self._start())
+        self.DeclarePeriodicPublishEvent(period, 0.0, self._sample)
+        self.DeclarePeriodicPublishEvent(volume_period or period, volume_offset, self._look)
+        self.DeclareForcedPublishEvent(self._sample)
+
+    def log(self, compute: Mapping[str, ArrayLike] | None = None) -> RunLog:
+        """Return what has been kept so far; also after a run that was cut short.
+
+        Parameters
+        ----------
+        compute
+            Computing time per volume in s, by what was computed, if it was measured.
+        """
+        volumes = self._volumes[: len(self._volumes) - self._unconfirmed]
+        return RunLog(
+            **{
+                name: self._stack(
+                    name, column, self._samples if column.shape[0] == "n" else volumes
+                )
+                for name, column in columns().items()
+            },
+            compute={name: np.asarray(each, float) for name, each in (compute or {}).items()},
+        )
+
+    def _stack(self, name: str, column: Column, rows: list[Row]) -> Array:
+        if column.dtype == "U":
+            return np.array([row.get(name, "") for row in rows], dtype=str)
+        shape = [each if isinstance(each, int) else self._joint_state for each in column.shape[1:]]
+        missing = np.full(shape, np.nan) if column.dtype == "f8" else np.zeros(shape, column.dtype)
+        return np.array([row.get(name, missing) for row in rows], column.dtype).reshape(-1, *shape)
+
+    def _start(self) -> None:
+        self._samples: list[Row] = []
+        self._volumes: list[Row] = []
+        self._unconfirmed = 0  # 1 while the tracker has not yet seen the newest volume
+
+    def _value(
+        self, context: Context, port: str, expected: type[T] | tuple[type[T], ...]
+    ) -> T | None:
+        if self.GetInputPort(port).HasValue(context):
+            return evaluate(self, context, port, expected)
+        return None
+
+    def _vector(self, context: Context, port: str) -> Array | None:
+        return self._value(context, port, np.ndarray)
+
+    def _sample(self, context: Context) -> None:
+        time = context.get_time()
+        if self._samples and self._samples[-1]["time"] >= time:
+            return
+        row: Row = {"time": time}
+        X_WT = self._value(context, "X_WT", RigidTransform)
+        for name, X in (("X_WP", self._value(context, "X_WP", RigidTransform)), ("X_WT", X_WT)):
+            if X is not None:
+                row[name] = X.GetAsMatrix4()
+        needle = self._value(context, "needle", Needle)
+        if needle is not None:
+            row["inserted_length"] = needle.length if needle else 0.0
+            if needle and X_WT is not None:
+                row["needle_tip"] = X_WT.multiply(needle.tip)
+                row["needle_entry"] = X_WT.multiply(needle.shaft[0])
+        estimate = self._value(context, "estimate", NeedleEstimate)
+        if estimate is not None:
+            row |= _describe(estimate, "estimate")
+            if estimate:
+                row["estimate_velocity"] = estimate.tip_velocity
+            self._confirm(estimate)
+        wrist_force = self._value(context, "wrist_force", SpatialForce)
+        if wrist_force is not None:
+            row["wrist_force"] = wrist_force.get_coeffs()
+        contact_force = self._vector(context, "contact_force")
+        if contact_force is not None:
+            row["contact_force"] = contact_force[0]
+        for name in ("joint_state", "planar_velocity"):
+            vector = self._vector(context, name)
+            if vector is not None:
+                row[name] = vector.copy()
+        self._samples.append(row)
+
+    def _look(self, context: Context) -> None:
+        estimate = self._value(context, "estimate", NeedleEstimate)
+        if estimate is not None:
+            self._confirm(estimate)
+        volume = self._value(context, "volume", (Volume, NotFound))
+        if not isinstance(volume, Volume):
+            return
+        if self._volumes and self._volumes[-1]["volume_time"] >= volume.time:
+            return
+        row: Row = {"volume_time": volume.time, "volume_seen": context.get_time()}
+        detection = self._value(context, "detection", object)
+        row["volume_detected"] = bool(detection)
+        row["volume_detection_reason"] = _reason(detection)
+        measurement = self._value(context, "measurement", (NeedleMeasurement, NotFound))
+        row["volume_measurement_reason"] = _reason(measurement)
+        if isinstance(measurement, NeedleMeasurement):
+            row["volume_measured_time"] = measurement.time
+            row["volume_measured_tip"] = measurement.curve.tip
+            row["volume_measured_entry"] = measurement.curve.entry
+            row["volume_inlier_count"] = measurement.inlier_count
+            row["volume_inlier_ratio"] = measurement.inlier_ratio
+        self._volumes.append(row)
+        self._unconfirmed = 1 if estimate is not None else 0
+
+    def _confirm(self, estimate: NeedleEstimate) -> None:
+        """Add the estimate to the newest volume's row, once it is made with that volume."""
+        if self._unconfirmed and estimate.volume_time >= self._volumes[-1]["volume_time"]:
+            self._volumes[-1] |= _describe(estimate, "volume_estimate")
+            self._unconfirmed = 0
+
+
+def _describe(estimate: NeedleEstimate, prefix: str) -> Row:
+    row: Row = {f"{prefix}_mode": str(estimate.mode), f"{prefix}_time": estimate.time}
+    if estimate.curve is not None:
+        row[f"{prefix}_tip"] = estimate.curve.tip
+        row[f"{prefix}_entry"] = estimate.curve.entry
+    return row
+
+
+def _reason(value: object) -> str:
+    return value.reason if isinstance(value, NotFound) else ""

@@ -1,0 +1,368 @@
+"""Figures that sum up a run: the blocks `detection`, `tracking`, `servo`, `force`, `compute_ms`."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sonoservo.systems.estimation.estimate import TrackingMode
+from sonoservo.systems.recording.run_log import RunLog, unit
+from sonoservo.systems.values import require_not_negative, require_positive
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(kw_only=True)
+class MetricsParameters:
+    """What counts as what.
+
+    Parameters
+    ----------
+    rest_speed
+        The needle rests while its tip moves more slowly than this in W, in m/s.
+    rest_window
+        Over which that speed is measured, so that a hand's tremor does not count, in s.
+    rest_time
+        At rest counts from this long after the needle came to rest, in s: the probe's transient
+        is left out.
+    least_length
+        A needle with less than this in the tissue may be missed without counting as lost, in m.
+    start_tolerance
+        A tracker that starts further than this from the needle has started falsely, in m.
+    force_target
+        In N.
+    contact_threshold
+        Below this there is no contact, in N.
+    settling_time
+        The force counts as settled from this long after the first contact, in s.
+    """
+
+    rest_speed: float = 0.2e-3
+    rest_window: float = 0.5
+    rest_time: float = 3.0
+    least_length: float = 15e-3
+    start_tolerance: float = 10e-3
+    force_target: float = 2.0
+    contact_threshold: float = 0.05
+    settling_time: float = 2.0
+
+    def __post_init__(self) -> None:
+        require_positive(
+            rest_speed=self.rest_speed,
+            rest_window=self.rest_window,
+            start_tolerance=self.start_tolerance,
+        )
+        require_not_negative(
+            rest_time=self.rest_time,
+            least_length=self.least_length,
+            force_target=self.force_target,
+            contact_threshold=self.contact_threshold,
+            settling_time=self.settling_time,
+        )
+
+
+def summarize(log: RunLog, parameters: MetricsParameters | None = None) -> dict[str, Any]:
+    """Sum up a run in numbers that JSON can hold; None where there is none.
+
+    Returns
+    -------
+    Blocks by name; each function of this module makes one and says what is in it.
+    """
+    parameters = parameters or MetricsParameters()
+    return {
+        "simulated_s": _number(log.time[-1] if len(log.time) else 0.0),
+        "detection": detection(log, parameters),
+        "tracking": tracking(log, parameters),
+        "servo": servo(log, parameters),
+        "force": force(log, parameters),
+        "compute_ms": {
+            name: {"median": _number(_median(1e3 * t)), "max": _number(_max(1e3 * t))}
+            for name, t in sorted(log.compute.items())
+        },
+    }
+
+
+def detection(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
+    """When the tracker found the needle.
+
+    Returns
+    -------
+    `volume`: how many volumes came before the one with which tracking began;
+    `inserted_mm`: true inserted length when it began;
+    `false_starts`: how often tracking began with a tip more than `start_tolerance` away from the
+    true needle, or without any needle. The detection is the first start that is not false.
+    """
+    started, true = _starts(log, parameters)
+    right = started[true]
+    first = int(right[0]) if len(right) else None
+    return {
+        "volume": first,
+        "inserted_mm": None
+        if first is None
+        else _number(1e3 * _at(log, log.inserted_length, log.volume_estimate_time[[first]])[0]),
+        "false_starts": int(np.sum(~true)),
+    }
+
+
+def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
+    """How well the needle was followed, over all volumes from the detection on.
+
+    Only volumes while there is a needle in the tissue are judged; failures stay in. Truth is
+    interpolated at the time for which the estimate holds.
+
+    Returns
+    -------
+    `volumes`: judged; `tracked`: of these, confirmed by the volume itself (mode tracking);
+    `estimated`: of these, with any estimate, which is what the errors are taken over;
+    `lost`: volumes that were not tracked with more than `least_length` of needle in the tissue;
+    `lost_events`: how often that began;
+    `tip_error_mm`: distance from the estimated to the true tip; `tip_axial_error_mm` and
+    `tip_lateral_error_mm`: its parts along and across the true needle;
+    `axis_error_deg`: angle between the estimated and the true direction, entry to tip;
+    each {median, p95, max}; `tip_axial_bias_mm`: mean of the signed axial part, above zero where
+    the estimate lies beyond the true tip.
+    """
+    started, true = _starts(log, parameters)
+    right = started[true]
+    time = np.where(
+        np.isfinite(log.volume_estimate_time), log.volume_estimate_time, log.volume_time
+    )
+    length = _at(log, log.inserted_length, time)
+    judged = np.nan_to_num(length) > 0
+    judged &= np.arange(len(time)) >= (right[0] if len(right) else len(time))
+    tracked = log.volume_estimate_mode == TrackingMode.TRACKING
+    lost = judged & ~tracked & (length > parameters.least_length)
+
+    errors = estimate_errors(log)
+    return {
+        "volumes": int(np.sum(judged)),
+        "tracked": int(np.sum(judged & tracked)),
+        "estimated": int(np.sum(judged & np.isfinite(errors.tip))),
+        "lost": int(np.sum(lost)),
+        "lost_events": int(np.sum(_begins(lost))),
+        "tip_error_mm": _spread(1e3 * errors.tip[judged]),
+        "tip_axial_error_mm": _spread(1e3 * np.abs(errors.axial[judged])),
+        "tip_lateral_error_mm": _spread(1e3 * errors.lateral[judged]),
+        "tip_axial_bias_mm": _number(_mean(1e3 * errors.axial[judged])),
+        "axis_error_deg": _spread(np.degrees(errors.axis[judged])),
+    }
+
+
+def servo(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
+    """Mean absolute feature errors: x and z of the tip, and theta, in P (Chatelain 2013, eq. 23).
+
+    Returns
+    -------
+    `at_rest`: of the true needle, while it has rested in W for `rest_time` and is tracked;
+    `at_rest_estimated`: of the estimate, over the same samples;
+    `moving`: of the true needle, while it moves and is tracked.
+    Each {x_mm, z_mm, theta_deg, seconds}; `seconds` says how much of the run it covers.
+    """
+    tracked = log.estimate_mode == TrackingMode.TRACKING
+    moves = needle_speed(log, parameters.rest_window) >= parameters.rest_speed
+    rest = _held(~moves & _known(log.needle_tip), log.time, parameters.rest_time)
+    true = features(log.X_WP, log.needle_tip, log.needle_entry)
+    estimated = features(log.X_WP, log.estimate_tip, log.estimate_entry)
+    return {
+        "at_rest": _feature_errors(true, tracked & rest, log.time),
+        "at_rest_estimated": _feature_errors(estimated, tracked & rest, log.time),
+        "moving": _feature_errors(true, tracked & moves, log.time),
+    }
+
+
+def force(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
+    """Sum up the contact force, in truth.
+
+    Returns
+    -------
+    `mean_n`, `rms_error_n`: mean, and root of the mean squared difference to `force_target`, from
+    `settling_time` after the first contact on; `max_n`: largest of the whole run (between samples
+    it may have been higher); `contact_lost_s`: time without contact after the first contact.
+    """
+    value = log.contact_force
+    touching = value > parameters.contact_threshold
+    if not touching.any():
+        return {
+            "mean_n": None, "rms_error_n": None, "max_n": _number(_max(value)),
+            "contact_lost_s": None,
+        }  # fmt: skip
+    first = log.time[np.argmax(touching)]
+    settled = value[log.time >= first + parameters.settling_time]
+    error = settled - parameters.force_target
+    return {
+        "mean_n": _number(_mean(settled)),
+        "rms_error_n": _number(np.sqrt(_mean(error**2))),
+        "max_n": _number(_max(value)),
+        "contact_lost_s": _seconds(~touching & (log.time >= first), log.time),
+    }
+
+
+def features(X_WP: ArrayLike, p_WTip: ArrayLike, p_WEntry: ArrayLike) -> Floats:
+    """Return the visual features of Chatelain 2013, eq. 23.
+
+    Parameters
+    ----------
+    X_WP
+        (n, 4, 4) poses of the probe.
+    p_WTip, p_WEntry
+        (n, 3) positions in m.
+
+    Returns
+    -------
+    (n, 3) array of x and z of the tip in P in m, and of theta = atan2(k_z, k_x), wrapped to
+    +-pi/2, in rad.
+    """
+    X_WP, p_WTip = np.asarray(X_WP), np.asarray(p_WTip)
+    R_PW = np.swapaxes(X_WP[:, :3, :3], 1, 2)
+    tip = np.einsum("nij,nj->ni", R_PW, p_WTip - X_WP[:, :3, 3])
+    k = np.einsum("nij,nj->ni", R_PW, p_WTip - np.asarray(p_WEntry))
+    theta = np.arctan2(k[:, 2], k[:, 0])
+    theta = (theta + np.pi / 2) % np.pi - np.pi / 2
+    return np.stack([tip[:, 0], tip[:, 2], theta], axis=1)
+
+
+def needle_speed(log: RunLog, window: float) -> Floats:
+    """(n,) speed of the true tip in W, in m/s, over a window in s; NaN while it is outside."""
+    before = _at(log, log.needle_tip, log.time - window / 2)
+    after = _at(log, log.needle_tip, log.time + window / 2)
+    speed = np.linalg.norm(after - before, axis=1) / window
+    return np.where(_known(log.needle_tip), speed, np.nan)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EstimateErrors:
+    """Errors of the estimate after each volume, NaN where there is no estimate or no needle.
+
+    Parameters
+    ----------
+    tip
+        (v,) distance from the true to the estimated tip, in m.
+    axial, lateral
+        (v,) its part along the true needle, above zero beyond the true tip, and across it, in m.
+    axis
+        (v,) angle between the true and the estimated direction, entry to tip, in rad.
+    """
+
+    tip: Floats
+    axial: Floats
+    lateral: Floats
+    axis: Floats
+
+
+def estimate_errors(log: RunLog) -> EstimateErrors:
+    """Compare the estimate after each volume with the truth at the estimate's time."""
+    time = log.volume_estimate_time
+    tip, entry = _at(log, log.needle_tip, time), _at(log, log.needle_entry, time)
+    true = unit(tip - entry)
+    estimated = unit(log.volume_estimate_tip - log.volume_estimate_entry)
+    miss = log.volume_estimate_tip - tip
+    axial = np.sum(miss * true, axis=1)
+    sine = np.linalg.norm(np.cross(true, estimated), axis=1)
+    return EstimateErrors(
+        tip=np.linalg.norm(miss, axis=1),
+        axial=axial,
+        lateral=np.linalg.norm(miss - axial[:, np.newaxis] * true, axis=1),
+        axis=np.arctan2(sine, np.sum(true * estimated, axis=1)),
+    )
+
+
+def _starts(log: RunLog, parameters: MetricsParameters) -> tuple[NDArray[np.intp], Mask]:
+    """Volumes with which tracking began, and whether the needle was there."""
+    there = _known(log.volume_estimate_tip)
+    started = np.flatnonzero(_begins(there))
+    time, p = log.volume_estimate_time[started], log.volume_estimate_tip[started]
+    tip, entry = _at(log, log.needle_tip, time), _at(log, log.needle_entry, time)
+    along = np.sum((p - entry) * (tip - entry), axis=1)
+    squared = np.sum((tip - entry) ** 2, axis=1)
+    u = np.clip(along / np.where(squared > 0, squared, 1.0), 0, 1)[:, np.newaxis]
+    distance = np.linalg.norm(p - (entry + u * (tip - entry)), axis=1)
+    return started, distance <= parameters.start_tolerance
+
+
+def _at(log: RunLog, values: Floats, time: Floats) -> Floats:
+    """Interpolate a column of the samples at other times; NaN where the nearest sample is."""
+    if len(log.time) == 0:
+        return np.full((len(time), *values.shape[1:]), np.nan)
+    flat = values.reshape(len(values), -1)
+    known = _known(flat)
+    if not known.any():
+        return np.full((len(time), *values.shape[1:]), np.nan)
+    columns = [np.interp(time, log.time[known], column) for column in flat[known].T]
+    result = np.stack(columns, axis=1)
+    after = np.clip(np.searchsorted(log.time, time), 1, max(len(log.time) - 1, 1))
+    before = after - 1
+    after = np.minimum(after, len(log.time) - 1)
+    nearest = np.where(time - log.time[before] <= log.time[after] - time, before, after)
+    result[~known[nearest] | ~np.isfinite(time)] = np.nan
+    return result.reshape(len(time), *values.shape[1:])
+
+
+def _known(rows: Floats) -> Mask:
+    """(m,) whether all of a row is finite."""
+    return np.asarray(np.isfinite(rows).all(axis=-1))
+
+
+def _begins(condition: Mask) -> Mask:
+    """(m,) whether a condition holds and did not hold one before."""
+    return condition & ~np.concatenate([np.zeros(1, bool), condition])[:-1]
+
+
+def _held(condition: Mask, time: Floats, duration: float) -> Mask:
+    """Whether a condition has held for a duration."""
+    broken = np.where(condition, -np.inf, time)
+    since = np.maximum.accumulate(broken) if len(time) else broken
+    since = np.maximum(since, time[0]) if len(time) else since
+    return condition & (time - since >= duration)
+
+
+def _feature_errors(errors: Floats, counted: Mask, time: Floats) -> dict[str, float | None]:
+    counted = counted & _known(errors)
+    if not counted.any():
+        return {"x_mm": None, "z_mm": None, "theta_deg": None, "seconds": 0.0}
+    x, z, theta = np.abs(errors[counted]).mean(axis=0)
+    return {
+        "x_mm": _number(1e3 * x),
+        "z_mm": _number(1e3 * z),
+        "theta_deg": _number(np.degrees(theta)),
+        "seconds": _seconds(counted, time),
+    }
+
+
+def _seconds(counted: Mask, time: Floats) -> float:
+    steps = np.diff(time, append=time[-1:])
+    return float(steps[counted].sum())
+
+
+def _spread(values: Floats) -> dict[str, float | None]:
+    values = values[np.isfinite(values)]
+    p95 = np.percentile(values, 95) if len(values) else np.nan
+    return {
+        "median": _number(_median(values)),
+        "p95": _number(p95),
+        "max": _number(_max(values)),
+    }
+
+
+def _number(value: Any) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _finite(values: Floats) -> Floats:
+    return values[np.isfinite(values)]
+
+
+def _mean(values: Floats) -> float:
+    values = _finite(values)
+    return float(values.mean()) if len(values) else np.nan
+
+
+def _median(values: Floats) -> float:
+    values = _finite(values)
+    return float(np.median(values)) if len(values) else np.nan
+
+
+def _max(values: Floats) -> float:
+    values = _finite(values)
+    return float(values.max()) if len(values) else np.nan
