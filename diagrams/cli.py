@@ -45,21 +45,20 @@ def run_command(
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for the results.")] = None,
-    meshcat: Annotated[
-        bool, typer.Option(help="Show the run in a browser, at real time.")
-    ] = True,
+    meshcat: Annotated[bool, typer.Option(help="Show the run in a browser, at real time.")] = True,
     json_path: JsonOption = None,
 ) -> None:
     """Run a scenario; end with a table of figures and a folder of results."""
     _console.print("Loading Drake and the compiled kernels ...", style="dim")
-    from sonoservo.diagrams.experiment import run
+    from sonoservo.diagrams.run import run
     from sonoservo.diagrams.scenario import load_scenario
-    from sonoservo.diagrams.terminal import Progress, summary_table
+    from sonoservo.diagrams.terminal import Progress, start_display, summary_table
 
     loaded = load_scenario(scenario, changes=changes, seed=seed)
     folder = out or Path("out") / f"{loaded.name}_seed{loaded.seed}"
+    display = start_display(_console) if meshcat else None
     with Progress(_console, loaded) as progress:
-        result = run(loaded, out=folder, display=meshcat, progress=progress)
+        result = run(loaded, out=folder, meshcat=display, after_volume=progress)
     _console.print(summary_table(result.summary, loaded.published))
     _console.print(f"Results: {folder}/  (start with {folder / 'report.html'})")
     _write_json(json_path, result.summary)

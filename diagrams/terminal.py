@@ -5,12 +5,14 @@ from collections.abc import Mapping
 from types import TracebackType
 from typing import Any, Self
 
+from pydrake.geometry import Meshcat
 from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as RichProgress
 from rich.table import Table
 
 from sonoservo.diagrams.scenario import Scenario
+from sonoservo.systems.estimation.estimate import NeedleEstimate
 
 _ROWS = {
     "detection.volume": "insertion detected at volume",
@@ -79,7 +81,7 @@ def format_figure(value: Any) -> str:
 class Progress:
     """A bar that shows how far a run has come and what the tracker does.
 
-    Call it with the simulated time in s and the tracker's mode.
+    Call it after every volume with the simulated time in s and the estimate.
 
     Parameters
     ----------
@@ -92,7 +94,6 @@ class Progress:
     def __init__(self, console: Console, scenario: Scenario) -> None:
         self._console = console
         self._duration = scenario.duration
-        self._name = scenario.name
         self._bar = RichProgress(
             TextColumn("{task.description}"),
             BarColumn(),
@@ -100,7 +101,7 @@ class Progress:
             TimeRemainingColumn(),
             console=console,
         )
-        self._task = self._bar.add_task("setting up ...", total=scenario.duration, state="")
+        self._task = self._bar.add_task(scenario.name, total=scenario.duration, state="")
 
     def __enter__(self) -> Self:
         self._bar.start()
@@ -114,19 +115,17 @@ class Progress:
     ) -> None:
         self._bar.stop()
 
-    def say(self, message: str) -> None:
-        """Print a line above the bar."""
-        self._console.print(message)
-
-    def stage(self, description: str) -> None:
-        """Name what is going on now."""
-        self._bar.update(self._task, description=description)
-
-    def __call__(self, time: float, mode: str) -> None:
+    def __call__(self, time: float, estimate: NeedleEstimate) -> None:
         """Move the bar."""
         self._bar.update(
             self._task,
-            description=self._name,
             completed=time,
-            state=f"{time:5.1f} of {self._duration:g} s  {mode}",
+            state=f"{time:5.1f} of {self._duration:g} s  {estimate.mode}",
         )
+
+
+def start_display(console: Console) -> Meshcat:
+    """Start a Meshcat, and say where it is to be seen."""
+    meshcat = Meshcat()
+    console.print(f"Watch at [bold]{meshcat.web_url()}[/bold]")
+    return meshcat

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 import numpy as np
+from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.trajectories import PiecewisePolynomial
 
 from sonoservo.systems.values import require, require_not_negative, require_positive
@@ -57,29 +58,35 @@ class PhantomMotionParameters:
             )
 
 
-def make_phantom_trajectory(parameters: PhantomMotionParameters) -> PiecewisePolynomial:
-    """Return the phantom's displacement from its rest pose.
+def phantom_trajectory(
+    parameters: PhantomMotionParameters, X_WT: RigidTransform
+) -> PiecewisePolynomial:
+    """Return the pose of the phantom over time.
+
+    Parameters
+    ----------
+    parameters
+        The displacements.
+    X_WT
+        Pose at rest.
 
     Returns
     -------
-    Trajectory of (6,): x, y, z in m, roll, pitch, yaw in rad; cubic from rest to rest, and constant
-    before, between and after the moves.
+    Trajectory of (6,): x, y, z in m, roll, pitch, yaw in rad, of X_WT; cubic from rest to rest, and
+    constant before, between and after the moves.
     """
     breaks = [-1.0]
-    displacement = np.zeros(6)
-    knots = [displacement]
+    pose = np.concatenate([X_WT.translation(), RollPitchYaw(X_WT.rotation()).vector()])
+    knots = [pose]
     for move in parameters.moves:
         change = np.concatenate([move.translation, np.deg2rad(move.rotation_deg)])
-        for time, knot in (
-            (move.start, displacement),
-            (move.start + move.duration, displacement + change),
-        ):
+        for time, knot in ((move.start, pose), (move.start + move.duration, pose + change)):
             # Where one move starts as the last one ends, the knot is there already.
             if time > breaks[-1]:
                 breaks.append(time)
                 knots.append(knot)
-        displacement = displacement + change
+        pose = pose + change
     breaks.append(breaks[-1] + 1e4)
-    knots.append(displacement)
+    knots.append(pose)
     samples = np.array(knots).T
     return PiecewisePolynomial.CubicHermite(breaks, samples, np.zeros_like(samples))

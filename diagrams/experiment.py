@@ -1,0 +1,220 @@
+"""A scenario brought to life: the loop of station, hand, scanner, tracker and controller."""
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from pydrake.geometry import Meshcat
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder, OutputPort, System
+
+from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
+from sonoservo.diagrams.probe_controller import MakeProbeController
+from sonoservo.diagrams.scenario import Scenario
+from sonoservo.diagrams.station import MakeStation, check_reach
+from sonoservo.systems.display.world_view import WorldView, WorldViewParameters
+from sonoservo.systems.estimation.estimate import NeedleEstimate
+from sonoservo.systems.needle.hand import Hand
+from sonoservo.systems.needle.insertion import Insertion
+from sonoservo.systems.recording.logger import RunLogger
+from sonoservo.systems.recording.run_log import RunLog
+from sonoservo.systems.robot.phantom import PhantomMotion
+from sonoservo.systems.robot.phantom_motion import phantom_trajectory
+from sonoservo.systems.ultrasound.imaging import sweep_geometry
+from sonoservo.systems.ultrasound.scan_converter import ScanConverter
+from sonoservo.systems.ultrasound.scanner import Scanner
+from sonoservo.systems.ultrasound.tissue import load_tissue
+from sonoservo.systems.ultrasound.transducer import load_transducer
+from sonoservo.systems.values import require
+
+_INSTANT = 1e-6
+"""Time in s between an event and what is looked at just before or after it."""
+
+
+class Experiment:
+    """A scenario as one diagram, and its simulation.
+
+    .. pydrake_system::
+
+        name: (the scenario's)
+
+    The subsystems are station, phantom_motion, hand, scanner, scan_converter, needle_tracker,
+    probe_controller, run_logger and, with a Meshcat, world_view. Every one of their inputs is
+    connected to the output that has the same name.
+
+    Parameters
+    ----------
+    scenario
+        What is to happen.
+    meshcat
+        Where to draw, if anywhere.
+
+    Raises
+    ------
+    ValueError
+        If the scenario cannot be carried out; the message names the field.
+    """
+
+    def __init__(self, scenario: Scenario, meshcat: Meshcat | None = None) -> None:
+        self.scenario = scenario
+        # One seed for each thing that is random, so that none depends on how the others draw.
+        tissue_seed, insertion_seed, noise_seed, wrist_seed, tracker_seed = (
+            int(seed) for seed in np.random.SeedSequence(scenario.seed).generate_state(5)
+        )
+        transducer = load_transducer(scenario.transducer)
+        tissue = replace(load_tissue(scenario.phantom), seed=tissue_seed)
+        geometry = sweep_geometry(transducer, scenario.imaging)
+        insertion = Insertion(scenario.hand, np.random.default_rng(insertion_seed))
+        if scenario.controller.visual_servo.enabled:
+            _check_reach(scenario, insertion)
+        require(
+            scenario.processing_time < geometry.period,
+            "processing_time",
+            scenario.processing_time,
+            f"below the {geometry.period:.3f} s of a sweep",
+        )
+        # The last frame of a sweep is acquired one frame period before the next sweep begins.
+        self._volume_period = geometry.period
+        self._first_volume = geometry.period - geometry.frame_period + scenario.processing_time
+
+        self.station = MakeStation(
+            parameters=scenario.station,
+            phantom_size=tissue.size,
+            seed=wrist_seed,
+            meshcat=meshcat,
+        )
+        self.phantom_motion = PhantomMotion(
+            trajectory=phantom_trajectory(scenario.phantom_motion, scenario.station.X_WT)
+        )
+        self.hand = Hand(insertion=insertion)
+        self.scanner = Scanner(
+            transducer=transducer,
+            imaging=scenario.imaging,
+            tissue=tissue,
+            parameters=scenario.scanner,
+            seed=noise_seed,
+        )
+        self.scan_converter = ScanConverter(geometry=geometry, parameters=scenario.scan_conversion)
+        self.needle_tracker = MakeNeedleTracker(
+            parameters=scenario.tracker,
+            period=self._volume_period,
+            offset=self._first_volume,
+            seed=tracker_seed,
+        )
+        self.probe_controller = MakeProbeController(parameters=scenario.controller)
+        self.run_logger = RunLogger(
+            volume_period=self._volume_period, volume_offset=self._first_volume + 2 * _INSTANT
+        )
+        systems: dict[str, System] = {
+            "station": self.station,
+            "phantom_motion": self.phantom_motion,
+            "hand": self.hand,
+            "scanner": self.scanner,
+            "scan_converter": self.scan_converter,
+            "needle_tracker": self.needle_tracker,
+            "probe_controller": self.probe_controller,
+            "run_logger": self.run_logger,
+        }
+        if meshcat is not None:
+            frames = int(scenario.duration / self._volume_period) + 1
+            systems["world_view"] = WorldView(
+                meshcat=meshcat, parameters=WorldViewParameters(film_frames=frames)
+            )
+        builder = DiagramBuilder()
+        for name, system in systems.items():
+            builder.AddNamedSystem(name, system)
+        phantom_command = self.phantom_motion.get_output_port()
+        _connect_by_name(builder, list(systems.values()), {"phantom_command": phantom_command})
+        self.diagram = builder.Build()
+        self.diagram.set_name(scenario.name)
+        self._simulator = Simulator(self.diagram)
+        self._compute: dict[str, list[float]] = {"render": [], "convert": [], "track": []}
+
+    def run(
+        self,
+        after_volume: Callable[[float, NeedleEstimate], None] | None = None,
+        real_time: bool = False,
+    ) -> None:
+        """Simulate the whole scenario.
+
+        Parameters
+        ----------
+        after_volume
+            Called after every volume, with the simulated time in s and the estimate.
+        real_time
+            Whether to go no faster than real time.
+        """
+        simulator = self._simulator
+        simulator.set_target_realtime_rate(1.0 if real_time else 0.0)
+        simulator.Initialize()
+        due = self._first_volume
+        while due < self.scenario.duration:
+            simulator.AdvanceTo(due - _INSTANT)
+            self._make_volume(due)
+            due += self._volume_period
+            if after_volume is not None:
+                after_volume(self.time, self._evaluate(self.needle_tracker, "estimate"))
+        simulator.AdvanceTo(self.scenario.duration)
+
+    @property
+    def time(self) -> float:
+        """Simulated time so far, in s."""
+        return self._simulator.get_context().get_time()
+
+    def log(self) -> RunLog:
+        """Return what has been logged so far."""
+        return self.run_logger.log(compute=self._compute)
+
+    def _make_volume(self, due: float) -> None:
+        """Make the volume and the estimate that are due, and note how long each takes.
+
+        The ports are evaluated just before the tracker asks for them; it finds them in the cache.
+        In the instant of the tracker's event there is at the most one step of the plant besides.
+        """
+        clock = [time.perf_counter()]
+        for system, port in ((self.scanner, "sweep"), (self.scan_converter, "volume")):
+            self._evaluate(system, port)
+            clock.append(time.perf_counter())
+        self._simulator.AdvanceTo(due + _INSTANT)
+        clock.append(time.perf_counter())
+        for name, seconds in zip(self._compute, np.diff(clock), strict=True):
+            self._compute[name].append(float(seconds))
+
+    def _evaluate(self, system: System, port: str) -> Any:
+        context = system.GetMyContextFromRoot(self._simulator.get_context())
+        return system.GetOutputPort(port).Eval(context)
+
+
+def _connect_by_name(
+    builder: DiagramBuilder, systems: list[System], outputs: dict[str, OutputPort]
+) -> None:
+    """Connect every input port to the output port that has, or is given, its name."""
+    for system in systems:
+        for index in range(system.num_output_ports()):
+            port = system.get_output_port(index)
+            outputs[port.get_name()] = port
+    for system in systems:
+        for index in range(system.num_input_ports()):
+            port = system.get_input_port(index)
+            builder.Connect(outputs[port.get_name()], port)
+
+
+def _check_reach(scenario: Scenario, insertion: Insertion) -> None:
+    """Refuse a needle that the arm cannot follow to where it goes deepest."""
+    deepest = max(np.linspace(0, scenario.duration, 200), key=insertion.depth)
+    needle = insertion.needle(deepest)
+    if not needle:
+        return
+    station, direction = scenario.station, needle.curve.direction
+    start = station.probe.yaw_deg
+    # The needle's axis has no sense of direction: the probe turns to it the shorter way.
+    turn = (np.rad2deg(np.arctan2(direction[1], direction[0])) - start + 90) % 180 - 90
+    x, y, _ = needle.tip
+    pose = station.probe_pose(x=x, y=y, yaw_deg=start + turn, height=0.0)
+    if not check_reach(station, [pose])[0]:
+        raise ValueError(
+            f"hand: the arm cannot follow the needle to its deepest point, x {x:.3f}, y {y:.3f} m "
+            f"on the phantom, with the probe turned to {start + turn:.0f} deg"
+        )
