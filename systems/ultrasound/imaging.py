@@ -1,0 +1,143 @@
+"""The settings of an ultrasound scanner."""
+
+import math
+from dataclasses import dataclass
+
+from sonoservo.systems.ultrasound.sweep import SweepGeometry
+from sonoservo.systems.ultrasound.transducer import Transducer
+from sonoservo.systems.values import require, require_not_negative, require_positive
+
+
+@dataclass(kw_only=True)
+class ImagingParameters:
+    """What the sonographer sets. The defaults are those of Chatelain 2013, Table I and fig. 5.
+
+    Parameters
+    ----------
+    gain
+        From 0 to 1, over 50 dB: at 0.42 a tissue of mean echo has the grey level 0.42 x 50 dB, or
+        89 of 255 where the dynamic range is 60 dB.
+    depth
+        From the face to the last sample, in m.
+    sector
+        Share of the transducer's lines that are used, from 0 to 1.
+    transmit_frequency
+        In Hz.
+    focus_depth
+        Of the transmitted beam, in m.
+    frame_pitch_deg
+        Angle between neighbouring frames of the sweep ("degrees per frame").
+    volume_rate
+        Sweeps per second, in Hz.
+    frames
+        Per sweep; None for the most that fit, an odd number.
+    sample_pitch
+        Between the samples of a line, in m.
+    dynamic_range_db
+        Range of echo amplitudes that the grey levels 0 to 255 show.
+    sound_speed
+        In m/s.
+
+    Raises
+    ------
+    ValueError
+        If a value is out of range; the message names it.
+    """
+
+    gain: float = 0.42
+    depth: float = 0.09
+    sector: float = 0.75
+    transmit_frequency: float = 3.3e6
+    focus_depth: float = 0.025
+    frame_pitch_deg: float = 1.463
+    volume_rate: float = 3.3
+    frames: int | None = None
+    sample_pitch: float = 0.308e-3
+    dynamic_range_db: float = 60.0
+    sound_speed: float = 1540.0
+
+    def __post_init__(self) -> None:
+        require_positive(
+            depth=self.depth,
+            transmit_frequency=self.transmit_frequency,
+            focus_depth=self.focus_depth,
+            frame_pitch_deg=self.frame_pitch_deg,
+            volume_rate=self.volume_rate,
+            sample_pitch=self.sample_pitch,
+            dynamic_range_db=self.dynamic_range_db,
+            sound_speed=self.sound_speed,
+        )
+        require_not_negative(gain=self.gain)
+        require(self.gain <= 1, "gain", self.gain, "from 0 to 1")
+        require(0 < self.sector <= 1, "sector", self.sector, "above 0, at most 1")
+        require(
+            self.depth >= 4 * self.sample_pitch, "depth", self.depth, "at least 4 sample pitches"
+        )
+
+    @property
+    def wavelength(self) -> float:
+        """In m."""
+        return self.sound_speed / self.transmit_frequency
+
+    @property
+    def grey_per_db(self) -> float:
+        """Grey levels per dB."""
+        return 255 / self.dynamic_range_db
+
+    @property
+    def tissue_grey(self) -> float:
+        """Grey level of the tissue's mean echo intensity."""
+        return self.grey_per_db * 50 * self.gain
+
+
+def sweep_geometry(transducer: Transducer, imaging: ImagingParameters) -> SweepGeometry:
+    """Where the samples of a sweep lie, and when they are acquired.
+
+    Without a wish for a number of frames, it is the largest odd one for which the sound has time
+    to travel: 27 at 3.3 volumes a second and 15 at 5.7, for 96 lines 9 cm deep.
+
+    Raises
+    ------
+    ValueError
+        If the sound has no time to travel, or the transducer cannot do what is wished.
+    """
+    low, high = transducer.lowest_frequency, transducer.highest_frequency
+    frequency = imaging.transmit_frequency
+    require(
+        low <= frequency <= high,
+        "transmit_frequency",
+        frequency,
+        f"from {low:g} to {high:g} Hz with this transducer",
+    )
+    lines = max(round(imaging.sector * transducer.lines), 2)
+    samples = math.floor(imaging.depth / imaging.sample_pitch * (1 + 1e-9)) + 1
+    frames = imaging.frames
+    if frames is None:
+        line_time = 2 * (samples - 1) * imaging.sample_pitch / imaging.sound_speed
+        fitting = math.floor(1 / imaging.volume_rate / (lines * line_time) * (1 + 1e-9))
+        frames = min(fitting, transducer.most_frames)
+        frames -= 1 - frames % 2
+        require(
+            frames >= 3,
+            "volume_rate",
+            imaging.volume_rate,
+            f"lower: sound has time for {fitting} frames of {lines} lines in a sweep",
+        )
+    require(
+        frames <= transducer.most_frames,
+        "frames",
+        frames,
+        f"at most {transducer.most_frames} with this transducer",
+    )
+    return SweepGeometry(
+        array_radius=transducer.array_radius,
+        motor_radius=transducer.motor_radius,
+        line_pitch=math.radians(transducer.line_pitch_deg),
+        frame_pitch=math.radians(imaging.frame_pitch_deg),
+        sample_pitch=imaging.sample_pitch,
+        lines=lines,
+        frames=frames,
+        samples=samples,
+        frame_period=1 / (imaging.volume_rate * frames),
+        sound_speed=imaging.sound_speed,
+    )

@@ -1,0 +1,171 @@
+"""What the phantom is made of, as sound sees it."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.typed_yaml import load_typed, read_yaml
+from sonoservo.systems.ultrasound.transducer import model_file
+from sonoservo.systems.values import Immutable, require, require_not_negative, require_positive
+
+
+@dataclass(kw_only=True)
+class Ball:
+    """A bright inclusion full of scatterers.
+
+    Parameters
+    ----------
+    centre
+        In T, in m.
+    radius
+        In m.
+    level_db
+        Mean echo intensity over the tissue's, at the depth where the lens focuses.
+    """
+
+    centre: list[float] = field(default_factory=lambda: [0.0, 0.0, -0.04])
+    radius: float = 1e-3
+    level_db: float = 25.0
+
+    def __post_init__(self) -> None:
+        require(len(self.centre) == 3, "centre", self.centre, "three coordinates in m")
+        require_positive(radius=self.radius)
+
+
+@dataclass(kw_only=True)
+class Fibre:
+    """A straight, thin, smooth inclusion: it mirrors sound as a needle does.
+
+    Parameters
+    ----------
+    start, end
+        In T, in m.
+    level_db
+        Echo's amplitude at normal incidence over the tissue's, where the lens focuses.
+    diffuse_db
+        Level of the part that is scattered in all directions, relative to ``level_db``.
+    """
+
+    start: list[float] = field(default_factory=lambda: [-0.01, 0.0, -0.04])
+    end: list[float] = field(default_factory=lambda: [0.01, 0.0, -0.04])
+    level_db: float = 38.0
+    diffuse_db: float = -22.0
+
+    def __post_init__(self) -> None:
+        require(len(self.start) == 3, "start", self.start, "three coordinates in m")
+        require(len(self.end) == 3, "end", self.end, "three coordinates in m")
+        require(self.start != self.end, "end", self.end, "another point than start")
+
+
+@dataclass(kw_only=True)
+class Tissue:
+    """A box of scattering tissue. Frame T: origin at the centre of the top face, +Z up.
+
+    Parameters
+    ----------
+    size
+        Extents along X, Y, Z of T, in m: the box is at z from -size[2] to 0.
+    scatterers_per_cell
+        Effective number N of scatterers in a resolution cell, at every depth: the intensity's
+        moments are <I^2> / <I>^2 = 2 + 1/N, those of a K distribution with nu = 2 N.
+    attenuation
+        One way, in dB/(cm MHz). The scanner's time-gain compensation undoes it, so it shows as
+        noise that grows with depth.
+    balls, fibres
+        Bright inclusions.
+    seed
+        Draws where the scatterers are.
+
+    Raises
+    ------
+    ValueError
+        If a value is out of range; the message names it.
+    """
+
+    size: list[float] = field(default_factory=lambda: [0.24, 0.16, 0.08])
+    scatterers_per_cell: float = 4.0
+    attenuation: float = 0.5
+    balls: list[Ball] = field(default_factory=list)
+    fibres: list[Fibre] = field(default_factory=list)
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        require(
+            len(self.size) == 3 and min(self.size) > 0, "size", self.size, "three lengths above 0"
+        )
+        require(
+            0.5 <= self.scatterers_per_cell <= 64,
+            "scatterers_per_cell",
+            self.scatterers_per_cell,
+            "from 0.5 to 64",
+        )
+        require_not_negative(attenuation=self.attenuation, seed=self.seed)
+
+
+def load_tissue(name: str) -> Tissue:
+    """Read a phantom's tissue from YAML.
+
+    Parameters
+    ----------
+    name
+        Name of a file in ``models/phantoms`` ("agar"), or a path.
+    """
+    path = model_file("phantoms", name)
+    return load_typed(Tissue, read_yaml(path), str(path))
+
+
+BLOCKS = 8
+"""Blocks along an edge of the scatterer tile."""
+
+_SCATTERERS_PER_BLOCK = 160
+_LARGEST_BLOCK = 4e-3
+
+
+@dataclass(frozen=True, eq=False)
+class ScattererTile(Immutable):
+    """Scatterers that fill the tissue frame periodically.
+
+    The cube is cut in blocks, so that a thin slab of the tissue can be gathered without looking
+    at the rest, and the whole of it stays in a processor's cache.
+
+    Parameters
+    ----------
+    block_size
+        Edge of a block, in m; the tile's edge is `BLOCKS` times that.
+    positions
+        (3, n) float32 positions within their block, in m.
+    ranks
+        (n,) float32 uniform in [0, 1), rising within a block: those below p are a share p of the
+        scatterers, drawn at random.
+    starts
+        (BLOCKS^3 + 1,) first scatterer of each block, x slowest.
+    """
+
+    block_size: float
+    positions: NDArray[np.float32]
+    ranks: NDArray[np.float32]
+    starts: NDArray[np.int64]
+
+
+def scatterer_tile(density: float, rng: np.random.Generator) -> ScattererTile:
+    """Fill a tile with independent scatterers.
+
+    Parameters
+    ----------
+    density
+        Scatterers per m^3.
+    rng
+        Draws their number, positions and ranks.
+    """
+    block_size = min((_SCATTERERS_PER_BLOCK / density) ** (1 / 3), _LARGEST_BLOCK)
+    counts = rng.poisson(density * block_size**3, BLOCKS**3)
+    starts = np.concatenate([[0], np.cumsum(counts)])
+    ranks = rng.random(starts[-1], dtype=np.float32)
+    block = np.repeat(np.arange(BLOCKS**3), counts)
+    return ScattererTile(
+        block_size=block_size,
+        positions=(rng.random((3, starts[-1])) * block_size).astype(np.float32),
+        ranks=ranks[np.lexsort((ranks, block))],
+        starts=starts,
+    )

@@ -1,0 +1,114 @@
+"""The hardware of a motorised ultrasound probe."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from sonoservo.models import model_path
+from sonoservo.systems.typed_yaml import load_typed, read_yaml
+from sonoservo.systems.values import require, require_not_negative, require_positive
+
+
+@dataclass(kw_only=True)
+class Transducer:
+    """The hardware of a motorised probe: an arc of elements under a lens, turned by a motor.
+
+    The defaults are the Ultrasonix 4DC7-3/40's; `load_transducer` reads others.
+
+    Parameters
+    ----------
+    array_radius, motor_radius
+        From the face to the array's centre of curvature and to the motor's axis, in m. Zero makes
+        the array flat, with its sector's apex in the middle of the face.
+    lines
+        Scan lines of the full sector.
+    line_pitch_deg
+        Angle between neighbouring lines.
+    most_frames
+        Frames that the motor can sweep.
+    elements, element_pitch
+        Number of elements, and distance between their centres along the face, in m.
+    element_width
+        Along the face, in m.
+    element_height
+        In elevation, in m.
+    lens_focus
+        Depth at which the lens focuses in elevation, in m.
+    lowest_frequency, highest_frequency
+        Limits of the transmit frequency, in Hz.
+    fractional_bandwidth
+        Width of the two-way spectrum at -6 dB, as a fraction of the transmit frequency.
+    transmit_elements, receive_elements
+        Most elements that transmit, and that receive, together.
+    transmit_f_number, receive_f_number
+        Depth over aperture's width. The receiving aperture grows with depth and is weighted by a
+        Hann window; its focus follows the depth.
+
+    Raises
+    ------
+    ValueError
+        If a value is out of range; the message names it.
+    """
+
+    array_radius: float = 0.040
+    motor_radius: float = 0.02725
+    lines: int = 128
+    line_pitch_deg: float = 0.608768
+    most_frames: int = 31
+    elements: int = 128
+    element_pitch: float = 0.425e-3
+    element_width: float = 0.375e-3
+    element_height: float = 0.012
+    lens_focus: float = 0.060
+    lowest_frequency: float = 3.0e6
+    highest_frequency: float = 7.0e6
+    fractional_bandwidth: float = 0.7
+    transmit_elements: int = 48
+    receive_elements: int = 64
+    transmit_f_number: float = 2.0
+    receive_f_number: float = 2.0
+
+    def __post_init__(self) -> None:
+        require_not_negative(array_radius=self.array_radius, motor_radius=self.motor_radius)
+        require_positive(
+            line_pitch_deg=self.line_pitch_deg,
+            element_pitch=self.element_pitch,
+            element_width=self.element_width,
+            element_height=self.element_height,
+            lens_focus=self.lens_focus,
+            lowest_frequency=self.lowest_frequency,
+            fractional_bandwidth=self.fractional_bandwidth,
+            transmit_f_number=self.transmit_f_number,
+            receive_f_number=self.receive_f_number,
+        )
+        for name in ("lines", "most_frames", "elements", "transmit_elements", "receive_elements"):
+            require(getattr(self, name) >= 2, name, getattr(self, name), "at least 2")
+        require(
+            self.highest_frequency >= self.lowest_frequency,
+            "highest_frequency",
+            self.highest_frequency,
+            "at least lowest_frequency",
+        )
+
+
+def model_file(folder: str, name: str) -> Path:
+    """Path of a model that ships with the package, by its name, or of one's own, by its path.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is neither; the message lists the names that ship.
+    """
+    own = Path(name)
+    return own if own.suffix and own.is_file() else model_path(f"{folder}/{name}.yaml")
+
+
+def load_transducer(name: str) -> Transducer:
+    """Read a transducer from YAML.
+
+    Parameters
+    ----------
+    name
+        Name of a file in ``models/transducers`` ("4dc7_3_40", "zhao2012", "trus"), or a path.
+    """
+    path = model_file("transducers", name)
+    return load_typed(Transducer, read_yaml(path), str(path))
