@@ -5,7 +5,7 @@ from pydrake.geometry import InMemoryMesh, Mesh, Meshcat, Rgba, Sphere
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.display.image_planes import Plane
-from sonoservo.systems.display.rod import Rod, set_visible
+from sonoservo.systems.display.rod import Rod, Switch
 from sonoservo.systems.display.textured_quads import gltf_textured_quads, text_image
 from sonoservo.systems.estimation.estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.needle.needle import Needle
@@ -71,6 +71,7 @@ class EstimateView:
     def __init__(self, *, meshcat: Meshcat, path: str, X_WLabel: RigidTransform) -> None:
         self._meshcat, self._path = meshcat, path
         self._rods: dict[TrackingMode, Rod] = {}
+        self._labels: dict[TrackingMode, Switch] = {}
         for mode, colour in MODE_COLOURS.items():
             image = text_image(mode, colour)
             height = 0.03
@@ -78,14 +79,13 @@ class EstimateView:
             gltf = gltf_textured_quads([plane], [image])
             mesh = Mesh(InMemoryMesh(mesh_file=MemoryFile(gltf, ".gltf", mode)))
             meshcat.SetObject(f"{path}/label/{mode}", mesh)
-            meshcat.SetProperty(f"{path}/label/{mode}", "visible", False)
+            self._labels[mode] = Switch(meshcat=meshcat, path=f"{path}/label/{mode}")
             if mode != TrackingMode.SEARCHING:
                 meshcat.SetObject(f"{path}/{mode}/tip", Sphere(2e-3), Rgba(*colour))
                 self._rods[mode] = Rod(
-                    meshcat=meshcat, path=f"{path}/{mode}", radius=1e-3, colour=Rgba(*colour),
+                    meshcat=meshcat, path=f"{path}/{mode}", radius=8e-4, colour=Rgba(*colour),
                     segments=4,
                 )  # fmt: skip
-        self._mode: TrackingMode | None = None
 
     def draw(self, estimate: NeedleEstimate, time: float) -> None:
         """Draw an estimate in the colour of its mode."""
@@ -98,9 +98,5 @@ class EstimateView:
                 rod.show(curve.position([0.0, 0.25, 0.5, 0.75, 1.0]), time)
             else:
                 rod.hide(time)
-        if estimate.mode != self._mode:
-            for mode in MODE_COLOURS:
-                set_visible(
-                    self._meshcat, f"{self._path}/label/{mode}", mode == estimate.mode, time
-                )
-            self._mode = estimate.mode
+        for mode, label in self._labels.items():
+            label.set(mode == estimate.mode, time)

@@ -8,12 +8,31 @@ from pydrake.geometry import Cylinder, Meshcat, Rgba
 from sonoservo.systems.display.shapes import resample, segment_pose
 
 
-def set_visible(meshcat: Meshcat, path: str, visible: bool, time: float) -> None:
-    """Show or hide what was hidden at first, live and in the recording."""
-    recording = meshcat.get_mutable_recording()
-    # A track holds its first value even before its first key: say that it began hidden.
-    recording.SetProperty(0, path, "visible", False)
-    meshcat.SetProperty(path, "visible", visible, time)
+class Switch:
+    """Shows and hides what is drawn at a path, live and in a recording. At first it is hidden.
+
+    Parameters
+    ----------
+    meshcat, path
+        What is shown or hidden.
+    """
+
+    def __init__(self, *, meshcat: Meshcat, path: str) -> None:
+        self._meshcat, self._path = meshcat, path
+        self._visible = False
+        self._recorded = False
+        meshcat.SetProperty(path, "visible", False)
+
+    def set(self, visible: bool, time: float) -> None:
+        """Show or hide it from a time on, in s."""
+        if visible == self._visible:
+            return
+        if not self._recorded:
+            # A track holds its first value before its first key too: it has to begin hidden.
+            self._meshcat.get_mutable_recording().SetProperty(0, self._path, "visible", False)
+            self._recorded = True
+        self._meshcat.SetProperty(self._path, "visible", visible, time)
+        self._visible = visible
 
 
 class Rod:
@@ -40,8 +59,7 @@ class Rod:
         self._meshcat, self._path, self._segments = meshcat, path, segments
         for number in range(segments):
             meshcat.SetObject(f"{path}/{number}/unit", Cylinder(radius, 1.0), colour)
-        meshcat.SetProperty(path, "visible", False)
-        self._visible = False
+        self._switch = Switch(meshcat=meshcat, path=path)
 
     def show(self, polyline: ArrayLike, time: float) -> None:
         """Draw the rod along an (m, 3) polyline."""
@@ -50,13 +68,8 @@ class Rod:
             path = f"{self._path}/{number}"
             self._meshcat.SetTransform(path, X, time)
             self._meshcat.SetProperty(f"{path}/unit", "scale", [1, 1, max(length, 1e-6)], time)
-        self._set_visible(True, time)
+        self._switch.set(True, time)
 
     def hide(self, time: float) -> None:
         """Do not draw it."""
-        self._set_visible(False, time)
-
-    def _set_visible(self, visible: bool, time: float) -> None:
-        if visible != self._visible:
-            set_visible(self._meshcat, self._path, visible, time)
-            self._visible = visible
+        self._switch.set(False, time)
