@@ -67,7 +67,7 @@ class Experiment:
         tissue = replace(load_tissue(scenario.phantom), seed=tissue_seed)
         geometry = sweep_geometry(transducer, scenario.imaging)
         insertion = Insertion(scenario.hand, np.random.default_rng(insertion_seed))
-        if scenario.controller.visual_servo.enabled:
+        if scenario.controller.visual_servo.gain > 0:
             _check_reach(scenario, insertion)
         require(
             scenario.processing_time < geometry.period,
@@ -75,13 +75,13 @@ class Experiment:
             scenario.processing_time,
             f"below the {geometry.period:.3f} s of a sweep",
         )
-        # The last frame of a sweep is acquired one frame period before the next sweep begins.
         self._volume_period = geometry.period
-        self._first_volume = geometry.period - geometry.frame_period + scenario.processing_time
+        self._first_volume = geometry.period + scenario.processing_time
 
         self.station = MakeStation(
-            parameters=scenario.station,
-            phantom_size=tissue.size,
+            parameters=replace(
+                scenario.station, phantom=replace(scenario.station.phantom, size=tissue.size)
+            ),
             seed=wrist_seed,
             meshcat=meshcat,
         )

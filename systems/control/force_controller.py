@@ -49,8 +49,8 @@ class ForceController(LeafSystem):
         self._parameters = parameters
         self._mass = mass
         self._time_step = time_step
-        self.DeclareAbstractInputPort("wrist_force", Value[object]())
-        self.DeclareAbstractInputPort("X_WP", Value[object]())
+        self.DeclareAbstractInputPort("wrist_force", Value(SpatialForce()))
+        self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
         self.DeclareDiscreteState(3)
         for name, calc in (
             ("approach_velocity", self._calc_approach_velocity),

@@ -141,7 +141,7 @@ class VisualServo(LeafSystem):
         super().__init__()
         self._parameters = parameters
         self.DeclareAbstractInputPort("estimate", Value[object]())
-        self.DeclareAbstractInputPort("X_WP", Value[object]())
+        self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
         self.DeclareVectorOutputPort("planar_velocity", 3, self._calc_planar_velocity)
 
     def _calc_planar_velocity(self, context: Context, output: BasicVector) -> None:

@@ -31,7 +31,7 @@ class BodyPose(LeafSystem):
         poses = self.DeclareAbstractInputPort("body_poses", Value[list[RigidTransform]]())
         self.DeclareAbstractOutputPort(
             "pose",
-            lambda: Value[object](RigidTransform()),
+            lambda: Value(RigidTransform()),
             self._calc_pose,
             prerequisites_of_calc={poses.ticket()},
         )

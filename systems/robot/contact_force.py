@@ -45,7 +45,7 @@ class ContactForce(LeafSystem):
     def __init__(self) -> None:
         super().__init__()
         self.DeclareAbstractInputPort("contact_results", Value[ContactResults]())
-        self.DeclareAbstractInputPort("X_WT", Value[object]())
+        self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
         self.DeclareVectorOutputPort("contact_force", 1, self._calc_contact_force)
 
     def _calc_contact_force(self, context: Context, output: BasicVector) -> None:

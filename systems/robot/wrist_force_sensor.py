@@ -1,6 +1,7 @@
 """Leaf: what a force sensor between flange and probe reads."""
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.common.value import Value
 from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.tree import JointIndex
@@ -51,11 +52,12 @@ class WristForceSensor(LeafSystem):
         self._wrist = int(wrist)
         self._deviation = np.repeat([torque_noise, force_noise], 3)
         self._period = period
-        self._seed = seed
+        self._random = np.random.Generator(np.random.Philox(key=seed))
+        self._random_state = self._random.bit_generator.state
         self.DeclareAbstractInputPort("reaction_forces", Value[list[SpatialForce]]())
         self.DeclareAbstractOutputPort(
             "wrist_force",
-            lambda: Value[object](SpatialForce.Zero()),
+            lambda: Value(SpatialForce.Zero()),
             self._calc_wrist_force,
             prerequisites_of_calc={self.all_input_ports_ticket(), self.time_ticket()},
         )
@@ -64,8 +66,8 @@ class WristForceSensor(LeafSystem):
         reaction = self.GetInputPort("reaction_forces").Eval(context)[self._wrist]
         output.set_value(reaction + SpatialForce(self._noise(context.get_time())))
 
-    def _noise(self, time: float) -> np.ndarray:
+    def _noise(self, time: float) -> NDArray[np.float64]:
         # Counted by samples, not drawn in turn: the sensor needs no state to be repeatable.
-        counter = round(time / self._period)
-        random = np.random.Generator(np.random.Philox(key=self._seed, counter=counter))
-        return self._deviation * random.standard_normal(6)
+        self._random_state["state"]["counter"][0] = round(time / self._period)
+        self._random.bit_generator.state = self._random_state
+        return self._deviation * self._random.standard_normal(6)
