@@ -163,14 +163,20 @@ class WorldView(LeafSystem):
             bar = [[0.06, 0.0, 0.0], [0.06, -_METRES_PER_NEWTON * max(force, 0.0), 0.0]]
             self._force.show(X_WP.multiply(np.transpose(bar)).T, time)
         if self._connected(context, "volume"):
-            volume = evaluate(self, context, "volume", (Volume, NotFound))
-            if isinstance(volume, Volume):
-                self._draw_volume(volume, estimate, time)
+            self._draw_volume(context, estimate)
 
     def _connected(self, context: Context, port: str) -> bool:
         return self.GetInputPort(port).HasValue(context)
 
-    def _draw_volume(self, volume: Volume, estimate: NeedleEstimate | None, time: float) -> None:
+    def _draw_volume(self, context: Context, estimate: NeedleEstimate | None) -> None:
+        # The slices follow the needle as the tracker saw it in the volume, so they wait for it. To
+        # ask for a volume earlier would also make it earlier than anyone else needs it.
+        if estimate is not None and estimate.volume_time <= self._sliced:
+            return
+        volume = evaluate(self, context, "volume", (Volume, NotFound))
+        if not isinstance(volume, Volume) or volume.time <= self._sliced:
+            return
+        self._sliced = volume.time
         geometry = volume.motion.geometry if volume.motion else None
         if geometry is not None and geometry is not self._sector:
             mesh = tubes(sector_edges(geometry), 3e-4)
@@ -178,15 +184,11 @@ class WorldView(LeafSystem):
             self._sector = geometry
         if not self._parameters.film_frames and not self._meshcat.GetNumActiveConnections():
             return
-        # The planes follow the needle as it is seen in this volume: wait for the tracker.
-        seen = not estimate or estimate.volume_time >= volume.time
-        if volume.time <= self._sliced or not seen:
-            return
         planes = slice_planes(volume, estimate.curve if estimate else None)
         images = [sample_plane(volume, plane, self._parameters.pixel) for plane in planes]
         if planes:
-            self._film.show(gltf_textured_quads(planes, images), volume.X_WP, time)
-        self._sliced = volume.time
+            gltf = gltf_textured_quads(planes, images)
+            self._film.show(gltf, volume.X_WP, context.get_time())
 
 
 def _facing(parameters: WorldViewParameters) -> RigidTransform:

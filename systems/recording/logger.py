@@ -14,7 +14,6 @@ from sonoservo.systems.estimation.estimate import NeedleEstimate
 from sonoservo.systems.localization.measurement import NeedleMeasurement
 from sonoservo.systems.needle.needle import Needle
 from sonoservo.systems.recording.run_log import Array, Column, RunLog, columns
-from sonoservo.systems.ultrasound.volume import Volume
 from sonoservo.systems.values import NotFound, evaluate, require_not_negative, require_positive
 
 T = TypeVar("T")
@@ -34,7 +33,6 @@ class RunLogger(LeafSystem):
         - estimate (optional)
         - measurement (optional)
         - detection (optional)
-        - volume (optional)
         - joint_state (optional)
         - wrist_force (optional)
         - contact_force (optional)
@@ -44,10 +42,9 @@ class RunLogger(LeafSystem):
     `X_WT` are RigidTransforms, `needle` the true Needle in T, `wrist_force` a SpatialForce,
     `contact_force` a force in N, the others what their names say.
 
-    A measurement exists only at the instant at which the tracker takes it: afterwards the
-    prediction that it depends on is another one. So volumes are looked at on the tracker's own
-    beat. Drake publishes before it updates, hence the value kept is the one the tracker is about to
-    use, shared through the cache; the estimate that follows is added at the next look.
+    `measurement` and `detection` are those that the estimate was made with: a tracker holds them
+    until its next volume. So a row is kept whenever the estimate names a newer volume, and no
+    volume is ever computed for the sake of the log.
 
     The logger remembers one run: it starts anew whenever a simulator is initialised.
 
@@ -56,7 +53,8 @@ class RunLogger(LeafSystem):
     period
         Between samples, in s.
     volume_period, volume_offset
-        When the tracker looks at its volume, in s; by default with every sample.
+        When to look for a new volume besides, in s: a moment after the tracker has done so, if the
+        log shall tell that moment exactly.
     joints
         Of the arm; `joint_state` has twice as many elements.
     """
@@ -70,11 +68,11 @@ class RunLogger(LeafSystem):
         joints: int = 6,
     ) -> None:
         super().__init__()
-        require_positive(period=period, volume_period=volume_period or period)
+        require_positive(period=period)
         require_not_negative(volume_offset=volume_offset)
         self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
         self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
-        for name in ("needle", "estimate", "measurement", "detection", "volume"):
+        for name in ("needle", "estimate", "measurement", "detection"):
             self.DeclareAbstractInputPort(name, Value[object]())
         self.DeclareVectorInputPort("joint_state", 2 * joints)
         self.DeclareAbstractInputPort("wrist_force", Value(SpatialForce()))
@@ -84,7 +82,9 @@ class RunLogger(LeafSystem):
         self._start()
         self.DeclareInitializationPublishEvent(publish=lambda context: self._start())
         self.DeclarePeriodicPublishEvent(period, 0.0, self._sample)
-        self.DeclarePeriodicPublishEvent(volume_period or period, volume_offset, self._look)
+        if volume_period is not None:
+            require_positive(volume_period=volume_period)
+            self.DeclarePeriodicPublishEvent(volume_period, volume_offset, self._look)
         self.DeclareForcedPublishEvent(self._sample)
 
     def log(self, compute: Mapping[str, ArrayLike] | None = None) -> RunLog:
@@ -95,11 +95,10 @@ class RunLogger(LeafSystem):
         compute
             Computing time per volume in s, by what was computed, if it was measured.
         """
-        volumes = self._volumes[: len(self._volumes) - self._unconfirmed]
         return RunLog(
             **{
                 name: self._stack(
-                    name, column, self._samples if column.shape[0] == "n" else volumes
+                    name, column, self._samples if column.shape[0] == "n" else self._volumes
                 )
                 for name, column in columns().items()
             },
@@ -116,7 +115,6 @@ class RunLogger(LeafSystem):
     def _start(self) -> None:
         self._samples: list[Row] = []
         self._volumes: list[Row] = []
-        self._unconfirmed = 0  # 1 while the tracker has not yet seen the newest volume
 
     def _value(
         self, context: Context, port: str, expected: type[T] | tuple[type[T], ...]
@@ -148,7 +146,7 @@ class RunLogger(LeafSystem):
             row |= _describe(estimate, "estimate")
             if estimate:
                 row["estimate_velocity"] = estimate.tip_velocity
-            self._confirm(estimate)
+            self._look(context)
         wrist_force = self._value(context, "wrist_force", SpatialForce)
         if wrist_force is not None:
             row["wrist_force"] = wrist_force.get_coeffs()
@@ -162,15 +160,14 @@ class RunLogger(LeafSystem):
         self._samples.append(row)
 
     def _look(self, context: Context) -> None:
+        """Keep a row if the estimate was made with a volume newer than the last one kept."""
         estimate = self._value(context, "estimate", NeedleEstimate)
-        if estimate is not None:
-            self._confirm(estimate)
-        volume = self._value(context, "volume", (Volume, NotFound))
-        if not isinstance(volume, Volume):
+        if estimate is None or not np.isfinite(estimate.volume_time):
             return
-        if self._volumes and self._volumes[-1]["volume_time"] >= volume.time:
+        if self._volumes and self._volumes[-1]["volume_time"] >= estimate.volume_time:
             return
-        row: Row = {"volume_time": volume.time, "volume_seen": context.get_time()}
+        row: Row = {"volume_time": estimate.volume_time, "volume_seen": context.get_time()}
+        row |= _describe(estimate, "volume_estimate")
         detection = self._value(context, "detection", object)
         row["volume_detected"] = bool(detection)
         row["volume_detection_reason"] = _reason(detection)
@@ -183,13 +180,6 @@ class RunLogger(LeafSystem):
             row["volume_inlier_count"] = measurement.inlier_count
             row["volume_inlier_ratio"] = measurement.inlier_ratio
         self._volumes.append(row)
-        self._unconfirmed = 1 if estimate is not None else 0
-
-    def _confirm(self, estimate: NeedleEstimate) -> None:
-        """Add the estimate to the newest volume's row, once it is made with that volume."""
-        if self._unconfirmed and estimate.volume_time >= self._volumes[-1]["volume_time"]:
-            self._volumes[-1] |= _describe(estimate, "volume_estimate")
-            self._unconfirmed = 0
 
 
 def _describe(estimate: NeedleEstimate, prefix: str) -> Row:

@@ -79,7 +79,7 @@ class RunLog(Immutable):
     ]
 
     volume_time: Annotated[Array, Column("middle of the volume's acquisition", "s", ("v",))]
-    volume_seen: Annotated[Array, Column("when the tracker received it", "s", ("v",))]
+    volume_seen: Annotated[Array, Column("when the log saw the estimate made with it", "s", ("v",))]
     volume_detected: Annotated[Array, Column("whether an insertion was detected", "", ("v",), "?")]
     volume_detection_reason: Annotated[Array, Column("why none was", "", ("v",), "U")]
     volume_measured_time: Annotated[Array, Column("time of the measured tip", "s", ("v",))]
