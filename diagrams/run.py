@@ -15,6 +15,7 @@ from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.estimation.estimate import NeedleEstimate
 from sonoservo.systems.recording.files import write_atomically
 from sonoservo.systems.recording.metrics import summarize
+from sonoservo.systems.recording.plots import plot_errors, plot_run, png
 from sonoservo.systems.recording.replay import save_replay
 from sonoservo.systems.recording.report import write_report
 from sonoservo.systems.recording.run_log import RunLog, write_log
@@ -72,7 +73,7 @@ def run(
     """
     try:
         experiment = Experiment(scenario, meshcat)
-    except ValueError as error:
+    except (ValueError, FileNotFoundError) as error:
         raise ConfigurationError(f"{scenario.name}: {error}") from error
     if out is not None:
         write_atomically(out / "scenario.yaml", scenario.to_yaml())
@@ -114,5 +115,15 @@ def run(
         write_atomically(out / "summary.json", json.dumps(summary, indent=2))
         if meshcat is not None:
             save_replay(meshcat, out / "replay.html")
-        write_report(out, scenario.name, summary, log, scenario.published)
+        figures = {"features, tip, probe, force": plot_run(log), "errors": plot_errors(log)}
+        images = {name: png(figure) for name, figure in figures.items()}
+        write_atomically(out / "run.png", images["features, tip, probe, force"])
+        write_atomically(out / "errors.png", images["errors"])
+        write_report(
+            out / "report.html",
+            summary,
+            images,
+            paper=scenario.published,
+            replay="replay.html" if meshcat is not None else "",
+        )
     return RunResult(summary, log)

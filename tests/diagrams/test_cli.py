@@ -1,0 +1,76 @@
+import json
+import subprocess
+import sys
+
+import pytest
+from typer.testing import CliRunner
+
+from sonoservo.diagrams.cli import app
+
+runner = CliRunner()
+
+
+def sonoservo(*arguments):
+    """The command as a person runs it: a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-c", "from sonoservo.diagrams.cli import main; main()", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+
+
+def test_list_names_every_scenario(tmp_path):
+    result = runner.invoke(app, ["list", "--json", str(tmp_path / "list.json")])
+    assert result.exit_code == 0
+    assert "chatelain2013_fig5" in result.stdout
+    assert "chatelain2013_fig5" in json.loads((tmp_path / "list.json").read_text())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["chatelain2031_fig5"], "did you mean 'chatelain2013_fig5'"),
+        (["chatelain2013_fig5", "--set", "imaging.frames=31"], "lines x 2 x"),
+        (["chatelain2013_fig5", "--set", "station.probe.x=3"], "cannot reach"),
+        (["chatelain2013_fig5", "--set", "hand.entry=[-0.12, 0.9, -0.04]"], "cannot follow"),
+        (["chatelain2013_fig5", "--set", "phantom=agr"], "there is no model"),
+        (["chatelain2013_fig5", "--set", "processing_time=1"], "processing_time: 1.0"),
+    ],
+)
+def test_a_mistake_is_one_line_and_exit_code_2(arguments, message, tmp_path):
+    result = sonoservo("run", *arguments, "--no-meshcat", "--out", str(tmp_path / "out"))
+    assert result.returncode == 2
+    assert message in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_short_run_leaves_its_files_and_its_summary(tmp_path):
+    out = tmp_path / "out"
+    result = sonoservo(
+        "run",
+        "chatelain2013_fig5",
+        "--set",
+        "duration=2.5",
+        "--no-meshcat",
+        "--out",
+        str(out),
+        "--json",
+        str(tmp_path / "summary.json"),
+    )
+    assert result.returncode == 0, result.stderr
+    assert {path.name for path in out.iterdir()} == {
+        "scenario.yaml",
+        "summary.json",
+        "log.npz",
+        "run.png",
+        "errors.png",
+        "report.html",
+    }
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary == json.loads((tmp_path / "summary.json").read_text())
+    assert summary["simulated_s"] == pytest.approx(2.5)
+    assert summary["interrupted"] is False
+    assert summary["force"]["max_n"] > 1.5

@@ -1,0 +1,65 @@
+import pytest
+import yaml
+
+from sonoservo.diagrams.scenario import Scenario, list_scenarios, load_scenario
+from sonoservo.systems.typed_yaml import ConfigurationError
+
+
+@pytest.mark.parametrize("name", list_scenarios())
+def test_every_scenario_loads_and_says_what_it_is(name):
+    scenario = load_scenario(name)
+    assert scenario.name == name
+    assert 20 < len(scenario.description) <= 100
+
+
+def test_paper_scenario_holds_the_published_settings():
+    scenario = load_scenario("chatelain2013_fig5")
+    imaging = scenario.imaging
+    assert imaging.volume_rate == 3.3
+    assert imaging.depth == 0.09
+    assert imaging.frame_pitch_deg == 1.463
+    assert imaging.transmit_frequency == 3.3e6
+    assert imaging.sector == 0.75
+    assert scenario.controller.force.force == 2.0
+    assert abs(scenario.station.probe.yaw_deg - scenario.hand.azimuth_deg) == 40
+
+
+def test_changes_and_seed_are_laid_over_the_file():
+    scenario = load_scenario(
+        "chatelain2013_fig5", changes=["hand.gauge=22", "hand.pushes.0.speed=0.001"], seed=7
+    )
+    assert scenario.hand.gauge == 22
+    assert scenario.hand.pushes[0].speed == 0.001
+    assert scenario.hand.pushes[1] == load_scenario("chatelain2013_fig5").hand.pushes[1]
+    assert scenario.seed == 7
+
+
+def test_a_file_of_ones_own_and_the_whole_of_it_read_back(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text("duration: 3.5\nimaging: {volume_rate: 2.0}\n")
+    scenario = load_scenario(path)
+    assert scenario.name == "mine"
+    assert scenario.imaging.volume_rate == 2.0
+    path.write_text(scenario.to_yaml())
+    assert load_scenario(path) == scenario
+    assert set(yaml.safe_load(scenario.to_yaml())) == set(Scenario.__dataclass_fields__)
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "message"),
+    [
+        ("chatelain2013_fig", [], "did you mean 'chatelain2013_fig"),
+        ("nowhere.yaml", [], "nowhere.yaml: cannot be read"),
+        ("chatelain2013_fig5", ["imaging.volume_rat=3"], "did you mean 'volume_rate'"),
+        ("chatelain2013_fig5", ["imaging.volume_rate=-3"], "imaging.volume_rate: -3.0"),
+        ("chatelain2013_fig5", ["imaging.volume_rate=fast"], "imaging.volume_rate: 'fast'"),
+        ("chatelain2013_fig5", ["duration=0"], "duration: 0.0"),
+        ("chatelain2013_fig5", ["seed=-1"], "seed: -1"),
+        ("chatelain2013_fig5", ["tracker.kind=zhao"], "tracker.kind: 'zhao'"),
+    ],
+)
+def test_mistakes_are_one_clear_line(name, changes, message):
+    with pytest.raises(ConfigurationError) as error:
+        load_scenario(name, changes=changes)
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
