@@ -1,5 +1,6 @@
 """Leaf: joint positions and velocities that move the probe as asked."""
 
+import contextlib
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,7 +11,7 @@ from pydrake.multibody.inverse_kinematics import (
 )
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Frame, JacobianWrtVariable
-from pydrake.systems.framework import Context, DiscreteValues, EventStatus, LeafSystem
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, EventStatus, LeafSystem
 
 from sonoservo.systems.values import require, require_not_negative, require_positive
 
@@ -104,27 +105,48 @@ class DifferentialKinematics(LeafSystem):
         n = plant.num_positions()
         self._limits = DifferentialInverseKinematicsParameters(n, n)
         self._limits.set_time_step(time_step)
-        self._limits.set_joint_position_limits(
-            (plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits())
+        self._q_lower, self._q_upper = (
+            plant.GetPositionLowerLimits(),
+            plant.GetPositionUpperLimits(),
         )
-        self._limits.set_joint_velocity_limits(
-            (plant.GetVelocityLowerLimits(), plant.GetVelocityUpperLimits())
+        self._v_lower, self._v_upper = (
+            plant.GetVelocityLowerLimits(),
+            plant.GetVelocityUpperLimits(),
         )
+        self._limits.set_joint_position_limits((self._q_lower, self._q_upper))
+        self._limits.set_joint_velocity_limits((self._v_lower, self._v_upper))
         self.DeclareVectorInputPort("planar_velocity", 3)
         self.DeclareVectorInputPort("approach_velocity", 1)
         self.DeclareVectorInputPort("joint_state", 2 * n)
-        self.DeclareStateOutputPort("joint_command", self.DeclareDiscreteState(2 * n))
+        # Joint positions and velocities, and the time for which they hold.
+        self.DeclareDiscreteState(2 * n + 1)
+        self.DeclareVectorOutputPort(
+            "joint_command",
+            2 * n,
+            self._calc_joint_command,
+            prerequisites_of_calc={self.xd_ticket(), self.time_ticket()},
+        )
         self.DeclareInitializationDiscreteUpdateEvent(self._initialize)
         self.DeclarePeriodicDiscreteUpdateEvent(time_step, 0, self._update_joint_command)
 
     def _initialize(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
-        state = self.GetInputPort("joint_state").Eval(context)
-        q = state[: len(state) // 2]
-        discrete_state.set_value(np.concatenate([q, np.zeros_like(q)]))
+        q, _ = np.split(self.GetInputPort("joint_state").Eval(context), 2)
+        discrete_state.set_value(np.concatenate([q, np.zeros_like(q), [context.get_time()]]))
         return EventStatus.Succeeded()
 
+    def _joint_command(self, context: Context) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        state = context.get_discrete_state_vector().value()
+        n = len(state) // 2
+        q, v = state[:n], state[n : 2 * n]
+        return q + (context.get_time() - state[-1]) * v, v
+
+    def _calc_joint_command(self, context: Context, output: BasicVector) -> None:
+        # A plant with a shorter step wants a ramp: a staircase would make the joints jerk, and the
+        # wrist feel the probe's inertia.
+        output.SetFromVector(np.concatenate(self._joint_command(context)))
+
     def _update_joint_command(self, context: Context, discrete_state: DiscreteValues) -> None:
-        q, v = np.split(context.get_discrete_state_vector().value(), 2)
+        q, v = self._joint_command(context)
         plant, plant_context, frame = self._plant, self._plant_context, self._probe
         plant.SetPositions(plant_context, q)
         axis_P = frame.CalcPoseInWorld(plant_context).rotation().matrix().T @ self._axis
@@ -138,6 +160,31 @@ class DifferentialKinematics(LeafSystem):
         J = plant.CalcJacobianSpatialVelocity(
             plant_context, JacobianWrtVariable.kV, frame, np.zeros(3), plant.world_frame(), frame
         )
+        v = self._joint_velocities(q, v, V_WP_P, J)
+        discrete_state.set_value(np.concatenate([q, v, [context.get_time()]]))
+
+    def _joint_velocities(
+        self,
+        q: NDArray[np.float64],
+        v: NDArray[np.float64],
+        V_WP_P: NDArray[np.float64],
+        J: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """Velocities that solve J v = V, or come as close to V as the limits allow."""
+        # With six joints the optimum is J^-1 V wherever that is within the limits: only the rest
+        # needs a program to be solved, at ten times the cost.
+        with contextlib.suppress(np.linalg.LinAlgError):
+            direct = np.linalg.solve(J, V_WP_P)
+            if self._within_limits(q, direct):
+                return direct
         result = DoDifferentialInverseKinematics(q, v, V_WP_P, J, self._limits)
-        v = np.zeros_like(q) if result.joint_velocities is None else result.joint_velocities
-        discrete_state.set_value(np.concatenate([q + self._time_step * v, v]))
+        return np.zeros_like(q) if result.joint_velocities is None else result.joint_velocities
+
+    def _within_limits(self, q: NDArray[np.float64], v: NDArray[np.float64]) -> bool:
+        reached = q + self._time_step * v
+        return bool(
+            (v >= self._v_lower).all()
+            and (v <= self._v_upper).all()
+            and (reached >= self._q_lower).all()
+            and (reached <= self._q_upper).all()
+        )

@@ -33,20 +33,20 @@ class ForceControllerParameters:
     integral_band
         The integral rests while the error is larger than this, in N.
     approach_speed
-        While there is no contact, in m/s.
-    max_speed
-        In contact, either way, in m/s.
+        Towards the phantom, in contact or not, in m/s: it bounds the force of landing.
+    retreat_speed
+        Highest speed away from the phantom, in m/s.
     """
 
     force: float = 2.0
-    proportional_gain: float = 0.015
-    integral_gain: float = 0.03
-    filter_time: float = 0.03
+    proportional_gain: float = 0.02
+    integral_gain: float = 0.1
+    filter_time: float = 0.02
     touch_force: float = 0.4
     release_force: float = 0.2
     integral_band: float = 0.5
     approach_speed: float = 0.01
-    max_speed: float = 0.05
+    retreat_speed: float = 0.05
 
     def __post_init__(self) -> None:
         require_positive(
@@ -55,7 +55,7 @@ class ForceControllerParameters:
             touch_force=self.touch_force,
             release_force=self.release_force,
             approach_speed=self.approach_speed,
-            max_speed=self.max_speed,
+            retreat_speed=self.retreat_speed,
         )
         require_not_negative(
             integral_gain=self.integral_gain,
@@ -111,7 +111,7 @@ def approach_velocity(state: ForceState, parameters: ForceControllerParameters) 
         return parameters.approach_speed
     error = parameters.force - state.force
     velocity = parameters.proportional_gain * error + state.integral
-    return min(max(velocity, -parameters.max_speed), parameters.max_speed)
+    return min(max(velocity, -parameters.retreat_speed), parameters.approach_speed)
 
 
 def next_state(

@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
-def needle_features(tip: ArrayLike, direction: ArrayLike) -> NDArray[np.float64]:
+def needle_features(
+    tip: NDArray[np.float64], direction: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Features s = (X_tip, Z_tip, Theta) of a needle (eq. 23).
 
     Theta is the angle from the X to the Z axis of P: a negative right-handed turn about Y, for
@@ -27,24 +29,24 @@ def needle_features(tip: ArrayLike, direction: ArrayLike) -> NDArray[np.float64]
     -------
     (3,) X and Z in m, Theta in rad.
     """
-    x, _, z = np.asarray(tip, dtype=float).tolist()
-    k_x, _, k_z = np.asarray(direction, dtype=float).tolist()
+    x, _, z = tip.tolist()
+    k_x, _, k_z = direction.tolist()
     if k_x < 0:
         k_x, k_z = -k_x, -k_z
     return np.array([x, z, math.atan2(k_z, k_x)])
 
 
-def interaction_matrix(features: ArrayLike) -> NDArray[np.float64]:
+def interaction_matrix(features: NDArray[np.float64]) -> NDArray[np.float64]:
     """(3, 3) matrix L_s that maps the probe's velocity to the features' rates (eqs. 26, 27).
 
     The velocity is (v_x, v_z, omega_y) of P, in P. L_s is its own inverse.
     """
-    x, z, _ = features
+    x, z, _ = features.tolist()
     return np.array([[-1.0, 0.0, -z], [0.0, -1.0, x], [0.0, 0.0, 1.0]])
 
 
 def servo_velocity(
-    features: ArrayLike, *, gain: float, rates: ArrayLike = (0.0, 0.0, 0.0), rotate: bool = True
+    features: NDArray[np.float64], *, gain: float, rates: ArrayLike = 0.0, rotate: bool = True
 ) -> NDArray[np.float64]:
     """Velocity of the probe that brings the features to zero (eqs. 24, 25).
 
@@ -58,7 +60,7 @@ def servo_velocity(
     gain
         lambda, in 1/s.
     rates
-        (3,) in m/s, m/s, rad/s.
+        (3,) in m/s, m/s, rad/s, or zero.
     rotate
         False leaves Theta alone, for a needle along the beam whose Theta means nothing.
 
@@ -66,7 +68,7 @@ def servo_velocity(
     -------
     (3,) velocity (v_x, v_z, omega_y) of P, in P, in m/s and rad/s.
     """
-    wanted = -(gain * np.asarray(features) + np.asarray(rates))
+    wanted = -(gain * features + np.asarray(rates))
     if not rotate:
         wanted[2] = 0
     return interaction_matrix(features) @ wanted
@@ -87,20 +89,21 @@ def significant_velocity(
     """Estimated velocity where it stands out of its uncertainty, zero where it does not.
 
     A filter's velocity is never quite zero, and following its noise would shake a probe that ought
-    to rest. With d the Mahalanobis distance of the velocity from zero, it is passed on unchanged
-    from d = 2 `threshold`, not at all below `threshold`, and in proportion in between, without a
-    jump.
+    to rest. With d the speed in standard deviations of itself, d = |v|^2 / sqrt(v^T C v), the
+    velocity is passed on unchanged from d = 2 `threshold`, not at all below `threshold`, and in
+    proportion in between, without a jump.
 
     Parameters
     ----------
     velocity
-        (3,) in m/s.
+        (3,) v in m/s.
     covariance
-        (3, 3) of it, in m^2/s^2.
+        (3, 3) C of it, in m^2/s^2.
     threshold
         In standard deviations; zero passes everything on.
     """
-    if threshold == 0:
+    variance, square = float(velocity @ covariance @ velocity), float(velocity @ velocity)
+    limit = threshold * math.sqrt(max(variance, 0))
+    if square >= 2 * limit:
         return velocity
-    distance = math.sqrt(max(velocity @ np.linalg.pinv(covariance, hermitian=True) @ velocity, 0))
-    return velocity * min(max(distance / threshold - 1, 0), 1)
+    return velocity * max(square / limit - 1, 0)

@@ -27,7 +27,7 @@ class VisualServoParameters:
     ----------
     gain
         lambda of eq. 25, in 1/s. Where volumes come every T and are one volume old, 0.25 / T is
-        best damped: 0.83/s for 3.3 volumes/s.
+        best damped: 0.83/s for 3.3 volumes/s. Zero switches all visual motion off.
     feed_forward
         Whether the probe moves with the tip's estimated velocity; off in the paper, where the tip
         lags by its velocity / gain.
@@ -52,12 +52,12 @@ class VisualServoParameters:
 
     def __post_init__(self) -> None:
         require_positive(
-            gain=self.gain,
             stale_after=self.stale_after,
             max_speed=self.max_speed,
             max_angular_speed_deg=self.max_angular_speed_deg,
         )
         require_not_negative(
+            gain=self.gain,
             velocity_threshold=self.velocity_threshold,
             least_inclination_deg=self.least_inclination_deg,
         )
@@ -85,7 +85,8 @@ def planar_velocity(
     """
     age = max(time - estimate.time, 0)
     followed = estimate.mode in (TrackingMode.TRACKING, TrackingMode.COASTING)
-    if estimate.curve is None or not followed or age > parameters.stale_after:
+    fresh = age <= parameters.stale_after
+    if estimate.curve is None or not followed or not fresh or parameters.gain == 0:
         return np.zeros(3)
 
     R_PW = X_WP.rotation().matrix().T

@@ -3,15 +3,13 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import ArrayLike
 from pydrake.geometry import Box, SceneGraph
-from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex, RigidBody
 from pydrake.systems.primitives import TrajectorySource
-from pydrake.trajectories import PiecewisePolynomial, Trajectory
+from pydrake.trajectories import Trajectory
 
 from sonoservo.models import model_path
 
@@ -53,30 +51,6 @@ def AddPhantom(plant: MultibodyPlant, scene_graph: SceneGraph, *, size: Sequence
             plant.get_source_id(), geometry, Box(*size), RigidTransform([0, 0, -size[2] / 2])
         )
     return Phantom(instance, body)
-
-
-def phantom_trajectory(
-    *, X_WT: RigidTransform, times: ArrayLike, displacements: ArrayLike
-) -> PiecewisePolynomial:
-    """Motion of a phantom through given displacements, smooth and without overshoot.
-
-    Parameters
-    ----------
-    X_WT
-        Pose at rest.
-    times
-        (m,) rising times in s; before the first and after the last the phantom stands still.
-    displacements
-        (m, 6) from the pose at rest: x, y, z in m, roll, pitch, yaw in rad.
-
-    Returns
-    -------
-    Trajectory of x, y, z, roll, pitch, yaw in W, for `PhantomMotion`.
-    """
-    rest = np.concatenate([X_WT.translation(), RollPitchYaw(X_WT.rotation()).vector()])
-    return PiecewisePolynomial.CubicShapePreserving(
-        np.asarray(times, dtype=float), (rest + np.asarray(displacements)).T, True
-    )
 
 
 def PhantomMotion(*, trajectory: Trajectory) -> TrajectorySource:
