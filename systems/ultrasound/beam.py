@@ -1,6 +1,7 @@
 """How wide the scanner's beam is at every depth."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,7 +77,7 @@ def axial_width(centre: float, fractional_bandwidth: float, sound_speed: float) 
     spectrum = transmitted_spectrum(frequency, centre, fractional_bandwidth)
     distance = np.linspace(0, 4, 801) * sound_speed / centre
     phase = 2 * np.pi * 2 * distance[:, np.newaxis] * (frequency - centre) / sound_speed
-    envelope = np.abs(np.exp(1j * phase) @ spectrum)
+    envelope = np.abs(_sum(np.exp(1j * phase), spectrum))
     return 2 * float(np.interp(0.5, (envelope / envelope[0])[::-1], distance[::-1]))
 
 
@@ -88,6 +89,14 @@ def _half_width(offsets: NDArray[np.float64], amplitude: NDArray[np.float64]) ->
         return float(offsets[last])
     fraction = relative[last] / (relative[last] - relative[last + 1])
     return float(offsets[last] + fraction * (offsets[last + 1] - offsets[last]))
+
+
+def _sum(waves: NDArray[np.complex128], weights: NDArray[Any]) -> NDArray[np.complex128]:
+    """Sum over elements: (points, elements) and (elements,) to (points,).
+
+    So small a product is not worth the threads that the matrix product would start.
+    """
+    return np.einsum("pe,e->p", waves, weights)
 
 
 def _pulse_spectrum(
@@ -140,8 +149,8 @@ def lateral_width(depth: float, transducer: Transducer, imaging: ImagingParamete
         phase = wavenumber * transducer.element_width * np.sin(angle) / (2 * np.pi)
         directivity = np.maximum(np.cos(angle), 0) * np.sinc(phase)
         waves = directivity * np.exp(1j * wavenumber * distance) / np.sqrt(distance)
-        sent = waves @ (transmit * np.exp(-1j * wavenumber * np.hypot(x, focus - y)))
-        received = waves @ (receive * np.exp(-1j * wavenumber * np.hypot(x, depth - y)))
+        sent = _sum(waves, transmit * np.exp(-1j * wavenumber * np.hypot(x, focus - y)))
+        received = _sum(waves, receive * np.exp(-1j * wavenumber * np.hypot(x, depth - y)))
         energy += np.abs(spectrum * sent * received) ** 2
     return 2 * _half_width(offsets, np.sqrt(energy))
 
@@ -162,11 +171,11 @@ def elevation_width(
     distance = np.hypot(offsets[:, np.newaxis] - z, depth)
     energy = np.zeros(len(offsets))
     for wavenumber, spectrum in zip(*_pulse_spectrum(transducer, imaging), strict=True):
-        waves = np.exp(1j * wavenumber * distance) @ np.exp(-1j * wavenumber * delay)
+        waves = _sum(np.exp(1j * wavenumber * distance), np.exp(-1j * wavenumber * delay))
         energy += np.abs(spectrum * waves**2) ** 2
     half_width = _half_width(offsets, np.sqrt(energy))
     wavenumber = 2 * np.pi / imaging.wavelength
-    waves = np.exp(1j * wavenumber * distance) @ np.exp(-1j * wavenumber * delay)
+    waves = _sum(np.exp(1j * wavenumber * distance), np.exp(-1j * wavenumber * delay))
     near = offsets <= half_width
     path = np.unwrap(np.angle(waves[near] / waves[0])) / wavenumber
     weight = np.abs(waves[near]) ** 2 * offsets[near] ** 2

@@ -5,13 +5,16 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from sonoservo.systems.ultrasound.echo import FRACTIONS, OPTIONS, REACH, line_coordinates, phasor
+from sonoservo.systems.ultrasound.echo import FRACTIONS, OPTIONS, line_coordinates, phasor
 
 SIDE_LOBE_LEVEL = 10 ** (-30 / 20)
 """Amplitude of the side lobes, a second, wider Gaussian, relative to the main lobe."""
 
-SIDE_LOBE_WIDTH = 3.0
+SIDE_LOBE_WIDTH = 3
 """Width of the side lobes over the main lobe's."""
+
+_FURTHEST = (2.0 * SIDE_LOBE_WIDTH) ** 2 / 2
+"""Side lobes end at two of their standard deviations, 47 dB below the main lobe."""
 
 
 class NeedleEcho(NamedTuple):
@@ -31,14 +34,14 @@ class NeedleEcho(NamedTuple):
 
 @njit(**OPTIONS)
 def add_point(  # type: ignore[no-untyped-def]
-    iq, shadow, x, y, z, closer, real, imaginary, shadow_strength, rays, tables, pulse
+    layer, shadow, x, y, z, closer, real, imaginary, shadow_strength, rays, tables, pulse
 ):
-    """Add the echo of one bright point in F to the samples of a frame.
+    """Add the echo of one bright point in F; return whether the frame sees it.
 
     Parameters
     ----------
-    iq
-        (lines, samples) complex64, added to.
+    layer
+        (2, lines, samples + 2 taps) float32 real and imaginary parts, added to.
     shadow
         (lines, samples) float32: greatest loss that begins at each sample; (0, 0) for none.
     x, y, z, closer
@@ -47,69 +50,74 @@ def add_point(  # type: ignore[no-untyped-def]
         Amplitude of the point.
     shadow_strength
         Loss in the middle of the beam.
-    rays, tables, pulse
-        Of the frame; pulse is (FRACTIONS + 1, taps) complex64 and begins ``rays.lead`` samples
+    rays, tables
+        Of the frame.
+    pulse
+        (2, FRACTIONS + 1, taps) float32 real and imaginary parts; it begins ``rays.lead`` samples
         before the echo.
     """
-    lines, samples = iq.shape
+    lines = layer.shape[1]
+    taps = pulse.shape[2]
+    samples = layer.shape[2] - 2 * taps
     line, e, r = line_coordinates(x, y, z, rays)
     depth = r - rays.array_radius
     at = np.int64(depth * rays.samples_per_metre + 0.5)
     if at < 0 or at >= samples:
-        return
+        return False
     u = tables.elevation_precision[at] * e * e
-    furthest = REACH**2 / 2 * SIDE_LOBE_WIDTH**2
-    if u > furthest:
-        return
+    if u > _FURTHEST:
+        return False
     path = depth + 0.5 * tables.curvature[at] * e * e - closer
-    sample = path * rays.samples_per_metre
-    k = np.int64(np.floor(sample))
+    sample = max(path * rays.samples_per_metre, 0.0)
+    k = np.int64(sample)
     fraction = np.int64((sample - k) * FRACTIONS + 0.5)
     c, s = phasor(np.float32(path * rays.turns_per_metre))
-    start = k - rays.lead
     bright = tables.bright[at]
-    amplitude = bright * complex(real * c + imaginary * s, imaginary * c - real * s)
+    re = np.float32(bright * (real * c + imaginary * s))
+    im = np.float32(bright * (imaginary * c - real * s))
     precision = 0.5 / (tables.line_sigma[at] * tables.line_sigma[at])
-    reach = np.sqrt((furthest - u) / precision)
+    reach = np.sqrt((_FURTHEST - u) / precision)
     first = max(np.int64(np.ceil(line - reach)), 0)
     last = min(np.int64(np.floor(line + reach)), lines - 1)
+    start = k - rays.lead + taps
     for j in range(first, last + 1):
         distance = u + precision * (j - line) * (j - line)
-        main = np.exp(-distance)
-        weight = main + SIDE_LOBE_LEVEL * np.exp(-distance / SIDE_LOBE_WIDTH**2)
-        a = np.complex64(weight * amplitude)
-        for tap in range(max(0, -start), min(pulse.shape[1], samples - start)):
-            iq[j, start + tap] += a * pulse[fraction, tap]
+        wide = np.exp(-distance / SIDE_LOBE_WIDTH**2)
+        main = wide ** (SIDE_LOBE_WIDTH**2)
+        weight = np.float32(main + SIDE_LOBE_LEVEL * wide)
+        a = weight * re
+        b = weight * im
+        for tap in range(taps):
+            layer[0, j, start + tap] += a * pulse[0, fraction, tap] - b * pulse[1, fraction, tap]
+        for tap in range(taps):
+            layer[1, j, start + tap] += a * pulse[1, fraction, tap] + b * pulse[0, fraction, tap]
         if shadow.size > 0 and k < samples:
-            shadow[j, max(k, 0)] = max(shadow[j, max(k, 0)], np.float32(shadow_strength * main))
+            shadow[j, k] = max(shadow[j, k], np.float32(shadow_strength * main))
+    return first <= last
 
 
 @njit(**OPTIONS)
-def add_points(iq, X_FT, points, amplitudes, rays, tables, pulse):  # type: ignore[no-untyped-def]
-    """Add inclusions: (n, 3) points in T with (n,) complex amplitudes."""
+def add_points(layer, X_FT, points, amplitudes, rays, tables, pulse):  # type: ignore[no-untyped-def]
+    """Add inclusions, (n, 3) points in T with (n,) complex amplitudes; return whether any shows."""
     no_shadow = np.empty((0, 0), np.float32)
+    seen = False
     for i in range(len(points)):
-        x = X_FT[0, 3]
-        y = X_FT[1, 3]
-        z = X_FT[2, 3]
-        for axis in range(3):
-            x += X_FT[0, axis] * points[i, axis]
-            y += X_FT[1, axis] * points[i, axis]
-            z += X_FT[2, axis] * points[i, axis]
+        x, y, z = _transformed(X_FT, points[i, 0], points[i, 1], points[i, 2])
         real = amplitudes[i].real
         imaginary = amplitudes[i].imag
-        add_point(iq, no_shadow, x, y, z, 0.0, real, imaginary, 0.0, rays, tables, pulse)
+        seen |= add_point(layer, no_shadow, x, y, z, 0.0, real, imaginary, 0.0, rays, tables, pulse)
+    return seen
 
 
 @njit(**OPTIONS)
 def add_needle(  # type: ignore[no-untyped-def]
-    iq, shadow, X_FT, shaft, radius, echo, phases, rays, tables, pulse
+    layer, shadow, X_FT, shaft, radius, echo, phases, rays, tables, pulse
 ):
-    """Add the echo of a needle, point by point from the tip to the entry.
+    """Add the echo of a needle, point by point from the tip; return whether any point shows.
 
     Parameters
     ----------
-    iq, shadow
+    layer, shadow
         See `add_point`.
     X_FT
         (3, 4) pose of the tissue in F.
@@ -126,26 +134,46 @@ def add_needle(  # type: ignore[no-untyped-def]
     """
     number = 0
     along = 0.0
+    seen = False
     for segment in range(len(shaft) - 1, 0, -1):
         dx = shaft[segment - 1, 0] - shaft[segment, 0]
         dy = shaft[segment - 1, 1] - shaft[segment, 1]
         dz = shaft[segment - 1, 2] - shaft[segment, 2]
         length = np.sqrt(dx * dx + dy * dy + dz * dz)
         while along <= length and length > 0:
-            px = shaft[segment, 0] + dx * along / length
-            py = shaft[segment, 1] + dy * along / length
-            pz = shaft[segment, 2] + dz * along / length
-            x = X_FT[0, 0] * px + X_FT[0, 1] * py + X_FT[0, 2] * pz + X_FT[0, 3]
-            y = X_FT[1, 0] * px + X_FT[1, 1] * py + X_FT[1, 2] * pz + X_FT[1, 3]
-            z = X_FT[2, 0] * px + X_FT[2, 1] * py + X_FT[2, 2] * pz + X_FT[2, 3]
+            share = along / length
+            x, y, z = _transformed(
+                X_FT,
+                shaft[segment, 0] + share * dx,
+                shaft[segment, 1] + share * dy,
+                shaft[segment, 2] + share * dz,
+            )
             phase = phases[number % len(phases)]
             real = echo.specular + echo.diffuse * np.cos(phase)
             imaginary = echo.diffuse * np.sin(phase)
             if number == 0:
                 real += echo.tip
-            add_point(
-                iq, shadow, x, y, z, radius, real, imaginary, echo.shadow, rays, tables, pulse
+            seen |= add_point(
+                layer, shadow, x, y, z, radius, real, imaginary, echo.shadow, rays, tables, pulse
             )
             number += 1
             along += echo.spacing
         along -= length
+    return seen
+
+
+@njit(**OPTIONS)
+def add_layer(iq, layer, taps):  # type: ignore[no-untyped-def]
+    """Add a layer of bright points to a frame's (lines, samples) complex64 echoes."""
+    for j in range(iq.shape[0]):
+        for i in range(iq.shape[1]):
+            iq[j, i] += complex(layer[0, j, i + taps], layer[1, j, i + taps])
+
+
+@njit(**OPTIONS)
+def _transformed(X, x, y, z):  # type: ignore[no-untyped-def]
+    return (
+        X[0, 0] * x + X[0, 1] * y + X[0, 2] * z + X[0, 3],
+        X[1, 0] * x + X[1, 1] * y + X[1, 2] * z + X[1, 3],
+        X[2, 0] * x + X[2, 1] * y + X[2, 2] * z + X[2, 3],
+    )

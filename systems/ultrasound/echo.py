@@ -27,8 +27,8 @@ SPLINE_VARIANCE = 0.25
 FADE = 0.1
 """Half width, relative to the share of scatterers used at a depth, over which more fade in."""
 
-REACH = 3.0
-"""Standard deviations beyond which the main lobe is left out."""
+REACH = 2.6
+"""Standard deviations in elevation beyond which scatterers are left out: 0.02 % of the energy."""
 
 _HALF = np.float32(0.5)
 _ONE = np.float32(1)
@@ -41,6 +41,9 @@ _ZERO = np.float32(0)
 _FURTHEST = np.float32(REACH**2 / 2)
 _FADE_OUT = np.float32(1 + FADE)
 _FADE_WIDTH = np.float32(2 * FADE)
+_FRACTIONS = np.float32(FRACTIONS)
+_HALF_DIAGONAL = 3**0.5 / 2
+_U1, _U2, _U3, _U4, _U5, _U6, _U7, _U8 = (np.uint64(i) for i in range(1, 9))
 # Minimax polynomials, to 1e-6: sine and cosine on [-pi/2, pi/2], arc tangent on [-0.65, 0.65] and
 # exp(-v) on [0, 0.6].
 _S3, _S5, _S7 = (np.float32(c) for c in (-0.16665681, 0.00831237, -0.00018492))
@@ -117,15 +120,89 @@ def _gaussian(u):  # type: ignore[no-untyped-def]
 
 
 @njit(**OPTIONS)
+def _frame_blocks(X_FT, box, block_size, depth, half_angle, thickness, rays):  # type: ignore[no-untyped-def]
+    """First and last block (exclusive) along T's axes that the frame's bounding box can meet."""
+    sine = np.sin(min(half_angle, np.pi / 2))
+    cosine = np.cos(min(half_angle, np.pi / 2))
+    nearest = rays.array_radius * cosine - rays.centre_offset
+    furthest = depth + rays.array_radius - rays.centre_offset
+    middle = (0.0, (nearest + furthest) / 2, 0.0)
+    half = ((depth + rays.array_radius) * sine, (furthest - nearest) / 2, thickness)
+    first = np.empty(3, np.int64)
+    last = np.empty(3, np.int64)
+    for axis in range(3):
+        centre = 0.0
+        extent = 0.0
+        for other in range(3):
+            centre += X_FT[other, axis] * (middle[other] - X_FT[other, 3])
+            extent += abs(X_FT[other, axis]) * half[other]
+        first[axis] = np.int64(np.floor(max(centre - extent, box[0, axis]) / block_size))
+        last[axis] = np.int64(np.ceil(min(centre + extent, box[1, axis]) / block_size))
+    return first, last
+
+
+@njit(**OPTIONS)
+def _deposit(accumulator, chosen, count, line, sample, cosine, sine, pulse):  # type: ignore[no-untyped-def]
+    """Add projected scatterers to three lines each, eight numbers (four complex taps) at a time."""
+    width = np.uint64(accumulator.shape[1])
+    flat = accumulator.reshape(-1)
+    table = pulse.reshape(-1)
+    chunks = pulse.shape[1] // 4
+    for number in range(count):
+        i = chosen[number]
+        re = cosine[i]
+        im = sine[i]
+        j = np.int32(line[i] + _HALF)
+        k = np.int32(sample[i])
+        fraction = np.int32((sample[i] - np.float32(k)) * _FRACTIONS + _HALF)
+        t = line[i] - np.float32(j)
+        below = _HALF * (_HALF - t) * (_HALF - t)
+        above = _HALF * (_HALF + t) * (_HALF + t)
+        here = _THREE_QUARTERS - t * t
+        a = np.uint64(j - 1) * width + np.uint64(2 * k)
+        p = np.uint64(fraction) * np.uint64(pulse.shape[1])
+        for _ in range(chunks):
+            v0 = table[p] * re
+            v1 = table[p] * im
+            v2 = table[p + _U1] * re
+            v3 = table[p + _U1] * im
+            v4 = table[p + _U2] * re
+            v5 = table[p + _U2] * im
+            v6 = table[p + _U3] * re
+            v7 = table[p + _U3] * im
+            b = a
+            for weight in (below, here, above):
+                w0 = flat[b] + weight * v0
+                w1 = flat[b + _U1] + weight * v1
+                w2 = flat[b + _U2] + weight * v2
+                w3 = flat[b + _U3] + weight * v3
+                w4 = flat[b + _U4] + weight * v4
+                w5 = flat[b + _U5] + weight * v5
+                w6 = flat[b + _U6] + weight * v6
+                w7 = flat[b + _U7] + weight * v7
+                flat[b] = w0
+                flat[b + _U1] = w1
+                flat[b + _U2] = w2
+                flat[b + _U3] = w3
+                flat[b + _U4] = w4
+                flat[b + _U5] = w5
+                flat[b + _U6] = w6
+                flat[b + _U7] = w7
+                b += width
+            a += _U8
+            p += _U4
+
+
+@njit(**OPTIONS)
 def deposit_tissue(  # type: ignore[no-untyped-def]
-    real, imaginary, X_FT, box, block_size, positions, ranks, starts, blocks, rays, tables, pulse
+    accumulator, X_FT, box, block_size, positions, ranks, starts, blocks, rays, tables, pulse
 ):
     """Deposit the scatterers that a frame's beam meets.
 
     Parameters
     ----------
-    real, imaginary
-        (lines + 2 pad, samples + 2 taps) accumulators.
+    accumulator
+        (lines + 2 pad, 2 (samples + 2 taps)) float32, real and imaginary parts by turns.
     X_FT
         (3, 4) pose of the tissue in F, float64.
     box
@@ -135,57 +212,47 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
     rays, tables
         Of the frame.
     pulse
-        (FRACTIONS + 1, taps) envelope around a scatterer.
+        (FRACTIONS + 1, taps) envelope around a scatterer; taps is a multiple of 4.
     """
-    lines, samples = real.shape
+    lines = accumulator.shape[0]
     taps = pulse.shape[1]
-    pad = (lines - 1) / 2 - rays.middle_line
+    samples = accumulator.shape[1] // 2
     count = samples - 2 * taps
+    pad = np.float32((lines - 1) / 2) - rays.middle_line
+    lead = np.float32(taps - rays.lead)
+    last_line = np.float32(lines - 1.5)
+    last_sample = np.float32(samples - taps)
     R = X_FT[:, :3].astype(np.float32)
     depth = (count - 1) / rays.samples_per_metre
-    # The frame's bounding box in T, and the part of the tissue in it.
     half_angle = (rays.middle_line + pad) / rays.lines_per_radian
-    far = depth + rays.array_radius
-    half_width = far * np.sin(min(half_angle, np.pi / 2))
-    thickest = REACH / np.sqrt(2 * tables.elevation_precision.min())
-    thickest += abs(rays.twist) * rays.middle_line * far
-    near_y = rays.array_radius * np.cos(min(half_angle, np.pi / 2)) - rays.centre_offset
-    middle = np.array([0.0, (near_y + far - rays.centre_offset) / 2, 0.0])
-    half = np.array([half_width, (far - rays.centre_offset - near_y) / 2, thickest])
-    lower = np.empty(3, np.int64)
-    upper = np.empty(3, np.int64)
-    for axis in range(3):
-        centre = 0.0
-        extent = 0.0
-        for other in range(3):
-            centre += X_FT[other, axis] * (middle[other] - X_FT[other, 3])
-            extent += abs(X_FT[other, axis]) * half[other]
-        lower[axis] = np.int64(np.floor(max(centre - extent, box[0, axis]) / block_size))
-        upper[axis] = np.int64(np.ceil(min(centre + extent, box[1, axis]) / block_size))
-    radius = 0.87 * block_size
-    support = 0.0
-    for axis in range(3):
-        support += abs(X_FT[2, axis]) * block_size / 2
+    twist_per_radian = rays.twist * rays.lines_per_radian
+    radius = _HALF_DIAGONAL * block_size
+    support = (abs(X_FT[2, 0]) + abs(X_FT[2, 1]) + abs(X_FT[2, 2])) * block_size / 2
+    thickness = REACH / np.sqrt(2 * tables.elevation_precision.min())
+    thickness += abs(twist_per_radian) * half_angle * (depth + rays.array_radius)
+    first, last = _frame_blocks(X_FT, box, block_size, depth, half_angle, thickness, rays)
     largest = 0
     for block in range(starts.size - 1):
         largest = max(largest, starts[block + 1] - starts[block])
-    at_line = np.empty(largest, np.float32)
-    at_sample = np.empty(largest, np.float32)
+    line = np.empty(largest, np.float32)
+    sample = np.empty(largest, np.float32)
     cosine = np.empty(largest, np.float32)
     sine = np.empty(largest, np.float32)
-    for bx in range(lower[0], upper[0]):
-        for by in range(lower[1], upper[1]):
-            for bz in range(lower[2], upper[2]):
-                cx = (bx + 0.5) * block_size
-                cy = (by + 0.5) * block_size
-                cz = (bz + 0.5) * block_size
-                x = X_FT[0, 0] * cx + X_FT[0, 1] * cy + X_FT[0, 2] * cz + X_FT[0, 3]
-                y = X_FT[1, 0] * cx + X_FT[1, 1] * cy + X_FT[1, 2] * cz + X_FT[1, 3]
-                z = X_FT[2, 0] * cx + X_FT[2, 1] * cy + X_FT[2, 2] * cz + X_FT[2, 3]
+    kept = np.empty(largest, np.bool_)
+    chosen = np.empty(largest + 1, np.int32)
+    for bx in range(first[0], last[0]):
+        for by in range(first[1], last[1]):
+            for bz in range(first[2], last[2]):
+                px = (bx + 0.5) * block_size
+                py = (by + 0.5) * block_size
+                pz = (bz + 0.5) * block_size
+                x = X_FT[0, 0] * px + X_FT[0, 1] * py + X_FT[0, 2] * pz + X_FT[0, 3]
+                y = X_FT[1, 0] * px + X_FT[1, 1] * py + X_FT[1, 2] * pz + X_FT[1, 3]
+                z = X_FT[2, 0] * px + X_FT[2, 1] * py + X_FT[2, 2] * pz + X_FT[2, 3]
                 q = y + rays.centre_offset
                 r = np.sqrt(q * q + x * x)
                 d = r - rays.array_radius
-                if d < -radius or d > depth + radius or q < -radius:
+                if d < -radius or d > depth + radius:
                     continue
                 phi = np.arctan2(x, q)
                 margin = radius / max(r, radius)
@@ -193,95 +260,73 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                     continue
                 at = min(max(np.int64(d * rays.samples_per_metre), 1), count - 2)
                 slab = 1.05 * REACH / np.sqrt(2 * tables.elevation_precision[at])
-                slab += support + abs(rays.twist) * rays.lines_per_radian * margin * y
-                if abs(z - y * rays.twist * phi * rays.lines_per_radian) > slab:
+                slab += support + abs(twist_per_radian) * margin * y
+                if abs(z - y * twist_per_radian * phi) > slab:
                     continue
-                # Within the block, what depends on depth does so linearly.
+                # Within a block, what depends on depth does so linearly.
                 span = min(np.int64(radius * rays.samples_per_metre) + 1, at, count - 1 - at)
-                metres = np.float32(2 * span / rays.samples_per_metre)
-                depth0 = np.float32(at / rays.samples_per_metre) + rays.array_radius
-                k0 = tables.elevation_precision[at]
-                k1 = (
+                per_metre = np.float32(rays.samples_per_metre / (2 * span))
+                middle = np.float32(at / rays.samples_per_metre) + rays.array_radius
+                precision = tables.elevation_precision[at]
+                precision_slope = per_metre * (
                     tables.elevation_precision[at + span] - tables.elevation_precision[at - span]
-                ) / metres
-                c0 = tables.curvature[at]
-                p0 = tables.share[at]
-                p1 = (tables.share[at + span] - tables.share[at - span]) / metres
+                )
+                curvature = _HALF * tables.curvature[at]
+                share = tables.share[at]
+                share_slope = per_metre * (tables.share[at + span] - tables.share[at - span])
                 block = ((bx % blocks) * blocks + by % blocks) * blocks + bz % blocks
                 start = starts[block]
-                most = max(tables.share[at + span], tables.share[at - span], p0) * (1 + FADE)
+                most = max(tables.share[at + span], tables.share[at - span], share) * (1 + FADE)
                 n = np.searchsorted(ranks[start : starts[block + 1]], np.float32(most))
                 ox = np.float32(x - (X_FT[0, 0] + X_FT[0, 1] + X_FT[0, 2]) * block_size / 2)
                 oy = np.float32(y - (X_FT[1, 0] + X_FT[1, 1] + X_FT[1, 2]) * block_size / 2)
                 oz = np.float32(z - (X_FT[2, 0] + X_FT[2, 1] + X_FT[2, 2]) * block_size / 2)
+                low_x = np.float32(box[0, 0] - bx * block_size)
+                low_y = np.float32(box[0, 1] - by * block_size)
+                low_z = np.float32(box[0, 2] - bz * block_size)
+                high_x = np.float32(box[1, 0] - bx * block_size)
+                high_y = np.float32(box[1, 1] - by * block_size)
+                high_z = np.float32(box[1, 2] - bz * block_size)
+                # No branch within this loop: it runs several scatterers at a time.
                 for i in range(n):
                     tx = positions[0, start + i]
                     ty = positions[1, start + i]
                     tz = positions[2, start + i]
-                    line, e, r32 = line_coordinates(
+                    at_line, e, r_i = line_coordinates(
                         R[0, 0] * tx + R[0, 1] * ty + R[0, 2] * tz + ox,
                         R[1, 0] * tx + R[1, 1] * ty + R[1, 2] * tz + oy,
                         R[2, 0] * tx + R[2, 1] * ty + R[2, 2] * tz + oz,
                         rays,
                     )
-                    ahead = r32 - depth0
-                    p = p0 + p1 * ahead
-                    u = (k0 + k1 * ahead) * e * e
+                    ahead = r_i - middle
+                    p = share + share_slope * ahead
+                    u = (precision + precision_slope * ahead) * e * e
                     weight = (p * _FADE_OUT - ranks[start + i]) / (p * _FADE_WIDTH)
-                    weight = min(max(weight, _ZERO), _ONE)
-                    weight = weight * _gaussian(min(u, _FURTHEST)) if u < _FURTHEST else _ZERO
-                    path = r32 - rays.array_radius + _HALF * c0 * e * e
+                    weight = min(max(weight, _ZERO), _ONE) * _gaussian(u)
+                    path = r_i - rays.array_radius + curvature * e * e
                     c, s = phasor(path * rays.turns_per_metre)
-                    at_line[i] = line
-                    at_sample[i] = path * rays.samples_per_metre
+                    at_line += pad
+                    at_sample = path * rays.samples_per_metre + lead
+                    line[i] = at_line
+                    sample[i] = at_sample
                     cosine[i] = weight * c
                     sine[i] = -weight * s
-                edge = (
-                    bx * block_size < box[0, 0]
-                    or by * block_size < box[0, 1]
-                    or bz * block_size < box[0, 2]
-                    or (bx + 1) * block_size > box[1, 0]
-                    or (by + 1) * block_size > box[1, 1]
-                    or (bz + 1) * block_size > box[1, 2]
-                )
+                    kept[i] = (
+                        (u < _FURTHEST)
+                        & (weight > _ZERO)
+                        & (at_line > _HALF)
+                        & (at_line < last_line)
+                        & (at_sample > _ZERO)
+                        & (at_sample < last_sample)
+                        & (tx > low_x)
+                        & (tx < high_x)
+                        & (ty > low_y)
+                        & (ty < high_y)
+                        & (tz > low_z)
+                        & (tz < high_z)
+                    )
+                number = 0
                 for i in range(n):
-                    re = cosine[i]
-                    im = sine[i]
-                    if re == _ZERO and im == _ZERO:
-                        continue
-                    if edge:
-                        tx = bx * block_size + positions[0, start + i]
-                        ty = by * block_size + positions[1, start + i]
-                        tz = bz * block_size + positions[2, start + i]
-                        if (
-                            tx < box[0, 0]
-                            or tx > box[1, 0]
-                            or ty < box[0, 1]
-                            or ty > box[1, 1]
-                            or tz < box[0, 2]
-                            or tz > box[1, 2]
-                        ):
-                            continue
-                    line = at_line[i] + np.float32(pad)
-                    j = np.int32(line + _HALF)
-                    if line < _HALF or j > lines - 2:
-                        continue
-                    sample = at_sample[i] + np.float32(taps - rays.lead)
-                    k = np.int32(sample)
-                    if sample < _ZERO or k > samples - taps:
-                        continue
-                    fraction = np.int32((sample - np.float32(k)) * np.float32(FRACTIONS) + _HALF)
-                    t = line - np.float32(j)
-                    below = _HALF * (_HALF - t) * (_HALF - t)
-                    above = _HALF * (_HALF + t) * (_HALF + t)
-                    at_peak = _THREE_QUARTERS - t * t
-                    for tap in range(taps):
-                        w = pulse[fraction, tap]
-                        a = w * re
-                        b = w * im
-                        real[j - 1, k + tap] += below * a
-                        imaginary[j - 1, k + tap] += below * b
-                        real[j, k + tap] += at_peak * a
-                        imaginary[j, k + tap] += at_peak * b
-                        real[j + 1, k + tap] += above * a
-                        imaginary[j + 1, k + tap] += above * b
+                    chosen[number] = i
+                    number += kept[i]
+                _deposit(accumulator, chosen, number, line, sample, cosine, sine, pulse)

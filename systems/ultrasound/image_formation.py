@@ -15,35 +15,32 @@ _L1, _L2, _L3, _L4, _L5, _L6 = (
 
 
 @njit(**OPTIONS)
-def blur_lines(iq, real, imaginary, kernel, taps):  # type: ignore[no-untyped-def]
+def blur_lines(iq, accumulator, kernel, taps):  # type: ignore[no-untyped-def]
     """Blur deposited echoes across lines.
 
     Parameters
     ----------
     iq
         (lines, samples) complex64, written.
-    real, imaginary
-        (lines + 2 pad, samples + 2 taps) deposits.
+    accumulator
+        (lines + 2 pad, 2 (samples + 2 taps)) deposits, real and imaginary parts by turns.
     kernel
-        (2 half + 1, samples) weights, half at most pad.
+        (2 half + 1, 2 samples) weights, each twice; half is at most pad.
     taps
         Samples of padding.
     """
     lines, samples = iq.shape
-    pad = (real.shape[0] - lines) // 2
+    pad = (accumulator.shape[0] - lines) // 2
     half = len(kernel) // 2
-    a = np.empty(samples, np.float32)
-    b = np.empty(samples, np.float32)
+    row = np.empty(2 * samples, np.float32)
     for j in range(lines):
-        a[:] = np.float32(0)
-        b[:] = np.float32(0)
+        row[:] = np.float32(0)
         for m in range(len(kernel)):
-            row = j + pad + m - half
-            for i in range(samples):
-                a[i] += kernel[m, i] * real[row, i + taps]
-                b[i] += kernel[m, i] * imaginary[row, i + taps]
+            source = accumulator[j + pad + m - half, 2 * taps :]
+            for i in range(2 * samples):
+                row[i] += kernel[m, i] * source[i]
         for i in range(samples):
-            iq[j, i] = complex(a[i], b[i])
+            iq[j, i] = complex(row[2 * i], row[2 * i + 1])
 
 
 @njit(**OPTIONS)

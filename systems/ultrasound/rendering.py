@@ -10,12 +10,16 @@ from numpy.typing import NDArray
 
 from sonoservo.systems.needle.needle import Needle
 from sonoservo.systems.ultrasound.beam import Beam, beam_profile
-from sonoservo.systems.ultrasound.bright_echo import NeedleEcho, add_needle, add_points
+from sonoservo.systems.ultrasound.bright_echo import (
+    NeedleEcho,
+    add_layer,
+    add_needle,
+    add_points,
+)
 from sonoservo.systems.ultrasound.echo import (
     FADE,
     FRACTIONS,
     OPTIONS,
-    REACH,
     SPLINE_VARIANCE,
     DepthTables,
     Rays,
@@ -163,10 +167,10 @@ class SweepRenderer:
         self._tile = scatterer_tile(density, np.random.default_rng(tissue.seed))
         # With this amplitude the tissue's mean intensity is 1 (0 dB) at every depth.
         amplitude = np.sqrt(2**1.5 / (tissue.scatterers_per_cell * (1 - FADE / 3)))
-        half_taps = int(np.ceil(REACH * self.beam.axial / self.geometry.sample_pitch))
+        half_taps = 2 * int(np.ceil(3 * self.beam.axial / self.geometry.sample_pitch / 2))
         self._lead = half_taps - 1
         self._taps = 2 * half_taps
-        self._pulse = self._pulse_table([1.0], 0.0).real * np.float32(amplitude)
+        self._pulse = self._pulse_table([1.0], 0.0)[0] * np.float32(amplitude)
         self._point_pulse = self._pulse_table([1.0], 0.0)
         depth_cm = 1e2 * self.geometry.sample_pitch * np.arange(self.geometry.samples)
         loss_db = 2 * tissue.attenuation * 1e-6 * imaging.transmit_frequency * depth_cm
@@ -296,8 +300,8 @@ class SweepRenderer:
         along = self.geometry.position(frames, lines, 1, direction)[:, :, 0] - start
         return start, along / self.geometry.sample_pitch
 
-    def _pulse_table(self, levels: Sequence[float], distance: float) -> NDArray[np.complex64]:
-        """Echoes of given amplitudes at multiples of a distance: (FRACTIONS + 1, taps)."""
+    def _pulse_table(self, levels: Sequence[float], distance: float) -> NDArray[np.float32]:
+        """Echoes of given amplitudes at multiples of a distance: (2, FRACTIONS + 1, taps)."""
         pitch = self.geometry.sample_pitch
         taps = self._taps + int(np.ceil((len(levels) - 1) * distance / pitch))
         fraction = np.arange(FRACTIONS + 1)[:, np.newaxis] / FRACTIONS
@@ -307,10 +311,10 @@ class SweepRenderer:
             behind = path - number * distance
             phase = -4 * np.pi * number * distance / self.beam.wavelength
             table += level * np.exp(1j * phase - behind**2 / (2 * self.beam.axial**2))
-        return table.astype(np.complex64)
+        return np.stack([table.real, table.imag]).astype(np.float32)
 
     @lru_cache(maxsize=8)  # noqa: B019 - a renderer lives as long as its scanner
-    def _needle_pulse(self, radius: float) -> NDArray[np.complex64]:
+    def _needle_pulse(self, radius: float) -> NDArray[np.float32]:
         """Pulse and its reverberations in water inside a needle."""
         needle = self._parameters.needle
         ratio = 10 ** (needle.reverberation_db / 20)
@@ -365,12 +369,12 @@ class SweepRenderer:
 
 
 def _line_kernel(line_sigma: NDArray[np.float64], lines: int) -> NDArray[np.float32]:
-    """Weights that widen the deposits' B-spline to the beam: (2 half + 1, samples).
+    """Weights that widen the deposits' B-spline to the beam: (2 half + 1, 2 samples), each twice.
 
     Widths follow from the variances, and the energy is that of the beam's Gaussian.
     """
     sigma = np.sqrt(np.maximum(line_sigma**2 - SPLINE_VARIANCE, 1e-4))
-    half = min(max(int(np.ceil(REACH * sigma.max())), 1), lines // 4)
+    half = min(max(int(np.ceil(3 * sigma.max())), 1), lines // 4)
     offsets = np.arange(-half, half + 1)[:, np.newaxis]
     kernel = np.exp(-(offsets**2) / (2 * sigma**2))
     energy = np.zeros(len(sigma))
@@ -379,7 +383,8 @@ def _line_kernel(line_sigma: NDArray[np.float64], lines: int) -> NDArray[np.floa
         spline = [0.5 * (0.5 - t) ** 2, 0.75 - t**2, 0.5 * (0.5 + t) ** 2]
         response = np.apply_along_axis(np.convolve, 0, kernel, spline)
         energy += (response**2).sum(axis=0) / len(shifts)
-    return (kernel * np.sqrt(np.sqrt(np.pi) * line_sigma / energy)).astype(np.float32)
+    kernel *= np.sqrt(np.sqrt(np.pi) * line_sigma / energy)
+    return np.repeat(kernel, 2, axis=1).astype(np.float32)
 
 
 @njit(parallel=True, **OPTIONS)
@@ -404,11 +409,9 @@ def _render_tissue(  # type: ignore[no-untyped-def]
     taps = pulse.shape[1]
     pad = kernel.shape[0] // 2 + 1
     for frame in prange(frames):
-        real = np.zeros((lines + 2 * pad, samples + 2 * taps), np.float32)
-        imaginary = np.zeros((lines + 2 * pad, samples + 2 * taps), np.float32)
+        accumulator = np.zeros((lines + 2 * pad, 2 * (samples + 2 * taps)), np.float32)
         deposit_tissue(
-            real,
-            imaginary,
+            accumulator,
             X_FT[frame],
             box,
             block_size,
@@ -420,8 +423,12 @@ def _render_tissue(  # type: ignore[no-untyped-def]
             tables,
             pulse,
         )
-        blur_lines(iq[frame], real, imaginary, kernel, taps)
-        add_points(iq[frame], X_FT[frame], points, amplitudes, rays, tables, point_pulse)
+        blur_lines(iq[frame], accumulator, kernel, taps)
+        if len(points) > 0:
+            taps = point_pulse.shape[2]
+            layer = np.zeros((2, lines, samples + 2 * taps), np.float32)
+            if add_points(layer, X_FT[frame], points, amplitudes, rays, tables, point_pulse):
+                add_layer(iq[frame], layer, taps)
 
 
 @njit(parallel=True, **OPTIONS)
@@ -450,12 +457,14 @@ def _render_image(  # type: ignore[no-untyped-def]
     for frame in prange(len(grey)):
         shaft = shafts[starts[frame] : starts[frame + 1]]
         if len(shaft) > 1:
-            shadow = np.zeros(iq[frame].shape, np.float32)
-            needle = np.zeros(iq[frame].shape, np.complex64)
-            add_needle(
-                needle, shadow, X_FT[frame], shaft, radius, echo, phases, rays, tables, pulse
-            )
-            cast_shadow(iq[frame], shadow)
-            iq[frame] += needle
+            lines, samples = iq[frame].shape
+            taps = pulse.shape[2]
+            layer = np.zeros((2, lines, samples + 2 * taps), np.float32)
+            shadow = np.zeros((lines, samples), np.float32)
+            if add_needle(
+                layer, shadow, X_FT[frame], shaft, radius, echo, phases, rays, tables, pulse
+            ):
+                cast_shadow(iq[frame], shadow)
+                add_layer(iq[frame], layer, taps)
         share = coupling(X_TP[frame], origins[frame], directions[frame], box, gel_thickness)
         compress(grey[frame], iq[frame], share, noise, keys[frame], grey_per_db, offset)
