@@ -162,16 +162,17 @@ class WorldView(LeafSystem):
             force = evaluate(self, context, "contact_force", np.ndarray)[0]
             bar = [[0.06, 0.0, 0.0], [0.06, -_METRES_PER_NEWTON * max(force, 0.0), 0.0]]
             self._force.show(X_WP.multiply(np.transpose(bar)).T, time)
-        if self._connected(context, "volume"):
-            self._draw_volume(context, estimate)
+        self._draw_volume(context, estimate)
 
     def _connected(self, context: Context, port: str) -> bool:
         return self.GetInputPort(port).HasValue(context)
 
     def _draw_volume(self, context: Context, estimate: NeedleEstimate | None) -> None:
         # The slices follow the needle as the tracker saw it in the volume, so they wait for it. To
-        # ask for a volume earlier would also make it earlier than anyone else needs it.
+        # ask for a volume before, or even whether there is one, would make it for us alone.
         if estimate is not None and estimate.volume_time <= self._sliced:
+            return
+        if not self._connected(context, "volume"):
             return
         volume = evaluate(self, context, "volume", (Volume, NotFound))
         if not isinstance(volume, Volume) or volume.time <= self._sliced:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.integrate import cumulative_trapezoid
 
 from sonoservo.systems.estimation.estimate import TrackingMode
 from sonoservo.systems.recording.run_log import RunLog, unit
@@ -40,7 +41,7 @@ class MetricsParameters:
     """
 
     rest_speed: float = 0.2e-3
-    rest_window: float = 0.5
+    rest_window: float = 1.0
     rest_time: float = 3.0
     least_length: float = 15e-3
     start_tolerance: float = 10e-3
@@ -224,11 +225,34 @@ def features(X_WP: ArrayLike, p_WTip: ArrayLike, p_WEntry: ArrayLike) -> Floats:
 
 
 def needle_speed(log: RunLog, window: float) -> Floats:
-    """(n,) speed of the true tip in W, in m/s, over a window in s; NaN while it is outside."""
-    before = _at(log, log.needle_tip, log.time - window / 2)
-    after = _at(log, log.needle_tip, log.time + window / 2)
-    speed = np.linalg.norm(after - before, axis=1) / window
-    return np.where(_known(log.needle_tip), speed, np.nan)
+    """Speed of the true tip in W, without the hand's tremor.
+
+    Parameters
+    ----------
+    log
+        Of the run.
+    window
+        In s: the mean over the half of it that follows is compared with that before.
+
+    Returns
+    -------
+    (n,) speed in m/s; NaN while the needle is outside.
+    """
+    known = _known(log.needle_tip)
+    speed = np.full(len(log.time), np.nan)
+    if known.sum() < 2:
+        return speed
+    time, tip = log.time[known], log.needle_tip[known]
+    travelled = cumulative_trapezoid(tip, time, axis=0, initial=0)
+    ends = np.clip(time + window / 2 * np.array([[-1], [0], [1]]), time[0], time[-1])
+    integral = np.stack([np.interp(ends, time, column) for column in travelled.T], axis=-1)
+    duration = np.diff(ends, axis=0)[..., np.newaxis]
+    mean = np.where(
+        duration > 0, np.diff(integral, axis=0) / np.where(duration > 0, duration, 1), tip
+    )
+    between = 0.5 * (ends[2] - ends[0])
+    speed[known] = np.linalg.norm(mean[1] - mean[0], axis=1) / between
+    return speed
 
 
 @dataclass(frozen=True, kw_only=True)

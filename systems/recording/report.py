@@ -7,8 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from sonoservo.systems.recording.files import write_atomically
-from sonoservo.systems.recording.plots import plot_errors, plot_run, png
-from sonoservo.systems.recording.run_log import RunLog
 
 _PAGE = """<!DOCTYPE html>
 <html lang="en">
@@ -50,46 +48,45 @@ _PAGE = """<!DOCTYPE html>
 
 
 def report_page(
-    title: str,
     summary: Mapping[str, Any],
     figures: Mapping[str, bytes],
     *,
-    published: Mapping[str, float] | None = None,
     command: str = "",
+    paper: Mapping[str, float] | None = None,
     replay: str = "",
 ) -> str:
     """Return a run as one HTML page that needs no other file.
 
     Parameters
     ----------
-    title
-        Of the page.
     summary
-        What `summary.json` holds: single values head the page, each block makes a table.
+        What `summary.json` holds: single values head the page, `scenario` names it, and each block
+        makes a table.
     figures
         PNG files by caption.
-    published
-        A paper's figures to set beside ours, by the path of ours: ``{"servo.at_rest.x_mm": 1.1}``.
     command
         That repeats the run.
+    paper
+        Published figures to set beside ours, by the path of ours: ``{"servo.at_rest.x_mm": 1.1}``.
     replay
         Relative address of the replay.
     """
     single = {key: value for key, value in summary.items() if not isinstance(value, Mapping)}
+    title = str(single.pop("scenario", "Run"))
     facts = " · ".join(f"{_words(key)} {_value(value)}" for key, value in single.items())
     lead = ""
     if command:
         lead += f"<p><code>{html.escape(command)}</code></p>\n"
     if replay:
         lead += f'<p><a href="{html.escape(replay)}">Watch the replay</a></p>\n'
-    if published:
+    if paper:
         lead += "<p>Published figures are set beside ours in <small>(brackets)</small>.</p>\n"
     return _PAGE.format(
         title=html.escape(title),
         facts=facts,
         lead=lead,
         tables="\n".join(
-            _block(key, value, published or {})
+            _block(key, value, paper or {})
             for key, value in summary.items()
             if isinstance(value, Mapping) and value
         ),
@@ -102,50 +99,13 @@ def report_page(
 
 
 def write_report(
-    folder: str | Path,
-    title: str,
-    summary: Mapping[str, Any],
-    log: RunLog,
-    published: Mapping[str, float] | None = None,
-    *,
-    command: str = "",
+    path: str | Path, summary: Mapping[str, Any], figures: Mapping[str, bytes], **details: Any
 ) -> Path:
-    """Write features.png, errors.png and report.html, each atomically.
-
-    The page links to replay.html if the folder has one.
-
-    Parameters
-    ----------
-    folder
-        Where to.
-    title, summary, published, command
-        As for `report_page`.
-    log
-        Of the run.
-
-    Returns
-    -------
-    Path of the page.
-    """
-    folder = Path(folder)
-    figures = {
-        "features": ("Features, tip, probe and contact force", png(plot_run(log))),
-        "errors": ("Errors of the estimate", png(plot_errors(log))),
-    }
-    for name, (_, data) in figures.items():
-        write_atomically(folder / f"{name}.png", data)
-    page = report_page(
-        title,
-        summary,
-        dict(figures.values()),
-        published=published,
-        command=command,
-        replay="replay.html" if (folder / "replay.html").exists() else "",
-    )
-    return write_atomically(folder / "report.html", page)
+    """Write `report_page` to a file, atomically."""
+    return write_atomically(path, report_page(summary, figures, **details))
 
 
-def _block(name: str, block: Mapping[str, Any], published: Mapping[str, float]) -> str:
+def _block(name: str, block: Mapping[str, Any], paper: Mapping[str, float]) -> str:
     """Return a block's tables: one of its single values, one for each set of equal columns."""
     groups: dict[tuple[str, ...], list[str]] = {}
     for key, value in block.items():
@@ -159,7 +119,7 @@ def _block(name: str, block: Mapping[str, Any], published: Mapping[str, float]) 
             paths = [f"{name}.{key}.{column}" for column in columns] or [f"{name}.{key}"]
             values = [block[key][column] for column in columns] or [block[key]]
             cells = "".join(
-                f"<td>{_value(value)}{_published(published.get(path))}</td>"
+                f"<td>{_value(value)}{_published(paper.get(path))}</td>"
                 for path, value in zip(paths, values, strict=True)
             )
             rows.append(f"<tr><th>{_words(key)}</th>{cells}</tr>")

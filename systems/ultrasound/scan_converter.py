@@ -1,6 +1,7 @@
 """A system that turns sweeps into volumes."""
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem
@@ -55,7 +56,10 @@ class ScanConverter(LeafSystem):
     def __init__(self, *, geometry: SweepGeometry, parameters: ScanConversionParameters) -> None:
         super().__init__()
         self.set_name("scan_converter")
-        self._converter = ScanConversion(geometry, make_grid(geometry, parameters.spacing))
+        # The framework marks all state as changed at every event; a sweep stays what it is.
+        self._converter = lru_cache(maxsize=1)(
+            ScanConversion(geometry, make_grid(geometry, parameters.spacing))
+        )
         sweep = self.DeclareAbstractInputPort("sweep", Value[object](NotFound("no sweep")))
         self.DeclareAbstractOutputPort(
             "volume",
