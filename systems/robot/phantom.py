@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pydrake.geometry import Box, SceneGraph
+from pydrake.geometry import Box, Cylinder, SceneGraph
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
@@ -12,6 +12,9 @@ from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import Trajectory
 
 from sonoservo.models import model_path
+
+_TRAY, _POST = 0.006, 0.1
+"""Height of what the phantom stands on, in m."""
 
 
 @dataclass(frozen=True)
@@ -41,16 +44,21 @@ def AddPhantom(plant: MultibodyPlant, scene_graph: SceneGraph, *, size: Sequence
         (3,) extents of the box along X, Y, Z of T, in m.
     """
     (instance,) = Parser(plant).AddModels(str(model_path("agar_phantom.sdf")))
-    body = plant.GetBodyByName("phantom", instance)
-    geometries = [
-        *plant.GetCollisionGeometriesForBody(body),
-        *plant.GetVisualGeometriesForBody(body),
-    ]
-    for geometry in geometries:
+    phantom, column = (plant.GetBodyByName(name, instance) for name in ("phantom", "stage_z"))
+    x, y, z = size
+    (contact,) = plant.GetCollisionGeometriesForBody(phantom)
+    box, tray = plant.GetVisualGeometriesForBody(phantom)
+    (post,) = plant.GetVisualGeometriesForBody(column)
+    for geometry, shape, centre in (
+        (contact, Box(x, y, z), -z / 2),
+        (box, Box(x, y, z), -z / 2),
+        (tray, Box(x + 0.02, y + 0.02, _TRAY), -z - 0.001 - _TRAY / 2),
+        (post, Cylinder(0.03, _POST), -z - _TRAY - _POST / 2),
+    ):
         scene_graph.ChangeShape(
-            plant.get_source_id(), geometry, Box(*size), RigidTransform([0, 0, -size[2] / 2])
+            plant.get_source_id(), geometry, shape, RigidTransform([0, 0, centre])
         )
-    return Phantom(instance, body)
+    return Phantom(instance, phantom)
 
 
 def PhantomMotion(*, trajectory: Trajectory) -> TrajectorySource:
