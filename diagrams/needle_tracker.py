@@ -22,7 +22,7 @@ from sonoservo.systems.localization.needle_localizer import (
     NeedleLocalizerParameters,
 )
 from sonoservo.systems.ultrasound.volume import Volume
-from sonoservo.systems.values import require
+from sonoservo.systems.values import require, require_not_negative
 
 
 @dataclass(kw_only=True)
@@ -35,17 +35,20 @@ class NeedleTrackerParameters:
         "chatelain2013".
     order
         n of the needle's curve: 2 straight, 3 bent. It replaces the parts' own.
-    interval
-        How many volumes before the present one lies the volume it is compared with to detect an
-        insertion. 2 compares sweeps of like direction: a motorised probe samples the tissue
-        slightly differently on its way back, so neighbouring volumes differ everywhere.
+    look_back
+        Least age of the volume with which the present one is compared to detect an insertion, in
+        s. The paper compares consecutive volumes (0), in which a slow needle moves too little.
+    same_direction
+        Whether only sweeps of the same direction are compared. A motorised probe samples the
+        tissue differently on its way back, so that neighbouring volumes differ everywhere.
     detector, localizer, kalman_filter
         Of the parts.
     """
 
     kind: str = "chatelain2013"
     order: int = 2
-    interval: int = 2
+    look_back: float = 1.2
+    same_direction: bool = True
     detector: InsertionDetectorParameters = field(default_factory=InsertionDetectorParameters)
     localizer: NeedleLocalizerParameters = field(default_factory=NeedleLocalizerParameters)
     kalman_filter: NeedleKalmanFilterParameters = field(
@@ -55,7 +58,7 @@ class NeedleTrackerParameters:
     def __post_init__(self) -> None:
         require(self.kind == "chatelain2013", "kind", self.kind, '"chatelain2013"')
         require(self.order in (2, 3), "order", self.order, "2 or 3")
-        require(self.interval in (1, 2), "interval", self.interval, "1 or 2")
+        require_not_negative(look_back=self.look_back)
 
 
 def MakeNeedleTracker(
@@ -93,7 +96,12 @@ def MakeNeedleTracker(
     builder = DiagramBuilder()
     memory = builder.AddNamedSystem(
         "volume_memory",
-        VolumeMemory(interval=parameters.interval, period=period, offset=offset),
+        VolumeMemory(
+            look_back=parameters.look_back,
+            same_direction=parameters.same_direction,
+            period=period,
+            offset=offset,
+        ),
     )
     detector = builder.AddNamedSystem(
         "insertion_detector", InsertionDetector(parameters=parameters.detector, seed=seed)

@@ -15,6 +15,7 @@ from sonoservo.systems.values import (
     NotFound,
     evaluate,
     read_only,
+    require,
     require_not_negative,
     require_positive,
 )
@@ -36,17 +37,23 @@ class InsertionDetectorParameters:
         delta: from the side of the field of view to the median, in m.
     least_change
         Least difference T_t of the candidates, in dB; below it nothing but noise has moved.
+    floor_quantile
+        Of the volume's intensities; what is darker counts as equally dark. 0 is the paper's form.
+    reach
+        Displacement of the tissue that is not a change, in m. 0 is the paper's form.
     stillness
         The probe counts as still between two volumes if no voxel moved farther, in m.
     decibels_per_level
         dB per unit of a voxel's intensity.
     """
 
-    candidate_volume: float = 20e-9
-    largest_deviation: float = 8e-3
+    candidate_volume: float = 10e-9
+    largest_deviation: float = 9e-3
     largest_depth: float = 15e-3
-    least_change: float = 8.0
-    stillness: float = 0.15e-3
+    least_change: float = 2.5
+    floor_quantile: float = 0.9
+    reach: float = 0.7e-3
+    stillness: float = 0.3e-3
     decibels_per_level: float = 60 / 255
 
     def __post_init__(self) -> None:
@@ -57,7 +64,10 @@ class InsertionDetectorParameters:
             stillness=self.stillness,
             decibels_per_level=self.decibels_per_level,
         )
-        require_not_negative(least_change=self.least_change)
+        require_not_negative(least_change=self.least_change, reach=self.reach)
+        require(
+            0 <= self.floor_quantile < 1, "floor_quantile", self.floor_quantile, "from 0 to below 1"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +139,15 @@ def largest_motion(current: Volume, previous: Volume) -> float:
     return float(np.linalg.norm((poses @ corners)[..., :3, :], axis=-2).max())
 
 
+def _floor(volume: Volume, quantile: float) -> float:
+    """Quantile of the intensities in the field of view, from every 27th voxel."""
+    sample = volume.intensities[::3, ::3, ::3]
+    sample = sample[sample > 0]
+    if quantile == 0 or sample.size == 0:
+        return 0.0
+    return float(np.quantile(sample, quantile, method="lower"))
+
+
 def detect_insertion(
     volume: Volume,
     previous: Volume,
@@ -162,7 +181,13 @@ def detect_insertion(
         and volume.motion.direction != previous.motion.direction
     )
     index, threshold = largest_differences(
-        volume.intensities, previous.intensities, count, rng, both_seen=unlike
+        volume.intensities,
+        previous.intensities,
+        count,
+        rng,
+        floor=_floor(volume, parameters.floor_quantile),
+        reach=round(parameters.reach / float(volume.spacing.mean())),
+        both_seen=unlike,
     )
     change = threshold * parameters.decibels_per_level
     if len(index) < count or change < parameters.least_change:

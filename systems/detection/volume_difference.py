@@ -1,70 +1,53 @@
 """The voxels that changed most between two volumes."""
 
-import math
 from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-_BINS = 4096
-
 
 @njit(cache=True, nogil=True)
-def _largest_difference(a: Any, b: Any) -> float:  # pragma: no cover - compiled
-    largest = 0.0
-    for i in range(a.shape[0]):
-        for j in range(a.shape[1]):
-            for k in range(a.shape[2]):
-                largest = max(largest, abs(float(a[i, j, k]) - float(b[i, j, k])))
-    return largest
-
-
-@njit(cache=True, nogil=True)
-def _histogram(a: Any, b: Any, both: bool, scale: float, bins: int) -> Any:  # pragma: no cover
-    histogram = np.zeros(bins, np.int64)
-    for i in range(a.shape[0]):
-        for j in range(a.shape[1]):
-            for k in range(a.shape[2]):
-                x, y = float(a[i, j, k]), float(b[i, j, k])
-                if x != y and not (both and (x == 0 or y == 0)):
-                    histogram[int(abs(x - y) * scale)] += 1
-    return histogram
-
-
-@njit(cache=True, nogil=True)
-def _collect(  # pragma: no cover - compiled
-    a: Any,
-    b: Any,
-    both: bool,
-    scale: float,
-    least: int,
-    above: int,
-    ties: int,
-    wanted: int,
-    rng: Any,
+def _changes(  # pragma: no cover - compiled
+    a: Any, b: Any, floor: float, reach: int, both: bool
 ) -> Any:
-    index = np.empty((above + wanted, 3), np.int64)
+    """By how much the brighter of two voxels exceeds all of the other volume nearby, if at all."""
+    nx, ny, nz = a.shape
+    capacity = 65536
+    index = np.empty(capacity, np.int64)
+    change = np.empty(capacity, np.float32)
     found = 0
-    for i in range(a.shape[0]):
-        for j in range(a.shape[1]):
-            for k in range(a.shape[2]):
-                x, y = float(a[i, j, k]), float(b[i, j, k])
-                if x == y or (both and (x == 0 or y == 0)):
+    for i in range(nx):
+        for j in range(ny):
+            row_a, row_b = a[i, j], b[i, j]
+            for k in range(nz):
+                x, y = row_a[k], row_b[k]
+                if x == y or (x <= floor and y <= floor) or (both and (x == 0 or y == 0)):
                     continue
-                level = int(abs(x - y) * scale)
-                if level < least:
+                brighter = float(x) if x > y else float(y)
+                highest = max(floor, float(y) if x > y else float(x))
+                for p in range(max(i - reach, 0), min(i + reach + 1, nx)):
+                    for q in range(max(j - reach, 0), min(j + reach + 1, ny)):
+                        row = b[p, q] if x > y else a[p, q]
+                        for r in range(max(k - reach, 0), min(k + reach + 1, nz)):
+                            if row[r] > highest:
+                                highest = float(row[r])
+                    if highest >= brighter:
+                        break
+                if highest >= brighter:
                     continue
-                if level == least:
-                    # Knuth's selection sampling: exactly `wanted` of the ties, each as likely.
-                    take = rng.random() * ties < wanted
-                    ties -= 1
-                    if not take:
-                        continue
-                    wanted -= 1
-                index[found, 0], index[found, 1], index[found, 2] = i, j, k
+                if found == capacity:
+                    capacity *= 2
+                    more_index = np.empty(capacity, np.int64)
+                    more_index[:found] = index
+                    index = more_index
+                    more_change = np.empty(capacity, np.float32)
+                    more_change[:found] = change
+                    change = more_change
+                index[found] = (i * ny + j) * nz + k
+                change[found] = brighter - highest
                 found += 1
-    return index[:found]
+    return index[:found], change[:found]
 
 
 def largest_differences(
@@ -73,13 +56,20 @@ def largest_differences(
     count: int,
     rng: np.random.Generator,
     *,
+    floor: float = 0.0,
+    reach: int = 0,
     both_seen: bool = False,
 ) -> tuple[NDArray[np.int64], float]:
     """Voxels with the largest absolute difference (Chatelain 2013, eq. 1).
 
-    The threshold is the order statistic that leaves ``count`` voxels, found with a histogram: exact
-    for uint8, in 4096 steps for floating point. 8-bit differences have many ties at the threshold;
-    of those a random subset is taken, so that no part of the volume is preferred.
+    The threshold is the order statistic that leaves ``count`` voxels. 8-bit differences have many
+    ties at the threshold; of those a random subset is taken, so that no part of the volume is
+    preferred.
+
+    With ``floor`` and ``reach`` at zero the difference is eq. 1's. Speckle, however, has dark spots
+    whose level in dB changes wildly as the probe moves by micrometres, and bright inclusions have
+    steep edges. Both vanish if levels below ``floor`` count as ``floor``, and if the brighter voxel
+    is compared with the brightest of the other volume within ``reach`` voxels.
 
     Parameters
     ----------
@@ -89,6 +79,10 @@ def largest_differences(
         Wanted number of voxels; fewer are returned only where fewer changed at all.
     rng
         Chooses among ties.
+    floor
+        Least intensity that is told from less.
+    reach
+        Tolerated displacement in voxels.
     both_seen
         Whether to leave out voxels that are zero in either volume: outside a sector that moves.
 
@@ -97,21 +91,13 @@ def largest_differences(
     index, threshold
         (m, 3) indices of the voxels, and the least difference among them (0 where nothing changed).
     """
-    if current.dtype == np.uint8:
-        scale, bins = 1.0, 256
-    else:
-        largest = _largest_difference(current, previous)
-        scale, bins = (_BINS - 1) / largest if largest > 0 else 1.0, _BINS
-    histogram = _histogram(current, previous, both_seen, scale, bins)
-    from_top = np.cumsum(histogram[::-1])[::-1]
-    if from_top[0] == 0:
+    index, change = _changes(current, previous, float(floor), reach, both_seen)
+    if len(index) == 0:
         return np.empty((0, 3), np.int64), 0.0
-    if from_top[0] <= count:
-        least = int(np.flatnonzero(histogram)[0])
-    else:
-        least = int(np.flatnonzero(from_top >= count)[-1])
-    ties = int(histogram[least])
-    above = int(from_top[least]) - ties
-    wanted = min(count - above, ties)
-    index = _collect(current, previous, both_seen, scale, least, above, ties, wanted, rng)
-    return index, math.ceil(least) / scale
+    if len(index) > count:
+        threshold = np.partition(change, -count)[-count]
+        above = np.flatnonzero(change > threshold)
+        ties = np.flatnonzero(change == threshold)
+        chosen = np.concatenate([above, rng.choice(ties, count - len(above), replace=False)])
+        index, change = index[chosen], change[chosen]
+    return np.stack(np.unravel_index(index, current.shape), axis=1), float(change.min())

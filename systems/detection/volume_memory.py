@@ -7,14 +7,18 @@ from sonoservo.systems.ultrasound.volume import Volume
 from sonoservo.systems.values import (
     NotFound,
     evaluate,
-    require,
     require_not_negative,
     require_positive,
 )
 
 
+def _alike(a: Volume, b: Volume) -> bool:
+    """Whether two volumes were acquired with the same direction of sweep, as far as known."""
+    return a.motion is None or b.motion is None or a.motion.direction == b.motion.direction
+
+
 class VolumeMemory(LeafSystem):
-    """Gives the volume that came ``interval`` volumes before the present one.
+    """Gives an earlier volume to compare the present one with.
 
     .. pydrake_system::
 
@@ -24,25 +28,34 @@ class VolumeMemory(LeafSystem):
         output_ports:
         - previous_volume
 
-    The output is the same before and after the event that stores the present volume, so that it
-    does not matter when a block is evaluated. A repeated volume is not stored again, a missing one
+    The output is the newest volume that is at least ``look_back`` older than the present one. It
+    is the same before and after the event that stores the present volume, so that it does not
+    matter when a block is evaluated. A repeated volume is not stored again, a missing one
     (`NotFound`) is passed over.
 
     Parameters
     ----------
-    interval
-        1 gives the previous volume; 2 the one before it, which a motorised probe acquired with the
-        same direction of sweep.
+    look_back
+        Least difference of the volumes' times, in s; 0 gives the previous volume.
+    same_direction
+        Whether both must come from sweeps of the same direction.
     period, offset
         Of the event that stores, in s.
     """
 
-    def __init__(self, *, interval: int = 1, period: float, offset: float = 0.0) -> None:
+    def __init__(
+        self,
+        *,
+        look_back: float = 0.0,
+        same_direction: bool = False,
+        period: float,
+        offset: float = 0.0,
+    ) -> None:
         super().__init__()
-        require(interval >= 1, "interval", interval, "at least 1")
+        require_not_negative(look_back=look_back, offset=offset)
         require_positive(period=period)
-        require_not_negative(offset=offset)
-        self._interval = interval
+        self._look_back = look_back
+        self._same_direction = same_direction
         self.DeclareAbstractInputPort("volume", Value[object]())
         self._volumes = self.DeclareAbstractState(Value[object](()))
         self.DeclareAbstractOutputPort(
@@ -54,19 +67,25 @@ class VolumeMemory(LeafSystem):
     def _calc_previous_volume(self, context: Context, output: Value) -> None:
         volume = evaluate(self, context, "volume", (Volume, NotFound))
         held: tuple[Volume, ...] = context.get_abstract_state(self._volumes).get_value()
-        if isinstance(volume, Volume):
-            held = tuple(each for each in held if each.time < volume.time)
-        if len(held) < self._interval:
-            output.set_value(NotFound("there is no earlier volume to compare with"))
-        else:
-            output.set_value(held[-self._interval])
+        for each in reversed(held):
+            if (
+                isinstance(volume, Volume)
+                and each.time < volume.time
+                and each.time <= volume.time - self._look_back
+                and (_alike(each, volume) or not self._same_direction)
+            ):
+                output.set_value(each)
+                return
+        output.set_value(NotFound("there is no earlier volume to compare with"))
 
     def _update_volumes(self, context: Context, state: State) -> EventStatus:
         volume = evaluate(self, context, "volume", (Volume, NotFound))
         held: tuple[Volume, ...] = context.get_abstract_state(self._volumes).get_value()
         if not isinstance(volume, Volume) or (held and volume.time <= held[-1].time):
             return EventStatus.DidNothing()
-        # One more than the interval: the newest is the present volume itself.
-        held = (*held, volume)[-self._interval - 1 :]
+        held = (*held, volume)
+        # Of the volumes old enough, the newest of either direction will do for those to come.
+        while len(held) > 3 and held[2].time <= volume.time - self._look_back:
+            held = held[1:]
         state.get_mutable_abstract_state(self._volumes).set_value(held)
         return EventStatus.Succeeded()

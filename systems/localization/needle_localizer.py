@@ -58,6 +58,9 @@ class NeedleLocalizerParameters:
         Standard deviations along the axis, in m. The entry rests and is not observed along it.
     unseen_tip_deviation
         The same where the needle leaves the field of view.
+    echo_offset
+        From the centre of the needle's echo to its axis, away from the probe, in m: the sound
+        returns from the front wall, but for what goes to and fro inside.
     systematic_deviation
         Of every control point in every direction, in m.
     """
@@ -71,11 +74,12 @@ class NeedleLocalizerParameters:
     slab: float = 2e-3
     least_length: float = 4e-3
     least_inlier_ratio: float = 0.4
-    least_visible: float = 0.6
+    least_visible: float = 0.5
     correlation_length: float = 2e-3
     tip_deviation: float = 0.6e-3
     entry_deviation: float = 5e-3
     unseen_tip_deviation: float = 10e-3
+    echo_offset: float = 0.4e-3
     systematic_deviation: float = 0.1e-3
     ransac: RansacParameters = field(default_factory=RansacParameters)
     tip: TipParameters = field(default_factory=TipParameters)
@@ -243,11 +247,13 @@ def _judge(
     # Interior points uniform in chord: the entry rests, the tip moves, no point slides.
     u = np.linspace(0, 1, parameters.order)
     a = start + u * (extent.tip - start)
-    curve = NeedleCurve(fit.axis.position(a))
+    k = fit.axis.direction
+    deeper = volume.X_WP.rotation().matrix()[:, 1]
+    offset = parameters.echo_offset * (deeper - (deeper @ k) * k)
+    curve = NeedleCurve(fit.axis.position(a) + offset)
     independent = max(
         (extent.tip - extent.start) / parameters.correlation_length, parameters.order + 1.0
     )
-    k = fit.axis.direction
     tip_deviation = parameters.unseen_tip_deviation if extent.leaves else parameters.tip_deviation
     ends = np.stack([1 - u, u], axis=1)
     along = ends @ np.diag([parameters.entry_deviation**2, tip_deviation**2]) @ ends.T

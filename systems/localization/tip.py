@@ -33,16 +33,19 @@ class TipParameters:
     background_radius
         At which tubes around the axis show the background, in m.
     contrast
-        By which the needle stands out from the background, in dB.
+        Halfway between the background and a faint needle, in dB: more speaks for the needle, less
+        against it.
+    largest_evidence
+        What one sample can count for the needle, in dB over ``contrast``.
     smoothing
-        Length over which the contrast is averaged, in m.
-    largest_gap
-        That is bridged, in m.
+        Length over which the intensity is averaged, in m.
     drop
-        From the shaft's level to the tip's, in dB: a coherent edge blurred by a symmetric beam has
-        lost half its amplitude, 6 dB, where the needle ends.
-    level_length
-        Length of shaft behind the tip that gives its level, in m.
+        From the end's level to the tip's, in dB. A coherent edge blurred by a symmetric beam has
+        lost 6 dB where the needle ends, a bright point nothing; a needle's tip is between the two.
+    end_length
+        Length of needle that gives the end's level, in m.
+    outward_bias
+        By which the drop lies beyond the tip on average, in m: beams blur the tip outwards.
     decibels_per_level
         dB per unit of a voxel's intensity.
     """
@@ -50,11 +53,12 @@ class TipParameters:
     step: float = 0.25e-3
     tube_radius: float = 1.0e-3
     background_radius: float = 5e-3
-    contrast: float = 8.0
-    smoothing: float = 1.5e-3
-    largest_gap: float = 3e-3
-    drop: float = 6.0
-    level_length: float = 5e-3
+    contrast: float = 3.0
+    largest_evidence: float = 3.0
+    smoothing: float = 1.25e-3
+    drop: float = 3.0
+    end_length: float = 4e-3
+    outward_bias: float = 0.45e-3
     decibels_per_level: float = 60 / 255
 
     def __post_init__(self) -> None:
@@ -63,12 +67,13 @@ class TipParameters:
             tube_radius=self.tube_radius,
             background_radius=self.background_radius,
             contrast=self.contrast,
+            largest_evidence=self.largest_evidence,
             smoothing=self.smoothing,
             drop=self.drop,
-            level_length=self.level_length,
+            end_length=self.end_length,
             decibels_per_level=self.decibels_per_level,
         )
-        require_not_negative(largest_gap=self.largest_gap)
+        require_not_negative(outward_bias=self.outward_bias)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -189,13 +194,27 @@ class NeedleExtent(Immutable):
     visible: float
 
 
-def find_extent(
-    profile: AxisProfile, parameters: TipParameters, near: float | None = None
-) -> NeedleExtent | NotFound:
+@njit(cache=True, nogil=True)
+def _best_stretch(evidence: Any) -> Any:  # pragma: no cover - compiled
+    """First and last index of the stretch with the largest sum (Kadane); last is -1 if none."""
+    first, last, best = 0, -1, 0.0
+    start, total = 0, 0.0
+    for i in range(len(evidence)):
+        if total <= 0:
+            start, total = i, 0.0
+        total += evidence[i]
+        if total > best:
+            first, last, best = start, i, total
+    return first, last
+
+
+def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent | NotFound:
     """Find where a needle begins and ends along its axis (Chatelain 2013, end of section II-D).
 
-    The needle is the longest stretch that stands out from the background, with gaps bridged. Its
-    tip is where the intensity has finally dropped from the level of the shaft just behind it.
+    Every sample that stands out from the background speaks for the needle, every other one against
+    it; the needle is the stretch with the largest sum. A gap is bridged if what lies beyond it
+    outweighs it: needles fade where no line of sound meets them at a right angle. The tip is where
+    the intensity drops for the last time from the level of the needle's end.
 
     Parameters
     ----------
@@ -203,55 +222,42 @@ def find_extent(
         Along the axis.
     parameters
         Thresholds.
-    near
-        Abscissa in m which the needle is known to reach or begin near; None if not known.
     """
     step = float(profile.a[1] - profile.a[0])
     width = max(1, round(parameters.smoothing / step))
-    contrast = uniform_filter1d(profile.level - profile.background, width, mode="nearest")
-    stands_out = (contrast >= parameters.contrast) & profile.seen
-    runs = _runs(stands_out, round(parameters.largest_gap / step))
-    if not runs:
-        return NotFound("nothing along the axis stands out from the background")
-    first, last = max(runs, key=lambda run: run[1] - run[0])
-    leaves = not profile.seen[min(last + width, len(profile.a) - 1)] or last + width >= len(
-        profile.a
+    level = uniform_filter1d(profile.level, width, mode="nearest")
+    contrast = level - uniform_filter1d(profile.background, width, mode="nearest")
+    evidence = np.clip(
+        contrast - parameters.contrast, -parameters.contrast, parameters.largest_evidence
     )
-    tip = float(profile.a[last])
-    if not leaves:
-        tip = _drop(profile, parameters, first, last, step)
+    first, last = _best_stretch(np.where(profile.seen, evidence, -parameters.contrast))
+    if last < 0:
+        return NotFound("nothing along the axis stands out from the background")
+    tip = _drop(profile.a, level, first, last, parameters) - parameters.outward_bias
+    beyond = np.searchsorted(profile.a, profile.a[last] + parameters.smoothing)
     inside = slice(first, last + 1)
     return NeedleExtent(
-        float(profile.a[first]),
-        tip,
-        bool(leaves),
-        float(contrast[inside].mean()),
-        float(stands_out[inside].mean()),
+        start=float(profile.a[first]),
+        tip=tip,
+        leaves=bool(beyond >= len(profile.a) or not profile.seen[beyond]),
+        contrast=float(contrast[inside].mean()),
+        visible=float((evidence[inside] > 0).mean()),
     )
-
-
-def _runs(mask: NDArray[np.bool_], gap: int) -> list[tuple[int, int]]:
-    """First and last index of every run of True, with gaps of up to `gap` samples bridged."""
-    on = np.flatnonzero(mask)
-    if len(on) == 0:
-        return []
-    breaks = np.flatnonzero(np.diff(on) > gap + 1)
-    return list(zip(on[np.r_[0, breaks + 1]], on[np.r_[breaks, len(on) - 1]], strict=True))
 
 
 def _drop(
-    profile: AxisProfile, parameters: TipParameters, first: int, last: int, step: float
+    a: NDArray[np.float64],
+    level: NDArray[np.float64],
+    first: int,
+    last: int,
+    parameters: TipParameters,
 ) -> float:
-    """Abscissa where the intensity falls for the last time, from the level just behind, in m."""
-    behind = max(first, last - round(parameters.level_length / step))
-    level = float(np.quantile(profile.level[behind : last + 1], 0.6))
-    threshold = level - parameters.drop
-    beyond = min(last + round(parameters.largest_gap / step), len(profile.a) - 1)
-    above = np.flatnonzero(profile.level[behind : beyond + 1] >= threshold) + behind
-    if len(above) == 0:
-        return float(profile.a[last])
-    at = int(above[-1])
-    if at + 1 >= len(profile.a):
-        return float(profile.a[at])
-    here, after = profile.level[at], profile.level[at + 1]
-    return float(profile.a[at] + step * (here - threshold) / max(here - after, 1e-9))
+    """Abscissa in m where the level falls from the peak nearest to the end."""
+    begin = max(first, int(np.searchsorted(a, a[last] - parameters.end_length)))
+    peak = begin + int(np.argmax(level[begin : last + 1]))
+    below = np.flatnonzero(level[peak:] < level[peak] - parameters.drop)
+    if len(below) == 0:
+        return float(a[last])
+    at = peak + int(below[0])
+    # Between the last sample above and the first below.
+    return float(np.interp(level[peak] - parameters.drop, level[[at, at - 1]], a[[at, at - 1]]))
