@@ -1,9 +1,10 @@
 """Slices that stay in Meshcat's recording."""
 
 import numpy as np
-from pydrake.common import MemoryFile
-from pydrake.geometry import InMemoryMesh, Mesh, Meshcat
+from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform
+
+from sonoservo.systems.display.textured_quads import gltf_mesh
 
 
 class Film:
@@ -31,7 +32,7 @@ class Film:
     def show(self, gltf: str, X: RigidTransform, time: float) -> None:
         """Draw a glTF document at a pose."""
         live = f"{self._path}/live"
-        mesh = Mesh(InMemoryMesh(mesh_file=MemoryFile(gltf, ".gltf", "slices")))
+        mesh = gltf_mesh(gltf)
         self._meshcat.SetObject(live, mesh)
         self._meshcat.SetTransform(live, X)
         if self._kept == self._frames or time < self._newest + self._period:

@@ -68,17 +68,17 @@ def slice_planes(volume: Volume, curve: NeedleCurve | None = None) -> list[Plane
     curve
         Needle in W; without one, the planes are Z = 0 and X = 0 of P.
     """
-    depth = np.array([0.0, 1.0, 0.0])
-    point, along = np.zeros(3), depth
+    across, depth, normal = np.eye(3)
+    point, width, height = np.zeros(3), normal, depth
     if curve is not None:
         entry, point = volume.to_probe([curve.entry, curve.tip])
         along = (point - entry) / max(float(np.linalg.norm(point - entry)), np.finfo(float).tiny)
-    across = along - (along @ depth) * depth
-    if np.linalg.norm(across) < 1e-3:  # along the beam, any plane through it will do
-        along, across = depth, np.array([1.0, 0.0, 0.0])
-    across = across / np.linalg.norm(across)
-    normal = np.cross(across, depth)
-    planes = _cut(volume, point, across, depth), _cut(volume, point, along, normal)
+        level = along - (along @ depth) * depth
+        if np.linalg.norm(level) > 1e-3:  # else it lies along the beam: any such planes will do
+            across = level / np.linalg.norm(level)
+            normal = np.cross(across, depth)
+            width, height = along, normal
+    planes = _cut(volume, point, across, depth), _cut(volume, point, width, height)
     return [plane for plane in planes if plane is not None]
 
 

@@ -1,12 +1,11 @@
 """The needle and the tracker's belief about it, in Meshcat."""
 
-from pydrake.common import MemoryFile
-from pydrake.geometry import InMemoryMesh, Mesh, Meshcat, Rgba, Sphere
+from pydrake.geometry import Meshcat, Rgba, Sphere
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.display.image_planes import Plane
 from sonoservo.systems.display.rod import Rod, Switch
-from sonoservo.systems.display.textured_quads import gltf_textured_quads, text_image
+from sonoservo.systems.display.textured_quads import gltf_mesh, gltf_textured_quads, text_image
 from sonoservo.systems.estimation.estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.needle.needle import Needle
 
@@ -77,8 +76,7 @@ class EstimateView:
             height = 0.03
             plane = Plane(X_WLabel, height * image.shape[1] / image.shape[0], height)
             gltf = gltf_textured_quads([plane], [image])
-            mesh = Mesh(InMemoryMesh(mesh_file=MemoryFile(gltf, ".gltf", mode)))
-            meshcat.SetObject(f"{path}/label/{mode}", mesh)
+            meshcat.SetObject(f"{path}/label/{mode}", gltf_mesh(gltf))
             self._labels[mode] = Switch(meshcat=meshcat, path=f"{path}/label/{mode}")
             if mode != TrackingMode.SEARCHING:
                 meshcat.SetObject(f"{path}/{mode}/tip", Sphere(2e-3), Rgba(*colour))

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
+from pydrake.common import MemoryFile
+from pydrake.geometry import InMemoryMesh, Mesh
 
 from sonoservo.systems.display.image_planes import Plane
 
@@ -26,7 +28,8 @@ def gltf_textured_quads(planes: Sequence[Plane], images: Sequence[NDArray[np.uin
     images
         As many arrays: (rows, columns) grey, (rows, columns, 2) grey and opacity, or
         (rows, columns, 4) red, green, blue and opacity. Columns run along +X of a plane, rows
-        along +Y. What is less than half opaque is not drawn.
+        along +Y. What is less than half opaque is not drawn. A picture that stands in several
+        planes, the same array, is kept once.
 
     Returns
     -------
@@ -59,8 +62,10 @@ def gltf_textured_quads(planes: Sequence[Plane], images: Sequence[NDArray[np.uin
     corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
     texture = store(corners.astype("<f4"), "VEC2", _FLOAT)
     triangles = store(np.array([0, 1, 2, 0, 2, 3], "<u2"), "SCALAR", _UNSIGNED_SHORT)
+    pictures = {id(image): image for image in images}
+    material = {key: number for number, key in enumerate(pictures)}
     primitives = []
-    for number, plane in enumerate(planes):
+    for plane, image in zip(planes, images, strict=True):
         p_S = np.zeros((3, 4))
         p_S[:2] = (corners - 0.5).T * [[plane.width], [plane.height]]
         x, y, z = plane.X_PS.multiply(p_S)
@@ -69,7 +74,7 @@ def gltf_textured_quads(planes: Sequence[Plane], images: Sequence[NDArray[np.uin
             {
                 "attributes": {"POSITION": position, "TEXCOORD_0": texture},
                 "indices": triangles,
-                "material": number,
+                "material": material[id(image)],
             }
         )
     document = {
@@ -86,9 +91,9 @@ def gltf_textured_quads(planes: Sequence[Plane], images: Sequence[NDArray[np.uin
                 "alphaMode": "MASK",
                 "doubleSided": True,
             }
-            for number in range(len(planes))
+            for number in range(len(pictures))
         ],
-        "textures": [{"source": number, "sampler": 0} for number in range(len(planes))],
+        "textures": [{"source": number, "sampler": 0} for number in range(len(pictures))],
         "samplers": [
             {
                 "magFilter": _LINEAR,
@@ -97,12 +102,17 @@ def gltf_textured_quads(planes: Sequence[Plane], images: Sequence[NDArray[np.uin
                 "wrapT": _CLAMP_TO_EDGE,
             }
         ],
-        "images": [{"uri": _data_uri("image/png", _png(image))} for image in images],
+        "images": [{"uri": _data_uri("image/png", _png(image))} for image in pictures.values()],
         "accessors": accessors,
         "bufferViews": views,
         "buffers": buffers,
     }
     return json.dumps(document, separators=(",", ":"))
+
+
+def gltf_mesh(gltf: str) -> Mesh:
+    """Return a glTF document as a shape that Meshcat can draw."""
+    return Mesh(InMemoryMesh(mesh_file=MemoryFile(gltf, ".gltf", "textured quads")))
 
 
 def text_image(text: str, colour: Sequence[float], height: int = 64) -> NDArray[np.uint8]:

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.geometry import Meshcat, Rgba
-from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, LeafSystem
 
 from sonoservo.systems.display.film import Film
 from sonoservo.systems.display.image_planes import sample_plane, slice_planes
 from sonoservo.systems.display.needle_view import EstimateView, NeedleView
-from sonoservo.systems.display.rod import Rod
+from sonoservo.systems.display.screen import Screen
 from sonoservo.systems.display.shapes import sector_edges, tubes
 from sonoservo.systems.display.textured_quads import gltf_textured_quads
 from sonoservo.systems.estimation.estimate import NeedleEstimate
@@ -27,8 +27,7 @@ from sonoservo.systems.values import (
     require_positive,
 )
 
-_SECTOR, _FORCE = Rgba(0.0, 0.45, 0.70), Rgba(0.9, 0.6, 0.0)
-_METRES_PER_NEWTON = 0.02
+_SECTOR = Rgba(0.0, 0.45, 0.70)
 
 
 @dataclass(kw_only=True)
@@ -47,8 +46,10 @@ class WorldViewParameters:
         Least time between slices kept, in s.
     needle_length
         Of the whole needle, in m: what is not in the tissue is drawn outside it.
-    label_position
-        Of the word that names the tracking mode, in W, in m.
+    screen_position
+        Of the screen that shows the slices upright, and the tracking mode above, in W, in m.
+    screen_scale
+        Of the slices on the screen; 1 is life-size.
     camera, camera_target
         Where the view begins, in W, in m.
     """
@@ -58,16 +59,20 @@ class WorldViewParameters:
     film_frames: int = 0
     film_period: float = 0.0
     needle_length: float = 0.15
-    label_position: list[float] = field(default_factory=lambda: [0.45, -0.2, 0.3])
-    camera: list[float] = field(default_factory=lambda: [0.74, -0.36, 0.50])
-    camera_target: list[float] = field(default_factory=lambda: [0.43, 0.0, 0.26])
+    screen_position: list[float] = field(default_factory=lambda: [0.60, 0.30, 0.33])
+    screen_scale: float = 1.5
+    camera: list[float] = field(default_factory=lambda: [0.80, -0.40, 0.52])
+    camera_target: list[float] = field(default_factory=lambda: [0.47, 0.03, 0.28])
 
     def __post_init__(self) -> None:
         require_positive(
-            publish_period=self.publish_period, pixel=self.pixel, needle_length=self.needle_length
+            publish_period=self.publish_period,
+            pixel=self.pixel,
+            needle_length=self.needle_length,
+            screen_scale=self.screen_scale,
         )
         require_not_negative(film_frames=self.film_frames, film_period=self.film_period)
-        for name in ("label_position", "camera", "camera_target"):
+        for name in ("screen_position", "camera", "camera_target"):
             require(len(getattr(self, name)) == 3, name, getattr(self, name), "three numbers")
 
 
@@ -88,9 +93,9 @@ class WorldView(LeafSystem):
     The true `needle` (a Needle in T) is steel with a green hub; the `estimate` is red while
     tracking, yellow while coasting, light blue when lost, and a word names the mode. The outline of
     the sweep moves with the probe; the slices of each new `volume` stay where it was acquired: one
-    along needle and beam, one along the needle across the beam (Chatelain 2013, fig. 3). A bar
-    beside the probe, 20 mm/N, shows the `contact_force` in N. Arm, probe and phantom are for
-    Drake's MeshcatVisualizer to draw.
+    along needle and beam, one along the needle across the beam (Chatelain 2013, fig. 3). A screen
+    shows both upright, the probe at their top, and the `contact_force` in N. Arm, probe and phantom
+    are for Drake's MeshcatVisualizer to draw.
 
     Slices are drawn only while a browser is connected, or while a film is kept for the replay.
 
@@ -130,10 +135,13 @@ class WorldView(LeafSystem):
         camera: Any = parameters.camera
         target: Any = parameters.camera_target
         meshcat.SetCameraPose(camera, target)
-        self._force = Rod(meshcat=meshcat, path=f"{path}/force", radius=3e-3, colour=_FORCE)
         self._needle: NeedleView | None = None  # until its radius is known
+        self._screen = Screen(
+            meshcat=meshcat, path=f"{path}/screen", position=parameters.screen_position,
+            camera=parameters.camera, scale=parameters.screen_scale,
+        )  # fmt: skip
         self._estimate = EstimateView(
-            meshcat=meshcat, path=f"{path}/estimate", X_WLabel=_facing(parameters)
+            meshcat=meshcat, path=f"{path}/estimate", X_WLabel=self._screen.X_WLabel
         )
         self._film = Film(
             meshcat=meshcat, path=f"{path}/slices",
@@ -160,8 +168,7 @@ class WorldView(LeafSystem):
             self._estimate.draw(estimate, time)
         if self._connected(context, "contact_force"):
             force = evaluate(self, context, "contact_force", np.ndarray)[0]
-            bar = [[0.06, 0.0, 0.0], [0.06, -_METRES_PER_NEWTON * max(force, 0.0), 0.0]]
-            self._force.show(X_WP.multiply(np.transpose(bar)).T, time)
+            self._screen.show_force(float(force), time)
         self._draw_volume(context, estimate)
 
     def _connected(self, context: Context, port: str) -> bool:
@@ -188,16 +195,6 @@ class WorldView(LeafSystem):
         planes = slice_planes(volume, estimate.curve if estimate else None)
         images = [sample_plane(volume, plane, self._parameters.pixel) for plane in planes]
         if planes:
-            gltf = gltf_textured_quads(planes, images)
+            pictures = self._screen.pictures(planes, volume.X_WP)
+            gltf = gltf_textured_quads([*planes, *pictures], [*images, *images])
             self._film.show(gltf, volume.X_WP, context.get_time())
-
-
-def _facing(parameters: WorldViewParameters) -> RigidTransform:
-    """Pose of an upright label that faces the camera: X to the right, Y down."""
-    position: Any = np.array(parameters.label_position)
-    away = position - parameters.camera
-    away[2] = 0.0
-    down = np.array([0.0, 0.0, -1.0])
-    away = away / max(float(np.linalg.norm(away)), np.finfo(float).tiny)
-    R_WLabel: Any = np.stack([np.cross(down, away), down, away], axis=1)
-    return RigidTransform(RotationMatrix(R_WLabel), position)
