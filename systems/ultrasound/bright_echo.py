@@ -3,9 +3,14 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import njit, prange
 
-from sonoservo.systems.ultrasound.echo import FRACTIONS, OPTIONS, line_coordinates, phasor
+from sonoservo.systems.ultrasound.projection import (
+    FRACTIONS,
+    OPTIONS,
+    line_coordinates,
+    phasor,
+)
 
 SIDE_LOBE_LEVEL = 10 ** (-30 / 20)
 """Amplitude of the side lobes, a second, wider Gaussian, relative to the main lobe."""
@@ -33,7 +38,7 @@ class NeedleEcho(NamedTuple):
 
 
 @njit(**OPTIONS)
-def add_point(  # type: ignore[no-untyped-def]
+def _add_point(  # type: ignore[no-untyped-def]
     layer, shadow, x, y, z, closer, real, imaginary, shadow_strength, rays, tables, pulse
 ):
     """Add the echo of one bright point in F; return whether the frame sees it.
@@ -68,8 +73,10 @@ def add_point(  # type: ignore[no-untyped-def]
     if u > _FURTHEST:
         return False
     path = depth + 0.5 * tables.curvature[at] * e * e - closer
-    sample = max(path * rays.samples_per_metre, 0.0)
+    sample = path * rays.samples_per_metre
     k = np.int64(sample)
+    if sample < 0 or k >= samples:
+        return False
     fraction = np.int64((sample - k) * FRACTIONS + 0.5)
     c, s = phasor(np.float32(path * rays.turns_per_metre))
     bright = tables.bright[at]
@@ -91,26 +98,75 @@ def add_point(  # type: ignore[no-untyped-def]
             layer[0, j, start + tap] += a * pulse[0, fraction, tap] - b * pulse[1, fraction, tap]
         for tap in range(taps):
             layer[1, j, start + tap] += a * pulse[1, fraction, tap] + b * pulse[0, fraction, tap]
-        if shadow.size > 0 and k < samples:
+        if shadow.size > 0:
             shadow[j, k] = max(shadow[j, k], np.float32(shadow_strength * main))
     return first <= last
 
 
-@njit(**OPTIONS)
-def add_points(layer, X_FT, points, amplitudes, rays, tables, pulse):  # type: ignore[no-untyped-def]
-    """Add inclusions, (n, 3) points in T with (n,) complex amplitudes; return whether any shows."""
-    no_shadow = np.empty((0, 0), np.float32)
-    seen = False
-    for i in range(len(points)):
-        x, y, z = _transformed(X_FT, points[i, 0], points[i, 1], points[i, 2])
-        real = amplitudes[i].real
-        imaginary = amplitudes[i].imag
-        seen |= add_point(layer, no_shadow, x, y, z, 0.0, real, imaginary, 0.0, rays, tables, pulse)
-    return seen
+@njit(parallel=True, **OPTIONS)
+def render_points(iq, X_FT, points, amplitudes, rays, tables, pulse):  # type: ignore[no-untyped-def]
+    """Add inclusions to every frame.
+
+    Parameters
+    ----------
+    iq
+        (frames, lines, samples) complex64, added to.
+    X_FT
+        (frames, 3, 4) pose of the tissue in each F.
+    points, amplitudes
+        (n, 3) positions in T and (n,) complex amplitudes.
+    rays, tables, pulse
+        See `_add_point`.
+    """
+    frames, lines, samples = iq.shape
+    taps = pulse.shape[2]
+    for frame in prange(frames):
+        layer = np.zeros((2, lines, samples + 2 * taps), np.float32)
+        no_shadow = np.empty((0, 0), np.float32)
+        seen = False
+        for i in range(len(points)):
+            x, y, z = _transformed(X_FT[frame], points[i, 0], points[i, 1], points[i, 2])
+            re = amplitudes[i].real
+            im = amplitudes[i].imag
+            seen |= _add_point(layer, no_shadow, x, y, z, 0.0, re, im, 0.0, rays, tables, pulse)
+        if seen:
+            _add_layer(iq[frame], layer, taps)
+
+
+@njit(parallel=True, **OPTIONS)
+def render_needles(  # type: ignore[no-untyped-def]
+    iq, X_FT, shafts, starts, radius, echo, phases, rays, tables, pulse
+):
+    """Add the needle to every frame, with its shadow.
+
+    Parameters
+    ----------
+    iq
+        (frames, lines, samples) complex64, changed.
+    X_FT
+        (frames, 3, 4) pose of the tissue in each F.
+    shafts, starts
+        (m, 3) points in T of the needle's axis, entry first, of all frames together, and
+        (frames + 1,) where each frame's begin.
+    radius, echo, phases, rays, tables, pulse
+        See `_add_needle`.
+    """
+    frames, lines, samples = iq.shape
+    taps = pulse.shape[2]
+    for frame in prange(frames):
+        shaft = shafts[starts[frame] : starts[frame + 1]]
+        if len(shaft) > 1:
+            layer = np.zeros((2, lines, samples + 2 * taps), np.float32)
+            shadow = np.zeros((lines, samples), np.float32)
+            if _add_needle(
+                layer, shadow, X_FT[frame], shaft, radius, echo, phases, rays, tables, pulse
+            ):
+                _cast_shadow(iq[frame], shadow)
+                _add_layer(iq[frame], layer, taps)
 
 
 @njit(**OPTIONS)
-def add_needle(  # type: ignore[no-untyped-def]
+def _add_needle(  # type: ignore[no-untyped-def]
     layer, shadow, X_FT, shaft, radius, echo, phases, rays, tables, pulse
 ):
     """Add the echo of a needle, point by point from the tip; return whether any point shows.
@@ -118,7 +174,7 @@ def add_needle(  # type: ignore[no-untyped-def]
     Parameters
     ----------
     layer, shadow
-        See `add_point`.
+        See `_add_point`.
     X_FT
         (3, 4) pose of the tissue in F.
     shaft
@@ -153,7 +209,7 @@ def add_needle(  # type: ignore[no-untyped-def]
             imaginary = echo.diffuse * np.sin(phase)
             if number == 0:
                 real += echo.tip
-            seen |= add_point(
+            seen |= _add_point(
                 layer, shadow, x, y, z, radius, real, imaginary, echo.shadow, rays, tables, pulse
             )
             number += 1
@@ -163,7 +219,17 @@ def add_needle(  # type: ignore[no-untyped-def]
 
 
 @njit(**OPTIONS)
-def add_layer(iq, layer, taps):  # type: ignore[no-untyped-def]
+def _cast_shadow(iq, shadow):  # type: ignore[no-untyped-def]
+    """Weaken echoes behind what casts a shadow: (lines, samples) each."""
+    for j in range(iq.shape[0]):
+        loss = np.float32(0)
+        for i in range(iq.shape[1]):
+            iq[j, i] *= np.float32(1) - loss
+            loss = max(loss, shadow[j, i])
+
+
+@njit(**OPTIONS)
+def _add_layer(iq, layer, taps):  # type: ignore[no-untyped-def]
     """Add a layer of bright points to a frame's (lines, samples) complex64 echoes."""
     for j in range(iq.shape[0]):
         for i in range(iq.shape[1]):

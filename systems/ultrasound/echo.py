@@ -1,28 +1,21 @@
-"""Echoes of a frame: scatterers and bright points become samples along the scan lines.
+"""Echoes of tissue: scatterers become samples along the scan lines.
 
 COLE, the convolution of line echoes (Gao et al. 2009), in two stages. Every scatterer is projected
-on its nearest scan lines and deposited there with its exact two-way phase and the pulse's envelope;
-then neighbouring lines are blurred to the beam's width, which depends on depth.
-
-Frame F of a frame of the sweep: origin on the motor's axis, X along the array, Y along the middle
-line of the frame, Z in elevation. All other lines of the frame are turned by ``twist`` for each
-line's distance from the middle, because the motor never stops.
+on its three nearest scan lines and deposited there with its exact two-way phase and the pulse's
+envelope; then neighbouring lines are blurred to the beam's width, which depends on depth.
 """
 
-from typing import NamedTuple
-
 import numpy as np
-from numba import njit
+from numba import njit, prange
 from numpy.typing import NDArray
 
-FLOAT = NDArray[np.float32]
-OPTIONS = {"cache": True, "fastmath": True, "error_model": "numpy", "nogil": True}
-
-FRACTIONS = 64
-"""Fractions of a sample for which the pulse is tabulated."""
-
-SPLINE_VARIANCE = 0.25
-"""Variance of the quadratic B-spline that spreads an echo over three lines, in lines^2."""
+from sonoservo.systems.ultrasound.projection import (
+    FRACTIONS,
+    OPTIONS,
+    line_coordinates,
+    phasor,
+)
+from sonoservo.systems.ultrasound.tissue import BLOCKS
 
 FADE = 0.1
 """Half width, relative to the share of scatterers used at a depth, over which more fade in."""
@@ -30,83 +23,67 @@ FADE = 0.1
 REACH = 2.6
 """Standard deviations in elevation beyond which scatterers are left out: 0.02 % of the energy."""
 
-_HALF = np.float32(0.5)
-_ONE = np.float32(1)
-_TWO = np.float32(2)
-_THREE_QUARTERS = np.float32(0.75)
-_EIGHTH = np.float32(0.125)
-_PI = np.float32(np.pi)
-_POSITIVE = np.float32(1024)
 _ZERO = np.float32(0)
+_EIGHTH = np.float32(0.125)
+_HALF = np.float32(0.5)
+_THREE_QUARTERS = np.float32(0.75)
+_ONE = np.float32(1)
 _FURTHEST = np.float32(REACH**2 / 2)
 _FADE_OUT = np.float32(1 + FADE)
 _FADE_WIDTH = np.float32(2 * FADE)
 _FRACTIONS = np.float32(FRACTIONS)
 _HALF_DIAGONAL = 3**0.5 / 2
 _U1, _U2, _U3, _U4, _U5, _U6, _U7, _U8 = (np.uint64(i) for i in range(1, 9))
-# Minimax polynomials, to 1e-6: sine and cosine on [-pi/2, pi/2], arc tangent on [-0.65, 0.65] and
-# exp(-v) on [0, 0.6].
-_S3, _S5, _S7 = (np.float32(c) for c in (-0.16665681, 0.00831237, -0.00018492))
-_C4, _C6, _C8 = (np.float32(c) for c in (0.041665440, -0.00138652311, 2.33793852e-05))
-_A3, _A5, _A7, _A9 = (np.float32(c) for c in (-0.33320355, 0.19732617, -0.12394153, 0.05127381))
+# Minimax polynomial of exp(-v) on [0, 0.6], to 1e-6.
 _E1, _E2, _E3, _E4 = (np.float32(c) for c in (-0.99994248, 0.49904756, -0.16171851, 0.03126755))
 
 
-class Rays(NamedTuple):
-    """Where the lines of a frame are, in float32."""
+def line_kernel(line_sigma: NDArray[np.float64], lines: int) -> NDArray[np.float32]:
+    """Weights that widen the deposits' B-spline to the beam: (2 half + 1, 2 samples), each twice.
 
-    array_radius: np.float32
-    centre_offset: np.float32
-    lines_per_radian: np.float32
-    middle_line: np.float32
-    twist: np.float32
-    samples_per_metre: np.float32
-    turns_per_metre: np.float32
-    lead: int
-    """Samples from the beginning of a pulse to the one before its middle."""
-
-
-class DepthTables(NamedTuple):
-    """What depends on depth, at every sample."""
-
-    elevation_precision: FLOAT
-    """1 / (2 sigma_e^2)."""
-    curvature: FLOAT
-    share: FLOAT
-    """Of the tile's scatterers."""
-    line_sigma: FLOAT
-    """sigma_l, in lines."""
-    bright: FLOAT
-    """Factor on bright points, which keeps them right relative to the tissue, always 0 dB."""
-
-
-@njit(**OPTIONS)
-def line_coordinates(x, y, z, rays):  # type: ignore[no-untyped-def]
-    """Fractional line, elevation offset and distance from the array's centre of a point in F.
-
-    The lines' turns are small angles, so second order suffices: 0.1 um over a sweep's frame.
+    At every depth a sampled Gaussian is chosen so that the deposits' spline and it together have
+    the beam's energy and its correlation between neighbouring lines, averaged over all positions
+    between lines.
     """
-    q = y + rays.centre_offset
-    r = np.sqrt(q * q + x * x)
-    u = x / (q + r)
-    v = u * u
-    phi = _TWO * u * (_ONE + v * (_A3 + v * (_A5 + v * (_A7 + v * _A9))))
-    line = phi * rays.lines_per_radian
-    turn = rays.twist * line
-    shift = z * turn - _HALF * y * turn * turn
-    line -= x * shift / (r * r) * rays.lines_per_radian
-    return line + rays.middle_line, z - y * turn, r + q * shift / r
+    half = min(int(np.ceil(3 * line_sigma.max())), lines // 4)
+    offsets = np.arange(-half, half + 1)
+    spline = np.array([1, 26, 66, 26, 1]) / 120  # autocorrelation of the quadratic B-spline
+    sigmas = np.linspace(0.1, half, 50 * half)
+    correlation = np.empty((len(sigmas), 2))
+    for row, sigma in zip(correlation, sigmas, strict=True):
+        kernel = np.exp(-(offsets**2) / (2 * sigma**2))
+        response = np.convolve(np.convolve(kernel, kernel), spline)
+        row[:] = response[len(response) // 2 :][:2]
+    wanted = np.exp(-1 / (4 * line_sigma**2))
+    sigma = np.interp(wanted, correlation[:, 1] / correlation[:, 0], sigmas)
+    energy = np.interp(sigma, sigmas, correlation[:, 0])
+    kernel = np.exp(-(offsets[:, np.newaxis] ** 2) / (2 * sigma**2))
+    kernel *= np.sqrt(np.sqrt(np.pi) * line_sigma / energy)
+    return np.repeat(kernel, 2, axis=1).astype(np.float32)
 
 
-@njit(**OPTIONS)
-def phasor(turns):  # type: ignore[no-untyped-def]
-    """Cosine and sine of an angle in turns (above -1024)."""
-    h = turns - (np.float32(np.int32(turns + _HALF + _POSITIVE)) - _POSITIVE)
-    h *= _PI
-    v = h * h
-    s = h * (_ONE + v * (_S3 + v * (_S5 + v * _S7)))
-    c = _ONE - v * (_HALF - v * (_C4 + v * (_C6 + v * _C8)))
-    return _ONE - _TWO * s * s, _TWO * s * c
+@njit(parallel=True, **OPTIONS)
+def render_tissue(iq, X_FT, box, tile, rays, tables, pulse, kernel):  # type: ignore[no-untyped-def]
+    """Render the tissue's echoes in every frame.
+
+    Parameters
+    ----------
+    iq
+        (frames, lines, samples) complex64, written.
+    X_FT
+        (frames, 3, 4) pose of the tissue in each F.
+    box, tile, rays, tables, pulse
+        See `deposit_tissue`.
+    kernel
+        From `line_kernel`.
+    """
+    frames, lines, samples = iq.shape
+    pad = kernel.shape[0] // 2 + 1
+    taps = pulse.shape[1]
+    for frame in prange(frames):
+        accumulator = np.zeros((lines + 2 * pad, 2 * (samples + 2 * taps)), np.float32)
+        deposit_tissue(accumulator, X_FT[frame], box, tile, rays, tables, pulse)
+        _blur_lines(iq[frame], accumulator, kernel, taps)
 
 
 @njit(**OPTIONS)
@@ -195,7 +172,7 @@ def _deposit(accumulator, chosen, count, line, sample, cosine, sine, pulse):  # 
 
 @njit(**OPTIONS)
 def deposit_tissue(  # type: ignore[no-untyped-def]
-    accumulator, X_FT, box, block_size, positions, ranks, starts, blocks, rays, tables, pulse
+    accumulator, X_FT, box, tile, rays, tables, pulse
 ):
     """Deposit the scatterers that a frame's beam meets.
 
@@ -207,13 +184,14 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
         (3, 4) pose of the tissue in F, float64.
     box
         (2, 3) lower and upper corner of the tissue in T.
-    block_size, positions, ranks, starts, blocks
-        The scatterer tile, ``blocks`` along its edge.
+    tile
+        `ScattererTile`.
     rays, tables
         Of the frame.
     pulse
         (FRACTIONS + 1, taps) envelope around a scatterer; taps is a multiple of 4.
     """
+    block_size, positions, ranks, starts = tile
     lines = accumulator.shape[0]
     taps = pulse.shape[1]
     samples = accumulator.shape[1] // 2
@@ -274,7 +252,7 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                 curvature = _HALF * tables.curvature[at]
                 share = tables.share[at]
                 share_slope = per_metre * (tables.share[at + span] - tables.share[at - span])
-                block = ((bx % blocks) * blocks + by % blocks) * blocks + bz % blocks
+                block = ((bx % BLOCKS) * BLOCKS + by % BLOCKS) * BLOCKS + bz % BLOCKS
                 start = starts[block]
                 most = max(tables.share[at + span], tables.share[at - span], share) * (1 + FADE)
                 n = np.searchsorted(ranks[start : starts[block + 1]], np.float32(most))
@@ -330,3 +308,32 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                     chosen[number] = i
                     number += kept[i]
                 _deposit(accumulator, chosen, number, line, sample, cosine, sine, pulse)
+
+
+@njit(**OPTIONS)
+def _blur_lines(iq, accumulator, kernel, taps):  # type: ignore[no-untyped-def]
+    """Blur deposited echoes across lines.
+
+    Parameters
+    ----------
+    iq
+        (lines, samples) complex64, written.
+    accumulator
+        (lines + 2 pad, 2 (samples + 2 taps)) deposits, real and imaginary parts by turns.
+    kernel
+        (2 half + 1, 2 samples) weights, each twice; half is at most pad.
+    taps
+        Samples of padding.
+    """
+    lines, samples = iq.shape
+    pad = (accumulator.shape[0] - lines) // 2
+    half = len(kernel) // 2
+    row = np.empty(2 * samples, np.float32)
+    for j in range(lines):
+        row[:] = np.float32(0)
+        for m in range(len(kernel)):
+            source = accumulator[j + pad + m - half, 2 * taps :]
+            for i in range(2 * samples):
+                row[i] += kernel[m, i] * source[i]
+        for i in range(samples):
+            iq[j, i] = complex(row[2 * i], row[2 * i + 1])

@@ -1,9 +1,9 @@
-"""From echoes to grey levels: lateral blur, shadow, coupling, noise and log compression."""
+"""From echoes to grey levels: coupling, noise and log compression."""
 
 import numpy as np
-from numba import njit
+from numba import njit, prange
 
-from sonoservo.systems.ultrasound.echo import OPTIONS
+from sonoservo.systems.ultrasound.projection import OPTIONS
 
 _LOG2_10 = np.log2(10)
 _SOFT_EDGE = 0.5e-3
@@ -14,43 +14,26 @@ _L1, _L2, _L3, _L4, _L5, _L6 = (
 )
 
 
-@njit(**OPTIONS)
-def blur_lines(iq, accumulator, kernel, taps):  # type: ignore[no-untyped-def]
-    """Blur deposited echoes across lines.
+@njit(parallel=True, **OPTIONS)
+def form_image(  # type: ignore[no-untyped-def]
+    grey, iq, X_TP, box, origins, directions, gel_thickness, noise, keys, grey_per_db, offset
+):
+    """Turn every frame's echoes into grey levels.
 
     Parameters
     ----------
-    iq
-        (lines, samples) complex64, written.
-    accumulator
-        (lines + 2 pad, 2 (samples + 2 taps)) deposits, real and imaginary parts by turns.
-    kernel
-        (2 half + 1, 2 samples) weights, each twice; half is at most pad.
-    taps
-        Samples of padding.
+    grey, iq
+        (frames, lines, samples) uint8, written, and complex64.
+    X_TP, origins, directions
+        (frames, 3, 4), (frames, lines, 3) and (frames, lines, 3): see `coupling`.
+    box, gel_thickness
+        See `coupling`.
+    noise, keys, grey_per_db, offset
+        See `compress`; keys is (frames,).
     """
-    lines, samples = iq.shape
-    pad = (accumulator.shape[0] - lines) // 2
-    half = len(kernel) // 2
-    row = np.empty(2 * samples, np.float32)
-    for j in range(lines):
-        row[:] = np.float32(0)
-        for m in range(len(kernel)):
-            source = accumulator[j + pad + m - half, 2 * taps :]
-            for i in range(2 * samples):
-                row[i] += kernel[m, i] * source[i]
-        for i in range(samples):
-            iq[j, i] = complex(row[2 * i], row[2 * i + 1])
-
-
-@njit(**OPTIONS)
-def cast_shadow(iq, shadow):  # type: ignore[no-untyped-def]
-    """Weaken echoes behind what casts a shadow: (lines, samples) each."""
-    for j in range(iq.shape[0]):
-        loss = np.float32(0)
-        for i in range(iq.shape[1]):
-            iq[j, i] *= np.float32(1) - loss
-            loss = max(loss, shadow[j, i])
+    for frame in prange(len(grey)):
+        share = coupling(X_TP[frame], origins[frame], directions[frame], box, gel_thickness)
+        compress(grey[frame], iq[frame], share, noise, keys[frame], grey_per_db, offset)
 
 
 @njit(**OPTIONS)

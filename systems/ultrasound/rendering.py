@@ -5,35 +5,17 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 
 from sonoservo.systems.needle.needle import Needle
 from sonoservo.systems.ultrasound.beam import Beam, beam_profile
-from sonoservo.systems.ultrasound.bright_echo import (
-    NeedleEcho,
-    add_layer,
-    add_needle,
-    add_points,
-)
-from sonoservo.systems.ultrasound.echo import (
-    FADE,
-    FRACTIONS,
-    OPTIONS,
-    SPLINE_VARIANCE,
-    DepthTables,
-    Rays,
-    deposit_tissue,
-)
-from sonoservo.systems.ultrasound.image_formation import (
-    blur_lines,
-    cast_shadow,
-    compress,
-    coupling,
-)
+from sonoservo.systems.ultrasound.bright_echo import NeedleEcho, render_needles, render_points
+from sonoservo.systems.ultrasound.echo import FADE, line_kernel, render_tissue
+from sonoservo.systems.ultrasound.image_formation import form_image
 from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
+from sonoservo.systems.ultrasound.projection import FRACTIONS, DepthTables, Rays
 from sonoservo.systems.ultrasound.sweep import SweepGeometry
-from sonoservo.systems.ultrasound.tissue import BLOCKS, Tissue, scatterer_tile
+from sonoservo.systems.ultrasound.tissue import Tissue, scatterer_tile
 from sonoservo.systems.ultrasound.transducer import Transducer
 from sonoservo.systems.values import require, require_not_negative
 
@@ -162,7 +144,7 @@ class SweepRenderer:
                 )
             )
         )
-        self._kernel = _line_kernel(line_sigma, self.geometry.lines)
+        self._kernel = line_kernel(line_sigma, self.geometry.lines)
         density = tissue.scatterers_per_cell * (1 + FADE) / (2**1.5 * cell.min())
         self._tile = scatterer_tile(density, np.random.default_rng(tissue.seed))
         # With this amplitude the tissue's mean intensity is 1 (0 dB) at every depth.
@@ -175,12 +157,13 @@ class SweepRenderer:
         depth_cm = 1e2 * self.geometry.sample_pitch * np.arange(self.geometry.samples)
         loss_db = 2 * tissue.attenuation * 1e-6 * imaging.transmit_frequency * depth_cm
         self._noise = (10 ** ((parameters.noise_db + loss_db) / 20)).astype(np.float32)
-        self._echo, self._phases = self._needle_echo(reference)
+        self._needle_echo = self._needle_points(reference)
         self._inclusions = self._inclusion_points(tissue, reference)
+        self._last: dict[int, tuple[bytes, NDArray[np.complex64]]] = {}
         self._lines = {direction: self._line_rays(direction) for direction in (1, -1)}
 
     def tissue_echo(self, X_TP: NDArray[np.float64], direction: int) -> NDArray[np.complex64]:
-        """Echoes of tissue and inclusions, without needle or noise; mean intensity 1.
+        """Echoes of tissue and inclusions, without needle or noise.
 
         Parameters
         ----------
@@ -191,24 +174,50 @@ class SweepRenderer:
 
         Returns
         -------
-        (frames, lines, samples) complex amplitudes at the transmit frequency.
+        (frames, lines, samples) amplitudes at the transmit frequency; the tissue's mean intensity
+        is 1 at every depth.
         """
         iq = np.empty(self.geometry.shape, np.complex64)
-        _render_tissue(
+        X_FT = self._frame_poses(X_TP)
+        rays = self._rays(direction)
+        tile, tables = self._tile, self._tables
+        render_tissue(iq, X_FT, self._box, tile, rays, tables, self._pulse, self._kernel)
+        if len(self._inclusions[0]):
+            render_points(iq, X_FT, *self._inclusions, rays, tables, self._point_pulse)
+        return iq
+
+    def echo(
+        self, X_TP: NDArray[np.float64], needles: Sequence[Needle], direction: int
+    ) -> NDArray[np.complex64]:
+        """Echoes with the needle and its shadow, without noise; otherwise as `tissue_echo`.
+
+        Parameters
+        ----------
+        X_TP, direction
+            See `tissue_echo`.
+        needles
+            The needle in T at each frame's time, possibly empty.
+        """
+        # Rounded to 10 nm, 0.0003 rad of phase, so that a probe at rest finds its echoes again.
+        X_TP = np.round(X_TP, 8)
+        key, echo = self._last.get(direction, (b"", None))
+        if echo is None or key != X_TP.tobytes():
+            echo = self.tissue_echo(X_TP, direction)
+            self._last[direction] = X_TP.tobytes(), echo
+        if not any(needles):
+            return echo
+        iq = echo.copy()
+        radius = needles[0].radius
+        render_needles(
             iq,
             self._frame_poses(X_TP),
-            self._box,
-            self._tile.block_size,
-            self._tile.positions,
-            self._tile.ranks,
-            self._tile.starts,
-            BLOCKS,
+            np.concatenate([needle.shaft for needle in needles]),
+            np.concatenate([[0], np.cumsum([len(needle.shaft) for needle in needles])]),
+            radius,
+            *self._needle_echo,
             self._rays(direction),
             self._tables,
-            self._pulse,
-            self._kernel,
-            *self._inclusions,
-            self._point_pulse,
+            self._needle_pulse(radius),
         )
         return iq
 
@@ -219,48 +228,25 @@ class SweepRenderer:
         direction: int,
         number: int,
     ) -> NDArray[np.uint8]:
-        """Grey levels of a sweep.
+        """Grey levels of a sweep, (frames, lines, samples).
 
         Parameters
         ----------
-        X_TP
-            (frames, 4, 4) pose of the probe in the tissue at each frame's time.
-        needles
-            The needle in T at each frame's time, possibly empty.
-        direction
-            +1 for a sweep towards +Z, -1 towards -Z.
+        X_TP, needles, direction
+            See `echo`.
         number
             Of the sweep; it selects the noise.
-
-        Returns
-        -------
-        (frames, lines, samples) uint8.
         """
-        X_TP = np.ascontiguousarray(X_TP, dtype=float)
-        iq = self.tissue_echo(X_TP, direction)
-        keys = np.random.SeedSequence([self._seed, number]).generate_state(len(iq), np.uint64)
-        shafts = np.concatenate([needle.shaft for needle in needles])
-        starts = np.concatenate([[0], np.cumsum([len(needle.shaft) for needle in needles])])
-        radius = needles[0].radius
-        grey = np.empty(iq.shape, np.uint8)
-        _render_image(
+        grey = np.empty(self.geometry.shape, np.uint8)
+        form_image(
             grey,
-            iq,
-            X_TP[:, :3],
-            self._frame_poses(X_TP),
+            self.echo(X_TP, needles, direction),
+            np.ascontiguousarray(X_TP[:, :3]),
             self._box,
             *self._lines[direction],
             self._parameters.gel_thickness,
-            shafts,
-            starts,
-            radius,
-            self._echo,
-            self._phases,
-            self._rays(direction),
-            self._tables,
-            self._needle_pulse(radius),
             self._noise,
-            keys,
+            np.random.SeedSequence([self._seed, number]).generate_state(len(grey), np.uint64),
             self._imaging.grey_per_db,
             self._imaging.tissue_grey,
         )
@@ -332,7 +318,7 @@ class SweepRenderer:
         diffuse = 10 ** ((level_db + diffuse_db) / 20) * np.sqrt(spacing / (np.sqrt(np.pi) * width))
         return spacing, specular, diffuse
 
-    def _needle_echo(self, reference: int) -> tuple[NeedleEcho, NDArray[np.float64]]:
+    def _needle_points(self, reference: int) -> tuple[NeedleEcho, NDArray[np.float64]]:
         needle = self._parameters.needle
         spacing, specular, diffuse = self._rod(needle.specular_db, needle.diffuse_db, reference)
         echo = NeedleEcho(spacing, specular, diffuse, 10 ** (needle.tip_db / 20), needle.shadow)
@@ -366,105 +352,3 @@ class SweepRenderer:
             points.append(start + along * (end - start))
             amplitudes.append(specular + diffuse * np.exp(2j * np.pi * rng.random(len(along))))
         return np.concatenate(points), np.concatenate(amplitudes)
-
-
-def _line_kernel(line_sigma: NDArray[np.float64], lines: int) -> NDArray[np.float32]:
-    """Weights that widen the deposits' B-spline to the beam: (2 half + 1, 2 samples), each twice.
-
-    Widths follow from the variances, and the energy is that of the beam's Gaussian.
-    """
-    sigma = np.sqrt(np.maximum(line_sigma**2 - SPLINE_VARIANCE, 1e-4))
-    half = min(max(int(np.ceil(3 * sigma.max())), 1), lines // 4)
-    offsets = np.arange(-half, half + 1)[:, np.newaxis]
-    kernel = np.exp(-(offsets**2) / (2 * sigma**2))
-    energy = np.zeros(len(sigma))
-    shifts = np.linspace(-0.5, 0.5, 9)[1:] - 1 / 16
-    for t in shifts:
-        spline = [0.5 * (0.5 - t) ** 2, 0.75 - t**2, 0.5 * (0.5 + t) ** 2]
-        response = np.apply_along_axis(np.convolve, 0, kernel, spline)
-        energy += (response**2).sum(axis=0) / len(shifts)
-    kernel *= np.sqrt(np.sqrt(np.pi) * line_sigma / energy)
-    return np.repeat(kernel, 2, axis=1).astype(np.float32)
-
-
-@njit(parallel=True, **OPTIONS)
-def _render_tissue(  # type: ignore[no-untyped-def]
-    iq,
-    X_FT,
-    box,
-    block_size,
-    positions,
-    ranks,
-    starts,
-    blocks,
-    rays,
-    tables,
-    pulse,
-    kernel,
-    points,
-    amplitudes,
-    point_pulse,
-):
-    frames, lines, samples = iq.shape
-    taps = pulse.shape[1]
-    pad = kernel.shape[0] // 2 + 1
-    for frame in prange(frames):
-        accumulator = np.zeros((lines + 2 * pad, 2 * (samples + 2 * taps)), np.float32)
-        deposit_tissue(
-            accumulator,
-            X_FT[frame],
-            box,
-            block_size,
-            positions,
-            ranks,
-            starts,
-            blocks,
-            rays,
-            tables,
-            pulse,
-        )
-        blur_lines(iq[frame], accumulator, kernel, taps)
-        if len(points) > 0:
-            taps = point_pulse.shape[2]
-            layer = np.zeros((2, lines, samples + 2 * taps), np.float32)
-            if add_points(layer, X_FT[frame], points, amplitudes, rays, tables, point_pulse):
-                add_layer(iq[frame], layer, taps)
-
-
-@njit(parallel=True, **OPTIONS)
-def _render_image(  # type: ignore[no-untyped-def]
-    grey,
-    iq,
-    X_TP,
-    X_FT,
-    box,
-    origins,
-    directions,
-    gel_thickness,
-    shafts,
-    starts,
-    radius,
-    echo,
-    phases,
-    rays,
-    tables,
-    pulse,
-    noise,
-    keys,
-    grey_per_db,
-    offset,
-):
-    for frame in prange(len(grey)):
-        shaft = shafts[starts[frame] : starts[frame + 1]]
-        if len(shaft) > 1:
-            lines, samples = iq[frame].shape
-            taps = pulse.shape[2]
-            layer = np.zeros((2, lines, samples + 2 * taps), np.float32)
-            shadow = np.zeros((lines, samples), np.float32)
-            if add_needle(
-                layer, shadow, X_FT[frame], shaft, radius, echo, phases, rays, tables, pulse
-            ):
-                cast_shadow(iq[frame], shadow)
-                add_layer(iq[frame], layer, taps)
-        share = coupling(X_TP[frame], origins[frame], directions[frame], box, gel_thickness)
-        compress(grey[frame], iq[frame], share, noise, keys[frame], grey_per_db, offset)

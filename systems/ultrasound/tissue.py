@@ -1,13 +1,14 @@
 """What the phantom is made of, as sound sees it."""
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.typed_yaml import load_typed, read_yaml
 from sonoservo.systems.ultrasound.transducer import model_file
-from sonoservo.systems.values import Immutable, require, require_not_negative, require_positive
+from sonoservo.systems.values import require, require_not_negative, require_positive
 
 
 @dataclass(kw_only=True)
@@ -122,30 +123,21 @@ _SCATTERERS_PER_BLOCK = 160
 _LARGEST_BLOCK = 4e-3
 
 
-@dataclass(frozen=True, eq=False)
-class ScattererTile(Immutable):
+class ScattererTile(NamedTuple):
     """Scatterers that fill the tissue frame periodically.
 
     The cube is cut in blocks, so that a thin slab of the tissue can be gathered without looking
     at the rest, and the whole of it stays in a processor's cache.
-
-    Parameters
-    ----------
-    block_size
-        Edge of a block, in m; the tile's edge is `BLOCKS` times that.
-    positions
-        (3, n) float32 positions within their block, in m.
-    ranks
-        (n,) float32 uniform in [0, 1), rising within a block: those below p are a share p of the
-        scatterers, drawn at random.
-    starts
-        (BLOCKS^3 + 1,) first scatterer of each block, x slowest.
     """
 
     block_size: float
+    """Edge of a block in m; the tile's edge is `BLOCKS` times that."""
     positions: NDArray[np.float32]
+    """(3, n) within the block, in m."""
     ranks: NDArray[np.float32]
+    """(n,) uniform in [0, 1), rising within a block: those below p are a random share p."""
     starts: NDArray[np.int64]
+    """(BLOCKS^3 + 1,) first scatterer of each block, x slowest."""
 
 
 def scatterer_tile(density: float, rng: np.random.Generator) -> ScattererTile:
