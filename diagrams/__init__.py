@@ -1,1 +1,21 @@
-"""How blocks are wired: station, tracker, controller, experiment; scenarios, command line."""
+"""How blocks are wired: station, tracker, controller, experiment; scenarios, command line.
+
+>>> from sonoservo.diagrams import load_scenario, run
+>>> result = run(load_scenario("chatelain2013_fig5", seed=1))
+>>> result.summary["servo"]["at_rest"]
+"""
+
+from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, NeedleTrackerParameters, track
+from sonoservo.diagrams.scenario import Scenario, list_scenarios, load_scenario
+from sonoservo.diagrams.simulation import RunResult, run
+
+__all__ = [
+    "MakeNeedleTracker",
+    "NeedleTrackerParameters",
+    "RunResult",
+    "Scenario",
+    "list_scenarios",
+    "load_scenario",
+    "run",
+    "track",
+]

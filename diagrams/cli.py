@@ -9,6 +9,10 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from sonoservo.diagrams.scenario import list_scenarios, load_scenario
+from sonoservo.diagrams.simulation import run
+from sonoservo.diagrams.terminal import Progress, start_display, summary_table
+from sonoservo.systems.recording.files import write_atomically
 from sonoservo.systems.typed_yaml import ConfigurationError
 
 app = typer.Typer(
@@ -27,8 +31,6 @@ JsonOption = Annotated[
 @app.command("list")
 def list_command(json_path: JsonOption = None) -> None:
     """List the scenarios that come with the package."""
-    from sonoservo.diagrams.scenario import list_scenarios, load_scenario
-
     rows = {name: load_scenario(name).description for name in list_scenarios()}
     table = Table("scenario", "what happens")
     for name, description in rows.items():
@@ -49,11 +51,6 @@ def run_command(
     json_path: JsonOption = None,
 ) -> None:
     """Run a scenario; end with a table of figures and a folder of results."""
-    _console.print("Loading Drake and the compiled kernels ...", style="dim")
-    from sonoservo.diagrams.run import run
-    from sonoservo.diagrams.scenario import load_scenario
-    from sonoservo.diagrams.terminal import Progress, start_display, summary_table
-
     loaded = load_scenario(scenario, changes=changes, seed=seed)
     folder = out or Path("out") / f"{loaded.name}_seed{loaded.seed}"
     display = start_display(_console) if meshcat else None
@@ -68,9 +65,7 @@ def run_command(
 
 def _write_json(path: Path | None, data: Any) -> None:
     if path is not None:
-        from sonoservo.systems.recording.files import write_atomically
-
-        write_atomically(path, json.dumps(data, indent=2).encode())
+        write_atomically(path, json.dumps(data, indent=2))
 
 
 def main() -> None:

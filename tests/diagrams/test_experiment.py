@@ -1,0 +1,53 @@
+"""The closed loop against what the paper reports, with the truth as judge."""
+
+import pytest
+
+from sonoservo.diagrams import load_scenario, run
+from sonoservo.systems.typed_yaml import ConfigurationError
+
+
+def assert_meets_the_paper(summary):
+    """Chatelain 2013, section IV-C: what it reports as estimated must hold in truth."""
+    assert summary["detection"]["volume"] is not None
+    assert summary["detection"]["false_starts"] == 0
+    tracking = summary["tracking"]
+    assert tracking["tracked"] > 0.9 * tracking["volumes"]
+    at_rest = summary["servo"]["at_rest"]
+    assert at_rest["seconds"] > 3
+    assert at_rest["x_mm"] <= 1.10
+    assert at_rest["z_mm"] <= 0.23
+    assert at_rest["theta_deg"] <= 0.97
+    force = summary["force"]
+    assert abs(force["mean_n"] - 2.0) <= 0.1
+    assert force["rms_error_n"] <= 0.1
+    assert force["max_n"] < 3.0
+
+
+def test_finds_the_needle_turns_and_follows():
+    assert_meets_the_paper(run(load_scenario("chatelain2013_fig5", seed=0)).summary)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(1, 5))
+def test_finds_the_needle_turns_and_follows_whatever_the_seed(seed):
+    assert_meets_the_paper(run(load_scenario("chatelain2013_fig5", seed=seed)).summary)
+
+
+def test_the_same_seed_gives_the_same_summary():
+    scenario = load_scenario(
+        "chatelain2013_fig5",
+        seed=3,
+        changes=["duration=8", "hand.start=2", "hand.pushes.0.speed=0.016"],
+    )
+    first, second = (run(scenario).summary for _ in range(2))
+    for name in ("wall_s", "real_time_factor", "compute_ms"):
+        assert first.pop(name) != second.pop(name)
+    assert first == second
+    other = run(load_scenario("chatelain2013_fig5", seed=4, changes=["duration=8"])).summary
+    assert other["force"] != first["force"]
+
+
+def test_a_needle_out_of_reach_is_refused_before_anything_moves():
+    scenario = load_scenario("chatelain2013_fig5", changes=["hand.entry=[-0.12, 0.6, -0.04]"])
+    with pytest.raises(ConfigurationError, match="hand: the arm cannot follow"):
+        run(scenario)
