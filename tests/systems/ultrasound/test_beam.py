@@ -1,0 +1,166 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.signal import hilbert
+
+from sonoservo.systems.ultrasound.beam import (
+    axial_width,
+    beam_profile,
+    elevation_width,
+    lateral_width,
+)
+from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
+from sonoservo.systems.ultrasound.transducer import Transducer, load_transducer
+
+PROBE = Transducer()
+FOCUS_60 = ImagingParameters(focus_depth=0.060)
+
+
+def pymust_half_width(depth, axis):
+    """Full width at half amplitude (m) of the echo of a point that moves sideways."""
+    import pymust
+
+    arc = (np.arange(PROBE.elements) - (PROBE.elements - 1) / 2) * PROBE.element_pitch
+    x = PROBE.array_radius * np.sin(arc / PROBE.array_radius)
+    y = PROBE.array_radius * (np.cos(arc / PROBE.array_radius) - 1)  # apex at zero
+    p = pymust.utils.Param()
+    p.fc = FOCUS_60.transmit_frequency
+    p.bandwidth = 100 * PROBE.fractional_bandwidth
+    p.Nelements = PROBE.elements
+    p.pitch = PROBE.element_pitch
+    p.kerf = PROBE.element_pitch - PROBE.element_width
+    p.radius = PROBE.array_radius
+    p.height = PROBE.element_height
+    p.focus = PROBE.lens_focus
+    p.c = FOCUS_60.sound_speed
+    p.fs = 10 * p.fc
+    sending = np.abs(arc) <= PROBE.transmit_elements * PROBE.element_pitch / 2
+    delays = -np.hypot(x, FOCUS_60.focus_depth - y) / p.c
+    delays = np.where(sending, delays - delays[sending].min(), np.nan)
+    p.TXapodization = sending.astype(float)
+    aperture = min(depth / PROBE.receive_f_number, PROBE.receive_elements * PROBE.element_pitch)
+    window = np.where(np.abs(arc) < aperture / 2, np.cos(np.pi * arc / aperture) ** 2, 0)
+    expected = (
+        lateral_width(depth, PROBE, FOCUS_60)
+        if axis == 0
+        else elevation_width(depth, PROBE, FOCUS_60)[0]
+    )
+    offsets = expected * np.array([0, 0.4, 0.5, 0.6])
+    peaks = []
+    for offset in offsets:
+        lateral, elevation = (offset, 1e-8) if axis == 0 else (0.0, max(offset, 1e-8))
+        echoes, _ = pymust.simus(
+            np.array([lateral]),
+            np.array([elevation]),
+            np.array([depth - y.min()]),  # PyMUST counts depth from the array's chord
+            np.array([1.0]),
+            delays[np.newaxis],
+            p,
+        )
+        time = np.arange(len(echoes)) / p.fs
+        line = np.zeros(len(time))
+        for element in np.flatnonzero(window):
+            delay = np.hypot(x[element], depth - y[element]) / p.c
+            line += window[element] * np.interp(time + delay, time, echoes[:, element], right=0)
+        peaks.append(np.abs(hilbert(line)).max())
+    return 2 * np.interp(0.5, (np.array(peaks) / peaks[0])[::-1], offsets[::-1])
+
+
+def test_widths_match_pymust_at_the_focus():
+    assert lateral_width(0.06, PROBE, FOCUS_60) == pytest.approx(
+        pymust_half_width(0.06, 0), rel=0.1
+    )
+    assert elevation_width(0.06, PROBE, FOCUS_60)[0] == pytest.approx(
+        pymust_half_width(0.06, 1), rel=0.1
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("depth", [0.04, 0.05, 0.07, 0.08, 0.09, 0.10])
+def test_widths_match_pymust_from_40_to_100_mm(depth):
+    assert lateral_width(depth, PROBE, FOCUS_60) == pytest.approx(
+        pymust_half_width(depth, 0), rel=0.1
+    )
+    assert elevation_width(depth, PROBE, FOCUS_60)[0] == pytest.approx(
+        pymust_half_width(depth, 1), rel=0.1
+    )
+
+
+@pytest.mark.parametrize(
+    ("depth", "lateral", "elevation"),
+    [(40, 2.34, 1.74), (60, 1.48, 2.23), (80, 2.36, 3.06), (100, 3.93, 4.08)],
+)
+def test_widths_match_pymust_as_recorded(depth, lateral, elevation):
+    """Millimetres, from PyMUST with this probe: what the slow test computes anew."""
+    assert lateral_width(1e-3 * depth, PROBE, FOCUS_60) == pytest.approx(1e-3 * lateral, rel=0.1)
+    width, _ = elevation_width(1e-3 * depth, PROBE, FOCUS_60)
+    assert width == pytest.approx(1e-3 * elevation, rel=0.1)
+
+
+@pytest.mark.parametrize("height", [0.008, 0.012, 0.016])
+def test_elevation_at_the_lens_focus_is_the_diffraction_limit(height):
+    """A focused slit used both ways: sinc^2, whose width at half is 0.886 wavelength z / H.
+
+    That holds for one frequency; the short pulse's lower ones widen it a little.
+    """
+    transducer = dataclasses.replace(PROBE, element_height=height)
+    width, curvature = elevation_width(PROBE.lens_focus, transducer, FOCUS_60)
+    limit = 0.886 * FOCUS_60.wavelength * PROBE.lens_focus / height
+    assert width == pytest.approx(limit, rel=0.08)
+    # In the focal plane the wave front is a sphere about the aperture's centre.
+    assert curvature == pytest.approx(1 / PROBE.lens_focus, rel=0.05)
+
+
+def test_wave_fronts_converge_before_the_lens_focus():
+    _, curvature = elevation_width(0.02, PROBE, FOCUS_60)
+    assert curvature == pytest.approx(-1 / (PROBE.lens_focus - 0.02), rel=0.1)
+
+
+def test_axial_width_shrinks_with_bandwidth():
+    """Near 0.44 c / B for a pulse that the transducer, not the excitation, limits."""
+    narrow, wide = (axial_width(3.3e6, bandwidth, 1540) for bandwidth in (0.2, 0.7))
+    assert narrow == pytest.approx(0.44 * 1540 / (0.2 * 3.3e6), rel=0.1)
+    assert wide == pytest.approx(0.40e-3, rel=0.05)
+
+
+def test_transmit_focus_sharpens_the_beam_at_its_depth():
+    for focus in (0.03, 0.06):
+        widths = [
+            lateral_width(depth, PROBE, dataclasses.replace(FOCUS_60, focus_depth=focus))
+            for depth in (0.03, 0.06)
+        ]
+        assert np.argmin(widths) == [0.03, 0.06].index(focus)
+
+
+@pytest.mark.parametrize(
+    ("name", "imaging"),
+    [
+        ("4dc7_3_40", ImagingParameters()),
+        (
+            "zhao2012",
+            ImagingParameters(
+                depth=0.074,
+                sector=1.0,
+                transmit_frequency=7.5e6,
+                focus_depth=0.05,
+                frame_pitch_deg=0.7547,
+                volume_rate=1.0,
+                frames=53,
+                sample_pitch=0.1e-3,
+            ),
+        ),
+        ("trus", ImagingParameters(depth=0.06, transmit_frequency=6.5e6, focus_depth=0.03)),
+    ],
+)
+def test_every_transducer_has_a_smooth_beam(name, imaging):
+    transducer = load_transducer(name)
+    geometry = sweep_geometry(transducer, imaging)
+    beam = beam_profile(transducer, imaging, geometry)
+    for width in (beam.lateral, beam.elevation):
+        assert width.shape == (geometry.samples,)
+        assert 0.2 * imaging.wavelength < width.min()
+        assert width.max() < 8e-3
+        deep = width[geometry.samples // 4 :]
+        assert np.abs(np.diff(deep)).max() < 0.05 * width.max()
+    assert np.isfinite(beam.curvature).all()
