@@ -11,7 +11,7 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlant, MultibodyPlantConfig
 from pydrake.multibody.tree import PdControllerGains
 from pydrake.systems.framework import Diagram, DiagramBuilder
-from pydrake.systems.primitives import PassThrough
+from pydrake.systems.primitives import Gain
 
 from sonoservo.models import model_path
 from sonoservo.systems.robot.arm import AddArmWithProbe
@@ -213,8 +213,8 @@ def MakeStation(
         ("joint_command", arm.model_instance),
         ("phantom_command", phantom.model_instance),
     ):
-        # Drake lets a servo with no command go limp; a PassThrough with no input says so instead.
-        command = builder.AddNamedSystem(name, PassThrough(12))
+        # Drake lets a servo with no command go limp; a gain with no input says so instead.
+        command = builder.AddNamedSystem(name, Gain(1.0, 12))
         builder.Connect(command.get_output_port(), plant.get_desired_state_input_port(instance))
         builder.ExportInput(command.get_input_port(), name)
 

@@ -1,0 +1,185 @@
+import numpy as np
+import pytest
+from pydrake.common.yaml import yaml_load_typed
+from pydrake.geometry import Meshcat
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import ConstantVectorSource
+from pydrake.trajectories import PiecewisePolynomial
+
+from sonoservo.diagrams.station import (
+    MakeStation,
+    PhantomParameters,
+    ProbePlacement,
+    StationParameters,
+    check_reach,
+    start_posture,
+)
+from sonoservo.systems.control.force_law import pressing_force
+from sonoservo.systems.robot.phantom import PhantomMotion
+from sonoservo.systems.robot.posture import solve_posture
+
+WEIGHT = 0.5 * 9.81
+QUIET = {"force_noise": 0.0, "torque_noise": 0.0}
+
+
+class Bench:
+    """A station whose arm holds a posture while the phantom is moved."""
+
+    def __init__(self, parameters, *, q=None, phantom=None, seed=0, meshcat=None):
+        builder = DiagramBuilder()
+        self.station = builder.AddSystem(
+            MakeStation(parameters=parameters, seed=seed, meshcat=meshcat)
+        )
+        q = start_posture(parameters) if q is None else q
+        arm = builder.AddSystem(ConstantVectorSource(np.concatenate([q, np.zeros(6)])))
+        rest = np.concatenate([parameters.X_WT.translation(), np.zeros(3)])
+        if phantom is None:
+            phantom = PiecewisePolynomial.FirstOrderHold([0, 100], np.array([rest, rest]).T)
+        stage = builder.AddSystem(PhantomMotion(trajectory=phantom))
+        for name, source in (("joint_command", arm), ("phantom_command", stage)):
+            builder.Connect(source.get_output_port(), self.station.GetInputPort(name))
+        self.simulator = Simulator(builder.Build())
+        self.simulator.Initialize()
+
+    def run(self, until):
+        self.simulator.AdvanceTo(until)
+        return self
+
+    def __getitem__(self, port):
+        context = self.station.GetMyContextFromRoot(self.simulator.get_context())
+        return self.station.GetOutputPort(port).Eval(context)
+
+
+@pytest.fixture(scope="module")
+def resting():
+    parameters = StationParameters(
+        probe=ProbePlacement(x=0.02, y=-0.01, yaw_deg=30), force_noise=0.0, torque_noise=0.0
+    )
+    return parameters, Bench(parameters).run(0.5)
+
+
+def test_probe_starts_and_stays_at_its_place(resting):
+    parameters, bench = resting
+    X_TP = parameters.X_WT.inverse() @ bench["X_WP"]
+    np.testing.assert_allclose(X_TP.translation(), [0.02, -0.01, 0.015], atol=2e-4)
+    R_TP = X_TP.rotation().matrix()
+    np.testing.assert_allclose(R_TP[:, 0], [np.cos(np.pi / 6), np.sin(np.pi / 6), 0], atol=1e-3)
+    np.testing.assert_allclose(R_TP[:, 1], [0, 0, -1], atol=1e-3)
+
+
+def test_wrist_bears_the_probes_weight(resting):
+    _, bench = resting
+    wrist_force = bench["wrist_force"]
+    np.testing.assert_allclose(wrist_force.translational(), [0, -WEIGHT, 0], atol=5e-3)
+    np.testing.assert_allclose(wrist_force.rotational(), 0, atol=1e-3)
+    assert bench["contact_force"][0] == 0
+
+
+def test_joint_state_is_the_arms(resting):
+    parameters, bench = resting
+    np.testing.assert_allclose(bench["joint_state"][:6], start_posture(parameters), atol=5e-4)
+    np.testing.assert_allclose(bench["joint_state"][6:], 0, atol=1e-6)
+
+
+def test_phantom_follows_its_command():
+    parameters = StationParameters(probe=ProbePlacement(height=0.1))
+    start = np.array([0.5, 0, 0.2, 0, 0, 0])
+    end = start + np.array([0.04, -0.02, 0.01, 0.1, -0.2, 0.35])
+    zero = np.zeros((6, 1))
+    path = PiecewisePolynomial.CubicWithContinuousSecondDerivatives(
+        [0, 1], np.array([start, end]).T, zero, zero
+    )
+    bench = Bench(parameters, phantom=path)
+    for time in (0.25, 0.5, 1.0):
+        expected = path.value(time).ravel()
+        X_WT = bench.run(time)["X_WT"]
+        # One step of the plant late while it moves at up to 60 mm/s.
+        atol = 4e-4 if time < 1 else 1e-5
+        np.testing.assert_allclose(X_WT.translation(), expected[:3], atol=atol)
+        R_WT = RollPitchYaw(expected[3:]).ToRotationMatrix().matrix()
+        np.testing.assert_allclose(X_WT.rotation().matrix(), R_WT, atol=10 * atol)
+
+
+@pytest.mark.parametrize(
+    ("contact_model", "depth"), [("hydroelastic_with_fallback", 4.3e-3), ("point", 3.3e-3)]
+)
+def test_two_newtons_press_the_probe_as_deep_as_calibrated(contact_model, depth):
+    parameters = StationParameters(contact_model=contact_model, **QUIET)
+    q = solve_posture(parameters.probe_pose(height=-depth))
+    bench = Bench(parameters, q=q).run(1.0)
+    X_WP = bench["X_WP"]
+    pressed = pressing_force(bench["wrist_force"], X_WP.rotation(), 0.5)
+    assert pressed == pytest.approx(2.0, abs=0.25)
+    # The sensor and the contact tell the same.
+    assert bench["contact_force"][0] == pytest.approx(pressed, abs=5e-3)
+
+
+def test_sensor_noise_is_the_seeds():
+    readings = [
+        Bench(StationParameters(), seed=seed).run(0.1)["wrist_force"].translational()
+        for seed in (1, 1, 2)
+    ]
+    np.testing.assert_array_equal(readings[0], readings[1])
+    assert np.abs(readings[0] - readings[2]).max() > 1e-4
+
+
+def test_a_command_left_unconnected_is_an_error():
+    station = MakeStation(parameters=StationParameters())
+    with pytest.raises(RuntimeError, match="command.*is not connected"):
+        Simulator(station).AdvanceTo(0.01)
+
+
+def test_start_out_of_reach_is_refused():
+    with pytest.raises(ValueError, match=r"cannot reach the probe pose x 1\.500"):
+        MakeStation(parameters=StationParameters(probe=ProbePlacement(x=1.0)))
+
+
+def test_whole_workspace_is_within_reach():
+    parameters = StationParameters()
+    poses = [
+        parameters.probe_pose(x=x, y=y, yaw_deg=yaw, height=-0.005)
+        for x in (-0.06, 0.06)
+        for y in (-0.03, 0.03)
+        for yaw in (-60, 60)
+    ]
+    outside = parameters.probe_pose(x=0.6)
+    assert check_reach(parameters, [*poses, outside]) == [True] * 8 + [False]
+
+
+def test_station_is_drawn():
+    meshcat = Meshcat()
+    Bench(StationParameters(), meshcat=meshcat).run(0.05)
+    for model in ("viper_s850", "probe_4dc7", "agar_phantom"):
+        assert meshcat.HasPath(f"/drake/visualizer/{model}"), model
+
+
+def test_parameters_load_from_yaml():
+    text = """
+    time_step: 0.001
+    phantom: {position: [0.45, 0, 0.25], size: [0.2, 0.15, 0.1]}
+    probe: {yaw_deg: -40}
+    """
+    parameters = yaml_load_typed(schema=StationParameters, data=text, defaults=StationParameters())
+    assert parameters.time_step == 0.001
+    assert parameters.probe.yaw_deg == -40
+    assert parameters.probe.height == ProbePlacement().height
+    assert parameters.X_WT.IsExactlyEqualTo(RigidTransform([0.45, 0, 0.25]))
+
+
+@pytest.mark.parametrize(
+    ("make", "field"),
+    [
+        (lambda: StationParameters(time_step=0.0), "time_step"),
+        (lambda: StationParameters(contact_model="soft"), "contact_model.*hydroelastic or point"),
+        (lambda: StationParameters(force_noise=-1.0), "force_noise"),
+        (lambda: PhantomParameters(size=[0.1, 0.1, 0.0]), r"size\[2\]"),
+        (lambda: PhantomParameters(position=[0.1, 0.1]), "position"),
+        (lambda: ProbePlacement(height=-0.01), "height"),
+        (lambda: ProbePlacement(yaw_deg=float("nan")), "yaw_deg"),
+    ],
+)
+def test_parameters_name_what_is_wrong(make, field):
+    with pytest.raises(ValueError, match=field):
+        make()

@@ -1,0 +1,120 @@
+import numpy as np
+import pytest
+from pydrake.geometry import Ellipsoid, SceneGraph
+from pydrake.multibody.parsing import PackageMap, Parser
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+
+from sonoservo.models import model_path
+
+FOLDER = model_path("package.xml").parent
+ROBOT_MODELS = sorted(path.name for kind in ("urdf", "sdf") for path in FOLDER.glob(f"*.{kind}"))
+
+# Adept Viper s850, standard DH: a (m), d (m), alpha, offset of theta.
+DH = (
+    (0.075, 0.335, -np.pi / 2, 0),
+    (0.365, 0, 0, 0),
+    (0.090, 0, -np.pi / 2, -np.pi),
+    (0, 0.405, np.pi / 2, 0),
+    (0, 0, -np.pi / 2, 0),
+    (0, 0.080, 0, -np.pi),
+)
+LIMITS_DEG = ((-170, 170), (-190, 45), (-29, 256), (-190, 190), (-120, 120), (-360, 360))
+
+
+def dh_transform(a, d, alpha, theta):
+    """Rz(theta) Tz(d) Tx(a) Rx(alpha), written out."""
+    c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
+    return np.array(
+        [[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d], [0, 0, 0, 1]]
+    )
+
+
+@pytest.fixture(scope="module")
+def arm():
+    plant = MultibodyPlant(time_step=0)
+    Parser(plant).AddModels(str(model_path("viper_s850.urdf")))
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link"))
+    plant.Finalize()
+    return plant
+
+
+@pytest.mark.parametrize("name", ROBOT_MODELS)
+def test_every_model_parses_and_steps(name):
+    builder = DiagramBuilder()
+    plant, _ = AddMultibodyPlantSceneGraph(builder, 0.001)
+    Parser(plant).AddModels(str(model_path(name)))
+    plant.Finalize()
+    simulator = Simulator(builder.Build())
+    simulator.AdvanceTo(0.01)
+    context = plant.GetMyContextFromRoot(simulator.get_context())
+    assert np.isfinite(plant.GetPositionsAndVelocities(context)).all()
+    assert plant.num_bodies() > 1
+
+
+def test_the_models_asked_for_are_there():
+    assert {"viper_s850.urdf", "probe_4dc7.sdf", "agar_phantom.sdf"} <= set(ROBOT_MODELS)
+
+
+def test_flange_agrees_with_the_dh_table(arm):
+    context = arm.CreateDefaultContext()
+    flange = arm.GetFrameByName("flange")
+    rng = np.random.default_rng(1)
+    for q in rng.uniform(-np.pi, np.pi, (200, 6)):
+        arm.SetPositions(context, q)
+        expected = np.linalg.multi_dot(
+            [dh_transform(a, d, alpha, t + x) for (a, d, alpha, t), x in zip(DH, q, strict=True)]
+        )
+        got = flange.CalcPoseInWorld(context).GetAsMatrix4()
+        np.testing.assert_allclose(got, expected, atol=1e-12)
+
+
+def test_joint_limits_are_the_makers(arm):
+    lower, upper = np.deg2rad(LIMITS_DEG).T
+    np.testing.assert_allclose(arm.GetPositionLowerLimits(), lower, atol=1e-12)
+    np.testing.assert_allclose(arm.GetPositionUpperLimits(), upper, atol=1e-12)
+    assert np.isfinite(arm.GetVelocityUpperLimits()).all()
+
+
+def test_every_part_of_the_arm_has_a_physical_inertia(arm):
+    for index in arm.GetBodyIndices(arm.GetModelInstanceByName("viper_s850")):
+        body = arm.get_body(index)
+        assert body.default_spatial_inertia().IsPhysicallyValid(), body.name()
+
+
+def test_dome_has_the_radii_of_the_transducer():
+    plant, scene_graph = MultibodyPlant(time_step=0.001), SceneGraph()
+    plant.RegisterAsSourceForSceneGraph(scene_graph)
+    Parser(plant).AddModels(str(model_path("probe_4dc7.sdf")))
+    plant.Finalize()
+    (geometry,) = plant.GetCollisionGeometriesForBody(plant.GetBodyByName("probe"))
+    inspector = scene_graph.model_inspector()
+    dome = inspector.GetShape(geometry)
+    assert isinstance(dome, Ellipsoid)
+    # The apex is the origin of P, and there an ellipsoid's radii of curvature are a^2 / b.
+    apex = inspector.GetPoseInFrame(geometry).multiply([0, dome.b(), 0])
+    np.testing.assert_allclose(apex, 0, atol=1e-12)
+    assert dome.a() ** 2 / dome.b() == pytest.approx(0.040, rel=2e-3)
+    assert dome.c() ** 2 / dome.b() == pytest.approx(0.02725)
+
+
+def test_housing_is_a_closed_surface_behind_the_dome():
+    text = model_path("probe_4dc7_housing.obj").read_text().splitlines()
+    vertices = np.array([line.split()[1:] for line in text if line.startswith("v ")], dtype=float)
+    assert vertices[:, 1].max() < 0
+    assert np.abs(vertices).max() < 0.2
+    faces = [line.split()[1:] for line in text if line.startswith("f ")]
+    indices = {int(corner.split("//")[0]) for face in faces for corner in face}
+    assert indices == set(range(1, len(vertices) + 1))
+
+
+def test_package_url_resolves():
+    packages = PackageMap()
+    packages.AddPackageXml(str(model_path("package.xml")))
+    assert packages.GetPath("sonoservo").rstrip("/") == str(FOLDER)
+
+
+def test_unknown_model_names_those_there_are():
+    with pytest.raises(FileNotFoundError, match=r"'viper\.urdf'.*viper_s850\.urdf"):
+        model_path("viper.urdf")

@@ -1,0 +1,152 @@
+import numpy as np
+import pytest
+from pydrake.math import RotationMatrix
+from pydrake.multibody.inverse_kinematics import (
+    DifferentialInverseKinematicsParameters,
+    DoDifferentialInverseKinematics,
+)
+from pydrake.multibody.tree import JacobianWrtVariable
+from pydrake.systems.analysis import Simulator
+
+from sonoservo.systems.control.differential_kinematics import (
+    DifferentialKinematics,
+    DifferentialKinematicsParameters,
+)
+from sonoservo.systems.robot.arm import MakeArmPlant
+from sonoservo.systems.robot.posture import ELBOW_UP
+
+STEP = 0.005
+
+
+class Bench:
+    """The leaf on its own, with a plant of its own to look at where its command leads."""
+
+    def __init__(self, q, *, planar=(0, 0, 0), approach=0.0, **parameters):
+        self.plant, self.arm = MakeArmPlant()
+        self.context = self.plant.CreateDefaultContext()
+        leaf = DifferentialKinematics(
+            parameters=DifferentialKinematicsParameters(**parameters),
+            plant=self.plant,
+            probe=self.arm.probe.body_frame(),
+            time_step=STEP,
+        )
+        self.simulator = Simulator(leaf)
+        root = self.simulator.get_mutable_context()
+        leaf.GetInputPort("planar_velocity").FixValue(root, planar)
+        leaf.GetInputPort("approach_velocity").FixValue(root, [approach])
+        leaf.GetInputPort("joint_state").FixValue(root, np.concatenate([q, np.zeros(6)]))
+        self.simulator.Initialize()
+        self.leaf = leaf
+
+    def command(self):
+        return self.leaf.GetOutputPort("joint_command").Eval(self.simulator.get_context())
+
+    def pose(self, q):
+        self.plant.SetPositions(self.context, q)
+        return self.arm.probe.EvalPoseInWorld(self.context)
+
+    def jacobian(self, q):
+        self.plant.SetPositions(self.context, q)
+        frame = self.arm.probe.body_frame()
+        return self.plant.CalcJacobianSpatialVelocity(
+            self.context,
+            JacobianWrtVariable.kV,
+            frame,
+            np.zeros(3),
+            self.plant.world_frame(),
+            frame,
+        )
+
+
+def test_command_starts_where_the_joints_are():
+    bench = Bench(ELBOW_UP)
+    np.testing.assert_array_equal(bench.command(), np.concatenate([ELBOW_UP, np.zeros(6)]))
+    bench.simulator.AdvanceTo(0.1)
+    np.testing.assert_allclose(bench.command()[:6], ELBOW_UP, atol=1e-12)
+
+
+def test_probe_moves_as_asked():
+    bench = Bench(ELBOW_UP, planar=(0.02, -0.01, 0.3), approach=0.015)
+    before = bench.pose(ELBOW_UP)
+    bench.simulator.AdvanceTo(0.5)
+    after = bench.pose(bench.command()[:6])
+    time = 0.5
+    change = before.inverse() @ after
+    turn = RotationMatrix.MakeYRotation(0.3 * time).matrix()
+    np.testing.assert_allclose(change.rotation().matrix(), turn, atol=1e-4)
+    w = 0.3
+    x = 0.02 * np.sin(w * time) / w + -0.01 * (1 - np.cos(w * time)) / w
+    z = -0.01 * np.sin(w * time) / w - 0.02 * (1 - np.cos(w * time)) / w
+    np.testing.assert_allclose(change.translation(), [x, 0.015 * time, z], atol=2e-5)
+
+
+def test_command_ramps_between_updates():
+    bench = Bench(ELBOW_UP, planar=(0.02, 0, 0))
+    bench.simulator.AdvanceTo(0.0501)
+    first = bench.command()
+    bench.simulator.AdvanceTo(0.0541)
+    second = bench.command()
+    np.testing.assert_array_equal(first[6:], second[6:])
+    np.testing.assert_allclose(second[:6] - first[:6], 0.004 * first[6:], atol=1e-15)
+    assert np.abs(first[6:]).max() > 1e-3
+
+
+def test_joint_velocity_limits_slow_but_do_not_turn_the_motion():
+    bench = Bench(ELBOW_UP, planar=(2.0, 1.0, 0), axis_gain=0.0)
+    bench.simulator.AdvanceTo(0.0075)
+    q, v = np.split(bench.command(), 2)
+    limits = bench.plant.GetVelocityUpperLimits()
+    assert (np.abs(v) <= limits + 1e-6).all()
+    assert (np.abs(v) >= limits - 1e-6).any()
+    V = bench.jacobian(q - 0.0025 * v) @ v
+    wanted = np.array([0, 0, 0, 2.0, 0, 1.0])
+    alpha = V @ wanted / (wanted @ wanted)
+    assert 0 < alpha < 1
+    np.testing.assert_allclose(V, alpha * wanted, atol=1e-4)
+
+
+def test_joint_position_limits_hold():
+    q = ELBOW_UP.copy()
+    upper = MakeArmPlant()[0].GetPositionUpperLimits()[5]
+    q[5] = upper - 0.01
+    bench = Bench(q, planar=(0, 0, 1.0))
+    bench.simulator.AdvanceTo(0.2)
+    assert bench.command()[5] == pytest.approx(upper, abs=1e-3)
+    assert bench.command()[5] <= upper + 1e-6
+
+
+def test_direct_solution_is_drakes():
+    bench = Bench(ELBOW_UP, planar=(0.02, -0.01, 0.3), approach=0.01)
+    bench.simulator.AdvanceTo(0.0025)
+    limits = DifferentialInverseKinematicsParameters(6, 6)
+    limits.set_time_step(STEP)
+    J = bench.jacobian(ELBOW_UP)
+    wanted = np.array([0, 0.3, 0, 0.02, 0.01, -0.01])
+    result = DoDifferentialInverseKinematics(ELBOW_UP, np.zeros(6), wanted, J, limits)
+    np.testing.assert_allclose(bench.command()[6:], result.joint_velocities, atol=1e-7)
+
+
+def test_probes_axis_comes_back_to_the_vertical():
+    q = ELBOW_UP + np.array([0, 0, 0, 0.02, 0.03, 0])
+    bench = Bench(q, planar=(0, 0, 0.1), axis_gain=2.0)
+    tilted = bench.pose(q).rotation().matrix()[:, 1]
+    assert np.arccos(-tilted[2]) > 0.03
+    bench.simulator.AdvanceTo(4)
+    axis = bench.pose(bench.command()[:6]).rotation().matrix()[:, 1]
+    assert np.hypot(axis[0], axis[1]) < 0.03 * np.exp(-2 * 4) * 1.5
+    np.testing.assert_allclose(axis[2], -1, atol=1e-6)
+
+
+def test_an_arm_stretched_out_stays_finite():
+    q = np.deg2rad([0, -90, 90, 0, 0, 0])
+    bench = Bench(q, planar=(0.01, 0, 0.2), approach=0.01)
+    bench.simulator.AdvanceTo(0.05)
+    assert np.isfinite(bench.command()).all()
+    assert (np.abs(bench.command()[6:]) <= bench.plant.GetVelocityUpperLimits() + 1e-6).all()
+
+
+def test_parameters_name_what_is_wrong():
+    with pytest.raises(ValueError, match="axis"):
+        DifferentialKinematicsParameters(axis=[0.0, 0.0, 0.0])
+    with pytest.raises(ValueError, match="axis_gain"):
+        DifferentialKinematicsParameters(axis_gain=-1.0)

@@ -1,0 +1,126 @@
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from pydrake.math import RigidTransform, RotationMatrix
+from scipy.linalg import expm
+
+from sonoservo.systems.control.visual_features import (
+    interaction_matrix,
+    needle_features,
+    saturated,
+    servo_velocity,
+    significant_velocity,
+)
+
+lengths = st.floats(-0.1, 0.1)
+angles = st.floats(-np.pi / 2 + 0.01, np.pi / 2 - 0.01)
+
+
+def moved(X_WP: RigidTransform, velocity, time: float) -> RigidTransform:
+    """Pose after a constant velocity (v_x, v_z, omega_y) of P in P: the matrix exponential."""
+    v_x, v_z, omega_y = velocity
+    twist = np.zeros((4, 4))
+    twist[0, 2], twist[2, 0] = omega_y, -omega_y
+    twist[0, 3], twist[2, 3] = v_x, v_z
+    return RigidTransform(X_WP.GetAsMatrix4() @ expm(time * twist))
+
+
+def features_from(X_WP: RigidTransform, p_W, k_W):
+    X_PW = X_WP.inverse()
+    return needle_features(X_PW.multiply(p_W), X_PW.rotation().multiply(k_W))
+
+
+def test_theta_turns_from_x_to_z():
+    assert needle_features(np.zeros(3), np.array([1.0, 0, 1]))[2] == pytest.approx(np.pi / 4)
+    assert needle_features(np.zeros(3), np.array([0, 0, 1.0]))[2] == pytest.approx(np.pi / 2)
+    # A right-handed turn about +Y takes X towards -Z.
+    turned = RotationMatrix.MakeYRotation(0.3).matrix() @ [1, 0, 0]
+    assert needle_features(np.zeros(3), turned)[2] == pytest.approx(-0.3)
+
+
+@given(x=lengths, y=lengths, z=lengths, theta=angles, depth=st.floats(-2, 2))
+def test_features_do_not_depend_on_the_needles_sense(x, y, z, theta, depth):
+    tip, direction = np.array([x, y, z]), np.array([np.cos(theta), depth, np.sin(theta)])
+    features = needle_features(tip, direction)
+    np.testing.assert_allclose(features, [x, z, theta], atol=1e-12)
+    np.testing.assert_allclose(needle_features(tip, -3 * direction), features, atol=1e-12)
+
+
+@given(x=lengths, z=lengths, theta=angles)
+def test_interaction_matrix_is_its_own_inverse(x, z, theta):
+    L = interaction_matrix(np.array([x, z, theta]))
+    np.testing.assert_allclose(L @ L, np.eye(3), atol=1e-15)
+
+
+@given(
+    x=lengths,
+    y=lengths,
+    z=lengths,
+    theta=st.floats(-1.4, 1.4),
+    dip=st.floats(-1, 1),
+    velocity=st.tuples(*3 * [st.floats(-1, 1)]),
+)
+def test_interaction_matrix_is_the_derivative_of_the_features(x, y, z, theta, dip, velocity):
+    X_WP = RigidTransform(RotationMatrix.MakeXRotation(-1.2), [0.3, 0.2, 0.5])
+    p_W = X_WP.multiply([x, y, z])
+    k_W = X_WP.rotation().multiply([np.cos(theta), dip, np.sin(theta)])
+    h = 1e-5
+    ahead, behind = (features_from(moved(X_WP, velocity, t), p_W, k_W) for t in (h, -h))
+    L = interaction_matrix(features_from(X_WP, p_W, k_W))
+    np.testing.assert_allclose((ahead - behind) / (2 * h), L @ velocity, atol=1e-7)
+
+
+def test_features_decay_exponentially():
+    X_WP = RigidTransform()
+    p_W, k_W = np.array([0.03, 0.05, -0.02]), np.array([1.0, 0.2, 0.9])
+    start = features_from(X_WP, p_W, k_W)
+    gain, h = 0.8, 4e-3
+    for _ in range(500):
+        velocity = servo_velocity(features_from(X_WP, p_W, k_W), gain=gain)
+        X_WP = moved(X_WP, velocity, h)
+    expected = start * np.exp(-gain * 2)
+    np.testing.assert_allclose(features_from(X_WP, p_W, k_W), expected, rtol=5e-3)
+
+
+def test_rates_keep_centred_what_moves():
+    features = np.array([0.01, -0.02, 0.3])
+    rates = np.array([0.004, -0.003, 0.1])
+    velocity = servo_velocity(features, gain=0.5, rates=rates)
+    total = interaction_matrix(features) @ velocity + rates
+    np.testing.assert_allclose(total, -0.5 * features, atol=1e-15)
+
+
+def test_a_needle_along_the_beam_does_not_turn_the_probe():
+    velocity = servo_velocity(np.array([0.01, 0.02, 1.0]), gain=0.5, rotate=False)
+    np.testing.assert_allclose(velocity, [0.005, 0.01, 0])
+
+
+@given(velocity=st.tuples(*3 * [st.floats(-5, 5)]))
+def test_saturation_keeps_the_direction_and_the_limits(velocity):
+    velocity = np.array(velocity)
+    slowed = saturated(velocity, speed=0.03, angular_speed=0.4)
+    assert np.hypot(*slowed[:2]) <= 0.03 * (1 + 1e-12)
+    assert abs(slowed[2]) <= 0.4 * (1 + 1e-12)
+    np.testing.assert_allclose(np.cross(slowed, velocity), 0, atol=1e-12)
+    if np.hypot(*velocity[:2]) <= 0.03 and abs(velocity[2]) <= 0.4:
+        np.testing.assert_array_equal(slowed, velocity)
+    assume(np.abs(velocity).max() > 1e-6)
+    assert slowed @ velocity > 0
+
+
+def test_only_a_significant_velocity_passes():
+    covariance = np.diag([1e-6, 4e-6, 1e-6])
+    for speed, share in ((1e-3, 0), (3e-3, 0), (4.5e-3, 0.5), (6e-3, 1), (9e-3, 1)):
+        along_x = significant_velocity(np.array([speed, 0, 0]), covariance, 3.0)
+        np.testing.assert_allclose(along_x, [share * speed, 0, 0], atol=1e-12)
+        along_y = significant_velocity(np.array([0, 2 * speed, 0]), covariance, 3.0)
+        np.testing.assert_allclose(along_y, [0, 2 * share * speed, 0], atol=1e-12)
+
+
+def test_a_certain_velocity_passes_and_rest_stays_at_rest():
+    velocity = np.array([1e-5, 0, 0])
+    np.testing.assert_array_equal(significant_velocity(velocity, np.zeros((3, 3)), 3.0), velocity)
+    np.testing.assert_array_equal(significant_velocity(velocity, np.eye(3), 0.0), velocity)
+    rest = significant_velocity(np.zeros(3), np.zeros((3, 3)), 3.0)
+    np.testing.assert_array_equal(rest, 0)

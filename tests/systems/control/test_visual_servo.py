@@ -1,0 +1,120 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform, RotationMatrix
+
+from sonoservo.systems.control.visual_servo import (
+    VisualServo,
+    VisualServoParameters,
+    planar_velocity,
+)
+from sonoservo.systems.estimation.estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.needle.curve import NeedleCurve
+
+X_WP = RigidTransform(RotationMatrix.MakeXRotation(-np.pi / 2), [0.5, 0, 0.2])
+PAPER = VisualServoParameters(gain=0.8, feed_forward=False, max_speed=1, max_angular_speed_deg=200)
+
+
+def estimate(
+    *,
+    tip_P=(0.01, 0.04, 0.02),
+    direction_P=(1.0, 0.1, 0.2),
+    velocity_P=(0.0, 0.0, 0.0),
+    deviation=1e-4,
+    mode=TrackingMode.TRACKING,
+    time=0.0,
+):
+    tip_P, direction_P = np.array(tip_P), np.array(direction_P)
+    curve = NeedleCurve(np.array([tip_P - 0.05 * direction_P, tip_P])).transformed(X_WP)
+    velocity = np.vstack([np.zeros(3), X_WP.rotation().multiply(velocity_P)])
+    return NeedleEstimate(mode, time, curve, velocity, deviation**2 * np.eye(12))
+
+
+def test_law_is_the_papers():
+    velocity = planar_velocity(estimate(), X_WP, 0.0, PAPER)
+    x, z, theta = 0.01, 0.02, np.arctan2(0.2, 1.0)
+    expected = -0.8 * np.array([-x - z * theta, -z + x * theta, theta])
+    np.testing.assert_allclose(velocity, expected, atol=1e-12)
+
+
+def test_paper_ignores_the_velocity():
+    moving = estimate(velocity_P=(0.005, 0, 0))
+    still = planar_velocity(estimate(), X_WP, 0.3, PAPER)
+    np.testing.assert_array_equal(planar_velocity(moving, X_WP, 0.3, PAPER), still)
+
+
+def test_feed_forward_carries_the_tip_on_to_now():
+    parameters = replace(PAPER, feed_forward=True)
+    late = planar_velocity(estimate(velocity_P=(0.005, 0.001, -0.004)), X_WP, 0.2, parameters)
+    there = estimate(tip_P=(0.011, 0.0402, 0.0192), velocity_P=(0.005, 0.001, -0.004), time=0.2)
+    np.testing.assert_allclose(late, planar_velocity(there, X_WP, 0.2, parameters), atol=1e-12)
+    centred = estimate(tip_P=(0, 0.04, 0), direction_P=(1, 0, 0), velocity_P=(0.005, 0.002, -0.004))
+    velocity = planar_velocity(centred, X_WP, 0.0, parameters)
+    np.testing.assert_allclose(velocity, [0.005, -0.004, 0], atol=1e-12)
+
+
+def test_feed_forward_does_not_follow_noise():
+    rest = planar_velocity(estimate(), X_WP, 0.2, PAPER)
+    noisy = estimate(velocity_P=(0.002, 0, 0.001), deviation=1e-3)
+    parameters = replace(PAPER, feed_forward=True)
+    np.testing.assert_allclose(planar_velocity(noisy, X_WP, 0.2, parameters), rest, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("seen", "time", "parameters"),
+    [
+        (estimate(mode=TrackingMode.LOST), 0.0, PAPER),
+        (NeedleEstimate(TrackingMode.SEARCHING, 0.0), 0.0, PAPER),
+        (estimate(), 2.0, PAPER),
+        (estimate(velocity_P=(0.01, 0, 0)), 0.0, replace(PAPER, gain=0.0, feed_forward=True)),
+    ],
+)
+def test_probe_rests_without_a_fresh_needle(seen, time, parameters):
+    np.testing.assert_array_equal(planar_velocity(seen, X_WP, time, parameters), 0)
+
+
+def test_coasting_goes_on():
+    coasting = planar_velocity(estimate(mode=TrackingMode.COASTING), X_WP, 0.1, PAPER)
+    np.testing.assert_array_equal(coasting, planar_velocity(estimate(), X_WP, 0.1, PAPER))
+
+
+def test_needle_along_the_beam_is_only_centred():
+    velocity = planar_velocity(estimate(direction_P=(0.05, 1, 0.1)), X_WP, 0.0, PAPER)
+    np.testing.assert_allclose(velocity, [0.008, 0.016, 0], atol=1e-12)
+
+
+def test_speeds_are_limited():
+    parameters = VisualServoParameters(gain=5.0, max_speed=0.02, max_angular_speed_deg=10)
+    velocity = planar_velocity(estimate(tip_P=(0.1, 0.04, 0.1)), X_WP, 0.0, parameters)
+    assert np.hypot(*velocity[:2]) == pytest.approx(0.02)
+    velocity = planar_velocity(estimate(direction_P=(0.1, 0, 1)), X_WP, 0.0, parameters)
+    assert np.rad2deg(abs(velocity[2])) == pytest.approx(10)
+
+
+def test_leaf_reads_its_ports():
+    servo = VisualServo(parameters=PAPER)
+    context = servo.CreateDefaultContext()
+    context.SetTime(0.1)
+    servo.GetInputPort("estimate").FixValue(context, Value[object](estimate()))
+    servo.GetInputPort("X_WP").FixValue(context, X_WP)
+    velocity = servo.GetOutputPort("planar_velocity").Eval(context)
+    np.testing.assert_array_equal(velocity, planar_velocity(estimate(), X_WP, 0.1, PAPER))
+
+
+def test_leaf_refuses_what_is_no_estimate():
+    servo = VisualServo(parameters=PAPER)
+    context = servo.CreateDefaultContext()
+    servo.GetInputPort("estimate").FixValue(context, Value[object](42))
+    servo.GetInputPort("X_WP").FixValue(context, X_WP)
+    with pytest.raises(TypeError, match="'estimate'.*received a int; NeedleEstimate is wanted"):
+        servo.GetOutputPort("planar_velocity").Eval(context)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("gain", -1.0), ("max_speed", 0.0), ("stale_after", float("nan"))]
+)
+def test_parameters_name_what_is_wrong(field, value):
+    with pytest.raises(ValueError, match=field):
+        VisualServoParameters(**{field: value})

@@ -1,0 +1,48 @@
+import numpy as np
+from pydrake.geometry import Box, Role, SceneGraph
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.trajectories import PiecewisePolynomial
+
+from sonoservo.systems.robot.phantom import AddPhantom, PhantomMotion
+
+SIZE = [0.3, 0.2, 0.05]
+
+
+def test_phantom_has_the_size_asked_for_below_frame_t():
+    plant, scene_graph = MultibodyPlant(time_step=0.001), SceneGraph()
+    plant.RegisterAsSourceForSceneGraph(scene_graph)
+    phantom = AddPhantom(plant, scene_graph, size=SIZE)
+    plant.Finalize()
+    inspector = scene_graph.model_inspector()
+    frame = plant.GetBodyFrameIdOrThrow(phantom.body.index())
+    boxes = []
+    for role in (Role.kProximity, Role.kIllustration):
+        for geometry in inspector.GetGeometries(frame, role):
+            shape = inspector.GetShape(geometry)
+            centre = inspector.GetPoseInFrame(geometry).translation()
+            boxes.append((shape, centre[2] + shape.height() / 2))
+    assert [(shape.size().tolist(), round(top, 9)) for shape, top in boxes[:2]] == [(SIZE, 0)] * 2
+    (tray, top) = boxes[2]
+    assert isinstance(tray, Box)
+    assert top < -SIZE[2]
+
+
+def test_stage_is_driven_in_the_order_of_the_command():
+    plant, scene_graph = MultibodyPlant(time_step=0.001), SceneGraph()
+    plant.RegisterAsSourceForSceneGraph(scene_graph)
+    phantom = AddPhantom(plant, scene_graph, size=SIZE)
+    plant.Finalize()
+    actuators = plant.GetJointActuatorIndices(phantom.model_instance)
+    joints = [plant.get_joint_actuator(index).joint().name() for index in actuators]
+    assert joints == ["x", "y", "z", "roll", "pitch", "yaw"]
+
+
+def test_motion_gives_position_and_velocity():
+    trajectory = PiecewisePolynomial.FirstOrderHold(
+        [0, 2], np.array([np.zeros(6), np.arange(6.0)]).T
+    )
+    source = PhantomMotion(trajectory=trajectory)
+    context = source.CreateDefaultContext()
+    context.SetTime(0.5)
+    command = source.get_output_port().Eval(context)
+    np.testing.assert_allclose(command, np.concatenate([np.arange(6) / 4, np.arange(6) / 2]))

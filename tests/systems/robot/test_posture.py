@@ -1,0 +1,50 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydrake.math import RigidTransform
+
+from sonoservo.systems.robot.arm import MakeArmPlant
+from sonoservo.systems.robot.posture import ELBOW_UP, probe_pose, reachable, solve_posture
+
+X_WT = RigidTransform([0.5, 0, 0.2])
+
+
+def test_probe_looks_down_on_the_phantom():
+    X_TP = X_WT.inverse() @ probe_pose(X_WT=X_WT, x=0.01, y=-0.02, yaw=0.4, height=0.015)
+    np.testing.assert_allclose(X_TP.translation(), [0.01, -0.02, 0.015])
+    R_TP = X_TP.rotation().matrix()
+    np.testing.assert_allclose(R_TP[:, 0], [np.cos(0.4), np.sin(0.4), 0], atol=1e-15)
+    np.testing.assert_allclose(R_TP[:, 1], [0, 0, -1], atol=1e-15)
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    x=st.floats(-0.06, 0.06),
+    y=st.floats(-0.03, 0.03),
+    yaw=st.floats(-np.pi / 3, np.pi / 3),
+    height=st.floats(-0.01, 0.03),
+)
+def test_posture_puts_the_probe_at_the_pose(x, y, yaw, height):
+    wanted = probe_pose(X_WT=X_WT, x=x, y=y, yaw=yaw, height=height)
+    q = solve_posture(wanted)
+    plant, arm = MakeArmPlant()
+    context = plant.CreateDefaultContext()
+    plant.SetPositions(context, q)
+    got = arm.probe.EvalPoseInWorld(context)
+    np.testing.assert_allclose(got.GetAsMatrix4(), wanted.GetAsMatrix4(), atol=5e-5)
+    assert (q > plant.GetPositionLowerLimits() + 0.1).all()
+    assert (q < plant.GetPositionUpperLimits() - 0.1).all()
+    # Elbow up, and not another of the eight solutions.
+    assert np.abs(q - ELBOW_UP).max() < 1.6
+
+
+def test_a_pose_out_of_reach_is_named():
+    with pytest.raises(ValueError, match=r"cannot reach.*x 1\.200, y 0\.000, z 0\.200 m"):
+        solve_posture(RigidTransform([1.2, 0, 0.2]))
+
+
+def test_reachable_tells_the_poses_apart():
+    near = probe_pose(X_WT=X_WT, x=0.02, y=0, yaw=0, height=0)
+    far = probe_pose(X_WT=X_WT, x=0.5, y=0, yaw=0, height=0)
+    assert reachable([near, far, near]) == [True, False, True]
