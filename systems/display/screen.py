@@ -12,7 +12,7 @@ from sonoservo.systems.display.rod import Rod
 from sonoservo.systems.display.textured_quads import gltf_mesh, gltf_textured_quads, text_image
 
 _WIDTH, _HEIGHT, _THICKNESS = 0.19, 0.22, 0.004
-_SLOTS = (-0.105, 0.045)  # where the probe's face is in each picture, below the centre
+_FACE, _MIDDLE = -0.105, 0.048  # of the first picture, and of the second, below the centre
 _IN_FRONT = -0.5 * _THICKNESS - 0.002
 _LEFT = -0.012  # of the pictures' middle from the centre
 _GAUGE = (0.078, 0.09, 0.055)  # its foot, right of and below the centre, and its length per newton
@@ -22,7 +22,8 @@ _FORCE = Rgba(0.9, 0.6, 0.0)
 class Screen:
     """A dark upright panel that faces the camera: one slice above the other, and a force gauge.
 
-    The pictures keep the probe's face at a fixed place, so that only what is seen moves.
+    The pictures keep the beam's axis, and the first one the probe's face, at a fixed place: only
+    what is seen moves.
 
     Parameters
     ----------
@@ -84,9 +85,10 @@ class Screen:
         """
         X_PS = X_WP.InvertAndCompose(self._X_WS)
         planes = []
-        for slot, plane in zip(_SLOTS, slices, strict=False):
+        for number, plane in enumerate(slices):
             x, y, _ = plane.X_PS.rotation().inverse() @ plane.X_PS.translation()
-            centre = [self._scale * (_LEFT + x), self._scale * (slot + y), _IN_FRONT]
+            below = _MIDDLE if number else _FACE + y
+            centre = [self._scale * (_LEFT + x), self._scale * below, _IN_FRONT]
             planes.append(
                 Plane(
                     X_PS @ RigidTransform(centre),

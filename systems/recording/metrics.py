@@ -232,7 +232,7 @@ def needle_speed(log: RunLog, window: float) -> Floats:
     log
         Of the run.
     window
-        In s: the mean over the half of it that follows is compared with that before.
+        In s: the mean position in the half of it that follows is compared with that before.
 
     Returns
     -------
@@ -242,6 +242,16 @@ def needle_speed(log: RunLog, window: float) -> Floats:
     speed = np.full(len(log.time), np.nan)
     if known.sum() < 2:
         return speed
+    time, tip = log.time[known], log.needle_tip[known]
+    half = 0.5 * min(window, time[-1] - time[0])
+    middle = np.clip(time, time[0] + half, time[-1] - half)
+    integral = cumulative_trapezoid(tip, time, axis=0, initial=0)
+    before, now, after = (
+        np.stack([np.interp(t, time, column) for column in integral.T], axis=1)
+        for t in (middle - half, middle, middle + half)
+    )
+    speed[known] = np.linalg.norm(after - 2 * now + before, axis=1) / half**2
+    return speed
     time, tip = log.time[known], log.needle_tip[known]
     travelled = cumulative_trapezoid(tip, time, axis=0, initial=0)
     ends = np.clip(time + window / 2 * np.array([[-1], [0], [1]]), time[0], time[-1])

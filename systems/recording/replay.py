@@ -10,8 +10,8 @@ from sonoservo.systems.recording.files import write_atomically
 def save_replay(meshcat: Meshcat, path: str | Path) -> Path:
     """Write what a Meshcat has recorded as one HTML page, which needs no server.
 
-    Call ``meshcat.StartRecording()`` before the run. The live page, if one is open, plays the
-    recording too.
+    Call ``meshcat.StartRecording()`` before the simulator is initialised: what was shown or hidden
+    earlier is not in the recording. The live page, if one is open, plays the recording too.
 
     Returns
     -------
