@@ -1,0 +1,90 @@
+import base64
+import io
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+from pydrake.math import RigidTransform, RollPitchYaw
+
+from sonoservo.systems.display.image_planes import Plane
+from sonoservo.systems.display.textured_quads import gltf_textured_quads, text_image
+
+PLANE = Plane(RigidTransform(RollPitchYaw(0.3, -0.5, 1.1), [0.1, 0.2, 0.3]), 0.06, 0.04)
+
+
+def decode(uri):
+    return base64.b64decode(uri.split(",", 1)[1])
+
+
+def read(document, accessor):
+    """The array of an accessor, by the glTF 2.0 specification."""
+    accessor = document["accessors"][accessor]
+    view = document["bufferViews"][accessor["bufferView"]]
+    data = decode(document["buffers"][view["buffer"]]["uri"])
+    assert len(data) == view["byteLength"] == document["buffers"][view["buffer"]]["byteLength"]
+    columns = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}[accessor["type"]]
+    dtype = {5126: "<f4", 5123: "<u2"}[accessor["componentType"]]
+    array = np.frombuffer(data, dtype).reshape(-1, columns)
+    assert len(array) == accessor["count"]
+    np.testing.assert_array_equal(accessor["min"], array.min(axis=0))
+    np.testing.assert_array_equal(accessor["max"], array.max(axis=0))
+    return array
+
+
+def test_every_pixel_is_at_its_place():
+    image = np.arange(6, dtype=np.uint8).reshape(2, 3) * 40
+    document = json.loads(gltf_textured_quads([PLANE], [image]))
+    (primitive,) = document["meshes"][0]["primitives"]
+    x, y, z = read(document, primitive["attributes"]["POSITION"]).T
+    corners = np.stack([x, -z, y], axis=1)  # glTF's +Y is Drake's +Z
+    u, v = read(document, primitive["attributes"]["TEXCOORD_0"]).T
+    # Pixel (row, column) has its centre at u = (column + 1/2) / columns, v = (row + 1/2) / rows.
+    basis = np.stack([u, v, np.ones(4)], axis=1)
+    to_position = np.linalg.lstsq(basis, corners, rcond=None)[0]
+    for row in range(2):
+        for column in range(3):
+            position = [(column + 0.5) / 3, (row + 0.5) / 2, 1] @ to_position
+            np.testing.assert_allclose(position, PLANE.grid(2, 3)[row, column], atol=1e-7)
+    triangles = read(document, primitive["indices"]).ravel()
+    assert set(triangles) == {0, 1, 2, 3}
+    area = sum(
+        0.5 * np.linalg.norm(np.cross(corners[b] - corners[a], corners[c] - corners[a]))
+        for a, b, c in triangles.reshape(-1, 3)
+    )
+    assert area == pytest.approx(PLANE.width * PLANE.height, rel=1e-5)
+    png = Image.open(io.BytesIO(decode(document["images"][0]["uri"])))
+    np.testing.assert_array_equal(np.array(png), image)
+
+
+@pytest.mark.parametrize("shape", [(5, 4), (5, 4, 2), (5, 4, 4)])
+def test_pictures_survive(shape):
+    image = np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8)
+    document = json.loads(gltf_textured_quads([PLANE], [image]))
+    png = Image.open(io.BytesIO(decode(document["images"][0]["uri"])))
+    np.testing.assert_array_equal(np.array(png), image)
+
+
+def test_a_picture_that_is_shown_twice_is_kept_once():
+    first, second = np.zeros((2, 2), np.uint8), np.ones((2, 2), np.uint8)
+    images = [first, second, first]
+    document = json.loads(gltf_textured_quads([PLANE] * 3, images))
+    assert len(document["images"]) == 2
+    materials = [each["material"] for each in document["meshes"][0]["primitives"]]
+    assert materials == [0, 1, 0]
+
+
+def test_planes_and_pictures_must_match():
+    with pytest.raises(ValueError, match="zip"):
+        gltf_textured_quads([PLANE, PLANE], [np.zeros((2, 2), np.uint8)])
+
+
+def test_text_is_drawn_whole_in_its_colour():
+    image = text_image("tracking", (1.0, 0.0, 0.5))
+    assert image.shape[1] > 2 * image.shape[0]
+    opaque = image[..., 3] > 0
+    assert (image[opaque, :3] == [255, 0, 128]).all()
+    rows, columns = np.flatnonzero(opaque.any(axis=1)), np.flatnonzero(opaque.any(axis=0))
+    assert rows[0] > 0 < columns[0]  # nothing is cut off at an edge
+    assert rows[-1] < image.shape[0] - 1
+    assert columns[-1] < image.shape[1] - 1

@@ -1,0 +1,262 @@
+import base64
+import re
+
+import numpy as np
+import pytest
+from pydrake.common.value import Value
+from pydrake.geometry import Meshcat
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
+
+from sonoservo.systems.display.image_planes import slice_planes
+from sonoservo.systems.display.screen import Screen, facing
+from sonoservo.systems.display.world_view import WorldView, WorldViewParameters
+from sonoservo.systems.estimation.estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.needle.curve import NeedleCurve
+from sonoservo.systems.needle.needle import Needle
+from sonoservo.systems.recording.replay import save_replay
+from sonoservo.systems.values import NotFound
+
+X_WT = RigidTransform(RollPitchYaw(0, 0, 0.4), [0.4, 0.1, 0.25])
+NEEDLE = Needle([[0.0, 0.0, -0.04], [0.06, 0.0, -0.04]], 6e-4)
+OUTSIDE = Needle(np.zeros((0, 3)), 6e-4)
+
+
+def grey(p_P):
+    return 100 + 500 * p_P[..., 0]
+
+
+def estimate(volume, mode=TrackingMode.TRACKING):
+    curve = NeedleCurve([[-0.03, 0.04, 0], [0.01, 0.05, 0.01]]).transformed(volume.X_WP)
+    return NeedleEstimate(mode, volume.time, curve, np.zeros((2, 3)), np.eye(12), volume.time)
+
+
+def searching(time=0.0, volume_time=-np.inf):
+    return NeedleEstimate(TrackingMode.SEARCHING, time, volume_time=volume_time)
+
+
+@pytest.fixture(scope="module")
+def meshcat():
+    return Meshcat()
+
+
+def publish(view, time, X_WP, **values):
+    context = view.CreateDefaultContext()
+    context.SetTime(time)
+    view.GetInputPort("X_WP").FixValue(context, Value(X_WP))
+    view.GetInputPort("X_WT").FixValue(context, Value(X_WT))
+    for name, value in values.items():
+        port = view.GetInputPort(name)
+        port.FixValue(context, [value] if name == "contact_force" else Value[object](value))
+    view.ForcedPublish(context)
+
+
+def transform(meshcat, path):
+    """Last 16 numbers of the packed message are the matrix, by columns."""
+    packed = meshcat._GetPackedTransform(path)
+    numbers = [packed[-9 * i : len(packed) - 9 * (i - 1)] for i in range(16, 0, -1)]
+    assert all(number[0] == 0xCB for number in numbers)  # MessagePack's mark of a double
+    return np.array([np.frombuffer(n[1:], ">f8")[0] for n in numbers]).reshape(4, 4).T
+
+
+def visible(meshcat, path):
+    return {0xC3: True, 0xC2: False}[meshcat._GetPackedProperty(path, "visible")[-1]]
+
+
+def scale(meshcat, path):
+    packed = meshcat._GetPackedProperty(path, "scale")
+    return np.frombuffer(packed[-26:][-8:], ">f8")[0]
+
+
+def test_only_poses_are_needed(meshcat):
+    view = WorldView(meshcat=meshcat, path="poses")
+    publish(view, 0.0, RigidTransform())
+    assert meshcat.HasPath("/drake/poses/screen/panel")
+    assert not meshcat.HasPath("/drake/poses/needle")
+    assert not meshcat.HasPath("/drake/poses/slices")
+
+
+def test_the_needle_is_where_it_is(meshcat):
+    view = WorldView(
+        meshcat=meshcat, path="truth", parameters=WorldViewParameters(needle_length=0.1)
+    )
+    publish(view, 0.0, RigidTransform(), needle=OUTSIDE)
+    assert not visible(meshcat, "truth/needle/inside")
+    publish(view, 1.0, RigidTransform(), needle=NEEDLE)
+    assert visible(meshcat, "truth/needle/inside")
+    for number in range(6):
+        middle = X_WT.multiply([0.01 * (number + 0.5), 0.0, -0.04])
+        X = transform(meshcat, f"truth/needle/inside/{number}")
+        np.testing.assert_allclose(X[:3, 3], middle, atol=1e-12)
+        np.testing.assert_allclose(X[:3, 2], X_WT.rotation().matrix()[:, 0], atol=1e-12)
+        length = scale(meshcat, f"truth/needle/inside/{number}/unit")
+        assert length == pytest.approx(0.01)
+    outside = transform(meshcat, "truth/needle/outside/0")
+    np.testing.assert_allclose(outside[:3, 3], X_WT.multiply([-0.02, 0, -0.04]), atol=1e-12)
+    publish(view, 2.0, RigidTransform(), needle=OUTSIDE)
+    assert not visible(meshcat, "truth/needle/inside")
+
+
+def test_the_estimate_shows_its_mode(meshcat, make_volume):
+    volume = make_volume(grey)
+    view = WorldView(meshcat=meshcat, path="modes")
+    for time, mode in enumerate(TrackingMode):
+        found = mode != TrackingMode.SEARCHING
+        publish(view, time, volume.X_WP, estimate=estimate(volume, mode) if found else searching())
+        for other in TrackingMode:
+            assert visible(meshcat, f"modes/estimate/label/{other}") == (other == mode)
+            if other != TrackingMode.SEARCHING:
+                assert visible(meshcat, f"modes/estimate/{other}") == (other == mode)
+        if found:
+            tip = transform(meshcat, f"modes/estimate/{mode}/tip")[:3, 3]
+            np.testing.assert_allclose(tip, estimate(volume).curve.tip)
+
+
+def test_slices_wait_for_the_tracker(meshcat, make_volume):
+    volume = make_volume(grey, time=0.5)
+    view = WorldView(meshcat=meshcat, path="waiting", parameters=WorldViewParameters(film_frames=9))
+    publish(view, 0.7, volume.X_WP, volume=volume, estimate=searching())
+    assert not meshcat.HasPath("/drake/waiting/slices/live")
+    publish(view, 0.8, volume.X_WP, volume=volume, estimate=estimate(volume))
+    np.testing.assert_allclose(
+        transform(meshcat, "waiting/slices/live"), volume.X_WP.GetAsMatrix4(), atol=1e-12
+    )
+    assert meshcat.HasPath("/drake/waiting/slices/0")
+    publish(view, 0.9, volume.X_WP, volume=volume, estimate=estimate(volume))
+    assert not meshcat.HasPath("/drake/waiting/slices/1")  # the same volume is not drawn twice
+
+
+def test_no_volume_yet(meshcat):
+    view = WorldView(meshcat=meshcat, path="early", parameters=WorldViewParameters(film_frames=9))
+    publish(view, 0.0, RigidTransform(), volume=NotFound("no sweep is complete yet"))
+    assert not meshcat.HasPath("/drake/early/slices")
+
+
+def test_without_a_browser_or_film_no_slice_is_made(meshcat, make_volume):
+    volume = make_volume(grey)
+    view = WorldView(meshcat=meshcat, path="alone")
+    publish(view, 1.0, volume.X_WP, volume=volume)
+    assert meshcat.HasPath("/drake/alone/sector")
+    assert not meshcat.HasPath("/drake/alone/slices")
+
+
+def test_a_wrong_value_is_refused(meshcat):
+    view = WorldView(meshcat=meshcat, path="wrong")
+    with pytest.raises(TypeError, match="port 'needle' .* received a str; Needle is wanted"):
+        publish(view, 0.0, RigidTransform(), needle="needle")
+
+
+def test_the_force_is_a_bar_on_the_screen(meshcat):
+    parameters = WorldViewParameters(screen_scale=1.0)
+    view = WorldView(meshcat=meshcat, path="force", parameters=parameters)
+    lengths = []
+    for time, force in enumerate((-1.0, 0.0, 1.0, 2.0)):
+        publish(view, time, RigidTransform(), contact_force=force)
+        lengths.append(scale(meshcat, "force/screen/force/0/unit"))
+    np.testing.assert_allclose(lengths, [1e-6, 1e-6, 0.055, 0.11])
+
+
+def test_the_screen_keeps_the_probe_in_its_place(meshcat, make_volume):
+    camera, position = [1.0, -0.5, 0.8], [0.5, 0.3, 0.3]
+    screen = Screen(meshcat=meshcat, path="screen", position=position, camera=camera, scale=2.0)
+    X_WS = facing(position, camera)
+    origins = []
+    for tip in ([0.0, 0.05, 0.0], [0.03, 0.04, 0.02]):
+        volume = make_volume(grey)
+        curve = NeedleCurve([[-0.05, 0.03, 0.01], tip]).transformed(volume.X_WP)
+        planes = slice_planes(volume, curve)
+        pictures = screen.pictures(planes, volume.X_WP)
+        for plane, picture in zip(planes, pictures, strict=True):
+            assert picture.width == pytest.approx(2 * plane.width)
+            X_SPicture = X_WS.inverse() @ volume.X_WP @ picture.X_PS
+            np.testing.assert_allclose(X_SPicture.rotation().matrix(), np.eye(3), atol=1e-9)
+            assert X_SPicture.translation()[2] < -0.002  # in front of the panel
+        # The probe's face in the slice's own axes, and where the first picture has it.
+        p_S = planes[0].X_PS.inverse().multiply([0.0, 0.0, 0.0])
+        on_screen = pictures[0].X_PS.multiply([2 * p_S[0], 2 * p_S[1], 0.0])
+        origins.append((X_WS.inverse() @ volume.X_WP).multiply(on_screen))
+    np.testing.assert_allclose(origins[0], origins[1], atol=1e-9)
+
+
+def test_a_panel_faces_the_camera_upright():
+    X = facing([0.5, 0.3, 0.3], [0.5, -0.7, 0.9])
+    np.testing.assert_allclose(X.rotation().matrix().T, [[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+
+
+class Volumes(LeafSystem):
+    """A new volume every 0.25 s."""
+
+    def __init__(self, make_volume):
+        super().__init__()
+        self._make = make_volume
+        index = self.DeclareAbstractState(Value[object](NotFound("none")))
+        self.DeclareStateOutputPort("volume", index)
+        self.DeclareAbstractOutputPort(
+            "X_WP", lambda: Value(RigidTransform()), lambda context, output: None
+        )
+        self.DeclareAbstractOutputPort(
+            "X_WT", lambda: Value(RigidTransform()), lambda context, output: None
+        )
+        self.DeclareAbstractOutputPort(
+            "needle",
+            lambda: Value[object](),
+            lambda context, output: output.set_value(NEEDLE if context.get_time() > 1 else OUTSIDE),
+        )
+        self.DeclarePeriodicUnrestrictedUpdateEvent(0.25, 0.25, self._update)
+
+    def _update(self, context, state):
+        state.get_mutable_abstract_state(0).set_value(self._make(grey, time=context.get_time()))
+
+
+def simulate(meshcat, make_volume, **parameters):
+    builder = DiagramBuilder()
+    source = builder.AddSystem(Volumes(make_volume))
+    view = builder.AddSystem(
+        WorldView(meshcat=meshcat, parameters=WorldViewParameters(**parameters))
+    )
+    for name in ("volume", "X_WP", "X_WT", "needle"):
+        builder.Connect(source.GetOutputPort(name), view.GetInputPort(name))
+    return Simulator(builder.Build())
+
+
+@pytest.mark.parametrize(
+    ("parameters", "kept"),
+    [
+        ({"film_frames": 100}, 7),
+        ({"film_frames": 3}, 3),
+        ({"film_frames": 100, "film_period": 0.5}, 4),
+        ({}, 0),
+    ],
+)
+def test_a_replay_keeps_its_film(tmp_path, make_volume, parameters, kept):
+    meshcat = Meshcat()
+    meshcat.StartRecording()
+    simulate(meshcat, make_volume, **parameters).AdvanceTo(1.9)
+    names = [meshcat.HasPath(f"/drake/ultrasound/slices/{number}") for number in range(8)]
+    assert names == [number < kept for number in range(8)]
+    text = save_replay(meshcat, tmp_path / "replay.html").read_text()
+    messages = [base64.b64decode(each) for each in re.findall(r"base64,([A-Za-z0-9+/=]+)", text)]
+    (animation,) = (message for message in messages if b"set_animation" in message)
+    assert animation.count(b"ultrasound/slices/") == kept + (kept > 0)  # the live one is hidden
+    assert b"ultrasound/needle/inside" in animation
+    assert sum(b"model/gltf" in message or b"KHR_materials_unlit" in message
+               for message in messages) >= kept  # fmt: skip
+
+
+def test_each_run_begins_anew(make_volume):
+    meshcat = Meshcat()
+    simulator = simulate(meshcat, make_volume, film_frames=100)
+    simulator.AdvanceTo(1.9)
+    simulator.reset_context(simulator.get_system().CreateDefaultContext())
+    simulator.Initialize()
+    assert not meshcat.HasPath("/drake/ultrasound/slices")
+    simulator.AdvanceTo(0.6)
+    assert meshcat.HasPath("/drake/ultrasound/slices/1")
+    assert not meshcat.HasPath("/drake/ultrasound/slices/2")
+
+
+def test_parameters_are_checked():
+    for name, value in (("pixel", 0), ("film_frames", -1), ("camera", [1.0]), ("screen_scale", 0)):
+        with pytest.raises(ValueError, match=f"{name}: .* is not allowed"):
+            WorldViewParameters(**{name: value})
