@@ -9,7 +9,13 @@ from numpy.typing import NDArray
 
 from sonoservo.systems.needle.needle import Needle
 from sonoservo.systems.ultrasound.beam import Beam, beam_profile
-from sonoservo.systems.ultrasound.bright_echo import NeedleEcho, render_needles, render_points
+from sonoservo.systems.ultrasound.bright_echo import (
+    SIDE_LOBE_LEVEL,
+    SIDE_LOBE_WIDTH,
+    NeedleEcho,
+    render_needles,
+    render_points,
+)
 from sonoservo.systems.ultrasound.echo import FADE, line_kernel, render_tissue
 from sonoservo.systems.ultrasound.image_formation import form_image
 from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
@@ -314,7 +320,9 @@ class SweepRenderer:
         """Spacing, specular and diffuse amplitude of the points of a thin rod."""
         spacing = self.beam.wavelength / 8
         width = self.beam.lateral[reference]
-        specular = 10 ** (level_db / 20) * spacing / (np.sqrt(2 * np.pi) * width)
+        # The side lobes add to what a long smooth rod sends back.
+        length = np.sqrt(2 * np.pi) * width * (1 + SIDE_LOBE_LEVEL * SIDE_LOBE_WIDTH)
+        specular = 10 ** (level_db / 20) * spacing / length
         diffuse = 10 ** ((level_db + diffuse_db) / 20) * np.sqrt(spacing / (np.sqrt(np.pi) * width))
         return spacing, specular, diffuse
 

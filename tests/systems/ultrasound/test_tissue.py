@@ -1,0 +1,62 @@
+import numpy as np
+import pytest
+
+from sonoservo.systems.typed_yaml import ConfigurationError
+from sonoservo.systems.ultrasound.tissue import BLOCKS, Ball, Fibre, Tissue, load_tissue
+from sonoservo.systems.ultrasound.tissue import scatterer_tile as make_tile
+
+
+def test_tile_is_a_uniform_poisson_process():
+    density = 2.5e9
+    tile = make_tile(density, np.random.default_rng(1))
+    expected = density * tile.block_size**3
+    counts = np.diff(tile.starts)
+    assert len(counts) == BLOCKS**3
+    assert counts.mean() == pytest.approx(expected, rel=0.02)
+    assert counts.var() == pytest.approx(expected, rel=0.25)
+    for axis in tile.positions:
+        assert axis.min() >= 0
+        assert axis.max() <= tile.block_size
+        assert axis.mean() == pytest.approx(tile.block_size / 2, rel=0.01)
+
+
+def test_ranks_rise_within_a_block_and_are_uniform():
+    tile = make_tile(2.5e9, np.random.default_rng(1))
+    for start, end in zip(tile.starts[:20], tile.starts[1:21], strict=True):
+        assert (np.diff(tile.ranks[start:end]) >= 0).all()
+    share, _ = np.histogram(tile.ranks, 10, (0, 1))
+    assert share == pytest.approx(len(tile.ranks) / 10, rel=0.05)
+
+
+@pytest.mark.parametrize("density", [1e8, 1e9, 1e11])
+def test_blocks_stay_small(density):
+    """Blocks hold enough scatterers to be worth the visit, and are at most 4 mm large."""
+    tile = make_tile(density, np.random.default_rng(0))
+    assert tile.block_size <= 4e-3
+    assert len(tile.ranks) <= 170 * BLOCKS**3
+
+
+def test_agar_phantom_loads():
+    agar = load_tissue("agar")
+    assert agar.size == Tissue().size
+    assert agar.balls
+    assert agar.fibres
+    half = np.array(agar.size) / 2
+    middle = np.array([0, 0, -half[2]])
+    for point in [ball.centre for ball in agar.balls] + [fibre.start for fibre in agar.fibres]:
+        assert (np.abs(np.array(point) - middle) < half).all()
+
+
+def test_errors_name_the_field(tmp_path):
+    with pytest.raises(ValueError, match="scatterers_per_cell"):
+        Tissue(scatterers_per_cell=0)
+    with pytest.raises(ValueError, match="size"):
+        Tissue(size=[0.1, 0.1])
+    with pytest.raises(ValueError, match="end"):
+        Fibre(start=[0, 0, 0], end=[0, 0, 0])
+    with pytest.raises(ValueError, match="radius"):
+        Ball(radius=0)
+    path = tmp_path / "mine.yaml"
+    path.write_text("balls: [{radius: -1}]\n")
+    with pytest.raises(ConfigurationError, match=r"balls\.0"):
+        load_tissue(str(path))
