@@ -105,16 +105,11 @@ class DifferentialKinematics(LeafSystem):
         n = plant.num_positions()
         self._limits = DifferentialInverseKinematicsParameters(n, n)
         self._limits.set_time_step(time_step)
-        self._q_lower, self._q_upper = (
-            plant.GetPositionLowerLimits(),
-            plant.GetPositionUpperLimits(),
-        )
-        self._v_lower, self._v_upper = (
-            plant.GetVelocityLowerLimits(),
-            plant.GetVelocityUpperLimits(),
-        )
-        self._limits.set_joint_position_limits((self._q_lower, self._q_upper))
-        self._limits.set_joint_velocity_limits((self._v_lower, self._v_upper))
+        q_limits = (plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits())
+        v_limits = (plant.GetVelocityLowerLimits(), plant.GetVelocityUpperLimits())
+        self._limits.set_joint_position_limits(q_limits)
+        self._limits.set_joint_velocity_limits(v_limits)
+        self._lower, self._upper = np.concatenate([q_limits, v_limits], axis=1)
         self.DeclareVectorInputPort("planar_velocity", 3)
         self.DeclareVectorInputPort("approach_velocity", 1)
         self.DeclareVectorInputPort("joint_state", 2 * n)
@@ -175,16 +170,8 @@ class DifferentialKinematics(LeafSystem):
         # needs a program to be solved, at ten times the cost.
         with contextlib.suppress(np.linalg.LinAlgError):
             direct = np.linalg.solve(J, V_WP_P)
-            if self._within_limits(q, direct):
+            reached = np.concatenate([q + self._time_step * direct, direct])
+            if ((reached >= self._lower) & (reached <= self._upper)).all():
                 return direct
         result = DoDifferentialInverseKinematics(q, v, V_WP_P, J, self._limits)
         return np.zeros_like(q) if result.joint_velocities is None else result.joint_velocities
-
-    def _within_limits(self, q: NDArray[np.float64], v: NDArray[np.float64]) -> bool:
-        reached = q + self._time_step * v
-        return bool(
-            (v >= self._v_lower).all()
-            and (v <= self._v_upper).all()
-            and (reached >= self._q_lower).all()
-            and (reached <= self._q_upper).all()
-        )
