@@ -74,7 +74,7 @@ def slice_planes(volume: Volume, curve: NeedleCurve | None = None) -> list[Plane
         entry, point = volume.to_probe([curve.entry, curve.tip])
         along = (point - entry) / max(float(np.linalg.norm(point - entry)), np.finfo(float).tiny)
         level = along - (along @ depth) * depth
-        if np.linalg.norm(level) > 1e-3:  # else it lies along the beam: any such planes will do
+        if np.linalg.norm(level) > 1e-6:  # else it lies along the beam: any such planes will do
             across = level / np.linalg.norm(level)
             normal = np.cross(across, depth)
             width, height = along, normal

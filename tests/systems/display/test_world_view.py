@@ -177,6 +177,7 @@ def test_the_screen_keeps_the_probe_in_its_place(meshcat, make_volume):
         on_screen = pictures[0].X_PS.multiply([2 * p_S[0], 2 * p_S[1], 0.0])
         origins.append((X_WS.inverse() @ volume.X_WP).multiply(on_screen))
     np.testing.assert_allclose(origins[0], origins[1], atol=1e-9)
+    assert origins[0][1] == pytest.approx(2 * -0.105)  # near the top
 
 
 def test_a_panel_faces_the_camera_upright():
@@ -220,6 +221,14 @@ def simulate(meshcat, make_volume, **parameters):
     return Simulator(builder.Build())
 
 
+def shown(animation, path):
+    """Values, in order of time, of the track `visible` of a path in a packed animation."""
+    clips = animation.split(b"\xa4path")
+    (clip,) = (clip for clip in clips if path.encode() + b"\xa4clip" in clip)
+    assert clip.count(b".visible") == clip.count(b"\xa4type") == 1
+    return [value == b"\xc3" for value in re.findall(b"value([\xc2\xc3])", clip)]
+
+
 @pytest.mark.parametrize(
     ("parameters", "kept"),
     [
@@ -237,11 +246,15 @@ def test_a_replay_keeps_its_film(tmp_path, make_volume, parameters, kept):
     assert names == [number < kept for number in range(8)]
     text = save_replay(meshcat, tmp_path / "replay.html").read_text()
     messages = [base64.b64decode(each) for each in re.findall(r"base64,([A-Za-z0-9+/=]+)", text)]
-    (animation,) = (message for message in messages if b"set_animation" in message)
+    (animation,) = (each for each in messages if b"set_animation" in each)
     assert animation.count(b"ultrasound/slices/") == kept + (kept > 0)  # the live one is hidden
-    assert b"ultrasound/needle/inside" in animation
-    assert sum(b"model/gltf" in message or b"KHR_materials_unlit" in message
-               for message in messages) >= kept  # fmt: skip
+    for path in ["needle/inside", *(f"slices/{number}" for number in range(kept))]:
+        assert shown(animation, f"ultrasound/{path}")[:2] == [False, True]
+    if kept:
+        assert shown(animation, "ultrasound/slices/live") == [False]
+        assert shown(animation, f"ultrasound/slices/{kept - 1}") == [False, True]  # to the end
+    pictures = [each for each in messages if b"set_object" in each and b"/slices/" in each]
+    assert len(pictures) == kept + (kept > 0)
 
 
 def test_each_run_begins_anew(make_volume):
