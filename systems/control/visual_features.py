@@ -83,27 +83,22 @@ def saturated(
     return velocity / excess
 
 
-def significant_velocity(
-    velocity: NDArray[np.float64], covariance: NDArray[np.float64], threshold: float
-) -> NDArray[np.float64]:
-    """Estimated velocity where it stands out of its uncertainty, zero where it does not.
+def significant_velocity(velocity: NDArray[np.float64], least_speed: float) -> NDArray[np.float64]:
+    """Estimated velocity where it stands out of its noise, zero where it does not.
 
     A filter's velocity is never quite zero, and following its noise would shake a probe that ought
-    to rest. With d the speed in standard deviations of itself, d = |v|^2 / sqrt(v^T C v), the
-    velocity is passed on unchanged from d = 2 `threshold`, not at all below `threshold`, and in
-    proportion in between, without a jump.
+    to rest. A velocity is passed on unchanged from twice `least_speed`, not at all below it, and
+    in proportion in between, without a jump. (Its covariance does not tell noise from motion: a
+    filter that allows for sudden starts is unsure of the velocity even where it hardly scatters.)
 
     Parameters
     ----------
     velocity
-        (3,) v in m/s.
-    covariance
-        (3, 3) C of it, in m^2/s^2.
-    threshold
-        In standard deviations; zero passes everything on.
+        (3,) in m/s.
+    least_speed
+        In m/s; zero passes everything on.
     """
-    variance, square = float(velocity @ covariance @ velocity), float(velocity @ velocity)
-    limit = threshold * math.sqrt(max(variance, 0))
-    if square >= 2 * limit:
+    speed = math.hypot(*velocity.tolist())
+    if speed >= 2 * least_speed:
         return velocity
-    return velocity * max(square / limit - 1, 0)
+    return velocity * max(speed / least_speed - 1, 0)

@@ -31,9 +31,9 @@ class VisualServoParameters:
     feed_forward
         Whether the probe moves with the tip's estimated velocity; off in the paper, where the tip
         lags by its velocity / gain.
-    velocity_threshold
-        Standard deviations by which that velocity must differ from zero to be followed; in full
-        from twice as many. Zero follows it always.
+    least_speed
+        Slower than this, in m/s, that velocity counts as noise and is not followed; from twice
+        this speed it is followed in full. Zero follows it always.
     least_inclination_deg
         A needle closer than this to the beam leaves the probe's rotation alone, in deg.
     stale_after
@@ -44,7 +44,7 @@ class VisualServoParameters:
 
     gain: float = 0.83
     feed_forward: bool = True
-    velocity_threshold: float = 3.0
+    least_speed: float = 1.5e-3
     least_inclination_deg: float = 10.0
     stale_after: float = 1.5
     max_speed: float = 0.03
@@ -58,7 +58,7 @@ class VisualServoParameters:
         )
         require_not_negative(
             gain=self.gain,
-            velocity_threshold=self.velocity_threshold,
+            least_speed=self.least_speed,
             least_inclination_deg=self.least_inclination_deg,
         )
 
@@ -93,10 +93,7 @@ def planar_velocity(
     tip = estimate.curve.tip - X_WP.translation()
     rates = np.zeros(3)
     if parameters.feed_forward:
-        assert estimate.covariance is not None
-        velocity = significant_velocity(
-            estimate.tip_velocity, estimate.covariance[-3:, -3:], parameters.velocity_threshold
-        )
+        velocity = significant_velocity(estimate.tip_velocity, parameters.least_speed)
         tip = tip + age * velocity
         rates[:2] = (R_PW @ velocity)[[0, 2]]
 
