@@ -43,7 +43,8 @@ class WorldViewParameters:
     film_frames
         Most slices kept for a replay, about 60 KB each; 0 where none is wanted.
     film_period
-        Least time between slices kept, in s.
+        Least time between slices kept, in s: it bounds the size of the replay, to about 15 MB a
+        minute.
     needle_length
         Of the whole needle, in m: what is not in the tissue is drawn outside it.
     screen_position
@@ -57,7 +58,7 @@ class WorldViewParameters:
     publish_period: float = 1 / 32
     pixel: float = 1e-3
     film_frames: int = 0
-    film_period: float = 0.0
+    film_period: float = 0.2
     needle_length: float = 0.15
     screen_position: list[float] = field(default_factory=lambda: [0.60, 0.30, 0.33])
     screen_scale: float = 1.5
@@ -132,6 +133,8 @@ class WorldView(LeafSystem):
     def _start(self) -> None:
         meshcat, path, parameters = self._meshcat, self._path, self._parameters
         meshcat.Delete(path)
+        for each in ("/Axes", "/Grid"):
+            meshcat.SetProperty(each, "visible", False)
         camera: Any = parameters.camera
         target: Any = parameters.camera_target
         meshcat.SetCameraPose(camera, target)
