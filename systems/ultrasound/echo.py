@@ -16,6 +16,7 @@ from sonoservo.systems.ultrasound.projection import (
     phasor,
 )
 from sonoservo.systems.ultrasound.tissue import BLOCKS
+from sonoservo.systems.ultrasound.vector import LANES, add_to_rows
 
 FADE = 0.1
 """Half width, relative to the share of scatterers used at a depth, over which more fade in."""
@@ -33,7 +34,6 @@ _FADE_OUT = np.float32(1 + FADE)
 _FADE_WIDTH = np.float32(2 * FADE)
 _FRACTIONS = np.float32(FRACTIONS)
 _HALF_DIAGONAL = 3**0.5 / 2
-_U1, _U2, _U3, _U4, _U5, _U6, _U7, _U8 = (np.uint64(i) for i in range(1, 9))
 # Minimax polynomial of exp(-v) on [0, 0.6], to 1e-6.
 _E1, _E2, _E3, _E4 = (np.float32(c) for c in (-0.99994248, 0.49904756, -0.16171851, 0.03126755))
 
@@ -79,7 +79,7 @@ def render_tissue(iq, X_FT, box, tile, rays, tables, pulse, kernel):  # type: ig
     """
     frames, lines, samples = iq.shape
     pad = kernel.shape[0] // 2 + 1
-    taps = pulse.shape[1]
+    taps = pulse.shape[1] // 2
     for frame in prange(frames):
         accumulator = np.zeros((lines + 2 * pad, 2 * (samples + 2 * taps)), np.float32)
         deposit_tissue(accumulator, X_FT[frame], box, tile, rays, tables, pulse)
@@ -119,12 +119,25 @@ def _frame_blocks(X_FT, box, block_size, depth, half_angle, thickness, rays):  #
 
 
 @njit(**OPTIONS)
+def _count_below(ranks, start, end, limit):  # type: ignore[no-untyped-def]
+    """How many of the sorted ranks from start to end are below a limit."""
+    first = start
+    while first < end:
+        middle = (first + end) // 2
+        if ranks[middle] < limit:
+            first = middle + 1
+        else:
+            end = middle
+    return first - start
+
+
+@njit(**OPTIONS)
 def _deposit(accumulator, chosen, count, line, sample, cosine, sine, pulse):  # type: ignore[no-untyped-def]
     """Add projected scatterers to three lines each, eight numbers (four complex taps) at a time."""
-    width = np.uint64(accumulator.shape[1])
+    width = accumulator.shape[1]
     flat = accumulator.reshape(-1)
     table = pulse.reshape(-1)
-    chunks = pulse.shape[1] // 4
+    chunks = pulse.shape[1] // LANES
     for number in range(count):
         i = chosen[number]
         re = cosine[i]
@@ -136,38 +149,19 @@ def _deposit(accumulator, chosen, count, line, sample, cosine, sine, pulse):  # 
         below = _HALF * (_HALF - t) * (_HALF - t)
         above = _HALF * (_HALF + t) * (_HALF + t)
         here = _THREE_QUARTERS - t * t
-        a = np.uint64(j - 1) * width + np.uint64(2 * k)
-        p = np.uint64(fraction) * np.uint64(pulse.shape[1])
-        for _ in range(chunks):
-            v0 = table[p] * re
-            v1 = table[p] * im
-            v2 = table[p + _U1] * re
-            v3 = table[p + _U1] * im
-            v4 = table[p + _U2] * re
-            v5 = table[p + _U2] * im
-            v6 = table[p + _U3] * re
-            v7 = table[p + _U3] * im
-            b = a
-            for weight in (below, here, above):
-                w0 = flat[b] + weight * v0
-                w1 = flat[b + _U1] + weight * v1
-                w2 = flat[b + _U2] + weight * v2
-                w3 = flat[b + _U3] + weight * v3
-                w4 = flat[b + _U4] + weight * v4
-                w5 = flat[b + _U5] + weight * v5
-                w6 = flat[b + _U6] + weight * v6
-                w7 = flat[b + _U7] + weight * v7
-                flat[b] = w0
-                flat[b + _U1] = w1
-                flat[b + _U2] = w2
-                flat[b + _U3] = w3
-                flat[b + _U4] = w4
-                flat[b + _U5] = w5
-                flat[b + _U6] = w6
-                flat[b + _U7] = w7
-                b += width
-            a += _U8
-            p += _U4
+        for chunk in range(chunks):
+            add_to_rows(
+                flat,
+                (j - 1) * width + 2 * k + LANES * chunk,
+                width,
+                table,
+                fraction * pulse.shape[1] + LANES * chunk,
+                re,
+                im,
+                below,
+                here,
+                above,
+            )
 
 
 @njit(**OPTIONS)
@@ -189,11 +183,12 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
     rays, tables
         Of the frame.
     pulse
-        (FRACTIONS + 1, taps) envelope around a scatterer; taps is a multiple of 4.
+        (FRACTIONS + 1, 2 taps) envelope around a scatterer, every value twice; a multiple of
+        `LANES` wide.
     """
     block_size, positions, ranks, starts = tile
     lines = accumulator.shape[0]
-    taps = pulse.shape[1]
+    taps = pulse.shape[1] // 2
     samples = accumulator.shape[1] // 2
     count = samples - 2 * taps
     pad = np.float32((lines - 1) / 2) - rays.middle_line
@@ -206,8 +201,11 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
     twist_per_radian = rays.twist * rays.lines_per_radian
     radius = _HALF_DIAGONAL * block_size
     support = (abs(X_FT[2, 0]) + abs(X_FT[2, 1]) + abs(X_FT[2, 2])) * block_size / 2
-    thickness = REACH / np.sqrt(2 * tables.elevation_precision.min())
-    thickness += abs(twist_per_radian) * half_angle * (depth + rays.array_radius)
+    reach = REACH / np.sqrt(2 * tables.elevation_precision)
+    twist_slack = abs(twist_per_radian) * radius
+    thickness = reach.max() + abs(twist_per_radian) * half_angle * (depth + rays.array_radius)
+    edge_cosine = np.cos(min(half_angle, np.pi / 2))
+    edge_sine = np.sin(min(half_angle, np.pi / 2))
     first, last = _frame_blocks(X_FT, box, block_size, depth, half_angle, thickness, rays)
     largest = 0
     for block in range(starts.size - 1):
@@ -224,25 +222,25 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                 px = (bx + 0.5) * block_size
                 py = (by + 0.5) * block_size
                 pz = (bz + 0.5) * block_size
+                z = X_FT[2, 0] * px + X_FT[2, 1] * py + X_FT[2, 2] * pz + X_FT[2, 3]
+                if abs(z) > thickness + support:
+                    continue
                 x = X_FT[0, 0] * px + X_FT[0, 1] * py + X_FT[0, 2] * pz + X_FT[0, 3]
                 y = X_FT[1, 0] * px + X_FT[1, 1] * py + X_FT[1, 2] * pz + X_FT[1, 3]
-                z = X_FT[2, 0] * px + X_FT[2, 1] * py + X_FT[2, 2] * pz + X_FT[2, 3]
                 q = y + rays.centre_offset
+                if abs(x) * edge_cosine - q * edge_sine > radius:
+                    continue
                 r = np.sqrt(q * q + x * x)
                 d = r - rays.array_radius
                 if d < -radius or d > depth + radius:
                     continue
-                phi = np.arctan2(x, q)
-                margin = radius / max(r, radius)
-                if abs(phi) > half_angle + margin:
-                    continue
                 at = min(max(np.int64(d * rays.samples_per_metre), 1), count - 2)
-                slab = 1.05 * REACH / np.sqrt(2 * tables.elevation_precision[at])
-                slab += support + abs(twist_per_radian) * margin * y
-                if abs(z - y * twist_per_radian * phi) > slab:
+                span = min(np.int64(radius * rays.samples_per_metre) + 1, at, count - 1 - at)
+                turn = y * twist_per_radian * np.arctan(x / max(q, radius))
+                slab = max(reach[at - span], reach[at + span]) + support + twist_slack
+                if abs(z - turn) > slab:
                     continue
                 # Within a block, what depends on depth does so linearly.
-                span = min(np.int64(radius * rays.samples_per_metre) + 1, at, count - 1 - at)
                 per_metre = np.float32(rays.samples_per_metre / (2 * span))
                 middle = np.float32(at / rays.samples_per_metre) + rays.array_radius
                 precision = tables.elevation_precision[at]
@@ -255,7 +253,7 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                 block = ((bx % BLOCKS) * BLOCKS + by % BLOCKS) * BLOCKS + bz % BLOCKS
                 start = starts[block]
                 most = max(tables.share[at + span], tables.share[at - span], share) * (1 + FADE)
-                n = np.searchsorted(ranks[start : starts[block + 1]], np.float32(most))
+                n = _count_below(ranks, start, starts[block + 1], np.float32(most))
                 ox = np.float32(x - (X_FT[0, 0] + X_FT[0, 1] + X_FT[0, 2]) * block_size / 2)
                 oy = np.float32(y - (X_FT[1, 0] + X_FT[1, 1] + X_FT[1, 2]) * block_size / 2)
                 oz = np.float32(z - (X_FT[2, 0] + X_FT[2, 1] + X_FT[2, 2]) * block_size / 2)

@@ -158,7 +158,7 @@ class SweepRenderer:
         half_taps = 2 * int(np.ceil(3 * self.beam.axial / self.geometry.sample_pitch / 2))
         self._lead = half_taps - 1
         self._taps = 2 * half_taps
-        self._pulse = self._pulse_table([1.0], 0.0)[0] * np.float32(amplitude)
+        self._pulse = np.repeat(self._pulse_table([amplitude], 0.0)[0], 2, axis=1)
         self._point_pulse = self._pulse_table([1.0], 0.0)
         depth_cm = 1e2 * self.geometry.sample_pitch * np.arange(self.geometry.samples)
         loss_db = 2 * tissue.attenuation * 1e-6 * imaging.transmit_frequency * depth_cm

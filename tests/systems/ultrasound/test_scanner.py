@@ -125,7 +125,7 @@ def test_speckle_moves_with_the_phantom():
 
 def test_runs_repeat_and_seeds_change_the_noise_only():
     def quiet_and_noisy(seed):
-        scanner = make_scanner(seed=seed, parameters=ScannerParameters(noise_db=-15))
+        scanner = make_scanner(seed=seed, parameters=ScannerParameters(noise_db=-30))
         simulator, sweep = run(scanner)
         simulator.AdvanceTo(0.13)
         return sweep().samples
