@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from filterpy.kalman import update
+from numpy.typing import NDArray
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 from scipy.stats import chi2
@@ -12,6 +13,7 @@ from sonoservo.systems.detection.insertion_detector import InsertionDetection
 from sonoservo.systems.estimation.estimate import TrackingMode
 from sonoservo.systems.estimation.track import NeedleMotionParameters, NeedleTrack
 from sonoservo.systems.localization.measurement import NeedleMeasurement
+from sonoservo.systems.needle.curve import NeedleCurve
 from sonoservo.systems.ultrasound.volume import Volume
 from sonoservo.systems.values import (
     Immutable,
@@ -33,9 +35,11 @@ class NeedleKalmanFilterParameters:
         n of the curve: 2 straight, 3 bent.
     motion
         How the needle may accelerate: Q.
-    first_deviation, first_speed
-        Standard deviations of the control points, in m, and of their velocities, in m/s, at a
-        detection.
+    first_deviation
+        Standard deviation of the control points at a detection, in m.
+    first_speed, first_drift
+        Standard deviations of the tip's velocity along the needle, and of every point's in every
+        direction, when a track starts, in m/s.
     gate
         Probability that a true measurement passes the gate on the innovation.
     volumes_to_confirm
@@ -48,8 +52,9 @@ class NeedleKalmanFilterParameters:
 
     order: int = 2
     motion: NeedleMotionParameters = field(default_factory=NeedleMotionParameters)
-    first_deviation: float = 3e-3
+    first_deviation: float = 2e-3
     first_speed: float = 10e-3
+    first_drift: float = 2e-3
     gate: float = 0.9999
     volumes_to_confirm: int = 4
     volumes_to_lose: int = 4
@@ -60,6 +65,7 @@ class NeedleKalmanFilterParameters:
         require_positive(
             first_deviation=self.first_deviation,
             first_speed=self.first_speed,
+            first_drift=self.first_drift,
             gate=self.gate,
             seconds_to_give_up=self.seconds_to_give_up,
         )
@@ -68,25 +74,34 @@ class NeedleKalmanFilterParameters:
             require(getattr(self, name) >= 1, name, getattr(self, name), "1 or more")
 
 
+def _track(
+    mode: TrackingMode,
+    time: float,
+    curve: NeedleCurve,
+    covariance: NDArray[np.float64],
+    parameters: NeedleKalmanFilterParameters,
+) -> NeedleTrack:
+    """Start a track at a curve whose velocity is not known."""
+    size = 3 * curve.order
+    u, k = np.linspace(0, 1, curve.order), curve.direction
+    P = np.zeros((2 * size, 2 * size))
+    P[:size, :size] = covariance
+    P[size:, size:] = parameters.first_drift**2 * np.eye(size) + parameters.first_speed**2 * (
+        np.kron(np.outer(u, u), np.outer(k, k))
+    )
+    mean = np.concatenate([curve.control_points.ravel(), np.zeros(size)])
+    return NeedleTrack(mode, time, parameters.motion, mean, P, since=time)
+
+
 def start_track(
     detection: InsertionDetection, parameters: NeedleKalmanFilterParameters
 ) -> NeedleTrack:
-    """Start a track, not yet confirmed, at a detected insertion.
-
-    The needle reaches from the entry through the median of what has just moved, about as far
-    beyond it; entry and tip are uncertain in every direction.
-    """
-    n = parameters.order
-    reach = 2 * (detection.p_WMedian - detection.p_WEntry)
-    points = detection.p_WEntry + np.outer(np.linspace(0, 1, n), reach)
-    deviations = np.repeat([parameters.first_deviation, parameters.first_speed], 3 * n)
-    return NeedleTrack(
-        TrackingMode.SEARCHING,
-        detection.time,
-        parameters.motion,
-        np.concatenate([points.ravel(), np.zeros(3 * n)]),
-        np.diag(deviations**2),
-        since=detection.time,
+    """Start a track, not yet confirmed, at a detected insertion: from the entry to what moved."""
+    u = np.linspace(0, 1, parameters.order)
+    points = detection.p_WEntry + np.outer(u, detection.p_WMedian - detection.p_WEntry)
+    covariance = parameters.first_deviation**2 * np.eye(points.size)
+    return _track(
+        TrackingMode.SEARCHING, detection.time, NeedleCurve(points), covariance, parameters
     )
 
 
@@ -94,17 +109,12 @@ def restart_track(
     measurement: NeedleMeasurement, parameters: NeedleKalmanFilterParameters
 ) -> NeedleTrack:
     """Start a track at a measurement: of a needle found again."""
-    size = 3 * measurement.curve.order
-    covariance = np.zeros((2 * size, 2 * size))
-    covariance[:size, :size] = measurement.covariance
-    covariance[size:, size:] = np.eye(size) * parameters.first_speed**2
-    return NeedleTrack(
+    return _track(
         TrackingMode.TRACKING,
         measurement.time,
-        parameters.motion,
-        np.concatenate([measurement.curve.control_points.ravel(), np.zeros(size)]),
-        covariance,
-        since=measurement.time,
+        measurement.curve,
+        measurement.covariance,
+        parameters,
     )
 
 

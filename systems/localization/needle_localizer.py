@@ -50,8 +50,8 @@ class NeedleLocalizerParameters:
         That must be visible, in m.
     least_inlier_ratio
         Of the candidates between entry and tip.
-    least_visible
-        Share of the needle's visible stretch that stands out from the background.
+    least_evidence
+        How much must stand out from the background along the needle, in dB m; see `NeedleExtent`.
     correlation_length
         Length of needle that one beam width blurs into one observation, in m.
     tip_deviation, entry_deviation
@@ -73,8 +73,8 @@ class NeedleLocalizerParameters:
     cross_section: float = 4e-6
     slab: float = 2e-3
     least_length: float = 4e-3
-    least_inlier_ratio: float = 0.4
-    least_visible: float = 0.5
+    least_inlier_ratio: float = 0.15
+    least_evidence: float = 10e-3
     correlation_length: float = 2e-3
     tip_deviation: float = 0.6e-3
     entry_deviation: float = 5e-3
@@ -95,7 +95,7 @@ class NeedleLocalizerParameters:
             slab=self.slab,
             least_length=self.least_length,
             least_inlier_ratio=self.least_inlier_ratio,
-            least_visible=self.least_visible,
+            least_evidence=self.least_evidence,
             correlation_length=self.correlation_length,
             tip_deviation=self.tip_deviation,
             entry_deviation=self.entry_deviation,
@@ -239,8 +239,8 @@ def _judge(
     ratio = float(inliers / max(candidates, 1))
     if ratio < parameters.least_inlier_ratio:
         return NotFound(f"only {100 * ratio:.0f} % of the candidates lie on the axis")
-    if extent.visible < parameters.least_visible:
-        return NotFound(f"only {100 * extent.visible:.0f} % of the axis stands out")
+    if extent.evidence < parameters.least_evidence:
+        return NotFound("too little stands out from the background along the axis")
     start = float(fit.axis.abscissa(region.curve.entry)) if region.entry_known else extent.start
     if extent.tip - start < parameters.least_length:
         return NotFound("the needle has been withdrawn to its entry")

@@ -32,7 +32,7 @@ class RansacParameters:
         Least-squares refits on re-selected inliers.
     """
 
-    inlier_distance: float = 1.5e-3
+    inlier_distance: float = 2e-3
     least_separation: float = 2e-3
     largest_bend: float = 0.1
     failure: float = 1e-3

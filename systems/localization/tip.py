@@ -181,17 +181,15 @@ class NeedleExtent(Immutable):
         Abscissae in m.
     leaves
         Whether the needle leaves the field of view, so that its tip is not seen.
-    contrast
-        Mean contrast between start and tip, in dB.
-    visible
-        Share of the length between start and tip that stands out.
+    evidence
+        Integral along the stretch of what speaks for a needle, in dB m: about 2 dB times its
+        length. Lines through speckle reach 6 dB mm, a needle of 5 mm 12 to 30 dB mm.
     """
 
     start: float
     tip: float
     leaves: bool
-    contrast: float
-    visible: float
+    evidence: float
 
 
 @njit(cache=True, nogil=True)
@@ -235,13 +233,11 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
         return NotFound("nothing along the axis stands out from the background")
     tip = _drop(profile.a, level, first, last, parameters) - parameters.outward_bias
     beyond = np.searchsorted(profile.a, profile.a[last] + parameters.smoothing)
-    inside = slice(first, last + 1)
     return NeedleExtent(
         start=float(profile.a[first]),
         tip=tip,
         leaves=bool(beyond >= len(profile.a) or not profile.seen[beyond]),
-        contrast=float(contrast[inside].mean()),
-        visible=float((evidence[inside] > 0).mean()),
+        evidence=float(evidence[first : last + 1].sum()) * step,
     )
 
 
