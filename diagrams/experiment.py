@@ -105,7 +105,9 @@ class Experiment:
         )
         self.probe_controller = MakeProbeController(parameters=scenario.controller)
         self.run_logger = RunLogger(
-            volume_period=self._volume_period, volume_offset=self._first_volume + 2 * _INSTANT
+            volume_period=self._volume_period,
+            volume_offset=self._first_volume + 2 * _INSTANT,
+            geometry=geometry,
         )
         systems: dict[str, System] = {
             "station": self.station,

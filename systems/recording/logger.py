@@ -14,6 +14,7 @@ from sonoservo.systems.estimation.estimate import NeedleEstimate
 from sonoservo.systems.localization.measurement import NeedleMeasurement
 from sonoservo.systems.needle.needle import Needle
 from sonoservo.systems.recording.run_log import Array, Column, RunLog, columns
+from sonoservo.systems.ultrasound.sweep import SweepGeometry
 from sonoservo.systems.values import NotFound, evaluate, require_not_negative, require_positive
 
 T = TypeVar("T")
@@ -57,6 +58,8 @@ class RunLogger(LeafSystem):
         log shall tell that moment exactly.
     joints
         Of the arm; `joint_state` has twice as many elements.
+    geometry
+        Of the sweeps: tells which part of the needle is in view.
     """
 
     def __init__(
@@ -66,6 +69,7 @@ class RunLogger(LeafSystem):
         volume_period: float | None = None,
         volume_offset: float = 0.0,
         joints: int = 6,
+        geometry: SweepGeometry | None = None,
     ) -> None:
         super().__init__()
         require_positive(period=period)
@@ -79,6 +83,7 @@ class RunLogger(LeafSystem):
         self.DeclareVectorInputPort("contact_force", 1)
         self.DeclareVectorInputPort("planar_velocity", 3)
         self._joint_state = 2 * joints
+        self._geometry = geometry
         self._start()
         self.DeclareInitializationPublishEvent(publish=lambda context: self._start())
         self.DeclarePeriodicPublishEvent(period, 0.0, self._sample)
@@ -132,7 +137,8 @@ class RunLogger(LeafSystem):
             return
         row: Row = {"time": time}
         X_WT = self._value(context, "X_WT", RigidTransform)
-        for name, X in (("X_WP", self._value(context, "X_WP", RigidTransform)), ("X_WT", X_WT)):
+        X_WP = self._value(context, "X_WP", RigidTransform)
+        for name, X in (("X_WP", X_WP), ("X_WT", X_WT)):
             if X is not None:
                 row[name] = X.GetAsMatrix4()
         needle = self._value(context, "needle", Needle)
@@ -141,6 +147,9 @@ class RunLogger(LeafSystem):
             if needle and X_WT is not None:
                 row["needle_tip"] = X_WT.multiply(needle.tip)
                 row["needle_entry"] = X_WT.multiply(needle.shaft[0])
+            if self._geometry is not None and X_WP is not None and X_WT is not None:
+                in_probe = needle.transformed(X_WP.InvertAndCompose(X_WT))
+                row["visible_length"] = visible_length(in_probe, self._geometry)
         estimate = self._value(context, "estimate", NeedleEstimate)
         if estimate is not None:
             row |= _describe(estimate, "estimate")
@@ -180,6 +189,17 @@ class RunLogger(LeafSystem):
             row["volume_inlier_count"] = measurement.inlier_count
             row["volume_inlier_ratio"] = measurement.inlier_ratio
         self._volumes.append(row)
+
+
+def visible_length(needle: Needle, geometry: SweepGeometry) -> float:
+    """Length in m of the needle, given in P, that lies in the swept sector; to 0.5 mm."""
+    if not needle:
+        return 0.0
+    steps = np.linalg.norm(np.diff(needle.shaft, axis=0), axis=1)
+    s = np.arange(0.25e-3, needle.length, 0.5e-3)
+    ends = np.concatenate([[0], np.cumsum(steps)])
+    points = np.stack([np.interp(s, ends, axis) for axis in needle.shaft.T], axis=-1)
+    return 0.5e-3 * float(geometry.contains(points).sum())
 
 
 def _describe(estimate: NeedleEstimate, prefix: str) -> Row:

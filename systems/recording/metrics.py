@@ -29,7 +29,8 @@ class MetricsParameters:
         At rest counts from this long after the needle came to rest, in s: the probe's transient
         is left out.
     least_length
-        A needle with less than this in the tissue may be missed without counting as lost, in m.
+        A needle with less than this in view may be missed without counting as lost, in m; in the
+        tissue, where the log does not tell what is in view.
     start_tolerance
         A tracker that starts further than this from the needle has started falsely, in m.
     force_target
@@ -91,18 +92,24 @@ def detection(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     Returns
     -------
     `volume`: how many volumes came before the one with which tracking began;
-    `inserted_mm`: true inserted length when it began;
+    `inserted_mm`, `visible_mm`: true length inside the tissue, and inside the swept sector, when it
+    began;
     `false_starts`: how often tracking began with a tip more than `start_tolerance` away from the
     true needle, or without any needle. The detection is the first start that is not false.
     """
     started, true = _starts(log, parameters)
     right = started[true]
     first = int(right[0]) if len(right) else None
+
+    def length_mm(lengths: Floats) -> float | None:
+        if first is None:
+            return None
+        return _number(1e3 * _at(log, lengths, log.volume_estimate_time[[first]])[0])
+
     return {
         "volume": first,
-        "inserted_mm": None
-        if first is None
-        else _number(1e3 * _at(log, log.inserted_length, log.volume_estimate_time[[first]])[0]),
+        "inserted_mm": length_mm(log.inserted_length),
+        "visible_mm": length_mm(log.visible_length),
         "false_starts": int(np.sum(~true)),
     }
 
@@ -117,7 +124,7 @@ def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     -------
     `volumes`: judged; `tracked`: of these, confirmed by the volume itself (mode tracking);
     `estimated`: of these, with any estimate, which is what the errors are taken over;
-    `lost`: volumes that were not tracked with more than `least_length` of needle in the tissue;
+    `lost`: volumes that were not tracked with more than `least_length` of needle in view;
     `lost_events`: how often that began;
     `tip_error_mm`: distance from the estimated to the true tip; `tip_axial_error_mm` and
     `tip_lateral_error_mm`: its parts along and across the true needle;
@@ -131,10 +138,12 @@ def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
         np.isfinite(log.volume_estimate_time), log.volume_estimate_time, log.volume_time
     )
     length = _at(log, log.inserted_length, time)
+    visible = _at(log, log.visible_length, time)
     judged = np.nan_to_num(length) > 0
     judged &= np.arange(len(time)) >= (right[0] if len(right) else len(time))
     tracked = log.volume_estimate_mode == TrackingMode.TRACKING
-    lost = judged & ~tracked & (length > parameters.least_length)
+    in_view = np.where(np.isfinite(visible), visible, length)
+    lost = judged & ~tracked & (in_view > parameters.least_length)
 
     errors = estimate_errors(log)
     return {

@@ -62,6 +62,7 @@ class RunLog(Immutable):
         Array, Column("truth: where the needle enters the tissue", "m", ("n", 3))
     ]
     inserted_length: Annotated[Array, Column("truth: length inside the tissue", "m", ("n",))]
+    visible_length: Annotated[Array, Column("truth: length inside the swept sector", "m", ("n",))]
     estimate_mode: Annotated[Array, Column("what the tracker does", "", ("n",), "U")]
     estimate_time: Annotated[Array, Column("time for which the estimate holds", "s", ("n",))]
     estimate_tip: Annotated[Array, Column("estimated tip", "m", ("n", 3))]

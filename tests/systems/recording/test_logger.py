@@ -10,7 +10,7 @@ from sonoservo.systems.estimation.estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.localization.measurement import NeedleMeasurement
 from sonoservo.systems.needle.curve import NeedleCurve
 from sonoservo.systems.needle.needle import Needle
-from sonoservo.systems.recording.logger import RunLogger
+from sonoservo.systems.recording.logger import RunLogger, visible_length
 from sonoservo.systems.recording.metrics import summarize
 from sonoservo.systems.recording.run_log import read_log, write_log
 from sonoservo.systems.values import NotFound
@@ -197,3 +197,16 @@ def test_parameters_are_checked():
         RunLogger(period=0)
     with pytest.raises(ValueError, match="volume_period: -1 is not allowed"):
         RunLogger(volume_period=-1)
+
+
+def test_length_in_view_ends_where_the_sector_ends():
+    geometry = SweepGeometry(0.04, 0.02725, 0.0106, 0.0255, 0.308e-3, 96, 27, 293, 0.0113)
+    half_width = np.sin(0.0106 * 47.5) * (0.04 + 0.05) * np.array([1, 0, 0])
+    inside, outside = np.array([0.0, 0.05, 0.0]), np.array([-0.2, 0.05, 0.0])
+    assert visible_length(Needle([outside, inside], 6e-4), geometry) == pytest.approx(
+        half_width[0], abs=6e-3
+    )
+    assert visible_length(Needle([outside, outside / 1.1], 6e-4), geometry) == 0
+    assert visible_length(Needle(np.zeros((0, 3)), 6e-4), geometry) == 0
+    bent = Needle([[0.0, 0.05, 0.0], [0.01, 0.05, 0.0], [0.01, 0.06, 0.0]], 6e-4)
+    assert visible_length(bent, geometry) == pytest.approx(0.02, abs=1e-3)

@@ -27,7 +27,12 @@ def test_the_whole_summary_is_json(insertion_log, make_log):
 
 def test_a_log_without_anything_has_no_figures(make_log):
     summary = summarize(make_log(4, 2, time=np.arange(4.0)))
-    assert summary["detection"] == {"volume": None, "inserted_mm": None, "false_starts": 0}
+    assert summary["detection"] == {
+        "volume": None,
+        "inserted_mm": None,
+        "visible_mm": None,
+        "false_starts": 0,
+    }
     assert summary["tracking"]["volumes"] == 0
     assert summary["tracking"]["tip_error_mm"] == {"median": None, "p95": None, "max": None}
     assert summary["servo"]["at_rest"]["x_mm"] is None
