@@ -13,6 +13,7 @@ from sonoservo.systems.needle.needle import Needle
 from sonoservo.systems.recording.logger import RunLogger, visible_length
 from sonoservo.systems.recording.metrics import summarize
 from sonoservo.systems.recording.run_log import read_log, write_log
+from sonoservo.systems.ultrasound.sweep import SweepGeometry
 from sonoservo.systems.values import NotFound
 
 X_WP = RigidTransform(RollPitchYaw(0.1, 0.2, 0.3), [0.4, 0.5, 0.6])
