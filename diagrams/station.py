@@ -82,10 +82,11 @@ class StationParameters:
     Parameters
     ----------
     time_step
-        Of the plant, in s: 5 ms for live runs, 1 ms to check forces.
+        Of the plant, in s. With the controller's it may be 10 ms for studies: twice as fast, and
+        the force is held as well; or 1 ms to check forces.
     contact_model
-        As in Drake: hydroelastic_with_fallback, hydroelastic, or point (three times faster, and
-        about 1 mm shallower).
+        As in Drake: hydroelastic_with_fallback, hydroelastic, or point (for the plant alone three
+        times faster, and 1 mm shallower at 2 N).
     phantom, probe
         Where they are at the start.
     force_noise, torque_noise

@@ -1,0 +1,46 @@
+"""Station and controller, without imaging or display."""
+
+import numpy as np
+import pytest
+from pydrake.common.value import Value
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import ConstantValueSource
+from pydrake.trajectories import PiecewisePolynomial
+
+from sonoservo.diagrams.probe_controller import MakeProbeController, ProbeControllerParameters
+from sonoservo.diagrams.station import MakeStation, StationParameters
+from sonoservo.systems.estimation.estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.needle.curve import NeedleCurve
+from sonoservo.systems.robot.phantom import PhantomMotion
+
+
+@pytest.mark.parametrize("contact_model", ["hydroelastic_with_fallback", "point"])
+def test_one_second_of_station_and_controller(benchmark, contact_model):
+    parameters = StationParameters(contact_model=contact_model)
+    builder = DiagramBuilder()
+    station = builder.AddSystem(MakeStation(parameters=parameters))
+    controller = builder.AddSystem(MakeProbeController(parameters=ProbeControllerParameters()))
+    pose = np.concatenate([parameters.X_WT.translation(), np.zeros(3)])
+    stage = builder.AddSystem(PhantomMotion(trajectory=PiecewisePolynomial(pose)))
+    curve = NeedleCurve(np.array([[0.44, 0, 0.16], [0.5, 0, 0.155]]))
+    estimate = NeedleEstimate(TrackingMode.TRACKING, 1e3, curve, np.zeros((2, 3)), np.eye(12))
+    tracker = builder.AddSystem(ConstantValueSource(Value[object](estimate)))
+    builder.Connect(stage.get_output_port(), station.GetInputPort("phantom_command"))
+    builder.Connect(tracker.get_output_port(), controller.GetInputPort("estimate"))
+    builder.Connect(
+        controller.GetOutputPort("joint_command"), station.GetInputPort("joint_command")
+    )
+    for port in ("X_WP", "wrist_force", "joint_state"):
+        builder.Connect(station.GetOutputPort(port), controller.GetInputPort(port))
+    simulator = Simulator(builder.Build())
+    simulator.AdvanceTo(3)
+
+    benchmark(lambda: simulator.AdvanceTo(simulator.get_context().get_time() + 1))
+    force = station.GetOutputPort("contact_force")
+    assert force.Eval(station.GetMyContextFromRoot(simulator.get_context()))[0] == pytest.approx(
+        2.0, abs=0.1
+    )
+    benchmark.extra_info["compared_with"] = "real time"
+    if benchmark.stats is not None:
+        benchmark.extra_info["ratio"] = 1 / benchmark.stats.stats.median
