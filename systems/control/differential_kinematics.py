@@ -164,7 +164,7 @@ class DifferentialKinematics(LeafSystem):
         v: NDArray[np.float64],
         V_WP_P: NDArray[np.float64],
         J: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
+    ) -> NDArray[np.floating]:
         """Velocities that solve J v = V, or come as close to V as the limits allow."""
         # With six joints the optimum is J^-1 V wherever that is within the limits: only the rest
         # needs a program to be solved, at ten times the cost.
