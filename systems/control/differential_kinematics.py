@@ -155,8 +155,8 @@ class DifferentialKinematics(LeafSystem):
         J = plant.CalcJacobianSpatialVelocity(
             plant_context, JacobianWrtVariable.kV, frame, np.zeros(3), plant.world_frame(), frame
         )
-        v = self._joint_velocities(q, v, V_WP_P, J)
-        discrete_state.set_value(np.concatenate([q, v, [context.get_time()]]))
+        v_next = self._joint_velocities(q, v, V_WP_P, J)
+        discrete_state.set_value(np.concatenate([q, v_next, [context.get_time()]]))
 
     def _joint_velocities(
         self,

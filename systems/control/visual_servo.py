@@ -29,8 +29,8 @@ class VisualServoParameters:
         lambda of eq. 25, in 1/s. Where volumes come every T and are one volume old, 0.25 / T is
         best damped: 0.83/s for 3.3 volumes/s. Zero switches all visual motion off.
     feed_forward
-        Whether the probe moves with the tip's estimated velocity; off in the paper, where the tip
-        lags by its velocity / gain.
+        Whether the probe moves with the tip's estimated velocity while the needle is seen (not
+        while the estimate coasts); off in the paper, where the tip lags by its velocity / gain.
     least_speed
         Slower than this, in m/s, that velocity counts as noise and is not followed; from twice
         this speed it is followed in full. Zero follows it always.
@@ -92,7 +92,7 @@ def planar_velocity(
     R_PW = X_WP.rotation().matrix().T
     tip = estimate.curve.tip - X_WP.translation()
     rates = np.zeros(3)
-    if parameters.feed_forward:
+    if parameters.feed_forward and estimate.mode is TrackingMode.TRACKING:
         velocity = significant_velocity(estimate.tip_velocity, parameters.least_speed)
         tip = tip + age * velocity
         rates[:2] = (R_PW @ velocity)[[0, 2]]

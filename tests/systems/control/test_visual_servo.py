@@ -74,9 +74,12 @@ def test_probe_rests_without_a_fresh_needle(seen, time, parameters):
     np.testing.assert_array_equal(planar_velocity(seen, X_WP, time, parameters), 0)
 
 
-def test_coasting_goes_on():
-    coasting = planar_velocity(estimate(mode=TrackingMode.COASTING), X_WP, 0.1, PAPER)
-    np.testing.assert_array_equal(coasting, planar_velocity(estimate(), X_WP, 0.1, PAPER))
+def test_coasting_goes_on_but_feeds_nothing_forward():
+    coasting = estimate(mode=TrackingMode.COASTING, velocity_P=(0.02, 0, 0))
+    expected = planar_velocity(estimate(), X_WP, 0.1, PAPER)
+    for parameters in (PAPER, replace(PAPER, feed_forward=True)):
+        velocity = planar_velocity(coasting, X_WP, 0.1, parameters)
+        np.testing.assert_array_equal(velocity, expected)
 
 
 def test_needle_along_the_beam_is_only_centred():
