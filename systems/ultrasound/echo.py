@@ -215,7 +215,7 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
     cosine = np.empty(largest, np.float32)
     sine = np.empty(largest, np.float32)
     kept = np.empty(largest, np.bool_)
-    chosen = np.empty(largest + 1, np.int32)
+    chosen = np.empty(largest + 1, np.uint64)
     for bx in range(first[0], last[0]):
         for by in range(first[1], last[1]):
             for bz in range(first[2], last[2]):
@@ -263,11 +263,15 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                 high_x = np.float32(box[1, 0] - bx * block_size)
                 high_y = np.float32(box[1, 1] - by * block_size)
                 high_z = np.float32(box[1, 2] - bz * block_size)
+                xs = positions[0, start : start + n]
+                ys = positions[1, start : start + n]
+                zs = positions[2, start : start + n]
+                rank = ranks[start : start + n]
                 # No branch within this loop: it runs several scatterers at a time.
                 for i in range(n):
-                    tx = positions[0, start + i]
-                    ty = positions[1, start + i]
-                    tz = positions[2, start + i]
+                    tx = xs[i]
+                    ty = ys[i]
+                    tz = zs[i]
                     at_line, e, r_i = line_coordinates(
                         R[0, 0] * tx + R[0, 1] * ty + R[0, 2] * tz + ox,
                         R[1, 0] * tx + R[1, 1] * ty + R[1, 2] * tz + oy,
@@ -277,7 +281,7 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                     ahead = r_i - middle
                     p = share + share_slope * ahead
                     u = (precision + precision_slope * ahead) * e * e
-                    weight = (p * _FADE_OUT - ranks[start + i]) / (p * _FADE_WIDTH)
+                    weight = (p * _FADE_OUT - rank[i]) / (p * _FADE_WIDTH)
                     weight = min(max(weight, _ZERO), _ONE) * _gaussian(u)
                     path = r_i - rays.array_radius + curvature * e * e
                     c, s = phasor(path * rays.turns_per_metre)
