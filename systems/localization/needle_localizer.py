@@ -55,7 +55,9 @@ class NeedleLocalizerParameters:
     correlation_length
         Length of needle that one beam width blurs into one observation, in m.
     tip_deviation, entry_deviation
-        Standard deviations along the axis, in m. The entry rests and is not observed along it.
+        Standard deviations along the axis, in m. A volume does not tell where along the axis the
+        entry is; it rests, so it is measured where it was last, not where it is predicted: a
+        velocity along the axis would never be contradicted otherwise.
     unseen_tip_deviation
         The same where the needle leaves the field of view.
     echo_offset
@@ -77,7 +79,7 @@ class NeedleLocalizerParameters:
     least_evidence: float = 10e-3
     correlation_length: float = 2e-3
     tip_deviation: float = 0.6e-3
-    entry_deviation: float = 5e-3
+    entry_deviation: float = 1e-3
     unseen_tip_deviation: float = 10e-3
     echo_offset: float = 0.4e-3
     systematic_deviation: float = 0.1e-3
@@ -113,13 +115,14 @@ class _Region:
     before: float
     beyond: float
     largest_angle: float
-    entry_known: bool
+    entry: NDArray[np.float64] | None
 
 
 def _predicted_region(
     track: NeedleTrack, time: float, parameters: NeedleLocalizerParameters
 ) -> _Region:
     """Capsule around the predicted curve, from the prediction's covariance."""
+    entry = track.curve.entry
     track = track.predicted(time)
     assert track.covariance is not None
     curve, n, k = track.curve, track.order, track.curve.direction
@@ -140,7 +143,7 @@ def _predicted_region(
             + math.atan2(3 * across, max(curve.chord, 1e-3)),
             math.pi / 2,
         ),
-        entry_known=True,
+        entry=entry,
     )
 
 
@@ -241,7 +244,7 @@ def _judge(
         return NotFound(f"only {100 * ratio:.0f} % of the candidates lie on the axis")
     if extent.evidence < parameters.least_evidence:
         return NotFound("too little stands out from the background along the axis")
-    start = float(fit.axis.abscissa(region.curve.entry)) if region.entry_known else extent.start
+    start = extent.start if region.entry is None else float(fit.axis.abscissa(region.entry))
     if extent.tip - start < parameters.least_length:
         return NotFound("the needle has been withdrawn to its entry")
     # Interior points uniform in chord: the entry rests, the tip moves, no point slides.
@@ -308,7 +311,7 @@ def localize(
                 before=2 * parameters.margin,
                 beyond=2 * parameters.margin,
                 largest_angle=math.radians(2 * parameters.largest_angle_deg),
-                entry_known=False,
+                entry=None,
             ),
             parameters,
             rng,
