@@ -6,7 +6,7 @@ import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import Frame, JointIndex, ModelInstanceIndex, RigidBody
+from pydrake.multibody.tree import JointIndex, ModelInstanceIndex, RigidBody
 
 from sonoservo.models import model_path
 
@@ -21,15 +21,12 @@ class ArmWithProbe:
         The arm's six joints.
     probe
         The probe's body, whose frame is P.
-    base
-        The arm's base, at the origin of W.
     wrist
         The weld of the probe to the flange: its reaction is what a wrist force sensor feels.
     """
 
     model_instance: ModelInstanceIndex
     probe: RigidBody
-    base: Frame
     wrist: JointIndex
 
 
@@ -38,15 +35,14 @@ def AddArmWithProbe(plant: MultibodyPlant) -> ArmWithProbe:
     parser = Parser(plant)
     (arm,) = parser.AddModels(str(model_path("viper_s850.urdf")))
     (probe,) = parser.AddModels(str(model_path("probe_4dc7.sdf")))
-    base = plant.GetFrameByName("base_link", arm)
-    plant.WeldFrames(plant.world_frame(), base)
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link", arm))
     # The probe looks along the flange's axis: Y_P = Z_F, X_P = X_F.
     wrist = plant.WeldFrames(
         plant.GetFrameByName("flange", arm),
         plant.GetFrameByName("wrist_sensor", probe),
         RigidTransform(RotationMatrix.MakeXRotation(np.pi / 2)),
     )
-    return ArmWithProbe(arm, plant.GetBodyByName("probe", probe), base, wrist.index())
+    return ArmWithProbe(arm, plant.GetBodyByName("probe", probe), wrist.index())
 
 
 def MakeArmPlant() -> tuple[MultibodyPlant, ArmWithProbe]:
