@@ -202,10 +202,10 @@ def test_parameters_are_checked():
 
 def test_length_in_view_ends_where_the_sector_ends():
     geometry = SweepGeometry(0.04, 0.02725, 0.0106, 0.0255, 0.308e-3, 96, 27, 293, 0.0113)
-    half_width = np.sin(0.0106 * 47.5) * (0.04 + 0.05) * np.array([1, 0, 0])
+    half_width = (0.04 + 0.05) * np.tan(0.0106 * 47.5)  # q tan(phi) at the outermost line
     inside, outside = np.array([0.0, 0.05, 0.0]), np.array([-0.2, 0.05, 0.0])
     assert visible_length(Needle([outside, inside], 6e-4), geometry) == pytest.approx(
-        half_width[0], abs=6e-3
+        half_width, abs=1e-3
     )
     assert visible_length(Needle([outside, outside / 1.1], 6e-4), geometry) == 0
     assert visible_length(Needle(np.zeros((0, 3)), 6e-4), geometry) == 0
