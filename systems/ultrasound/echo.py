@@ -7,8 +7,8 @@ envelope; then neighbouring lines are blurred to the beam's width, which depends
 
 import numpy as np
 from numba import njit, prange
-from numpy.typing import NDArray
 
+from sonoservo.systems.ultrasound.line_blur import blur_lines
 from sonoservo.systems.ultrasound.projection import (
     FRACTIONS,
     OPTIONS,
@@ -38,30 +38,6 @@ _HALF_DIAGONAL = 3**0.5 / 2
 _E1, _E2, _E3, _E4 = (np.float32(c) for c in (-0.99994248, 0.49904756, -0.16171851, 0.03126755))
 
 
-def line_kernel(line_sigma: NDArray[np.float64], lines: int) -> NDArray[np.float32]:
-    """Weights that widen the deposits' B-spline to the beam: (2 half + 1, 2 samples), each twice.
-
-    At every depth a sampled Gaussian is chosen so that the deposits' spline and it together have
-    the beam's energy and its correlation between neighbouring lines, averaged over all positions
-    between lines.
-    """
-    half = min(int(np.ceil(3 * line_sigma.max())), lines // 4)
-    offsets = np.arange(-half, half + 1)
-    spline = np.array([1, 26, 66, 26, 1]) / 120  # autocorrelation of the quadratic B-spline
-    sigmas = np.linspace(0.1, half, 50 * half)
-    correlation = np.empty((len(sigmas), 2))
-    for row, sigma in zip(correlation, sigmas, strict=True):
-        kernel = np.exp(-(offsets**2) / (2 * sigma**2))
-        response = np.convolve(np.convolve(kernel, kernel), spline)
-        row[:] = response[len(response) // 2 :][:2]
-    wanted = np.exp(-1 / (4 * line_sigma**2))
-    sigma = np.interp(wanted, correlation[:, 1] / correlation[:, 0], sigmas)
-    energy = np.interp(sigma, sigmas, correlation[:, 0])
-    kernel = np.exp(-(offsets[:, np.newaxis] ** 2) / (2 * sigma**2))
-    kernel *= np.sqrt(np.sqrt(np.pi) * line_sigma / energy)
-    return np.repeat(kernel, 2, axis=1).astype(np.float32)
-
-
 @njit(parallel=True, **OPTIONS)
 def render_tissue(iq, X_FT, box, tile, rays, tables, pulse, kernel):  # type: ignore[no-untyped-def]
     """Render the tissue's echoes in every frame.
@@ -83,7 +59,7 @@ def render_tissue(iq, X_FT, box, tile, rays, tables, pulse, kernel):  # type: ig
     for frame in prange(frames):
         accumulator = np.zeros((lines + 2 * pad, 2 * (samples + 2 * taps)), np.float32)
         deposit_tissue(accumulator, X_FT[frame], box, tile, rays, tables, pulse)
-        _blur_lines(iq[frame], accumulator, kernel, taps)
+        blur_lines(iq[frame], accumulator, kernel, taps)
 
 
 @njit(**OPTIONS)
@@ -310,32 +286,3 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                     chosen[number] = i
                     number += kept[i]
                 _deposit(accumulator, chosen, number, line, sample, cosine, sine, pulse)
-
-
-@njit(**OPTIONS)
-def _blur_lines(iq, accumulator, kernel, taps):  # type: ignore[no-untyped-def]
-    """Blur deposited echoes across lines.
-
-    Parameters
-    ----------
-    iq
-        (lines, samples) complex64, written.
-    accumulator
-        (lines + 2 pad, 2 (samples + 2 taps)) deposits, real and imaginary parts by turns.
-    kernel
-        (2 half + 1, 2 samples) weights, each twice; half is at most pad.
-    taps
-        Samples of padding.
-    """
-    lines, samples = iq.shape
-    pad = (accumulator.shape[0] - lines) // 2
-    half = len(kernel) // 2
-    row = np.empty(2 * samples, np.float32)
-    for j in range(lines):
-        row[:] = np.float32(0)
-        for m in range(len(kernel)):
-            source = accumulator[j + pad + m - half, 2 * taps :]
-            for i in range(2 * samples):
-                row[i] += kernel[m, i] * source[i]
-        for i in range(samples):
-            iq[j, i] = complex(row[2 * i], row[2 * i + 1])

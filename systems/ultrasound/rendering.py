@@ -9,59 +9,22 @@ from numpy.typing import NDArray
 
 from sonoservo.systems.needle.needle import Needle
 from sonoservo.systems.ultrasound.beam import Beam, beam_profile
-from sonoservo.systems.ultrasound.bright_echo import (
-    SIDE_LOBE_LEVEL,
-    SIDE_LOBE_WIDTH,
-    NeedleEcho,
-    render_needles,
-    render_points,
+from sonoservo.systems.ultrasound.bright_echo import render_needles, render_points
+from sonoservo.systems.ultrasound.bright_points import (
+    NeedleEchoParameters,
+    inclusion_points,
+    needle_echo,
+    reverberations,
 )
-from sonoservo.systems.ultrasound.echo import FADE, line_kernel, render_tissue
+from sonoservo.systems.ultrasound.echo import FADE, render_tissue
 from sonoservo.systems.ultrasound.image_formation import form_image
 from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
+from sonoservo.systems.ultrasound.line_blur import line_kernel
 from sonoservo.systems.ultrasound.projection import FRACTIONS, DepthTables, Rays
 from sonoservo.systems.ultrasound.sweep import SweepGeometry
 from sonoservo.systems.ultrasound.tissue import Tissue, scatterer_tile
 from sonoservo.systems.ultrasound.transducer import Transducer
 from sonoservo.systems.values import require, require_not_negative
-
-_LONGEST_NEEDLE = 0.3
-
-
-@dataclass(kw_only=True)
-class NeedleEchoParameters:
-    """How a steel needle echoes. Levels are amplitudes, where the lens focuses.
-
-    Parameters
-    ----------
-    specular_db
-        At normal incidence, over the tissue's root mean square.
-    diffuse_db
-        Of what a rough surface scatters in all directions, relative to ``specular_db``.
-    tip_db
-        Of the tip, over the tissue's root mean square.
-    reverberation_db
-        Of each echo inside the needle, relative to the one before.
-    inner_diameter_ratio
-        Inner over outer diameter; sets the distance between those echoes.
-    shadow
-        Share of the amplitude that is lost behind a needle in the middle of the beam.
-    """
-
-    specular_db: float = 38.0
-    diffuse_db: float = -22.0
-    tip_db: float = 26.0
-    reverberation_db: float = -8.0
-    inner_diameter_ratio: float = 0.66
-    shadow: float = 0.45
-
-    def __post_init__(self) -> None:
-        require(
-            self.reverberation_db <= -3, "reverberation_db", self.reverberation_db, "at most -3 dB"
-        )
-        for name in ("inner_diameter_ratio", "shadow"):
-            value = getattr(self, name)
-            require(0 <= value <= 1, name, value, "from 0 to 1")
 
 
 @dataclass(kw_only=True)
@@ -89,6 +52,12 @@ class ScannerParameters:
 
 class SweepRenderer:
     """Renders sweeps of one transducer over one tissue.
+
+    What it models: the probe's, the tissue's and the needle's motion within a sweep, to the phase
+    of every scatterer; the beam's width in all directions as it changes with depth; side lobes,
+    reverberation and shadow of the needle; loss of contact, attenuation as noise, and log
+    compression. What it does not: refraction, multiple scattering, what the beam loses at the ends
+    of the array, and, along the array, wave fronts that are not centred on the array's own centre.
 
     Parameters
     ----------
@@ -127,46 +96,40 @@ class SweepRenderer:
         width, length, height = tissue.size
         self._box = np.array([[-width / 2, -length / 2, -height], [width / 2, length / 2, 0]])
 
-        # A point is compared with the tissue at the depth where the lens focuses.
+        samples = np.arange(self.geometry.samples)
+        depths = self.geometry.sample_pitch * samples
         cell = self.beam.resolution_cell
-        reference = min(
-            round(transducer.lens_focus / self.geometry.sample_pitch), self.geometry.samples - 1
-        )
-        radii = self.geometry.array_radius + self.geometry.sample_pitch * np.arange(
-            self.geometry.samples
-        )
-        line_sigma = self.beam.lateral / (
-            self.geometry.line_pitch * np.maximum(radii, self.geometry.sample_pitch)
-        )
+        # Where the levels of bright points hold, relative to the tissue.
+        reference = int(np.abs(depths - transducer.lens_focus).argmin())
+        radii = np.maximum(self.geometry.array_radius + depths, self.geometry.sample_pitch)
+        line_sigma = self.beam.lateral / (self.geometry.line_pitch * radii)
         self._tables = DepthTables(
-            *(
-                table.astype(np.float32)
-                for table in (
-                    0.5 / self.beam.elevation**2,
-                    self.beam.curvature,
-                    cell.min() / cell / (1 + FADE),
-                    line_sigma,
-                    np.sqrt(cell[reference] / cell),
-                )
-            )
+            elevation_precision=(0.5 / self.beam.elevation**2).astype(np.float32),
+            curvature=self.beam.curvature.astype(np.float32),
+            share=(cell.min() / cell / (1 + FADE)).astype(np.float32),
+            line_sigma=line_sigma.astype(np.float32),
+            bright=np.sqrt(cell[reference] / cell).astype(np.float32),
         )
         self._kernel = line_kernel(line_sigma, self.geometry.lines)
         density = tissue.scatterers_per_cell * (1 + FADE) / (2**1.5 * cell.min())
         self._tile = scatterer_tile(density, np.random.default_rng(tissue.seed))
-        # With this amplitude the tissue's mean intensity is 1 (0 dB) at every depth.
-        amplitude = np.sqrt(2**1.5 / (tissue.scatterers_per_cell * (1 - FADE / 3)))
+        self._inclusions = inclusion_points(tissue, self.beam, reference)
+        self._needle_echo = needle_echo(
+            parameters.needle, self.beam, reference, np.random.default_rng([seed, 1])
+        )
+
         half_taps = 2 * int(np.ceil(3 * self.beam.axial / self.geometry.sample_pitch / 2))
         self._lead = half_taps - 1
         self._taps = 2 * half_taps
-        self._pulse = np.repeat(self._pulse_table([amplitude], 0.0)[0], 2, axis=1)
+        # With this amplitude the tissue's mean intensity is 1 (0 dB) at every depth.
+        amplitude = np.sqrt(2**1.5 / (tissue.scatterers_per_cell * (1 - FADE / 3)))
+        self._tissue_pulse = np.repeat(self._pulse_table([amplitude], 0.0)[0], 2, axis=1)
         self._point_pulse = self._pulse_table([1.0], 0.0)
-        depth_cm = 1e2 * self.geometry.sample_pitch * np.arange(self.geometry.samples)
-        loss_db = 2 * tissue.attenuation * 1e-6 * imaging.transmit_frequency * depth_cm
+        self._needle_pulses = lru_cache(maxsize=8)(self._needle_pulse)
+        loss_db = 2 * tissue.attenuation * 1e-6 * imaging.transmit_frequency * 1e2 * depths
         self._noise = (10 ** ((parameters.noise_db + loss_db) / 20)).astype(np.float32)
-        self._needle_echo = self._needle_points(reference)
-        self._inclusions = self._inclusion_points(tissue, reference)
-        self._last: dict[int, tuple[bytes, NDArray[np.complex64]]] = {}
         self._lines = {direction: self._line_rays(direction) for direction in (1, -1)}
+        self._last: dict[int, tuple[bytes, NDArray[np.complex64]]] = {}
 
     def tissue_echo(self, X_TP: NDArray[np.float64], direction: int) -> NDArray[np.complex64]:
         """Echoes of tissue and inclusions, without needle or noise.
@@ -187,7 +150,7 @@ class SweepRenderer:
         X_FT = self._frame_poses(X_TP)
         rays = self._rays(direction)
         tile, tables = self._tile, self._tables
-        render_tissue(iq, X_FT, self._box, tile, rays, tables, self._pulse, self._kernel)
+        render_tissue(iq, X_FT, self._box, tile, rays, tables, self._tissue_pulse, self._kernel)
         if len(self._inclusions[0]):
             render_points(iq, X_FT, *self._inclusions, rays, tables, self._point_pulse)
         return iq
@@ -223,7 +186,7 @@ class SweepRenderer:
             *self._needle_echo,
             self._rays(direction),
             self._tables,
-            self._needle_pulse(radius),
+            self._needle_pulses(radius),
         )
         return iq
 
@@ -292,6 +255,13 @@ class SweepRenderer:
         along = self.geometry.position(frames, lines, 1, direction)[:, :, 0] - start
         return start, along / self.geometry.sample_pitch
 
+    def _needle_pulse(self, radius: float) -> NDArray[np.float32]:
+        """Pulse with the reverberations within a needle of this radius."""
+        levels, distance = reverberations(
+            self._parameters.needle, radius, self.geometry.sound_speed
+        )
+        return self._pulse_table(levels, distance)
+
     def _pulse_table(self, levels: Sequence[float], distance: float) -> NDArray[np.float32]:
         """Echoes of given amplitudes at multiples of a distance: (2, FRACTIONS + 1, taps)."""
         pitch = self.geometry.sample_pitch
@@ -304,59 +274,3 @@ class SweepRenderer:
             phase = -4 * np.pi * number * distance / self.beam.wavelength
             table += level * np.exp(1j * phase - behind**2 / (2 * self.beam.axial**2))
         return np.stack([table.real, table.imag]).astype(np.float32)
-
-    @lru_cache(maxsize=8)  # noqa: B019 - a renderer lives as long as its scanner
-    def _needle_pulse(self, radius: float) -> NDArray[np.float32]:
-        """Pulse and its reverberations in water inside a needle."""
-        needle = self._parameters.needle
-        ratio = 10 ** (needle.reverberation_db / 20)
-        count = 1 + int(-40 / needle.reverberation_db)
-        distance = 2 * radius * needle.inner_diameter_ratio * 1540 / 1480
-        return self._pulse_table([ratio**number for number in range(count)], distance)
-
-    def _rod(
-        self, level_db: float, diffuse_db: float, reference: int
-    ) -> tuple[float, float, float]:
-        """Spacing, specular and diffuse amplitude of the points of a thin rod."""
-        spacing = self.beam.wavelength / 8
-        width = self.beam.lateral[reference]
-        # The side lobes add to what a long smooth rod sends back.
-        length = np.sqrt(2 * np.pi) * width * (1 + SIDE_LOBE_LEVEL * SIDE_LOBE_WIDTH)
-        specular = 10 ** (level_db / 20) * spacing / length
-        diffuse = 10 ** ((level_db + diffuse_db) / 20) * np.sqrt(spacing / (np.sqrt(np.pi) * width))
-        return spacing, specular, diffuse
-
-    def _needle_points(self, reference: int) -> tuple[NeedleEcho, NDArray[np.float64]]:
-        needle = self._parameters.needle
-        spacing, specular, diffuse = self._rod(needle.specular_db, needle.diffuse_db, reference)
-        echo = NeedleEcho(spacing, specular, diffuse, 10 ** (needle.tip_db / 20), needle.shadow)
-        rng = np.random.default_rng([self._seed, 1])
-        return echo, rng.uniform(0, 2 * np.pi, int(_LONGEST_NEEDLE / spacing))
-
-    def _inclusion_points(
-        self, tissue: Tissue, reference: int
-    ) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
-        """(n, 3) positions in T and (n,) amplitudes."""
-        rng = np.random.default_rng([tissue.seed, 1])
-        points = [np.zeros((0, 3))]
-        amplitudes = [np.zeros(0, complex)]
-        cell = self.beam.resolution_cell[reference]
-        for ball in tissue.balls:
-            density = 8 / (2**1.5 * cell)
-            count = max(round(density * 4 / 3 * np.pi * ball.radius**3), 8)
-            offsets = rng.normal(size=(count, 3))
-            offsets *= (
-                ball.radius
-                * np.cbrt(rng.random((count, 1)))
-                / np.linalg.norm(offsets, axis=1, keepdims=True)
-            )
-            level = 10 ** (ball.level_db / 20) / np.sqrt(density * cell)
-            points.append(offsets + ball.centre)
-            amplitudes.append(level * np.exp(2j * np.pi * rng.random(count)))
-        for fibre in tissue.fibres:
-            spacing, specular, diffuse = self._rod(fibre.level_db, fibre.diffuse_db, reference)
-            start, end = np.array(fibre.start), np.array(fibre.end)
-            along = np.arange(0, 1, spacing / np.linalg.norm(end - start))[:, np.newaxis]
-            points.append(start + along * (end - start))
-            amplitudes.append(specular + diffuse * np.exp(2j * np.pi * rng.random(len(along))))
-        return np.concatenate(points), np.concatenate(amplitudes)

@@ -7,13 +7,10 @@ import pytest
 
 from sonoservo.systems.needle.needle import Needle
 from sonoservo.systems.ultrasound.beam import FWHM_PER_SIGMA
+from sonoservo.systems.ultrasound.bright_points import NeedleEchoParameters
 from sonoservo.systems.ultrasound.image_formation import compress, coupling
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.rendering import (
-    NeedleEchoParameters,
-    ScannerParameters,
-    SweepRenderer,
-)
+from sonoservo.systems.ultrasound.rendering import ScannerParameters, SweepRenderer
 from sonoservo.systems.ultrasound.tissue import Ball, Fibre, Tissue
 from sonoservo.systems.ultrasound.transducer import Transducer
 
@@ -274,7 +271,7 @@ def test_a_point_appears_where_the_geometry_says(direction):
         p_P = rng.uniform([-0.02, 0.04, -0.01], [0.02, 0.07, 0.01])
         p_T = (DOWN @ [*p_P, 1])[:3]
         # Eight scatterers within a micrometre, far above the tissue.
-        ball = Ball(centre=list(p_T), radius=1e-6, level_db=120)
+        ball = Ball(centre=list(p_T), radius=1e-6, level_db=150)
         renderer = make_renderer(dataclasses.replace(DEEP, balls=[ball]))
         peak = peak_index(np.abs(renderer.tissue_echo(still(renderer), direction)))
         assert peak == pytest.approx(renderer.geometry.index(p_P, direction), abs=0.1)
