@@ -84,8 +84,8 @@ def _add_point(  # type: ignore[no-untyped-def]
     im = np.float32(bright * (imaginary * c - real * s))
     precision = 0.5 / (tables.line_sigma[at] * tables.line_sigma[at])
     reach = np.sqrt((_FURTHEST - u) / precision)
-    first = max(np.int64(np.ceil(line - reach)), 0)
-    last = min(np.int64(np.floor(line + reach)), lines - 1)
+    first = np.int64(max(np.ceil(line - reach), 0.0))
+    last = np.int64(min(np.floor(line + reach), lines - 1.0))
     start = k - rays.lead + taps
     for j in range(first, last + 1):
         distance = u + precision * (j - line) * (j - line)

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from llvmlite import ir
+from llvmlite import ir  # type: ignore[import-untyped]
 from numba.core import cgutils, types
 from numba.extending import intrinsic
 
@@ -10,7 +10,7 @@ LANES = 8
 """Numbers that `add_to_rows` treats at a time: four complex ones."""
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@intrinsic
 def add_to_rows(  # type: ignore[no-untyped-def]
     typing_context, rows, at, width, table, start, real, imaginary, below, here, above
 ):
