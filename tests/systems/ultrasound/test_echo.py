@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from sonoservo.systems.needle.needle import Needle
+from sonoservo.systems.ultrasound import rendering
 from sonoservo.systems.ultrasound.beam import FWHM_PER_SIGMA
 from sonoservo.systems.ultrasound.bright_points import NeedleEchoParameters
 from sonoservo.systems.ultrasound.image_formation import compress, coupling
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.rendering import ScannerParameters, SweepRenderer
-from sonoservo.systems.ultrasound.tissue import Ball, Fibre, Tissue
+from sonoservo.systems.ultrasound.tissue import BLOCKS, Ball, Fibre, ScattererTile, Tissue
 from sonoservo.systems.ultrasound.transducer import Transducer
 
 NOWHERE = Needle(np.zeros((0, 3)), 0.635e-3)
@@ -275,6 +276,43 @@ def test_a_point_appears_where_the_geometry_says(direction):
         renderer = make_renderer(dataclasses.replace(DEEP, balls=[ball]))
         peak = peak_index(np.abs(renderer.tissue_echo(still(renderer), direction)))
         assert peak == pytest.approx(renderer.geometry.index(p_P, direction), abs=0.1)
+
+
+def exact_echo(renderer, p_P, direction):
+    """Point spread function of a point, written out line by line without approximations."""
+    geometry, beam = renderer.geometry, renderer.beam
+    x, y, z = p_P[0], p_P[1] + geometry.motor_radius, p_P[2]
+    theta = geometry.line_angles(direction)[:, :, np.newaxis]
+    rho = y * np.cos(theta) + z * np.sin(theta)
+    elevation = z * np.cos(theta) - y * np.sin(theta)
+    q = rho + geometry.array_radius - geometry.motor_radius
+    depth = np.hypot(q, x) - geometry.array_radius
+    axis = geometry.line_pitch * (np.arange(geometry.lines) - (geometry.lines - 1) / 2)
+    lateral = (np.arctan2(x, q) - axis[np.newaxis, :, np.newaxis]) * np.hypot(q, x)
+    depths = geometry.sample_pitch * np.arange(geometry.samples)
+    sigma_l = np.interp(depth, depths, beam.lateral)
+    sigma_e = np.interp(depth, depths, beam.elevation)
+    path = depth + np.interp(depth, depths, beam.curvature) * elevation**2 / 2
+    weight = np.exp(-(lateral**2) / (2 * sigma_l**2) - elevation**2 / (2 * sigma_e**2))
+    pulse = np.exp(-((depths - path) ** 2) / (2 * beam.axial**2))
+    return weight * pulse * np.exp(-4j * np.pi * path / beam.wavelength)
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_scatterers_echo_as_the_point_spread_function_says(monkeypatch, direction):
+    """One scatterer in a tile of 32 mm, in a slice of tissue that holds a column of its copies."""
+    place = np.array([1.1e-3, 2.3e-3, 0.7e-3], np.float32)
+    starts = np.append(0, np.ones(BLOCKS**3, int))
+    tile = ScattererTile(4e-3, place[:, np.newaxis], np.zeros(1, np.float32), starts)
+    monkeypatch.setattr(rendering, "scatterer_tile", lambda density, rng: tile)
+    renderer = make_renderer(Tissue(size=[0.030, 0.030, 0.12]))
+    X_TP = still(renderer, about(2, 0.3, [0, 0, 0]) @ shift(0.006, 0.004, 0.08) @ DOWN)
+    echo = renderer.tissue_echo(X_TP, direction)
+    exact = np.zeros(echo.shape, complex)
+    for copy in range(1, 4):
+        p_T = place - [0, 0, 0.032 * copy]
+        exact += exact_echo(renderer, (np.linalg.inv(X_TP[0]) @ [*p_T, 1])[:3], direction)
+    assert correlation(exact, echo) > 0.99
 
 
 def needle_through(point, azimuth, rise, half_length=0.04):
