@@ -79,9 +79,8 @@ class Experiment:
         self._first_volume = geometry.period + scenario.processing_time
 
         self.station = MakeStation(
-            parameters=replace(
-                scenario.station, phantom=replace(scenario.station.phantom, size=tissue.size)
-            ),
+            parameters=scenario.station,
+            phantom_size=tissue.size,
             seed=wrist_seed,
             meshcat=meshcat,
         )

@@ -30,27 +30,6 @@ _STAGE_GAINS = 6 * [PdControllerGains(p=1e7, d=1e5)]
 
 
 @dataclass(kw_only=True)
-class PhantomParameters:
-    """Where the phantom stands, and how large it is.
-
-    Parameters
-    ----------
-    position
-        (3,) position in W of the centre of its top face, in m, while it is at rest.
-    size
-        (3,) extents along X, Y, Z, in m.
-    """
-
-    position: list[float] = field(default_factory=lambda: [0.5, 0.0, 0.2])
-    size: list[float] = field(default_factory=lambda: [0.24, 0.16, 0.08])
-
-    def __post_init__(self) -> None:
-        for name, value in (("position", self.position), ("size", self.size)):
-            require(len(value) == 3 and bool(np.isfinite(value).all()), name, value, "3 numbers")
-        require_positive(**{f"size[{axis}]": value for axis, value in enumerate(self.size)})
-
-
-@dataclass(kw_only=True)
 class ProbePlacement:
     """Where over the phantom the probe starts, looking straight down.
 
@@ -87,8 +66,10 @@ class StationParameters:
     contact_model
         As in Drake: hydroelastic_with_fallback, hydroelastic, or point (for the plant alone three
         times faster, and 1 mm shallower at 2 N).
-    phantom, probe
-        Where they are at the start.
+    phantom_position
+        (3,) position in W of the centre of the phantom's top face, in m, while it is at rest.
+    probe
+        Where it starts.
     force_noise, torque_noise
         Standard deviation of the wrist force sensor's samples, in N and N m.
     display_period
@@ -97,7 +78,7 @@ class StationParameters:
 
     time_step: float = 0.005
     contact_model: str = "hydroelastic_with_fallback"
-    phantom: PhantomParameters = field(default_factory=PhantomParameters)
+    phantom_position: list[float] = field(default_factory=lambda: [0.5, 0.0, 0.2])
     probe: ProbePlacement = field(default_factory=ProbePlacement)
     force_noise: float = 0.02
     torque_noise: float = 0.001
@@ -106,13 +87,16 @@ class StationParameters:
     def __post_init__(self) -> None:
         require_positive(time_step=self.time_step, display_period=self.display_period)
         require_not_negative(force_noise=self.force_noise, torque_noise=self.torque_noise)
+        position = self.phantom_position
+        finite = len(position) == 3 and bool(np.isfinite(position).all())
+        require(finite, "phantom_position", position, "three coordinates in m")
         allowed = " or ".join(_CONTACT_MODELS)
         require(self.contact_model in _CONTACT_MODELS, "contact_model", self.contact_model, allowed)
 
     @property
     def X_WT(self) -> RigidTransform:
         """Pose of the phantom at rest."""
-        return RigidTransform(self.phantom.position)
+        return RigidTransform(self.phantom_position)
 
     def probe_pose(
         self,
@@ -156,7 +140,11 @@ def check_reach(parameters: StationParameters, poses: Sequence[RigidTransform]) 
 
 
 def MakeStation(
-    *, parameters: StationParameters, seed: int = 0, meshcat: Meshcat | None = None
+    *,
+    parameters: StationParameters,
+    phantom_size: Sequence[float] = (0.24, 0.16, 0.08),
+    seed: int = 0,
+    meshcat: Meshcat | None = None,
 ) -> Diagram:
     """Make the station.
 
@@ -184,6 +172,8 @@ def MakeStation(
     ----------
     parameters
         What it is made of.
+    phantom_size
+        (3,) extents of the phantom along X, Y, Z of T, in m.
     seed
         Of the sensor's noise.
     meshcat
@@ -202,12 +192,12 @@ def MakeStation(
     )
     plant, scene_graph = AddMultibodyPlant(config, builder)
     arm = AddArmWithProbe(plant)
-    phantom = AddPhantom(plant, scene_graph, size=parameters.phantom.size)
+    phantom = AddPhantom(plant, scene_graph, size=phantom_size)
     Parser(plant).AddModels(str(model_path("bench.sdf")))
     _add_joint_servos(plant)
     plant.Finalize()
     plant.SetDefaultPositions(arm.model_instance, start_posture(parameters))
-    for axis, value in zip("xyz", parameters.phantom.position, strict=True):
+    for axis, value in zip("xyz", parameters.phantom_position, strict=True):
         plant.GetJointByName(axis, phantom.model_instance).set_default_translation(value)
 
     for name, instance in (

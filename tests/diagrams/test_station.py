@@ -10,7 +10,6 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from sonoservo.diagrams.station import (
     MakeStation,
-    PhantomParameters,
     ProbePlacement,
     StationParameters,
     check_reach,
@@ -158,7 +157,7 @@ def test_station_is_drawn():
 def test_parameters_load_from_yaml():
     text = """
     time_step: 0.001
-    phantom: {position: [0.45, 0, 0.25], size: [0.2, 0.15, 0.1]}
+    phantom_position: [0.45, 0, 0.25]
     probe: {yaw_deg: -40}
     """
     parameters = yaml_load_typed(schema=StationParameters, data=text, defaults=StationParameters())
@@ -174,8 +173,7 @@ def test_parameters_load_from_yaml():
         (lambda: StationParameters(time_step=0.0), "time_step"),
         (lambda: StationParameters(contact_model="soft"), "contact_model.*hydroelastic or point"),
         (lambda: StationParameters(force_noise=-1.0), "force_noise"),
-        (lambda: PhantomParameters(size=[0.1, 0.1, 0.0]), r"size\[2\]"),
-        (lambda: PhantomParameters(position=[0.1, 0.1]), "position"),
+        (lambda: StationParameters(phantom_position=[0.1, 0.1]), "phantom_position"),
         (lambda: ProbePlacement(height=-0.01), "height"),
         (lambda: ProbePlacement(yaw_deg=float("nan")), "yaw_deg"),
     ],
