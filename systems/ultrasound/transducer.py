@@ -83,6 +83,12 @@ class Transducer:
         for name in ("lines", "most_frames", "elements", "transmit_elements", "receive_elements"):
             require(getattr(self, name) >= 2, name, getattr(self, name), "at least 2")
         require(
+            self.lines * self.line_pitch_deg <= 150,
+            "line_pitch_deg",
+            self.line_pitch_deg,
+            f"at most {150 / self.lines:g} deg for {self.lines} lines: a sector of 150 deg",
+        )
+        require(
             self.highest_frequency >= self.lowest_frequency,
             "highest_frequency",
             self.highest_frequency,

@@ -29,7 +29,9 @@ def test_own_file(tmp_path):
         load_transducer(str(path))
 
 
-@pytest.mark.parametrize(("name", "value"), [("lines", 1), ("element_height", 0.0)])
+@pytest.mark.parametrize(
+    ("name", "value"), [("lines", 1), ("element_height", 0.0), ("line_pitch_deg", 2.0)]
+)
 def test_transducer_errors_name_the_field(name, value):
     with pytest.raises(ValueError, match=name):
         Transducer(**{name: value})
