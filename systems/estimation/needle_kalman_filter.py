@@ -46,6 +46,8 @@ class NeedleKalmanFilterParameters:
         Within which the localizer must see the detected needle.
     volumes_to_lose
         In a row without the needle, after which it is sought everywhere.
+    withdrawn_length
+        Predicted length at which a needle that is not found counts as withdrawn, in m.
     seconds_to_give_up
         Without the needle, after which a new insertion is awaited.
     """
@@ -58,6 +60,7 @@ class NeedleKalmanFilterParameters:
     gate: float = 0.9999
     volumes_to_confirm: int = 4
     volumes_to_lose: int = 4
+    withdrawn_length: float = 6e-3
     seconds_to_give_up: float = 10.0
 
     def __post_init__(self) -> None:
@@ -67,6 +70,7 @@ class NeedleKalmanFilterParameters:
             first_speed=self.first_speed,
             first_drift=self.first_drift,
             gate=self.gate,
+            withdrawn_length=self.withdrawn_length,
             seconds_to_give_up=self.seconds_to_give_up,
         )
         require(self.gate < 1, "gate", self.gate, "below 1")
@@ -108,7 +112,7 @@ def start_track(
 def restart_track(
     measurement: NeedleMeasurement, parameters: NeedleKalmanFilterParameters
 ) -> NeedleTrack:
-    """Start a track at a measurement: of a needle found again."""
+    """Start a track at a measurement: of a needle newly found, or found again."""
     return _track(
         TrackingMode.TRACKING,
         measurement.time,
@@ -145,6 +149,7 @@ def update_track(track: NeedleTrack, measurement: NeedleMeasurement) -> NeedleTr
         covariance=0.5 * (covariance + covariance.T),
         missed=0,
         since=measurement.time,
+        rejected=None,
         reason="",
     )
 
@@ -255,12 +260,19 @@ class NeedleKalmanFilter(LeafSystem):
     ) -> NeedleTrack:
         """Return the track after a volume."""
         if isinstance(measurement, NeedleMeasurement):
-            if track.mode == TrackingMode.LOST:
+            if track.mode in (TrackingMode.SEARCHING, TrackingMode.LOST):
                 return restart_track(measurement, self._parameters)
             predicted = track.predicted(measurement.time)
             distance = innovation_distance(predicted, measurement)
             if distance <= self._gate:
                 return update_track(predicted, measurement)
+            if track.rejected is not None:
+                # Two that agree with each other are right, and the prediction is wrong.
+                before = restart_track(track.rejected, self._parameters)
+                before = before.predicted(measurement.time)
+                if innovation_distance(before, measurement) <= self._gate:
+                    return restart_track(measurement, self._parameters)
+            track = replace(track, rejected=measurement)
             reason = f"the measurement lies {np.sqrt(distance):.1f} deviations from the prediction"
         else:
             reason = _reason(measurement)
@@ -285,8 +297,12 @@ class NeedleKalmanFilter(LeafSystem):
             return replace(track, missed=missed, reason=reason)
         if time - track.since > p.seconds_to_give_up:
             return empty
-        if missed >= p.volumes_to_lose:
-            return replace(track, mode=TrackingMode.LOST, missed=missed, reason=reason)
-        return replace(
-            track.predicted(time), mode=TrackingMode.COASTING, missed=missed, reason=reason
-        )
+        if track.mode == TrackingMode.LOST:
+            return replace(track, missed=missed, reason=reason)
+        predicted = track.predicted(time)
+        if (predicted.curve.tip - predicted.curve.entry) @ track.curve.direction < (
+            p.withdrawn_length
+        ):
+            return replace(empty, reason="the needle was withdrawn")
+        mode = TrackingMode.LOST if missed >= p.volumes_to_lose else TrackingMode.COASTING
+        return replace(predicted, mode=mode, missed=missed, reason=reason)

@@ -7,6 +7,7 @@ from filterpy.kalman import predict
 from numpy.typing import NDArray
 
 from sonoservo.systems.estimation.estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.localization.measurement import NeedleMeasurement
 from sonoservo.systems.needle.curve import NeedleCurve
 from sonoservo.systems.values import Immutable, read_only, require_not_negative
 
@@ -90,6 +91,8 @@ class NeedleTrack(Immutable):
         Volumes in a row that did not confirm the needle.
     since
         Time of the last confirmation, in s.
+    rejected
+        The last measurement that failed the gate since then.
     reason
         Why the last volume did not confirm the needle.
     """
@@ -102,6 +105,7 @@ class NeedleTrack(Immutable):
     volume_time: float = -np.inf
     missed: int = 0
     since: float = -np.inf
+    rejected: NeedleMeasurement | None = None
     reason: str = ""
 
     def __post_init__(self) -> None:

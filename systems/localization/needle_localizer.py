@@ -48,6 +48,11 @@ class NeedleLocalizerParameters:
         Length of needle that shares a threshold, in m.
     least_length
         That must be visible, in m.
+    largest_entry_gap
+        From where a needle newly found enters the field of view to where it stands out, in m: it
+        comes from outside, inclusions do not.
+    search_reach
+        Beyond either end of a bright line, for a needle that was lost, in m.
     least_inlier_ratio
         Of the candidates between entry and tip.
     least_evidence
@@ -75,6 +80,8 @@ class NeedleLocalizerParameters:
     cross_section: float = 4e-6
     slab: float = 2e-3
     least_length: float = 4e-3
+    largest_entry_gap: float = 8e-3
+    search_reach: float = 40e-3
     least_inlier_ratio: float = 0.15
     least_evidence: float = 10e-3
     correlation_length: float = 2e-3
@@ -96,6 +103,8 @@ class NeedleLocalizerParameters:
             cross_section=self.cross_section,
             slab=self.slab,
             least_length=self.least_length,
+            largest_entry_gap=self.largest_entry_gap,
+            search_reach=self.search_reach,
             least_inlier_ratio=self.least_inlier_ratio,
             least_evidence=self.least_evidence,
             correlation_length=self.correlation_length,
@@ -143,7 +152,8 @@ def _predicted_region(
             + math.atan2(3 * across, max(curve.chord, 1e-3)),
             math.pi / 2,
         ),
-        entry=entry,
+        # What has just been detected may begin a little farther out, or to the side.
+        entry=None if track.mode == TrackingMode.SEARCHING else entry,
     )
 
 
@@ -244,7 +254,12 @@ def _judge(
         return NotFound(f"only {100 * ratio:.0f} % of the candidates lie on the axis")
     if extent.evidence < parameters.least_evidence:
         return NotFound("too little stands out from the background along the axis")
-    start = extent.start if region.entry is None else float(fit.axis.abscissa(region.entry))
+    if region.entry is not None:
+        start = float(fit.axis.abscissa(region.entry))
+    elif extent.start - extent.entered <= parameters.largest_entry_gap:
+        start = extent.start
+    else:
+        return NotFound("what was found does not come from outside the field of view")
     if extent.tip - start < parameters.least_length:
         return NotFound("the needle has been withdrawn to its entry")
     # Interior points uniform in chord: the entry rests, the tip moves, no point slides.
@@ -308,8 +323,8 @@ def localize(
             _Region(
                 curve=NeedleCurve(np.linspace(ends[0], ends[1], parameters.order)),
                 radius=2 * parameters.margin,
-                before=2 * parameters.margin,
-                beyond=2 * parameters.margin,
+                before=parameters.search_reach,
+                beyond=parameters.search_reach,
                 largest_angle=math.radians(2 * parameters.largest_angle_deg),
                 entry=None,
             ),

@@ -179,6 +179,8 @@ class NeedleExtent(Immutable):
     ----------
     start, tip
         Abscissae in m.
+    entered
+        Abscissa in m where the axis enters the field of view, or where the profile begins.
     leaves
         Whether the needle leaves the field of view, so that its tip is not seen.
     evidence
@@ -188,6 +190,7 @@ class NeedleExtent(Immutable):
 
     start: float
     tip: float
+    entered: float
     leaves: bool
     evidence: float
 
@@ -236,6 +239,9 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
     return NeedleExtent(
         start=float(profile.a[first]),
         tip=tip,
+        entered=float(profile.a[first - int(np.argmin(profile.seen[first::-1]))])
+        if not profile.seen[: first + 1].all()
+        else float(profile.a[0]),
         leaves=bool(beyond >= len(profile.a) or not profile.seen[beyond]),
         evidence=float(evidence[first : last + 1].sum()) * step,
     )
