@@ -57,7 +57,7 @@ def run_command(
     with Progress(_console, loaded) as progress:
         result = run(loaded, out=folder, meshcat=display, after_volume=progress)
     _console.print(summary_table(result.summary, loaded.published))
-    _console.print(f"Results: {folder}/  (start with {folder / 'report.html'})")
+    _console.print(f"Results, starting with the report: {folder / 'report.html'}", soft_wrap=True)
     _write_json(json_path, result.summary)
     if result.summary["interrupted"]:
         raise typer.Exit(130)

@@ -94,6 +94,7 @@ class Progress:
     def __init__(self, console: Console, scenario: Scenario) -> None:
         self._console = console
         self._duration = scenario.duration
+        self._name = scenario.name
         self._bar = RichProgress(
             TextColumn("{task.description}"),
             BarColumn(),
@@ -101,7 +102,11 @@ class Progress:
             TimeRemainingColumn(),
             console=console,
         )
-        self._task = self._bar.add_task(scenario.name, total=scenario.duration, state="")
+        self._task = self._bar.add_task(
+            "starting (the first run compiles for half a minute) ...",
+            total=scenario.duration,
+            state="",
+        )
 
     def __enter__(self) -> Self:
         self._bar.start()
@@ -119,6 +124,7 @@ class Progress:
         """Move the bar."""
         self._bar.update(
             self._task,
+            description=self._name,
             completed=time,
             state=f"{time:5.1f} of {self._duration:g} s  {estimate.mode}",
         )
