@@ -39,8 +39,8 @@ class NeedleEchoParameters:
         Share of the amplitude that is lost behind a needle in the middle of the beam.
     """
 
-    specular_db: float = 38.0
-    diffuse_db: float = -22.0
+    specular_db: float = 40.0
+    diffuse_db: float = -20.0
     tip_db: float = 26.0
     reverberation_db: float = -8.0
     inner_diameter_ratio: float = 0.66

@@ -47,6 +47,21 @@ def test_agar_phantom_loads():
         assert (np.abs(np.array(point) - middle) < half).all()
 
 
+def test_agar_phantom_has_bright_things_beside_a_needles_way_but_not_on_it():
+    """The way of `chatelain2013_fig5`: from 42 mm below the top, dipping by 5 deg."""
+    agar = load_tissue("agar")
+    along, aside = np.meshgrid(np.linspace(-0.12, -0.02, 101), np.linspace(-0.01, 0.01, 21))
+    way = np.stack([along, aside, -0.042 - (along + 0.12) * np.tan(np.deg2rad(5))], axis=-1)
+    points = [np.array(ball.centre) for ball in agar.balls]
+    for fibre in agar.fibres:
+        points += list(np.linspace(fibre.start, fibre.end, 20))
+    distance = np.array([np.linalg.norm(way - point, axis=-1).min() for point in points])
+    assert distance.min() > 6e-3
+    assert (distance < 15e-3).sum() >= 6
+    for x in np.arange(-0.09, -0.01, 0.01):  # of the probe
+        assert sum(abs(point[0] - x) < 0.03 for point in points) >= 3
+
+
 def test_errors_name_the_field(tmp_path):
     with pytest.raises(ValueError, match="scatterers_per_cell"):
         Tissue(scatterers_per_cell=0)
