@@ -47,7 +47,7 @@ class NeedleTrackerParameters:
 
     kind: str = "chatelain2013"
     order: int = 2
-    look_back: float = 1.2
+    look_back: float = 1.8
     same_direction: bool = True
     detector: InsertionDetectorParameters = field(default_factory=InsertionDetectorParameters)
     localizer: NeedleLocalizerParameters = field(default_factory=NeedleLocalizerParameters)

@@ -47,10 +47,10 @@ class InsertionDetectorParameters:
         dB per unit of a voxel's intensity.
     """
 
-    candidate_volume: float = 10e-9
-    largest_deviation: float = 9e-3
-    largest_depth: float = 15e-3
-    least_change: float = 2.5
+    candidate_volume: float = 5e-9
+    largest_deviation: float = 6e-3
+    largest_depth: float = 12e-3
+    least_change: float = 4.5
     floor_quantile: float = 0.9
     reach: float = 0.7e-3
     stillness: float = 0.3e-3

@@ -40,10 +40,12 @@ class NeedleKalmanFilterParameters:
     first_speed, first_drift
         Standard deviations of the tip's velocity along the needle, and of every point's in every
         direction, when a track starts, in m/s.
+    largest_detection_jump
+        Between the medians of detections that follow one another, in m.
     gate
         Probability that a true measurement passes the gate on the innovation.
     volumes_to_confirm
-        Within which the localizer must see the detected needle.
+        Within which a detection must be repeated, and the localizer see the needle.
     volumes_to_lose
         In a row without the needle, after which it is sought everywhere.
     withdrawn_length
@@ -57,6 +59,7 @@ class NeedleKalmanFilterParameters:
     first_deviation: float = 2e-3
     first_speed: float = 10e-3
     first_drift: float = 2e-3
+    largest_detection_jump: float = 10e-3
     gate: float = 0.9999
     volumes_to_confirm: int = 4
     volumes_to_lose: int = 4
@@ -69,6 +72,7 @@ class NeedleKalmanFilterParameters:
             first_deviation=self.first_deviation,
             first_speed=self.first_speed,
             first_drift=self.first_drift,
+            largest_detection_jump=self.largest_detection_jump,
             gate=self.gate,
             withdrawn_length=self.withdrawn_length,
             seconds_to_give_up=self.seconds_to_give_up,
@@ -98,15 +102,31 @@ def _track(
 
 
 def start_track(
-    detection: InsertionDetection, parameters: NeedleKalmanFilterParameters
+    track: NeedleTrack, detection: InsertionDetection, parameters: NeedleKalmanFilterParameters
 ) -> NeedleTrack:
-    """Start a track, not yet confirmed, at a detected insertion: from the entry to what moved."""
+    """Start a track, not yet confirmed, at the second of two detections that follow one another.
+
+    A single detection is remembered only: where the tissue trembles, something bright may seem to
+    change once. Two of them tell where the tip moves, too.
+    """
+    first, last = track.detections or (detection, detection)
+    jump = float(np.linalg.norm(detection.p_WMedian - last.p_WMedian))
+    if first is detection or jump > parameters.largest_detection_jump:
+        return NeedleTrack(
+            TrackingMode.SEARCHING,
+            detection.time,
+            parameters.motion,
+            detections=(detection, detection),
+        )
     u = np.linspace(0, 1, parameters.order)
     points = detection.p_WEntry + np.outer(u, detection.p_WMedian - detection.p_WEntry)
     covariance = parameters.first_deviation**2 * np.eye(points.size)
-    return _track(
+    started = _track(
         TrackingMode.SEARCHING, detection.time, NeedleCurve(points), covariance, parameters
     )
+    velocity = (detection.p_WMedian - first.p_WMedian) / max(detection.time - first.time, 1e-3)
+    mean = np.concatenate([points.ravel(), np.outer(u, velocity).ravel()])
+    return replace(started, mean=mean, detections=(first, detection))
 
 
 def restart_track(
@@ -291,10 +311,10 @@ class NeedleKalmanFilter(LeafSystem):
         empty = NeedleTrack(TrackingMode.SEARCHING, time, p.motion, reason=reason)
         if track.mode == TrackingMode.SEARCHING:
             if isinstance(detection, InsertionDetection):
-                return start_track(detection, p)
-            if not track or missed >= p.volumes_to_confirm:
-                return replace(empty, reason=reason if track else _reason(detection))
-            return replace(track, missed=missed, reason=reason)
+                return start_track(track, detection, p)
+            if track.detections is None or missed >= p.volumes_to_confirm:
+                return replace(empty, reason=_reason(detection))
+            return replace(track, missed=missed, reason=reason if track else _reason(detection))
         if time - track.since > p.seconds_to_give_up:
             return empty
         if track.mode == TrackingMode.LOST:

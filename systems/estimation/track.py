@@ -6,6 +6,7 @@ import numpy as np
 from filterpy.kalman import predict
 from numpy.typing import NDArray
 
+from sonoservo.systems.detection.insertion_detector import InsertionDetection
 from sonoservo.systems.estimation.estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.localization.measurement import NeedleMeasurement
 from sonoservo.systems.needle.curve import NeedleCurve
@@ -91,6 +92,8 @@ class NeedleTrack(Immutable):
         Volumes in a row that did not confirm the needle.
     since
         Time of the last confirmation, in s.
+    detections
+        First and last of the detections that follow one another; None while there is none.
     rejected
         The last measurement that failed the gate since then.
     reason
@@ -105,6 +108,7 @@ class NeedleTrack(Immutable):
     volume_time: float = -np.inf
     missed: int = 0
     since: float = -np.inf
+    detections: tuple[InsertionDetection, InsertionDetection] | None = None
     rejected: NeedleMeasurement | None = None
     reason: str = ""
 

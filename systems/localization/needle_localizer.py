@@ -117,14 +117,15 @@ class NeedleLocalizerParameters:
 
 @dataclass(frozen=True, eq=False)
 class _Region:
-    """Where to look: around a curve in W."""
+    """Where to look: around a curve in W; its known entry, or the motion of its tip."""
 
     curve: NeedleCurve
     radius: float
     before: float
     beyond: float
     largest_angle: float
-    entry: NDArray[np.float64] | None
+    entry: NDArray[np.float64] | None = None
+    moved: NDArray[np.float64] | None = None
 
 
 def _predicted_region(
@@ -152,8 +153,9 @@ def _predicted_region(
             + math.atan2(3 * across, max(curve.chord, 1e-3)),
             math.pi / 2,
         ),
-        # What has just been detected may begin a little farther out, or to the side.
+        # Of what has just been detected, the entry is a guess.
         entry=None if track.mode == TrackingMode.SEARCHING else entry,
+        moved=track.velocity[-1] if track.mode == TrackingMode.SEARCHING else None,
     )
 
 
@@ -205,6 +207,15 @@ def _measure(
     extent = _extent(volume, region, parameters, fit)
     if isinstance(extent, NotFound):
         return extent
+    if region.moved is not None:
+        # Of a needle just detected it is the tip that moved, and forwards.
+        ends = fit.axis.position([extent.start, extent.tip])
+        if np.linalg.norm(ends - region.curve.tip, axis=1).min() > parameters.largest_entry_gap:
+            return NotFound("what was found is not what moved")
+        fit = fit if fit.axis.direction @ region.moved > 0 else fit.reversed()
+        extent = _extent(volume, region, parameters, fit)
+        if isinstance(extent, NotFound):
+            return extent
     inliers = _between(points, fit, extent) & (
         fit.axis.distance(points) < parameters.ransac.inlier_distance
     )
@@ -224,11 +235,11 @@ def _extent(
     volume: Volume, region: _Region, parameters: NeedleLocalizerParameters, fit: AxisFit
 ) -> NeedleExtent | NotFound:
     """Find where the needle begins and ends along an axis."""
-    start = float(fit.axis.abscissa(region.curve.entry)) - region.before
-    stop = float(fit.axis.abscissa(region.curve.tip)) + region.beyond
-    extent = find_extent(
-        axis_profile(volume, fit.axis, start, stop, parameters.tip), parameters.tip
+    ends = np.sort(fit.axis.abscissa(region.curve.control_points[[0, -1]]))
+    profile = axis_profile(
+        volume, fit.axis, ends[0] - region.before, ends[1] + region.beyond, parameters.tip
     )
+    extent = find_extent(profile, parameters.tip)
     if isinstance(extent, NeedleExtent) and extent.tip - extent.start < parameters.least_length:
         return NotFound(f"only {1e3 * (extent.tip - extent.start):.1f} mm of it are visible")
     return extent
@@ -326,7 +337,6 @@ def localize(
                 before=parameters.search_reach,
                 beyond=parameters.search_reach,
                 largest_angle=math.radians(2 * parameters.largest_angle_deg),
-                entry=None,
             ),
             parameters,
             rng,
