@@ -67,6 +67,7 @@ class Experiment:
         tissue = replace(load_tissue(scenario.phantom), seed=tissue_seed)
         geometry = sweep_geometry(transducer, scenario.imaging)
         insertion = Insertion(scenario.hand, np.random.default_rng(insertion_seed))
+        _check_entry(scenario, tissue.size)
         if scenario.controller.visual_servo.gain > 0:
             _check_reach(scenario, insertion)
         require(
@@ -200,6 +201,20 @@ def _connect_by_name(
         for index in range(system.num_input_ports()):
             port = system.get_input_port(index)
             builder.Connect(outputs[port.get_name()], port)
+
+
+def _check_entry(scenario: Scenario, size: list[float]) -> None:
+    """Refuse a needle that enters beside the phantom."""
+    half = np.array(size) / 2
+    from_middle = np.subtract(scenario.hand.entry, [0, 0, -half[2]])
+    reach = np.abs(from_middle) + scenario.hand.entry_spread
+    require(
+        bool((reach <= half + 1e-9).all()),
+        "hand.entry",
+        scenario.hand.entry,
+        "in the phantom or on its surface, entry_spread included: "
+        f"|x| up to {half[0]:g}, |y| up to {half[1]:g}, z from {-size[2]:g} to 0 m",
+    )
 
 
 def _check_reach(scenario: Scenario, insertion: Insertion) -> None:

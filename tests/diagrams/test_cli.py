@@ -34,7 +34,7 @@ def test_list_names_every_scenario(tmp_path):
         (["chatelain2031_fig5"], "did you mean 'chatelain2013_fig5'"),
         (["chatelain2013_fig5", "--set", "imaging.frames=31"], "lines x 2 x"),
         (["chatelain2013_fig5", "--set", "station.probe.x=3"], "cannot reach"),
-        (["chatelain2013_fig5", "--set", "hand.entry=[-0.12, 0.9, -0.04]"], "cannot follow"),
+        (["chatelain2013_fig5", "--set", "hand.entry=[-0.12, 0.9, -0.04]"], "hand.entry: "),
         (["chatelain2013_fig5", "--set", "phantom=agr"], "there is no model"),
         (["chatelain2013_fig5", "--set", "processing_time=1"], "processing_time: 1.0"),
     ],

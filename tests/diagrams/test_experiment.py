@@ -47,7 +47,15 @@ def test_the_same_seed_gives_the_same_summary():
     assert other["force"] != first["force"]
 
 
-def test_a_needle_out_of_reach_is_refused_before_anything_moves():
-    scenario = load_scenario("chatelain2013_fig5", changes=["hand.entry=[-0.12, 0.6, -0.04]"])
-    with pytest.raises(ConfigurationError, match="hand: the arm cannot follow"):
-        run(scenario)
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (["hand.entry=[-0.12, 0.6, -0.04]"], "hand.entry: .* in the phantom or on its surface"),
+        (["station.phantom_position=[0.78, 0, 0.2]"], "hand: the arm cannot follow"),
+        (["station.phantom_position=[1.2, 0, 0.2]"], "cannot reach the probe pose"),
+    ],
+)
+def test_what_cannot_be_is_refused_before_anything_moves(changes, message):
+    changes = ["hand.pushes.0.speed=0.02", *changes]
+    with pytest.raises(ConfigurationError, match=message):
+        run(load_scenario("chatelain2013_fig5", changes=changes))
