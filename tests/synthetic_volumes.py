@@ -66,9 +66,14 @@ class Scene:
     level_db: float = 14.0
 
     def volume(self, number, needle=None, X_WP=None, period=0.303, noise=0.02):
-        """One volume; the needle is a pair of points in W, or None."""
+        """One volume. The needle is a function of time that returns its ends in W, or None."""
         low, spacing, p_P, inside = grid(self.spacing)
         X_WP = X_WP or RigidTransform()
+        direction = 1 if number % 2 == 0 else -1
+        frames = np.arange(GEOMETRY.frames)
+        times = period * number + direction * GEOMETRY.frame_period * (frames - 12)
+        poses = np.repeat(X_WP.GetAsMatrix4()[np.newaxis], GEOMETRY.frames, axis=0)
+        motion = SweepMotion(GEOMETRY, direction, times, poses)
         amplitude = speckle(self.seed, self.spacing).copy()
         rng = np.random.default_rng([self.seed, number])
         for centre, radius in self.balls:
@@ -76,8 +81,9 @@ class Scene:
             amplitude += 30 * np.exp(-(np.maximum(near - radius, 0) ** 2) / (2 * (0.8e-3) ** 2))
         for a, b in self.rods:
             amplitude += line(p_P, np.array(a), np.array(b), lambda s: 30.0)
-        if needle is not None:
-            a, b = X_WP.inverse().multiply(np.array(needle).T).T
+        ends = needle and needle_as_acquired(needle, motion, X_WP)
+        if ends:
+            a, b = ends
 
             def level(s):
                 # Specular over some millimetres, diffuse with fading elsewhere.
@@ -89,13 +95,19 @@ class Scene:
         amplitude += noise * rng.normal(size=amplitude.shape)
         grey = (20 * np.log10(np.abs(amplitude) + 1e-6) + self.level_db) * 255 / 60
         grey = np.where(inside, np.clip(np.round(grey), 1, 255), 0).astype(np.uint8)
-        direction = 1 if number % 2 == 0 else -1
-        frames = np.arange(GEOMETRY.frames)[::direction]
-        times = period * number + GEOMETRY.frame_period * (frames - 12)
-        motion = SweepMotion(
-            GEOMETRY, direction, times, np.repeat(X_WP.GetAsMatrix4()[np.newaxis], 25, axis=0)
-        )
         return Volume(grey, low, spacing, X_WP, motion.time, motion)
+
+
+def needle_as_acquired(needle, motion, X_WP):
+    """Ends of a needle in P, the tip when it is acquired."""
+    time = motion.time
+    for _ in range(4):
+        ends = needle(time)
+        if ends is None:
+            return None
+        a, b = X_WP.inverse().multiply(np.array(ends).T).T
+        time = motion.to_world(b[np.newaxis])[1][0]
+    return a, b
 
 
 def entry_on_side(depth=45e-3, z=0.0):

@@ -1,0 +1,149 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform
+from synthetic_volumes import GEOMETRY, Scene, entry_on_side
+
+from sonoservo.systems.detection.insertion_detector import (
+    InsertionDetection,
+    InsertionDetector,
+    InsertionDetectorParameters,
+    closest_side,
+    detect_insertion,
+)
+from sonoservo.systems.detection.volume_memory import VolumeMemory
+from sonoservo.systems.ultrasound.volume import Volume
+from sonoservo.systems.values import NotFound
+
+PARAMETERS = InsertionDetectorParameters()
+RNG = np.random.default_rng(0)
+ENTRY = entry_on_side()
+INWARD = np.array([1, 0.2, 0.1]) / np.linalg.norm([1, 0.2, 0.1])
+SCENE = Scene(seed=1, balls=[([0.01, 0.06, 0.005], 2e-3)])
+
+
+def needle(length):
+    return lambda time: (ENTRY, ENTRY + length * INWARD)
+
+
+@pytest.fixture(scope="module")
+def before():
+    return SCENE.volume(0)
+
+
+def test_finds_where_a_needle_enters(before):
+    found = detect_insertion(SCENE.volume(2, needle(5e-3)), before, PARAMETERS, RNG)
+    assert isinstance(found, InsertionDetection)
+    assert np.linalg.norm(found.p_WEntry - ENTRY) < 4e-3
+    on_needle = (found.p_WMedian - ENTRY) @ INWARD
+    assert 0 < on_needle < 5e-3
+    assert np.linalg.norm(found.p_WMedian - ENTRY - on_needle * INWARD) < 1.5e-3
+
+
+def test_no_false_start_on_static_tissue(before):
+    for number in range(1, 5):
+        volume = SCENE.volume(number)
+        assert not detect_insertion(volume, before, PARAMETERS, RNG)
+
+
+def test_a_change_all_over_is_not_an_insertion():
+    found = detect_insertion(Scene(seed=2).volume(2), Scene(seed=1).volume(0), PARAMETERS, RNG)
+    assert not found
+    assert "spread" in found.reason
+
+
+def test_a_change_deep_inside_is_not_an_insertion(before):
+    deep = np.array([0, 0.05, 0])
+    volume = SCENE.volume(2, lambda time: (deep, deep + 3e-3 * INWARD))
+    found = detect_insertion(volume, before, PARAMETERS, RNG)
+    assert not found
+    assert "inside" in found.reason
+
+
+def test_a_probe_that_moved(before):
+    volume = SCENE.volume(2, needle(5e-3), X_WP=RigidTransform([0, 1e-3, 0]))
+    found = detect_insertion(volume, before, PARAMETERS, RNG)
+    assert not found
+    assert "moved 1.00 mm" in found.reason
+
+
+def test_another_grid(before):
+    other = Scene(seed=1, spacing=1.5e-3).volume(2)
+    assert "grid" in detect_insertion(other, before, PARAMETERS, RNG).reason
+
+
+@pytest.mark.parametrize("level", [0, 100])
+def test_constant_volumes(before, level):
+    volume = dataclasses.replace(
+        before, intensities=np.full(before.intensities.shape, level, np.uint8)
+    )
+    assert not detect_insertion(volume, volume, PARAMETERS, RNG)
+
+
+@pytest.mark.parametrize("line", [0, GEOMETRY.lines - 1])
+@pytest.mark.parametrize("direction", [0, 1])
+def test_side_of_the_sector(line, direction):
+    volume = SCENE.volume(direction)
+    on_side = GEOMETRY.position(12, line, 150, volume.motion.direction)
+    inside = GEOMETRY.position(12, abs(line - 5), 150, volume.motion.direction)
+    np.testing.assert_allclose(closest_side(volume, inside), on_side, atol=1e-9)
+
+
+def test_side_of_a_volume_of_unknown_origin(before):
+    volume = dataclasses.replace(before, motion=None)
+    p = volume.position(np.array(volume.intensities.shape) / 2)
+    p[2] = volume.upper[2] - 1e-3
+    np.testing.assert_allclose(closest_side(volume, p), [p[0], p[1], volume.upper[2]])
+
+
+def test_leaf(before):
+    detector = InsertionDetector()
+    context = detector.CreateDefaultContext()
+    volume = detector.GetInputPort("volume")
+    previous = detector.GetInputPort("previous_volume")
+    detection = detector.GetOutputPort("detection")
+    previous.FixValue(context, Value[object](NotFound("no earlier one")))
+    volume.FixValue(context, Value[object](NotFound("no volume")))
+    assert detection.Eval(context).reason == "no volume"
+    volume.FixValue(context, Value[object](SCENE.volume(2, needle(5e-3))))
+    assert detection.Eval(context).reason == "no earlier one"
+    previous.FixValue(context, Value[object](before))
+    assert detection.Eval(context)
+    volume.FixValue(context, Value[object]("scan"))
+    with pytest.raises(TypeError, match="'volume'"):
+        detection.Eval(context)
+
+
+def small(time, motion=None):
+    zeros = np.zeros((2, 2, 2), np.uint8)
+    return Volume(zeros, np.zeros(3), np.ones(3), RigidTransform(), time, motion)
+
+
+@pytest.mark.parametrize(
+    ("look_back", "age"), [(0.0, 1), (1.0, 1), (1.5, 2), (3.0, 3), (7.0, None)]
+)
+def test_memory_is_the_same_before_and_after_its_event(look_back, age):
+    memory = VolumeMemory(look_back=look_back, period=1.0)
+    context = memory.CreateDefaultContext()
+    volumes = [small(float(k)) for k in range(7)]
+    for k, volume in enumerate(volumes):
+        memory.GetInputPort("volume").FixValue(context, Value[object](volume))
+        for _ in range(3):
+            previous = memory.GetOutputPort("previous_volume").Eval(context)
+            if age is None or k < age:
+                assert not previous
+            else:
+                assert previous is volumes[k - age]
+            memory.ExecuteForcedEvents(context)
+
+
+def test_memory_compares_sweeps_of_one_direction():
+    memory = VolumeMemory(look_back=0.0, same_direction=True, period=1.0)
+    context = memory.CreateDefaultContext()
+    volumes = [SCENE.volume(k) for k in range(4)]
+    for volume in volumes:
+        memory.GetInputPort("volume").FixValue(context, Value[object](volume))
+        memory.ExecuteForcedEvents(context)
+    assert memory.GetOutputPort("previous_volume").Eval(context) is volumes[1]
