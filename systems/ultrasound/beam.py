@@ -43,6 +43,8 @@ class Beam(Immutable):
         (samples,) sigma_l and sigma_e at every sample's depth, in m.
     curvature
         (samples,) curvature of the wave fronts in elevation, in 1/m.
+    side_lobes
+        Amplitude of the side lobes relative to the Gaussian's.
     """
 
     wavelength: float
@@ -50,6 +52,7 @@ class Beam(Immutable):
     lateral: NDArray[np.float64]
     elevation: NDArray[np.float64]
     curvature: NDArray[np.float64]
+    side_lobes: float
 
     @property
     def resolution_cell(self) -> NDArray[np.float64]:
@@ -208,4 +211,5 @@ def beam_profile(
         lateral=resampled(lateral) / FWHM_PER_SIGMA,
         elevation=resampled(elevation) / FWHM_PER_SIGMA,
         curvature=resampled(curvature),
+        side_lobes=transducer.side_lobe_level,
     )

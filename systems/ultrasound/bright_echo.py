@@ -12,14 +12,11 @@ from sonoservo.systems.ultrasound.projection import (
     phasor,
 )
 
-SIDE_LOBE_LEVEL = 10 ** (-30 / 20)
-"""Amplitude of the side lobes, a second, wider Gaussian, relative to the main lobe."""
-
 SIDE_LOBE_WIDTH = 3
-"""Width of the side lobes over the main lobe's."""
+"""Width of the side lobes, a second Gaussian, over the main lobe's."""
 
 _FURTHEST = (2.0 * SIDE_LOBE_WIDTH) ** 2 / 2
-"""Side lobes end at two of their standard deviations, 47 dB below the main lobe."""
+"""Side lobes end at two of their standard deviations, 17 dB below their middle."""
 
 
 class NeedleEcho(NamedTuple):
@@ -32,7 +29,9 @@ class NeedleEcho(NamedTuple):
     diffuse: float
     """Amplitude of each point, in phases that the needle's surface fixes."""
     tip: float
-    """Amplitude of the tip."""
+    """Amplitude of the bevel's points together."""
+    bevel: float
+    """Length of the bevel over the needle's radius."""
     shadow: float
     """Share of the amplitude that a needle in the middle of the beam takes away behind it."""
 
@@ -91,7 +90,7 @@ def _add_point(  # type: ignore[no-untyped-def]
         distance = u + precision * (j - line) * (j - line)
         wide = np.exp(-distance / SIDE_LOBE_WIDTH**2)
         main = wide ** (SIDE_LOBE_WIDTH**2)
-        weight = np.float32(main + SIDE_LOBE_LEVEL * wide)
+        weight = np.float32(main + rays.side_lobes * wide)
         a = weight * re
         b = weight * im
         for tap in range(taps):
@@ -188,6 +187,8 @@ def _add_needle(  # type: ignore[no-untyped-def]
     rays, tables, pulse
         Of the frame.
     """
+    bevel_points = max(int(echo.bevel * radius / echo.spacing), 1)
+    bevel = echo.tip / np.sqrt(bevel_points)
     number = 0
     along = 0.0
     seen = False
@@ -204,11 +205,12 @@ def _add_needle(  # type: ignore[no-untyped-def]
                 shaft[segment, 1] + share * dy,
                 shaft[segment, 2] + share * dz,
             )
+            # Along the bevel the wall runs out, and its face scatters.
+            wall = min((number + 0.5) / bevel_points, 1.0)
+            diffuse = wall * echo.diffuse + (bevel if number < bevel_points else 0.0)
             phase = phases[number % len(phases)]
-            real = echo.specular + echo.diffuse * np.cos(phase)
-            imaginary = echo.diffuse * np.sin(phase)
-            if number == 0:
-                real += echo.tip
+            real = wall * echo.specular + diffuse * np.cos(phase)
+            imaginary = diffuse * np.sin(phase)
             seen |= _add_point(
                 layer, shadow, x, y, z, radius, real, imaginary, echo.shadow, rays, tables, pulse
             )

@@ -6,11 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.ultrasound.beam import Beam
-from sonoservo.systems.ultrasound.bright_echo import (
-    SIDE_LOBE_LEVEL,
-    SIDE_LOBE_WIDTH,
-    NeedleEcho,
-)
+from sonoservo.systems.ultrasound.bright_echo import SIDE_LOBE_WIDTH, NeedleEcho
 from sonoservo.systems.ultrasound.tissue import Ball, Fibre, Tissue
 from sonoservo.systems.values import require
 
@@ -30,7 +26,10 @@ class NeedleEchoParameters:
     diffuse_db
         Of what a rough surface scatters in all directions, relative to ``specular_db``.
     tip_db
-        Of the tip, over the tissue's root mean square.
+        Of what the bevel scatters in all directions, as if from one point, over the tissue's root
+        mean square.
+    bevel_deg
+        Between the bevel's face and the axis. Along the bevel the shaft's own echo fades.
     reverberation_db
         Of each echo inside the needle, relative to the one before.
     inner_diameter_ratio
@@ -41,7 +40,8 @@ class NeedleEchoParameters:
 
     specular_db: float = 40.0
     diffuse_db: float = -20.0
-    tip_db: float = 26.0
+    tip_db: float = 30.0
+    bevel_deg: float = 20.0
     reverberation_db: float = -8.0
     inner_diameter_ratio: float = 0.66
     shadow: float = 0.45
@@ -50,6 +50,7 @@ class NeedleEchoParameters:
         require(
             self.reverberation_db <= -3, "reverberation_db", self.reverberation_db, "at most -3 dB"
         )
+        require(0 < self.bevel_deg <= 90, "bevel_deg", self.bevel_deg, "above 0, at most 90 deg")
         for name in ("inner_diameter_ratio", "shadow"):
             value = getattr(self, name)
             require(0 <= value <= 1, name, value, "from 0 to 1")
@@ -74,7 +75,8 @@ def needle_echo(
     )
     tip = 10 ** (parameters.tip_db / 20)
     phases = rng.uniform(0, 2 * np.pi, int(_LONGEST_NEEDLE / spacing))
-    return NeedleEcho(spacing, specular, diffuse, tip, parameters.shadow), phases
+    bevel = 2 / np.tan(np.deg2rad(parameters.bevel_deg))
+    return NeedleEcho(spacing, specular, diffuse, tip, bevel, parameters.shadow), phases
 
 
 def reverberations(
@@ -132,7 +134,7 @@ def _rod(
     spacing = beam.wavelength / 8
     width = beam.lateral[reference]
     # In phase, the points under the beam add up; the side lobes add a little more.
-    length = np.sqrt(2 * np.pi) * width * (1 + SIDE_LOBE_LEVEL * SIDE_LOBE_WIDTH)
+    length = np.sqrt(2 * np.pi) * width * (1 + beam.side_lobes * SIDE_LOBE_WIDTH)
     specular = 10 ** (level_db / 20) * spacing / length
     # Out of phase, their intensities do.
     length = np.sqrt(np.pi) * width

@@ -40,6 +40,8 @@ class Rays(NamedTuple):
     turns_per_metre: np.float32
     lead: int
     """Samples from the beginning of a pulse to the one before its middle."""
+    side_lobes: np.float32
+    """Amplitude of a bright point's side lobes, relative to its main lobe."""
 
 
 class DepthTables(NamedTuple):

@@ -233,6 +233,7 @@ class SweepRenderer:
             samples_per_metre=np.float32(1 / geometry.sample_pitch),
             turns_per_metre=np.float32(2 / self.beam.wavelength),
             lead=self._lead,
+            side_lobes=np.float32(self.beam.side_lobes),
         )
 
     def _frame_poses(self, X_TP: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -20,10 +20,10 @@ DEEP = Tissue(size=[0.6, 0.6, 0.4])
 """Large enough to hold the whole sweep wherever the probe is."""
 
 
-def make_renderer(tissue=DEEP, needle=None, **imaging):
+def make_renderer(tissue=DEEP, needle=None, transducer=None, **imaging):
     settings = {"depth": 0.09, "focus_depth": 0.06, "volume_rate": 2.0, "frames": 27}
     return SweepRenderer(
-        transducer=Transducer(),
+        transducer=transducer or Transducer(),
         imaging=ImagingParameters(**settings | imaging),
         tissue=tissue,
         parameters=ScannerParameters(needle=needle or NeedleEchoParameters()),
@@ -315,6 +315,31 @@ def test_scatterers_echo_as_the_point_spread_function_says(monkeypatch, directio
     assert correlation(exact, echo) > 0.99
 
 
+@pytest.mark.parametrize("level", [0.0, 0.0316])
+def test_bright_points_have_side_lobes(level):
+    """A second Gaussian, three times as wide, below the middle of the beam's."""
+    ball = Ball(centre=[0, 0, -0.16], radius=1e-6, level_db=150)
+    renderer = make_renderer(
+        dataclasses.replace(DEEP, balls=[ball]),
+        transducer=Transducer(side_lobe_level=level),
+        sector=0.2,
+    )
+    echo = np.abs(renderer.tissue_echo(still(renderer), 1))
+    geometry = renderer.geometry
+    k, i = geometry.frames // 2, round(0.06 / geometry.sample_pitch)
+    lines = np.arange(geometry.lines) - (geometry.lines - 1) / 2
+    u = (lines * geometry.line_pitch * 0.1 / renderer.beam.lateral[i]) ** 2 / 2
+    shape = np.exp(-u) + level * np.exp(-u / 9)
+    near = np.abs(lines) < 3
+    assert echo[k, near, i] / echo[k, near, i].max() == pytest.approx(
+        shape[near] / shape.max(), rel=0.03, abs=1e-3
+    )
+    side = echo[k, np.abs(lines) == 3.5, i].mean() / echo[k, near, i].max()
+    expected = shape[np.abs(lines) == 3.5].mean() / shape.max()
+    assert side == pytest.approx(expected, rel=0.1, abs=1e-3)
+    assert (side > 0.004) == (level > 0)
+
+
 def needle_through(point, azimuth, rise, half_length=0.04):
     """A needle through a point of T, with its middle there; angles in rad."""
     direction = np.array(
@@ -417,6 +442,34 @@ def test_needles_tip_shows_where_it_is():
     window = grey[k, :, i - 4 : i + 3].max(axis=1).astype(int)
     assert window[j - 3 : j + 1].min() > 150
     assert window[j + 6 :].max() < 150
+
+
+def test_a_needles_wall_runs_out_along_its_bevel():
+    """Half of it is left in the middle of a bevel of 5 deg, 14.5 mm long."""
+    needle = NeedleEchoParameters(**BARE, diffuse_db=-200.0, bevel_deg=5.0)
+    renderer = make_renderer(needle=needle, sector=0.2)
+    length = 2 * 0.635e-3 / np.tan(np.deg2rad(5))
+
+    def level(beyond):
+        """Amplitude below the middle of the probe, with the tip so far beyond it."""
+        tip = np.array([beyond, 0, -0.16])
+        echo = needle_echo(renderer, Needle(np.array([tip - [0.08, 0, 0], tip]), 0.635e-3))
+        middle = renderer.geometry.lines // 2
+        return np.abs(echo[13, middle - 1 : middle + 1]).max(axis=1).mean()
+
+    assert level(length / 2) == pytest.approx(level(0.04) / 2, rel=0.05)
+    assert level(length + 0.002) == pytest.approx(level(0.04), rel=0.05)
+    assert level(-0.002) < 0.05 * level(0.04)
+
+
+def test_a_blunt_needles_tip_is_a_point_of_the_wanted_level():
+    needle = NeedleEchoParameters(
+        **BARE | {"tip_db": 26.0}, specular_db=-200.0, diffuse_db=0.0, bevel_deg=90.0
+    )
+    renderer = make_renderer(needle=needle, sector=0.4, sample_pitch=0.05e-3)
+    tip = np.array([0.0, 0, -0.16])
+    echo = np.abs(needle_echo(renderer, Needle(np.array([tip - [0.05, 0, 0], tip]), 0.635e-3)))
+    assert 20 * np.log10(echo.max()) == pytest.approx(26, abs=1.2)
 
 
 def test_a_fibre_is_as_bright_as_a_needle():

@@ -30,7 +30,8 @@ def test_own_file(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("lines", 1), ("element_height", 0.0), ("line_pitch_deg", 2.0)]
+    ("name", "value"),
+    [("lines", 1), ("element_height", 0.0), ("line_pitch_deg", 2.0), ("side_lobe_level", -30.0)],
 )
 def test_transducer_errors_name_the_field(name, value):
     with pytest.raises(ValueError, match=name):
