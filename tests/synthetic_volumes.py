@@ -88,7 +88,7 @@ class Scene:
             def level(s):
                 # Specular over some millimetres, diffuse with fading elsewhere.
                 centre = 0.6 * np.linalg.norm(b - a)
-                fading = 1 + 0.3 * np.sin(s / 1.7e-3) + 0.2 * np.sin(s / 0.9e-3 + 1)
+                fading = 1 + 0.15 * np.sin(s / 1.7e-3) + 0.1 * np.sin(s / 0.9e-3 + 1)
                 return 7 * fading + 60 * np.exp(-((s - centre) ** 2) / (2 * (4e-3) ** 2))
 
             amplitude += line(p_P, a, b, level)

@@ -46,8 +46,8 @@ class NeedleLocalizerParameters:
         Area of the candidates across the needle, in m^2.
     slab
         Length of needle that shares a threshold, in m.
-    least_length
-        That must be visible, in m.
+    least_length, least_share
+        That must be visible, in m, and of the predicted length that lies in the field of view.
     largest_entry_gap
         From where a needle newly found enters the field of view to where it stands out, in m: it
         comes from outside, inclusions do not.
@@ -80,10 +80,11 @@ class NeedleLocalizerParameters:
     cross_section: float = 4e-6
     slab: float = 2e-3
     least_length: float = 4e-3
+    least_share: float = 0.4
     largest_entry_gap: float = 8e-3
     search_reach: float = 40e-3
     least_inlier_ratio: float = 0.15
-    least_evidence: float = 10e-3
+    least_evidence: float = 12e-3
     correlation_length: float = 2e-3
     tip_deviation: float = 0.6e-3
     entry_deviation: float = 1e-3
@@ -103,6 +104,7 @@ class NeedleLocalizerParameters:
             cross_section=self.cross_section,
             slab=self.slab,
             least_length=self.least_length,
+            least_share=self.least_share,
             largest_entry_gap=self.largest_entry_gap,
             search_reach=self.search_reach,
             least_inlier_ratio=self.least_inlier_ratio,
@@ -240,7 +242,11 @@ def _extent(
         volume, fit.axis, ends[0] - region.before, ends[1] + region.beyond, parameters.tip
     )
     extent = find_extent(profile, parameters.tip)
-    if isinstance(extent, NeedleExtent) and extent.tip - extent.start < parameters.least_length:
+    least = parameters.least_length
+    if region.entry is not None:
+        predicted = profile.seen & (profile.a >= ends[0]) & (profile.a <= ends[1])
+        least = max(least, parameters.least_share * parameters.tip.step * float(predicted.sum()))
+    if isinstance(extent, NeedleExtent) and extent.tip - extent.start < least:
         return NotFound(f"only {1e3 * (extent.tip - extent.start):.1f} mm of it are visible")
     return extent
 

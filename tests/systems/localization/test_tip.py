@@ -1,0 +1,125 @@
+import numpy as np
+import pytest
+from pydrake.math import RigidTransform, RollPitchYaw
+from scipy.special import ndtr
+from synthetic_volumes import Scene, entry_on_side
+
+from sonoservo.systems.localization.axis import axis_through
+from sonoservo.systems.localization.candidates import acquired_from, select_candidates
+from sonoservo.systems.localization.tip import (
+    AxisProfile,
+    TipParameters,
+    axis_profile,
+    find_extent,
+)
+
+PARAMETERS = TipParameters(outward_bias=0.0)
+EDGE = TipParameters(drop=6.0, outward_bias=0.0)
+STEP = 0.25e-3
+RNG = np.random.default_rng(0)
+
+
+def profile(tip, level=12.0, gaps=(), start=0.0, noise=0.0, sigma=0.8e-3, seen=0.08):
+    """Contrast of a needle over a background of 20 dB, blurred at its ends, with gaps."""
+    a = np.arange(-0.01, 0.08, STEP)
+    amplitude = ndtr((a - start) / sigma) - ndtr((a - tip) / sigma)
+    shaft = 20 * np.log10(10 ** (level / 20) * amplitude + 1)
+    for begin, end in gaps:
+        shaft[(a > begin) & (a < end)] = 0
+    shaft = shaft + noise * np.random.default_rng(3).normal(size=len(a))
+    return AxisProfile(a, 20 + shaft, np.full(len(a), 20.0), a < seen)
+
+
+@pytest.mark.parametrize("tip", [0.008, 0.02, 0.05])
+@pytest.mark.parametrize("level", [8.0, 12.0, 30.0])
+def test_ends_of_a_blurred_edge(tip, level):
+    """An edge has lost 6 dB where it ends; a drop by 3 dB is found half a beam width before."""
+    extent = find_extent(profile(tip, level), EDGE)
+    assert extent.tip == pytest.approx(tip, abs=1.2e-3)
+    earlier = find_extent(profile(tip, level), PARAMETERS)
+    assert tip - 1e-3 < earlier.tip < extent.tip
+    assert not extent.leaves
+
+
+def test_gap_is_bridged_only_if_more_lies_beyond():
+    gaps = [(0.02, 0.023)]
+    assert find_extent(profile(0.04, gaps=gaps), PARAMETERS).tip > 0.038
+    gaps = [(0.02, 0.039)]
+    assert find_extent(profile(0.04, gaps=gaps), PARAMETERS).tip < 0.021
+
+
+def test_noise_beyond_the_tip_does_not_lengthen():
+    extent = find_extent(profile(0.03, noise=1.5), PARAMETERS)
+    assert extent.tip == pytest.approx(0.03, abs=2e-3)
+
+
+def test_evidence_grows_with_length():
+    short, long = (find_extent(profile(tip), PARAMETERS).evidence for tip in (0.01, 0.03))
+    assert 2.5 * short < long < 3.5 * short
+
+
+def test_needle_that_leaves_the_field_of_view():
+    assert find_extent(profile(0.09, seen=0.05), PARAMETERS).leaves
+    assert find_extent(profile(0.09), PARAMETERS).leaves
+
+
+def test_nothing_stands_out():
+    assert not find_extent(profile(0.03, level=-40.0), PARAMETERS)
+
+
+@pytest.mark.parametrize("order", [2, 3])
+def test_profile_follows_the_axis_in_any_pose(order):
+    X_WP = RigidTransform(RollPitchYaw(2.0, 0.3, -0.5), [0.4, 0.1, 0.2])
+    inside = entry_on_side() + np.array([8e-3, 4e-3, 0])
+    ends = X_WP.multiply(np.array([inside, inside + np.array([0.025, 0.006, 0])]).T).T
+    volume = Scene(seed=3).volume(0, lambda time: ends, X_WP)
+    axis = axis_through(np.linspace(*ends, order))
+    along = axis_profile(volume, axis, -0.005, 0.04, EDGE)
+    extent = find_extent(along, EDGE)
+    assert extent.start == pytest.approx(0, abs=2e-3)
+    assert extent.tip == pytest.approx(np.linalg.norm(ends[1] - ends[0]), abs=1.5e-3)
+
+
+def test_candidates_follow_the_needle_all_along():
+    ends = np.array([entry_on_side(), entry_on_side() + np.array([0.05, 0.01, 0.004])])
+    volume = Scene(seed=3).volume(0, lambda time: ends)
+    axis = axis_through(ends)
+    length = np.linalg.norm(ends[1] - ends[0])
+    found = select_candidates(
+        volume,
+        axis,
+        start=0,
+        stop=length,
+        radius=6e-3,
+        cross_section=4e-6,
+        slab=2e-3,
+        rng=RNG,
+    )
+    a = axis.abscissa(found.p_P)
+    counts = np.histogram(a, np.linspace(0, length, 6))[0]
+    # As many where the needle is faint as where it is 20 dB brighter.
+    assert counts.min() > 0.5 * counts.max()
+    assert np.mean(axis.distance(found.p_P) < 2e-3) > 0.8
+    assert axis.distance(found.p_P).max() <= 6e-3 + 1e-9
+    assert found.weights.min() >= 0
+    assert found.weights.max() <= 1
+
+
+def test_candidates_outside_the_volume():
+    volume = Scene(seed=3).volume(0)
+    axis = axis_through(np.array([[1.0, 0, 0], [2.0, 0, 0]]))
+    options = {"start": 0, "stop": 0.02, "radius": 5e-3, "cross_section": 4e-6, "slab": 2e-3}
+    assert len(select_candidates(volume, axis, rng=RNG, **options).p_P) == 0
+
+
+def test_acquired_from_inverts_a_moving_probe():
+    volume = Scene(seed=3).volume(0)
+    motion = volume.motion
+    poses = motion.X_WP.copy()
+    poses[:, 0, 3] += np.linspace(-3e-3, 3e-3, len(poses))
+    moving = type(motion)(motion.geometry, motion.direction, motion.times, poses)
+    volume = type(volume)(
+        volume.intensities, volume.origin, volume.spacing, volume.X_WP, volume.time, moving
+    )
+    p_W = RNG.uniform([-0.02, 0.02, -0.01], [0.02, 0.06, 0.01], (50, 3))
+    np.testing.assert_allclose(volume.to_world(acquired_from(volume, p_W))[0], p_W, atol=2e-5)
