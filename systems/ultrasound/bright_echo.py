@@ -89,16 +89,17 @@ def _add_point(  # type: ignore[no-untyped-def]
     for j in range(first, last + 1):
         distance = u + precision * (j - line) * (j - line)
         wide = np.exp(-distance / SIDE_LOBE_WIDTH**2)
-        main = wide ** (SIDE_LOBE_WIDTH**2)
-        weight = np.float32(main + rays.side_lobes * wide)
-        a = weight * re
-        b = weight * im
+        # In quadrature, side lobes neither add to nor take from the main lobe's coherent sum.
+        main = np.float32(wide ** (SIDE_LOBE_WIDTH**2))
+        side = np.float32(rays.side_lobes * wide)
+        a = main * re - side * im
+        b = main * im + side * re
         for tap in range(taps):
             layer[0, j, start + tap] += a * pulse[0, fraction, tap] - b * pulse[1, fraction, tap]
         for tap in range(taps):
             layer[1, j, start + tap] += a * pulse[1, fraction, tap] + b * pulse[0, fraction, tap]
         if shadow.size > 0:
-            shadow[j, k] = max(shadow[j, k], np.float32(shadow_strength * main))
+            shadow[j, k] = max(shadow[j, k], np.float32(shadow_strength) * main)
     return first <= last
 
 

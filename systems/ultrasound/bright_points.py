@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.ultrasound.beam import Beam
-from sonoservo.systems.ultrasound.bright_echo import SIDE_LOBE_WIDTH, NeedleEcho
+from sonoservo.systems.ultrasound.bright_echo import NeedleEcho
 from sonoservo.systems.ultrasound.tissue import Ball, Fibre, Tissue
 from sonoservo.systems.values import require
 
@@ -133,8 +133,8 @@ def _rod(
     """Spacing in m, specular and diffuse amplitude of the points of a thin rod."""
     spacing = beam.wavelength / 8
     width = beam.lateral[reference]
-    # In phase, the points under the beam add up; the side lobes add a little more.
-    length = np.sqrt(2 * np.pi) * width * (1 + beam.side_lobes * SIDE_LOBE_WIDTH)
+    # In phase, the points under the beam add up.
+    length = np.sqrt(2 * np.pi) * width
     specular = 10 ** (level_db / 20) * spacing / length
     # Out of phase, their intensities do.
     length = np.sqrt(np.pi) * width

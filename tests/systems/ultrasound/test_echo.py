@@ -317,7 +317,7 @@ def test_scatterers_echo_as_the_point_spread_function_says(monkeypatch, directio
 
 @pytest.mark.parametrize("level", [0.0, 0.0316])
 def test_bright_points_have_side_lobes(level):
-    """A second Gaussian, three times as wide, below the middle of the beam's."""
+    """A second Gaussian, three times as wide, in quadrature with the beam's."""
     ball = Ball(centre=[0, 0, -0.16], radius=1e-6, level_db=150)
     renderer = make_renderer(
         dataclasses.replace(DEEP, balls=[ball]),
@@ -329,7 +329,7 @@ def test_bright_points_have_side_lobes(level):
     k, i = geometry.frames // 2, round(0.06 / geometry.sample_pitch)
     lines = np.arange(geometry.lines) - (geometry.lines - 1) / 2
     u = (lines * geometry.line_pitch * 0.1 / renderer.beam.lateral[i]) ** 2 / 2
-    shape = np.exp(-u) + level * np.exp(-u / 9)
+    shape = np.hypot(np.exp(-u), level * np.exp(-u / 9))
     near = np.abs(lines) < 3
     assert echo[k, near, i] / echo[k, near, i].max() == pytest.approx(
         shape[near] / shape.max(), rel=0.03, abs=1e-3
