@@ -129,7 +129,10 @@ class SweepRenderer:
         loss_db = 2 * tissue.attenuation * 1e-6 * imaging.transmit_frequency * 1e2 * depths
         self._noise = (10 ** ((parameters.noise_db + loss_db) / 20)).astype(np.float32)
         self._lines = {direction: self._line_rays(direction) for direction in (1, -1)}
-        self._last: dict[int, tuple[bytes, NDArray[np.complex64]]] = {}
+        # A sweep's worth of memory is taken once: the tissue's echoes, both ways, and the needle's.
+        self._tissue = {direction: self._empty() for direction in (1, -1)}
+        self._tissue_poses = {1: b"", -1: b""}
+        self._with_needle = self._empty()
 
     def tissue_echo(self, X_TP: NDArray[np.float64], direction: int) -> NDArray[np.complex64]:
         """Echoes of tissue and inclusions, without needle or noise.
@@ -146,13 +149,8 @@ class SweepRenderer:
         (frames, lines, samples) amplitudes at the transmit frequency; the tissue's mean intensity
         is 1 at every depth.
         """
-        iq = np.empty(self.geometry.shape, np.complex64)
-        X_FT = self._frame_poses(X_TP)
-        rays = self._rays(direction)
-        tile, tables = self._tile, self._tables
-        render_tissue(iq, X_FT, self._box, tile, rays, tables, self._tissue_pulse, self._kernel)
-        if len(self._inclusions[0]):
-            render_points(iq, X_FT, *self._inclusions, rays, tables, self._point_pulse)
+        iq = self._empty()
+        self._render_tissue(iq, X_TP, direction)
         return iq
 
     def echo(
@@ -167,28 +165,7 @@ class SweepRenderer:
         needles
             The needle in T at each frame's time, possibly empty.
         """
-        # Rounded to 10 nm, 0.0003 rad of phase, so that a probe at rest finds its echoes again.
-        X_TP = np.round(X_TP, 8)
-        key, echo = self._last.get(direction, (b"", None))
-        if echo is None or key != X_TP.tobytes():
-            echo = self.tissue_echo(X_TP, direction)
-            self._last[direction] = X_TP.tobytes(), echo
-        if not any(needles):
-            return echo
-        iq = echo.copy()
-        radius = needles[0].radius
-        render_needles(
-            iq,
-            self._frame_poses(X_TP),
-            np.concatenate([needle.shaft for needle in needles]),
-            np.concatenate([[0], np.cumsum([len(needle.shaft) for needle in needles])]),
-            radius,
-            *self._needle_echo,
-            self._rays(direction),
-            self._tables,
-            self._needle_pulses(radius),
-        )
-        return iq
+        return self._render_echo(X_TP, needles, direction).copy()
 
     def render(
         self,
@@ -209,7 +186,7 @@ class SweepRenderer:
         grey = np.empty(self.geometry.shape, np.uint8)
         form_image(
             grey,
-            self.echo(X_TP, needles, direction),
+            self._render_echo(X_TP, needles, direction),
             np.ascontiguousarray(X_TP[:, :3]),
             self._box,
             *self._lines[direction],
@@ -220,6 +197,47 @@ class SweepRenderer:
             self._imaging.tissue_grey,
         )
         return grey
+
+    def _empty(self) -> NDArray[np.complex64]:
+        return np.empty(self.geometry.shape, np.complex64)
+
+    def _render_tissue(
+        self, iq: NDArray[np.complex64], X_TP: NDArray[np.float64], direction: int
+    ) -> None:
+        X_FT = self._frame_poses(X_TP)
+        rays = self._rays(direction)
+        tile, tables = self._tile, self._tables
+        render_tissue(iq, X_FT, self._box, tile, rays, tables, self._tissue_pulse, self._kernel)
+        if len(self._inclusions[0]):
+            render_points(iq, X_FT, *self._inclusions, rays, tables, self._point_pulse)
+
+    def _render_echo(
+        self, X_TP: NDArray[np.float64], needles: Sequence[Needle], direction: int
+    ) -> NDArray[np.complex64]:
+        """See `echo`; the next call overwrites the result."""
+        # Rounded to 10 nm, 0.0003 rad of phase, so that a probe at rest finds its echoes again.
+        X_TP = np.round(X_TP, 8)
+        tissue = self._tissue[direction]
+        if self._tissue_poses[direction] != X_TP.tobytes():
+            self._render_tissue(tissue, X_TP, direction)
+            self._tissue_poses[direction] = X_TP.tobytes()
+        if not any(needles):
+            return tissue
+        iq = self._with_needle
+        np.copyto(iq, tissue)
+        radius = needles[0].radius
+        render_needles(
+            iq,
+            self._frame_poses(X_TP),
+            np.concatenate([needle.shaft for needle in needles]),
+            np.concatenate([[0], np.cumsum([len(needle.shaft) for needle in needles])]),
+            radius,
+            *self._needle_echo,
+            self._rays(direction),
+            self._tables,
+            self._needle_pulses(radius),
+        )
+        return iq
 
     def _rays(self, direction: int) -> Rays:
         geometry = self.geometry
