@@ -107,7 +107,7 @@ def start_track(
     """Start a track, not yet confirmed, at the second of two detections that follow one another.
 
     A single detection is remembered only: where the tissue trembles, something bright may seem to
-    change once. Two of them tell where the tip moves, too.
+    change once. The first of them tells best where the needle entered, the last where its tip is.
     """
     first, last = track.detections or (detection, detection)
     jump = float(np.linalg.norm(detection.p_WMedian - last.p_WMedian))
@@ -119,14 +119,12 @@ def start_track(
             detections=(detection, detection),
         )
     u = np.linspace(0, 1, parameters.order)
-    points = detection.p_WEntry + np.outer(u, detection.p_WMedian - detection.p_WEntry)
+    points = first.p_WEntry + np.outer(u, detection.p_WMedian - first.p_WEntry)
     covariance = parameters.first_deviation**2 * np.eye(points.size)
     started = _track(
         TrackingMode.SEARCHING, detection.time, NeedleCurve(points), covariance, parameters
     )
-    velocity = (detection.p_WMedian - first.p_WMedian) / max(detection.time - first.time, 1e-3)
-    mean = np.concatenate([points.ravel(), np.outer(u, velocity).ravel()])
-    return replace(started, mean=mean, detections=(first, detection))
+    return replace(started, detections=(first, detection))
 
 
 def restart_track(

@@ -48,6 +48,8 @@ class NeedleLocalizerParameters:
         Length of needle that shares a threshold, in m.
     least_length, least_share
         That must be visible, in m, and of the predicted length that lies in the field of view.
+    largest_aside
+        Of what moved from the axis of a needle newly found, in m.
     largest_entry_gap
         From where a needle newly found enters the field of view to where it stands out, in m: it
         comes from outside, inclusions do not.
@@ -81,6 +83,7 @@ class NeedleLocalizerParameters:
     slab: float = 2e-3
     least_length: float = 4e-3
     least_share: float = 0.4
+    largest_aside: float = 2.5e-3
     largest_entry_gap: float = 8e-3
     search_reach: float = 40e-3
     least_inlier_ratio: float = 0.15
@@ -105,6 +108,7 @@ class NeedleLocalizerParameters:
             slab=self.slab,
             least_length=self.least_length,
             least_share=self.least_share,
+            largest_aside=self.largest_aside,
             largest_entry_gap=self.largest_entry_gap,
             search_reach=self.search_reach,
             least_inlier_ratio=self.least_inlier_ratio,
@@ -119,7 +123,7 @@ class NeedleLocalizerParameters:
 
 @dataclass(frozen=True, eq=False)
 class _Region:
-    """Where to look: around a curve in W; its known entry, or the motion of its tip."""
+    """Where to look: around a curve in W; its entry if known, and whether its tip moved."""
 
     curve: NeedleCurve
     radius: float
@@ -127,7 +131,7 @@ class _Region:
     beyond: float
     largest_angle: float
     entry: NDArray[np.float64] | None = None
-    moved: NDArray[np.float64] | None = None
+    tip_moved: bool = False
 
 
 def _predicted_region(
@@ -157,7 +161,7 @@ def _predicted_region(
         ),
         # Of what has just been detected, the entry is a guess.
         entry=None if track.mode == TrackingMode.SEARCHING else entry,
-        moved=track.velocity[-1] if track.mode == TrackingMode.SEARCHING else None,
+        tip_moved=track.mode == TrackingMode.SEARCHING,
     )
 
 
@@ -209,15 +213,13 @@ def _measure(
     extent = _extent(volume, region, parameters, fit)
     if isinstance(extent, NotFound):
         return extent
-    if region.moved is not None:
-        # Of a needle just detected it is the tip that moved, and forwards.
+    if region.tip_moved:
+        # Of a needle just detected it is the tip that moved.
         ends = fit.axis.position([extent.start, extent.tip])
-        if np.linalg.norm(ends - region.curve.tip, axis=1).min() > parameters.largest_entry_gap:
+        away = np.linalg.norm(ends - region.curve.tip, axis=1).min()
+        aside = fit.axis.distance(region.curve.tip)
+        if away > parameters.largest_entry_gap or aside > parameters.largest_aside:
             return NotFound("what was found is not what moved")
-        fit = fit if fit.axis.direction @ region.moved > 0 else fit.reversed()
-        extent = _extent(volume, region, parameters, fit)
-        if isinstance(extent, NotFound):
-            return extent
     inliers = _between(points, fit, extent) & (
         fit.axis.distance(points) < parameters.ransac.inlier_distance
     )

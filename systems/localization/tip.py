@@ -45,7 +45,7 @@ class TipParameters:
     end_length
         Length of needle that gives the end's level, in m.
     outward_bias
-        By which the drop lies beyond the tip on average, in m: beams blur the tip outwards.
+        By which the drop lies beyond the tip on average, in m, for a beam that blurs it outwards.
     decibels_per_level
         dB per unit of a voxel's intensity.
     """
@@ -56,9 +56,9 @@ class TipParameters:
     contrast: float = 3.0
     largest_evidence: float = 3.0
     smoothing: float = 1.25e-3
-    drop: float = 3.0
-    end_length: float = 4e-3
-    outward_bias: float = 0.45e-3
+    drop: float = 4.5
+    end_length: float = 2.5e-3
+    outward_bias: float = 0.0
     decibels_per_level: float = 60 / 255
 
     def __post_init__(self) -> None:

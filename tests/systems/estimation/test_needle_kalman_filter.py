@@ -128,7 +128,7 @@ def test_two_detections_start_a_track():
     assert not once
     twice = start_track(once, detection(4e-3, 1.5), PARAMETERS)
     assert twice
-    np.testing.assert_allclose(twice.velocity[-1], [4e-3, 0, 0])
+    np.testing.assert_allclose(twice.curve.control_points, [[0, 0, 0], [4e-3, 0, 0]])
     elsewhere = start_track(once, detection(30e-3, 1.5), PARAMETERS)
     assert not elsewhere
 
