@@ -2,17 +2,25 @@
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.ultrasound.sweep import Sweep, SweepGeometry
+from sonoservo.systems.ultrasound.resampling import (
+    POSES_PER_FRAME,
+    WIDEST_ANGLE,
+    Sector,
+    pack_corners,
+    resample,
+    resample_moving,
+    rows_in_sector,
+)
+from sonoservo.systems.ultrasound.sweep import Sweep, SweepGeometry, SweepMotion
 from sonoservo.systems.ultrasound.volume import Volume
 from sonoservo.systems.values import require, require_positive
 
-_TABLE_STEP = 0.1e-3
-"""Step in m of the line-and-sample table; its interpolation errs by under 1e-3 of a sample."""
+_SLACK = 1e-6
+"""Length in m that covers the rounding of single precision."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,9 +94,9 @@ def make_grid(
 class ScanConversion:
     """Scan conversion of sweeps of one geometry onto one grid.
 
-    A voxel's distance q from the array's centre of curvature, within the plane of its line, and
-    its angle about the motor's axis depend on Y and Z only; its line and sample on X and q only.
-    So two small tables, (ny, nz) and (nx, nq), replace a table with an entry for every voxel.
+    An element's distance q from the array's centre of curvature, within the plane of its line, and
+    its angle about the motor's axis depend on Y and Z only: two tables of (ny, nz) numbers are all
+    that is prepared. Its line and its sample follow from X and q.
 
     Parameters
     ----------
@@ -96,43 +104,68 @@ class ScanConversion:
         Of the sweeps.
     grid
         Of the volumes.
+    compensate_motion
+        Whether a volume shows the tissue as a probe at rest would have seen it, from where the
+        probe was at the middle frame: every element is looked up in the frame that saw its place
+        in the world, from where the probe then was. It takes the tissue to be at rest. Otherwise
+        an element shows what was at its place in the probe's frame.
+
+    Raises
+    ------
+    ValueError
+        If the sector reaches further than 77 deg from its middle.
     """
 
-    def __init__(self, geometry: SweepGeometry, grid: CartesianGrid) -> None:
+    def __init__(
+        self, geometry: SweepGeometry, grid: CartesianGrid, *, compensate_motion: bool = False
+    ) -> None:
+        line_angle = 0.5 * geometry.line_pitch * geometry.lines
+        frame_angle = 0.5 * geometry.frame_pitch * geometry.frames
+        for name, angle in (("line_pitch", line_angle), ("frame_pitch", frame_angle)):
+            allowed = f"such that the sector reaches to {WIDEST_ANGLE:.2f} rad on either side"
+            require(angle <= WIDEST_ANGLE, name, getattr(geometry, name), allowed)
         self.geometry = geometry
         self.grid = grid
-        offset = geometry.array_radius - geometry.motor_radius
-        y = grid.axis(1)[:, np.newaxis] + geometry.motor_radius
-        z = grid.axis(2)[np.newaxis, :]
-        x = grid.axis(0)[:, np.newaxis]
-        q = offset + np.hypot(y, z)
-        sweep_angle = geometry.frame_pitch * geometry.frames
-        self._step = (
-            (np.arctan2(z, y) / sweep_angle + 0.5) * (geometry.frames * geometry.lines - 1)
-        ).astype(np.float32)
-        self._first_q = float(q.min())
-        self._q = ((q - self._first_q) / _TABLE_STEP).astype(np.float32)
-        q_axis = self._first_q + _TABLE_STEP * np.arange(int(self._q.max()) + 3)
-        self._line = (
-            np.arctan2(x, q_axis) / geometry.line_pitch + (geometry.lines - 1) / 2
-        ).astype(np.float32)
-        self._sample = (
-            (np.hypot(x, q_axis) - geometry.array_radius) / geometry.sample_pitch
-        ).astype(np.float32)
-
-    def convert(self, samples: NDArray[np.uint8], direction: int) -> NDArray[np.uint8]:
-        """Interpolate (frames, lines, samples) to (nx, ny, nz), trilinear and rounded.
-
-        Zero outside the part of the sector that both motor directions sweep.
-        """
-        return _convert(samples, self._step, self._q, self._line, self._sample, direction)
+        self.compensate_motion = compensate_motion
+        steps = geometry.frames * geometry.lines - 1
+        numbers = {
+            "array_radius": geometry.array_radius,
+            "centre_offset": geometry.array_radius - geometry.motor_radius,
+            "samples_per_metre": 1 / geometry.sample_pitch,
+            "lines_per_radian": 1 / geometry.line_pitch,
+            "steps_per_radian": steps / (geometry.frame_pitch * geometry.frames),
+            "lines": geometry.lines,
+            "last_frame": geometry.frames - 1,
+            "last_line": geometry.lines - 1,
+            "last_sample": geometry.samples - 1,
+        }
+        self._sector = Sector(
+            direction=np.float32(1), **{name: np.float32(value) for name, value in numbers.items()}
+        )
+        x, y, z = grid.axis(0), grid.axis(1) + geometry.motor_radius, grid.axis(2)
+        q = numbers["centre_offset"] + np.hypot(y[:, np.newaxis], z)
+        step = numbers["steps_per_radian"] * np.arctan2(z, y[:, np.newaxis])
+        self._axes = [axis.astype(np.float32) for axis in (x, y, z)]
+        self._rows = rows_in_sector(self._sector, *self._axes, margin=_SLACK)
+        self._distance, self._step = q.astype(np.float32), step.astype(np.float32)
+        self._first, self._last = self._cells(x, q, step)
 
     def __call__(self, sweep: Sweep) -> Volume:
-        """Convert a sweep; the volume's pose and time are those of the middle frame."""
+        """Convert a sweep; the volume's pose and time are those of the middle frame.
+
+        Where the motion is compensated, the volume's `motion` says that the probe rested there,
+        and still when every frame was acquired.
+        """
         motion = sweep.motion
         middle = self.geometry.frames // 2
+        if self.compensate_motion:
+            intensities = self._convert_moving(sweep.samples, motion)
+            at_rest = np.broadcast_to(motion.X_WP[middle], motion.X_WP.shape)
+            motion = SweepMotion(self.geometry, motion.direction, motion.times, at_rest)
+        else:
+            intensities = self.convert(sweep.samples, motion.direction)
         return Volume(
-            intensities=self.convert(sweep.samples, motion.direction),
+            intensities=intensities,
             origin=self.grid.origin,
             spacing=self.grid.spacing,
             X_WP=RigidTransform(motion.X_WP[middle]),
@@ -140,37 +173,86 @@ class ScanConversion:
             motion=motion,
         )
 
+    def convert(self, samples: NDArray[np.uint8], direction: int) -> NDArray[np.uint8]:
+        """Interpolate the samples of a probe at rest, trilinear and rounded.
 
-@numba.njit(cache=True, parallel=True, fastmath=True)
-def _convert(samples, step, q, line, sample, direction):  # type: ignore[no-untyped-def]
-    frames, lines, depth = samples.shape
-    nx, (ny, nz) = line.shape[0], step.shape
-    volume = np.zeros((nx, ny, nz), np.uint8)
-    for x in numba.prange(nx):
-        for y in range(ny):
-            for z in range(nz):
-                entry = int(q[y, z])
-                part = q[y, z] - entry
-                j = line[x, entry] + part * (line[x, entry + 1] - line[x, entry])
-                i = sample[x, entry] + part * (sample[x, entry + 1] - sample[x, entry])
-                if not (0 <= j <= lines - 1 and 0 <= i <= depth - 1):
-                    continue
-                u = step[y, z]
-                mirrored = lines - 1 - j
-                if u < max(j, mirrored) or u - min(j, mirrored) > lines * (frames - 1):
-                    continue
-                k = (u - (j if direction > 0 else mirrored)) / lines
-                k0 = min(int(k), frames - 2)
-                j0 = min(int(j), lines - 2)
-                i0 = min(int(i), depth - 2)
-                fk, fj, fi = k - k0, j - j0, i - i0
-                total = np.float32(0.5)
-                for dk in range(2):
-                    wk = fk if dk else 1 - fk
-                    for dj in range(2):
-                        w = wk * (fj if dj else 1 - fj)
-                        a = samples[k0 + dk, j0 + dj, i0]
-                        b = samples[k0 + dk, j0 + dj, i0 + 1]
-                        total += w * (a + fi * (np.float32(b) - np.float32(a)))
-                volume[x, y, z] = np.uint8(total)
-    return volume
+        Parameters
+        ----------
+        samples
+            (frames, lines, samples).
+        direction
+            Of the motor: +1 towards +Z, -1 towards -Z.
+
+        Returns
+        -------
+        (nx, ny, nz), zero outside the part of the sector that both motor directions sweep.
+        """
+        volume = np.zeros(self.grid.shape, np.uint8)
+        resample(
+            volume,
+            self._rows,
+            *pack_corners(samples, self._first, self._last),
+            self._sector._replace(direction=np.float32(direction)),
+            self._axes[0],
+            self._distance,
+            self._step,
+        )
+        return volume
+
+    def _convert_moving(self, samples: NDArray[np.uint8], motion: SweepMotion) -> NDArray[np.uint8]:
+        geometry = self.geometry
+        poses = _relative_poses(motion)
+        corners = np.stack(np.meshgrid(*([a[0], a[-1]] for a in self._axes)), -1).reshape(-1, 3)
+        moved = corners @ poses[:, :, :3].swapaxes(1, 2) + poses[:, np.newaxis, :, 3]
+        margin = np.linalg.norm(moved - corners, axis=-1).max() + _SLACK
+        volume = np.zeros(self.grid.shape, np.uint8)
+        resample_moving(
+            volume,
+            rows_in_sector(self._sector, *self._axes, margin=float(margin)),
+            *pack_corners(samples, (0, 0, 0), tuple(n - 2 for n in geometry.shape)),
+            self._sector._replace(direction=np.float32(motion.direction)),
+            *self._axes,
+            poses.reshape(-1, 12).astype(np.float32),
+        )
+        return volume
+
+    def _cells(
+        self, x: NDArray[np.float64], q: NDArray[np.float64], step: NDArray[np.float64]
+    ) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Frame, line and sample of the first and the last cell of samples that the grid needs."""
+        geometry, sector = self.geometry, self._sector
+        line = np.arctan2([[x[0]], [x[-1]]], [q.min(), q.max()]) * sector.lines_per_radian
+        twist = np.abs(line).max()
+        frame = np.array([step.min() - twist, step.max() + twist]) / geometry.lines
+        r = np.hypot([np.clip(0, x[0], x[-1]), np.abs(x).max()], [q.min(), q.max()])
+        places = [
+            frame + 0.5 * sector.last_frame,
+            line + 0.5 * sector.last_line,
+            (r - geometry.array_radius) / geometry.sample_pitch,
+        ]
+        first, last = (
+            tuple(
+                int(np.clip(np.floor(extreme(place)), 0, n - 2))
+                for place, n in zip(places, geometry.shape, strict=True)
+            )
+            for extreme in (np.min, np.max)
+        )
+        return first, last
+
+
+def _relative_poses(motion: SweepMotion) -> NDArray[np.float64]:
+    """Transforms from the probe's frame at the middle frame to that at fractions of frames.
+
+    Returns
+    -------
+    (`POSES_PER_FRAME` (frames - 1) + 1, 3, 4), with the origins on the motor's axis.
+    """
+    geometry = motion.geometry
+    frame = np.arange(POSES_PER_FRAME * (geometry.frames - 1) + 1) / POSES_PER_FRAME
+    below = np.minimum(frame.astype(int), geometry.frames - 2)
+    part = (frame - below)[:, np.newaxis, np.newaxis]
+    X_WP = (1 - part) * motion.X_WP[below] + part * motion.X_WP[below + 1]
+    X_PA = np.eye(4)
+    X_PA[1, 3] = -geometry.motor_radius
+    X_PP = np.linalg.inv(X_WP) @ motion.X_WP[geometry.frames // 2]
+    return (np.linalg.inv(X_PA) @ X_PP @ X_PA)[:, :3]

@@ -19,9 +19,14 @@ class ScanConversionParameters:
     ----------
     spacing
         Voxel size along X, Y, Z in m.
+    compensate_motion
+        Whether a volume shows the tissue as a probe at rest would have seen it (see
+        `ScanConversion`). Without it, whoever looks at a volume finds in its `motion` where the
+        probe was when each frame was acquired.
     """
 
     spacing: list[float] = field(default_factory=lambda: [0.7e-3, 0.7e-3, 0.7e-3])
+    compensate_motion: bool = False
 
     def __post_init__(self) -> None:
         require(
@@ -58,7 +63,11 @@ class ScanConverter(LeafSystem):
         self.set_name("scan_converter")
         # The framework marks all state as changed at every event; a sweep stays what it is.
         self._converter = lru_cache(maxsize=1)(
-            ScanConversion(geometry, make_grid(geometry, parameters.spacing))
+            ScanConversion(
+                geometry,
+                make_grid(geometry, parameters.spacing),
+                compensate_motion=parameters.compensate_motion,
+            )
         )
         sweep = self.DeclareAbstractInputPort("sweep", Value[object](NotFound("no sweep")))
         self.DeclareAbstractOutputPort(

@@ -1,0 +1,293 @@
+"""Trilinear interpolation of a sweep's samples at the elements of a Cartesian grid."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from sonoservo.systems.ultrasound.projection import OPTIONS
+
+WIDEST_ANGLE = 2 * np.arctan(0.8)
+"""Largest angle in rad, 77 deg, from the middle of the sector that `_angle` covers."""
+
+POSES_PER_FRAME = 16
+"""Poses tabulated from one frame to the next: at 20 mm/s they are 0.01 mm apart."""
+
+_ZERO, _HALF, _ONE, _TWO = (np.float32(value) for value in (0, 0.5, 1, 2))
+# Minimax polynomial of the arc tangent on [-0.8, 0.8], to 3e-7.
+_A3, _A5, _A7, _A9, _A11 = (
+    np.float32(c) for c in (-0.33325730, 0.19850147, -0.13226215, 0.074819914, -0.023065584)
+)
+_BYTE = np.uint32(0xFF)
+_POSITIVE = np.uint32(0x7FFFFFFF)
+"""Mask that tells the compiler that an index has no sign."""
+
+_PAGE, _CACHE_LINE = 1024, 16
+"""In elements of four bytes."""
+
+
+Floats = NDArray[np.floating]
+
+
+class Sector(NamedTuple):
+    """Where the lines of a sweep are (see `SweepGeometry`), in float32; lengths in m."""
+
+    array_radius: np.float32
+    centre_offset: np.float32
+    samples_per_metre: np.float32
+    lines_per_radian: np.float32
+    steps_per_radian: np.float32
+    """Steps for each radian about the motor's axis; the motor takes one from line to line."""
+    direction: np.float32
+    lines: np.float32
+    last_frame: np.float32
+    last_line: np.float32
+    last_sample: np.float32
+
+
+class Corners(NamedTuple):
+    """The samples in a part of a sweep, each with its neighbours in the frame in one number.
+
+    So a processor reads the eight corners of a cell with two instructions, for several cells.
+    """
+
+    frame_stride: np.int32
+    line_stride: np.int32
+    first_frame: np.int32
+    first_line: np.int32
+    first_sample: np.int32
+    last_frame: np.int32
+    """Of the last cell, as the next two."""
+    last_line: np.int32
+    last_sample: np.int32
+
+
+def pack_corners(
+    samples: NDArray[np.uint8], first: tuple[int, ...], last: tuple[int, ...]
+) -> tuple[NDArray[np.uint32], Corners]:
+    """Pack the samples of a sweep.
+
+    Parameters
+    ----------
+    samples
+        (frames, lines, samples), log-compressed.
+    first, last
+        Frame, line and sample at which the first and the last cell begin.
+    """
+    frames, lines, line_stride = (b - a + 1 for a, b in zip(first, last, strict=True))
+    # A frame's stride is no multiple of the page: else neighbours would evict one another from
+    # the cache.
+    frame_stride = lines * line_stride
+    frame_stride += (_CACHE_LINE - frame_stride) % _PAGE
+    packed = np.empty((frames + 1) * frame_stride, np.uint32)
+    corners = Corners(
+        np.int32(frame_stride),
+        np.int32(line_stride),
+        *(np.int32(n) for n in (*first, *last)),
+    )
+    _pack(packed, corners, samples)
+    return packed, corners
+
+
+@njit(parallel=True, **OPTIONS)
+def _pack(packed, corners, samples):  # type: ignore[no-untyped-def]
+    for frame in prange(corners.last_frame - corners.first_frame + 2):
+        for line in range(corners.last_line - corners.first_line + 1):
+            here = samples[corners.first_frame + frame, corners.first_line + line]
+            beside = samples[corners.first_frame + frame, corners.first_line + line + 1]
+            at = frame * corners.frame_stride + line * corners.line_stride
+            for n in range(corners.line_stride):
+                i = corners.first_sample + n
+                packed[at + n] = (
+                    np.uint32(here[i])
+                    | np.uint32(here[i + 1]) << np.uint32(8)
+                    | np.uint32(beside[i]) << np.uint32(16)
+                    | np.uint32(beside[i + 1]) << np.uint32(24)
+                )
+
+
+def rows_in_sector(
+    sector: Sector, x: Floats, y: Floats, z: Floats, margin: float
+) -> NDArray[np.int32]:
+    """Which elements of each row along Z may lie in the sector, so that the others need no look.
+
+    Parameters
+    ----------
+    sector
+        Where the samples are.
+    x, y, z
+        Coordinates of the grid's elements, in m, with the origin on the motor's axis.
+    margin
+        By which the sector is widened, in m.
+
+    Returns
+    -------
+    (nx, ny, 2, 2): the row's first element, and the one after its last, on either side of a gap in
+    the middle, where the lines do not reach or the probe itself is. Of rows outside, and of the
+    second part where there is no gap, both are equal.
+    """
+    x, y = np.abs(x[:, np.newaxis]), y[np.newaxis]
+    far = sector.array_radius + sector.last_sample / sector.samples_per_metre + margin
+    near = max(sector.array_radius - margin, 0)
+    outermost_line = 0.5 * sector.last_line / sector.lines_per_radian
+    outermost_frame = 0.5 * sector.lines * sector.last_frame / sector.steps_per_radian
+    # All conditions are on q = rho + centre_offset and on the angle, which both grow with |z|.
+    least_q = np.maximum(
+        np.sqrt(np.maximum(near**2 - x**2, 0)), (x - margin) / np.tan(outermost_line) - margin
+    )
+    least = np.maximum(least_q - sector.centre_offset, 0)
+    most = np.sqrt(np.maximum(far**2 - x**2, 0)) - sector.centre_offset
+    low = np.sqrt(np.maximum(least**2 - y**2, 0))
+    high = np.minimum(
+        np.sqrt(np.maximum(most**2 - y**2, 0)), (y + margin) * np.tan(outermost_frame) + margin
+    )
+    empty = (most <= np.abs(y)) | (high < low) | (y + margin <= 0)
+    gap = (low > 0) & ~empty
+    lower = np.stack([-high, low], axis=-1)
+    upper = np.stack([np.where(gap, -low, high), high], axis=-1)
+    pitch = z[1] - z[0]
+    start = np.clip(np.ceil((lower - z[0]) / pitch), 0, len(z))
+    stop = np.clip(np.floor((upper - z[0]) / pitch) + 1, start, len(z))
+    used = np.stack([~empty, gap], axis=-1)
+    return np.stack([start, np.where(used, stop, start)], axis=-1).astype(np.int32)
+
+
+# The compiler makes the innermost loops treat several elements at a time, because their indices are
+# unsigned, nothing in them branches, and the arrays are the kernel's own arguments: it knows that
+# those of a parallel kernel do not overlap.
+
+
+@njit(parallel=True, **OPTIONS)
+def resample(volume, rows, packed, corners, sector, x, distance, step):  # type: ignore[no-untyped-def]
+    """Fill the part of a volume that lies in the sector.
+
+    Parameters
+    ----------
+    volume
+        (nx, ny, nz) uint8, zeros.
+    rows
+        See `rows_in_sector`.
+    packed, corners, sector
+        The samples, and where they are.
+    x
+        Float32 coordinates of the elements, in m.
+    distance, step
+        (ny, nz) float32: distance q from the array's centre of curvature within the plane of the
+        line, in m; steps of the motor from the middle.
+    """
+    for a in prange(volume.shape[0]):
+        for b in range(volume.shape[1]):
+            for part in range(2):
+                for n in range(np.uint64(rows[a, b, part, 0]), np.uint64(rows[a, b, part, 1])):
+                    line, r = _line(x[a], distance[b, n], sector)
+                    volume[a, b, n] = _interpolate(packed, corners, sector, step[b, n], line, r)
+
+
+@njit(parallel=True, **OPTIONS)
+def resample_moving(volume, rows, packed, corners, sector, x, y, z, poses):  # type: ignore[no-untyped-def]
+    """Fill the part of a volume that the sweep of a moving probe has seen.
+
+    Parameters
+    ----------
+    volume, rows, packed, corners, sector
+        See `resample`.
+    x, y, z
+        Float32 coordinates of the elements, in m, with the origin on the motor's axis.
+    poses
+        (`POSES_PER_FRAME` (frames - 1) + 1, 12) float32: the rows of a 3 x 4 matrix from the frame
+        of the volume to that of the probe then, both with the origin on the motor's axis.
+    """
+    for a in prange(volume.shape[0]):
+        for b in range(volume.shape[1]):
+            for part in range(2):
+                for n in range(np.uint64(rows[a, b, part, 0]), np.uint64(rows[a, b, part, 1])):
+                    # When a point was seen depends on where it was then; each pass errs by a
+                    # tenth of what the last one did.
+                    place = _project(x[a], y[b], z[n], sector)
+                    place = _seen(x[a], y[b], z[n], place, poses, sector)
+                    place = _seen(x[a], y[b], z[n], place, poses, sector)
+                    place = _seen(x[a], y[b], z[n], place, poses, sector)
+                    step, line, r = place
+                    volume[a, b, n] = _interpolate(packed, corners, sector, step, line, r)
+
+
+@njit(**OPTIONS)
+def _angle(opposite, adjacent, hypotenuse):  # type: ignore[no-untyped-def]
+    """Angle in rad between a hypotenuse and its adjacent leg, up to `WIDEST_ANGLE`."""
+    t = opposite / (adjacent + hypotenuse)
+    v = t * t
+    return _TWO * t * (_ONE + v * (_A3 + v * (_A5 + v * (_A7 + v * (_A9 + v * _A11)))))
+
+
+@njit(**OPTIONS)
+def _line(x, q, sector):  # type: ignore[no-untyped-def]
+    """Line, from the middle, and distance from the array's centre of curvature."""
+    r = np.sqrt(q * q + x * x)
+    return _angle(x, q, r) * sector.lines_per_radian, r
+
+
+@njit(**OPTIONS)
+def _project(x, y, z, sector):  # type: ignore[no-untyped-def]
+    """Step and line, from the middle, and distance from the array's centre of curvature."""
+    rho = np.sqrt(y * y + z * z)
+    line, r = _line(x, rho + sector.centre_offset, sector)
+    # Behind the axis, as a moving probe may have been, is as good as beside it: outside.
+    return _angle(z, max(y, _ZERO), rho) * sector.steps_per_radian, line, r
+
+
+@njit(**OPTIONS)
+def _frame(step, line, sector):  # type: ignore[no-untyped-def]
+    return (step - sector.direction * line) / sector.lines + _HALF * sector.last_frame
+
+
+@njit(**OPTIONS)
+def _seen(x, y, z, place, poses, sector):  # type: ignore[no-untyped-def]
+    """Where a point was for the probe when the sweep was at a place: see `_project`."""
+    step, line, _ = place
+    frame = min(max(_frame(step, line, sector), _ZERO), sector.last_frame)
+    n = np.uint32(np.int32(np.float32(POSES_PER_FRAME) * frame + _HALF))
+    return _project(
+        poses[n, 0] * x + poses[n, 1] * y + poses[n, 2] * z + poses[n, 3],
+        poses[n, 4] * x + poses[n, 5] * y + poses[n, 6] * z + poses[n, 7],
+        poses[n, 8] * x + poses[n, 9] * y + poses[n, 10] * z + poses[n, 11],
+        sector,
+    )
+
+
+@njit(**OPTIONS)
+def _interpolate(packed, corners, sector, step, line, r):  # type: ignore[no-untyped-def]
+    """Grey level at a place, rounded; zero where one of the motor's directions does not sweep."""
+    i = (r - sector.array_radius) * sector.samples_per_metre
+    j = line + _HALF * sector.last_line
+    k = _frame(step, line, sector)
+    inside = (
+        (i >= _ZERO)
+        & (i <= sector.last_sample)
+        & (abs(line) <= _HALF * sector.last_line)
+        & (abs(step) + abs(line) <= _HALF * sector.lines * sector.last_frame)
+    )
+    i0 = min(max(np.int32(i), corners.first_sample), corners.last_sample)
+    j0 = min(max(np.int32(j), corners.first_line), corners.last_line)
+    k0 = min(max(np.int32(k), corners.first_frame), corners.last_frame)
+    at = np.uint32(
+        (k0 - corners.first_frame) * corners.frame_stride
+        + (j0 - corners.first_line) * corners.line_stride
+        + (i0 - corners.first_sample)
+    )
+    beyond = at + np.uint32(corners.frame_stride)
+    along, across = i - np.float32(i0), j - np.float32(j0)
+    here = _bilinear(packed[at & _POSITIVE], along, across)
+    there = _bilinear(packed[beyond & _POSITIVE], along, across)
+    grey = here + (k - np.float32(k0)) * (there - here)
+    return np.uint8(np.int32(grey + _HALF)) if inside else np.uint8(0)
+
+
+@njit(**OPTIONS)
+def _bilinear(packed, along, across):  # type: ignore[no-untyped-def]
+    a = np.float32(np.int32(packed & _BYTE))
+    b = np.float32(np.int32(packed >> np.uint32(8) & _BYTE))
+    c = np.float32(np.int32(packed >> np.uint32(16) & _BYTE))
+    d = np.float32(np.int32(packed >> np.uint32(24)))
+    here = a + along * (b - a)
+    return here + across * (c + along * (d - c) - here)
