@@ -7,6 +7,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
+from scipy.special import ndtri
 
 from sonoservo.systems.localization.axis import Axis
 from sonoservo.systems.localization.candidates import acquired_from
@@ -15,7 +16,6 @@ from sonoservo.systems.values import (
     Immutable,
     NotFound,
     read_only,
-    require_not_negative,
     require_positive,
 )
 
@@ -39,13 +39,12 @@ class TipParameters:
         What one sample can count for the needle, in dB over ``contrast``.
     smoothing
         Length over which the intensity is averaged, in m.
-    drop
-        From the end's level to the tip's, in dB. A coherent edge blurred by a symmetric beam has
-        lost 6 dB where the needle ends, a bright point nothing; a needle's tip is between the two.
+    end_contrast
+        Below which the blurred end of the needle is lost in the background, in dB.
     end_length
-        Length of needle that gives the end's level, in m.
-    outward_bias
-        By which the drop lies beyond the tip on average, in m, for a beam that blurs it outwards.
+        Length of needle whose greatest contrast is the end's level, in m.
+    beam_width
+        Width of the beam along the needle at half amplitude, in m: it blurs the tip outwards.
     decibels_per_level
         dB per unit of a voxel's intensity.
     """
@@ -56,9 +55,9 @@ class TipParameters:
     contrast: float = 3.0
     largest_evidence: float = 3.0
     smoothing: float = 1.25e-3
-    drop: float = 4.5
-    end_length: float = 2.5e-3
-    outward_bias: float = 0.0
+    end_contrast: float = 6.0
+    end_length: float = 4e-3
+    beam_width: float = 2.4e-3
     decibels_per_level: float = 60 / 255
 
     def __post_init__(self) -> None:
@@ -69,11 +68,11 @@ class TipParameters:
             contrast=self.contrast,
             largest_evidence=self.largest_evidence,
             smoothing=self.smoothing,
-            drop=self.drop,
+            end_contrast=self.end_contrast,
             end_length=self.end_length,
+            beam_width=self.beam_width,
             decibels_per_level=self.decibels_per_level,
         )
-        require_not_negative(outward_bias=self.outward_bias)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -214,8 +213,13 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
 
     Every sample that stands out from the background speaks for the needle, every other one against
     it; the needle is the stretch with the largest sum. A gap is bridged if what lies beyond it
-    outweighs it: needles fade where no line of sound meets them at a right angle. The tip is where
-    the intensity drops for the last time from the level of the needle's end.
+    outweighs it: needles fade where no line of sound meets them at a right angle.
+
+    The tip is found from where the needle's blurred end is lost in the background, D dB below the
+    end's own level: an edge blurred by a Gaussian beam of deviation sigma has the amplitude
+    Phi(-x / sigma) at x beyond the tip, so x follows from D. Half the amplitude alone (6 dB, at the
+    tip itself) would tell less, as the needle's speckle and the flank of its mirror-like echo have
+    drops of their own.
 
     Parameters
     ----------
@@ -234,7 +238,7 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
     first, last = _best_stretch(np.where(profile.seen, evidence, -parameters.contrast))
     if last < 0:
         return NotFound("nothing along the axis stands out from the background")
-    tip = _drop(profile.a, level, first, last, parameters) - parameters.outward_bias
+    tip = _tip(profile, contrast, first, last, parameters)
     beyond = np.searchsorted(profile.a, profile.a[last] + parameters.smoothing)
     return NeedleExtent(
         start=float(profile.a[first]),
@@ -247,19 +251,21 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
     )
 
 
-def _drop(
-    a: NDArray[np.float64],
-    level: NDArray[np.float64],
+def _tip(
+    profile: AxisProfile,
+    contrast: NDArray[np.float64],
     first: int,
     last: int,
     parameters: TipParameters,
 ) -> float:
-    """Abscissa in m where the level falls from the peak nearest to the end."""
-    begin = max(first, int(np.searchsorted(a, a[last] - parameters.end_length)))
-    peak = begin + int(np.argmax(level[begin : last + 1]))
-    below = np.flatnonzero(level[peak:] < level[peak] - parameters.drop)
-    if len(below) == 0:
-        return float(a[last])
-    at = peak + int(below[0])
-    # Between the last sample above and the first below.
-    return float(np.interp(level[peak] - parameters.drop, level[[at, at - 1]], a[[at, at - 1]]))
+    """Abscissa of the tip in m, from where the stretch's end is lost in the background."""
+    a, threshold = profile.a, parameters.end_contrast
+    evidence = np.clip(contrast[first : last + 1] - threshold, -threshold, threshold)
+    end = first + max(_best_stretch(evidence)[1], 0)
+    begin = max(first, int(np.searchsorted(a, a[end] - parameters.end_length)))
+    fallen = max(float(contrast[begin : end + 1].max()) - threshold, 0.0)
+    lost = float(a[end])
+    if end + 1 < len(a) and contrast[end + 1] < threshold < contrast[end]:
+        lost = float(np.interp(threshold, contrast[[end + 1, end]], a[[end + 1, end]]))
+    sigma = parameters.beam_width / (2 * np.sqrt(2 * np.log(2)))
+    return lost + sigma * float(ndtri(10 ** (-max(fallen, 0.1) / 20)))

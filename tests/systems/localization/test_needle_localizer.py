@@ -26,9 +26,7 @@ SCENE = Scene(
 ENTRY = entry_on_side()
 K = np.array([1, 0.25, 0.1]) / np.linalg.norm([1, 0.25, 0.1])
 # The synthetic needle echoes where it is, not at its front wall, and ends as an edge.
-PARAMETERS = NeedleLocalizerParameters(
-    echo_offset=0.0, tip=TipParameters(drop=6.0, outward_bias=0.0)
-)
+PARAMETERS = NeedleLocalizerParameters(echo_offset=0.0, tip=TipParameters(beam_width=2.0e-3))
 
 
 def needle(length):

@@ -13,13 +13,13 @@ from sonoservo.systems.localization.tip import (
     find_extent,
 )
 
-PARAMETERS = TipParameters(outward_bias=0.0)
-EDGE = TipParameters(drop=6.0, outward_bias=0.0)
+SIGMA = 0.8e-3
+PARAMETERS = TipParameters(beam_width=SIGMA * np.sqrt(8 * np.log(2)))
 STEP = 0.25e-3
 RNG = np.random.default_rng(0)
 
 
-def profile(tip, level=12.0, gaps=(), start=0.0, noise=0.0, sigma=0.8e-3, seen=0.08):
+def profile(tip, level=12.0, gaps=(), start=0.0, noise=0.0, sigma=SIGMA, seen=0.08):
     """Contrast of a needle over a background of 20 dB, blurred at its ends, with gaps."""
     a = np.arange(-0.01, 0.08, STEP)
     amplitude = ndtr((a - start) / sigma) - ndtr((a - tip) / sigma)
@@ -31,14 +31,18 @@ def profile(tip, level=12.0, gaps=(), start=0.0, noise=0.0, sigma=0.8e-3, seen=0
 
 
 @pytest.mark.parametrize("tip", [0.008, 0.02, 0.05])
-@pytest.mark.parametrize("level", [8.0, 12.0, 30.0])
-def test_ends_of_a_blurred_edge(tip, level):
-    """An edge has lost 6 dB where it ends; a drop by 3 dB is found half a beam width before."""
-    extent = find_extent(profile(tip, level), EDGE)
-    assert extent.tip == pytest.approx(tip, abs=1.2e-3)
-    earlier = find_extent(profile(tip, level), PARAMETERS)
-    assert tip - 1e-3 < earlier.tip < extent.tip
+@pytest.mark.parametrize("level", [12.0, 20.0, 30.0])
+def test_a_blurred_edge_ends_at_the_tip_however_bright_it_is(tip, level):
+    extent = find_extent(profile(tip, level), PARAMETERS)
+    assert extent.tip == pytest.approx(tip, abs=0.5e-3)
     assert not extent.leaves
+
+
+def test_a_wider_beam_blurs_the_tip_further_outwards():
+    wide = TipParameters(beam_width=2 * PARAMETERS.beam_width)
+    blurred = profile(0.03, 25.0, sigma=2 * SIGMA)
+    assert find_extent(blurred, wide).tip == pytest.approx(0.03, abs=1e-3)
+    assert find_extent(blurred, PARAMETERS).tip > find_extent(blurred, wide).tip + 0.5e-3
 
 
 def test_gap_is_bridged_only_if_more_lies_beyond():
@@ -74,8 +78,8 @@ def test_profile_follows_the_axis_in_any_pose(order):
     ends = X_WP.multiply(np.array([inside, inside + np.array([0.025, 0.006, 0])]).T).T
     volume = Scene(seed=3).volume(0, lambda time: ends, X_WP)
     axis = axis_through(np.linspace(*ends, order))
-    along = axis_profile(volume, axis, -0.005, 0.04, EDGE)
-    extent = find_extent(along, EDGE)
+    along = axis_profile(volume, axis, -0.005, 0.04, PARAMETERS)
+    extent = find_extent(along, PARAMETERS)
     assert extent.start == pytest.approx(0, abs=2e-3)
     assert extent.tip == pytest.approx(np.linalg.norm(ends[1] - ends[0]), abs=1.5e-3)
 
