@@ -44,7 +44,7 @@ class Beam(Immutable):
     curvature
         (samples,) curvature of the wave fronts in elevation, in 1/m.
     side_lobes
-        Amplitude of the side lobes relative to the Gaussian's.
+        Amplitude of a rod's echo through the side lobes, relative to that through the Gaussian.
     """
 
     wavelength: float

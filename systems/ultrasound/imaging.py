@@ -70,6 +70,7 @@ class ImagingParameters:
         require_not_negative(gain=self.gain)
         require(self.gain <= 1, "gain", self.gain, "from 0 to 1")
         require(0 < self.sector <= 1, "sector", self.sector, "above 0, at most 1")
+        require(self.depth <= 0.5, "depth", self.depth, "at most 0.5 m; lengths are in m")
         require(
             self.depth >= 4 * self.sample_pitch, "depth", self.depth, "at least 4 sample pitches"
         )

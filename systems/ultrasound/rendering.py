@@ -9,7 +9,11 @@ from numpy.typing import NDArray
 
 from sonoservo.systems.needle.needle import Needle
 from sonoservo.systems.ultrasound.beam import Beam, beam_profile
-from sonoservo.systems.ultrasound.bright_echo import render_needles, render_points
+from sonoservo.systems.ultrasound.bright_echo import (
+    SIDE_LOBE_WIDTH,
+    render_needles,
+    render_points,
+)
 from sonoservo.systems.ultrasound.bright_points import (
     NeedleEchoParameters,
     inclusion_points,
@@ -251,7 +255,7 @@ class SweepRenderer:
             samples_per_metre=np.float32(1 / geometry.sample_pitch),
             turns_per_metre=np.float32(2 / self.beam.wavelength),
             lead=self._lead,
-            side_lobes=np.float32(self.beam.side_lobes),
+            side_lobes=np.float32(self.beam.side_lobes / SIDE_LOBE_WIDTH),
         )
 
     def _frame_poses(self, X_TP: NDArray[np.float64]) -> NDArray[np.float64]:

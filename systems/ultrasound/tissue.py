@@ -102,6 +102,18 @@ class Tissue:
             "from 0.5 to 64",
         )
         require_not_negative(attenuation=self.attenuation, seed=self.seed)
+        require(max(self.size) <= 2, "size", self.size, "at most 2 m each; lengths are in m")
+        for number, ball in enumerate(self.balls):
+            self._require_within(f"balls[{number}].centre", ball.centre)
+        for number, fibre in enumerate(self.fibres):
+            self._require_within(f"fibres[{number}].start", fibre.start)
+            self._require_within(f"fibres[{number}].end", fibre.end)
+
+    def _require_within(self, name: str, point: list[float]) -> None:
+        width, length, height = self.size
+        x, y, z = point
+        within = abs(x) <= width / 2 and abs(y) <= length / 2 and -height <= z <= 0
+        require(within, name, point, f"within the tissue, {self.size} m large, z from its top")
 
 
 def load_tissue(name: str) -> Tissue:

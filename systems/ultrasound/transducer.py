@@ -7,6 +7,14 @@ from sonoservo.models import model_path
 from sonoservo.systems.typed_yaml import load_typed, read_yaml
 from sonoservo.systems.values import require, require_not_negative, require_positive
 
+_LARGEST = {
+    "array_radius": 0.5,
+    "motor_radius": 0.5,
+    "element_pitch": 0.01,
+    "element_height": 0.1,
+    "lens_focus": 1.0,
+}
+
 
 @dataclass(kw_only=True)
 class Transducer:
@@ -43,8 +51,9 @@ class Transducer:
         Depth over aperture's width. The receiving aperture grows with depth and is weighted by a
         Hann window; its focus follows the depth.
     side_lobe_level
-        Amplitude of the beam's side lobes, relative to the main lobe (0.0316 is -30 dB); 0 for
-        none. Only bright points show them: they would change the tissue's speckle by 0.04 dB.
+        Amplitude of a needle's echo through the beam's side lobes, relative to that through the
+        main lobe (0.0316 is -30 dB); 0 for none. Only bright things show them: they would change
+        the tissue's speckle by 0.01 dB.
 
     Raises
     ------
@@ -92,6 +101,27 @@ class Transducer:
         )
         for name in ("lines", "most_frames", "elements", "transmit_elements", "receive_elements"):
             require(getattr(self, name) >= 2, name, getattr(self, name), "at least 2")
+        for name, most in _LARGEST.items():
+            value = getattr(self, name)
+            require(value <= most, name, value, f"at most {most:g} m; lengths are in m")
+        require(
+            self.element_width <= self.element_pitch,
+            "element_width",
+            self.element_width,
+            "at most element_pitch",
+        )
+        require(
+            self.lens_focus >= self.element_height / 2,
+            "lens_focus",
+            self.lens_focus,
+            "at least half of element_height",
+        )
+        require(
+            self.lowest_frequency >= 1e5,
+            "lowest_frequency",
+            self.lowest_frequency,
+            "at least 1e5 Hz; frequencies are in Hz",
+        )
         require(
             self.lines * self.line_pitch_deg <= 150,
             "line_pitch_deg",

@@ -2,7 +2,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from scipy.signal import hilbert
+from pymust_referee import middle_line
 
 from sonoservo.systems.ultrasound.beam import (
     axial_width,
@@ -19,28 +19,6 @@ FOCUS_60 = ImagingParameters(focus_depth=0.060)
 
 def pymust_half_width(depth, axis):
     """Full width at half amplitude (m) of the echo of a point that moves sideways."""
-    import pymust
-
-    arc = (np.arange(PROBE.elements) - (PROBE.elements - 1) / 2) * PROBE.element_pitch
-    x = PROBE.array_radius * np.sin(arc / PROBE.array_radius)
-    y = PROBE.array_radius * (np.cos(arc / PROBE.array_radius) - 1)  # apex at zero
-    p = pymust.utils.Param()
-    p.fc = FOCUS_60.transmit_frequency
-    p.bandwidth = 100 * PROBE.fractional_bandwidth
-    p.Nelements = PROBE.elements
-    p.pitch = PROBE.element_pitch
-    p.kerf = PROBE.element_pitch - PROBE.element_width
-    p.radius = PROBE.array_radius
-    p.height = PROBE.element_height
-    p.focus = PROBE.lens_focus
-    p.c = FOCUS_60.sound_speed
-    p.fs = 10 * p.fc
-    sending = np.abs(arc) <= PROBE.transmit_elements * PROBE.element_pitch / 2
-    delays = -np.hypot(x, FOCUS_60.focus_depth - y) / p.c
-    delays = np.where(sending, delays - delays[sending].min(), np.nan)
-    p.TXapodization = sending.astype(float)
-    aperture = min(depth / PROBE.receive_f_number, PROBE.receive_elements * PROBE.element_pitch)
-    window = np.where(np.abs(arc) < aperture / 2, np.cos(np.pi * arc / aperture) ** 2, 0)
     expected = (
         lateral_width(depth, PROBE, FOCUS_60)
         if axis == 0
@@ -49,21 +27,8 @@ def pymust_half_width(depth, axis):
     offsets = expected * np.array([0, 0.4, 0.5, 0.6])
     peaks = []
     for offset in offsets:
-        lateral, elevation = (offset, 1e-8) if axis == 0 else (0.0, max(offset, 1e-8))
-        echoes, _ = pymust.simus(
-            np.array([lateral]),
-            np.array([elevation]),
-            np.array([depth - y.min()]),  # PyMUST counts depth from the array's chord
-            np.array([1.0]),
-            delays[np.newaxis],
-            p,
-        )
-        time = np.arange(len(echoes)) / p.fs
-        line = np.zeros(len(time))
-        for element in np.flatnonzero(window):
-            delay = np.hypot(x[element], depth - y[element]) / p.c
-            line += window[element] * np.interp(time + delay, time, echoes[:, element], right=0)
-        peaks.append(np.abs(hilbert(line)).max())
+        point = [offset, depth, 0] if axis == 0 else [0, depth, offset]
+        peaks.append(middle_line(PROBE, FOCUS_60, [point], [1.0], depth).max())
     return 2 * np.interp(0.5, (np.array(peaks) / peaks[0])[::-1], offsets[::-1])
 
 

@@ -65,8 +65,16 @@ def test_agar_phantom_has_bright_things_beside_a_needles_way_but_not_on_it():
 def test_errors_name_the_field(tmp_path):
     with pytest.raises(ValueError, match="scatterers_per_cell"):
         Tissue(scatterers_per_cell=0)
+    with pytest.raises(ValueError, match="^scatterers_per_cell: -4"):
+        Tissue(scatterers_per_cell=-4)
     with pytest.raises(ValueError, match="size"):
         Tissue(size=[0.1, 0.1])
+    with pytest.raises(ValueError, match=r"^size: .* in m"):
+        Tissue(size=[240, 160, 80])
+    with pytest.raises(ValueError, match=r"^balls\[1\]\.centre: .* z from its top"):
+        Tissue(balls=[Ball(), Ball(centre=[0, 0, 0.04])])
+    with pytest.raises(ValueError, match=r"^fibres\[0\]\.end: "):
+        Tissue(fibres=[Fibre(end=[10.0, 0, -40])])
     with pytest.raises(ValueError, match="end"):
         Fibre(start=[0, 0, 0], end=[0, 0, 0])
     with pytest.raises(ValueError, match="radius"):

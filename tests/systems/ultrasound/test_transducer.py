@@ -7,6 +7,17 @@ from sonoservo.systems.typed_yaml import ConfigurationError
 from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
 from sonoservo.systems.ultrasound.transducer import Transducer, load_transducer
 
+ZHAO = ImagingParameters(
+    depth=0.07435,
+    sector=1.0,
+    transmit_frequency=7.5e6,
+    focus_depth=0.05,
+    frame_pitch_deg=0.7547,
+    volume_rate=1.0,
+    frames=53,
+    sample_pitch=2.8519e-5,
+)
+
 
 def test_shipped_transducers_load():
     assert load_transducer("4dc7_3_40") == Transducer()
@@ -31,10 +42,22 @@ def test_own_file(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("lines", 1), ("element_height", 0.0), ("line_pitch_deg", 2.0), ("side_lobe_level", -30.0)],
+    [
+        ("lines", 0),
+        ("lines", 1),
+        ("line_pitch_deg", 2.0),
+        ("element_height", 0.0),
+        ("element_pitch", 0.425),  # mm
+        ("element_width", 0.5e-3),  # wider than the pitch
+        ("lens_focus", 0.005),  # inside the element
+        ("lens_focus", 60.0),  # mm
+        ("array_radius", 40.0),  # mm
+        ("lowest_frequency", 3.0),  # MHz
+        ("side_lobe_level", -30.0),  # dB
+    ],
 )
 def test_transducer_errors_name_the_field(name, value):
-    with pytest.raises(ValueError, match=name):
+    with pytest.raises(ValueError, match=f"^{name}: {value}"):
         Transducer(**{name: value})
 
 
@@ -46,6 +69,32 @@ def test_chatelain_2013_volume_rates(rate, frames):
     assert geometry.period == pytest.approx(1 / rate)
     assert np.rad2deg(geometry.frame_pitch) == pytest.approx(1.463)
     assert geometry.depth == pytest.approx(0.09, abs=0.308e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "imaging"),
+    [
+        ("4dc7_3_40", ImagingParameters()),
+        ("4dc7_3_40", ImagingParameters(volume_rate=5.7)),
+        ("zhao2012", ZHAO),
+        ("trus", ImagingParameters(depth=0.06, transmit_frequency=6.5e6, frame_pitch_deg=0.01)),
+    ],
+)
+def test_sound_returns_from_every_line_before_the_next(name, imaging):
+    """Lines, frames and sweeps follow without a gap, and none is shorter than the sound's way."""
+    geometry = sweep_geometry(load_transducer(name), imaging)
+    line_time = geometry.frame_period / geometry.lines
+    assert line_time >= 2 * geometry.depth / imaging.sound_speed
+    assert geometry.frames * geometry.frame_period == pytest.approx(1 / imaging.volume_rate)
+    assert geometry.period == pytest.approx(1 / imaging.volume_rate)
+
+
+def test_zhao_2012_volume():
+    """Table 1 and its text: 53 x 71 lines of 2608 samples at 27 MHz, 40 deg each way."""
+    geometry = sweep_geometry(load_transducer("zhao2012"), ZHAO)
+    assert geometry.shape == (53, 71, 2608)
+    assert 1540 / (2 * geometry.sample_pitch) == pytest.approx(27e6, rel=1e-3)
+    assert np.rad2deg(52 * geometry.frame_pitch) == pytest.approx(39.25, abs=0.01)
 
 
 def test_motor_limits_the_frames():
@@ -67,7 +116,9 @@ def test_frequency_must_suit_the_transducer():
         sweep_geometry(Transducer(), ImagingParameters(transmit_frequency=10e6))
 
 
-@pytest.mark.parametrize(("name", "value"), [("gain", 1.2), ("sector", 0.0), ("depth", 0.0)])
+@pytest.mark.parametrize(
+    ("name", "value"), [("gain", 1.2), ("sector", 0.0), ("depth", 0.0), ("depth", 90.0)]
+)
 def test_imaging_errors_name_the_field(name, value):
     with pytest.raises(ValueError, match=name):
         ImagingParameters(**{name: value})
