@@ -56,8 +56,8 @@ class NeedleKalmanFilterParameters:
 
     order: int = 2
     motion: NeedleMotionParameters = field(default_factory=NeedleMotionParameters)
-    first_deviation: float = 2e-3
-    first_speed: float = 10e-3
+    first_deviation: float = 1.2e-3
+    first_speed: float = 4e-3
     first_drift: float = 2e-3
     largest_detection_jump: float = 10e-3
     gate: float = 0.9999

@@ -75,7 +75,7 @@ class NeedleLocalizerParameters:
     """
 
     order: int = 2
-    margin: float = 4e-3
+    margin: float = 3e-3
     margin_growth: float = 2e-3
     largest_radius: float = 20e-3
     largest_angle_deg: float = 10.0
@@ -138,6 +138,7 @@ def _predicted_region(
     track: NeedleTrack, time: float, parameters: NeedleLocalizerParameters
 ) -> _Region:
     """Capsule around the predicted curve, from the prediction's covariance."""
+    searching = track.mode == TrackingMode.SEARCHING
     entry = track.curve.entry
     track = track.predicted(time)
     assert track.covariance is not None
@@ -153,15 +154,16 @@ def _predicted_region(
         curve=curve,
         radius=min(margin + 3 * across, parameters.largest_radius),
         before=margin,
-        beyond=min(margin + 3 * along, 3 * parameters.largest_radius),
+        # Of what has just been detected, the tip is known best.
+        beyond=min(3 * along + (0 if searching else margin), 3 * parameters.largest_radius),
         largest_angle=min(
             math.radians(parameters.largest_angle_deg)
             + math.atan2(3 * across, max(curve.chord, 1e-3)),
             math.pi / 2,
         ),
         # Of what has just been detected, the entry is a guess.
-        entry=None if track.mode == TrackingMode.SEARCHING else entry,
-        tip_moved=track.mode == TrackingMode.SEARCHING,
+        entry=None if searching else entry,
+        tip_moved=searching,
     )
 
 

@@ -21,7 +21,7 @@ PARAMETERS = InsertionDetectorParameters()
 RNG = np.random.default_rng(0)
 ENTRY = entry_on_side()
 INWARD = np.array([1, 0.2, 0.1]) / np.linalg.norm([1, 0.2, 0.1])
-SCENE = Scene(seed=1, balls=[([0.01, 0.06, 0.005], 2e-3)])
+SCENE = Scene(seed=1, spacing=1.0e-3, balls=[([0.01, 0.06, 0.005], 2e-3)])
 
 
 def needle(length):
@@ -49,7 +49,12 @@ def test_no_false_start_on_static_tissue(before):
 
 
 def test_a_change_all_over_is_not_an_insertion():
-    found = detect_insertion(Scene(seed=2).volume(2), Scene(seed=1).volume(0), PARAMETERS, RNG)
+    found = detect_insertion(
+        Scene(seed=2, spacing=1e-3).volume(2),
+        Scene(seed=1, spacing=1e-3).volume(0),
+        PARAMETERS,
+        RNG,
+    )
     assert not found
     assert "spread" in found.reason
 

@@ -20,6 +20,7 @@ from sonoservo.systems.values import NotFound
 
 SCENE = Scene(
     seed=5,
+    spacing=1.0e-3,
     balls=[([0.005, 0.06, 0.008], 2e-3), ([-0.01, 0.035, -0.004], 1.5e-3)],
     rods=[([-0.015, 0.07, 0.0], [-0.003, 0.072, 0.008])],
 )

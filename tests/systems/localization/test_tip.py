@@ -76,7 +76,7 @@ def test_profile_follows_the_axis_in_any_pose(order):
     X_WP = RigidTransform(RollPitchYaw(2.0, 0.3, -0.5), [0.4, 0.1, 0.2])
     inside = entry_on_side() + np.array([8e-3, 4e-3, 0])
     ends = X_WP.multiply(np.array([inside, inside + np.array([0.025, 0.006, 0])]).T).T
-    volume = Scene(seed=3).volume(0, lambda time: ends, X_WP)
+    volume = Scene(seed=3, spacing=1.0e-3).volume(0, lambda time: ends, X_WP)
     axis = axis_through(np.linspace(*ends, order))
     along = axis_profile(volume, axis, -0.005, 0.04, PARAMETERS)
     extent = find_extent(along, PARAMETERS)
@@ -86,7 +86,7 @@ def test_profile_follows_the_axis_in_any_pose(order):
 
 def test_candidates_follow_the_needle_all_along():
     ends = np.array([entry_on_side(), entry_on_side() + np.array([0.05, 0.01, 0.004])])
-    volume = Scene(seed=3).volume(0, lambda time: ends)
+    volume = Scene(seed=3, spacing=1.0e-3).volume(0, lambda time: ends)
     axis = axis_through(ends)
     length = np.linalg.norm(ends[1] - ends[0])
     found = select_candidates(
@@ -110,14 +110,14 @@ def test_candidates_follow_the_needle_all_along():
 
 
 def test_candidates_outside_the_volume():
-    volume = Scene(seed=3).volume(0)
+    volume = Scene(seed=3, spacing=1.0e-3).volume(0)
     axis = axis_through(np.array([[1.0, 0, 0], [2.0, 0, 0]]))
     options = {"start": 0, "stop": 0.02, "radius": 5e-3, "cross_section": 4e-6, "slab": 2e-3}
     assert len(select_candidates(volume, axis, rng=RNG, **options).p_P) == 0
 
 
 def test_acquired_from_inverts_a_moving_probe():
-    volume = Scene(seed=3).volume(0)
+    volume = Scene(seed=3, spacing=1.0e-3).volume(0)
     motion = volume.motion
     poses = motion.X_WP.copy()
     poses[:, 0, 3] += np.linspace(-3e-3, 3e-3, len(poses))

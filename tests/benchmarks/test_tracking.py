@@ -1,0 +1,89 @@
+"""Detection and tracking on volumes of the paper's size, against what a user would pick instead."""
+
+import time
+
+import numpy as np
+import pytest
+from skimage.measure import LineModelND, ransac
+from synthetic_volumes import Scene, entry_on_side
+
+from sonoservo.systems.detection.insertion_detector import (
+    InsertionDetectorParameters,
+    detect_insertion,
+)
+from sonoservo.systems.estimation.estimate import TrackingMode
+from sonoservo.systems.estimation.track import NeedleMotionParameters, NeedleTrack
+from sonoservo.systems.localization.needle_localizer import NeedleLocalizerParameters, localize
+from sonoservo.systems.localization.ransac import ransac_axis
+
+ENTRY = entry_on_side()
+TIP = ENTRY + np.array([0.045, 0.012, 0.005])
+
+
+def median_time(function, repeats=5):
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        function()
+        times.append(time.perf_counter() - start)
+    return float(np.median(times))
+
+
+def compare(benchmark, name, seconds):
+    benchmark.extra_info["compared_with"] = name
+    if benchmark.stats is not None:
+        benchmark.extra_info["ratio"] = seconds / benchmark.stats.stats.median
+
+
+@pytest.fixture(scope="module")
+def volumes():
+    scene = Scene(seed=5)
+    return scene.volume(0), scene.volume(2, lambda time: (ENTRY, TIP))
+
+
+def test_detect_insertion(benchmark, volumes):
+    before, volume = volumes
+    parameters = InsertionDetectorParameters(largest_deviation=1.0, largest_depth=1.0)
+    rng = np.random.default_rng(0)
+    assert benchmark(lambda: detect_insertion(volume, before, parameters, rng))
+
+    def plain():
+        difference = np.abs(volume.intensities.astype(np.int16) - before.intensities)
+        threshold = np.partition(difference, difference.size - 200, axis=None)[-200]
+        return np.argwhere(difference >= threshold)
+
+    compare(benchmark, "NumPy: difference and partition", median_time(plain))
+
+
+@pytest.mark.parametrize("order", [2, 3])
+@pytest.mark.parametrize("mode", [TrackingMode.TRACKING, TrackingMode.LOST])
+def test_localize(benchmark, volumes, order, mode):
+    points = np.linspace(ENTRY, TIP, order)
+    mean = np.concatenate([points.ravel(), np.zeros(3 * order)])
+    covariance = np.diag(np.repeat([1e-6, 1e-6], 3 * order))
+    track = NeedleTrack(mode, 0.0, NeedleMotionParameters(), mean, covariance)
+    parameters = NeedleLocalizerParameters(order=order)
+    rng = np.random.default_rng(0)
+    found = benchmark(lambda: localize(volumes[1], track, parameters, rng))
+    assert np.linalg.norm(found.curve.tip - TIP) < 3e-3
+    compare(benchmark, "the paper's acquisition, 175 ms a volume", 0.175)
+
+
+@pytest.mark.parametrize("ratio", [0.3, 0.1])
+def test_ransac(benchmark, ratio):
+    rng = np.random.default_rng(0)
+    k = np.array([2, 1, -0.5]) / np.linalg.norm([2, 1, -0.5])
+    inliers = round(2000 * ratio)
+    points = rng.uniform(-0.03, 0.03, (2000, 3))
+    points[:inliers] = np.outer(rng.uniform(-0.03, 0.03, inliers), k)
+    points[:inliers] += 0.7e-3 * rng.normal(size=(inliers, 3))
+    weights = np.ones(len(points))
+    found = benchmark(lambda: ransac_axis(points, weights, order=2, rng=rng))
+    assert abs(found.fit.axis.direction @ k) > np.cos(np.radians(1))
+
+    def theirs():
+        return ransac(
+            points, LineModelND, 2, 2e-3, max_trials=3000, stop_probability=1 - 1e-3, rng=rng
+        )
+
+    compare(benchmark, "scikit-image: measure.ransac", median_time(theirs))
