@@ -1,4 +1,4 @@
-"""The command line: ``sonoservo list`` and ``sonoservo run``."""
+"""The command line: ``sonoservo list``, ``run`` and ``scan``."""
 
 import json
 import sys
@@ -9,6 +9,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from sonoservo.diagrams.scan import caption, scan, summarize_scan, write_scan
 from sonoservo.diagrams.scenario import list_scenarios, load_scenario
 from sonoservo.diagrams.simulation import run
 from sonoservo.diagrams.terminal import Progress, start_display, summary_table
@@ -61,6 +62,34 @@ def run_command(
     _write_json(json_path, result.summary)
     if result.summary["interrupted"]:
         raise typer.Exit(130)
+
+
+@app.command("scan")
+def scan_command(
+    scenario: Annotated[str, typer.Argument(help="A name from `sonoservo list`, or a YAML file.")],
+    time: Annotated[
+        float | None, typer.Option(help="When, in s; by default when the needle is deepest.")
+    ] = None,
+    changes: Annotated[
+        list[str] | None, typer.Option("--set", help="Change a field: path.to.field=value.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for the results.")] = None,
+    json_path: JsonOption = None,
+) -> None:
+    """Show what the scanner sees: one sweep, as a picture and as a volume for 3D Slicer."""
+    loaded = load_scenario(scenario, changes=changes, seed=seed)
+    result = scan(loaded, time=time)
+    summary = summarize_scan(result, loaded)
+    folder = out or Path("out") / f"{loaded.name}_seed{loaded.seed}_scan"
+    paths = write_scan(result, loaded, folder)
+    _console.print(caption(result, loaded), soft_wrap=True)
+    _console.print(
+        f"At {summary['time_s']:.2f} s, {summary['inserted_mm']:.1f} mm of the needle are in the "
+        f"tissue. Written: {', '.join(map(str, paths))}",
+        soft_wrap=True,
+    )
+    _write_json(json_path, summary)
 
 
 def _write_json(path: Path | None, data: Any) -> None:

@@ -108,7 +108,7 @@ def _pack(packed, corners, samples):  # type: ignore[no-untyped-def]
 
 
 def rows_in_sector(
-    sector: Sector, x: Floats, y: Floats, z: Floats, margin: float
+    sector: Sector, margin: float, x: Floats, y: Floats, z: Floats
 ) -> NDArray[np.int32]:
     """Which elements of each row along Z may lie in the sector, so that the others need no look.
 
@@ -116,10 +116,10 @@ def rows_in_sector(
     ----------
     sector
         Where the samples are.
-    x, y, z
-        Coordinates of the grid's elements, in m, with the origin on the motor's axis.
     margin
         By which the sector is widened, in m.
+    x, y, z
+        Coordinates of the grid's elements, in m, with the origin on the motor's axis.
 
     Returns
     -------
@@ -129,7 +129,7 @@ def rows_in_sector(
     """
     x, y = np.abs(x[:, np.newaxis]), y[np.newaxis]
     far = sector.array_radius + sector.last_sample / sector.samples_per_metre + margin
-    near = max(sector.array_radius - margin, 0)
+    near = max(float(sector.array_radius) - margin, 0.0)
     outermost_line = 0.5 * sector.last_line / sector.lines_per_radian
     outermost_frame = 0.5 * sector.lines * sector.last_frame / sector.steps_per_radian
     # All conditions are on q = rho + centre_offset and on the angle, which both grow with |z|.

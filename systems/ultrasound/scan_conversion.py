@@ -146,7 +146,7 @@ class ScanConversion:
         q = numbers["centre_offset"] + np.hypot(y[:, np.newaxis], z)
         step = numbers["steps_per_radian"] * np.arctan2(z, y[:, np.newaxis])
         self._axes = [axis.astype(np.float32) for axis in (x, y, z)]
-        self._rows = rows_in_sector(self._sector, *self._axes, margin=_SLACK)
+        self._rows = rows_in_sector(self._sector, _SLACK, *self._axes)
         self._distance, self._step = q.astype(np.float32), step.astype(np.float32)
         self._first, self._last = self._cells(x, q, step)
 
@@ -208,7 +208,7 @@ class ScanConversion:
         volume = np.zeros(self.grid.shape, np.uint8)
         resample_moving(
             volume,
-            rows_in_sector(self._sector, *self._axes, margin=float(margin)),
+            rows_in_sector(self._sector, float(margin), *self._axes),
             *pack_corners(samples, (0, 0, 0), tuple(n - 2 for n in geometry.shape)),
             self._sector._replace(direction=np.float32(motion.direction)),
             *self._axes,

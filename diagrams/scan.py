@@ -1,0 +1,157 @@
+"""One sweep of a scenario, without a robot: what the scanner shows."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.diagrams.scenario import Scenario
+from sonoservo.systems.needle.insertion import Insertion
+from sonoservo.systems.needle.needle import Needle
+from sonoservo.systems.recording.files import write_atomically
+from sonoservo.systems.recording.nrrd import write_volume
+from sonoservo.systems.recording.plots import png
+from sonoservo.systems.recording.scan_sheet import scan_sheet
+from sonoservo.systems.typed_yaml import ConfigurationError
+from sonoservo.systems.ultrasound.rendering import SweepRenderer
+from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
+from sonoservo.systems.ultrasound.sweep import Sweep, SweepMotion
+from sonoservo.systems.ultrasound.tissue import load_tissue
+from sonoservo.systems.ultrasound.transducer import load_transducer
+from sonoservo.systems.ultrasound.volume import Volume
+
+_INDENTATION = 4e-3
+"""How deep a dome of 40 mm radius sinks into the phantom at 2 N, in m."""
+
+
+@dataclass(frozen=True)
+class Scan:
+    """What one sweep shows.
+
+    Parameters
+    ----------
+    sweep, volume
+        As acquired, and on a Cartesian grid.
+    needle
+        The true needle in W at the middle of the sweep, possibly empty.
+    """
+
+    sweep: Sweep
+    volume: Volume
+    needle: Needle
+
+
+def scan(scenario: Scenario, *, time: float | None = None) -> Scan:
+    """Make one sweep towards +Z with the probe at rest.
+
+    The probe is pressed on the phantom as at 2 N, over the needle's tip (where the scenario starts,
+    if no needle is in the phantom), and is turned as the scenario starts. Phantom, needle and
+    tissue are those of a run with the same seed.
+
+    Parameters
+    ----------
+    scenario
+        The robot's part of it is not used.
+    time
+        Of the middle of the sweep, in s; None for when the needle is deepest.
+
+    Raises
+    ------
+    ConfigurationError
+        If the scenario cannot be carried out.
+    """
+    try:
+        return _scan(scenario, time)
+    except (ValueError, FileNotFoundError) as error:
+        raise ConfigurationError(f"{scenario.name}: {error}") from error
+
+
+def _scan(scenario: Scenario, time: float | None) -> Scan:
+    # As an experiment draws them.
+    tissue_seed, insertion_seed, noise_seed = (
+        int(seed) for seed in np.random.SeedSequence(scenario.seed).generate_state(5)[:3]
+    )
+    insertion = Insertion(scenario.hand, np.random.default_rng(insertion_seed))
+    if time is None:
+        time = float(max(np.linspace(0, scenario.duration, 200), key=insertion.depth))
+    renderer = SweepRenderer(
+        transducer=load_transducer(scenario.transducer),
+        imaging=scenario.imaging,
+        tissue=replace(load_tissue(scenario.phantom), seed=tissue_seed),
+        parameters=scenario.scanner,
+        seed=noise_seed,
+    )
+    geometry, station = renderer.geometry, scenario.station
+    frames = np.arange(geometry.frames, dtype=np.float64)
+    times: NDArray[np.float64] = time + geometry.frame_period * (frames - geometry.frames // 2)
+    needles = [insertion.needle(float(each)) for each in times]
+    needle = needles[geometry.frames // 2]
+    x, y = needle.tip[:2] if needle else (None, None)
+    X_WP = station.probe_pose(x=x, y=y, height=-_INDENTATION)
+    X_TP = station.X_WT.InvertAndCompose(X_WP)
+    poses = [np.tile(X.GetAsMatrix4(), (geometry.frames, 1, 1)) for X in (X_TP, X_WP)]
+    samples = renderer.render(poses[0], needles, 1, 0)
+    sweep = Sweep(samples, SweepMotion(geometry, 1, times, poses[1]))
+    conversion = ScanConversion(geometry, make_grid(geometry, scenario.scan_conversion.spacing))
+    return Scan(sweep, conversion(sweep), needle.transformed(station.X_WT))
+
+
+def write_scan(scan: Scan, scenario: Scenario, out: Path) -> list[Path]:
+    """Write scan.png, a sheet of pictures, and scan.nrrd, the volume.
+
+    Parameters
+    ----------
+    scan
+        To write.
+    scenario
+        That it was made of.
+    out
+        Folder.
+
+    Returns
+    -------
+    The paths of the files.
+    """
+    figure = scan_sheet(
+        scan.sweep,
+        scan.volume,
+        scan.needle,
+        dynamic_range_db=scenario.imaging.dynamic_range_db,
+        caption=caption(scan, scenario),
+    )
+    return [
+        write_atomically(out / "scan.png", png(figure)),
+        write_volume(out / "scan.nrrd", scan.volume),
+    ]
+
+
+def caption(scan: Scan, scenario: Scenario) -> str:
+    """Return a line that says what was scanned with what."""
+    geometry, imaging = scan.sweep.geometry, scenario.imaging
+    return (
+        f"{Path(scenario.transducer).stem} at {1e-6 * imaging.transmit_frequency:.1f} MHz:  "
+        f"{imaging.volume_rate:g} volumes/s,  {geometry.frames} frames x {geometry.lines} lines x "
+        f"{geometry.samples} samples,  {1e3 * geometry.depth:.0f} mm deep"
+    )
+
+
+def summarize_scan(scan: Scan, scenario: Scenario) -> dict[str, Any]:
+    """Return the figures that are printed: settings, needle and levels."""
+    geometry = scan.sweep.geometry
+    needle = scan.needle
+    return {
+        "scenario": scenario.name,
+        "seed": scenario.seed,
+        "time_s": scan.volume.time,
+        "transducer": scenario.transducer,
+        "volume_rate_hz": scenario.imaging.volume_rate,
+        "frames_lines_samples": list(geometry.shape),
+        "voxels": list(scan.volume.intensities.shape),
+        "spacing_mm": [1e3 * float(s) for s in scan.volume.spacing],
+        "inserted_mm": 1e3 * needle.length if needle else 0.0,
+        "tip_in_probe_mm": (
+            (1e3 * scan.volume.to_probe(needle.tip[np.newaxis])[0]).tolist() if needle else None
+        ),
+    }
