@@ -1,11 +1,13 @@
 """One sweep of a scenario, without a robot: what the scanner shows."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.math import RigidTransform
 
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.needle.insertion import Insertion
@@ -43,12 +45,16 @@ class Scan:
     needle: Needle
 
 
-def scan(scenario: Scenario, *, time: float | None = None) -> Scan:
-    """Make one sweep towards +Z with the probe at rest.
+def scan(
+    scenario: Scenario,
+    *,
+    time: float | None = None,
+    X_TP: RigidTransform | None = None,
+    velocity: Sequence[float] = (0.0, 0.0, 0.0),
+) -> Scan:
+    """Make one sweep towards +Z.
 
-    The probe is pressed on the phantom as at 2 N, over the needle's tip (where the scenario starts,
-    if no needle is in the phantom), and is turned as the scenario starts. Phantom, needle and
-    tissue are those of a run with the same seed.
+    Phantom, needle and tissue are those of a run with the same seed.
 
     Parameters
     ----------
@@ -56,6 +62,12 @@ def scan(scenario: Scenario, *, time: float | None = None) -> Scan:
         The robot's part of it is not used.
     time
         Of the middle of the sweep, in s; None for when the needle is deepest.
+    X_TP
+        Pose of the probe in the phantom at that time. By default the probe is pressed on the
+        phantom as at 2 N, over the needle's tip (where the scenario starts, if no needle is in the
+        phantom), and turned as the scenario starts.
+    velocity
+        (3,) of the probe during the sweep, along the axes of P, in m/s.
 
     Raises
     ------
@@ -63,12 +75,17 @@ def scan(scenario: Scenario, *, time: float | None = None) -> Scan:
         If the scenario cannot be carried out.
     """
     try:
-        return _scan(scenario, time)
+        return _scan(scenario, time, X_TP, velocity)
     except (ValueError, FileNotFoundError) as error:
         raise ConfigurationError(f"{scenario.name}: {error}") from error
 
 
-def _scan(scenario: Scenario, time: float | None) -> Scan:
+def _scan(
+    scenario: Scenario,
+    time: float | None,
+    X_TP: RigidTransform | None,
+    velocity: Sequence[float],
+) -> Scan:
     # As an experiment draws them.
     tissue_seed, insertion_seed, noise_seed = (
         int(seed) for seed in np.random.SeedSequence(scenario.seed).generate_state(5)[:3]
@@ -88,14 +105,22 @@ def _scan(scenario: Scenario, time: float | None) -> Scan:
     times: NDArray[np.float64] = time + geometry.frame_period * (frames - geometry.frames // 2)
     needles = [insertion.needle(float(each)) for each in times]
     needle = needles[geometry.frames // 2]
-    x, y = needle.tip[:2] if needle else (None, None)
-    X_WP = station.probe_pose(x=x, y=y, height=-_INDENTATION)
-    X_TP = station.X_WT.InvertAndCompose(X_WP)
-    poses = [np.tile(X.GetAsMatrix4(), (geometry.frames, 1, 1)) for X in (X_TP, X_WP)]
-    samples = renderer.render(poses[0], needles, 1, 0)
-    sweep = Sweep(samples, SweepMotion(geometry, 1, times, poses[1]))
-    conversion = ScanConversion(geometry, make_grid(geometry, scenario.scan_conversion.spacing))
-    return Scan(sweep, conversion(sweep), needle.transformed(station.X_WT))
+    X_WT = station.X_WT
+    if X_TP is None:
+        x, y = needle.tip[:2] if needle else (None, None)
+        X_TP = X_WT.InvertAndCompose(station.probe_pose(x=x, y=y, height=-_INDENTATION))
+    poses = np.tile(np.eye(4), (geometry.frames, 1, 1))
+    poses[:, :3, 3] = (times - time)[:, np.newaxis] * np.array(velocity)
+    poses = X_TP.GetAsMatrix4() @ poses
+    samples = renderer.render(poses, needles, 1, 0)
+    sweep = Sweep(samples, SweepMotion(geometry, 1, times, X_WT.GetAsMatrix4() @ poses))
+    parameters = scenario.scan_conversion
+    conversion = ScanConversion(
+        geometry,
+        make_grid(geometry, parameters.spacing),
+        compensate_motion=parameters.compensate_motion,
+    )
+    return Scan(sweep, conversion(sweep), needle.transformed(X_WT))
 
 
 def write_scan(scan: Scan, scenario: Scenario, out: Path) -> list[Path]:

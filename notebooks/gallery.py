@@ -1,0 +1,148 @@
+"""Gallery of needles, as a notebook (jupytext percent format) that also runs as a script."""
+
+# %% [markdown]
+# # What the scanner shows
+#
+# A needle under the probe at five angles to the beam, with and without what makes it hard to see,
+# and the same needle across the frames of a probe that moves during the sweep.
+
+# %%
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from pydrake.math import RigidTransform, RotationMatrix
+
+from sonoservo.diagrams.scan import scan
+from sonoservo.diagrams.scenario import load_scenario
+from sonoservo.systems.display.image_planes import Plane, sample_plane
+from sonoservo.systems.recording.needle_echo import measure_needle_echo
+
+ANGLES = [0, 5, 10, 20, 40]
+DEPTH = 0.045
+PROBE = RigidTransform(RotationMatrix.MakeXRotation(-np.pi / 2), [0, 0, -0.004])
+FINE = "scan_conversion.spacing=[0.0003, 0.0003, 0.0006]"
+
+
+# %%
+def needle_at(dip_deg, azimuth_deg, *changes, velocity=(0, 0, 0)):
+    """One sweep over a needle that reaches 15 mm beyond the middle of the beam."""
+    dip, azimuth = np.deg2rad([dip_deg, azimuth_deg])
+    direction = np.array(
+        [np.cos(dip) * np.cos(azimuth), np.cos(dip) * np.sin(azimuth), -np.sin(dip)]
+    )
+    entry = (np.array([0, 0, -DEPTH]) - 0.045 * direction).tolist()
+    insertion = [
+        f"hand.entry={entry}",
+        f"hand.dip_deg={dip_deg}",
+        f"hand.azimuth_deg={azimuth_deg}",
+    ]
+    still = ["hand.entry_spread=[0, 0, 0]", "hand.angle_spread_deg=0", "hand.tremor=0"]
+    pushes = ["hand.start=0", "hand.pushes=[{duration: 6, speed: 0.01}]", "imaging.gain=0.36"]
+    scenario = load_scenario(
+        "chatelain2013_fig5", changes=[FINE, *insertion, *still, *pushes, *changes]
+    )
+    return scenario, scan(scenario, time=8.0, X_TP=PROBE, velocity=velocity)
+
+
+# %% [markdown]
+# The image along needle and beam. Below each: level over the tissue, length that stands out by
+# 12 dB, thickness at -20 dB.
+
+# %%
+ROWS = {
+    "as it is": [],
+    "no reverberation": ["scanner.needle.reverberation_db=-90"],
+    "no shadow": ["scanner.needle.shadow=0"],
+}
+shown = {row: [needle_at(angle, 0, *changes) for angle in ANGLES] for row, changes in ROWS.items()}
+figures = {
+    row: [
+        measure_needle_echo(s.sweep, s.volume.to_probe(s.needle.shaft), scenario.imaging)
+        for scenario, s in scans
+    ]
+    for row, scans in shown.items()
+}
+
+# %% [markdown]
+# The image across the beam, at the needle's depth, of a needle that lies across the frames, while
+# the probe moves along the array.
+
+# %%
+MOVING = {
+    "probe at rest": ([], 0.0),
+    "probe moving at 20 mm/s": ([], 0.02),
+    "moving, compensated": (["scan_conversion.compensate_motion=true"], 0.02),
+}
+moved = {
+    name: needle_at(0, 60, *changes, velocity=(speed, 0, 0))
+    for name, (changes, speed) in MOVING.items()
+}
+
+# %%
+INK, QUIET, PAPER, LINE = "#F2F2F2", "#9AA4AD", "#0E1116", "#FFB000"
+LONG = Plane(RigidTransform([0, 0.041, 0]), width=0.076, height=0.066)
+FLAT = Plane(RigidTransform(RotationMatrix.MakeXRotation(np.pi / 2), [0, 0.041, 0]), 0.046, 0.0276)
+
+
+def show(axes, volume, plane):
+    """Draw a slice in mm."""
+    picture = sample_plane(volume, plane, 0.3e-3).astype(float)
+    image = np.where(picture[..., 1] > 0, picture[..., 0], np.nan)
+    half_width, half_height = 500 * plane.width, 500 * plane.height
+    axes.imshow(
+        image, cmap="gray", vmin=0, vmax=255, interpolation="bilinear",
+        extent=(-half_width, half_width, half_height, -half_height),
+    )  # fmt: skip
+    axes.set_facecolor(PAPER)
+    axes.set(xticks=[-20, 0, 20], yticks=[])
+    axes.tick_params(colors=QUIET, labelsize=7)
+    axes.spines[:].set_visible(False)
+
+
+# %%
+figure = plt.figure(figsize=(13, 10.4), facecolor=PAPER, layout="constrained")
+grid = figure.add_gridspec(4, 5, height_ratios=[1, 1, 1, 0.9])
+for i, (row, scans) in enumerate(shown.items()):
+    for j, ((_, s), echo) in enumerate(zip(scans, figures[row], strict=True)):
+        axes = figure.add_subplot(grid[i, j])
+        show(axes, s.volume, LONG)
+        axes.set_title(f"{ANGLES[j]}°" if i == 0 else "", color=INK, fontsize=12)
+        axes.set_ylabel(row if j == 0 else "", color=INK, fontsize=10)
+        axes.set_xlabel(
+            f"{echo.peak_db:.0f} dB   {1e3 * echo.visible_length:.0f} mm   "
+            f"{1e3 * echo.thickness:.1f} mm thick",
+            color=LINE, fontsize=8.5,
+        )  # fmt: skip
+for j, (name, (_, s)) in enumerate(moved.items()):
+    axes = figure.add_subplot(grid[3, j])
+    show(axes, s.volume, FLAT)
+    ends = 1e3 * s.volume.to_probe(s.needle.shaft)
+    middle = ends.mean(axis=0)
+    for offset in (-3, 3):
+        axes.axline(
+            middle[[0, 2]] + [offset, 0], ends[1][[0, 2]] + [offset, 0],
+            color=LINE, linewidth=1, linestyle=":",
+        )  # fmt: skip
+    axes.set_xlabel(name, color=LINE, fontsize=8.5)
+    axes.set_ylabel("across the beam" if j == 0 else "", color=INK, fontsize=10)
+axes = figure.add_subplot(grid[3, 3:], facecolor=PAPER)
+for angle, echo, shade in zip(
+    ANGLES, figures["as it is"], plt.cm.plasma(np.linspace(0.25, 0.95, 5)), strict=True
+):
+    axes.plot(1e3 * echo.distance - 45, echo.level_db, color=shade, label=f"{angle}°", linewidth=1)
+axes.set(xlim=(-36, 16), ylim=(0, 42))
+axes.set_title("level along the needle, dB over the tissue", color=INK, fontsize=9.5)
+axes.set_xlabel("from the middle of the beam, mm", color=LINE, fontsize=8.5)
+axes.tick_params(colors=QUIET, labelsize=7)
+axes.tick_params(axis="y", direction="in", pad=-15)
+axes.spines[:].set_color(QUIET)
+axes.legend(frameon=False, labelcolor=INK, fontsize=8.5, ncols=5, loc="lower center")
+figure.suptitle(
+    "A needle at 0 to 40° to the normal of the beam. Below each: level over the tissue, "
+    "length that stands out by 12 dB, thickness at -20 dB",
+    color=INK,
+)
+figure.savefig("gallery.png", dpi=84, pil_kwargs={"optimize": True})
+plt.close(figure)
+print(f"written: {Path('gallery.png').resolve()}")

@@ -1,0 +1,28 @@
+import runpy
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from PIL import Image
+
+GALLERY = Path(__file__).parents[2] / "notebooks" / "gallery.py"
+
+
+def test_gallery_runs_and_its_figures_say_what_they_should(tmp_path, monkeypatch):
+    matplotlib.use("Agg")
+    monkeypatch.chdir(tmp_path)
+    drawn = runpy.run_path(str(GALLERY))
+    with Image.open(tmp_path / "gallery.png") as picture:
+        assert min(picture.size) > 600
+    assert (tmp_path / "gallery.png").stat().st_size < 600e3
+
+    echoes = drawn["figures"]
+    steel = echoes["as it is"]
+    assert 34 < steel[0].peak_db < 44
+    assert steel[-1].peak_db < steel[0].peak_db - 8
+    # The steeper the needle, the further from the middle it faces the beam.
+    faces = [echo.distance[np.nanargmax(echo.level_db)] for echo in steel[:4]]
+    assert (np.diff(faces) < -3e-3).all()
+    # What echoes within the needle comes later and makes it look thicker.
+    assert steel[0].thickness > 2 * echoes["no reverberation"][0].thickness
+    assert all(20e-3 < echo.visible_length < 60e-3 for echo in steel)
