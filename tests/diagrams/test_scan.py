@@ -6,6 +6,7 @@ import nrrd
 import numpy as np
 import pytest
 from PIL import Image
+from pydrake.math import RigidTransform, RotationMatrix
 
 from sonoservo.diagrams.scan import caption, scan, summarize_scan
 from sonoservo.diagrams.scenario import load_scenario
@@ -116,3 +117,25 @@ def test_a_mistake_is_one_line_and_exit_code_2(tmp_path):
     assert not (tmp_path / "x").exists()
     with pytest.raises(ConfigurationError, match="there is no model"):
         scan(load_scenario(SCENARIO, changes=["phantom=agr"]))
+
+
+def test_a_moving_probe_s_sweep_can_be_compensated():
+    """A needle across the frames leans over, by what the probe moved, and does not with it."""
+    changes = [
+        "hand.entry=[0, -0.06, -0.04]", "hand.azimuth_deg=90", "hand.dip_deg=0",
+        "hand.entry_spread=[0, 0, 0]", "hand.angle_spread_deg=0", "station.probe.yaw_deg=0",
+    ]  # fmt: skip
+    pose = RigidTransform(RotationMatrix.MakeXRotation(-np.pi / 2), [0, 0, -0.004])
+    slopes = {}
+    for compensate in (False, True):
+        flag = f"scan_conversion.compensate_motion={str(compensate).lower()}"
+        moving = load_scenario(SCENARIO, changes=[*changes, flag])
+        shown = scan(moving, X_TP=pose, velocity=[0.02, 0, 0])
+        volume = shown.volume
+        places = np.argwhere(volume.intensities > 150)
+        x, y, z = volume.position(places).T
+        keep = (np.abs(x) < 6e-3) & (np.abs(z) < 0.02) & (np.abs(y - 0.036) < 4e-3)
+        slopes[compensate] = np.polyfit(z[keep], x[keep], 1)[0]
+    # 20 mm/s for 303 ms, while the sweep goes over 43 mm of elevation at that depth.
+    assert slopes[False] == pytest.approx(-0.142, abs=0.03)
+    assert slopes[True] == pytest.approx(0, abs=0.02)
