@@ -232,6 +232,8 @@ def _outline(
     distance, _ = KDTree(_points(shaft, radius)).query(view.p_P)
     x, y = 1e3 * view.columns, 1e3 * view.rows
     distance = np.ma.masked_where(~inside, distance)
+    if distance.min() > _CLEARANCE:
+        return
     axes.contour(
         x, y, distance, levels=[_CLEARANCE], colors=_NEEDLE, linewidths=0.9, linestyles="dotted"
     )

@@ -76,6 +76,18 @@ def test_without_a_needle_the_probe_is_where_the_scenario_starts(scenario):
     assert sum(axes.get_visible() and axes.get_title(loc="left") != "" for axes in figure.axes) == 3
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_needle_beside_the_sector_is_left_out(scenario):
+    away = RigidTransform(RotationMatrix.MakeXRotation(-np.pi / 2), [0.09, 0.05, -0.004])
+    beside = scan(scenario, time=6.0, X_TP=away)
+    assert beside.needle
+    figure = scan_sheet(
+        beside.sweep, beside.volume, beside.needle, dynamic_range_db=60.0,
+        caption=caption(beside, scenario),
+    )  # fmt: skip
+    assert not any(axes.texts for axes in figure.axes)
+
+
 def test_the_sheet_reads_in_millimetres_and_decibels(scenario, shown):
     figure = scan_sheet(
         shown.sweep, shown.volume, shown.needle, dynamic_range_db=60.0,
