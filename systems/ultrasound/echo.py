@@ -54,7 +54,7 @@ def render_tissue(iq, X_FT, box, tile, rays, tables, pulse, kernel):  # type: ig
         From `line_kernel`.
     """
     frames, lines, samples = iq.shape
-    pad = kernel.shape[0] // 2 + 1
+    pad = len(kernel.ends) // 2 + 1
     taps = pulse.shape[1] // 2
     for frame in prange(frames):
         accumulator = np.zeros((lines + 2 * pad, 2 * (samples + 2 * taps)), np.float32)
