@@ -65,7 +65,7 @@ class Corners(NamedTuple):
 
 def pack_corners(
     samples: NDArray[np.uint8], first: tuple[int, ...], last: tuple[int, ...]
-) -> tuple[NDArray[np.uint32], Corners]:
+) -> tuple[NDArray[np.uint32], NDArray[np.uint32], Corners]:
     """Pack the samples of a sweep.
 
     Parameters
@@ -74,6 +74,13 @@ def pack_corners(
         (frames, lines, samples), log-compressed.
     first, last
         Frame, line and sample at which the first and the last cell begin.
+
+    Returns
+    -------
+    packed, beyond, corners
+        What is packed, the same from the second frame on, and how it is laid out. Bytes of a
+        number, lowest first: the sample, the next on its line, the sample on the next line, and
+        its next.
     """
     frames, lines, line_stride = (b - a + 1 for a, b in zip(first, last, strict=True))
     # A frame's stride is no multiple of the page: else neighbours would evict one another from
@@ -87,7 +94,7 @@ def pack_corners(
         *(np.int32(n) for n in (*first, *last)),
     )
     _pack(packed, corners, samples)
-    return packed, corners
+    return packed, packed[frame_stride:], corners
 
 
 @njit(parallel=True, **OPTIONS)
@@ -159,7 +166,7 @@ def rows_in_sector(
 
 
 @njit(parallel=True, **OPTIONS)
-def resample(volume, rows, packed, corners, sector, x, distance, step):  # type: ignore[no-untyped-def]
+def resample(volume, rows, packed, beyond, corners, sector, x, distance, step):  # type: ignore[no-untyped-def]
     """Fill the part of a volume that lies in the sector.
 
     Parameters
@@ -168,7 +175,7 @@ def resample(volume, rows, packed, corners, sector, x, distance, step):  # type:
         (nx, ny, nz) uint8, zeros.
     rows
         See `rows_in_sector`.
-    packed, corners, sector
+    packed, beyond, corners, sector
         The samples, and where they are.
     x
         Float32 coordinates of the elements, in m.
@@ -181,16 +188,18 @@ def resample(volume, rows, packed, corners, sector, x, distance, step):  # type:
             for part in range(2):
                 for n in range(np.uint64(rows[a, b, part, 0]), np.uint64(rows[a, b, part, 1])):
                     line, r = _line(x[a], distance[b, n], sector)
-                    volume[a, b, n] = _interpolate(packed, corners, sector, step[b, n], line, r)
+                    volume[a, b, n] = _interpolate(
+                        packed, beyond, corners, sector, step[b, n], line, r
+                    )
 
 
 @njit(parallel=True, **OPTIONS)
-def resample_moving(volume, rows, packed, corners, sector, x, y, z, poses):  # type: ignore[no-untyped-def]
+def resample_moving(volume, rows, packed, beyond, corners, sector, x, y, z, poses):  # type: ignore[no-untyped-def]
     """Fill the part of a volume that the sweep of a moving probe has seen.
 
     Parameters
     ----------
-    volume, rows, packed, corners, sector
+    volume, rows, packed, beyond, corners, sector
         See `resample`.
     x, y, z
         Float32 coordinates of the elements, in m, with the origin on the motor's axis.
@@ -209,7 +218,7 @@ def resample_moving(volume, rows, packed, corners, sector, x, y, z, poses):  # t
                     place = _seen(x[a], y[b], z[n], place, poses, sector)
                     place = _seen(x[a], y[b], z[n], place, poses, sector)
                     step, line, r = place
-                    volume[a, b, n] = _interpolate(packed, corners, sector, step, line, r)
+                    volume[a, b, n] = _interpolate(packed, beyond, corners, sector, step, line, r)
 
 
 @njit(**OPTIONS)
@@ -256,7 +265,7 @@ def _seen(x, y, z, place, poses, sector):  # type: ignore[no-untyped-def]
 
 
 @njit(**OPTIONS)
-def _interpolate(packed, corners, sector, step, line, r):  # type: ignore[no-untyped-def]
+def _interpolate(packed, beyond, corners, sector, step, line, r):  # type: ignore[no-untyped-def]
     """Grey level at a place, rounded; zero where one of the motor's directions does not sweep."""
     i = (r - sector.array_radius) * sector.samples_per_metre
     j = line + _HALF * sector.last_line
@@ -275,10 +284,9 @@ def _interpolate(packed, corners, sector, step, line, r):  # type: ignore[no-unt
         + (j0 - corners.first_line) * corners.line_stride
         + (i0 - corners.first_sample)
     )
-    beyond = at + np.uint32(corners.frame_stride)
     along, across = i - np.float32(i0), j - np.float32(j0)
     here = _bilinear(packed[at & _POSITIVE], along, across)
-    there = _bilinear(packed[beyond & _POSITIVE], along, across)
+    there = _bilinear(beyond[at & _POSITIVE], along, across)
     grey = here + (k - np.float32(k0)) * (there - here)
     return np.uint8(np.int32(grey + _HALF)) if inside else np.uint8(0)
 
