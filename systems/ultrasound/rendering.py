@@ -171,6 +171,28 @@ class SweepRenderer:
         """
         return self._render_echo(X_TP, needles, direction).copy()
 
+    def radio_frequency_lines(
+        self, X_TP: NDArray[np.float64], needles: Sequence[Needle], direction: int
+    ) -> NDArray[np.float32]:
+        """Radio-frequency lines, (frames, lines, samples): `echo` on its carrier, without noise.
+
+        The real part of echo exp(+2i k r), k = 2 pi / wavelength, r from the face; the sample
+        pitch must resolve it.
+
+        Raises
+        ------
+        ValueError
+            If the sample pitch is a quarter of the wavelength or more.
+        """
+        pitch, wavelength = self.geometry.sample_pitch, self.beam.wavelength
+        require(
+            pitch < wavelength / 4, "sample_pitch", pitch, f"below a quarter of {wavelength:g} m"
+        )
+        carrier = np.exp(4j * np.pi / wavelength * pitch * np.arange(self.geometry.samples))
+        iq = self._render_echo(X_TP, needles, direction)
+        lines: NDArray[np.float32] = (iq * carrier.astype(np.complex64)).real
+        return lines
+
     def render(
         self,
         X_TP: NDArray[np.float64],
