@@ -40,6 +40,8 @@ class NeedleKalmanFilterParameters:
     first_speed, first_drift
         Standard deviations of the tip's velocity along the needle, and of every point's in every
         direction, when a track starts, in m/s.
+    least_advance
+        Of the detections that follow one another, from the first to the last median, in m.
     largest_detection_jump
         Between the medians of detections that follow one another, in m.
     gate
@@ -56,9 +58,10 @@ class NeedleKalmanFilterParameters:
 
     order: int = 2
     motion: NeedleMotionParameters = field(default_factory=NeedleMotionParameters)
-    first_deviation: float = 1.2e-3
+    first_deviation: float = 1.0e-3
     first_speed: float = 4e-3
     first_drift: float = 2e-3
+    least_advance: float = 2.5e-3
     largest_detection_jump: float = 10e-3
     gate: float = 0.9999
     volumes_to_confirm: int = 4
@@ -72,6 +75,7 @@ class NeedleKalmanFilterParameters:
             first_deviation=self.first_deviation,
             first_speed=self.first_speed,
             first_drift=self.first_drift,
+            least_advance=self.least_advance,
             largest_detection_jump=self.largest_detection_jump,
             gate=self.gate,
             withdrawn_length=self.withdrawn_length,
@@ -104,27 +108,30 @@ def _track(
 def start_track(
     track: NeedleTrack, detection: InsertionDetection, parameters: NeedleKalmanFilterParameters
 ) -> NeedleTrack:
-    """Start a track, not yet confirmed, at the second of two detections that follow one another.
+    """Start a track, not yet confirmed, once detections that follow one another have advanced.
 
-    A single detection is remembered only: where the tissue trembles, something bright may seem to
-    change once. The first of them tells best where the needle entered, the last where its tip is.
+    Where the tissue trembles, something bright may seem to change, but it stays where it is. What
+    moves in a needle is its tip: from the first median to the last is the needle's direction.
     """
     first, last = track.detections or (detection, detection)
     jump = float(np.linalg.norm(detection.p_WMedian - last.p_WMedian))
-    if first is detection or jump > parameters.largest_detection_jump:
-        return NeedleTrack(
-            TrackingMode.SEARCHING,
-            detection.time,
-            parameters.motion,
-            detections=(detection, detection),
-        )
-    u = np.linspace(0, 1, parameters.order)
-    points = first.p_WEntry + np.outer(u, detection.p_WMedian - first.p_WEntry)
+    if jump > parameters.largest_detection_jump:
+        first = detection
+    empty = NeedleTrack(
+        TrackingMode.SEARCHING,
+        detection.time,
+        parameters.motion,
+        detections=(first, detection),
+    )
+    advance = detection.p_WMedian - first.p_WMedian
+    if np.linalg.norm(advance) < parameters.least_advance:
+        return empty
+    points = first.p_WMedian + np.outer(np.linspace(0, 1, parameters.order), advance)
     covariance = parameters.first_deviation**2 * np.eye(points.size)
     started = _track(
         TrackingMode.SEARCHING, detection.time, NeedleCurve(points), covariance, parameters
     )
-    return replace(started, detections=(first, detection))
+    return replace(started, detections=empty.detections)
 
 
 def restart_track(

@@ -129,6 +129,7 @@ class _Region:
     radius: float
     before: float
     beyond: float
+    shaft_beyond: float
     largest_angle: float
     entry: NDArray[np.float64] | None = None
     tip_moved: bool = False
@@ -153,13 +154,14 @@ def _predicted_region(
     return _Region(
         curve=curve,
         radius=min(margin + 3 * across, parameters.largest_radius),
-        before=margin,
+        before=parameters.largest_entry_gap if searching else margin,
+        shaft_beyond=along,
         # Of what has just been detected, the tip is known best.
         beyond=min(3 * along + (0 if searching else margin), 3 * parameters.largest_radius),
         largest_angle=min(
             math.radians(parameters.largest_angle_deg)
             + math.atan2(3 * across, max(curve.chord, 1e-3)),
-            math.pi / 2,
+            math.pi / 4 if searching else math.pi / 2,
         ),
         # Of what has just been detected, the entry is a guess.
         entry=None if searching else entry,
@@ -180,7 +182,8 @@ def _localize_in(
         volume,
         axis,
         start=-region.before,
-        stop=region.curve.chord + region.beyond,
+        # The shaft tells the axis; what lies beyond the predicted tip may be something else.
+        stop=region.curve.chord + region.shaft_beyond,
         radius=region.radius,
         cross_section=parameters.cross_section,
         slab=parameters.slab,
@@ -346,6 +349,7 @@ def localize(
                 radius=2 * parameters.margin,
                 before=parameters.search_reach,
                 beyond=parameters.search_reach,
+                shaft_beyond=parameters.search_reach,
                 largest_angle=math.radians(2 * parameters.largest_angle_deg),
             ),
             parameters,

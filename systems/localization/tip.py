@@ -239,13 +239,12 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
     if last < 0:
         return NotFound("nothing along the axis stands out from the background")
     tip = _tip(profile, contrast, first, last, parameters)
+    unseen = np.flatnonzero(~profile.seen)
     beyond = np.searchsorted(profile.a, profile.a[last] + parameters.smoothing)
     return NeedleExtent(
         start=float(profile.a[first]),
         tip=tip,
-        entered=float(profile.a[first - int(np.argmin(profile.seen[first::-1]))])
-        if not profile.seen[: first + 1].all()
-        else float(profile.a[0]),
+        entered=float(profile.a[max(unseen[unseen < first], default=0)]),
         leaves=bool(beyond >= len(profile.a) or not profile.seen[beyond]),
         evidence=float(evidence[first : last + 1].sum()) * step,
     )

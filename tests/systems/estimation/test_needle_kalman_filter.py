@@ -122,14 +122,14 @@ def test_prediction_never_goes_back():
     assert track.predicted(0.5) is track
 
 
-def test_two_detections_start_a_track():
-    empty = NeedleTrack(TrackingMode.SEARCHING, 0.0, PARAMETERS.motion)
-    once = start_track(empty, detection(2e-3, 1.0), PARAMETERS)
-    assert not once
-    twice = start_track(once, detection(4e-3, 1.5), PARAMETERS)
-    assert twice
-    np.testing.assert_allclose(twice.curve.control_points, [[0, 0, 0], [4e-3, 0, 0]])
-    elsewhere = start_track(once, detection(30e-3, 1.5), PARAMETERS)
+def test_detections_that_advance_start_a_track():
+    track = NeedleTrack(TrackingMode.SEARCHING, 0.0, PARAMETERS.motion)
+    for x in (2e-3, 2.5e-3, 2e-3, 3e-3):
+        track = start_track(track, detection(x, 1.0), PARAMETERS)
+        assert not track
+    started = start_track(track, detection(5e-3, 1.5), PARAMETERS)
+    np.testing.assert_allclose(started.curve.control_points, [[2e-3, 0, 0], [5e-3, 0, 0]])
+    elsewhere = start_track(track, detection(30e-3, 1.5), PARAMETERS)
     assert not elsewhere
 
 
@@ -161,7 +161,7 @@ class Bench:
     def track_from(self, time=0.0):
         """Detect and confirm a needle whose tip is at 30 mm."""
         self.step(time, detection=detection(3e-3, time))
-        self.step(time + 0.3, detection=detection(5e-3, time + 0.3))
+        self.step(time + 0.3, detection=detection(6e-3, time + 0.3))
         return self.step(time + 0.6, measurement=measurement(time=time + 0.6))
 
 
@@ -173,7 +173,7 @@ def test_detection_then_confirmation():
     bench = Bench()
     assert bench.estimate.mode == TrackingMode.SEARCHING
     estimate = bench.step(0.0, detection=detection(3e-3, 0.0))
-    estimate = bench.step(0.3, detection=detection(5e-3, 0.3))
+    estimate = bench.step(0.3, detection=detection(6e-3, 0.3))
     assert (estimate.mode, bool(estimate)) == (TrackingMode.SEARCHING, False)
     estimate = bench.step(0.6, measurement=measurement(time=0.58))
     assert estimate.mode == TrackingMode.TRACKING
@@ -184,7 +184,7 @@ def test_detection_then_confirmation():
 def test_unconfirmed_detection_is_forgotten():
     bench = Bench(volumes_to_confirm=2)
     bench.step(0.0, detection=detection(3e-3, 0.0))
-    bench.step(0.3, detection=detection(5e-3, 0.3))
+    bench.step(0.3, detection=detection(6e-3, 0.3))
     for k in range(3):
         bench.step(0.6 + 0.3 * k)
     assert not bench.filter.GetOutputPort("prediction").Eval(bench.context)
