@@ -76,25 +76,26 @@ class InsertionDetection(Immutable):
 
     Parameters
     ----------
-    p_WEntry, p_WMedian
-        (3,) the candidate entry point E_t on the side of the field of view, and the candidates'
-        geometric median, in m.
+    p_WEntry, p_WMedian, p_WTip
+        (3,) the candidate entry point E_t on the side of the field of view, the candidates'
+        geometric median, and that of the half farther from the entry, in m.
     deviation
         Root of the trace of the candidates' covariance, in m.
     change
         Least difference among the candidates, in dB.
     time
-        When the median was acquired, in s.
+        When the tip was acquired, in s.
     """
 
     p_WEntry: NDArray[np.float64]
     p_WMedian: NDArray[np.float64]
+    p_WTip: NDArray[np.float64]
     deviation: float
     change: float
     time: float
 
     def __post_init__(self) -> None:
-        for name in ("p_WEntry", "p_WMedian"):
+        for name in ("p_WEntry", "p_WMedian", "p_WTip"):
             object.__setattr__(self, name, read_only(getattr(self, name), name, (3,)))
 
 
@@ -201,8 +202,10 @@ def detect_insertion(
     depth = float(np.linalg.norm(entry - median))
     if depth > parameters.largest_depth:
         return NotFound(f"the change lies {1e3 * depth:.1f} mm inside the field of view")
-    p_W, times = volume.to_world(np.stack([entry, median]))
-    return InsertionDetection(p_W[0], p_W[1], deviation, change, float(times[1]))
+    away = np.linalg.norm(p_P - entry, axis=1)
+    tip = geometric_median(p_P[away >= np.median(away)])
+    p_W, times = volume.to_world(np.stack([entry, median, tip]))
+    return InsertionDetection(p_W[0], p_W[1], p_W[2], deviation, change, float(times[2]))
 
 
 class InsertionDetector(LeafSystem):

@@ -41,9 +41,9 @@ class NeedleKalmanFilterParameters:
         Standard deviations of the tip's velocity along the needle, and of every point's in every
         direction, when a track starts, in m/s.
     least_advance
-        Of the detections that follow one another, from the first to the last median, in m.
+        Of the tip, from the first to the last of detections that follow one another, in m.
     largest_detection_jump
-        Between the medians of detections that follow one another, in m.
+        Of the tip between detections that follow one another, in m.
     gate
         Probability that a true measurement passes the gate on the innovation.
     volumes_to_confirm
@@ -110,11 +110,11 @@ def start_track(
 ) -> NeedleTrack:
     """Start a track, not yet confirmed, once detections that follow one another have advanced.
 
-    Where the tissue trembles, something bright may seem to change, but it stays where it is. What
-    moves in a needle is its tip: from the first median to the last is the needle's direction.
+    Where the tissue trembles, something bright may seem to change, but it stays where it is. From
+    the first detection's tip to the last one's is the needle's direction.
     """
     first, last = track.detections or (detection, detection)
-    jump = float(np.linalg.norm(detection.p_WMedian - last.p_WMedian))
+    jump = float(np.linalg.norm(detection.p_WTip - last.p_WTip))
     if jump > parameters.largest_detection_jump:
         first = detection
     empty = NeedleTrack(
@@ -123,10 +123,10 @@ def start_track(
         parameters.motion,
         detections=(first, detection),
     )
-    advance = detection.p_WMedian - first.p_WMedian
+    advance = detection.p_WTip - first.p_WTip
     if np.linalg.norm(advance) < parameters.least_advance:
         return empty
-    points = first.p_WMedian + np.outer(np.linspace(0, 1, parameters.order), advance)
+    points = first.p_WTip + np.outer(np.linspace(0, 1, parameters.order), advance)
     covariance = parameters.first_deviation**2 * np.eye(points.size)
     started = _track(
         TrackingMode.SEARCHING, detection.time, NeedleCurve(points), covariance, parameters

@@ -38,7 +38,8 @@ def measurement(tip=0.03, time=0.0, y=0.0, entry=0.0):
 
 
 def detection(x, time):
-    return InsertionDetection(np.zeros(3), np.array([x, 0, 0]), 1e-3, 6.0, time)
+    at = np.array([x, 0, 0])
+    return InsertionDetection(np.zeros(3), at, at, 1e-3, 6.0, time)
 
 
 def volume(time):
@@ -124,7 +125,7 @@ def test_prediction_never_goes_back():
 
 def test_detections_that_advance_start_a_track():
     track = NeedleTrack(TrackingMode.SEARCHING, 0.0, PARAMETERS.motion)
-    for x in (2e-3, 2.5e-3, 2e-3, 3e-3):
+    for x in (2e-3, 2.5e-3, 2e-3, 3.2e-3):
         track = start_track(track, detection(x, 1.0), PARAMETERS)
         assert not track
     started = start_track(track, detection(5e-3, 1.5), PARAMETERS)
