@@ -101,6 +101,8 @@ def main() -> None:
     """Run the command line; a user's mistake is one line and exit code 2."""
     try:
         app()
-    except ConfigurationError as error:
+    except (ConfigurationError, OSError) as error:
         print(f"sonoservo: {error}", file=sys.stderr)
         sys.exit(2)
+    except KeyboardInterrupt:
+        sys.exit(130)

@@ -101,6 +101,7 @@ class Experiment:
             parameters=scenario.tracker,
             period=self._volume_period,
             offset=self._first_volume,
+            dynamic_range_db=scenario.imaging.dynamic_range_db,
             seed=tracker_seed,
         )
         self.probe_controller = MakeProbeController(parameters=scenario.controller)

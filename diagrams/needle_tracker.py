@@ -66,6 +66,7 @@ def MakeNeedleTracker(
     parameters: NeedleTrackerParameters | None = None,
     period: float,
     offset: float = 0.0,
+    dynamic_range_db: float = 60.0,
     seed: int = 0,
 ) -> Diagram:
     """Make a needle tracker.
@@ -89,10 +90,14 @@ def MakeNeedleTracker(
         Which tracker, and its parts.
     period, offset
         Of the events at which it looks for a new volume, in s.
+    dynamic_range_db
+        Range of echo amplitudes that the intensities 0 to 255 of the volumes show; it takes the
+        place of the parts' own ``decibels_per_level``.
     seed
         Of every random choice.
     """
     parameters = parameters or NeedleTrackerParameters()
+    scale = {"decibels_per_level": dynamic_range_db / 255}
     builder = DiagramBuilder()
     memory = builder.AddNamedSystem(
         "volume_memory",
@@ -104,12 +109,18 @@ def MakeNeedleTracker(
         ),
     )
     detector = builder.AddNamedSystem(
-        "insertion_detector", InsertionDetector(parameters=parameters.detector, seed=seed)
+        "insertion_detector",
+        InsertionDetector(parameters=replace(parameters.detector, **scale), seed=seed),
     )
     localizer = builder.AddNamedSystem(
         "needle_localizer",
         NeedleLocalizer(
-            parameters=replace(parameters.localizer, order=parameters.order), seed=seed
+            parameters=replace(
+                parameters.localizer,
+                order=parameters.order,
+                tip=replace(parameters.localizer.tip, **scale),
+            ),
+            seed=seed,
         ),
     )
     kalman_filter = builder.AddNamedSystem(
@@ -142,6 +153,7 @@ def track(
     volumes: Iterable[Volume],
     *,
     parameters: NeedleTrackerParameters | None = None,
+    dynamic_range_db: float = 60.0,
     seed: int = 0,
 ) -> list[NeedleEstimate]:
     """Track a needle through volumes in order of time, without a simulation.
@@ -152,6 +164,8 @@ def track(
         From any source.
     parameters
         Of the tracker.
+    dynamic_range_db
+        See `MakeNeedleTracker`.
     seed
         Of every random choice.
 
@@ -160,7 +174,9 @@ def track(
     The estimate after each volume.
     """
     # No event is ever due: one is forced for each volume.
-    tracker = MakeNeedleTracker(parameters=parameters, period=1.0, seed=seed)
+    tracker = MakeNeedleTracker(
+        parameters=parameters, period=1.0, dynamic_range_db=dynamic_range_db, seed=seed
+    )
     context = tracker.CreateDefaultContext()
     estimates: list[NeedleEstimate] = []
     for volume in volumes:

@@ -84,6 +84,8 @@ class Scenario:
 
     def __post_init__(self) -> None:
         require_positive(duration=self.duration, processing_time=self.processing_time)
+        plain = self.name.strip() and not set(self.name) & set("/\\\0")
+        require(bool(plain) and self.name not in (".", ".."), "name", self.name, "a plain name")
         require(self.seed >= 0, "seed", self.seed, "a whole number of at least 0")
 
     def to_yaml(self) -> str:

@@ -14,7 +14,7 @@ from sonoservo.diagrams.experiment import Experiment
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.estimation.estimate import NeedleEstimate
 from sonoservo.systems.recording.files import write_atomically
-from sonoservo.systems.recording.metrics import summarize
+from sonoservo.systems.recording.metrics import MetricsParameters, summarize
 from sonoservo.systems.recording.plots import plot_errors, plot_run, png
 from sonoservo.systems.recording.replay import save_replay
 from sonoservo.systems.recording.report import write_report
@@ -102,6 +102,7 @@ def run(
             write_log(out / "log.npz", log)
     wall = time.perf_counter() - started
 
+    target = scenario.controller.force.force
     summary = {
         "scenario": scenario.name,
         "seed": scenario.seed,
@@ -109,13 +110,13 @@ def run(
         "interrupted": interrupted,
         "wall_s": wall,
         "real_time_factor": experiment.time / wall,
-        **summarize(log),
+        **summarize(log, MetricsParameters(force_target=target)),
     }
     if out is not None:
         write_atomically(out / "summary.json", json.dumps(summary, indent=2))
         if meshcat is not None:
             save_replay(meshcat, out / "replay.html")
-        figures = {"features, tip, probe, force": plot_run(log), "errors": plot_errors(log)}
+        figures = {"features, tip, probe, force": plot_run(log, target), "errors": plot_errors(log)}
         images = {name: png(figure) for name, figure in figures.items()}
         write_atomically(out / "run.png", images["features, tip, probe, force"])
         write_atomically(out / "errors.png", images["errors"])
@@ -123,6 +124,7 @@ def run(
             out / "report.html",
             summary,
             images,
+            command=f"sonoservo run {out / 'scenario.yaml'}",
             paper=scenario.published,
             replay="replay.html" if meshcat is not None else "",
         )

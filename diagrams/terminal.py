@@ -17,8 +17,9 @@ from sonoservo.systems.estimation.estimate import NeedleEstimate
 _ROWS = {
     "detection.volume": "insertion detected at volume",
     "detection.visible_mm": "needle in view at detection, mm",
-    "detection.false_starts": "false starts before it",
-    "tracking.tracked": "volumes with a tracked needle",
+    "detection.false_starts": "false starts in the whole run",
+    "tracking.volumes": "volumes since then, with the needle in the tissue",
+    "tracking.tracked": "of these, needle tracked",
     "tracking.lost_events": "times lost",
     "tracking.tip_error_mm.median": "tip error, median, mm",
     "tracking.tip_error_mm.p95": "tip error, 95 %, mm",

@@ -6,6 +6,7 @@ field, the nearest known name, and the dataclasses' own validation.
 
 import dataclasses
 import difflib
+import math
 import types
 import typing
 from collections.abc import Iterable, Mapping
@@ -137,7 +138,7 @@ def _check(schema: Any, value: Any, source: str, path: str) -> None:
             _check(typing.get_args(schema)[0], item, source, f"{path}.{index}")
     elif schema is float:
         if isinstance(value, bool) or not _is_number(value):
-            fail("a number")
+            fail("a finite number")
     elif schema is int:
         if isinstance(value, bool) or not isinstance(value, int):
             fail("a whole number")
@@ -151,10 +152,9 @@ def _check(schema: Any, value: Any, source: str, path: str) -> None:
 def _is_number(value: Any) -> bool:
     # YAML 1.1 reads 1e-3, which lacks the point, as text; Drake and people read it as a number.
     try:
-        float(value)
+        return math.isfinite(float(value))
     except (TypeError, ValueError):
         return False
-    return True
 
 
 def _validated(value: Any, source: str, path: str) -> Any:

@@ -122,6 +122,7 @@ def start_track(
         detection.time,
         parameters.motion,
         detections=(first, detection),
+        reason="something moved; the needle is not confirmed yet",
     )
     advance = detection.p_WTip - first.p_WTip
     if np.linalg.norm(advance) < parameters.least_advance:

@@ -145,11 +145,9 @@ def _predicted_region(
     assert track.covariance is not None
     curve, n, k = track.curve, track.order, track.curve.direction
     project = np.eye(3) - np.outer(k, k)
-    across = along = 0.0
-    for i in (0, n - 1):
-        block = track.covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
-        along = math.sqrt(float(k @ block @ k))
-        across = max(across, math.sqrt(np.linalg.eigvalsh(project @ block @ project)[-1]))
+    ends = [track.covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] for i in (0, n - 1)]
+    along = math.sqrt(float(k @ ends[-1] @ k))
+    across = max(math.sqrt(np.linalg.eigvalsh(project @ end @ project)[-1]) for end in ends)
     margin = parameters.margin + track.missed * parameters.margin_growth
     return _Region(
         curve=curve,

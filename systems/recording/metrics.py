@@ -128,7 +128,8 @@ def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     `lost_events`: how often that began;
     `tip_error_mm`: distance from the estimated to the true tip; `tip_axial_error_mm` and
     `tip_lateral_error_mm`: its parts along and across the true needle;
-    `axis_error_deg`: angle between the estimated and the true direction, entry to tip;
+    `axis_error_deg`: angle between the estimated and the true direction, entry to tip: between
+    chords, so for a bent needle also how much it bends before it comes into view;
     each {median, p95, max}; `tip_axial_bias_mm`: mean of the signed axial part, above zero where
     the estimate lies beyond the true tip.
     """
@@ -260,17 +261,6 @@ def needle_speed(log: RunLog, window: float) -> Floats:
         for t in (middle - half, middle, middle + half)
     )
     speed[known] = np.linalg.norm(after - 2 * now + before, axis=1) / half**2
-    return speed
-    time, tip = log.time[known], log.needle_tip[known]
-    travelled = cumulative_trapezoid(tip, time, axis=0, initial=0)
-    ends = np.clip(time + window / 2 * np.array([[-1], [0], [1]]), time[0], time[-1])
-    integral = np.stack([np.interp(ends, time, column) for column in travelled.T], axis=-1)
-    duration = np.diff(ends, axis=0)[..., np.newaxis]
-    mean = np.where(
-        duration > 0, np.diff(integral, axis=0) / np.where(duration > 0, duration, 1), tip
-    )
-    between = 0.5 * (ends[2] - ends[0])
-    speed[known] = np.linalg.norm(mean[1] - mean[0], axis=1) / between
     return speed
 
 

@@ -2,6 +2,7 @@
 
 import io
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -119,11 +120,6 @@ class RunLog(Immutable):
         """(n, 3) unit vectors from the estimated entry to the estimated tip, in W."""
         return unit(self.estimate_tip - self.estimate_entry)
 
-    @property
-    def needle_direction(self) -> Array:
-        """(n, 3) unit vectors from the true entry to the true tip, in W."""
-        return unit(self.needle_tip - self.needle_entry)
-
 
 def unit(vectors: Array) -> Array:
     """Return (m, 3) vectors divided by their lengths; NaN where there is none."""
@@ -176,7 +172,15 @@ def read_log(path: str | Path) -> RunLog:
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
-    except (OSError, EOFError, ValueError, AttributeError, zipfile.BadZipFile) as error:
+    except (
+        OSError,
+        EOFError,
+        ValueError,
+        TypeError,
+        AttributeError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
         raise ValueError(f"{path} is not a log, or only a part of one: {error}") from error
     version = arrays.pop("format", None)
     if version is None or version.shape or int(version) != FORMAT:

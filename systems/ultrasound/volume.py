@@ -17,8 +17,9 @@ class Volume(Immutable):
     Parameters
     ----------
     intensities
-        (nx, ny, nz) array of uint8, or finite float32; element [i, j, k] lies at
-        ``origin + spacing * (i, j, k)`` in P. Zero outside the sector.
+        (nx, ny, nz) array of uint8, or finite float32 on the same scale: echo amplitudes,
+        log-compressed to 0 to 255. Element [i, j, k] lies at ``origin + spacing * (i, j, k)`` in P.
+        Zero outside the sector.
     origin
         (3,) position in P of element [0, 0, 0], in m.
     spacing

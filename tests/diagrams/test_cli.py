@@ -74,3 +74,30 @@ def test_a_short_run_leaves_its_files_and_its_summary(tmp_path):
     assert summary["simulated_s"] == pytest.approx(2.5)
     assert summary["interrupted"] is False
     assert summary["force"]["max_n"] > 1.5
+
+
+def test_results_that_cannot_be_written_are_one_line_and_exit_code_2(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    result = sonoservo(
+        "run", "chatelain2013_fig5", "--no-meshcat", "--out", str(tmp_path / "file" / "out")
+    )
+    assert result.returncode == 2
+    assert len(result.stderr.strip().splitlines()) == 1
+
+
+def test_the_force_that_was_asked_for_is_what_the_error_is_taken_from(tmp_path):
+    result = sonoservo(
+        "run",
+        "chatelain2013_fig5",
+        "--no-meshcat",
+        "--set",
+        "duration=5",
+        "--set",
+        "controller.force.force=4",
+        "--out",
+        str(tmp_path),
+    )
+    assert result.returncode == 0, result.stderr
+    force = json.loads((tmp_path / "summary.json").read_text())["force"]
+    assert force["mean_n"] == pytest.approx(4, abs=0.1)
+    assert force["rms_error_n"] < 0.1

@@ -107,3 +107,12 @@ def test_parameters_survive_yaml():
 def test_parameters_are_checked(field, value):
     with pytest.raises(ValueError, match=field):
         NeedleTrackerParameters(**{field: value})
+
+
+def test_the_volumes_scale_reaches_detector_and_localizer():
+    """Half the range over the same grey levels: every change counts half as many dB."""
+    scene = Scene(seed=3)
+    volumes = [scene.volume(k) for k in range(12)]
+    reasons = [track(volumes, dynamic_range_db=range_db)[-1].reason for range_db in (60.0, 30.0)]
+    full, half = (float(reason.split(" more than ")[1].split()[0]) for reason in reasons)
+    assert half == pytest.approx(full / 2, abs=0.1)

@@ -55,6 +55,8 @@ def test_a_file_of_ones_own_and_the_whole_of_it_read_back(tmp_path):
         ("chatelain2013_fig5", ["imaging.volume_rate=fast"], "imaging.volume_rate: 'fast'"),
         ("chatelain2013_fig5", ["duration=0"], "duration: 0.0"),
         ("chatelain2013_fig5", ["seed=-1"], "seed: -1"),
+        ("chatelain2013_fig5", ["name=../../elsewhere"], "name: '../../elsewhere'"),
+        ("chatelain2013_fig5", ["hand.azimuth_deg=.nan"], "hand.azimuth_deg: nan"),
         ("chatelain2013_fig5", ["tracker.kind=zhao"], "tracker.kind: 'zhao'"),
     ],
 )
