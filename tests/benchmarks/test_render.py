@@ -10,6 +10,7 @@ import time
 import numpy as np
 import pytest
 from pymust_referee import middle_line
+from zhao2012 import ZHAO
 
 from sonoservo.systems.needle.needle import Needle
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
@@ -18,16 +19,6 @@ from sonoservo.systems.ultrasound.tissue import load_tissue
 from sonoservo.systems.ultrasound.transducer import Transducer, load_transducer
 
 LARGE = ImagingParameters(depth=0.1476, sector=1.0, frames=31, volume_rate=1.3)
-ZHAO = ImagingParameters(
-    depth=0.07435,
-    sector=1.0,
-    transmit_frequency=7.5e6,
-    focus_depth=0.05,
-    frame_pitch_deg=0.7547,
-    volume_rate=1.0,
-    frames=53,
-    sample_pitch=2.8519e-5,
-)
 SIZES = {
     "27 x 96 x 293": ("4dc7_3_40", ImagingParameters()),
     "31 x 128 x 480": ("4dc7_3_40", LARGE),

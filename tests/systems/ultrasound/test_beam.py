@@ -3,6 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 from pymust_referee import middle_line
+from zhao2012 import ZHAO
 
 from sonoservo.systems.ultrasound.beam import (
     axial_width,
@@ -102,19 +103,7 @@ def test_transmit_focus_sharpens_the_beam_at_its_depth():
     ("name", "imaging"),
     [
         ("4dc7_3_40", ImagingParameters()),
-        (
-            "zhao2012",
-            ImagingParameters(
-                depth=0.074,
-                sector=1.0,
-                transmit_frequency=7.5e6,
-                focus_depth=0.05,
-                frame_pitch_deg=0.7547,
-                volume_rate=1.0,
-                frames=53,
-                sample_pitch=0.1e-3,
-            ),
-        ),
+        ("zhao2012", dataclasses.replace(ZHAO, depth=0.074, sample_pitch=0.1e-3)),
         ("trus", ImagingParameters(depth=0.06, transmit_frequency=6.5e6, focus_depth=0.03)),
     ],
 )

@@ -2,21 +2,11 @@ import dataclasses
 
 import numpy as np
 import pytest
+from zhao2012 import ZHAO
 
 from sonoservo.systems.typed_yaml import ConfigurationError
 from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
 from sonoservo.systems.ultrasound.transducer import Transducer, load_transducer
-
-ZHAO = ImagingParameters(
-    depth=0.07435,
-    sector=1.0,
-    transmit_frequency=7.5e6,
-    focus_depth=0.05,
-    frame_pitch_deg=0.7547,
-    volume_rate=1.0,
-    frames=53,
-    sample_pitch=2.8519e-5,
-)
 
 
 def test_shipped_transducers_load():
