@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 import pytest
+from skimage.feature import match_template
 from skimage.measure import LineModelND, ransac
 from synthetic_volumes import Scene, entry_on_side
 
@@ -14,6 +15,9 @@ from sonoservo.systems.detection.insertion_detector import (
 from sonoservo.systems.estimation.estimate import TrackingMode
 from sonoservo.systems.estimation.track import NeedleMotionParameters, NeedleTrack
 from sonoservo.systems.localization.needle_localizer import NeedleLocalizerParameters, localize
+from sonoservo.systems.localization.normalized_cross_correlation import (
+    normalized_cross_correlation,
+)
 from sonoservo.systems.localization.ransac import ransac_axis
 
 ENTRY = entry_on_side()
@@ -87,3 +91,13 @@ def test_ransac(benchmark, ratio):
         )
 
     compare(benchmark, "scikit-image: measure.ransac", median_time(theirs))
+
+
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+def test_normalized_cross_correlation(benchmark, dtype):
+    search = np.random.default_rng(0).normal(size=(11, 37, 61)).astype(dtype)
+    kernel = search[2:9, 8:29, 5:56].copy()
+    rho = benchmark(lambda: normalized_cross_correlation(search, kernel))
+    assert rho.max() == pytest.approx(1)
+    theirs = median_time(lambda: match_template(search, kernel), 9)
+    compare(benchmark, "scikit-image: feature.match_template", theirs)
