@@ -80,15 +80,15 @@ def test_finds_a_displacement_to_a_fraction_of_a_sample(samples_per_period):
     errors, rounded = [], []
     for seed in range(40):
         displacement = rng.uniform(-1.4, 1.4, 3)
-        kernel = texture((11, 17, 41), np.full(3, -3), samples_per_period, seed)
-        match = best_match(texture((17, 23, 47), displacement, samples_per_period, seed), kernel)
+        kernel = texture((15, 21, 41), np.full(3, -3), samples_per_period, seed)
+        match = best_match(texture((21, 27, 47), displacement, samples_per_period, seed), kernel)
         assert isinstance(match, Match)
         assert not match.at_border.any()
         errors.append(match.position - 3 - displacement)
         rounded.append(np.round(match.position) - 3 - displacement)
     error, coarse = np.std(errors, axis=0), np.std(rounded, axis=0)
     assert (np.abs(np.mean(errors, axis=0)) < 0.03).all()
-    assert (error < 0.06).all()
+    assert (error < 0.1).all()
     assert (coarse > 0.2).all()
 
 
