@@ -1,7 +1,8 @@
-"""The command line: ``sonoservo list``, ``run`` and ``scan``."""
+"""The command line: ``sonoservo list``, ``run``, ``scan`` and ``reproduce``."""
 
-import json
+import shlex
 import sys
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,9 +13,11 @@ from rich.table import Table
 from sonoservo.diagrams.scan import caption, scan, summarize_scan, write_scan
 from sonoservo.diagrams.scenario import list_scenarios, load_scenario
 from sonoservo.diagrams.simulation import run
-from sonoservo.diagrams.terminal import Progress, start_display, summary_table
-from sonoservo.systems.recording.files import write_atomically
-from sonoservo.systems.typed_yaml import ConfigurationError
+from sonoservo.diagrams.study import StudyOptions
+from sonoservo.diagrams.study_report import write_study
+from sonoservo.diagrams.terminal import Progress, start_display, study_table, summary_table
+from sonoservo.systems.recording.files import write_json
+from sonoservo.systems.typed_yaml import ConfigurationError, suggest
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -23,6 +26,9 @@ app = typer.Typer(
     help="A robot holds a 3D ultrasound probe, finds a needle and follows it.",
 )
 _console = Console()
+
+_PAPERS = ("chatelain2013",)
+"""Modules of `sonoservo.diagrams`, each with ``reproduce(options: StudyOptions) -> Study``."""
 
 JsonOption = Annotated[
     Path | None, typer.Option("--json", help="Also write what is printed to this file.")
@@ -92,9 +98,52 @@ def scan_command(
     _write_json(json_path, summary)
 
 
+@app.command("reproduce")
+def reproduce_command(
+    paper: Annotated[str, typer.Argument(help=f"One of {', '.join(_PAPERS)}.")],
+    quick: Annotated[bool, typer.Option("--quick", help="A few short runs, in minutes.")] = False,
+    seeds: Annotated[int | None, typer.Option(help="Number of seeds of each experiment.")] = None,
+    first_seed: Annotated[int, typer.Option(help="The first of them.")] = 0,
+    out: Annotated[Path | None, typer.Option(help="Folder for the results.")] = None,
+    jobs: Annotated[int, typer.Option(help="Processes; -1 means one for each core.")] = -1,
+    json_path: JsonOption = None,
+) -> None:
+    """Repeat a paper's experiments over many seeds, beside its figures and the truth.
+
+    What is done is kept: the same command goes on where it was interrupted.
+    """
+    if paper not in _PAPERS:
+        raise ConfigurationError(f"unknown paper {paper!r}; {suggest(paper, _PAPERS)}")
+    folder = out or Path("out") / f"{paper}{'_quick' if quick else ''}"
+    command = ["sonoservo", "reproduce", paper, *(["--quick"] if quick else [])]
+    command += [] if seeds is None else ["--seeds", str(seeds)]
+    command += ["--first-seed", str(first_seed)] if first_seed else []
+    command += [] if out is None else ["--out", str(out)]
+    try:
+        options = StudyOptions(
+            folder=folder,
+            quick=quick,
+            seeds=seeds,
+            first_seed=first_seed,
+            jobs=jobs,
+            console=_console,
+        )
+    except ValueError as error:
+        raise ConfigurationError(str(error)) from error
+    try:
+        study = import_module(f"sonoservo.diagrams.{paper}").reproduce(options)
+    except KeyboardInterrupt:
+        _console.print(f"Interrupted. What is done is in {folder}; the same command goes on.")
+        raise
+    data = write_study(folder, study, shlex.join(command))
+    _console.print(study_table(study))
+    _console.print(f"Results, starting with the report: {folder / 'report.html'}", soft_wrap=True)
+    _write_json(json_path, data)
+
+
 def _write_json(path: Path | None, data: Any) -> None:
     if path is not None:
-        write_atomically(path, json.dumps(data, indent=2))
+        write_json(path, data)
 
 
 def main() -> None:

@@ -1,6 +1,5 @@
 """One run of a scenario, from the first volume to the files that remain."""
 
-import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,7 +12,7 @@ from pydrake.geometry import Meshcat
 from sonoservo.diagrams.experiment import Experiment
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.estimation.estimate import NeedleEstimate
-from sonoservo.systems.recording.files import write_atomically
+from sonoservo.systems.recording.files import write_atomically, write_json
 from sonoservo.systems.recording.metrics import MetricsParameters, summarize
 from sonoservo.systems.recording.plots import plot_errors, plot_run, png
 from sonoservo.systems.recording.replay import save_replay
@@ -113,7 +112,7 @@ def run(
         **summarize(log, MetricsParameters(force_target=target)),
     }
     if out is not None:
-        write_atomically(out / "summary.json", json.dumps(summary, indent=2))
+        write_json(out / "summary.json", summary)
         if meshcat is not None:
             save_replay(meshcat, out / "replay.html")
         figures = {"features, tip, probe, force": plot_run(log, target), "errors": plot_errors(log)}

@@ -12,6 +12,7 @@ from rich.progress import Progress as RichProgress
 from rich.table import Table
 
 from sonoservo.diagrams.scenario import Scenario
+from sonoservo.diagrams.study_report import Study, target_text
 from sonoservo.systems.estimation.estimate import NeedleEstimate
 
 _ROWS = {
@@ -69,6 +70,27 @@ def summary_table(summary: Mapping[str, Any], published: Mapping[str, float]) ->
         if published:
             cells.append(format_figure(published[path]) if path in published else "")
         table.add_row(*cells)
+    return table
+
+
+def study_table(study: Study) -> Table:
+    """Return the rows of a study, for a terminal."""
+    failed = sum(not each for each in study.outcomes)
+    table = Table(
+        title=f"{study.paper} reproduced", caption=f"{len(study.outcomes)} runs, {failed} failed"
+    )
+    table.add_column("experiment")
+    table.add_column("quantity")
+    for name in ("paper", "estimated", "true", "target", "met"):
+        table.add_column(name, justify="right")
+    for row in study.rows:
+        table.add_row(
+            row.experiment,
+            row.quantity + (f", {row.unit}" if row.unit else ""),
+            *(format_figure(value) for value in (row.paper, row.estimated, row.true)),
+            target_text(row),
+            {None: "", True: "yes", False: "[bold red]no[/]"}[row.met],
+        )
     return table
 
 

@@ -1,8 +1,14 @@
 """Files that are either whole or not there."""
 
+import json
+import math
 import os
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 
 def write_atomically(path: str | Path, data: bytes | str) -> Path:
@@ -31,3 +37,30 @@ def write_atomically(path: str | Path, data: bytes | str) -> Path:
         os.unlink(partial)
         raise
     return path
+
+
+def write_json(path: str | Path, data: Any) -> Path:
+    """Write data as a JSON file, atomically.
+
+    Parameters
+    ----------
+    path
+        Where to.
+    data
+        Whatever JSON has; besides, NumPy's numbers and arrays, and what is not finite: it becomes
+        null.
+    """
+    return write_atomically(path, json.dumps(_plain(data), indent=2, allow_nan=False))
+
+
+def _plain(data: Any) -> Any:
+    """The same in Python's own types, null in place of what is not finite."""
+    if isinstance(data, Mapping):
+        return {str(key): _plain(value) for key, value in data.items()}
+    if isinstance(data, np.ndarray | np.generic):
+        return _plain(data.tolist())
+    if isinstance(data, list | tuple):
+        return [_plain(value) for value in data]
+    if isinstance(data, float) and not math.isfinite(data):
+        return None
+    return data

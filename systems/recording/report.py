@@ -1,50 +1,12 @@
 """A run on one web page."""
 
-import base64
 import html
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from sonoservo.systems.recording.files import write_atomically
-
-_PAGE = """<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{title}</title>
-<style>
-  :root {{ color-scheme: light; }}
-  body {{ font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto;
-         padding: 0 1rem; color: #222; background: #fff; }}
-  h1 {{ font-size: 1.6rem; margin-bottom: 0; }}
-  h2 {{ font-size: 1.1rem; margin: 2rem 0 .4rem; }}
-  .facts {{ color: #666; margin-top: .2rem; }}
-  .tables {{ display: flex; flex-wrap: wrap; gap: 0 3rem; }}
-  table {{ border-collapse: collapse; margin-bottom: .6rem; }}
-  th, td {{ padding: .15rem .9rem .15rem 0; border-bottom: 1px solid #e4e4e4; text-align: right;
-           font-variant-numeric: tabular-nums; font-weight: normal; }}
-  th {{ color: #666; }}
-  th:first-child {{ text-align: left; color: #222; }}
-  td small {{ color: #0072b2; margin-left: .3rem; }}
-  figure {{ margin: 2rem 0; }}
-  figcaption {{ color: #666; }}
-  img {{ max-width: 100%; height: auto; }}
-  code {{ background: #f3f3f3; padding: .1rem .3rem; }}
-</style>
-</head>
-<body>
-<h1>{title}</h1>
-<p class="facts">{facts}</p>
-{lead}
-<div class="tables">
-{tables}
-</div>
-{figures}
-</body>
-</html>
-"""
+from sonoservo.systems.recording.web_page import cell_text, web_page, words
 
 
 def report_page(
@@ -73,7 +35,7 @@ def report_page(
     """
     single = {key: value for key, value in summary.items() if not isinstance(value, Mapping)}
     title = str(single.pop("scenario", "Run"))
-    facts = " · ".join(f"{_words(key)} {_value(value)}" for key, value in single.items())
+    facts = " · ".join(f"{words(key)} {cell_text(value)}" for key, value in single.items())
     lead = ""
     if command:
         lead += f"<p><code>{html.escape(command)}</code></p>\n"
@@ -81,21 +43,12 @@ def report_page(
         lead += f'<p><a href="{html.escape(replay)}">Watch the replay</a></p>\n'
     if paper:
         lead += "<p>Published figures are set beside ours in <small>(brackets)</small>.</p>\n"
-    return _PAGE.format(
-        title=html.escape(title),
-        facts=facts,
-        lead=lead,
-        tables="\n".join(
-            _block(key, value, paper or {})
-            for key, value in summary.items()
-            if isinstance(value, Mapping) and value
-        ),
-        figures="\n".join(
-            f'<figure><img alt="{html.escape(caption)}" src="data:image/png;base64,'
-            f'{base64.b64encode(data).decode()}"><figcaption>{html.escape(caption)}</figcaption></figure>'
-            for caption, data in figures.items()
-        ),
+    tables = "\n".join(
+        _block(key, value, paper or {})
+        for key, value in summary.items()
+        if isinstance(value, Mapping) and value
     )
+    return web_page(title, facts, f'{lead}<div class="tables">\n{tables}\n</div>', figures)
 
 
 def write_report(
@@ -113,41 +66,19 @@ def _block(name: str, block: Mapping[str, Any], paper: Mapping[str, float]) -> s
         groups.setdefault(columns, []).append(key)
     tables = []
     for columns, keys in groups.items():
-        head = "".join(f"<th>{_words(column)}</th>" for column in columns)
+        head = "".join(f"<th>{words(column)}</th>" for column in columns)
         rows = [f"<tr><th></th>{head}</tr>"] if columns else []
         for key in keys:
             paths = [f"{name}.{key}.{column}" for column in columns] or [f"{name}.{key}"]
             values = [block[key][column] for column in columns] or [block[key]]
             cells = "".join(
-                f"<td>{_value(value)}{_published(paper.get(path))}</td>"
+                f"<td>{cell_text(value)}{_published(paper.get(path))}</td>"
                 for path, value in zip(paths, values, strict=True)
             )
-            rows.append(f"<tr><th>{_words(key)}</th>{cells}</tr>")
+            rows.append(f"<tr><th>{words(key)}</th>{cells}</tr>")
         tables.append("<table>" + "\n".join(rows) + "</table>")
-    return f"<section><h2>{_words(name).capitalize()}</h2>\n" + "\n".join(tables) + "</section>"
-
-
-_UNITS = {"mm": "mm", "deg": "°", "n": "N", "s": "s", "ms": "ms"}
-
-
-def _words(key: str) -> str:
-    """`tip_error_mm` -> tip error (mm)."""
-    *words, last = str(key).split("_")
-    text = (
-        f"{' '.join(words)} ({_UNITS[last]})"
-        if words and last in _UNITS
-        else " ".join([*words, last])
-    )
-    return html.escape(text)
-
-
-def _value(value: Any) -> str:
-    if value is None:
-        return "–"
-    if isinstance(value, float):
-        return f"{value:.{sum(abs(value) < limit for limit in (1, 10, 100))}f}"
-    return html.escape(str(value))
+    return f"<section><h2>{words(name).capitalize()}</h2>\n" + "\n".join(tables) + "</section>"
 
 
 def _published(value: float | None) -> str:
-    return "" if value is None else f"<small>({_value(float(value))})</small>"
+    return "" if value is None else f"<small>({cell_text(float(value))})</small>"

@@ -101,3 +101,17 @@ def test_the_force_that_was_asked_for_is_what_the_error_is_taken_from(tmp_path):
     force = json.loads((tmp_path / "summary.json").read_text())["force"]
     assert force["mean_n"] == pytest.approx(4, abs=0.1)
     assert force["rms_error_n"] < 0.1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["chatelain2031"], "unknown paper 'chatelain2031'; did you mean 'chatelain2013'?"),
+        (["chatelain2013", "--seeds", "0"], "seeds: 0 is not allowed; it must be 1 or more"),
+    ],
+)
+def test_a_mistake_in_what_to_reproduce_is_one_line_and_exit_code_2(arguments, message, tmp_path):
+    result = sonoservo("reproduce", *arguments, "--out", str(tmp_path / "out"))
+    assert result.returncode == 2
+    assert result.stderr.strip() == f"sonoservo: {message}"
+    assert not (tmp_path / "out").exists()
