@@ -54,6 +54,13 @@ class NeedleKalmanFilterParameters:
         Predicted length at which a needle that is not found counts as withdrawn, in m.
     seconds_to_give_up
         Without the needle, after which a new insertion is awaited.
+    filtering
+        Whether measurements are filtered; off, each one starts the track anew, so that there is
+        neither a velocity to predict with nor a gate on the innovation.
+    probe_frame
+        Whether the needle's state is kept in the frame of the probe, as in the paper: it is then
+        carried along as the probe moves, and its velocity is that in the image, which suits the
+        servo without feed-forward only. Off, it is kept in W.
     """
 
     order: int = 2
@@ -68,6 +75,8 @@ class NeedleKalmanFilterParameters:
     volumes_to_lose: int = 4
     withdrawn_length: float = 6e-3
     seconds_to_give_up: float = 10.0
+    filtering: bool = True
+    probe_frame: bool = False
 
     def __post_init__(self) -> None:
         require(self.order in (2, 3), "order", self.order, "2 or 3")
@@ -200,8 +209,9 @@ class NeedleKalmanFilter(LeafSystem):
         - last_detection
         - last_measurement
 
-    The state is X = (p_1 ... p_n, their velocities) in W (Chatelain 2013, eq. 3), predicted by
-    eqs. 10 and 11 to the time at which the tip was acquired, and updated by eqs. 12 to 14.
+    The state is X = (p_1 ... p_n, their velocities) in W (Chatelain 2013, eq. 3, where it is in the
+    probe's frame, which is a switch), predicted by eqs. 10 and 11 to the time at which the tip was
+    acquired, and updated by eqs. 12 to 14.
 
     A detection starts a track, which stays unconfirmed until the localizer sees the needle. A
     volume without it, or whose innovation fails the gate, is coasted over, while the volume of
@@ -261,6 +271,7 @@ class NeedleKalmanFilter(LeafSystem):
         track: NeedleTrack = context.get_abstract_state(self._track).get_value()
         if not isinstance(volume, Volume) or volume.time <= track.volume_time:
             return EventStatus.DidNothing()
+        track = track.seen_from(volume.X_WP)
         # Inputs are pulled only where they are wanted: a localizer that nobody asks costs nothing.
         detection: Immutable = NotFound("a needle is being tracked")
         measurement: Immutable = NotFound("no needle has been detected")
@@ -268,9 +279,13 @@ class NeedleKalmanFilter(LeafSystem):
             detection = evaluate(self, context, "detection", (InsertionDetection, NotFound))
         if track:
             measurement = evaluate(self, context, "measurement", (NeedleMeasurement, NotFound))
-        track = self._next(track, volume.time, detection, measurement)
+        track = replace(
+            self._next(track, volume.time, detection, measurement),
+            volume_time=volume.time,
+            X_WP=volume.X_WP if self._parameters.probe_frame else None,
+        )
         for index, value in (
-            (self._track, replace(track, volume_time=volume.time)),
+            (self._track, track),
             (self._detection, detection),
             (self._measurement, measurement),
         ):
@@ -286,7 +301,8 @@ class NeedleKalmanFilter(LeafSystem):
     ) -> NeedleTrack:
         """Return the track after a volume."""
         if isinstance(measurement, NeedleMeasurement):
-            if track.mode in (TrackingMode.SEARCHING, TrackingMode.LOST):
+            fresh = track.mode in (TrackingMode.SEARCHING, TrackingMode.LOST)
+            if fresh or not self._parameters.filtering:
                 return restart_track(measurement, self._parameters)
             predicted = track.predicted(measurement.time)
             distance = innovation_distance(predicted, measurement)

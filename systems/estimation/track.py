@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from filterpy.kalman import predict
 from numpy.typing import NDArray
+from pydrake.math import RigidTransform
 
 from sonoservo.systems.detection.insertion_detector import InsertionDetection
 from sonoservo.systems.estimation.estimate import NeedleEstimate, TrackingMode
@@ -98,6 +99,8 @@ class NeedleTrack(Immutable):
         The last measurement that failed the gate since then.
     reason
         Why the last volume did not confirm the needle.
+    X_WP
+        Pose of the probe with which the needle is thought to move; None where it moves in W.
     """
 
     mode: TrackingMode
@@ -111,6 +114,7 @@ class NeedleTrack(Immutable):
     detections: tuple[InsertionDetection, InsertionDetection] | None = None
     rejected: NeedleMeasurement | None = None
     reason: str = ""
+    X_WP: RigidTransform | None = None
 
     def __post_init__(self) -> None:
         if self.mean is None or self.covariance is None:
@@ -150,6 +154,19 @@ class NeedleTrack(Immutable):
         A, Q = constant_velocity(dt, self.motion.density(self.curve))
         mean, covariance = predict(self.mean, self.covariance, A, Q)
         return replace(self, time=time, mean=mean, covariance=covariance)
+
+    def seen_from(self, X_WP: RigidTransform) -> "NeedleTrack":
+        """Return the track now that the probe is at ``X_WP``: carried along if it moves with it."""
+        if self.X_WP is None:
+            return self
+        X = X_WP.multiply(self.X_WP.inverse())
+        track = replace(self, X_WP=X_WP)
+        if self.mean is None:
+            return track
+        R = np.kron(np.eye(2 * self.order), X.rotation().matrix())
+        mean = R @ self.mean
+        mean[: 3 * self.order] += np.tile(X.translation(), self.order)
+        return replace(track, mean=mean, covariance=R @ self.covariance @ R.T)
 
     @property
     def estimate(self) -> NeedleEstimate:

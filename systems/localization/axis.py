@@ -128,6 +128,29 @@ class AxisFit(Immutable):
         return np.asarray(np.kron(shape, self.scatter), dtype=np.float64)
 
 
+def assess_axis(axis: Axis, points: NDArray[np.float64], weights: NDArray[np.float64]) -> AxisFit:
+    """Return an axis as it is, with the precision of a fit to as many points, scattered like these.
+
+    Parameters
+    ----------
+    axis
+        That passes through no less than n of the points.
+    points
+        (m, 3) in m.
+    weights
+        (m,) not negative.
+    """
+    w = weights / weights.sum()
+    a = axis.abscissa(points)
+    powers = np.vander(a, axis.order, increasing=True)
+    residuals = points - axis.position(a)
+    return AxisFit(
+        axis,
+        np.linalg.inv((powers * w[:, np.newaxis]).T @ powers),
+        (residuals * w[:, np.newaxis]).T @ residuals,
+    )
+
+
 def fit_axis(
     points: NDArray[np.float64], weights: NDArray[np.float64], order: int
 ) -> AxisFit | NotFound:

@@ -1,7 +1,7 @@
 """Localizes the needle in one volume, given a prediction."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,6 +72,13 @@ class NeedleLocalizerParameters:
         returns from the front wall, but for what goes to and fro inside.
     systematic_deviation
         Of every control point in every direction, in m.
+    volume_of_interest
+        Whether only the surroundings of the prediction are searched; off, all of the volume is.
+    angle_gate
+        Whether an axis must agree with the predicted direction (eq. 22).
+    sweep_time
+        Whether each frame counts as acquired at its own time, from where the probe then was; off,
+        all of the volume counts as acquired at its middle.
     """
 
     order: int = 2
@@ -94,6 +101,9 @@ class NeedleLocalizerParameters:
     unseen_tip_deviation: float = 10e-3
     echo_offset: float = 0.4e-3
     systematic_deviation: float = 0.1e-3
+    volume_of_interest: bool = True
+    angle_gate: bool = True
+    sweep_time: bool = True
     ransac: RansacParameters = field(default_factory=RansacParameters)
     tip: TipParameters = field(default_factory=TipParameters)
 
@@ -119,6 +129,10 @@ class NeedleLocalizerParameters:
             unseen_tip_deviation=self.unseen_tip_deviation,
             systematic_deviation=self.systematic_deviation,
         )
+
+
+_EVERYWHERE = 0.3
+"""More than any volume measures, in m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +163,7 @@ def _predicted_region(
     along = math.sqrt(float(k @ ends[-1] @ k))
     across = max(math.sqrt(np.linalg.eigvalsh(project @ end @ project)[-1]) for end in ends)
     margin = parameters.margin + track.missed * parameters.margin_growth
-    return _Region(
+    region = _Region(
         curve=curve,
         radius=min(margin + 3 * across, parameters.largest_radius),
         before=parameters.largest_entry_gap if searching else margin,
@@ -165,6 +179,12 @@ def _predicted_region(
         entry=None if searching else entry,
         tip_moved=searching,
     )
+    if not parameters.volume_of_interest:
+        far = _EVERYWHERE
+        region = replace(region, radius=far, before=far, beyond=far, shaft_beyond=far)
+    if not parameters.angle_gate:
+        region = replace(region, largest_angle=math.pi / 2)
+    return region
 
 
 def _localize_in(
@@ -226,10 +246,11 @@ def _measure(
     inliers = _between(points, fit, extent) & (
         fit.axis.distance(points) < parameters.ransac.inlier_distance
     )
-    refit = fit_axis(points[inliers], weights[inliers], parameters.order)
-    if isinstance(refit, NotFound):
-        return refit
-    fit = refit if refit.axis.direction @ fit.axis.direction > 0 else refit.reversed()
+    if parameters.ransac.refits > 0:
+        refit = fit_axis(points[inliers], weights[inliers], parameters.order)
+        if isinstance(refit, NotFound):
+            return refit
+        fit = refit if refit.axis.direction @ fit.axis.direction > 0 else refit.reversed()
     extent = _extent(volume, region, parameters, fit)
     if isinstance(extent, NotFound):
         return extent
@@ -332,6 +353,9 @@ def localize(
     """
     if not track:
         return NotFound("no needle has been detected")
+    track = track.seen_from(volume.X_WP)
+    if not parameters.sweep_time:
+        volume = replace(volume, motion=None)
     if track.mode != TrackingMode.LOST:
         region = _predicted_region(track, volume.time, parameters)
         return _localize_in(volume, region, parameters, rng)

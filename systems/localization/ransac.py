@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sonoservo.systems.localization.axis import AxisFit, axis_through, fit_axis
+from sonoservo.systems.localization.axis import AxisFit, assess_axis, axis_through, fit_axis
 from sonoservo.systems.values import NotFound, require, require_positive
 
 
@@ -29,7 +29,8 @@ class RansacParameters:
     largest_iterations
         Cap on the draws, rejected ones included.
     refits
-        Least-squares refits on re-selected inliers.
+        Least-squares refits on re-selected inliers. With none, here and between the needle's ends,
+        the winning sample's axis remains as it is, for comparison.
     """
 
     inlier_distance: float = 2e-3
@@ -50,7 +51,7 @@ class RansacParameters:
         require(
             self.largest_iterations >= 1, "largest_iterations", self.largest_iterations, "1 or more"
         )
-        require(self.refits >= 1, "refits", self.refits, "1 or more")
+        require(self.refits >= 0, "refits", self.refits, "0 or more")
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +61,7 @@ class RansacResult:
     Parameters
     ----------
     fit
-        Least-squares fit on the inliers.
+        Least-squares fit on the inliers; the winning sample's axis where there are no refits.
     inliers
         (m,) which points lie within the inlier distance.
     draws, rejected
@@ -226,6 +227,8 @@ def ransac_axis(
             return fit
         axis = fit.axis
     inliers = axis.distance(points) < parameters.inlier_distance
+    if parameters.refits == 0:
+        fit = assess_axis(axis, points[inliers], weights[inliers])
     assert isinstance(fit, AxisFit)
     if direction is not None:
         cosine = float(fit.axis.direction @ expected)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pydrake.common.value import Value
-from pydrake.math import RigidTransform
+from pydrake.math import RigidTransform, RotationMatrix
 from scipy.linalg import expm
 
 from sonoservo.systems.detection.insertion_detector import InsertionDetection
@@ -42,8 +42,9 @@ def detection(x, time):
     return InsertionDetection(np.zeros(3), at, at, 1e-3, 6.0, time)
 
 
-def volume(time):
-    return Volume(np.zeros((2, 2, 2), np.uint8), np.zeros(3), np.ones(3), RigidTransform(), time)
+def volume(time, X_WP=None):
+    X_WP = X_WP or RigidTransform()
+    return Volume(np.zeros((2, 2, 2), np.uint8), np.zeros(3), np.ones(3), X_WP, time)
 
 
 @given(st.floats(1e-3, 2.0))
@@ -148,8 +149,8 @@ class Bench:
     def fix(self, port, value):
         self.filter.GetInputPort(port).FixValue(self.context, Value[object](value))
 
-    def step(self, time, **values):
-        self.fix("volume", volume(time))
+    def step(self, time, X_WP=None, **values):
+        self.fix("volume", volume(time, X_WP))
         for port in ("detection", "measurement"):
             self.fix(port, values.get(port, NotFound(f"no {port}")))
         self.filter.ExecuteForcedEvents(self.context)
@@ -219,6 +220,50 @@ def test_gate_rejects_once_and_believes_twice():
     estimate = bench.step(1.2, measurement=measurement(0.03, 1.2, y=0.0201))
     assert estimate.mode == TrackingMode.TRACKING
     assert estimate.curve.tip[1] == pytest.approx(0.0201)
+
+
+def test_without_filtering_each_measurement_is_the_estimate():
+    bench = Bench(filtering=False)
+    bench.track_from()
+    for k, tip in enumerate((0.031, 0.05, 0.029)):
+        estimate = bench.step(0.9 + 0.3 * k, measurement=measurement(tip, 0.9 + 0.3 * k))
+        assert estimate.mode == TrackingMode.TRACKING
+        assert estimate.curve.tip[0] == tip
+        np.testing.assert_array_equal(estimate.velocity, 0)
+    assert bench.step(2.1).curve.tip[0] == 0.029
+
+
+def test_in_the_probe_s_frame_the_prediction_is_carried_along():
+    turned = RigidTransform(RotationMatrix.MakeZRotation(0.3), [0.01, 0.02, 0.0])
+    coasted = {}
+    for probe_frame in (False, True):
+        bench = Bench(probe_frame=probe_frame)
+        bench.track_from()
+        before = bench.estimate
+        coasted[probe_frame] = bench.step(0.9, X_WP=turned)
+    np.testing.assert_allclose(coasted[False].curve.tip, before.curve.tip, atol=1e-12)
+    np.testing.assert_allclose(
+        coasted[True].curve.tip, turned.multiply(before.curve.tip), atol=1e-12
+    )
+    R = np.kron(np.eye(4), turned.rotation().matrix())
+    np.testing.assert_allclose(
+        coasted[True].covariance, R @ coasted[False].covariance @ R.T, atol=1e-12
+    )
+
+
+def test_in_the_probe_s_frame_velocity_is_that_in_the_image():
+    """A probe that keeps up with the needle sees it at rest."""
+    velocity = {}
+    for probe_frame in (False, True):
+        bench = Bench(probe_frame=probe_frame)
+        bench.track_from()
+        for k in range(1, 30):
+            x, time = 5e-3 * 0.3 * k, 0.6 + 0.3 * k
+            seen = measurement(0.03 + x, time, entry=x)
+            estimate = bench.step(time, X_WP=RigidTransform([x, 0, 0]), measurement=seen)
+        velocity[probe_frame] = estimate.tip_velocity[0]
+    assert velocity[False] == pytest.approx(5e-3, abs=1e-4)
+    assert velocity[True] == pytest.approx(0, abs=1e-4)
 
 
 def test_withdrawn_needle_is_awaited_again():

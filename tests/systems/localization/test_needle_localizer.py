@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 from pydrake.common.value import Value
-from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.systems.estimation.estimate import TrackingMode
@@ -15,6 +15,7 @@ from sonoservo.systems.localization.needle_localizer import (
     NeedleLocalizerParameters,
     localize,
 )
+from sonoservo.systems.localization.ransac import RansacParameters
 from sonoservo.systems.localization.tip import TipParameters
 from sonoservo.systems.values import NotFound
 
@@ -110,6 +111,52 @@ def test_prediction_outside_the_volume():
 def test_no_track():
     empty = NeedleTrack(TrackingMode.SEARCHING, 0.0, NeedleMotionParameters())
     assert not run(SCENE.volume(1), empty)
+
+
+def test_without_a_volume_of_interest_the_needle_is_found_wherever_it_is_predicted():
+    volume = SCENE.volume(1, lambda time: needle(0.03))
+    aside = track(needle(0.03) + np.array([0.0, 0.012, 0.0]))
+    assert not run(volume, aside)
+    found = run(volume, aside, volume_of_interest=False)
+    assert np.degrees(np.arccos(found.curve.direction @ K)) < 1
+
+
+def test_without_the_angle_gate_the_predicted_direction_does_not_matter():
+    volume = SCENE.volume(1, lambda time: needle(0.03))
+    turn = RotationMatrix.MakeZRotation(np.radians(45)).matrix()
+    turned = track(np.array([ENTRY, ENTRY + turn @ (0.03 * K)]))
+    found = run(volume, turned, volume_of_interest=False, angle_gate=False)
+    assert np.degrees(np.arccos(found.curve.direction @ K)) < 1
+    gated = run(volume, turned, volume_of_interest=False)
+    assert not gated or gated.curve.direction @ K < np.cos(np.radians(10))
+
+
+def test_without_the_sweep_s_time_a_volume_counts_as_acquired_at_its_middle():
+    ends = needle(0.03)
+    volume = SCENE.volume(1, lambda time: ends)
+    poses = volume.motion.X_WP.copy()
+    poses[:, 1, 3] += np.linspace(-5e-3, 5e-3, len(poses))  # the probe rises while it sweeps
+    moving = dataclasses.replace(volume, motion=dataclasses.replace(volume.motion, X_WP=poses))
+    own_times, middle = (run(moving, track(ends), sweep_time=flag) for flag in (True, False))
+    for found, sweep in ((own_times, moving.motion), (middle, None)):
+        seen = dataclasses.replace(moving, motion=sweep)
+        expected = seen.to_world(volume.to_probe(ends[1:]))
+        assert abs(found.curve.tip[1] - expected[0][0][1]) < 0.5e-3
+    assert own_times.curve.tip[1] - middle.curve.tip[1] > 0.3e-3
+    assert middle.time == moving.time != own_times.time
+
+
+def test_without_refits_the_axis_is_less_precise():
+    volume = SCENE.volume(1, lambda time: needle(0.03))
+    angles = {}
+    for refits in (0, 3):
+        found = [
+            run(volume, track(needle(0.03)), seed, ransac=RansacParameters(refits=refits))
+            for seed in range(10)
+        ]
+        assert all(np.linalg.eigvalsh(each.covariance).min() > 0 for each in found)
+        angles[refits] = np.mean([np.arccos(each.curve.direction @ K) for each in found])
+    assert angles[0] > 1.5 * angles[3]
 
 
 def test_lost_needle_is_found_among_balls_and_rods():

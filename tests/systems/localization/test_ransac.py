@@ -91,6 +91,21 @@ def test_degenerate_candidates(points, order):
     assert isinstance(fit(points, np.random.default_rng(0), order), NotFound)
 
 
+@pytest.mark.parametrize("order", [2, 3])
+def test_without_refits_the_winning_sample_remains(order):
+    rng = np.random.default_rng(1)
+    points = scene(rng, 800, 0.5, bend=0.03 if order == 3 else 0.0)
+    found = fit(points, rng, order, parameters=RansacParameters(refits=0))
+    # An axis through as many points as its order; those of a least-squares fit miss them all.
+    assert np.sort(found.fit.axis.distance(points))[order - 1] < 1e-9
+    refitted = fit(points, rng, order)
+    assert np.sort(refitted.fit.axis.distance(points))[order - 1] > 1e-6
+    a = found.fit.axis.abscissa(points[found.inliers])[[0, -1]]
+    b = refitted.fit.axis.abscissa(points[refitted.inliers])[[0, -1]]
+    spread = np.trace(refitted.fit.covariance(b, 20.0))
+    assert spread < np.trace(found.fit.covariance(a, 20.0)) < 10 * spread
+
+
 def test_same_seed_same_result():
     points = scene(np.random.default_rng(0), 300, 0.3)
     first, second = (fit(points, np.random.default_rng(7)) for _ in range(2))
@@ -98,7 +113,7 @@ def test_same_seed_same_result():
 
 
 @pytest.mark.parametrize(
-    ("field", "value"), [("failure", 1.0), ("inlier_distance", 0.0), ("refits", 0)]
+    ("field", "value"), [("failure", 1.0), ("inlier_distance", 0.0), ("refits", -1)]
 )
 def test_parameters_are_checked(field, value):
     with pytest.raises(ValueError, match=field):
