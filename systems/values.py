@@ -65,8 +65,9 @@ def read_only(
         If the shape differs or a floating-point element is not finite.
     """
     view = np.asarray(array, dtype=dtype).view()
-    if view.ndim != len(shape) or any(
-        want is not None and got != want for got, want in zip(view.shape, shape, strict=True)
+    if view.shape != shape and (
+        view.ndim != len(shape)
+        or any(want not in (None, got) for got, want in zip(view.shape, shape, strict=True))
     ):
         wanted = ", ".join("any" if want is None else str(want) for want in shape)
         raise ValueError(f"{name} has shape {view.shape}; ({wanted}) is wanted")

@@ -72,6 +72,32 @@ def _longest_line(  # pragma: no cover - compiled
     return best
 
 
+def _contrast(maxima: NDArray[np.float32], reach: int) -> NDArray[np.float32]:
+    """How far each block stands out from what lies on every one of its six sides.
+
+    A step, such as the bottom of the tissue, stands out from one side only.
+
+    Parameters
+    ----------
+    maxima
+        Of the blocks; zero outside the field of view.
+    reach
+        Blocks from the centre of a block to the nearest of a side, whose cube is twice as wide and
+        a block more.
+    """
+    seen = maxima > 0
+    width = 2 * reach + 1
+    total = uniform_filter(maxima, width, mode="constant")
+    share = uniform_filter(seen.astype(np.float32), width, mode="constant")
+    mean = np.pad(np.where(share > 0.2, total / np.maximum(share, 0.2), 0), 2 * reach)
+    beside = np.zeros_like(maxima)
+    inner = tuple(slice(2 * reach, -2 * reach) for _ in range(3))
+    for axis in range(3):
+        for shift in (-2 * reach, 2 * reach):
+            np.maximum(beside, np.roll(mean, shift, axis)[inner], out=beside)
+    return np.where(seen, maxima - beside, -np.inf)
+
+
 def bright_lines(
     volume: Volume,
     rng: np.random.Generator,
@@ -117,11 +143,7 @@ def bright_lines(
     """
     size = np.maximum(1, np.round(block / volume.spacing)).astype(int)
     maxima, where = _block_maxima(volume.intensities, *size)
-    seen = maxima > 0
-    window = tuple(2 * max(1, round(surroundings / block / 2)) + 1 for _ in range(3))
-    mean = uniform_filter(maxima, window, mode="constant")
-    share = uniform_filter(seen.astype(np.float32), window, mode="constant")
-    contrast = np.where(seen, maxima - mean / np.maximum(share, 1e-3), -np.inf)
+    contrast = _contrast(maxima, max(1, round(surroundings / block / 4)))
     top = np.argpartition(contrast.ravel(), -min(points, contrast.size))[-points:]
     top = top[np.isfinite(contrast.ravel()[top]) & (contrast.ravel()[top] > 0)]
     p_P = volume.position(where.reshape(-1, 3)[top])

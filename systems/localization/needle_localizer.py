@@ -10,7 +10,8 @@ from pydrake.systems.framework import Context, LeafSystem
 
 from sonoservo.systems.estimation.estimate import TrackingMode
 from sonoservo.systems.estimation.track import NeedleTrack
-from sonoservo.systems.localization.axis import AxisFit, axis_through, fit_axis
+from sonoservo.systems.localization.axis import axis_through
+from sonoservo.systems.localization.axis_fit import AxisFit, fit_axis
 from sonoservo.systems.localization.candidates import acquired_from, select_candidates
 from sonoservo.systems.localization.line_search import bright_lines
 from sonoservo.systems.localization.measurement import NeedleMeasurement
@@ -247,10 +248,10 @@ def _measure(
         fit.axis.distance(points) < parameters.ransac.inlier_distance
     )
     if parameters.ransac.refits > 0:
-        refit = fit_axis(points[inliers], weights[inliers], parameters.order)
+        refit = fit_axis(points[inliers], weights[inliers], parameters.order, fit.axis.direction)
         if isinstance(refit, NotFound):
             return refit
-        fit = refit if refit.axis.direction @ fit.axis.direction > 0 else refit.reversed()
+        fit = refit
     extent = _extent(volume, region, parameters, fit)
     if isinstance(extent, NotFound):
         return extent

@@ -8,7 +8,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sonoservo.systems.localization.axis import AxisFit, assess_axis, axis_through, fit_axis
+from sonoservo.systems.localization.axis_fit import (
+    AxisFit,
+    as_fit,
+    assess_axis,
+    least_squares,
+)
 from sonoservo.systems.values import NotFound, require, require_positive
 
 
@@ -80,80 +85,152 @@ _MORE_DRAWS = 3.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _search(  # pragma: no cover - compiled
+def _through(  # pragma: no cover - compiled
+    coordinates: Any, sample: Any, separation: float, bend: float, curve: Any
+) -> Any:
+    """Curve C(a) = origin + a k + b a (a - length) through a sample of two or three points.
+
+    The two that are farthest apart are its ends; b is zero for two points. ``curve``, (3, 3), takes
+    origin, k and b.
+
+    Returns
+    -------
+    Whether it can be a needle, and its length.
+    """
+    first, last, middle = sample[0], sample[1], sample[0]
+    if len(sample) == 3:
+        third = sample[2]
+        d01 = d02 = d12 = 0.0
+        for c in range(3):
+            d01 += (coordinates[c, first] - coordinates[c, last]) ** 2
+            d02 += (coordinates[c, first] - coordinates[c, third]) ** 2
+            d12 += (coordinates[c, last] - coordinates[c, third]) ** 2
+        if d01 >= d02 and d01 >= d12:
+            middle = third
+        elif d02 >= d12:
+            middle, last = last, third
+        else:
+            middle, first = first, third
+    length = 0.0
+    for c in range(3):
+        curve[0, c] = coordinates[c, first]
+        curve[1, c] = coordinates[c, last] - coordinates[c, first]
+        length += curve[1, c] ** 2
+    length = np.sqrt(length)
+    if length < separation:
+        return False, length
+    curve[1] /= length
+    if len(sample) == 3:
+        a = 0.0
+        for c in range(3):
+            a += (coordinates[c, middle] - curve[0, c]) * curve[1, c]
+        if a < separation or a > length - separation:
+            return False, length
+        bending = 0.0
+        for c in range(3):
+            across = coordinates[c, middle] - curve[0, c] - a * curve[1, c]
+            curve[2, c] = across / (a * (a - length))
+            bending += curve[2, c] ** 2
+        if np.sqrt(bending) * length > 4 * bend:
+            return False, length
+    return True, length
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _count_near(  # pragma: no cover - compiled
+    coordinates: Any, curve: Any, length: float, limit: float
+) -> Any:
+    """Count the points within a squared distance of a curve; without branches, to be vectorised."""
+    x, y, z = coordinates[0], coordinates[1], coordinates[2]
+    (ox, oy, oz), (kx, ky, kz), (bx, by, bz) = curve
+    count = 0
+    for i in range(len(x)):
+        dx, dy, dz = x[i] - ox, y[i] - oy, z[i] - oz
+        a = dx * kx + dy * ky + dz * kz
+        q = a * (a - length)
+        dx -= a * kx + q * bx
+        dy -= a * ky + q * by
+        dz -= a * kz + q * bz
+        count += int(dx * dx + dy * dy + dz * dz < limit)
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _near(coordinates: Any, axis: Any, limit: float) -> Any:  # pragma: no cover - compiled
+    """Which points lie within a squared distance of an axis, as `least_squares` returns it."""
+    x, y, z = coordinates[0], coordinates[1], coordinates[2]
+    ox, oy, oz = axis[0]
+    kx, ky, kz = axis[1]
+    c = np.zeros((3, 3))
+    c[: len(axis) - 2] = axis[2:]
+    near = np.zeros(len(x), np.bool_)
+    for i in range(len(x)):
+        a = (x[i] - ox) * kx + (y[i] - oy) * ky + (z[i] - oz) * kz
+        dx = x[i] - c[0, 0] - a * (c[1, 0] + a * c[2, 0])
+        dy = y[i] - c[0, 1] - a * (c[1, 1] + a * c[2, 1])
+        dz = z[i] - c[0, 2] - a * (c[1, 2] + a * c[2, 2])
+        near[i] = dx * dx + dy * dy + dz * dz < limit
+    return near
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _consensus(  # pragma: no cover - compiled
     points: Any,
-    samples: Any,
+    weights: Any,
+    order: int,
+    seed: int,
     expected: Any,
     least_cosine: float,
     distance: float,
     separation: float,
     bend: float,
     log_failure: float,
+    largest_draws: int,
+    refits: int,
 ) -> Any:
-    """Find the sample whose curve has most points within `distance`; -1 if none was admissible."""
-    m, order = points.shape[0], samples.shape[1]
-    best, best_count, rejected, draws = -1, 0, 0, 0
-    needed = float(samples.shape[0])
-    limit = distance * distance
-    while draws < samples.shape[0] and draws < needed:
-        s = samples[draws]
+    """Find the sample whose curve has most points within `distance`, and refit on those points.
+
+    Returns
+    -------
+    Numbers of draws and of those rejected; which points lie near the last refit; the refit, as
+    `least_squares` returns it, or without refits the winner's axis in its place.
+    """
+    np.random.seed(seed)  # noqa: NPY002 - the compiled generator, cheaper to reach than NumPy's
+    m, limit = len(points), distance * distance
+    coordinates = points.T.copy()
+    sample = np.zeros(order, np.int64)
+    curve, best_curve, best_length = np.zeros((3, 3)), np.zeros((3, 3)), 0.0
+    best, rejected, draws, needed = 0, 0, 0, float(largest_draws)
+    while draws < min(needed, largest_draws):
         draws += 1
-        first, last, middle = points[s[0]], points[s[1]], points[s[0]]
-        if order == 3:
-            # The two farthest apart are the ends.
-            third = points[s[2]]
-            d01 = np.sum((first - last) ** 2)
-            d02 = np.sum((first - third) ** 2)
-            d12 = np.sum((last - third) ** 2)
-            if d01 >= d02 and d01 >= d12:
-                middle = third
-            elif d02 >= d12:
-                middle, last = last, third
-            else:
-                middle, first = first, third
-        chord = last - first
-        length = np.sqrt(np.sum(chord**2))
-        if length < separation:
+        for n in range(order):
+            sample[n] = np.random.randint(m)  # noqa: NPY002
+        possible, length = _through(coordinates, sample, separation, bend, curve)
+        cosine = curve[1, 0] * expected[0] + curve[1, 1] * expected[1] + curve[1, 2] * expected[2]
+        if not possible or abs(cosine) < least_cosine:
             rejected += 1
             continue
-        k = chord / length
-        if abs(np.sum(k * expected)) < least_cosine:
-            rejected += 1
-            continue
-        # Order 3: C(a) = first + a k + b a (a - length), through the middle point.
-        b0 = b1 = b2 = 0.0
-        if order == 3:
-            am = np.sum((middle - first) * k)
-            if am < separation or am > length - separation:
-                rejected += 1
-                continue
-            factor = 1.0 / (am * (am - length))
-            b0 = (middle[0] - first[0] - am * k[0]) * factor
-            b1 = (middle[1] - first[1] - am * k[1]) * factor
-            b2 = (middle[2] - first[2] - am * k[2]) * factor
-            if np.sqrt(b0 * b0 + b1 * b1 + b2 * b2) * length > 4 * bend:
-                rejected += 1
-                continue
-        count = 0
-        for i in range(m):
-            x = points[i, 0] - first[0]
-            y = points[i, 1] - first[1]
-            z = points[i, 2] - first[2]
-            a = x * k[0] + y * k[1] + z * k[2]
-            q = a * (a - length)
-            x -= a * k[0] + q * b0
-            y -= a * k[1] + q * b1
-            z -= a * k[2] + q * b2
-            if x * x + y * y + z * z < limit:
-                count += 1
-        if count > best_count:
-            best, best_count = draws - 1, count
+        count = _count_near(coordinates, curve, length, limit)
+        if count > best:
+            best, best_length = count, length
+            best_curve[:] = curve
             ratio = (count / m) ** order
-            if ratio >= 1:
-                break
             # Rejected draws count too: they are what it costs to find an admissible sample.
-            needed = min(needed, _MORE_DRAWS * log_failure / np.log1p(-ratio) + rejected)
-    return best, draws, rejected
+            needed = rejected
+            if ratio < 1:
+                needed += _MORE_DRAWS * log_failure / np.log1p(-ratio)
+    if np.sum(best_curve[1] * expected) < 0:
+        best_curve[0] += best_length * best_curve[1]
+        best_curve[1] *= -1
+    axis = np.concatenate((best_curve[:2], best_curve[:order]))
+    axis[3] -= best_length * best_curve[2]
+    near = _near(coordinates, axis, limit)
+    fit = (best > 0, axis, np.eye(order), np.zeros((3, 3)))
+    for _ in range(refits):
+        if fit[0]:
+            fit = least_squares(coordinates, weights * near, order, expected)
+            near = _near(coordinates, fit[1], limit)
+    return draws, rejected, near, fit
 
 
 def ransac_axis(
@@ -199,41 +276,27 @@ def ransac_axis(
         return NotFound(f"{len(points)} candidates are too few for an axis of order {order}")
     expected = np.zeros(3) if direction is None else np.asarray(direction, dtype=float)
     least_cosine = 0.0 if direction is None else math.cos(largest_angle)
-    samples = rng.integers(0, len(points), (parameters.largest_iterations, order))
-    best, draws, rejected = _search(
+    draws, rejected, inliers, solution = _consensus(
         np.ascontiguousarray(points),
-        samples,
+        weights,
+        order,
+        int(rng.integers(2**32)),
         expected,
         least_cosine,
         parameters.inlier_distance,
         parameters.least_separation,
         parameters.largest_bend,
         math.log(parameters.failure),
+        parameters.largest_iterations,
+        parameters.refits,
     )
-    if best < 0:
+    if draws == rejected:
         return NotFound(f"none of {draws} samples agrees with the expected needle")
-    sample = points[samples[best]]
-    if order == 3:
-        reach = np.linalg.norm(sample[:, np.newaxis] - sample, axis=-1)
-        a, c = np.unravel_index(np.argmax(reach), reach.shape)
-        sample = sample[[a, 3 - a - c, c]]
-    axis = axis_through(sample)
-    if isinstance(axis, NotFound):
-        return axis
-    for _ in range(parameters.refits):
-        inliers = axis.distance(points) < parameters.inlier_distance
-        fit = fit_axis(points[inliers], weights[inliers], order)
-        if isinstance(fit, NotFound):
-            return fit
-        axis = fit.axis
-    inliers = axis.distance(points) < parameters.inlier_distance
+    fit = as_fit(solution, len(points))
+    if isinstance(fit, NotFound):
+        return fit
     if parameters.refits == 0:
-        fit = assess_axis(axis, points[inliers], weights[inliers])
-    assert isinstance(fit, AxisFit)
-    if direction is not None:
-        cosine = float(fit.axis.direction @ expected)
-        if abs(cosine) < least_cosine:
-            return NotFound("the fitted axis deviates from the expected direction")
-        if cosine < 0:
-            fit = fit.reversed()
+        fit = assess_axis(fit.axis, points[inliers], weights[inliers])
+    if direction is not None and fit.axis.direction @ expected < least_cosine:
+        return NotFound("the fitted axis deviates from the expected direction")
     return RansacResult(fit, inliers, int(draws), int(rejected))

@@ -8,12 +8,14 @@ from skimage.feature import match_template
 from skimage.measure import LineModelND, ransac
 from synthetic_volumes import Scene, entry_on_side
 
+from sonoservo.diagrams import load_scenario, run
 from sonoservo.systems.detection.insertion_detector import (
     InsertionDetectorParameters,
     detect_insertion,
 )
 from sonoservo.systems.estimation.estimate import TrackingMode
 from sonoservo.systems.estimation.track import NeedleMotionParameters, NeedleTrack
+from sonoservo.systems.localization import needle_localizer
 from sonoservo.systems.localization.needle_localizer import NeedleLocalizerParameters, localize
 from sonoservo.systems.localization.normalized_cross_correlation import (
     normalized_cross_correlation,
@@ -73,23 +75,43 @@ def test_localize(benchmark, volumes, order, mode):
     compare(benchmark, "the paper's acquisition, 175 ms a volume", 0.175)
 
 
-@pytest.mark.parametrize("ratio", [0.3, 0.1])
-def test_ransac(benchmark, ratio):
+@pytest.fixture(scope="module", params=["chatelain2013_fig5", "chatelain2013_fig6"])
+def candidate_sets(request):
+    """What the localizer of a real run passes to the consensus."""
+    calls = []
+
+    def record(points, weights, **options):
+        calls.append((points, weights, options))
+        return ransac_axis(points, weights, **options)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(needle_localizer, "ransac_axis", record)
+        run(load_scenario(request.param, seed=100))
+    return calls
+
+
+def test_ransac(benchmark, candidate_sets):
     rng = np.random.default_rng(0)
-    k = np.array([2, 1, -0.5]) / np.linalg.norm([2, 1, -0.5])
-    inliers = round(2000 * ratio)
-    points = rng.uniform(-0.03, 0.03, (2000, 3))
-    points[:inliers] = np.outer(rng.uniform(-0.03, 0.03, inliers), k)
-    points[:inliers] += 0.7e-3 * rng.normal(size=(inliers, 3))
-    weights = np.ones(len(points))
-    found = benchmark(lambda: ransac_axis(points, weights, order=2, rng=rng))
-    assert abs(found.fit.axis.direction @ k) > np.cos(np.radians(1))
+
+    def ours():
+        for points, weights, options in candidate_sets:
+            ransac_axis(points, weights, **(options | {"rng": rng}))
 
     def theirs():
-        return ransac(
-            points, LineModelND, 2, 2e-3, max_trials=3000, stop_probability=1 - 1e-3, rng=rng
-        )
+        for points, _, options in candidate_sets:
+            parameters = options["parameters"]
+            ransac(
+                points,
+                LineModelND,
+                2,
+                parameters.inlier_distance,
+                max_trials=parameters.largest_iterations,
+                stop_probability=1 - parameters.failure,
+                rng=rng,
+            )
 
+    benchmark(ours)
+    benchmark.extra_info["candidate_sets"] = len(candidate_sets)
     compare(benchmark, "scikit-image: measure.ransac", median_time(theirs))
 
 

@@ -9,7 +9,7 @@ from sonoservo.systems.needle.curve import NeedleCurve
 
 inside = st.tuples(st.floats(-0.05, 0.05), st.floats(0.005, 0.08), st.floats(-0.035, 0.035))
 anywhere = st.tuples(st.floats(-0.2, 0.2), st.floats(-0.2, 0.2), st.floats(-0.2, 0.2))
-with_fixtures = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+with_fixtures = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 def zeros(p_P):

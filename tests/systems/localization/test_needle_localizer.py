@@ -8,7 +8,6 @@ from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.systems.estimation.estimate import TrackingMode
 from sonoservo.systems.estimation.track import NeedleMotionParameters, NeedleTrack
-from sonoservo.systems.localization.line_search import bright_lines
 from sonoservo.systems.localization.measurement import NeedleMeasurement
 from sonoservo.systems.localization.needle_localizer import (
     NeedleLocalizer,
@@ -176,13 +175,6 @@ def test_lost_needle_is_found_among_balls_and_rods():
 def test_balls_and_rods_are_no_lost_needle():
     for seed in range(3):
         assert not run(SCENE.volume(1), track(needle(0.03), mode=TrackingMode.LOST), seed)
-
-
-def test_longest_bright_line_comes_first():
-    ends = needle(0.035)
-    first = bright_lines(SCENE.volume(1, lambda time: ends), np.random.default_rng(0))[0]
-    k = (first[1] - first[0]) / np.linalg.norm(first[1] - first[0])
-    assert abs(k @ K) > np.cos(np.radians(10))
 
 
 @pytest.mark.parametrize("mode", [TrackingMode.TRACKING, TrackingMode.LOST])

@@ -18,7 +18,7 @@ def test_probe_looks_down_on_the_phantom():
     np.testing.assert_allclose(R_TP[:, 1], [0, 0, -1], atol=1e-15)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     x=st.floats(-0.06, 0.06),
     y=st.floats(-0.03, 0.03),

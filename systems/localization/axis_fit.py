@@ -1,0 +1,203 @@
+"""Least-squares fit of a needle's axis to voxels."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from sonoservo.systems.localization.axis import Axis
+from sonoservo.systems.values import Immutable, NotFound, read_only
+
+
+@dataclass(frozen=True, eq=False)
+class AxisFit(Immutable):
+    """A least-squares axis with what it knows of its own precision.
+
+    Parameters
+    ----------
+    axis
+        The fitted axis; its origin is the points' weighted centroid.
+    normal_inverse
+        (n, n) inverse of the weighted normal matrix, for weights that sum to one.
+    scatter
+        (3, 3) weighted covariance of the residuals, in m^2; zero along the direction.
+    """
+
+    axis: Axis
+    normal_inverse: NDArray[np.float64]
+    scatter: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        n = self.axis.order
+        object.__setattr__(
+            self, "normal_inverse", read_only(self.normal_inverse, "normal_inverse", (n, n))
+        )
+        object.__setattr__(self, "scatter", read_only(self.scatter, "scatter", (3, 3)))
+
+    def covariance(self, a: ArrayLike, independent: float) -> NDArray[np.float64]:
+        """(3m, 3m) covariance in m^2 of the m positions at abscissae a, extrapolation included.
+
+        Parameters
+        ----------
+        a
+            (m,) abscissae in m.
+        independent
+            Number of independent observations that the points amount to: voxels within one beam
+            width repeat each other.
+        """
+        powers = np.vander(np.asarray(a, dtype=float), self.axis.order, increasing=True)
+        shape: NDArray[np.float64] = powers @ self.normal_inverse @ powers.T / independent
+        return np.asarray(np.kron(shape, self.scatter), dtype=np.float64)
+
+
+# Sums may be reordered, so that they are vectorised.
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
+def least_squares(  # pragma: no cover - compiled
+    coordinates: Any, weights: Any, order: int, towards: Any
+) -> Any:
+    """Fit as `fit_axis` does, for order 2 or 3; compiled, for it and for the consensus.
+
+    In the scaled abscissa t, of mean 0 and variance 1, the normal matrix of 1 and t is the
+    identity, and that of 1, t and t^2 follows from the skewness and the kurtosis of t.
+
+    Parameters
+    ----------
+    coordinates
+        (3, m) in m.
+    weights
+        (m,) not negative.
+    order
+        Of the axis.
+    towards
+        (3,) the direction is turned to this side; zero leaves it either way.
+
+    Returns
+    -------
+    Whether the points determine an axis; (3 + n, 3) origin, direction and coefficients; (n, n)
+    inverse of the normal matrix; (3, 3) scatter.
+    """
+    axis, inverse, scatter = np.zeros((2 + order, 3)), np.eye(order), np.zeros((3, 3))
+    x, y, z = coordinates[0], coordinates[1], coordinates[2]
+    total = weights.sum()
+    if np.count_nonzero(weights) < order or not total > 0:
+        return False, axis, inverse, scatter
+    ox = oy = oz = 0.0
+    for i in range(len(x)):
+        w = weights[i]
+        ox += w * x[i]
+        oy += w * y[i]
+        oz += w * z[i]
+    ox, oy, oz = ox / total, oy / total, oz / total
+    xx = yy = zz = xy = yz = zx = 0.0
+    for i in range(len(x)):
+        w, dx, dy, dz = weights[i], x[i] - ox, y[i] - oy, z[i] - oz
+        xx += w * dx * dx
+        yy += w * dy * dy
+        zz += w * dz * dz
+        xy += w * dx * dy
+        yz += w * dy * dz
+        zx += w * dz * dx
+    scatter[:] = np.array([[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]]) / total
+    values, vectors = np.linalg.eigh(scatter)
+    variance = values[2]
+    if not variance > 1e-18 or variance - values[1] < 1e-9 * variance:
+        return False, axis, inverse, scatter
+    axis[0] = ox, oy, oz
+    k = vectors[:, 2].copy()
+    if np.sum(k * towards) < 0:
+        k *= -1
+    axis[1] = k
+    scatter -= variance * np.outer(k, k)
+    if order == 3:
+        scale = 1 / np.sqrt(variance)
+        skewness = kurtosis = qx = qy = qz = 0.0
+        for i in range(len(x)):
+            w, dx, dy, dz = weights[i] / total, x[i] - ox, y[i] - oy, z[i] - oz
+            a = dx * k[0] + dy * k[1] + dz * k[2]
+            t = a * scale
+            skewness += w * t**3
+            kurtosis += w * t**4
+            qx += w * t**2 * (dx - a * k[0])
+            qy += w * t**2 * (dy - a * k[1])
+            qz += w * t**2 * (dz - a * k[2])
+        determinant = kurtosis - 1 - skewness**2
+        if determinant < 1e-9:
+            return False, axis, inverse, scatter
+        # What lies across the direction has no mean and no slope, but a bend.
+        bend = np.array([qx, qy, qz])
+        last = np.array([-1.0, -skewness, 1.0]) / determinant
+        inverse += determinant * np.outer(last, last)
+        inverse[2, 2] = last[2]
+        scatter -= last[2] * np.outer(bend, bend)
+        units = scale ** np.arange(3)
+        axis[2:] = np.outer(last * units, bend)
+        inverse *= np.outer(units, units)
+    else:
+        inverse[1, 1] = 1 / variance
+    axis[2] += axis[0]
+    axis[3] += k
+    return True, axis, inverse, scatter
+
+
+def fit_axis(
+    points: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    order: int,
+    towards: ArrayLike = (0.0, 0.0, 0.0),
+) -> AxisFit | NotFound:
+    """Weighted least-squares axis through points.
+
+    The direction is the principal one of the weighted covariance (total least squares); for order
+    2 the axis is that closed form. For order 3 the displacement across the direction is
+    regressed on powers of the abscissa.
+
+    Parameters
+    ----------
+    points
+        (m, 3) in m.
+    weights
+        (m,) not negative.
+    order
+        n: 2 for a straight axis, 3 for a bent one.
+    towards
+        (3,) the direction is turned to this side; zero leaves it either way.
+
+    Returns
+    -------
+    The fit, or `NotFound` where the points do not determine one.
+    """
+    solution = least_squares(np.ascontiguousarray(points.T), weights, order, np.asarray(towards))
+    return as_fit(solution, len(points))
+
+
+def assess_axis(axis: Axis, points: NDArray[np.float64], weights: NDArray[np.float64]) -> AxisFit:
+    """Return an axis as it is, with the precision of a fit to as many points, scattered like these.
+
+    Parameters
+    ----------
+    axis
+        That passes through no less than n of the points.
+    points
+        (m, 3) in m.
+    weights
+        (m,) not negative.
+    """
+    w = weights / weights.sum()
+    a = axis.abscissa(points)
+    powers = np.vander(a, axis.order, increasing=True)
+    residuals = points - axis.position(a)
+    return AxisFit(
+        axis,
+        np.linalg.inv((powers * w[:, np.newaxis]).T @ powers),
+        (residuals * w[:, np.newaxis]).T @ residuals,
+    )
+
+
+def as_fit(solution: Any, count: int) -> AxisFit | NotFound:
+    """Wrap what `least_squares` returns for a number of points."""
+    determined, axis, normal_inverse, scatter = solution
+    if not determined:
+        return NotFound(f"{count} points do not determine an axis of order {len(axis) - 2}")
+    return AxisFit(Axis(axis[0], axis[1], axis[2:]), normal_inverse, scatter)
