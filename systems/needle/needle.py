@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.needle.curve import NeedleCurve
@@ -49,6 +49,12 @@ class Needle(Immutable):
     def curve(self) -> NeedleCurve:
         """The straight curve from entry to tip (order 2)."""
         return NeedleCurve(self.shaft[[0, -1]])
+
+    def position(self, s: ArrayLike) -> NDArray[np.float64]:
+        """(..., 3) positions in m at distances s along the shaft from the entry, in m."""
+        ends = np.concatenate([[0], np.linalg.norm(np.diff(self.shaft, axis=0), axis=1).cumsum()])
+        s = np.asarray(s, dtype=float)
+        return np.stack([np.interp(s, ends, axis) for axis in self.shaft.T], axis=-1)
 
     def transformed(self, X: RigidTransform) -> "Needle":
         """Return the needle expressed in another frame."""
