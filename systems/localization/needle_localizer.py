@@ -138,7 +138,10 @@ _EVERYWHERE = 0.3
 
 @dataclass(frozen=True, eq=False)
 class _Region:
-    """Where to look: around a curve in W; its entry if known, and whether its tip moved."""
+    """Where to look: around a curve in W; its entry if known, and whether its tip moved.
+
+    ``followed`` counts how often a needle newly found was followed towards the outside.
+    """
 
     curve: NeedleCurve
     radius: float
@@ -148,6 +151,7 @@ class _Region:
     largest_angle: float
     entry: NDArray[np.float64] | None = None
     tip_moved: bool = False
+    followed: int = 0
 
 
 def _predicted_region(
@@ -222,7 +226,7 @@ def _localize_in(
     )
     if isinstance(found, NotFound):
         return found
-    return _measure(volume, region, parameters, points, candidates.weights, found.fit)
+    return _measure(volume, region, parameters, points, candidates.weights, found.fit, rng)
 
 
 def _measure(
@@ -232,6 +236,7 @@ def _measure(
     points: NDArray[np.float64],
     weights: NDArray[np.float64],
     fit: AxisFit,
+    rng: np.random.Generator,
 ) -> NeedleMeasurement | NotFound:
     """Find the needle's ends along the axis, refit between them, and judge."""
     extent = _extent(volume, region, parameters, fit)
@@ -255,9 +260,37 @@ def _measure(
     extent = _extent(volume, region, parameters, fit)
     if isinstance(extent, NotFound):
         return extent
+    if region.entry is None and extent.start - extent.entered > parameters.largest_entry_gap:
+        longer = _towards_outside(region, parameters, fit, extent)
+        if isinstance(longer, NotFound):
+            return longer
+        return _localize_in(volume, longer, parameters, rng)
     candidates = _between(points, fit, extent)
     inliers = candidates & (fit.axis.distance(points) < parameters.ransac.inlier_distance)
     return _judge(volume, region, parameters, fit, extent, inliers.sum(), candidates.sum())
+
+
+def _towards_outside(
+    region: _Region, parameters: NeedleLocalizerParameters, fit: AxisFit, extent: NeedleExtent
+) -> _Region | NotFound:
+    """Return where to look for the rest of a needle of which only the end was found.
+
+    Where a needle moved fast, only the part that is new stood out at first. It is followed as long
+    as it proves longer.
+    """
+    before = fit.axis.abscissa(region.curve.entry) - extent.start
+    if region.followed > 0 and before < parameters.least_length:
+        return NotFound("what was found does not come from outside the field of view")
+    ends = np.linspace(extent.start, extent.tip, parameters.order)
+    return _Region(
+        curve=NeedleCurve(fit.axis.position(ends)),
+        radius=2 * parameters.margin,
+        before=parameters.search_reach,
+        beyond=parameters.margin,
+        shaft_beyond=0.0,
+        largest_angle=math.radians(2 * parameters.largest_angle_deg),
+        followed=region.followed + 1,
+    )
 
 
 def _extent(
@@ -298,12 +331,7 @@ def _judge(
         return NotFound(f"only {100 * ratio:.0f} % of the candidates lie on the axis")
     if extent.evidence < parameters.least_evidence:
         return NotFound("too little stands out from the background along the axis")
-    if region.entry is not None:
-        start = float(fit.axis.abscissa(region.entry))
-    elif extent.start - extent.entered <= parameters.largest_entry_gap:
-        start = extent.start
-    else:
-        return NotFound("what was found does not come from outside the field of view")
+    start = extent.start if region.entry is None else float(fit.axis.abscissa(region.entry))
     if extent.tip - start < parameters.least_length:
         return NotFound("the needle has been withdrawn to its entry")
     # Interior points uniform in chord: the entry rests, the tip moves, no point slides.

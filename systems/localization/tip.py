@@ -179,7 +179,8 @@ class NeedleExtent(Immutable):
     start, tip
         Abscissae in m.
     entered
-        Abscissa in m where the axis enters the field of view, or where the profile begins.
+        Abscissa in m where the axis enters the field of view; -inf if it does so before the profile
+        begins.
     leaves
         Whether the needle leaves the field of view, so that its tip is not seen.
     evidence
@@ -239,12 +240,12 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
     if last < 0:
         return NotFound("nothing along the axis stands out from the background")
     tip = _tip(profile, contrast, first, last, parameters)
-    unseen = np.flatnonzero(~profile.seen)
+    unseen = np.flatnonzero(~profile.seen[:first])
     beyond = np.searchsorted(profile.a, profile.a[last] + parameters.smoothing)
     return NeedleExtent(
         start=float(profile.a[first]),
         tip=tip,
-        entered=float(profile.a[max(unseen[unseen < first], default=0)]),
+        entered=float(profile.a[unseen[-1]]) if len(unseen) else -np.inf,
         leaves=bool(beyond >= len(profile.a) or not profile.seen[beyond]),
         evidence=float(evidence[first : last + 1].sum()) * step,
     )
