@@ -55,6 +55,12 @@ def run_command(
     seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for the results.")] = None,
     meshcat: Annotated[bool, typer.Option(help="Show the run in a browser, at real time.")] = True,
+    record: Annotated[
+        Path | None, typer.Option(help="Record the volumes, with the truth: FILE.seq.nrrd.")
+    ] = None,
+    record_sweeps: Annotated[
+        bool, typer.Option("--record-sweeps", help="Record the sweeps too, as acquired.")
+    ] = False,
     json_path: JsonOption = None,
 ) -> None:
     """Run a scenario; end with a table of figures and a folder of results."""
@@ -62,7 +68,14 @@ def run_command(
     folder = out or Path("out") / f"{loaded.name}_seed{loaded.seed}"
     display = start_display(_console) if meshcat else None
     with Progress(_console, loaded) as progress:
-        result = run(loaded, out=folder, meshcat=display, after_volume=progress)
+        result = run(
+            loaded,
+            out=folder,
+            meshcat=display,
+            after_volume=progress,
+            record=record,
+            record_sweeps=record_sweeps,
+        )
     _console.print(summary_table(result.summary, loaded.published))
     _console.print(f"Results, starting with the report: {folder / 'report.html'}", soft_wrap=True)
     _write_json(json_path, result.summary)

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from sonoservo.systems.needle.hand import Hand
 from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.recording.logger import RunLogger
 from sonoservo.systems.recording.run_log import RunLog
+from sonoservo.systems.recording.volume_recorder import VolumeRecorder
 from sonoservo.systems.robot.phantom import PhantomMotion
 from sonoservo.systems.robot.phantom_motion import phantom_trajectory
 from sonoservo.systems.ultrasound.imaging import sweep_geometry
@@ -41,8 +43,8 @@ class Experiment:
         name: (the scenario's)
 
     The subsystems are station, phantom_motion, hand, scanner, scan_converter, needle_tracker,
-    probe_controller, run_logger and, with a Meshcat, world_view. Every one of their inputs is
-    connected to the output that has the same name.
+    probe_controller, run_logger and, if wanted, world_view and volume_recorder. Every one of their
+    inputs is connected to the output that has the same name.
 
     Parameters
     ----------
@@ -50,6 +52,10 @@ class Experiment:
         What is to happen.
     meshcat
         Where to draw, if anywhere.
+    record
+        Where to record the volumes, if anywhere: ``NAME.seq.nrrd``. Call `close` at the end.
+    record_sweeps
+        Whether to record the sweeps too.
 
     Raises
     ------
@@ -57,7 +63,14 @@ class Experiment:
         If the scenario cannot be carried out; the message names the field.
     """
 
-    def __init__(self, scenario: Scenario, meshcat: Meshcat | None = None) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        meshcat: Meshcat | None = None,
+        *,
+        record: Path | None = None,
+        record_sweeps: bool = False,
+    ) -> None:
         self.scenario = scenario
         # One seed for each thing that is random, so that none depends on how the others draw.
         tissue_seed, insertion_seed, noise_seed, wrist_seed, tracker_seed = (
@@ -125,6 +138,19 @@ class Experiment:
             systems["world_view"] = WorldView(
                 meshcat=meshcat, parameters=WorldViewParameters(film_frames=frames)
             )
+        self._recorder: VolumeRecorder | None = None
+        if record is not None:
+            self._recorder = systems["volume_recorder"] = VolumeRecorder(
+                path=record,
+                settings={
+                    "dynamic_range_db": scenario.imaging.dynamic_range_db,
+                    "tracker_seed": tracker_seed,
+                },
+                sweeps=record_sweeps,
+                period=self._volume_period,
+                offset=self._first_volume + 2 * _INSTANT,
+                truth_period=geometry.frame_period,
+            )
         builder = DiagramBuilder()
         for name, system in systems.items():
             builder.AddNamedSystem(name, system)
@@ -160,6 +186,11 @@ class Experiment:
             if after_volume is not None:
                 after_volume(self.time, self._evaluate(self.needle_tracker, "estimate"))
         simulator.AdvanceTo(self.scenario.duration)
+
+    def close(self) -> None:
+        """Give a recording its final name."""
+        if self._recorder is not None:
+            self._recorder.close()
 
     @property
     def time(self) -> float:

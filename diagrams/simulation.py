@@ -46,6 +46,8 @@ def run(
     out: Path | None = None,
     meshcat: Meshcat | None = None,
     after_volume: Callable[[float, NeedleEstimate], None] | None = None,
+    record: Path | None = None,
+    record_sweeps: bool = False,
 ) -> RunResult:
     """Run a scenario to its end, or until it is interrupted from the keyboard.
 
@@ -60,6 +62,11 @@ def run(
         Where to draw. The run then goes no faster than real time.
     after_volume
         Called after every volume, with the simulated time in s and the estimate.
+    record
+        Where to record the volumes as they come, ``NAME.seq.nrrd``, and the truth beside them; None
+        records none. What was recorded before an interruption stays.
+    record_sweeps
+        Whether to record the sweeps too, as acquired.
 
     Returns
     -------
@@ -71,7 +78,7 @@ def run(
         If the scenario cannot be carried out.
     """
     try:
-        experiment = Experiment(scenario, meshcat)
+        experiment = Experiment(scenario, meshcat, record=record, record_sweeps=record_sweeps)
     except (ValueError, FileNotFoundError) as error:
         raise ConfigurationError(f"{scenario.name}: {error}") from error
     if out is not None:
@@ -99,6 +106,7 @@ def run(
         log = experiment.log()
         if out is not None:
             write_log(out / "log.npz", log)
+        experiment.close()
     wall = time.perf_counter() - started
 
     target = scenario.controller.force.force

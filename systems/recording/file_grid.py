@@ -1,0 +1,97 @@
+"""From a file's grid of voxels to a `Volume` in the probe's frame, and back."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydrake.math import RigidTransform, RotationMatrix
+
+from sonoservo.systems.values import Immutable, require
+
+_DEPTHS = {
+    "L": (1, 0, 0),
+    "R": (-1, 0, 0),
+    "P": (0, 1, 0),
+    "A": (0, -1, 0),
+    "S": (0, 0, 1),
+    "I": (0, 0, -1),
+}
+"""Where the sound goes, in LPS: to the left, right, back (posterior), front, head, feet."""
+
+
+@dataclass(frozen=True, eq=False)
+class FileGrid(Immutable):
+    """How a file's axes become those of the probe frame P: by order and sign, then by a rotation.
+
+    P is right-handed, its Y axis the one of the file's axes that comes closest to the depth. So an
+    array with left-handed or permuted axes is only looked at differently, never resampled; however
+    the grid is turned in space goes into the pose X_LP.
+
+    Parameters
+    ----------
+    order
+        Of the file's axes that become X, Y, Z.
+    flipped
+        Which of these run backwards.
+    origin, spacing
+        (3,) of the volume in P, in m.
+    X_LP
+        Pose of P in L, the file's own coordinates: LPS, but in m.
+    """
+
+    order: tuple[int, int, int]
+    flipped: tuple[bool, bool, bool]
+    origin: NDArray[np.float64]
+    spacing: NDArray[np.float64]
+    X_LP: RigidTransform
+
+    def arrange(self, voxels: NDArray[Any]) -> NDArray[Any]:
+        """Return a view of the file's voxels, index [x, y, z] in P."""
+        backwards = tuple(slice(None, None, -1 if flip else 1) for flip in self.flipped)
+        return voxels.transpose(self.order)[backwards]
+
+
+def make_file_grid(
+    directions: ArrayLike, origin: ArrayLike, shape: tuple[int, int, int], depth: str = "P"
+) -> FileGrid:
+    """Find how a file's grid lies in the probe frame.
+
+    Parameters
+    ----------
+    directions
+        (3, 3) steps along the file's axes, as columns, in mm, in LPS; at right angles.
+    origin
+        (3,) of the first voxel in mm, in LPS.
+    shape
+        Voxels along the file's axes.
+    depth
+        Where the sound goes, as a letter of the body: "L", "R", "P", "A", "S" or "I".
+
+    Raises
+    ------
+    ValueError
+        If ``depth`` is something else.
+    """
+    require(depth in _DEPTHS, "depth", depth, f"one of {', '.join(_DEPTHS)}")
+    steps = np.asarray(directions, float)
+    lengths = np.linalg.norm(steps, axis=0)
+    unit = steps / lengths
+    y = int(np.abs(np.array(_DEPTHS[depth]) @ unit).argmax())
+    signs = np.ones(3)
+    signs[y] = np.sign(np.array(_DEPTHS[depth]) @ unit[:, y]) or 1.0
+    x, z = (axis for axis in range(3) if axis != y)
+    # The lateral axis keeps its direction where it can: the sweep's is turned to be right-handed.
+    if np.linalg.det((unit * signs)[:, [x, y, z]]) < 0:
+        signs[z] = -1
+    order = (x, y, z)
+    R_LP = RotationMatrix.ProjectToRotationMatrix((unit * signs)[:, order])
+    last = np.where(signs < 0, np.array(shape) - 1, 0)
+    first = 1e-3 * (np.asarray(origin, float) + steps @ last)
+    return FileGrid(
+        order,
+        (bool(signs[x] < 0), bool(signs[y] < 0), bool(signs[z] < 0)),
+        R_LP.matrix().T @ first,
+        1e-3 * lengths[list(order)],
+        RigidTransform(R_LP, np.zeros(3)),
+    )

@@ -1,0 +1,60 @@
+"""From whatever numbers a file holds to the grey levels that trackers take."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.values import Immutable, require
+
+_SATURATED = 0.999
+"""Quantile of the voxels in the field of view that becomes the greatest grey level."""
+
+
+@dataclass(frozen=True)
+class GreyWindow(Immutable):
+    """The range of a file's numbers that becomes the grey levels 0 to 255; beyond it they saturate.
+
+    Parameters
+    ----------
+    low, high
+        That become 0 and 255.
+    """
+
+    low: float
+    high: float
+
+    def __post_init__(self) -> None:
+        finite = bool(np.isfinite([self.low, self.high]).all())
+        require(finite and self.low < self.high, "window", (self.low, self.high), "two rising ends")
+
+    def grey(self, voxels: NDArray[Any]) -> NDArray[Any]:
+        """Return grey levels in C order: uint8 as it is if the window is 0 to 255, else float32."""
+        if voxels.dtype == np.uint8 and (self.low, self.high) == (0, 255):
+            return np.ascontiguousarray(voxels)
+        levels = np.array(voxels, np.float32, order="C")
+        if (self.low, self.high) != (0, 255):
+            levels -= np.float32(self.low)
+            levels *= np.float32(255 / (self.high - self.low))
+        return np.clip(levels, 0, 255, out=levels)
+
+
+def choose_window(voxels: NDArray[Any]) -> GreyWindow:
+    """Choose a window for volumes like this one; it must then stay the same for all of them.
+
+    8-bit grey levels are taken as they are, and so are other numbers that look like such: from 0 to
+    at most 255, with more than half of that range in use. Otherwise the least number, which also
+    fills what lies outside the field of view, becomes 0, and the 99.9 % quantile of those above it
+    becomes 255. The numbers should be log-compressed: for linear amplitudes take the logarithm
+    first.
+    """
+    if voxels.dtype == np.uint8:
+        return GreyWindow(0, 255)
+    low, high = float(voxels.min()), float(voxels.max())
+    if low >= 0 and 127.5 < high <= 255:
+        return GreyWindow(0, 255)
+    above = voxels[voxels > low]
+    if above.size == 0:
+        return GreyWindow(low, low + 1.0)
+    return GreyWindow(low, float(np.quantile(above, _SATURATED, method="higher")))

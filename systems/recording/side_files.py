@@ -1,0 +1,217 @@
+"""What belongs to a recording beside its volumes: how they were acquired, and the truth.
+
+Both are JSON Lines files: the first line describes the file, each further one a volume or a moment.
+They are written line by line, in SI units, every number such that it reads back the same.
+"""
+
+import json
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.math import RigidTransform
+
+from sonoservo.systems.recording.sequence_writer import SUFFIX, partial_path
+from sonoservo.systems.typed_yaml import ConfigurationError
+from sonoservo.systems.ultrasound.sweep import SweepGeometry, SweepMotion
+from sonoservo.systems.ultrasound.volume import Volume
+
+ACQUISITION, TRUTH = ".acquisition.jsonl", ".truth.jsonl"
+"""Suffixes, in the place of the recording's."""
+
+FORMAT = 1
+"""Version of both files, in their first lines."""
+
+_RECORDINGS = (SUFFIX, ".seq.nhdr", ".nrrd", ".nhdr", ".mha", ".mhd")
+
+
+def side_path(recording: Path, suffix: str) -> Path:
+    """Return the file beside a recording that has its name and another suffix."""
+    name = recording.name
+    for each in _RECORDINGS:
+        if name.lower().endswith(each):
+            return recording.with_name(name[: -len(each)] + suffix)
+    return recording.with_name(name + suffix)
+
+
+class LinesWriter:
+    """Writes a JSON Lines file; it has its final name once it is closed.
+
+    Parameters
+    ----------
+    recording
+        That it belongs to.
+    suffix
+        Of this file.
+    first
+        Its first line.
+    """
+
+    def __init__(self, recording: Path, suffix: str, first: dict[str, Any]) -> None:
+        self._path = side_path(recording, suffix)
+        self._partial = partial_path(recording, suffix)
+        self._partial.parent.mkdir(parents=True, exist_ok=True)
+        self._file = self._partial.open("w", encoding="utf-8")
+        self.append({"format": FORMAT, **first})
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def append(self, line: dict[str, Any]) -> None:
+        """Write a line."""
+        self._file.write(json.dumps(line) + "\n")
+        self._file.flush()
+
+    def close(self, keep: bool = True) -> None:
+        """Give the file its final name, or remove it."""
+        if self._file.closed:
+            return
+        self._file.close()
+        if keep:
+            os.replace(self._partial, self._path)
+        else:
+            self._partial.unlink()
+
+
+def describe_grid(volume: Volume) -> dict[str, Any]:
+    """Return the part of an acquisition that all volumes share."""
+    return {
+        "origin": volume.origin.tolist(),
+        "spacing": volume.spacing.tolist(),
+        "geometry": asdict(volume.motion.geometry) if volume.motion else None,
+    }
+
+
+def describe_acquisition(volume: Volume) -> dict[str, Any]:
+    """Return when and from where a volume was acquired."""
+    motion = volume.motion
+    line = {"time": volume.time, "X_WP": volume.X_WP.GetAsMatrix4().tolist()}
+    if motion is not None:
+        line["direction"] = motion.direction
+        line["frame_times"] = motion.times.tolist()
+        line["frame_X_WP"] = motion.X_WP.tolist()
+    return line
+
+
+@dataclass(frozen=True, eq=False)
+class Acquisition:
+    """When and from where volumes were acquired, exactly.
+
+    Parameters
+    ----------
+    origin, spacing
+        (3,) of all volumes, in m.
+    times
+        Of the volumes, in s.
+    poses
+        X_WP of each.
+    motions
+        Of each; None if that is not known.
+    settings
+        What else the first line holds.
+    """
+
+    origin: NDArray[np.float64]
+    spacing: NDArray[np.float64]
+    times: list[float]
+    poses: list[RigidTransform]
+    motions: list[SweepMotion | None]
+    settings: dict[str, Any]
+
+
+def read_acquisition(path: Path) -> Acquisition:
+    """Read how a recording was acquired.
+
+    Raises
+    ------
+    ConfigurationError
+        If the file is damaged.
+    """
+    first, lines = _read_lines(path)
+    try:
+        geometry = first.pop("geometry")
+        swept = SweepGeometry(**geometry) if geometry else None
+        return Acquisition(
+            np.array(first.pop("origin"), float),
+            np.array(first.pop("spacing"), float),
+            [float(line["time"]) for line in lines],
+            [RigidTransform(np.array(line["X_WP"], float)) for line in lines],
+            [_motion(swept, line) for line in lines],
+            first,
+        )
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        raise ConfigurationError(f"{path}: damaged: {' '.join(str(error).split())}") from error
+
+
+def _motion(geometry: SweepGeometry | None, line: dict[str, Any]) -> SweepMotion | None:
+    if geometry is None:
+        return None
+    return SweepMotion(geometry, line["direction"], line["frame_times"], line["frame_X_WP"])
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """What the simulator knew while it recorded; no tracker reads it.
+
+    Parameters
+    ----------
+    times
+        (n,) in s.
+    tip, entry
+        (n, 3) of the needle in W, in m; NaN while it is outside the tissue.
+    length
+        (n,) inside the tissue, in m.
+    contact_force
+        (n,) in N.
+    """
+
+    times: NDArray[np.float64]
+    tip: NDArray[np.float64]
+    entry: NDArray[np.float64]
+    length: NDArray[np.float64]
+    contact_force: NDArray[np.float64]
+
+
+def read_truth(path: Path) -> Truth:
+    """Read the truth beside a recording.
+
+    Raises
+    ------
+    ConfigurationError
+        If the file is damaged.
+    """
+    _, lines = _read_lines(path)
+    try:
+        needles = [np.array(line["needle"], float).reshape(-1, 3) for line in lines]
+        outside = np.full((2, 3), np.nan)
+        ends = np.array([shaft[[0, -1]] if len(shaft) else outside for shaft in needles])
+        ends = ends.reshape(-1, 2, 3)
+        return Truth(
+            np.array([line["time"] for line in lines], float),
+            ends[:, 1],
+            ends[:, 0],
+            np.array([np.linalg.norm(np.diff(s, axis=0), axis=1).sum() for s in needles]),
+            np.array([line["contact_force"] for line in lines], float),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise ConfigurationError(f"{path}: damaged: {error}") from error
+
+
+def _read_lines(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Return the first line without the version, and the others."""
+    try:
+        text = path.read_text(encoding="utf-8")
+        # What comes after the last end of a line was being written when the program was killed.
+        first, *others = (json.loads(line) for line in text[: text.rfind("\n") + 1].splitlines())
+        version = first.pop("format")
+    except (OSError, ValueError, KeyError, AttributeError) as error:
+        raise ConfigurationError(f"{path}: damaged: {error}") from error
+    if version != FORMAT:
+        raise ConfigurationError(f"{path} has format {version}; this program reads {FORMAT}")
+    return first, others

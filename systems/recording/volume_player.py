@@ -1,0 +1,71 @@
+"""A system that plays recorded volumes."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.systems.framework import Context, LeafSystem
+
+from sonoservo.systems.recording.recording import Recording
+from sonoservo.systems.ultrasound.volume import Volume
+from sonoservo.systems.values import NotFound, require, require_not_negative
+
+
+class VolumePlayer(LeafSystem):
+    """Gives recorded volumes at the times at which they were acquired, as a scanner would.
+
+    .. pydrake_system::
+
+        name: VolumePlayer
+        output_ports:
+        - volume
+
+    Stateless: the output is the newest volume whose time, plus ``delay``, has come, or a `NotFound`
+    before the first. A volume is read from the file when somebody looks at it.
+
+    Parameters
+    ----------
+    recording
+        What to play.
+    start
+        Time of the first volume in the simulation, in s; None keeps the recording's own times. The
+        volumes themselves keep theirs.
+    delay
+        From a volume's time, the middle of its acquisition, to when it can be had, in s.
+    """
+
+    def __init__(
+        self,
+        *,
+        recording: Recording | Sequence[Volume],
+        start: float | None = None,
+        delay: float = 0.0,
+    ) -> None:
+        super().__init__()
+        require(len(recording) > 0, "recording", len(recording), "at least one volume")
+        require_not_negative(delay=delay)
+        if isinstance(recording, Recording):
+            times = recording.times
+        else:
+            times = np.array([volume.time for volume in recording])
+        shift = 0.0 if start is None else start - times[0]
+        self._due = times + shift + delay
+        # The framework asks again after every event; a volume is read once.
+        self._read = lru_cache(maxsize=1)(recording.__getitem__)
+        self.DeclareAbstractOutputPort(
+            "volume",
+            lambda: Value[object](NotFound("no volume is due yet")),
+            self._calc_volume,
+            prerequisites_of_calc={self.time_ticket()},
+        )
+
+    @property
+    def end(self) -> float:
+        """Time in the simulation at which the last volume is due, in s."""
+        return float(self._due[-1])
+
+    def _calc_volume(self, context: Context, output: Value) -> None:
+        number = int(np.searchsorted(self._due, context.get_time() + 1e-9, side="right")) - 1
+        due = self._read(number) if number >= 0 else NotFound("no volume is due yet")
+        output.set_value(due)

@@ -1,0 +1,328 @@
+"""Files of other software, and what is wrong with some of them."""
+
+import gzip
+import tracemalloc
+
+import nrrd
+import numpy as np
+import pytest
+import SimpleITK
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from pydrake.math import RollPitchYaw
+from recordings import tracked, write_meta_image, write_sequence_nrrd
+
+from sonoservo.systems.recording.recording import Recording
+from sonoservo.systems.typed_yaml import ConfigurationError
+
+SHAPE = (6, 8, 5)
+RNG = np.random.default_rng(0)
+ARRAYS = [RNG.integers(1, 256, SHAPE).astype(np.uint8) for _ in range(4)]
+
+
+def place(volume, index):
+    """Where in W, in mm, a volume has its voxel."""
+    return 1e3 * volume.to_world(volume.position([index]))[0][0]
+
+
+def assert_same(recording, arrays=ARRAYS, times=(0, 0.3, 0.6, 0.9)):
+    assert len(recording) == len(arrays)
+    np.testing.assert_allclose(recording.times, times[: len(arrays)])
+    for volume, array, time in zip(recording, arrays, times, strict=False):
+        np.testing.assert_array_equal(volume.intensities, array)
+        assert volume.time == pytest.approx(time)
+        assert volume.intensities.flags.c_contiguous  # what the kernels are compiled for
+        np.testing.assert_allclose(place(volume, [1, 2, 3]), [-20 + 0.3, 5 + 1.2, -30 + 3.3])
+
+
+@pytest.mark.parametrize("list_first", [False, True])
+@pytest.mark.parametrize("encoding", ["raw", "gzip"])
+def test_sequences_of_slicer_old_and_new(tmp_path, list_first, encoding):
+    path = write_sequence_nrrd(
+        tmp_path / "a.seq.nrrd", ARRAYS, list_first=list_first, encoding=encoding
+    )
+    recording = Recording(path)
+    assert_same(recording)
+    assert not recording.posed
+    np.testing.assert_array_equal(recording[0].intensities, ARRAYS[0])  # and backwards
+
+
+def test_a_single_volume_and_one_with_its_data_beside_it(tmp_path):
+    header = {"space directions": np.diag([0.3, 0.6, 1.1]), "space origin": [-20, 5.0, -30]}
+    for name in ("a.nrrd", "b.nhdr"):
+        space = {"space": "left-posterior-superior"}
+        nrrd.write(str(tmp_path / name), ARRAYS[0], space | header)
+        assert_same(Recording(tmp_path / name), ARRAYS[:1])
+
+
+@pytest.mark.parametrize("name", ["a.mha", "a.mhd"])
+@pytest.mark.parametrize("compressed", [False, True])
+def test_meta_images(tmp_path, name, compressed):
+    path = write_meta_image(tmp_path / name, ARRAYS, compressed=compressed)
+    assert_same(Recording(path, volume_rate=1 / 0.3))
+    assert_same(Recording(write_meta_image(path, ARRAYS[:1], compressed=compressed)), ARRAYS[:1])
+
+
+def test_itk_and_pynrrd_agree_on_where_a_marked_voxel_lies(tmp_path):
+    """Rotated, left-handed and in RAS: SimpleITK is the referee."""
+    R = RollPitchYaw(0.3, -0.2, 0.5).ToRotationMatrix().matrix()
+    for mirrored in (1, -1):
+        steps = (R * [0.3, 0.6, 1.1]) @ np.diag([mirrored, 1, 1])
+        header = {
+            "space": "right-anterior-superior",
+            "space directions": (np.diag([-1, -1, 1]) @ steps).T,
+            "space origin": [20.0, -5.0, -30.0],
+        }
+        path = tmp_path / "a.nrrd"
+        array = np.zeros(SHAPE, np.int16)
+        array[4, 6, 1] = 900
+        nrrd.write(str(path), array, header)
+        (volume,) = Recording(path)
+        marked = np.unravel_index(volume.intensities.argmax(), SHAPE)
+        image = SimpleITK.ReadImage(str(path))
+        np.testing.assert_allclose(
+            place(volume, marked), image.TransformIndexToPhysicalPoint((4, 6, 1)), atol=1e-9
+        )
+
+
+@given(
+    order=st.permutations([0, 1, 2]),
+    signs=st.tuples(*[st.sampled_from([-1, 1])] * 3),
+    angles=st.tuples(*[st.floats(-0.4, 0.4)] * 3),
+    depth=st.sampled_from("LRPASI"),
+)
+@settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+def test_every_voxel_keeps_its_place_however_the_axes_lie(tmp_path, order, signs, angles, depth):
+    R = RollPitchYaw(*angles).ToRotationMatrix().matrix()
+    steps = (R @ np.diag(signs))[:, order] * [0.3, 0.6, 1.1]
+    header = {
+        "space": "left-posterior-superior",
+        "space directions": steps.T,
+        "space origin": [1.0, 2, 3],
+        "encoding": "raw",
+    }
+    nrrd.write(str(tmp_path / "a.nrrd"), ARRAYS[0], header)
+    (volume,) = Recording(tmp_path / "a.nrrd", depth=depth)
+    shape = volume.intensities.shape
+    found = volume.to_world(volume.position(np.argwhere(np.ones(shape))))[0]
+    wanted = np.argwhere(np.ones(SHAPE)) @ steps.T + [1, 2, 3]
+    values = np.column_stack([1e3 * found, volume.intensities.ravel()])
+    truth = np.column_stack([wanted, ARRAYS[0].ravel()])
+    for each in (values, truth):
+        each[:] = each[np.lexsort(np.round(each, 6).T)]
+    np.testing.assert_allclose(values, truth, atol=1e-9)
+    # The sound goes along Y of the probe, and so where it was said to go.
+    axes = dict(zip("LPSRAI", [*np.eye(3), *-np.eye(3)], strict=True))
+    down = volume.X_WP.rotation().matrix()[:, 1]
+    assert down @ axes[depth] > 0.5
+
+
+@pytest.mark.parametrize(
+    ("array", "window", "wanted"),
+    [
+        (ARRAYS[0].astype(np.float32), None, ARRAYS[0]),
+        (ARRAYS[0].astype(">i2"), None, ARRAYS[0]),
+        (ARRAYS[0].astype(np.float64) * 40 - 1000, (-1000, 9200), ARRAYS[0]),
+        (ARRAYS[0], (100, 200), np.clip((ARRAYS[0] - 100.0) * 2.55, 0, 255)),
+    ],
+)
+def test_numbers_become_grey_levels(tmp_path, array, window, wanted):
+    path = write_sequence_nrrd(tmp_path / "a.seq.nrrd", [array], times=[0.0])
+    (volume,) = Recording(path, window=window)
+    np.testing.assert_allclose(volume.intensities, wanted, atol=1e-4)
+
+
+def test_the_window_is_the_first_volume_s_and_keeps_the_order(tmp_path):
+    first = np.linspace(-500, 3000, 240).reshape(SHAPE).astype(np.float32)
+    path = write_sequence_nrrd(tmp_path / "a.seq.nrrd", [first, 2 * first])
+    recording = Recording(path)
+    late, early = recording[1].intensities, recording[0].intensities
+    assert (np.diff(early.ravel()) >= 0).all()
+    assert early.min() == 0
+    assert early.max() == 255
+    middle = late < 255
+    np.testing.assert_allclose(late[middle], np.clip(2 * early - 36.5, 0, None)[middle], atol=0.5)
+
+
+def test_tracked_volumes_of_plus_have_poses_and_invalid_ones_are_skipped(tmp_path):
+    path = write_meta_image(tmp_path / "a.mha", ARRAYS, tracked(4, invalid=[1]))
+    recording = Recording(path)
+    assert recording.posed
+    assert (len(recording), recording.skipped) == (3, 1)
+    np.testing.assert_allclose(recording.times, [10, 10.5, 10.75])
+    np.testing.assert_array_equal(recording[1].intensities, ARRAYS[2])
+    # The file's x is the tracker's y, its y the tracker's -x.
+    place_mm = np.array([-20 + 0.3, 5 + 1.2, -30 + 3.3])
+    wanted = [-place_mm[1] + 4, place_mm[0] + 5, place_mm[2] - 7]
+    np.testing.assert_allclose(place(recording[1], [1, 2, 3]), wanted)
+    X_WL = recording.X_WL(1)
+    np.testing.assert_allclose(1e3 * X_WL.multiply(1e-3 * place_mm), wanted)
+    still = Recording(path, poses="none")
+    assert len(still) == 4
+    np.testing.assert_allclose(place(still[2], [1, 2, 3]), place_mm)
+
+
+def test_transforms_of_the_image_are_in_voxels(tmp_path):
+    fields = {
+        "Seq_Frame0000_ImageToReferenceTransform": "0.3 0 0 -20 0 0.6 0 5 0 0 1.1 -30 0 0 0 1",
+        "Seq_Frame0000_ImageToReferenceTransformStatus": "OK",
+    }
+    (volume,) = Recording(write_meta_image(tmp_path / "a.mha", ARRAYS[:1], fields))
+    np.testing.assert_allclose(place(volume, [1, 2, 3]), [-19.7, 6.2, -26.7])
+
+
+def change(path, old, new):
+    data = path.read_bytes()
+    assert old in data
+    path.write_bytes(data.replace(old, new, 1))
+
+
+def nan_filled(path):
+    write_sequence_nrrd(path, [np.full(SHAPE, np.nan, np.float32)] * 2)
+
+
+FAULTS = {
+    "empty.seq.nrrd": (lambda path: path.write_bytes(b""), "it is empty"),
+    "folder.seq.nrrd": (lambda path: path.mkdir(), "it is a folder"),
+    "missing.nrrd": (lambda path: None, "there is no such file"),
+    "misnamed.nrrd": (lambda path: path.write_bytes(b"PNG" * 99), "no NRRD file"),
+    "misnamed.mha": (lambda path: path.write_bytes(b"PNG" * 99), "no MetaImage file"),
+    "volume.png": (lambda path: path.write_bytes(b"PNG" * 99), "files of this kind"),
+    "nan.seq.nrrd": (nan_filled, "volume 0 holds values that are not finite"),
+    "cut.seq.nrrd": (
+        lambda p: p.write_bytes(write_sequence_nrrd(p, ARRAYS, encoding="raw").read_bytes()[:-9]),
+        "truncated",
+    ),
+    "cut_gzip.seq.nrrd": (
+        lambda p: p.write_bytes(write_sequence_nrrd(p, ARRAYS).read_bytes()[:-90]),
+        "truncated",
+    ),
+    "cut.mha": (
+        lambda p: p.write_bytes(write_meta_image(p, ARRAYS).read_bytes()[:-9]),
+        "truncated",
+    ),
+    "cut_compressed.mha": (
+        lambda p: p.write_bytes(
+            write_meta_image(p, ARRAYS, tracked(4), compressed=True).read_bytes()[:-300]
+        ),
+        "truncated",
+    ),
+    "no_times.mha": (lambda p: write_meta_image(p, ARRAYS), "--volume-rate"),
+    "two_poses.mha": (
+        lambda p: write_meta_image(
+            p, ARRAYS, tracked(4) | tracked(4, transform="ProbeToReference")
+        ),
+        "Choose one with --poses: ProbeToReference, ProbeToTracker, or none",
+    ),
+    "frames.mha": (
+        lambda p: write_meta_image(p, ARRAYS[:1], tracked(5)),
+        "6 x 8 x 1 voxels are 2D frames",
+    ),
+    "flat.nrrd": (lambda p: nrrd.write(str(p), ARRAYS[0][:, :, 0]), "three in space"),
+    "invalid.mha": (
+        lambda p: write_meta_image(p, ARRAYS, tracked(4, invalid=range(4))),
+        "all of its 4 volumes are invalid",
+    ),
+    "backwards.seq.nrrd": (
+        lambda p: write_sequence_nrrd(p, ARRAYS, times=[0, 1, 0.5, 2]),
+        "the time of volume 2",
+    ),
+    "spacing.seq.nrrd": (
+        lambda p: change(write_sequence_nrrd(p, ARRAYS), b"(0.29999999999999999", b"(0.0"),
+        "voxel spacing [0.0, 0.6, 1.1] mm; it must be above 0",
+    ),
+    "liar.seq.nrrd": (
+        lambda p: change(write_sequence_nrrd(p, ARRAYS), b"sizes: 6 8 5", b"sizes: 6 8 5000000"),
+        "truncated, or its header is wrong",
+    ),
+    "liar.mha": (
+        lambda p: change(write_meta_image(p, ARRAYS), b"DimSize = 6 8", b"DimSize = 6 80000000"),
+        "truncated, or its header is wrong",
+    ),
+    "negative.seq.nrrd": (
+        lambda p: change(write_sequence_nrrd(p, ARRAYS), b"sizes: 6 8 5", b"sizes: 6 -8 5"),
+        "it is empty",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_is_one_line_that_names_the_file(tmp_path, name):
+    make, message = FAULTS[name]
+    path = tmp_path / name
+    make(path)
+    with pytest.raises(ConfigurationError) as error:
+        for _ in Recording(path):
+            pass
+    text = str(error.value)
+    assert str(path) in text
+    assert message in text
+    assert "\n" not in text
+
+
+@pytest.fixture(scope="module")
+def good_files(tmp_path_factory):
+    folder, fields = tmp_path_factory.mktemp("good"), tracked(4)
+    write_sequence_nrrd(folder / "raw.seq.nrrd", ARRAYS, encoding="raw", **fields)
+    write_sequence_nrrd(folder / "first.seq.nrrd", ARRAYS, list_first=True)
+    write_meta_image(folder / "a.mha", ARRAYS, fields)
+    write_meta_image(folder / "c.mha", ARRAYS, fields, compressed=True)
+    return sorted(folder.iterdir())
+
+
+NUMBERS = [b"-1", b"0", b"nan", b"inf", b"1e400", b"9" * 20, b"4294967296"]
+WORDS = [b"none", b"(", b")", b"\n", b"\n\n", b":=", b"=", b" ", b"LOCAL", b"LIST", b"gzip", b"raw"]
+NASTY = st.sampled_from([b"", b"\0", *NUMBERS, *WORDS]) | st.binary(max_size=6)
+
+
+@given(data=st.data())
+@settings(
+    max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+def test_mutated_headers_give_volumes_or_one_line(tmp_path, capfd, good_files, data):
+    """Never a traceback, never a hang, never room made for what a header only says."""
+    good = data.draw(st.sampled_from(good_files))
+    content = bytearray(good.read_bytes())
+    end = min(len(content), 900)
+    for _ in range(data.draw(st.integers(1, 3))):
+        at, length = data.draw(st.integers(0, end)), data.draw(st.integers(0, 12))
+        content[at : at + length] = data.draw(NASTY)
+    path = tmp_path / good.name
+    path.write_bytes(bytes(content))
+    fault = f"{path}: one line"
+    tracemalloc.start()
+    try:
+        for volume in Recording(path):
+            assert np.isfinite(volume.intensities).all()
+    except ConfigurationError as error:
+        fault = str(error)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert str(path) in fault
+    assert "\n" not in fault
+    assert capfd.readouterr().err == ""
+    assert peak < 50e6
+
+
+def test_a_thousand_volumes_take_the_memory_of_a_few(tmp_path):
+    """16 MB of volumes, gzip and list axis first: at no time are more than some of them held."""
+    shape = (20, 40, 20)
+    header = (
+        "NRRD0004\ntype: uint8\ndimension: 4\nspace: LPS\nsizes: 1000 20 40 20\n"
+        "space directions: none (1,0,0) (0,1,0) (0,0,1)\nkinds: list domain domain domain\n"
+        'labels: "time" "" "" ""\nencoding: gzip\n'
+        f"axis 0 index type:=numeric\naxis 0 index values:={' '.join(map(str, range(1000)))}\n\n"
+    )
+    numbers = np.arange(1000, dtype=np.uint16).astype(np.uint8)
+    path = tmp_path / "long.seq.nrrd"
+    path.write_bytes(header.encode() + gzip.compress(np.tile(numbers, np.prod(shape)).tobytes(), 1))
+    recording = Recording(path)
+    tracemalloc.start()
+    for k, volume in enumerate(recording):
+        assert volume.intensities.shape == shape
+        assert (volume.intensities == k % 256).all()
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 20 * np.prod(shape)

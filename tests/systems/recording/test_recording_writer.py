@@ -1,0 +1,212 @@
+"""What we record, read by others, by us, and after an interruption."""
+
+import json
+import signal
+import subprocess
+import sys
+
+import nrrd
+import numpy as np
+import pytest
+import SimpleITK
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.systems.analysis import Simulator
+from synthetic_volumes import Scene
+
+from sonoservo.systems.needle.needle import Needle
+from sonoservo.systems.recording.recording import Recording
+from sonoservo.systems.recording.recording_writer import RecordingWriter
+from sonoservo.systems.recording.side_files import TRUTH, read_truth, side_path
+from sonoservo.systems.recording.volume_player import VolumePlayer
+from sonoservo.systems.recording.volume_recorder import VolumeRecorder
+from sonoservo.systems.ultrasound.volume import Volume
+from sonoservo.systems.values import NotFound
+
+SCENE = Scene(seed=1, spacing=2e-3)
+
+
+def pose(k):
+    return RigidTransform(RollPitchYaw(2.0, 0.1 * k, -0.5), [0.4 + 0.001 * k, 0.1 / 3, 0.2])
+
+
+@pytest.fixture(scope="module")
+def volumes():
+    return [SCENE.volume(k, X_WP=pose(k)) for k in range(4)]
+
+
+@pytest.fixture
+def recorded(tmp_path, volumes):
+    path = tmp_path / "new" / "a.seq.nrrd"
+    with RecordingWriter(path, {"tracker_seed": 7}) as writer:
+        for volume in volumes:
+            writer.append(volume)
+    return path
+
+
+def assert_equal(volume, other):
+    np.testing.assert_array_equal(volume.intensities, other.intensities)
+    for name in ("origin", "spacing", "time"):
+        np.testing.assert_array_equal(getattr(volume, name), getattr(other, name))
+    np.testing.assert_array_equal(volume.X_WP.GetAsMatrix4(), other.X_WP.GetAsMatrix4())
+    if other.motion is not None:
+        assert volume.motion.geometry == other.motion.geometry
+        assert volume.motion.direction == other.motion.direction
+        np.testing.assert_array_equal(volume.motion.times, other.motion.times)
+        np.testing.assert_array_equal(volume.motion.X_WP, other.motion.X_WP)
+
+
+def test_volumes_are_read_back_to_the_last_bit(recorded, volumes):
+    recording = Recording(recorded)
+    assert recording.posed
+    assert recording.settings == {"tracker_seed": 7}
+    assert len(recording) == 4
+    for k, volume in enumerate(volumes):
+        assert_equal(recording[k], volume)
+        X_WL = recording.X_WL(k)
+        assert X_WL.IsNearlyEqualTo(volume.X_WP, 1e-12)  # LPS are the axes of P, `write_volume`
+    assert {path.name for path in recorded.parent.iterdir()} == {
+        "a.seq.nrrd",
+        "a.acquisition.jsonl",
+    }
+
+
+def test_others_read_the_same_voxels_at_the_same_millimetre(recorded, volumes):
+    index = (20, 30, 12)
+    place = 1e3 * volumes[2].position(index)
+    image = SimpleITK.ReadImage(str(recorded))
+    assert image.GetSize() == volumes[2].intensities.shape
+    np.testing.assert_allclose(image.TransformIndexToPhysicalPoint(index), place)
+    assert image[index][2] == volumes[2].intensities[index]
+    data, header = nrrd.read(str(recorded))
+    np.testing.assert_array_equal(data[..., 2], volumes[2].intensities)
+    assert header["kinds"] == ["domain", "domain", "domain", "list"]
+    assert header["labels"] == ["", "", "", "time"]
+    np.testing.assert_allclose(
+        header["space origin"] + index @ header["space directions"][:3], place
+    )
+    times = [float(time) for time in header["axis 3 index values"].split()]
+    assert times == [volume.time for volume in volumes]
+
+
+def test_poses_and_times_are_there_for_who_has_no_acquisition(recorded, volumes):
+    recorded.with_name("a.acquisition.jsonl").unlink()
+    recording = Recording(recorded)
+    for volume, original in zip(recording, volumes, strict=True):
+        assert volume.time == original.time
+        assert volume.X_WP.IsNearlyEqualTo(original.X_WP, 1e-12)
+        np.testing.assert_allclose(volume.origin, original.origin, atol=1e-12)
+        assert volume.motion is None
+
+
+def test_of_an_interrupted_recording_everything_written_is_there(tmp_path, volumes):
+    script = """
+import sys, time
+from pathlib import Path
+sys.path.insert(0, sys.argv[2])
+from synthetic_volumes import Scene
+from sonoservo.systems.recording.recording_writer import RecordingWriter
+writer = RecordingWriter(Path(sys.argv[1]))
+for k in range(3):
+    writer.append(Scene(seed=1, spacing=2e-3).volume(k))
+print("written", flush=True)
+time.sleep(60)
+"""
+    path = tmp_path / "a.seq.nrrd"
+    folder = str(__file__).rpartition("/systems/")[0]
+    with subprocess.Popen(
+        [sys.executable, "-c", script, str(path), folder], stdout=subprocess.PIPE
+    ) as process:
+        assert process.stdout.readline() == b"written\n"
+        process.send_signal(signal.SIGKILL)
+    assert not path.exists()
+    partial = tmp_path / "a.partial.seq.nhdr"
+    data, _ = nrrd.read(str(partial))
+    assert data.shape[3] == 3
+    for volume, original in zip(Recording(partial), volumes[:3], strict=True):
+        np.testing.assert_array_equal(volume.intensities, original.intensities)
+        assert volume.time == original.time
+
+
+def test_nothing_recorded_leaves_nothing(tmp_path):
+    with RecordingWriter(tmp_path / "a.seq.nrrd"):
+        pass
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_cannot_be_recorded_is_refused(tmp_path, volumes):
+    with pytest.raises(ValueError, match=r"must end in \.seq\.nrrd"):
+        RecordingWriter(tmp_path / "a.nrrd")
+    writer = RecordingWriter(tmp_path / "a.seq.nrrd")
+    writer.append(volumes[0])
+    with pytest.raises(ValueError, match="another grid"):
+        writer.append(Scene(seed=1, spacing=3e-3).volume(1))
+
+
+def test_volumes_of_an_unknown_motion(tmp_path):
+    path = tmp_path / "a.seq.nrrd"
+    array = np.random.default_rng(0).random((4, 5, 6)).astype(np.float32) * 255
+    volume = Volume(array, [0.1, 0.2, 0.3], [1e-3, 2e-3, 3e-3], pose(1), 1 / 3)
+    with RecordingWriter(path) as writer:
+        writer.append(volume)
+    (read,) = Recording(path)
+    assert_equal(read, volume)
+    assert read.motion is None
+
+
+def test_a_recorder_and_a_player_as_systems(tmp_path, volumes):
+    path = tmp_path / "a.seq.nrrd"
+    recorder = VolumeRecorder(path=path, period=0.1, truth_period=0.05)
+    context = recorder.CreateDefaultContext()
+    X_WT = RigidTransform([0, 0, 0.5])
+    for name, value in (
+        ("volume", Value[object](NotFound("no sweep"))),
+        ("needle", Value[object](Needle([[0, 0, 0], [0.03, 0, 0], [0.03, 0.04, 0]], 5e-4))),
+        ("X_WT", Value(X_WT)),
+    ):
+        recorder.GetInputPort(name).FixValue(context, value)
+    recorder.GetInputPort("contact_force").FixValue(context, [2.5])
+    simulator = Simulator(recorder, context)
+    simulator.AdvanceTo(0.15)
+    for k, volume in enumerate(volumes):
+        recorder.GetInputPort("volume").FixValue(context, Value[object](volume))
+        simulator.AdvanceTo(0.15 + 0.2 * (k + 1))  # each is looked at twice, and written once
+    recorder.close()
+
+    truth = read_truth(side_path(path, TRUTH))
+    np.testing.assert_allclose(truth.times, np.arange(20) * 0.05, atol=1e-12)
+    np.testing.assert_allclose(truth.tip, np.tile([0.03, 0.04, 0.5], (20, 1)))
+    np.testing.assert_allclose(truth.length, 0.07)
+    np.testing.assert_allclose(truth.contact_force, 2.5)
+
+    player = VolumePlayer(recording=Recording(path), start=1.0, delay=0.05)
+    assert player.end == pytest.approx(1.05 + volumes[3].time - volumes[0].time)
+    playing = player.CreateDefaultContext()
+    port = player.GetOutputPort("volume")
+    assert not port.Eval(playing)
+    for time, number in ((1.0, None), (1.05, 0), (1.05 + 0.29, 0), (1.05 + 0.31, 1), (99.0, 3)):
+        playing.SetTime(time)
+        shown = port.Eval(playing)
+        if number is None:
+            assert isinstance(shown, NotFound)
+        else:
+            assert_equal(shown, volumes[number])
+            assert port.Eval(playing) is shown
+    playing.SetTime(1.05)
+    assert_equal(port.Eval(playing), volumes[0])
+
+
+def test_damaged_side_files_are_one_line(recorded):
+    side = recorded.with_name("a.acquisition.jsonl")
+    lines = side.read_text().splitlines()
+    for text, message in (
+        ("", "damaged"),
+        ("{}\n", "damaged"),
+        ("\n".join([lines[0].replace('"format": 1', '"format": 9'), *lines[1:], ""]), "format 9"),
+        ("\n".join([*lines[:3], ""]), "belongs to another recording"),
+        ("\n".join([lines[0], *[json.dumps({"time": 1})] * 4, ""]), "damaged"),
+    ):
+        side.write_text(text)
+        with pytest.raises(ValueError, match=message) as error:
+            Recording(recorded)
+        assert str(side) in str(error.value)
