@@ -147,6 +147,8 @@ class RunLogger(LeafSystem):
             if needle and X_WT is not None:
                 row["needle_tip"] = X_WT.multiply(needle.tip)
                 row["needle_entry"] = X_WT.multiply(needle.shaft[0])
+                points = needle.position(np.linspace(0, needle.length, 9))
+                row["needle_points"] = X_WT.multiply(points.T).T
             if self._geometry is not None and X_WP is not None and X_WT is not None:
                 in_probe = needle.transformed(X_WP.InvertAndCompose(X_WT))
                 row["visible_length"] = visible_length(in_probe, self._geometry)
@@ -177,6 +179,8 @@ class RunLogger(LeafSystem):
             return
         row: Row = {"volume_time": estimate.volume_time, "volume_seen": context.get_time()}
         row |= _describe(estimate, "volume_estimate")
+        if estimate.curve is not None:
+            row["volume_estimate_points"] = estimate.curve.position([0, 0.5, 1])
         detection = self._value(context, "detection", object)
         row["volume_detected"] = bool(detection)
         row["volume_detection_reason"] = _reason(detection)
@@ -195,10 +199,7 @@ def visible_length(needle: Needle, geometry: SweepGeometry) -> float:
     """Length in m of the needle, given in P, that lies in the swept sector; to 0.5 mm."""
     if not needle:
         return 0.0
-    steps = np.linalg.norm(np.diff(needle.shaft, axis=0), axis=1)
-    s = np.arange(0.25e-3, needle.length, 0.5e-3)
-    ends = np.concatenate([[0], np.cumsum(steps)])
-    points = np.stack([np.interp(s, ends, axis) for axis in needle.shaft.T], axis=-1)
+    points = needle.position(np.arange(0.25e-3, needle.length, 0.5e-3))
     return 0.5e-3 * float(geometry.contains(points).sum())
 
 

@@ -104,7 +104,7 @@ def detection(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     def length_mm(lengths: Floats) -> float | None:
         if first is None:
             return None
-        return _number(1e3 * _at(log, lengths, log.volume_estimate_time[[first]])[0])
+        return _number(1e3 * at_times(log, lengths, log.volume_estimate_time[[first]])[0])
 
     return {
         "volume": first,
@@ -138,8 +138,8 @@ def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     time = np.where(
         np.isfinite(log.volume_estimate_time), log.volume_estimate_time, log.volume_time
     )
-    length = _at(log, log.inserted_length, time)
-    visible = _at(log, log.visible_length, time)
+    length = at_times(log, log.inserted_length, time)
+    visible = at_times(log, log.visible_length, time)
     judged = np.nan_to_num(length) > 0
     judged &= np.arange(len(time)) >= (right[0] if len(right) else len(time))
     tracked = log.volume_estimate_mode == TrackingMode.TRACKING
@@ -287,7 +287,7 @@ class EstimateErrors:
 def estimate_errors(log: RunLog) -> EstimateErrors:
     """Compare the estimate after each volume with the truth at the estimate's time."""
     time = log.volume_estimate_time
-    tip, entry = _at(log, log.needle_tip, time), _at(log, log.needle_entry, time)
+    tip, entry = at_times(log, log.needle_tip, time), at_times(log, log.needle_entry, time)
     true = unit(tip - entry)
     estimated = unit(log.volume_estimate_tip - log.volume_estimate_entry)
     miss = log.volume_estimate_tip - tip
@@ -306,7 +306,7 @@ def _starts(log: RunLog, parameters: MetricsParameters) -> tuple[NDArray[np.intp
     there = _known(log.volume_estimate_tip)
     started = np.flatnonzero(_begins(there))
     time, p = log.volume_estimate_time[started], log.volume_estimate_tip[started]
-    tip, entry = _at(log, log.needle_tip, time), _at(log, log.needle_entry, time)
+    tip, entry = at_times(log, log.needle_tip, time), at_times(log, log.needle_entry, time)
     along = np.sum((p - entry) * (tip - entry), axis=1)
     squared = np.sum((tip - entry) ** 2, axis=1)
     u = np.clip(along / np.where(squared > 0, squared, 1.0), 0, 1)[:, np.newaxis]
@@ -314,7 +314,7 @@ def _starts(log: RunLog, parameters: MetricsParameters) -> tuple[NDArray[np.intp
     return started, distance <= parameters.start_tolerance
 
 
-def _at(log: RunLog, values: Floats, time: Floats) -> Floats:
+def at_times(log: RunLog, values: Floats, time: Floats) -> Floats:
     """Interpolate a column of the samples at other times; NaN where the nearest sample is."""
     if len(log.time) == 0:
         return np.full((len(time), *values.shape[1:]), np.nan)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sonoservo.systems.recording.files import write_atomically
 from sonoservo.systems.values import Immutable
 
-FORMAT = 1
+FORMAT = 2
 """Version of the file, its array `format`."""
 
 Array = NDArray[Any]
@@ -62,6 +62,9 @@ class RunLog(Immutable):
     needle_entry: Annotated[
         Array, Column("truth: where the needle enters the tissue", "m", ("n", 3))
     ]
+    needle_points: Annotated[
+        Array, Column("truth: nine points evenly along it, entry to tip", "m", ("n", 9, 3))
+    ]
     inserted_length: Annotated[Array, Column("truth: length inside the tissue", "m", ("n",))]
     visible_length: Annotated[Array, Column("truth: length inside the swept sector", "m", ("n",))]
     estimate_mode: Annotated[Array, Column("what the tracker does", "", ("n",), "U")]
@@ -94,6 +97,9 @@ class RunLog(Immutable):
     volume_estimate_time: Annotated[Array, Column("time of the estimate after it", "s", ("v",))]
     volume_estimate_tip: Annotated[Array, Column("estimated tip after it", "m", ("v", 3))]
     volume_estimate_entry: Annotated[Array, Column("estimated entry after it", "m", ("v", 3))]
+    volume_estimate_points: Annotated[
+        Array, Column("estimated entry, middle and tip of the curve after it", "m", ("v", 3, 3))
+    ]
 
     compute: Mapping[str, Array] = field(default_factory=dict)
     """Computing time per volume in s, by what was computed; in the file as `compute_<name>`."""

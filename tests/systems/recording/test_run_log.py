@@ -5,7 +5,13 @@ import numpy as np
 import pytest
 
 import sonoservo.systems.recording as recording
-from sonoservo.systems.recording.run_log import column_table, columns, read_log, write_log
+from sonoservo.systems.recording.run_log import (
+    FORMAT,
+    column_table,
+    columns,
+    read_log,
+    write_log,
+)
 
 
 def test_a_log_survives_its_file(tmp_path, insertion_log):
@@ -50,7 +56,7 @@ def test_other_files_are_refused(tmp_path):
     np.savez(path, time=np.zeros(3))
     with pytest.raises(ValueError, match="format None"):
         read_log(path)
-    np.savez(path, format=1, time=np.zeros(3))
+    np.savez(path, format=FORMAT, time=np.zeros(3))
     with pytest.raises(ValueError, match=r"lacks X_WP, X_WT, .*volume_time"):
         read_log(path)
 
