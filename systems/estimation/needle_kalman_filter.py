@@ -124,9 +124,9 @@ def start_track(
     """
     first, last = track.detections or (detection, detection)
     jump = float(np.linalg.norm(detection.p_WTip - last.p_WTip))
-    depths = [np.linalg.norm(each.p_WTip - first.p_WEntry) for each in (last, detection)]
+    depths = [np.linalg.norm(each.p_WTip - first.p_WEntry) for each in (first, detection)]
     if jump > parameters.largest_detection_jump or depths[1] < depths[0]:
-        # Something else moved, or a needle is being withdrawn.
+        # Something else moves, or a needle is being withdrawn.
         first = detection
     empty = NeedleTrack(
         TrackingMode.SEARCHING,

@@ -135,6 +135,15 @@ def test_detections_that_advance_start_a_track():
     assert not elsewhere
 
 
+def test_a_needle_that_is_withdrawn_starts_no_track():
+    track = NeedleTrack(TrackingMode.SEARCHING, 0.0, PARAMETERS.motion)
+    for x in (12e-3, 9e-3, 6e-3, 3e-3):
+        track = start_track(track, detection(x, 1.0), PARAMETERS)
+        assert not track
+    started = start_track(track, detection(6e-3, 1.5), PARAMETERS)
+    np.testing.assert_allclose(started.curve.control_points, [[3e-3, 0, 0], [6e-3, 0, 0]])
+
+
 class Bench:
     """The filter with its inputs in hand."""
 

@@ -102,6 +102,18 @@ def test_withdrawn_needle():
     assert not run(SCENE.volume(1, lambda time: needle(1.5e-3)), track(needle(0.01)))
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_needle_of_which_only_the_end_moved_is_followed_to_where_it_enters(seed):
+    ends = needle(0.05)
+    end = np.array([ends[1] - 0.012 * K, ends[1]])
+    guess = track(end, mode=TrackingMode.SEARCHING)
+    found = run(SCENE.volume(1, lambda time: ends), guess, seed)
+    assert np.linalg.norm(found.curve.entry - ENTRY) < PARAMETERS.largest_entry_gap
+    assert np.linalg.norm(found.curve.tip - ends[1]) < 2e-3
+    # The same the wrong way round comes from inside.
+    assert not run(SCENE.volume(1, lambda time: ends), track(end[::-1], mode=guess.mode), seed)
+
+
 def test_prediction_outside_the_volume():
     found = run(SCENE.volume(1), track(needle(0.03) + 1.0))
     assert found.reason == "the predicted needle lies outside the field of view"
