@@ -52,6 +52,9 @@ def read_yaml(path: Path) -> dict[str, Any]:
 def load_typed(schema: type[T], data: Mapping[str, Any], source: str) -> T:
     """Make a fully defaulted dataclass from a mapping.
 
+    Where a field may be one of several dataclasses, each with a field ``kind`` whose default is its
+    name, ``kind`` chooses, by default the first; its name alone stands for all its defaults.
+
     Parameters
     ----------
     schema
@@ -67,8 +70,9 @@ def load_typed(schema: type[T], data: Mapping[str, Any], source: str) -> T:
         Naming the field by its path, its value and what is allowed.
     """
     _check(schema, data, source, "")
+    text = yaml.dump(_tagged(schema, dict(data)), Dumper=_Dumper)
     try:
-        loaded = yaml_load_typed(schema=schema, data=yaml.safe_dump(dict(data)), defaults=schema())
+        loaded = yaml_load_typed(schema=schema, data=text, defaults=schema())
     except (RuntimeError, ValueError, TypeError, AssertionError) as error:
         raise ConfigurationError(f"{source}: {error}") from error
     return _validated(loaded, source, "")
@@ -76,6 +80,8 @@ def load_typed(schema: type[T], data: Mapping[str, Any], source: str) -> T:
 
 def assign(data: dict[str, Any], assignment: str) -> None:
     """Apply ``path.to.field=value`` to a nested mapping, the value read as YAML.
+
+    A name on the way stands for the mapping ``{kind: name}``, see `load_typed`.
 
     Raises
     ------
@@ -92,6 +98,8 @@ def assign(data: dict[str, Any], assignment: str) -> None:
     *parents, last = path.split(".")
     node: Any = data
     for key in parents:
+        if isinstance(node, dict) and isinstance(node.get(key), str):
+            node[key] = {"kind": node[key]}
         node = node[_index(node, key, path)] if isinstance(node, list) else node.setdefault(key, {})
         if not isinstance(node, (dict, list)):
             raise ConfigurationError(f"{path}: {key!r} is a value; it has no fields")
@@ -120,6 +128,16 @@ def _check(schema: Any, value: Any, source: str, path: str) -> None:
                 fail("a value")
         elif len(options) == 1:
             _check(options[0], value, source, path)
+        else:
+            kinds = _kinds(schema)
+            mapping = {"kind": value} if isinstance(value, str) else value
+            if not isinstance(mapping, Mapping):
+                fail(f"one of {', '.join(kinds)}, or a mapping")
+            kind = mapping.get("kind", next(iter(kinds)))
+            if kind not in kinds:
+                hint = suggest(str(kind), kinds)
+                raise ConfigurationError(f"{source}: {path}: unknown kind {kind!r}; {hint}")
+            _check(kinds[kind], mapping, source, path)
     elif dataclasses.is_dataclass(schema):
         if not isinstance(value, Mapping):
             fail("a mapping")
@@ -147,6 +165,48 @@ def _check(schema: Any, value: Any, source: str, path: str) -> None:
             fail("true or false")
     elif schema is str and not isinstance(value, str):
         fail("text")
+
+
+def _kinds(schema: Any) -> dict[str, Any]:
+    """Dataclasses among which a field's ``kind`` chooses, by name; empty if there is no choice."""
+    if typing.get_origin(schema) not in (types.UnionType, typing.Union):
+        return {}
+    options: list[Any] = [
+        each for each in typing.get_args(schema) if dataclasses.is_dataclass(each)
+    ]
+    return {each().kind: each for each in options} if len(options) > 1 else {}
+
+
+class _Tagged(dict[str, Any]):
+    """A mapping of the dataclass that its ``tag`` names."""
+
+    tag = ""
+
+
+class _Dumper(yaml.SafeDumper):
+    pass
+
+
+_Dumper.add_representer(
+    _Tagged, lambda dumper, value: dumper.represent_mapping(f"!{value.tag}", value)
+)
+
+
+def _tagged(schema: Any, value: Any) -> Any:
+    """Return checked data with the chosen dataclasses named, as `yaml_load_typed` wants them."""
+    kinds = _kinds(schema)
+    if kinds and value is not None:
+        mapping = {"kind": value} if isinstance(value, str) else value
+        chosen = kinds[mapping.get("kind", next(iter(kinds)))]
+        tagged = _Tagged(_tagged(chosen, mapping))
+        tagged.tag = chosen.__name__
+        return tagged
+    if isinstance(value, Mapping) and dataclasses.is_dataclass(schema):
+        fields = {field.name: field.type for field in dataclasses.fields(schema)}
+        return {key: _tagged(fields[key], item) for key, item in value.items()}
+    if isinstance(value, list) and typing.get_origin(schema) is list:
+        return [_tagged(typing.get_args(schema)[0], item) for item in value]
+    return value
 
 
 def _is_number(value: Any) -> bool:

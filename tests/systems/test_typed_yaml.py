@@ -25,6 +25,27 @@ class Bicycle:
     basket: float | None = None
 
 
+@dataclass(kw_only=True)
+class Lock:
+    kind: str = "lock"
+    keys: int = 2
+
+
+@dataclass(kw_only=True)
+class Chain:
+    kind: str = "chain"
+    length: float = 1.0
+
+    def __post_init__(self):
+        require_positive(length=self.length)
+
+
+@dataclass(kw_only=True)
+class Stand:
+    guard: Lock | Chain = field(default_factory=Lock)
+    more: list[Lock | Chain] = field(default_factory=list)
+
+
 def test_loads_over_defaults():
     bicycle = load_typed(
         Bicycle, {"front": {"radius": "3e-1"}, "spares": [{"spokes": 36}], "basket": 2}, "x"
@@ -70,11 +91,11 @@ def test_assignments_reach_nested_fields_and_list_items():
 
 
 @pytest.mark.parametrize(
-    "text", ["no equals", "=3", "name.deeper=3", "spares.7.spokes=1", "gears=[1"]
+    "text", ["no equals", "=3", "size.deeper=3", "spares.7.spokes=1", "gears=[1"]
 )
 def test_bad_assignments_are_refused(text):
     with pytest.raises(ConfigurationError):
-        assign({"name": "a", "spares": []}, text)
+        assign({"size": 1, "spares": []}, text)
 
 
 @pytest.mark.parametrize("content", ["- 1", "", "{a: 1", "\xff\xfe"])
@@ -92,3 +113,43 @@ def test_missing_file_is_refused(tmp_path):
 
 def test_suggestion_is_the_nearest_name():
     assert suggest("chatelain", ["chatelain2013", "zhao2012"]) == "did you mean 'chatelain2013'?"
+
+
+@pytest.mark.parametrize(
+    ("changes", "guard"),
+    [
+        ([], Lock()),
+        (["guard.keys=3"], Lock(keys=3)),
+        (["guard=chain"], Chain()),
+        (["guard=chain", "guard.length=2"], Chain(length=2.0)),
+        (["guard.length=2", "guard.kind=chain"], Chain(length=2.0)),
+        (["guard.keys=3", "guard=chain"], Chain()),
+    ],
+)
+def test_a_kind_chooses_among_dataclasses(changes, guard):
+    data = {}
+    for change in changes:
+        assign(data, change)
+    assert load_typed(Stand, data, "x").guard == guard
+
+
+def test_kinds_may_be_listed():
+    stand = load_typed(Stand, {"more": ["chain", {"keys": 1}, {"kind": "lock"}]}, "x")
+    assert stand.more == [Chain(), Lock(keys=1), Lock()]
+
+
+@pytest.mark.parametrize(
+    ("guard", "message"),
+    [
+        ("chian", "x: guard: unknown kind 'chian'; did you mean 'chain'?"),
+        ({"kind": "dog"}, "x: guard: unknown kind 'dog'; known: chain, lock"),
+        (3, "x: guard: 3 is not allowed; one of lock, chain, or a mapping is wanted"),
+        ({"length": 1}, "x: guard.length: unknown field; known: keys, kind"),
+        ({"kind": "chain", "length": 0}, "x: guard.length: 0.0 is not allowed"),
+        (None, "x: guard: None is not allowed; a value is wanted"),
+    ],
+)
+def test_a_wrong_kind_is_one_clear_line(guard, message):
+    with pytest.raises(ConfigurationError) as error:
+        load_typed(Stand, {"guard": guard}, "x")
+    assert message in str(error.value)
