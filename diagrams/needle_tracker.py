@@ -5,13 +5,14 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from pydrake.common.value import Value
-from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem
 
 from sonoservo.systems.detection.insertion_detector import (
     InsertionDetector,
     InsertionDetectorParameters,
 )
 from sonoservo.systems.detection.volume_memory import VolumeMemory
+from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter, AxisTipFilterParameters
 from sonoservo.systems.estimation.estimate import NeedleEstimate
 from sonoservo.systems.estimation.needle_kalman_filter import (
     NeedleKalmanFilter,
@@ -21,13 +22,17 @@ from sonoservo.systems.localization.needle_localizer import (
     NeedleLocalizer,
     NeedleLocalizerParameters,
 )
+from sonoservo.systems.localization.speckle_velocimeter import (
+    SpeckleVelocimeter,
+    SpeckleVelocimeterParameters,
+)
 from sonoservo.systems.ultrasound.volume import Volume
 from sonoservo.systems.values import require, require_not_negative
 
 
 @dataclass(kw_only=True)
 class NeedleTrackerParameters:
-    """Which tracker, and its parts.
+    """Chatelain 2013: a Kalman filter on the needle's control points, and its parts.
 
     Parameters
     ----------
@@ -61,13 +66,47 @@ class NeedleTrackerParameters:
         require_not_negative(look_back=self.look_back)
 
 
+@dataclass(kw_only=True)
+class Zhao2012TrackerParameters:
+    """Zhao 2012: a Kalman filter on axis, tip and the velocity of its speckle, and its parts.
+
+    The paper does not say how a needle is found first: that is done as in Chatelain 2013.
+
+    Parameters
+    ----------
+    kind
+        "zhao2012".
+    look_back, same_direction, detector, localizer
+        See `NeedleTrackerParameters`.
+    velocimeter
+        Of the tip's velocity from speckle.
+    axis_tip_filter
+        Of the filter with eight states.
+    """
+
+    kind: str = "zhao2012"
+    look_back: float = 1.8
+    same_direction: bool = True
+    detector: InsertionDetectorParameters = field(default_factory=InsertionDetectorParameters)
+    localizer: NeedleLocalizerParameters = field(default_factory=NeedleLocalizerParameters)
+    velocimeter: SpeckleVelocimeterParameters = field(default_factory=SpeckleVelocimeterParameters)
+    axis_tip_filter: AxisTipFilterParameters = field(default_factory=AxisTipFilterParameters)
+
+    def __post_init__(self) -> None:
+        require(self.kind == "zhao2012", "kind", self.kind, '"zhao2012"')
+        require_not_negative(look_back=self.look_back)
+        order = self.localizer.order
+        require(order == 2, "localizer.order", order, "2: the needle is straight")
+
+
 def MakeNeedleTracker(
     *,
-    parameters: NeedleTrackerParameters | None = None,
+    parameters: NeedleTrackerParameters | Zhao2012TrackerParameters | None = None,
     period: float,
     offset: float = 0.0,
     dynamic_range_db: float = 60.0,
     seed: int = 0,
+    speckle_port: bool = False,
 ) -> Diagram:
     """Make a needle tracker.
 
@@ -76,6 +115,7 @@ def MakeNeedleTracker(
         name: needle_tracker
         input_ports:
         - volume
+        - speckle (optional)
         output_ports:
         - estimate
         - measurement
@@ -87,7 +127,7 @@ def MakeNeedleTracker(
     Parameters
     ----------
     parameters
-        Which tracker, and its parts.
+        Which tracker, and its parts; their class is the choice.
     period, offset
         Of the events at which it looks for a new volume, in s.
     dynamic_range_db
@@ -95,42 +135,39 @@ def MakeNeedleTracker(
         place of the parts' own ``decibels_per_level``.
     seed
         Of every random choice.
+    speckle_port
+        Whether a velocimeter has an input of its own, for the `RadioFrequencySweep` of each volume;
+        otherwise it looks at the volumes.
     """
     parameters = parameters or NeedleTrackerParameters()
     scale = {"decibels_per_level": dynamic_range_db / 255}
+    events = {"period": period, "offset": offset}
     builder = DiagramBuilder()
     memory = builder.AddNamedSystem(
         "volume_memory",
         VolumeMemory(
-            look_back=parameters.look_back,
-            same_direction=parameters.same_direction,
-            period=period,
-            offset=offset,
+            look_back=parameters.look_back, same_direction=parameters.same_direction, **events
         ),
     )
     detector = builder.AddNamedSystem(
         "insertion_detector",
         InsertionDetector(parameters=replace(parameters.detector, **scale), seed=seed),
     )
+    localizer_parameters = replace(
+        parameters.localizer, tip=replace(parameters.localizer.tip, **scale)
+    )
+    kalman_filter: NeedleKalmanFilter
+    if isinstance(parameters, Zhao2012TrackerParameters):
+        kalman_filter = AxisTipFilter(parameters=parameters.axis_tip_filter, **events)
+    else:
+        localizer_parameters = replace(localizer_parameters, order=parameters.order)
+        kalman_filter = NeedleKalmanFilter(
+            parameters=replace(parameters.kalman_filter, order=parameters.order), **events
+        )
     localizer = builder.AddNamedSystem(
-        "needle_localizer",
-        NeedleLocalizer(
-            parameters=replace(
-                parameters.localizer,
-                order=parameters.order,
-                tip=replace(parameters.localizer.tip, **scale),
-            ),
-            seed=seed,
-        ),
+        "needle_localizer", NeedleLocalizer(parameters=localizer_parameters, seed=seed)
     )
-    kalman_filter = builder.AddNamedSystem(
-        "needle_kalman_filter",
-        NeedleKalmanFilter(
-            parameters=replace(parameters.kalman_filter, order=parameters.order),
-            period=period,
-            offset=offset,
-        ),
-    )
+    builder.AddNamedSystem("needle_kalman_filter", kalman_filter)
     volume = builder.ExportInput(memory.GetInputPort("volume"), "volume")
     for each in (detector, localizer, kalman_filter):
         builder.ConnectInput(volume, each.GetInputPort("volume"))
@@ -141,6 +178,8 @@ def MakeNeedleTracker(
         (kalman_filter, "prediction", localizer),
     ):
         builder.Connect(source.GetOutputPort(port), target.GetInputPort(port))
+    if isinstance(parameters, Zhao2012TrackerParameters):
+        _add_velocimeter(builder, parameters, kalman_filter, events, speckle_port)
     builder.ExportOutput(kalman_filter.GetOutputPort("estimate"), "estimate")
     builder.ExportOutput(kalman_filter.GetOutputPort("last_measurement"), "measurement")
     builder.ExportOutput(kalman_filter.GetOutputPort("last_detection"), "detection")
@@ -149,10 +188,38 @@ def MakeNeedleTracker(
     return diagram
 
 
+def _add_velocimeter(
+    builder: DiagramBuilder,
+    parameters: Zhao2012TrackerParameters,
+    axis_tip_filter: LeafSystem,
+    events: dict[str, float],
+    speckle_port: bool,
+) -> None:
+    """Add what measures the tip's velocity, and the memory of the volume before."""
+    velocimeter = builder.AddNamedSystem(
+        "speckle_velocimeter", SpeckleVelocimeter(parameters=parameters.velocimeter)
+    )
+    memory = builder.AddNamedSystem(
+        "speckle_memory", VolumeMemory(same_direction=parameters.same_direction, **events)
+    )
+    if speckle_port:
+        builder.ExportInput(memory.GetInputPort("volume"), "speckle")
+        builder.ConnectInput("speckle", velocimeter.GetInputPort("volume"))
+    else:
+        builder.ConnectInput("volume", memory.GetInputPort("volume"))
+        builder.ConnectInput("volume", velocimeter.GetInputPort("volume"))
+    for source, port, target in (
+        (memory, "previous_volume", velocimeter),
+        (axis_tip_filter, "prediction", velocimeter),
+        (velocimeter, "velocity", axis_tip_filter),
+    ):
+        builder.Connect(source.GetOutputPort(port), target.GetInputPort(port))
+
+
 def track(
     volumes: Iterable[Volume],
     *,
-    parameters: NeedleTrackerParameters | None = None,
+    parameters: NeedleTrackerParameters | Zhao2012TrackerParameters | None = None,
     dynamic_range_db: float = 60.0,
     seed: int = 0,
 ) -> list[NeedleEstimate]:

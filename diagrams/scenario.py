@@ -7,7 +7,10 @@ from typing import Any
 
 import yaml
 
-from sonoservo.diagrams.needle_tracker import NeedleTrackerParameters
+from sonoservo.diagrams.needle_tracker import (
+    NeedleTrackerParameters,
+    Zhao2012TrackerParameters,
+)
 from sonoservo.diagrams.probe_controller import ProbeControllerParameters
 from sonoservo.diagrams.station import StationParameters
 from sonoservo.systems.needle.insertion import InsertionParameters
@@ -56,7 +59,7 @@ class Scenario:
     scan_conversion
         Grid of the volumes.
     tracker
-        From volumes to the estimated needle.
+        From volumes to the estimated needle: "chatelain2013", "zhao2012", or the fields of one.
     controller
         From the estimate to the probe's motion.
     processing_time
@@ -77,7 +80,9 @@ class Scenario:
     imaging: ImagingParameters = field(default_factory=ImagingParameters)
     scanner: ScannerParameters = field(default_factory=ScannerParameters)
     scan_conversion: ScanConversionParameters = field(default_factory=ScanConversionParameters)
-    tracker: NeedleTrackerParameters = field(default_factory=NeedleTrackerParameters)
+    tracker: NeedleTrackerParameters | Zhao2012TrackerParameters = field(
+        default_factory=NeedleTrackerParameters
+    )
     controller: ProbeControllerParameters = field(default_factory=ProbeControllerParameters)
     processing_time: float = 0.02
     published: dict[str, float] = field(default_factory=dict)

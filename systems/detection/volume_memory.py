@@ -3,6 +3,7 @@
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
+from sonoservo.systems.ultrasound.radio_frequency import RadioFrequencySweep
 from sonoservo.systems.ultrasound.volume import Volume
 from sonoservo.systems.values import (
     NotFound,
@@ -11,8 +12,10 @@ from sonoservo.systems.values import (
     require_positive,
 )
 
+Remembered = Volume | RadioFrequencySweep
 
-def _alike(a: Volume, b: Volume) -> bool:
+
+def _alike(a: Remembered, b: Remembered) -> bool:
     """Whether two volumes were acquired with the same direction of sweep, as far as known."""
     return a.motion is None or b.motion is None or a.motion.direction == b.motion.direction
 
@@ -28,10 +31,10 @@ class VolumeMemory(LeafSystem):
         output_ports:
         - previous_volume
 
-    The output is the newest volume that is at least ``look_back`` older than the present one. It
-    is the same before and after the event that stores the present volume, so that it does not
-    matter when a block is evaluated. A repeated volume is not stored again, a missing one
-    (`NotFound`) is passed over.
+    A volume is a `Volume` or a `RadioFrequencySweep`. The output is the newest one that is at least
+    ``look_back`` older than the present one. It is the same before and after the event that stores
+    the present volume, so that it does not matter when a block is evaluated. A repeated volume is
+    not stored again, a missing one (`NotFound`) is passed over.
 
     Parameters
     ----------
@@ -65,11 +68,11 @@ class VolumeMemory(LeafSystem):
         self.DeclareForcedUnrestrictedUpdateEvent(self._update_volumes)
 
     def _calc_previous_volume(self, context: Context, output: Value) -> None:
-        volume = evaluate(self, context, "volume", (Volume, NotFound))
-        held: tuple[Volume, ...] = context.get_abstract_state(self._volumes).get_value()
+        volume = evaluate(self, context, "volume", (Volume, RadioFrequencySweep, NotFound))
+        held: tuple[Remembered, ...] = context.get_abstract_state(self._volumes).get_value()
         for each in reversed(held):
             if (
-                isinstance(volume, Volume)
+                isinstance(volume, Remembered)
                 and each.time < volume.time
                 and each.time <= volume.time - self._look_back
                 and (_alike(each, volume) or not self._same_direction)
@@ -79,9 +82,9 @@ class VolumeMemory(LeafSystem):
         output.set_value(NotFound("there is no earlier volume to compare with"))
 
     def _update_volumes(self, context: Context, state: State) -> EventStatus:
-        volume = evaluate(self, context, "volume", (Volume, NotFound))
-        held: tuple[Volume, ...] = context.get_abstract_state(self._volumes).get_value()
-        if not isinstance(volume, Volume) or (held and volume.time <= held[-1].time):
+        volume = evaluate(self, context, "volume", (Volume, RadioFrequencySweep, NotFound))
+        held: tuple[Remembered, ...] = context.get_abstract_state(self._volumes).get_value()
+        if not isinstance(volume, Remembered) or (held and volume.time <= held[-1].time):
             return EventStatus.DidNothing()
         held = (*held, volume)
         # Of the volumes old enough, the newest of either direction will do for those to come.

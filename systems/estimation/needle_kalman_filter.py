@@ -282,7 +282,7 @@ class NeedleKalmanFilter(LeafSystem):
         if track:
             measurement = evaluate(self, context, "measurement", (NeedleMeasurement, NotFound))
         track = replace(
-            self._next(track, volume.time, detection, measurement),
+            self._next(context, track, volume.time, detection, measurement),
             volume_time=volume.time,
             X_WP=volume.X_WP if self._parameters.probe_frame else None,
         )
@@ -294,8 +294,23 @@ class NeedleKalmanFilter(LeafSystem):
             state.get_mutable_abstract_state(index).set_value(value)
         return EventStatus.Succeeded()
 
+    def _start(self, measurement: NeedleMeasurement) -> NeedleTrack:
+        """Start a track at a measurement."""
+        return restart_track(measurement, self._parameters)
+
+    def _confirm(
+        self, context: Context, predicted: NeedleTrack, measurement: NeedleMeasurement
+    ) -> NeedleTrack:
+        """Update a track predicted to the measurement's time."""
+        return update_track(predicted, measurement)
+
+    def _coast(self, context: Context, predicted: NeedleTrack) -> NeedleTrack:
+        """Update a predicted track with what there is where there is no measurement: nothing."""
+        return predicted
+
     def _next(
         self,
+        context: Context,
         track: NeedleTrack,
         time: float,
         detection: Immutable,
@@ -305,25 +320,26 @@ class NeedleKalmanFilter(LeafSystem):
         if isinstance(measurement, NeedleMeasurement):
             fresh = track.mode in (TrackingMode.SEARCHING, TrackingMode.LOST)
             if fresh or not self._parameters.filtering:
-                return restart_track(measurement, self._parameters)
+                return self._start(measurement)
             predicted = track.predicted(measurement.time)
             distance = innovation_distance(predicted, measurement)
             if distance <= self._gate:
-                return update_track(predicted, measurement)
+                return self._confirm(context, predicted, measurement)
             if track.rejected is not None:
                 # Two that agree with each other are right, and the prediction is wrong.
-                before = restart_track(track.rejected, self._parameters)
+                before = self._start(track.rejected)
                 before = before.predicted(measurement.time)
                 if innovation_distance(before, measurement) <= self._gate:
-                    return restart_track(measurement, self._parameters)
+                    return self._start(measurement)
             track = replace(track, rejected=measurement)
             reason = f"the measurement lies {np.sqrt(distance):.1f} deviations from the prediction"
         else:
             reason = _reason(measurement)
-        return self._missed(track, time, detection, reason)
+        return self._missed(context, track, time, detection, reason)
 
     def _missed(
         self,
+        context: Context,
         track: NeedleTrack,
         time: float,
         detection: Immutable,
@@ -343,7 +359,7 @@ class NeedleKalmanFilter(LeafSystem):
             return empty
         if track.mode == TrackingMode.LOST:
             return replace(track, missed=missed, reason=reason)
-        predicted = track.predicted(time)
+        predicted = self._coast(context, track.predicted(time))
         if (predicted.curve.tip - predicted.curve.entry) @ track.curve.direction < (
             p.withdrawn_length
         ):

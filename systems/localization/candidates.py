@@ -9,6 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from sonoservo.systems.localization.axis import Axis
+from sonoservo.systems.ultrasound.radio_frequency import RadioFrequencySweep
 from sonoservo.systems.ultrasound.volume import Volume
 
 
@@ -147,7 +148,9 @@ def select_candidates(
     return Candidates(volume.position(index[chosen]), weights[chosen])
 
 
-def acquired_from(volume: Volume, p_W: NDArray[np.float64]) -> NDArray[np.float64]:
+def acquired_from(
+    volume: Volume | RadioFrequencySweep, p_W: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """(m, 3) positions in P, in m, at which a volume shows positions in W: inverts `to_world`.
 
     Two steps of a fixed-point iteration: the probe moves little while a volume is acquired.

@@ -188,10 +188,38 @@ class SweepRenderer:
         require(
             pitch < wavelength / 4, "sample_pitch", pitch, f"below a quarter of {wavelength:g} m"
         )
-        carrier = np.exp(4j * np.pi / wavelength * pitch * np.arange(self.geometry.samples))
-        iq = self._render_echo(X_TP, needles, direction)
-        lines: NDArray[np.float32] = (iq * carrier.astype(np.complex64)).real
+        return self.on_carrier(self._render_echo(X_TP, needles, direction))
+
+    def on_carrier(self, iq: NDArray[np.complex64]) -> NDArray[np.float32]:
+        """Radio-frequency lines of echoes: see `radio_frequency_lines`."""
+        step = 4 * np.pi / self.beam.wavelength * self.geometry.sample_pitch
+        phase = step * np.arange(self.geometry.samples)
+        lines: NDArray[np.float32] = iq.real * np.cos(phase).astype(np.float32)
+        lines -= iq.imag * np.sin(phase).astype(np.float32)
         return lines
+
+    def add_scatterers(
+        self,
+        iq: NDArray[np.complex64],
+        X_TP: NDArray[np.float64],
+        points: NDArray[np.float64],
+        amplitudes: NDArray[np.complex128],
+        direction: int,
+    ) -> None:
+        """Add the echoes of point scatterers to `echo`'s, in place.
+
+        Parameters
+        ----------
+        iq
+            (frames, lines, samples) echoes.
+        X_TP, direction
+            See `tissue_echo`.
+        points, amplitudes
+            (n, 3) positions in T, in m, and (n,) amplitudes over the tissue's root mean square,
+            where the lens focuses.
+        """
+        X_FT, rays = self._frame_poses(X_TP), self._rays(direction)
+        render_points(iq, X_FT, points, amplitudes, rays, self._tables, self._point_pulse)
 
     def render(
         self,

@@ -66,6 +66,10 @@ class Volume(Immutable):
         """(..., 3) positions in P, in m, of elements (fractions allowed)."""
         return self.origin + self.spacing * np.asarray(index)
 
+    def index(self, p_P: ArrayLike) -> NDArray[np.float64]:
+        """(..., 3) elements, fractions included, of positions in P, in m."""
+        return np.asarray((np.asarray(p_P, dtype=float) - self.origin) / self.spacing)
+
     def to_world(self, p_P: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Positions in W, in m, and times, in s, at which positions in P were acquired.
 

@@ -1,6 +1,7 @@
 import pytest
 import yaml
 
+from sonoservo.diagrams.needle_tracker import Zhao2012TrackerParameters
 from sonoservo.diagrams.scenario import Scenario, list_scenarios, load_scenario
 from sonoservo.systems.typed_yaml import ConfigurationError
 
@@ -45,6 +46,16 @@ def test_a_file_of_ones_own_and_the_whole_of_it_read_back(tmp_path):
     assert set(yaml.safe_load(scenario.to_yaml())) == set(Scenario.__dataclass_fields__)
 
 
+def test_the_tracker_is_chosen_by_name(tmp_path):
+    changes = ["tracker=zhao2012", "tracker.velocimeter.least_correlation=0.4"]
+    scenario = load_scenario("chatelain2013_fig5", changes=changes)
+    assert isinstance(scenario.tracker, Zhao2012TrackerParameters)
+    assert scenario.tracker.velocimeter.least_correlation == 0.4
+    path = tmp_path / "mine.yaml"
+    path.write_text(scenario.to_yaml())
+    assert load_scenario(path).tracker == scenario.tracker
+
+
 @pytest.mark.parametrize(
     ("name", "changes", "message"),
     [
@@ -57,7 +68,12 @@ def test_a_file_of_ones_own_and_the_whole_of_it_read_back(tmp_path):
         ("chatelain2013_fig5", ["seed=-1"], "seed: -1"),
         ("chatelain2013_fig5", ["name=../../elsewhere"], "name: '../../elsewhere'"),
         ("chatelain2013_fig5", ["hand.azimuth_deg=.nan"], "hand.azimuth_deg: nan"),
-        ("chatelain2013_fig5", ["tracker.kind=zhao"], "tracker.kind: 'zhao'"),
+        (
+            "chatelain2013_fig5",
+            ["tracker.kind=zhao"],
+            "tracker: unknown kind 'zhao'; did you mean 'zhao2012'?",
+        ),
+        ("chatelain2013_fig5", ["tracker=zhao2012", "tracker.order=3"], "tracker.order: unknown"),
     ],
 )
 def test_mistakes_are_one_clear_line(name, changes, message):

@@ -1,0 +1,118 @@
+"""A needle sought in a whole volume without a prediction: thresholding, RANSAC, tip."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.localization.axis_fit import AxisFit
+from sonoservo.systems.localization.ransac import RansacParameters, ransac_axis
+from sonoservo.systems.localization.tip import TipParameters, axis_profile
+from sonoservo.systems.ultrasound.volume import Volume
+from sonoservo.systems.values import NotFound, require_positive
+
+
+@dataclass(kw_only=True)
+class WholeVolumeRansacParameters:
+    """Of the four steps of Zhao 2012, section 2.2; the paper publishes none of these values.
+
+    Parameters
+    ----------
+    candidate_volume
+        Volume that the brightest voxels fill together, in m^3.
+    largest_gap
+        In the intensity along the needle that does not end it, in m.
+    ransac, tip
+        Of the axis, and of the intensity along it. Without refits the axis is the best sample's;
+        with one it is optimized locally, as published.
+    """
+
+    candidate_volume: float = 60e-9
+    largest_gap: float = 2e-3
+    ransac: RansacParameters = field(default_factory=RansacParameters)
+    tip: TipParameters = field(default_factory=TipParameters)
+
+    def __post_init__(self) -> None:
+        require_positive(candidate_volume=self.candidate_volume, largest_gap=self.largest_gap)
+
+
+@dataclass(frozen=True, eq=False)
+class WholeVolumeNeedle:
+    """A straight needle in W.
+
+    Parameters
+    ----------
+    fit
+        Of its axis.
+    start, tip
+        Abscissae between which the needle is seen, in m.
+    """
+
+    fit: AxisFit
+    start: float
+    tip: float
+
+
+def brightest_voxels(volume: Volume, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """(count, 3) indices of the brightest voxels, drawn among equally bright ones."""
+    values = volume.intensities.ravel()
+    least = np.partition(values, -count)[-count]
+    above, equal = np.flatnonzero(values > least), np.flatnonzero(values == least)
+    chosen = np.concatenate([above, rng.choice(equal, count - len(above), replace=False)])
+    return np.stack(np.unravel_index(chosen, volume.intensities.shape), axis=1)
+
+
+def find_needle(
+    volume: Volume,
+    towards: NDArray[np.float64],
+    parameters: WholeVolumeRansacParameters,
+    rng: np.random.Generator,
+) -> WholeVolumeNeedle | NotFound:
+    """Find the needle in a whole volume as published (Zhao 2012, section 2.2; Uhercik 2010).
+
+    Thresholding leaves the brightest voxels; the axis is the line through two of them that has the
+    most others nearby, optimized on those; the tip is where the intensity along it decreases and
+    does not increase again within a tolerated gap.
+
+    Parameters
+    ----------
+    volume
+        To search.
+    towards
+        (3,) direction in W; of the needle's ends the one farther in it is the tip.
+    parameters
+        Thresholds.
+    rng
+        Draws samples.
+    """
+    count = round(parameters.candidate_volume / float(np.prod(volume.spacing)))
+    count = min(count, volume.intensities.size)
+    index = brightest_voxels(volume, count, rng)
+    points = volume.to_world(volume.position(index))[0]
+    found = ransac_axis(
+        points,
+        np.ones(count),
+        order=2,
+        rng=rng,
+        parameters=parameters.ransac,
+        direction=towards / np.linalg.norm(towards),
+    )
+    if isinstance(found, NotFound):
+        return found
+    axis = found.fit.axis
+    a = np.sort(axis.abscissa(points[found.inliers]))
+    middle = float(np.median(a))
+    profile = axis_profile(volume, axis, a[0], a[-1], parameters.tip)
+    # Halfway, in amplitude, between nothing and the needle as it is around its middle.
+    inside = np.abs(profile.a - middle) <= parameters.largest_gap
+    bright = profile.level > np.median(profile.level[inside]) - 20 * np.log10(2)
+    start, tip = (_end(profile.a[bright], middle, side, parameters.largest_gap) for side in (-1, 1))
+    return WholeVolumeNeedle(found.fit, start, tip)
+
+
+def _end(bright: NDArray[np.float64], middle: float, side: int, largest_gap: float) -> float:
+    """Last abscissa to a side of the middle that no gap separates from it."""
+    away = np.sort(side * (bright - middle))
+    away = np.concatenate([[0.0], away[away > 0]])
+    last = np.flatnonzero(np.append(np.diff(away), np.inf) > largest_gap)[0]
+    return middle + side * float(away[last])
