@@ -16,7 +16,7 @@ from sonoservo.systems.recording.run_log import RunLog
 Floats = NDArray[np.float64]
 
 # Okabe and Ito's colours: people who see fewer colours tell them apart too.
-_BLUE, _ORANGE, _GREEN, _PURPLE = "#0072B2", "#D55E00", "#009E73", "#CC79A7"
+BLUE, ORANGE, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#CC79A7"
 _SHADES = {
     TrackingMode.SEARCHING: "#E6E6E6",
     TrackingMode.TRACKING: None,
@@ -42,11 +42,11 @@ def plot_run(log: RunLog, force_target: float | None = 2.0) -> Figure:
     true = features(log.X_WP, log.needle_tip, log.needle_entry)
     estimated = features(log.X_WP, log.estimate_tip, log.estimate_entry)
     angle = feature.twinx()
-    _lines(feature, log.time, 1e3 * true[:, :2], ["x", "z"], [_BLUE, _GREEN])
-    _lines(feature, log.time, 1e3 * estimated[:, :2], ["x", "z"], [_BLUE, _GREEN], dashed=True)
-    _lines(angle, log.time, np.degrees(true[:, 2:]), [r"$\theta$ (right)"], [_ORANGE])
+    _lines(feature, log.time, 1e3 * true[:, :2], ["x", "z"], [BLUE, GREEN])
+    _lines(feature, log.time, 1e3 * estimated[:, :2], ["x", "z"], [BLUE, GREEN], dashed=True)
+    _lines(angle, log.time, np.degrees(true[:, 2:]), [r"$\theta$ (right)"], [ORANGE])
     _lines(
-        angle, log.time, np.degrees(estimated[:, 2:]), [r"$\theta$ (right)"], [_ORANGE], dashed=True
+        angle, log.time, np.degrees(estimated[:, 2:]), [r"$\theta$ (right)"], [ORANGE], dashed=True
     )
     _label(feature, "a) Feature error", "mm", angle, "deg")
     _centre(feature, angle)
@@ -54,17 +54,17 @@ def plot_run(log: RunLog, force_target: float | None = 2.0) -> Figure:
 
     for p_WTip, dashed in ((log.needle_tip, False), (log.estimate_tip, True)):
         p_PTip = np.einsum("nji,nj->ni", log.X_WP[:, :3, :3], p_WTip - log.X_WP[:, :3, 3])
-        _lines(tip, log.time, 1e3 * p_PTip, ["X", "Y", "Z"], [_BLUE, _PURPLE, _GREEN], dashed)
+        _lines(tip, log.time, 1e3 * p_PTip, ["X", "Y", "Z"], [BLUE, PURPLE, GREEN], dashed)
     _label(tip, "b) Tip in the probe's frame", "mm")
 
     turn = probe.twinx()
     moved, turned = _motion(log.X_WP)
-    _lines(probe, log.time, 1e3 * moved, ["x", "y", "z"], [_BLUE, _PURPLE, _GREEN])
+    _lines(probe, log.time, 1e3 * moved, ["x", "y", "z"], [BLUE, PURPLE, GREEN])
     names = [rf"$\theta u_{axis}$ (right)" for axis in "xyz"]
-    _lines(turn, log.time, np.degrees(turned), names, [_BLUE, _PURPLE, _GREEN], dotted=True)
+    _lines(turn, log.time, np.degrees(turned), names, [BLUE, PURPLE, GREEN], dotted=True)
     _label(probe, "c) Motion of the probe since the start, in its first frame", "mm", turn, "deg")
 
-    _lines(force, log.time, log.contact_force[:, np.newaxis], ["contact force"], [_BLUE])
+    _lines(force, log.time, log.contact_force[:, np.newaxis], ["contact force"], [BLUE])
     if force_target is not None:
         force.axhline(force_target, color="0.4", linewidth=0.8, linestyle="--", label="target")
     _label(force, "d) Force", "N")
@@ -80,14 +80,14 @@ def plot_errors(log: RunLog) -> Figure:
     errors, time = estimate_errors(log), log.volume_estimate_time
     parts = np.stack([errors.tip, errors.axial, errors.lateral], axis=1)
     _lines(tip, time, 1e3 * parts, ["distance", "along it, + beyond the tip", "across it"],
-           [_BLUE, _ORANGE, _GREEN], marker=".")  # fmt: skip
+           [BLUE, ORANGE, GREEN], marker=".")  # fmt: skip
     _label(tip, "Error of the estimated tip", "mm")
-    _lines(axis, time, np.degrees(errors.axis[:, np.newaxis]), ["angle"], [_BLUE], marker=".")
+    _lines(axis, time, np.degrees(errors.axis[:, np.newaxis]), ["angle"], [BLUE], marker=".")
     _label(axis, "Error of the estimated direction", "deg")
     axis.set_ylim(bottom=0)
     estimated = np.linalg.norm(log.estimate_tip - log.estimate_entry, axis=1)
-    _lines(depth, log.time, 1e3 * log.inserted_length[:, np.newaxis], ["in the tissue"], [_BLUE])
-    _lines(depth, log.time, 1e3 * estimated[:, np.newaxis], ["estimate, entry to tip"], [_ORANGE])
+    _lines(depth, log.time, 1e3 * log.inserted_length[:, np.newaxis], ["in the tissue"], [BLUE])
+    _lines(depth, log.time, 1e3 * estimated[:, np.newaxis], ["estimate, entry to tip"], [ORANGE])
     _label(depth, "Length of the needle", "mm")
     depth.set_xlabel("time (s)")
     _finish(figure, [tip, axis, depth], log.time, log.estimate_mode)
