@@ -238,15 +238,19 @@ def _connect_by_name(
 def _check_entry(scenario: Scenario, size: list[float]) -> None:
     """Refuse a needle that enters beside the phantom."""
     half = np.array(size) / 2
-    from_middle = np.subtract(scenario.hand.entry, [0, 0, -half[2]])
-    reach = np.abs(from_middle) + scenario.hand.entry_spread
-    require(
-        bool((reach <= half + 1e-9).all()),
-        "hand.entry",
-        scenario.hand.entry,
-        "in the phantom or on its surface, entry_spread included: "
-        f"|x| up to {half[0]:g}, |y| up to {half[1]:g}, z from {-size[2]:g} to 0 m",
-    )
+    entries = {"hand.entry": scenario.hand.entry}
+    for number, push in enumerate(scenario.hand.pushes):
+        if push.entry is not None:
+            entries[f"hand.pushes.{number}.entry"] = push.entry
+    for name, entry in entries.items():
+        reach = np.abs(np.subtract(entry, [0, 0, -half[2]])) + scenario.hand.entry_spread
+        require(
+            bool((reach <= half + 1e-9).all()),
+            name,
+            entry,
+            "in the phantom or on its surface, entry_spread included: "
+            f"|x| up to {half[0]:g}, |y| up to {half[1]:g}, z from {-size[2]:g} to 0 m",
+        )
 
 
 def _check_reach(scenario: Scenario, insertion: Insertion) -> None:

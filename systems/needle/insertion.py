@@ -42,13 +42,19 @@ class Push:
         In s.
     speed
         In m/s; zero is a pause, below zero a withdrawal.
+    entry
+        Point in T where the needle, which must be outside, is put in from now on, in m; None leaves
+        it where it is.
     """
 
     duration: float = 1.0
     speed: float = 0.0
+    entry: list[float] | None = None
 
     def __post_init__(self) -> None:
         require_positive(duration=self.duration)
+        if self.entry is not None:
+            require(len(self.entry) == 3, "entry", self.entry, "three coordinates in m")
         require(abs(self.speed) <= 0.2, "speed", self.speed, "from -0.2 to 0.2 m/s")
 
 
@@ -136,7 +142,7 @@ class Insertion:
         )
         heading = np.array([np.cos(azimuth), np.sin(azimuth), 0])
         up = np.array([0, 0, 1.0])
-        self._entry = parameters.entry + np.array(parameters.entry_spread) * rng.uniform(-1, 1, 3)
+        offset = np.array(parameters.entry_spread) * rng.uniform(-1, 1, 3)
         self._direction = np.cos(dip) * heading - np.sin(dip) * up
         normal = np.sin(dip) * heading + np.cos(dip) * up
         self._bend = np.cos(roll) * normal + np.sin(roll) * np.cross(self._direction, normal)
@@ -149,6 +155,17 @@ class Insertion:
         speed = PPoly(np.array([speeds]), breaks)
         self._depth_integral = speed.antiderivative(2)
         self._end = float(times[-1]) + parameters.ramp
+        self._entries = [(-np.inf, parameters.entry + offset)]
+        for number, (push, start) in enumerate(zip(parameters.pushes, times, strict=False)):
+            if push.entry is not None:
+                depth = self._steady_depth(start)
+                require(
+                    depth <= 0,
+                    f"pushes.{number}.entry",
+                    push.entry,
+                    f"left out: the needle is still {1e3 * depth:.1f} mm in the tissue",
+                )
+                self._entries.append((start, push.entry + offset))
         count = 8
         self._tremor_rate = 2 * np.pi * rng.uniform(*_TREMOR_BAND, count)
         self._tremor_phase = rng.uniform(0, 2 * np.pi, count)
@@ -166,13 +183,17 @@ class Insertion:
 
     def depth(self, time: float) -> float:
         """Inserted length along the shaft in m, tremor included; never below zero."""
-        ramp = self._parameters.ramp
-        integral = self._depth_integral
-        steady = float(integral(time) - integral(time - ramp)) / ramp
+        steady = self._steady_depth(time)
         if steady <= 0:
             return 0.0
         phases = self._tremor_rate * time + self._tremor_phase
         return max(0.0, steady + self._tremor_amplitude * float(np.sin(phases).sum()))
+
+    def _steady_depth(self, time: float) -> float:
+        """Inserted length in m without tremor; below zero it is how far the tip is outside."""
+        ramp = self._parameters.ramp
+        integral = self._depth_integral
+        return float(integral(time) - integral(time - ramp)) / ramp
 
     def needle(self, time: float) -> Needle:
         """Return the part of the needle that is inside the tissue, in T."""
@@ -188,5 +209,6 @@ class Insertion:
             s = np.linspace(0, length, int(np.ceil(length / _POINT_SPACING)) + 1)
             along = bend_radius * np.sin(s / bend_radius)
             aside = bend_radius * (1 - np.cos(s / bend_radius))
-        shaft = self._entry + np.outer(along, self._direction) + np.outer(aside, self._bend)
+        entry = [entry for start, entry in self._entries if start <= time][-1]
+        shaft = entry + np.outer(along, self._direction) + np.outer(aside, self._bend)
         return Needle(shaft, radius)

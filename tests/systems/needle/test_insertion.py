@@ -34,6 +34,22 @@ def test_withdrawn_past_the_entry_the_needle_is_outside():
     assert not insertion.needle(20.0)
 
 
+def test_a_needle_that_is_outside_can_be_put_in_elsewhere():
+    pushes = [
+        Push(duration=2, speed=1e-2),
+        Push(duration=3, speed=-1e-2),
+        Push(duration=4, speed=1e-2, entry=[0.0, 0.03, -0.02]),
+    ]
+    insertion = make(pushes=pushes, entry=[-0.1, 0.0, -0.04])
+    np.testing.assert_allclose(insertion.needle(2.5).shaft[0], [-0.1, 0.0, -0.04])
+    assert not insertion.needle(6.0)
+    np.testing.assert_allclose(insertion.needle(20.0).shaft[0], [0.0, 0.03, -0.02])
+    assert insertion.depth(20.0) == pytest.approx(30e-3)
+    pushes[1].duration = 1.0
+    with pytest.raises(ValueError, match=r"pushes.2.entry: .* still 12.5 mm in the tissue"):
+        make(pushes=pushes)
+
+
 @given(
     azimuth=st.floats(-180, 180),
     dip=st.floats(-80, 80),
