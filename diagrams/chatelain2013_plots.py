@@ -111,6 +111,7 @@ def plot_fig4(runs: Sequence[Run]) -> Figure:
     for limit in _TARGETS["tip"]:
         error.axhline(limit, color="0.4", linestyle=":", linewidth=0.9)
     error.set_ylim(0, 4)
+    error.set_xlim(0, max(len(run.volumes.tip) for run in runs))
     _finish(error, f"Error of the tip, {len(runs)} runs: median, 5 to 95 %", "mm")
     error.set_xlabel("volume index")
     return figure
@@ -155,7 +156,8 @@ def plot_errors(groups: Groups) -> Figure:
         figure.subplots(1, 3, sharey=True), _ERRORS, strict=True
     ):
         for name, colour in zip(("fig4", "fig5", "fig6", "bent"), _COLOURS, strict=True):
-            if groups.get(name):
+            # Of a bent needle the direction from entry to tip depends on where the entry is.
+            if groups.get(name) and (name, error) != ("bent", "axis"):
                 values = pooled(groups[name], 0, attrgetter(error))
                 values = np.sort(factor * values)
                 share = 100 * np.arange(1, len(values) + 1) / max(len(values), 1)
@@ -193,7 +195,7 @@ def plot_ablations(variants: Groups) -> Figure:
         totals = [_figure_of(runs, name, factor, q) for runs in rows.values()]
         singles = [[_figure_of([run], name, factor, q) for run in runs] for runs in rows.values()]
         finite = [x for each in [totals, *singles] for x in each if np.isfinite(x)]
-        edge = 1.15 * max([*finite, 1e-3])
+        edge = 1.15 * max([*finite, 1.0])
         axes.barh(range(len(rows)), np.minimum(totals, edge), color=BLUE, alpha=0.35)
         for height, each in enumerate(singles):
             for x in each:

@@ -84,17 +84,18 @@ class _Group:
             target = targets.get({"median": "median", "95 %": "p95"}.get(what, ""))
             self.row(f"{quantity}, {what}", unit, true=quantile(values, q), target=target)
 
-    def reliability(self) -> None:
-        """Rows of what must not happen."""
+    def reliability(self, target: float | None = None) -> None:
+        """Rows of what should not happen."""
         untracked = pooled(self.runs, self.failed, lambda v: np.where(v.tracked, 0.0, 100.0))
         self.row("volumes not tracked", "%", true=_mean(np.minimum(untracked, 100)))
         lost = int(np.sum(self.each("tracking", "lost_events")))
-        self.row("times lost, all runs", true=lost, target=0)
-        self.false_starts()
+        self.row("times lost, all runs", true=lost, target=target)
+        self.false_starts(target)
 
-    def false_starts(self) -> None:
+    def false_starts(self, target: float | None = None) -> None:
+        """Row of how often tracking began without a needle."""
         starts = int(np.sum(self.each("detection", "false_starts")))
-        self.row("false starts, all runs", true=starts, target=0)
+        self.row("false starts, all runs", true=starts, target=target)
 
 
 def report(outcomes: Sequence[Outcome], logs: Path, ablations: Sequence[str]) -> Study:
@@ -135,7 +136,8 @@ def _fig4(group: _Group) -> None:
     track = [1e3 * run.volumes.track_time for run in group.runs]
     times = np.concatenate(track) if track else np.zeros(0)
     group.row("tracking a volume, median", "ms", paper=175, true=quantile(times, 0.5), target=10)
-    group.row("tracking a volume, largest", "ms", paper=175, true=quantile(times, 1.0), target=175)
+    # A process spends its first volumes on loading, or even compiling, what is compiled.
+    group.row("tracking a volume, 99 %", "ms", paper=175, true=quantile(times, 0.99), target=175)
     found = [found_after(run.log) for run in group.runs]
     for k, which in enumerate(("first", "second")):
         lengths = [each[k] for each in found if len(each) > k] + group.failed * [(np.inf, np.inf)]
@@ -154,7 +156,7 @@ def _fig4(group: _Group) -> None:
                 )
     group.errors("tip", "tip error", "mm", _MM, median=0.7, p95=1.5)
     group.errors("axis", "axis error", "deg", _DEG, median=0.7, p95=1.5)
-    group.reliability()
+    group.reliability(target=0)
 
 
 def _fig5(group: _Group, eq_25: _Group | None) -> None:
@@ -225,18 +227,14 @@ def _bent(group: _Group) -> None:
 def _no_needle(groups: Sequence[_Group]) -> None:
     for group in groups:
         group.row("volumes", true=sum(len(run.volumes.tip) for run in group.runs))
-        group.false_starts()
+        group.false_starts(target=0)
 
 
 def _ablation(group: _Group) -> None:
     group.errors("tip", "tip error", "mm", _MM)
     group.errors("axis", "axis error", "deg", _DEG)
     group.reliability()
-    group.rows = [
-        StudyRow(experiment=row.experiment, quantity=row.quantity, unit=row.unit, true=row.true)
-        for row in group.rows
-        if "largest" not in row.quantity
-    ]
+    group.rows = [row for row in group.rows if "largest" not in row.quantity]
 
 
 def _compute_ms(runs: Sequence[Run]) -> dict[str, dict[str, float | None]]:

@@ -197,12 +197,11 @@ def run_cases(
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     console = console or Console(quiet=True)
     with Progress(*columns, TimeRemainingColumn(), console=console) as bar:
-        experiments = ", ".join(dict.fromkeys(case.experiment for case in cases))
         done = len(cases) - len(pending)
-        task = bar.add_task(experiments, total=len(cases), completed=done)
+        task = bar.add_task("starting ...", total=len(cases), completed=done)
         for outcome in _run_all(work, pending, folder, jobs):
             outcomes[outcome.case] = outcome
-            bar.advance(task)
+            bar.update(task, advance=1, description=outcome.case.experiment)
             if not outcome:
                 console.print(f"{outcome.case.name} failed: {outcome.error}", markup=False)
     return [outcome for outcome in outcomes.values() if outcome is not None]

@@ -384,7 +384,7 @@ def localize(
         return NotFound("no needle has been detected")
     track = track.seen_from(volume.X_WP)
     if not parameters.sweep_time:
-        volume = replace(volume, motion=None)
+        volume = volume.at_once()
     if track.mode != TrackingMode.LOST:
         region = _predicted_region(track, volume.time, parameters)
         return _localize_in(volume, region, parameters, rng)

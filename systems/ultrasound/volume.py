@@ -1,6 +1,6 @@
 """A volume on a Cartesian grid."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -69,6 +69,14 @@ class Volume(Immutable):
     def index(self, p_P: ArrayLike) -> NDArray[np.float64]:
         """(..., 3) elements, fractions included, of positions in P, in m."""
         return np.asarray((np.asarray(p_P, dtype=float) - self.origin) / self.spacing)
+
+    def at_once(self) -> "Volume":
+        """Return the same as if all of it had been acquired at ``time``, from ``X_WP``."""
+        if self.motion is None:
+            return self
+        times = np.full_like(self.motion.times, self.time)
+        poses = np.broadcast_to(self.X_WP.GetAsMatrix4(), self.motion.X_WP.shape)
+        return replace(self, motion=replace(self.motion, times=times, X_WP=poses))
 
     def to_world(self, p_P: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Positions in W, in m, and times, in s, at which positions in P were acquired.

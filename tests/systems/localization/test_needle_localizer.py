@@ -149,8 +149,7 @@ def test_without_the_sweep_s_time_a_volume_counts_as_acquired_at_its_middle():
     poses[:, 1, 3] += np.linspace(-5e-3, 5e-3, len(poses))  # the probe rises while it sweeps
     moving = dataclasses.replace(volume, motion=dataclasses.replace(volume.motion, X_WP=poses))
     own_times, middle = (run(moving, track(ends), sweep_time=flag) for flag in (True, False))
-    for found, sweep in ((own_times, moving.motion), (middle, None)):
-        seen = dataclasses.replace(moving, motion=sweep)
+    for found, seen in ((own_times, moving), (middle, moving.at_once())):
         expected = seen.to_world(volume.to_probe(ends[1:]))
         assert abs(found.curve.tip[1] - expected[0][0][1]) < 0.5e-3
     assert own_times.curve.tip[1] - middle.curve.tip[1] > 0.3e-3
