@@ -137,15 +137,16 @@ def plot_features(groups: Groups, name: str) -> Figure:
         axes.axhline(0, color="0.4", linewidth=0.8)
         _finish(axes, what, unit)
     run = groups[name][0]
-    period = float(np.median(np.diff(run.log.volume_time)))
-    for axes in figure.axes:
-        for move in run.scenario.phantom_motion.moves:
-            if move.start < run.log.time[-1]:
-                axes.axvspan(
-                    move.start / period, (move.start + move.duration) / period, color="0.85"
-                )
+    log, moves = run.log, run.scenario.phantom_motion.moves
+    index = np.arange(len(log.volume_time))
+    for move in moves:
+        start, stop = np.interp(
+            [move.start, move.start + move.duration], log.volume_time, index, right=np.nan
+        )
+        for axes in figure.axes:
+            axes.axvspan(start, stop, color="0.85")
     figure.axes[0].legend(fontsize="small")
-    figure.axes[-1].set_xlabel("volume index (grey: the phantom moves)")
+    figure.axes[-1].set_xlabel("volume index" + (" (grey: the phantom moves)" if moves else ""))
     return figure
 
 
@@ -203,6 +204,9 @@ def plot_ablations(variants: Groups) -> Figure:
                 marker = "o" if np.isfinite(x) else ">"
                 axes.plot(min(x, edge), height, marker, color=BLUE, markersize=4, clip_on=False)
         axes.set_xlim(0, edge)
+        if name == "track_time":
+            axes.set_xscale("log")
+            axes.set_xlim(1, edge)
         axes.set_xlabel(label)
         axes.grid(axis="x", alpha=0.3)
     return figure
