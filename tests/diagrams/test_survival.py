@@ -58,7 +58,7 @@ def test_a_needle_near_a_face_of_the_field_of_view(y):
 def test_withdrawn_to_nothing_and_put_in_elsewhere():
     pushes = (
         "hand.pushes=[{duration: 8, speed: 0.008}, {duration: 7, speed: -0.01},"
-        "{duration: 9, speed: 0.008, entry: [-0.12, 0.02, -0.034]}]"
+        "{duration: 9, speed: 0.008, entry: [-0.12, 0.010, -0.034]}]"
     )
     _, log, right = follow([*STRAIGHT, "hand.start=2.5", pushes, "duration=30"])
     assert_followed(log, right, 9.0, 12.5)
