@@ -11,7 +11,9 @@ from rich.console import Console
 from rich.table import Table
 
 from sonoservo.diagrams.scan import caption, scan, summarize_scan, write_scan
-from sonoservo.diagrams.scenario import list_scenarios, load_scenario
+from sonoservo.diagrams.scenario import list_scenarios, load_any_scenario, load_scenario
+from sonoservo.diagrams.shape_scenario import ShapeScenario
+from sonoservo.diagrams.shape_simulation import predict_shape
 from sonoservo.diagrams.simulation import run
 from sonoservo.diagrams.study import StudyOptions
 from sonoservo.diagrams.study_report import write_study
@@ -38,7 +40,7 @@ JsonOption = Annotated[
 @app.command("list")
 def list_command(json_path: JsonOption = None) -> None:
     """List the scenarios that come with the package."""
-    rows = {name: load_scenario(name).description for name in list_scenarios()}
+    rows = {name: load_any_scenario(name).description for name in list_scenarios()}
     table = Table("scenario", "what happens")
     for name, description in rows.items():
         table.add_row(name, description)
@@ -64,22 +66,31 @@ def run_command(
     json_path: JsonOption = None,
 ) -> None:
     """Run a scenario; end with a table of figures and a folder of results."""
-    loaded = load_scenario(scenario, changes=changes, seed=seed)
+    loaded = load_any_scenario(scenario, changes=changes, seed=seed)
+    if isinstance(loaded, ShapeScenario) and (record or record_sweeps):
+        raise ConfigurationError(f"--record: {loaded.name} makes slices, no volumes")
     folder = out or Path("out") / f"{loaded.name}_seed{loaded.seed}"
     display = start_display(_console) if meshcat else None
     with Progress(_console, loaded) as progress:
-        result = run(
-            loaded,
-            out=folder,
-            meshcat=display,
-            after_volume=progress,
-            record=record,
-            record_sweeps=record_sweeps,
-        )
-    _console.print(summary_table(result.summary, loaded.published))
+        if isinstance(loaded, ShapeScenario):
+            summary = predict_shape(
+                loaded, out=folder, meshcat=display, after_slice=progress.show_slice
+            ).summary
+            published = loaded.published_figures
+        else:
+            summary = run(
+                loaded,
+                out=folder,
+                meshcat=display,
+                after_volume=progress,
+                record=record,
+                record_sweeps=record_sweeps,
+            ).summary
+            published = loaded.published
+    _console.print(summary_table(summary, published))
     _console.print(f"Results, starting with the report: {folder / 'report.html'}", soft_wrap=True)
-    _write_json(json_path, result.summary)
-    if result.summary["interrupted"]:
+    _write_json(json_path, summary)
+    if summary["interrupted"]:
         raise typer.Exit(130)
 
 

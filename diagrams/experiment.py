@@ -155,7 +155,7 @@ class Experiment:
         for name, system in systems.items():
             builder.AddNamedSystem(name, system)
         phantom_command = self.phantom_motion.get_output_port()
-        _connect_by_name(builder, list(systems.values()), {"phantom_command": phantom_command})
+        connect_by_name(builder, list(systems.values()), {"phantom_command": phantom_command})
         self.diagram = builder.Build()
         self.diagram.set_name(scenario.name)
         self._simulator = Simulator(self.diagram)
@@ -221,7 +221,7 @@ class Experiment:
         return system.GetOutputPort(port).Eval(context)
 
 
-def _connect_by_name(
+def connect_by_name(
     builder: DiagramBuilder, systems: list[System], outputs: dict[str, OutputPort]
 ) -> None:
     """Connect every input port to the output port that has, or is given, its name."""

@@ -12,6 +12,7 @@ from sonoservo.diagrams.needle_tracker import (
     Zhao2012TrackerParameters,
 )
 from sonoservo.diagrams.probe_controller import ProbeControllerParameters
+from sonoservo.diagrams.shape_scenario import ShapeScenario
 from sonoservo.diagrams.station import StationParameters
 from sonoservo.systems.needle.insertion import InsertionParameters
 from sonoservo.systems.robot.phantom_motion import PhantomMotionParameters
@@ -107,7 +108,7 @@ def list_scenarios() -> dict[str, Path]:
 def load_scenario(
     scenario: str | Path, *, changes: list[str] | None = None, seed: int | None = None
 ) -> Scenario:
-    """Load a scenario.
+    """Load a scenario of the robot that follows a needle.
 
     Parameters
     ----------
@@ -124,6 +125,18 @@ def load_scenario(
         If there is no such scenario, or naming the field that is wrong, its value and what is
         allowed.
     """
+    loaded = load_any_scenario(scenario, changes=changes, seed=seed)
+    if not isinstance(loaded, Scenario):
+        raise ConfigurationError(
+            f"{scenario}: a scenario of needle shape prediction; only `sonoservo run` takes it"
+        )
+    return loaded
+
+
+def load_any_scenario(
+    scenario: str | Path, *, changes: list[str] | None = None, seed: int | None = None
+) -> Scenario | ShapeScenario:
+    """Load a scenario of either kind, which its field ``kind`` tells; see `load_scenario`."""
     known = list_scenarios()
     path = known.get(str(scenario), Path(scenario))
     if path.suffix not in (".yaml", ".yml"):
@@ -133,4 +146,6 @@ def load_scenario(
         assign(data, change)
     if seed is not None:
         data["seed"] = seed
+    if "kind" in data:
+        return load_typed(ShapeScenario, data, str(scenario))
     return load_typed(Scenario, data, str(scenario))

@@ -12,8 +12,11 @@ from rich.progress import Progress as RichProgress
 from rich.table import Table
 
 from sonoservo.diagrams.scenario import Scenario
+from sonoservo.diagrams.shape_scenario import ShapeScenario
 from sonoservo.diagrams.study_report import Study, target_text
 from sonoservo.systems.estimation.estimate import NeedleEstimate
+from sonoservo.systems.localization.cross_section import CrossSection
+from sonoservo.systems.values import NotFound
 
 _ROWS = {
     "detection.volume": "insertion detected at volume",
@@ -41,6 +44,25 @@ _ROWS = {
     "real_time_factor": "simulated time / wall time",
 }
 
+_SHAPE_ROWS = {
+    "tracking.slices": "slices",
+    "tracking.found": "of these, cross-section found",
+    "tracking.error_mm.median": "cross-section's error, median, mm",
+    "tracking.error_mm.p95": "cross-section's error, 95 %, mm",
+    "prediction.observed_mm": "depth of the last slice used, mm",
+    "prediction.tip_error_measured_mm": "predicted tip against the measured one, mm",
+    "prediction.tip_error_true_mm": "predicted tip against the true one, mm",
+    "prediction.tip_deviation_mm": "standard deviation that the estimate states, mm",
+    "prediction.shape_error_measured_mm2": "predicted shape against the measured one, mm²",
+    "prediction.shape_error_true_mm2": "predicted shape against the true one, mm²",
+    "prediction.largest_error_true_mm": "largest distance from the true shape, mm",
+    "compute_ms.image.median": "finding the cross-section, median, ms",
+    "compute_ms.estimate.median": "estimating the shape, median, ms",
+    "compute_ms.total.median": "both, median, ms",
+    "compute_ms.total.max": "both, largest, ms",
+    "real_time_factor": "simulated time / wall time",
+}
+
 
 def look_up(summary: Mapping[str, Any], path: str) -> Any:
     """Return the entry of a nested mapping at a dotted path; None where there is none."""
@@ -65,7 +87,8 @@ def summary_table(summary: Mapping[str, Any], published: Mapping[str, float]) ->
     table.add_column("this run", justify="right")
     if published:
         table.add_column("paper", justify="right")
-    for path, label in _ROWS.items():
+    rows = _SHAPE_ROWS if "prediction" in summary else _ROWS
+    for path, label in rows.items():
         cells = [label, format_figure(look_up(summary, path))]
         if published:
             cells.append(format_figure(published[path]) if path in published else "")
@@ -114,7 +137,7 @@ class Progress:
         Tells the duration.
     """
 
-    def __init__(self, console: Console, scenario: Scenario) -> None:
+    def __init__(self, console: Console, scenario: Scenario | ShapeScenario) -> None:
         self._console = console
         self._duration = scenario.duration
         self._name = scenario.name
@@ -145,11 +168,18 @@ class Progress:
 
     def __call__(self, time: float, estimate: NeedleEstimate) -> None:
         """Move the bar."""
+        self._show(time, estimate.mode)
+
+    def show_slice(self, time: float, found: CrossSection | NotFound) -> None:
+        """Move the bar after a slice; takes the place of the call."""
+        self._show(time, "following" if found else "not found")
+
+    def _show(self, time: float, state: str) -> None:
         self._bar.update(
             self._task,
             description=self._name,
             completed=time,
-            state=f"{time:5.1f} of {self._duration:g} s  {estimate.mode}",
+            state=f"{time:5.1f} of {self._duration:g} s  {state}",
         )
 
 

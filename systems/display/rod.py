@@ -2,7 +2,8 @@
 
 from itertools import pairwise
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from pydrake.geometry import Cylinder, Meshcat, Rgba
 
 from sonoservo.systems.display.shapes import resample, segment_pose
@@ -57,17 +58,23 @@ class Rod:
         self, *, meshcat: Meshcat, path: str, radius: float, colour: Rgba, segments: int = 1
     ) -> None:
         self._meshcat, self._path, self._segments = meshcat, path, segments
+        self._radius = radius
         for number in range(segments):
             meshcat.SetObject(f"{path}/{number}/unit", Cylinder(radius, 1.0), colour)
         self._switch = Switch(meshcat=meshcat, path=path)
 
-    def show(self, polyline: ArrayLike, time: float) -> None:
-        """Draw the rod along an (m, 3) polyline."""
+    def show(
+        self, polyline: ArrayLike, time: float, radii: NDArray[np.float64] | None = None
+    ) -> None:
+        """Draw the rod along an (m, 3) polyline; (segments,) radii in m replace its own."""
+        wide = np.ones(self._segments) if radii is None else radii / self._radius
         for number, ends in enumerate(pairwise(resample(polyline, self._segments + 1))):
             X, length = segment_pose(*ends)
             path = f"{self._path}/{number}"
             self._meshcat.SetTransform(path, X, time)
-            self._meshcat.SetProperty(f"{path}/unit", "scale", [1, 1, max(length, 1e-6)], time)
+            self._meshcat.SetProperty(
+                f"{path}/unit", "scale", [wide[number], wide[number], max(length, 1e-6)], time
+            )
         self._switch.set(True, time)
 
     def hide(self, time: float) -> None:

@@ -1,10 +1,18 @@
 """A system that stands for the clinician's hand."""
 
+from typing import Protocol
+
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem
 
-from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.needle.needle import Needle
+
+
+class NeedleMotion(Protocol):
+    """An insertion as a function of time: `Insertion`, `BevelledInsertion`."""
+
+    def needle(self, time: float) -> Needle:
+        """Return the part of the needle that is inside the tissue, in T, at a time in s."""
 
 
 class Hand(LeafSystem):
@@ -24,7 +32,7 @@ class Hand(LeafSystem):
         Where and how the needle is pushed.
     """
 
-    def __init__(self, *, insertion: Insertion) -> None:
+    def __init__(self, *, insertion: NeedleMotion) -> None:
         super().__init__()
         self.set_name("hand")
         self._insertion = insertion

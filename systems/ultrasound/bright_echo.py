@@ -120,12 +120,18 @@ def render_points(iq, X_FT, points, amplitudes, rays, tables, pulse):  # type: i
     """
     frames, lines, samples = iq.shape
     taps = pulse.shape[2]
+    # Most points are further from a frame's plane than its beam is wide anywhere.
+    furthest = rays.array_radius + samples / rays.samples_per_metre
+    slab = np.sqrt(_FURTHEST / tables.elevation_precision.min())
+    slab += abs(rays.twist) * rays.middle_line * furthest
     for frame in prange(frames):
         layer = np.zeros((2, lines, samples + 2 * taps), np.float32)
         no_shadow = np.empty((0, 0), np.float32)
         seen = False
         for i in range(len(points)):
             x, y, z = _transformed(X_FT[frame], points[i, 0], points[i, 1], points[i, 2])
+            if abs(z) > slab:
+                continue
             re = amplitudes[i].real
             im = amplitudes[i].imag
             seen |= _add_point(layer, no_shadow, x, y, z, 0.0, re, im, 0.0, rays, tables, pulse)

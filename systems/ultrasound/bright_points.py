@@ -100,7 +100,8 @@ def inclusion_points(
     rng = np.random.default_rng([tissue.seed, 1])
     parts = [(np.zeros((0, 3)), np.zeros(0, complex))]
     parts += [_ball_points(ball, beam.resolution_cell[reference], rng) for ball in tissue.balls]
-    parts += [_fibre_points(fibre, beam, reference, rng) for fibre in tissue.fibres]
+    fibres = tissue.fibres + tissue.random_fibres.draw(tissue.size, rng)
+    parts += [_fibre_points(fibre, beam, reference, rng) for fibre in fibres]
     points, amplitudes = zip(*parts, strict=True)
     return np.concatenate(points), np.concatenate(amplitudes)
 

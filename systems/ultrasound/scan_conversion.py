@@ -77,8 +77,9 @@ def make_grid(
     Raises
     ------
     ValueError
-        If a spacing is not above zero, or the box is empty.
+        If a spacing is not above zero, the box is empty, or a sweep has a single frame.
     """
+    require(geometry.frames >= 2, "frames", geometry.frames, "at least 2, to make a volume")
     step = np.broadcast_to(np.asarray(spacing, dtype=float), (3,))
     require_positive(**{f"spacing[{axis}]": s for axis, s in enumerate(step)})
     sector_lower, sector_upper = sector_bounds(geometry)

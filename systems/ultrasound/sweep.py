@@ -40,7 +40,7 @@ class SweepGeometry(Immutable):
     sample_pitch
         Distance between neighbouring samples of a line, in m.
     lines, frames, samples
-        Lines in a frame, frames in a sweep, samples in a line.
+        Lines in a frame, frames in a sweep (1 for a single slice), samples in a line.
     frame_period
         Time from one frame's start to the next one's, in s.
     sound_speed
@@ -68,8 +68,9 @@ class SweepGeometry(Immutable):
         )
         require(self.array_radius >= 0, "array_radius", self.array_radius, "at least 0")
         require(self.motor_radius >= 0, "motor_radius", self.motor_radius, "at least 0")
-        for name in ("lines", "frames", "samples"):
-            require(getattr(self, name) >= 2, name, getattr(self, name), "at least 2")
+        for name, least_count in (("frames", 1), ("lines", 2), ("samples", 2)):
+            count = getattr(self, name)
+            require(count >= least_count, name, count, f"at least {least_count}")
         least = self.least_frame_period
         require(
             self.frame_period >= least * (1 - 1e-9),
@@ -223,13 +224,14 @@ class SweepMotion(Immutable):
         p_P = np.asarray(p_P, dtype=float)
         last = self.geometry.frames - 1
         k = np.clip(self.geometry.index(p_P, self.direction)[0], 0, last)
-        below = np.minimum(k.astype(int), last - 1)
+        below = np.clip(k.astype(int), 0, max(last - 1, 0))
+        above = np.minimum(below + 1, last)
         weight = (k - below)[:, np.newaxis]
         X = (1 - weight[..., np.newaxis]) * self.X_WP[below] + weight[..., np.newaxis] * self.X_WP[
-            below + 1
+            above
         ]
         p_W = np.einsum("mij,mj->mi", X[:, :3, :3], p_P) + X[:, :3, 3]
-        times = (1 - weight[:, 0]) * self.times[below] + weight[:, 0] * self.times[below + 1]
+        times = (1 - weight[:, 0]) * self.times[below] + weight[:, 0] * self.times[above]
         return p_W, times
 
 

@@ -1,5 +1,6 @@
 """What the phantom is made of, as sound sees it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -60,6 +61,66 @@ class Fibre:
 
 
 @dataclass(kw_only=True)
+class RandomFibres:
+    """Fibres anywhere in the tissue, drawn with its seed: those of a muscle, or of a gland.
+
+    Parameters
+    ----------
+    per_cubic_centimetre
+        Mean number of their middles.
+    shortest, longest
+        Limits of their lengths in m, uniformly distributed.
+    dimmest_db, brightest_db
+        Limits of their levels in dB, uniformly distributed; see `Fibre`.
+    direction
+        In T, about which they run.
+    spread_deg
+        Standard deviation of their direction along each axis across it.
+    """
+
+    per_cubic_centimetre: float = 0.0
+    shortest: float = 3e-3
+    longest: float = 12e-3
+    dimmest_db: float = 18.0
+    brightest_db: float = 30.0
+    direction: list[float] = field(default_factory=lambda: [0.0, 1.0, 0.0])
+    spread_deg: float = 20.0
+
+    def __post_init__(self) -> None:
+        require_not_negative(
+            per_cubic_centimetre=self.per_cubic_centimetre, spread_deg=self.spread_deg
+        )
+        require_positive(shortest=self.shortest)
+        require(self.longest >= self.shortest, "longest", self.longest, "at least shortest")
+        require(
+            self.brightest_db >= self.dimmest_db,
+            "brightest_db",
+            self.brightest_db,
+            "at least dimmest_db",
+        )
+        require(
+            len(self.direction) == 3 and any(self.direction),
+            "direction",
+            self.direction,
+            "three numbers, not all 0",
+        )
+
+    def draw(self, size: Sequence[float], rng: np.random.Generator) -> list[Fibre]:
+        """Fibres in a box of tissue, (3,) extents in m; their ends may lie beyond its faces."""
+        count = rng.poisson(self.per_cubic_centimetre * 1e6 * float(np.prod(size)))
+        middle = (rng.random((count, 3)) - [0.5, 0.5, 1.0]) * size
+        along = np.array(self.direction) / np.linalg.norm(self.direction)
+        along = along + np.deg2rad(self.spread_deg) * rng.normal(size=(count, 3))
+        along /= np.linalg.norm(along, axis=1, keepdims=True)
+        half = 0.5 * rng.uniform(self.shortest, self.longest, (count, 1)) * along
+        level = rng.uniform(self.dimmest_db, self.brightest_db, count)
+        return [
+            Fibre(start=start.tolist(), end=end.tolist(), level_db=float(decibels))
+            for start, end, decibels in zip(middle - half, middle + half, level, strict=True)
+        ]
+
+
+@dataclass(kw_only=True)
 class Tissue:
     """A box of scattering tissue. Frame T: origin at the centre of the top face, +Z up.
 
@@ -75,8 +136,10 @@ class Tissue:
         noise that grows with depth.
     balls, fibres
         Bright inclusions.
+    random_fibres
+        More fibres, anywhere.
     seed
-        Draws where the scatterers are.
+        Draws where the scatterers and the random fibres are.
 
     Raises
     ------
@@ -89,6 +152,7 @@ class Tissue:
     attenuation: float = 0.5
     balls: list[Ball] = field(default_factory=list)
     fibres: list[Fibre] = field(default_factory=list)
+    random_fibres: RandomFibres = field(default_factory=RandomFibres)
     seed: int = 0
 
     def __post_init__(self) -> None:

@@ -37,6 +37,10 @@ def test_list_names_every_scenario(tmp_path):
         (["chatelain2013_fig5", "--set", "hand.entry=[-0.12, 0.9, -0.04]"], "hand.entry: "),
         (["chatelain2013_fig5", "--set", "phantom=agr"], "there is no model"),
         (["chatelain2013_fig5", "--set", "processing_time=1"], "processing_time: 1.0"),
+        (["carriere2016_d60", "--set", "rotations=[0.2]"], "rotations: [0.2]"),
+        (["carriere2016_d60", "--set", "estimator=particle"], "did you mean 'particle_filter'"),
+        (["carriere2016_d60", "--set", "depth=0.3"], "stays in the phantom"),
+        (["carriere2016_d60", "--set", "kind=needle"], "kind: 'needle'"),
     ],
 )
 def test_a_mistake_is_one_line_and_exit_code_2(arguments, message, tmp_path):

@@ -1,0 +1,142 @@
+"""The leaf that draws a needle, its predicted shape and the newest slice in Meshcat."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.geometry import Box, Meshcat, Rgba, Sphere
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import Context, LeafSystem
+
+from sonoservo.systems.display.film import Film
+from sonoservo.systems.display.image_planes import Plane
+from sonoservo.systems.display.needle_view import NeedleView
+from sonoservo.systems.display.rod import Rod
+from sonoservo.systems.display.textured_quads import gltf_textured_quads
+from sonoservo.systems.estimation.needle_shape import NeedleShape
+from sonoservo.systems.localization.cross_section import CrossSection
+from sonoservo.systems.needle.needle import Needle
+from sonoservo.systems.ultrasound.image_slice import ImageSlice
+from sonoservo.systems.values import NotFound, evaluate
+
+_TISSUE = Rgba(0.85, 0.70, 0.65, 0.12)
+_PREDICTED, _TUBE = Rgba(0.84, 0.12, 0.05), Rgba(0.95, 0.75, 0.10, 0.35)
+_MEASURED = Rgba(0.34, 0.71, 0.91)
+_ROD = 0.3e-3
+_DEVIATIONS = 2.448
+"""Standard deviations within which 95 % of a normal distribution in a plane lie."""
+
+_SEGMENTS = 20
+_NEEDLE_LENGTH = 0.2
+"""In m: the paper's needles."""
+
+
+class ShapeView(LeafSystem):
+    """Draws a needle, its predicted shape with the tube of its uncertainty, and the newest slice.
+
+    .. pydrake_system::
+
+        name: ShapeView
+        input_ports:
+        - needle
+        - X_WT
+        - slice
+        - cross_section
+        - shape
+
+    ``needle`` is the true `Needle` in T, grey. The predicted shape is red, from the first slice to
+    the full depth; the tube around it holds the needle with 95 % at each depth. A blue ball marks
+    the newest cross-section.
+
+    Parameters
+    ----------
+    meshcat
+        To draw in.
+    tissue_size
+        (3,) extents of the phantom in m.
+    depth
+        To which the shape is drawn, in m.
+    period, offset
+        Of the pictures, in s: a moment after the estimator's events.
+    path
+        Of everything that is drawn.
+    """
+
+    def __init__(
+        self,
+        *,
+        meshcat: Meshcat,
+        tissue_size: Sequence[float],
+        depth: float,
+        period: float,
+        offset: float,
+        path: str = "needle_shape",
+    ) -> None:
+        super().__init__()
+        self.set_name("shape_view")
+        self._meshcat, self._path = meshcat, path
+        self._size, self._period = np.array(tissue_size), period
+        self._depths = np.linspace(0, depth, _SEGMENTS + 1)
+        self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
+        for name in ("needle", "slice", "cross_section", "shape"):
+            self.DeclareAbstractInputPort(name, Value[object]())
+        self._start()
+        self.DeclareInitializationPublishEvent(publish=lambda context: self._start())
+        self.DeclarePeriodicPublishEvent(period, offset, self._publish)
+        self.DeclareForcedPublishEvent(self._publish)
+
+    def _start(self) -> None:
+        meshcat, path = self._meshcat, self._path
+        meshcat.Delete(path)
+        for each in ("/Axes", "/Grid"):
+            meshcat.SetProperty(each, "visible", False)
+        meshcat.SetCameraPose(np.array([0.02, -0.20, 0.05]), np.array([0.0, 0.0, -0.028]))
+        meshcat.SetObject(f"{path}/tissue", Box(*self._size), _TISSUE)
+        meshcat.SetTransform(f"{path}/tissue", RigidTransform([0, 0, -self._size[2] / 2]))
+        meshcat.SetObject(f"{path}/cross_section", Sphere(1.2e-3), _MEASURED)
+        meshcat.SetProperty(f"{path}/cross_section", "visible", False)
+        self._needle: NeedleView | None = None  # until its radius is known
+        self._predicted = Rod(
+            meshcat=meshcat, path=f"{path}/predicted", radius=_ROD, colour=_PREDICTED,
+            segments=_SEGMENTS,
+        )  # fmt: skip
+        self._tube = Rod(
+            meshcat=meshcat, path=f"{path}/tube", radius=1e-3, colour=_TUBE, segments=_SEGMENTS
+        )
+        self._film = Film(
+            meshcat=meshcat, path=f"{path}/slice", frames=400, period=max(0.2, self._period)
+        )
+
+    def _publish(self, context: Context) -> None:
+        time = context.get_time()
+        needle = evaluate(self, context, "needle", Needle)
+        if self._needle is None:
+            self._needle = NeedleView(
+                meshcat=self._meshcat, path=f"{self._path}/needle",
+                length=_NEEDLE_LENGTH, radius=needle.radius,
+            )  # fmt: skip
+        self._needle.draw(needle, evaluate(self, context, "X_WT", RigidTransform), time)
+        shape = evaluate(self, context, "shape", (NeedleShape, NotFound))
+        if isinstance(shape, NeedleShape):
+            polyline = shape.positions(self._depths)
+            middles = 0.5 * (self._depths[1:] + self._depths[:-1])
+            self._predicted.show(polyline, time)
+            width = _DEVIATIONS * shape.deviation(middles) + 1.5 * _ROD
+            self._tube.show(polyline, time, radii=np.minimum(width, 0.02))
+        found = evaluate(self, context, "cross_section", (CrossSection, NotFound))
+        path = f"{self._path}/cross_section"
+        self._meshcat.SetProperty(path, "visible", isinstance(found, CrossSection), time)
+        if isinstance(found, CrossSection):
+            self._meshcat.SetTransform(path, RigidTransform(found.position), time)
+        image = evaluate(self, context, "slice", (ImageSlice, NotFound))
+        if isinstance(image, ImageSlice):
+            self._draw_slice(image, time)
+
+    def _draw_slice(self, image: ImageSlice, time: float) -> None:
+        shape = np.array(image.intensities.shape)
+        middle = image.position(0.5 * (shape - 1))
+        plane = Plane(RigidTransform([*middle, 0.0]), *(shape * image.spacing))
+        grey = image.intensities.T
+        opacity = np.where(grey > 0, np.uint8(255), np.uint8(0))
+        gltf = gltf_textured_quads([plane], [np.stack([grey, opacity], axis=-1)])
+        self._film.show(gltf, image.X_WP, time)

@@ -1,0 +1,243 @@
+"""A particle filter for the shape of a needle whose parameters do not change.
+
+It takes the place of Carriere 2016, section IV, which chooses the best particle for each point by
+itself and draws all particles towards them: its particles lose their spread whatever the data say.
+Here every particle is weighted by the joint likelihood of all cross-sections; when few particles
+bear most of the weight they are resampled and moved by Metropolis steps that leave the posterior
+unchanged (Chopin 2002, "A sequential particle filter method for static models").
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.estimation.needle_shape import ShapeEstimatorParameters
+from sonoservo.systems.estimation.shape_posterior import (
+    MeasurementNoise,
+    about_best_origin,
+    residual_sums,
+)
+from sonoservo.systems.needle.bicycle_model import deflections
+from sonoservo.systems.values import Immutable, require
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(kw_only=True)
+class ShapeParticleFilterParameters(ShapeEstimatorParameters):
+    """Of the particle filter, besides what every shape estimator knows.
+
+    Parameters
+    ----------
+    particles
+        Their number n.
+    least_radius
+        No needle bends more than this, in m; the normal distribution of R is cut off here.
+    moves
+        Metropolis steps after each resampling.
+    noise
+        Of the measured cross-sections.
+    """
+
+    particles: int = 500
+    least_radius: float = 0.2
+    moves: int = 3
+    noise: MeasurementNoise = field(default_factory=MeasurementNoise)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require(self.particles >= 50, "particles", self.particles, "at least 50")
+        require(self.moves >= 1, "moves", self.moves, "at least 1")
+        require(
+            0 < self.least_radius < self.mean_radius,
+            "least_radius",
+            self.least_radius,
+            "above 0, below mean_radius",
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ParticleBelief(Immutable):
+    """The particles, and the measurements that they were weighted by.
+
+    Parameters
+    ----------
+    particles
+        (n, 3) R in m, theta_0 and phi in rad.
+    log_weights
+        (n,) up to a constant.
+    sums
+        (n, 3) see `residual_sums`.
+    points
+        (m, 3) measured x, y and depth in I, in m.
+    weights
+        (m,) of the measurements.
+    """
+
+    particles: Floats
+    log_weights: Floats
+    sums: Floats
+    points: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    weights: Floats = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def normalized_weights(self) -> Floats:
+        """(n,) weights of the particles; their sum is 1."""
+        weights = np.exp(self.log_weights - self.log_weights.max())
+        return weights / weights.sum()
+
+    @property
+    def total(self) -> float:
+        """Sum of the weights of the measurements."""
+        return float(self.weights.sum())
+
+
+class ShapePosterior:
+    """Prior and likelihood of (n, 3) particles R, theta_0, phi."""
+
+    def __init__(self, parameters: ShapeParticleFilterParameters) -> None:
+        self._parameters = parameters
+        self._rotations = np.array(parameters.rotations, dtype=float)
+
+    def draw(self, rng: np.random.Generator) -> Floats:
+        """(n, 3) particles of the prior; phi is anywhere."""
+        p = self._parameters
+        radius = rng.normal(p.mean_radius, p.radius_deviation, p.particles)
+        while np.any(low := radius < p.least_radius):
+            radius[low] = rng.normal(p.mean_radius, p.radius_deviation, int(low.sum()))
+        angle = rng.normal(0.0, p.angle_deviation, p.particles)
+        return np.column_stack([radius, angle, rng.uniform(-np.pi, np.pi, p.particles)])
+
+    def log_prior(self, particles: Floats) -> Floats:
+        """(n,) up to a constant."""
+        p = self._parameters
+        radius, angle, _ = particles.T
+        out = -0.5 * ((radius - p.mean_radius) / p.radius_deviation) ** 2
+        out -= 0.5 * (angle / p.angle_deviation) ** 2
+        possible = (radius >= p.least_radius) & (np.abs(angle) < np.pi / 2)
+        return np.where(possible, out, -np.inf)
+
+    def sums(self, particles: Floats, points: Floats, weights: Floats) -> Floats:
+        """(n, 3) see `residual_sums`."""
+        radius, angle, plane = particles.T
+        shape = np.column_stack([1 / radius, np.sin(angle)])
+        # The kernel wants rising depths; slices may also come from deep to shallow.
+        order = np.argsort(points[:, 2], kind="stable")
+        u = deflections(shape, points[order, 2], self._rotations)
+        return residual_sums(u, plane, points[order, :2], weights[order])
+
+    def log_likelihood(self, sums: Floats, total: float) -> Floats:
+        """(n,) up to a constant."""
+        if total <= 0:
+            return np.zeros(len(sums))
+        squares = about_best_origin(sums, total)
+        return self._parameters.noise.log_likelihood(squares, total)
+
+
+def begin(posterior: ShapePosterior, rng: np.random.Generator) -> ParticleBelief:
+    """Particles drawn from the prior, before any measurement."""
+    particles = posterior.draw(rng)
+    n = len(particles)
+    return ParticleBelief(particles, np.zeros(n), np.zeros((n, 3)))
+
+
+def update(
+    belief: ParticleBelief,
+    point: Floats,
+    weight: float,
+    posterior: ShapePosterior,
+    moves: int,
+    rng: np.random.Generator,
+) -> ParticleBelief:
+    """Weight the particles by one more measurement; resample and move them if need be.
+
+    Parameters
+    ----------
+    belief
+        Before.
+    point, weight
+        (3,) measured x, y and depth in I, in m, and its weight from 0 to 1.
+    posterior, moves
+        Of the filter.
+    rng
+        Draws the resampled particles and their moves.
+    """
+    new_points, new_weights = point[np.newaxis], np.array([weight])
+    sums = belief.sums + posterior.sums(belief.particles, new_points, new_weights)
+    total = belief.total + weight
+    gained = posterior.log_likelihood(sums, total)
+    gained = gained - posterior.log_likelihood(belief.sums, belief.total)
+    belief = ParticleBelief(
+        belief.particles,
+        belief.log_weights + gained,
+        sums,
+        np.vstack([belief.points, new_points]),
+        np.append(belief.weights, weight),
+    )
+    share = belief.normalized_weights
+    if 1 / np.sum(share**2) >= 0.5 * len(share):
+        return belief
+    return _move(_resample(belief, share, rng), posterior, moves, rng)
+
+
+def _resample(belief: ParticleBelief, share: Floats, rng: np.random.Generator) -> ParticleBelief:
+    """Systematic resampling (Kitagawa 1996)."""
+    n = len(share)
+    positions = (rng.random() + np.arange(n)) / n
+    chosen = np.minimum(np.searchsorted(np.cumsum(share), positions), n - 1)
+    return replace(
+        belief,
+        particles=belief.particles[chosen],
+        sums=belief.sums[chosen],
+        log_weights=np.zeros(n),
+    )
+
+
+def _move(
+    belief: ParticleBelief, posterior: ShapePosterior, moves: int, rng: np.random.Generator
+) -> ParticleBelief:
+    """Metropolis steps with the particles' own spread.
+
+    (theta_0, phi) and (-theta_0, phi + 180 deg) start in the same direction and bend to opposite
+    sides: few slices cannot tell them apart. The spread is measured, and the steps are taken, with
+    all particles turned to one side; every other step also proposes the other side.
+    """
+    particles, sums = belief.particles, belief.sums
+    side, spread = _spread(particles)
+    root = 2.38 / np.sqrt(3) * np.linalg.cholesky(spread)
+    density = posterior.log_prior(particles) + posterior.log_likelihood(sums, belief.total)
+    for number in range(moves):
+        step = rng.normal(size=particles.shape) @ root.T
+        step[:, 1] *= side
+        proposed = particles + step
+        if number % 2:
+            flip = rng.random(len(particles)) < 0.5
+            proposed[flip, 1] *= -1
+            proposed[flip, 2] += np.pi
+        else:
+            flip = np.zeros(len(particles), bool)
+        prior = posterior.log_prior(proposed)
+        usable = np.isfinite(prior)
+        # What the prior excludes is not worth computing, nor always possible.
+        proposed[~usable] = particles[~usable]
+        their_sums = posterior.sums(proposed, belief.points, belief.weights)
+        their = prior + posterior.log_likelihood(their_sums, belief.total)
+        accepted = usable & (np.log(rng.random(len(particles))) < their - density)
+        particles = np.where(accepted[:, np.newaxis], proposed, particles)
+        sums = np.where(accepted[:, np.newaxis], their_sums, sums)
+        density = np.where(accepted, their, density)
+        side = np.where(accepted & flip, -side, side)
+    return replace(belief, particles=particles, sums=sums)
+
+
+def _spread(particles: Floats) -> tuple[Floats, Floats]:
+    """(n,) side of each particle, +-1, and (3, 3) covariance with all turned to side +1."""
+    plane = particles[:, 2]
+    axis = 0.5 * np.angle(np.mean(np.exp(2j * plane)))
+    side = np.where(np.cos(plane - axis) >= 0, 1.0, -1.0)
+    turned = particles.copy()
+    turned[:, 1] *= side
+    turned[:, 2] = np.angle(side * np.exp(1j * (plane - axis)))
+    spread = np.cov(turned.T) + np.diag([1e-3, 1e-6, 1e-6]) ** 2
+    return side, spread

@@ -1,0 +1,302 @@
+"""Where a needle's cross-section is in one slice (Carriere 2016, section II)."""
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from sonoservo.systems.localization.normalized_cross_correlation import Match, best_match
+from sonoservo.systems.ultrasound.image_slice import ImageSlice
+from sonoservo.systems.values import Immutable, NotFound, read_only, require, require_positive
+
+Floats = NDArray[np.float64]
+
+DEVIATIONS = ("both", "signed", "brighter")
+"""What a variance image may show of the deviations from the mean."""
+
+
+@dataclass(kw_only=True)
+class CrossSectionParameters:
+    """How a cross-section is sought.
+
+    Parameters
+    ----------
+    template
+        Width w and height h of the template in m; the region of interest is 2w x 2h.
+    deviations
+        Which deviations from the mean the variance image (eq. 1) shows: "both" alike, as printed,
+        so that shadows and the dark grains of speckle are as bright as echoes; "signed", with
+        their sign; "brighter", those above the mean.
+    least_correlation
+        With the last template, below which the needle counts as lost.
+    least_contrast_db
+        Of the needle's echo over the mean of the region of interest, in dB.
+    vertex
+        Half width and half height in m of the part of the echo to which a paraboloid is fitted.
+    search
+        How far the front wall's echo, the brightest, is sought from where the template puts it,
+        across and along the beam, in m. Along it, further than one reverberation from the next, so
+        that a start on the wrong one does not last.
+    needle_radius
+        In m; the front wall's echo is this much closer to the probe than the axis.
+    decibels_per_level
+        Of the intensities.
+    """
+
+    template: list[float] = field(default_factory=lambda: [6e-3, 6e-3])
+    deviations: str = "brighter"
+    least_correlation: float = 0.4
+    least_contrast_db: float = 12.0
+    vertex: list[float] = field(default_factory=lambda: [0.6e-3, 0.2e-3])
+    search: list[float] = field(default_factory=lambda: [0.8e-3, 1.1e-3])
+    needle_radius: float = 0.635e-3
+    decibels_per_level: float = 60 / 255
+
+    def __post_init__(self) -> None:
+        require_positive(
+            needle_radius=self.needle_radius, decibels_per_level=self.decibels_per_level
+        )
+        for name in ("template", "vertex", "search"):
+            value = getattr(self, name)
+            require(len(value) == 2 and min(value) > 0, name, value, "two lengths in m above 0")
+        require(
+            self.deviations in DEVIATIONS,
+            "deviations",
+            self.deviations,
+            f"one of {', '.join(DEVIATIONS)}",
+        )
+        require(
+            0 <= self.least_correlation < 1,
+            "least_correlation",
+            self.least_correlation,
+            "from 0, below 1",
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class CrossSection(Immutable):
+    """A needle's cross-section in one slice. Where there is none, a `NotFound` takes its place.
+
+    Parameters
+    ----------
+    position
+        (3,) of the needle's axis in W, in m.
+    X_WP
+        (4, 4) pose of the probe in W: the slice is the plane Z = 0 of P.
+    time
+        Of the slice, in s.
+    correlation
+        With the template, from 0 to 1.
+    centre
+        (2,) x and y of the axis in P, in m.
+    template
+        (w, h) variance image around the axis, to find it again with.
+    """
+
+    position: Floats
+    X_WP: Floats
+    time: float
+    correlation: float
+    centre: Floats
+    template: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        for name, shape in (("position", (3,)), ("X_WP", (4, 4)), ("centre", (2,))):
+            object.__setattr__(self, name, read_only(getattr(self, name), name, shape))
+        template = read_only(self.template, "template", (None, None), np.float32)
+        object.__setattr__(self, "template", template)
+
+
+def variance_image(
+    intensities: NDArray[np.uint8], mean: float, *, deviations: str = "both"
+) -> NDArray[np.float32]:
+    """Squared deviation from the mean of the image (eq. 1).
+
+    The paper divides it by its largest value, which changes no correlation coefficient.
+
+    Parameters
+    ----------
+    intensities
+        The image or a part of it.
+    mean
+        Of the whole image.
+    deviations
+        See `CrossSectionParameters`.
+    """
+    deviation = intensities.astype(np.float32) - np.float32(mean)
+    if deviations == "signed":
+        return deviation * np.abs(deviation)
+    if deviations == "brighter":
+        np.maximum(deviation, 0, out=deviation)
+    return deviation * deviation
+
+
+def image_mean(image: ImageSlice) -> float:
+    """Mean intensity within the sector: the zeros outside it tell nothing of the tissue."""
+    total, count = image.intensities.sum(dtype=np.int64), np.count_nonzero(image.intensities)
+    return float(total / max(count, 1))
+
+
+def find_needle(image: ImageSlice, parameters: CrossSectionParameters) -> Floats | NotFound:
+    """(2,) x and y in P, in m, of the axis below the brightest echo of an image."""
+    deviation = [0.5 * length for length in parameters.vertex] / image.spacing
+    blurred = gaussian_filter(image.intensities, deviation, output=np.float32)
+    peak = np.unravel_index(np.argmax(blurred), blurred.shape)
+    head = image.position(peak)
+    return _axis_of(_vertex(image, head, parameters), image, parameters)
+
+
+def start_at(
+    image: ImageSlice, centre: Floats, parameters: CrossSectionParameters
+) -> CrossSection | NotFound:
+    """Make the first cross-section, near a point that a person has given or `find_needle` has.
+
+    Parameters
+    ----------
+    image
+        The first slice.
+    centre
+        (2,) x and y in P, in m.
+    parameters
+        How it is sought.
+    """
+    return _at(image, np.asarray(centre, dtype=float), 1.0, image_mean(image), parameters)
+
+
+def find_again(
+    image: ImageSlice,
+    last: CrossSection,
+    expected: Floats,
+    parameters: CrossSectionParameters,
+) -> CrossSection | NotFound:
+    """Find a cross-section in the next slice.
+
+    Normalized cross-correlation with the last template says which echo it is; the vertex of that
+    echo's front says where. Were the match itself the position, the errors of all the templates
+    would add up to a drift.
+
+    Parameters
+    ----------
+    image
+        The next slice.
+    last
+        The cross-section found before.
+    expected
+        (2,) x and y in P, in m: the middle of the region of interest.
+    parameters
+        How it is sought.
+    """
+    size = np.array(last.template.shape)
+    first = np.rint(image.index(expected)).astype(int) - size
+    shape = np.array(image.intensities.shape)
+    low, high = np.maximum(first, 0), np.minimum(first + 2 * size + 1, shape)
+    if np.any(high - low < size):
+        return NotFound("the needle has left the image")
+    mean = image_mean(image)
+    region = image.intensities[low[0] : high[0], low[1] : high[1]]
+    match = best_match(
+        variance_image(region, mean, deviations=parameters.deviations), last.template
+    )
+    if not isinstance(match, Match):
+        return match
+    if match.correlation < parameters.least_correlation:
+        return NotFound(
+            f"the correlation {match.correlation:.2f} with the template is below "
+            f"{parameters.least_correlation:g}"
+        )
+    centre = image.position(low + match.position + 0.5 * (size - 1))
+    return _at(image, centre, match.correlation, mean, parameters)
+
+
+def _at(
+    image: ImageSlice,
+    centre: Floats,
+    correlation: float,
+    mean: float,
+    parameters: CrossSectionParameters,
+) -> CrossSection | NotFound:
+    """Refine a cross-section and cut its template."""
+    head = _vertex(image, _front_of(centre, image, parameters), parameters)
+    if isinstance(head, NotFound):
+        return head
+    at = tuple(np.rint(image.index(head)).astype(int))
+    contrast = parameters.decibels_per_level * (float(image.intensities[at]) - mean)
+    if contrast < parameters.least_contrast_db:
+        return NotFound(
+            f"the echo is only {contrast:.0f} dB over the tissue; "
+            f"{parameters.least_contrast_db:g} dB are wanted"
+        )
+    axis = _axis_of(head, image, parameters)
+    assert not isinstance(axis, NotFound)
+    size = np.rint(parameters.template / image.spacing).astype(int)
+    first = np.rint(image.index(axis) - 0.5 * (size - 1)).astype(int)
+    if np.any(first < 0) or np.any(first + size > image.intensities.shape):
+        return NotFound("the needle is at the edge of the image")
+    patch = image.intensities[first[0] : first[0] + size[0], first[1] : first[1] + size[1]]
+    return CrossSection(
+        position=image.to_world(axis),
+        X_WP=image.X_WP.GetAsMatrix4(),
+        time=image.time,
+        correlation=correlation,
+        centre=axis,
+        template=variance_image(patch, mean, deviations=parameters.deviations),
+    )
+
+
+def _front_of(axis: Floats, image: ImageSlice, parameters: CrossSectionParameters) -> Floats:
+    """Where the front wall of a needle with this axis echoes."""
+    return axis - parameters.needle_radius * image.beam_direction(axis)
+
+
+def _axis_of(
+    head: Floats | NotFound, image: ImageSlice, parameters: CrossSectionParameters
+) -> Floats | NotFound:
+    """Where the axis of a needle is whose front wall echoes here."""
+    if isinstance(head, NotFound):
+        return head
+    return head + parameters.needle_radius * image.beam_direction(head)
+
+
+def _vertex(
+    image: ImageSlice, head: Floats, parameters: CrossSectionParameters
+) -> Floats | NotFound:
+    """(2,) vertex in P, in m, of the brightest echo near a point.
+
+    The echo of a thin needle is the beam's point spread function, nearly a Gaussian; its logarithm
+    is a paraboloid, which least squares fit to all pixels around the brightest.
+    """
+    half = np.maximum(np.rint(parameters.vertex / image.spacing).astype(int), 1)
+    reach = np.maximum(np.rint(parameters.search / image.spacing).astype(int), 1)
+    first = np.rint(image.index(head)).astype(int) - reach - half
+    last = first + 2 * (reach + half) + 1
+    if np.any(first < 0) or np.any(last > image.intensities.shape):
+        return NotFound("the needle is at the edge of the image")
+    around = image.intensities[first[0] : last[0], first[1] : last[1]].astype(np.float64)
+    windows = np.lib.stride_tricks.sliding_window_view(around, tuple(2 * half + 1))
+    # Across the beam the echo is as wide as the window, along it as thin as a pixel.
+    level = windows[..., half[1]].mean(axis=2)
+    window = np.array(np.unravel_index(np.argmax(level), level.shape))
+    offset = _paraboloid_vertex(windows[tuple(window)])
+    return image.position(first + window + half + np.clip(offset, -half, half))
+
+
+def _paraboloid_vertex(values: Floats) -> Floats:
+    """(2,) offset of the vertex from the middle of an array with odd extents, in elements."""
+    _, a, b, c, d, e = _paraboloid_fit(values.shape) @ values.ravel()
+    determinant = 4 * c * e - d * d
+    if c >= 0 or determinant <= 0:
+        return np.zeros(2)
+    return np.array([d * b - 2 * e * a, d * a - 2 * c * b]) / determinant
+
+
+@lru_cache
+def _paraboloid_fit(shape: tuple[int, int]) -> Floats:
+    """(6, n) matrix that gives the coefficients of 1, i, j, i^2, ij, j^2 by least squares."""
+    rows, columns = ((extent - 1) // 2 for extent in shape)
+    i, j = np.meshgrid(
+        np.arange(-rows, rows + 1.0), np.arange(-columns, columns + 1.0), indexing="ij"
+    )
+    design = np.stack([np.ones_like(i), i, j, i * i, i * j, j * j], axis=-1).reshape(-1, 6)
+    return np.linalg.pinv(design)

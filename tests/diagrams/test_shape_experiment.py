@@ -1,0 +1,101 @@
+import json
+
+import numpy as np
+import pytest
+
+from sonoservo.diagrams.scenario import load_any_scenario, load_scenario
+from sonoservo.diagrams.shape_experiment import ShapeExperiment, estimate_shape
+from sonoservo.diagrams.shape_scenario import ESTIMATORS, ShapeScenario
+from sonoservo.diagrams.shape_simulation import predict_shape
+from sonoservo.systems.estimation.needle_shape import NeedleShape
+from sonoservo.systems.recording.shape_metrics import cross_section_errors, prediction
+from sonoservo.systems.typed_yaml import ConfigurationError
+
+SHORT = ["depth=0.04", "rotations=[0.025]", "observe_until=0.025", "step=1e-3"]
+
+
+@pytest.fixture(scope="module")
+def experiment():
+    experiment = ShapeExperiment(load_any_scenario("carriere2016_d60", changes=SHORT, seed=103))
+    experiment.run()
+    return experiment
+
+
+def test_the_needle_is_followed_and_its_shape_predicted(experiment):
+    log = experiment.log()
+    errors = cross_section_errors(log)
+    assert np.isfinite(errors).sum() >= 37
+    assert np.nanmedian(errors) < 0.2e-3
+    figures = prediction(log, experiment.shape)
+    assert figures["observed_mm"] == pytest.approx(25.0)
+    # 15 mm beyond what was seen, and beyond the rotation.
+    assert figures["tip_error_true_mm"] < 0.6
+    assert figures["tip_deviation_mm"] < 0.6
+
+
+def test_uncertainty_shrinks_with_every_part_of_the_needle_that_is_seen(experiment):
+    log = experiment.log()
+    deviation = np.sqrt(np.linalg.eigvalsh(log.tip_covariance[5:])[:, -1])
+    assert deviation[20] < 0.25 * deviation[0]
+    # Nothing beyond the last slice that may be used changes the prediction.
+    assert np.ptp(log.tip[26:], axis=0).max() == 0
+
+
+def test_recorded_cross_sections_give_what_the_live_run_gave(experiment):
+    estimator = experiment.make_estimator("particle_filter")
+    shapes = estimate_shape(estimator, experiment.cross_sections)
+    assert np.array_equal(shapes[-1].tip, experiment.shape.tip)
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_every_estimator_takes_the_same_cross_sections(experiment, name):
+    shapes = estimate_shape(experiment.make_estimator(name), experiment.cross_sections)
+    assert isinstance(shapes[-1], NeedleShape)
+    assert np.isfinite(shapes[-1].predict([0.04])[0]).all()
+
+
+def test_estimators_never_see_the_truth(experiment):
+    names = {system.get_name() for system in experiment.diagram.GetSystems()}
+    assert "cross_section_tracker" in names
+    for system in (experiment.cross_section_tracker, experiment.shape_estimator):
+        ports = {system.get_input_port(i).get_name() for i in range(system.num_input_ports())}
+        assert ports <= {"slice", "shape", "cross_section"}
+
+
+def test_a_run_leaves_its_files(tmp_path):
+    scenario = load_any_scenario("carriere2016_patient", seed=104)
+    result = predict_shape(scenario, out=tmp_path)
+    assert result.summary["tracking"]["slices"] == 13
+    for name in ("summary.json", "log.npz", "shape.png", "report.html", "scenario.yaml"):
+        assert (tmp_path / name).stat().st_size > 0
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["prediction"]["observed_mm"] == pytest.approx(35.0)
+    log = np.load(tmp_path / "log.npz")
+    assert log["measured"].shape == (13, 3)
+    again = load_any_scenario(tmp_path / "scenario.yaml")
+    assert isinstance(again, ShapeScenario)
+    assert again == scenario
+
+
+def test_a_needle_that_leaves_the_image_is_said_to_be_lost_and_the_tip_uncertain():
+    changes = ["imaging.sector=0.1", "hand.entry=[-0.045, 0.002, -0.03]", "hand.entry_spread=0"]
+    changes += ["hand.greatest_angle_deg=8", "hand.least_radius=0.3", "hand.greatest_radius=0.4"]
+    lost = []
+    for seed in range(100, 110):
+        scenario = load_any_scenario("carriere2016_patient", changes=changes, seed=seed)
+        result = predict_shape(scenario)
+        found = np.isfinite(result.log.correlation)
+        if not found[-1]:
+            lost.append(seed)
+            assert result.log.reason[-1]
+        if isinstance(result.shape, NeedleShape):
+            mean, covariance = result.shape.predict([scenario.depth])
+            error = mean[0] - result.log.true[-1, :2]
+            assert error @ np.linalg.solve(covariance[0], error) < 30
+    assert len(lost) >= 3
+
+
+def test_scenarios_of_the_two_kinds_are_not_confused():
+    assert isinstance(load_any_scenario("carriere2016_d80"), ShapeScenario)
+    with pytest.raises(ConfigurationError, match="needle shape prediction"):
+        load_scenario("carriere2016_d80")
