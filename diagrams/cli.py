@@ -29,7 +29,7 @@ app = typer.Typer(
 )
 _console = Console()
 
-_PAPERS = ("chatelain2013",)
+_PAPERS = ("chatelain2013", "zhao2012")
 """Modules of `sonoservo.diagrams`, each with ``reproduce(options: StudyOptions) -> Study``."""
 
 JsonOption = Annotated[

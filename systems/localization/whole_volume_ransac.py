@@ -6,8 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.localization.axis_fit import AxisFit
+from sonoservo.systems.localization.measurement import NeedleMeasurement
 from sonoservo.systems.localization.ransac import RansacParameters, ransac_axis
 from sonoservo.systems.localization.tip import TipParameters, axis_profile
+from sonoservo.systems.needle.curve import NeedleCurve
 from sonoservo.systems.ultrasound.volume import Volume
 from sonoservo.systems.values import NotFound, require_positive
 
@@ -51,6 +53,23 @@ class WholeVolumeNeedle:
     fit: AxisFit
     start: float
     tip: float
+
+    def measurement(self, time: float, deviation: float, independent: float) -> NeedleMeasurement:
+        """Return what starts a tracker.
+
+        Parameters
+        ----------
+        time
+            When the tip was acquired, in s.
+        deviation
+            Standard deviation of both ends in every direction, beyond the fit's, in m.
+        independent
+            Number of independent observations that the voxels amount to.
+        """
+        ends = np.array([self.start, self.tip])
+        covariance = self.fit.covariance(ends, independent) + deviation**2 * np.eye(6)
+        curve = NeedleCurve(self.fit.axis.position(ends))
+        return NeedleMeasurement(curve, covariance, time, 0, 0.0)
 
 
 def brightest_voxels(volume: Volume, count: int, rng: np.random.Generator) -> NDArray[np.int64]:

@@ -67,13 +67,15 @@ class RadioFrequencySweep(Immutable):
 
 
 @njit(parallel=True, cache=True, nogil=True)
-def _detect_peaks(lines: Any, grey: Any, step: int, table: Any, shift: Any) -> None:
+def _detect_peaks(
+    lines: Any, grey: Any, step: int, begin: int, end: int, table: Any, shift: Any
+) -> None:
     frames, count, samples = lines.shape
     for k in prange(frames):  # pragma: no cover - compiled
         peak = np.empty(1, np.float32)
         bits = peak.view(np.uint32)
         for j in range(count):
-            for i in range(grey.shape[2]):
+            for i in range(begin, end):
                 peak[0] = 0.0
                 for s in range(
                     max(i * step - step // 2, 0), min(i * step + step // 2 + 1, samples)
@@ -83,7 +85,13 @@ def _detect_peaks(lines: Any, grey: Any, step: int, table: Any, shift: Any) -> N
 
 
 def detect_envelope(
-    sweep: RadioFrequencySweep, *, step: int, dynamic_range_db: float = 60.0, floor_db: float
+    sweep: RadioFrequencySweep,
+    *,
+    step: int,
+    floor_db: float,
+    dynamic_range_db: float = 60.0,
+    near: float = 0.0,
+    far: float = np.inf,
 ) -> Sweep:
     """Make grey levels of radio-frequency lines, on fewer samples.
 
@@ -96,10 +104,12 @@ def detect_envelope(
         To detect.
     step
         Samples of the lines for each sample of the result.
-    dynamic_range_db
-        Range of amplitudes that the grey levels 0 to 255 show.
     floor_db
         Amplitude of grey level 0, over an echo of amplitude 1.
+    dynamic_range_db
+        Range of amplitudes that the grey levels 0 to 255 show.
+    near, far
+        Depths in m between which the lines are looked at; elsewhere the result is 0.
     """
     require(step >= 1, "step", step, "1 or more")
     geometry = detected_geometry(sweep.motion.geometry, step)
@@ -109,8 +119,11 @@ def detect_envelope(
         level = 20 * np.log10(codes.view(np.float32).astype(float)) - floor_db
     grey_per_db = 255 / dynamic_range_db
     table = np.round(np.clip(np.nan_to_num(grey_per_db * level), 0, 255)).astype(np.uint8)
-    grey = np.empty(geometry.shape, np.uint8)
-    _detect_peaks(sweep.lines, grey, step, table, np.uint32(_DISCARDED_BITS))
+    grey = np.zeros(geometry.shape, np.uint8)
+    begin, end = (
+        int(min(depth / geometry.sample_pitch, geometry.samples)) for depth in (near, far)
+    )
+    _detect_peaks(sweep.lines, grey, step, begin, end, table, np.uint32(_DISCARDED_BITS))
     return Sweep(grey, replace(sweep.motion, geometry=geometry))
 
 

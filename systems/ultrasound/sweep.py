@@ -1,6 +1,6 @@
 """One sweep of a motorised probe: its geometry, its motion and its samples."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -206,6 +206,10 @@ class SweepMotion(Immutable):
     def time(self) -> float:
         """Middle of the sweep, in s."""
         return float(0.5 * (self.times[0] + self.times[-1]))
+
+    def at_once(self, time: float) -> "SweepMotion":
+        """Return the motion of a sweep whose frames were all acquired at ``time``, in s."""
+        return replace(self, times=np.full(self.geometry.frames, time))
 
     def to_world(self, p_P: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Positions in W, and times, at which positions in P were really acquired.
