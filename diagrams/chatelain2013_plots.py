@@ -106,7 +106,7 @@ def plot_fig4(runs: Sequence[Run]) -> Figure:
         )
     seed = runs[0].outcome.case.seed
     _finish(tip, f"Tip in the probe's frame (seed {seed})", "mm")
-    tip.legend(ncols=3, fontsize="small")
+    tip.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
     _band(error, [1e3 * run.volumes.tip for run in runs], BLUE, "tip error")
     for limit in _TARGETS["tip"]:
         error.axhline(limit, color="0.4", linestyle=":", linewidth=0.9)

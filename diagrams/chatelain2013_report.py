@@ -32,8 +32,8 @@ _NOTES = (
     "an estimate counts as infinitely wrong, and a run that failed as one more run of such "
     "volumes. Lost: not tracked with more than 15 mm in the image.",
     "Converged: |X| and |Z| below 2 mm and |Theta| below 2 deg, in truth, during the whole last "
-    "second of the run, the needle being tracked. Back after a move of the phantom: the same, for "
-    "half a second, before the next move.",
+    "second of the run, the needle being tracked (bent: of X and Z). Back after a move of the "
+    "phantom: the same, for half a second, before the next move.",
     "Bent: fig. 5 with a needle of bevel radius 150 to 400 mm, bent to any side, 0 to 40 deg out "
     "of the horizontal, and a curve of order 3. The deviation is the largest distance between true "
     "and estimated curve in the image, either way, from the estimated entry on.",
@@ -220,7 +220,7 @@ def _fig6(group: _Group) -> None:
 def _bent(group: _Group) -> None:
     group.errors("curve", "largest deviation along the curve", "mm", _MM, median=0.8, p95=1.5)
     group.errors("tip", "tip error", "mm", _MM)
-    group.count("converged", sum(converged(run.log) for run in group.runs))
+    group.count("tip centred", sum(converged(run.log, straight=False) for run in group.runs))
     group.reliability()
 
 

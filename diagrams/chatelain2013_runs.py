@@ -183,16 +183,21 @@ def found_after(log: RunLog) -> list[tuple[float, float]]:
     return lengths
 
 
-def centred(log: RunLog) -> NDArray[np.bool_]:
-    """(n,) whether the needle is tracked, and truly centred and in line."""
+def centred(log: RunLog, straight: bool = True) -> NDArray[np.bool_]:
+    """(n,) whether the needle is tracked, and truly centred and in line.
+
+    Of a needle that is not straight only the tip is judged: its direction from where it enters the
+    tissue, which the image does not show, is not the one that the servo aligns.
+    """
     true = np.abs(features(log.X_WP, log.needle_tip, log.needle_entry))
     tracked = log.estimate_mode == TrackingMode.TRACKING
-    return np.asarray(tracked & (true < _CENTRED).all(axis=1))
+    judged = slice(None if straight else 2)
+    return np.asarray(tracked & (true < _CENTRED)[:, judged].all(axis=1))
 
 
-def converged(log: RunLog) -> bool:
+def converged(log: RunLog, straight: bool = True) -> bool:
     """Whether the needle was centred all through the last second."""
-    return bool(centred(log)[log.time >= log.time[-1] - 1.0].all())
+    return bool(centred(log, straight)[log.time >= log.time[-1] - 1.0].all())
 
 
 def recovery_times(log: RunLog, scenario: Scenario) -> list[float]:

@@ -93,6 +93,9 @@ def test_centred_only_while_tracked_and_in_line(log):
     assert good[log.time > 12].all()
     assert converged(log)
     assert not converged(shifted(log, 2.1e-3, log.time > 19.5))
+    turned = replace(log, needle_entry=log.needle_entry + np.array([0, 0.01, 0]))
+    assert not converged(turned)
+    assert converged(turned, straight=False)
     assert not converged(replace(log, estimate_mode=np.full(len(log.time), "coasting")))
 
 
