@@ -35,6 +35,7 @@ test: $(VENV)/.dev
 bench: $(VENV)/.dev
 	@mkdir -p out
 	@$(BIN)/python -m pytest tests/benchmarks --benchmark-enable --benchmark-only --benchmark-json=out/bench.json $(ARGS)
+	@$(BIN)/python tests/benchmarks/plot_cost.py out/bench.json out/render_cost.png
 
 # mypy finds packages by folder: the links give it the name that pyproject.toml maps to this folder.
 lint: $(VENV)/.dev

@@ -1,0 +1,53 @@
+"""What rendering a sweep costs, against its size and the tissue's density, from a benchmark's JSON.
+
+python tests/benchmarks/plot_cost.py out/bench.json out/render_cost.png
+"""
+
+import json
+import sys
+from math import prod
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+
+def milliseconds(benchmarks, function):
+    """Medians by parameters of one benchmark function."""
+    return {
+        tuple(each["params"].values()): 1e3 * each["stats"]["median"]
+        for each in benchmarks
+        if each["name"].startswith(function + "[")
+    }
+
+
+def main(source, target):
+    benchmarks = json.loads(Path(source).read_text())["benchmarks"]
+    cost = milliseconds(benchmarks, "test_render")
+    if not cost:
+        return
+    figure = Figure(figsize=(9, 3.6), layout="constrained")
+    by_size, by_density = figure.subplots(1, 2)
+    for state, moves in (("probe moves", True), ("probe still", False)):
+        points = sorted(
+            (prod(int(extent) for extent in size.split(" x ")) / 1e6, ms, size)
+            for (size, speed), ms in cost.items()
+            if (speed > 0) == moves
+        )
+        by_size.loglog(*zip(*[point[:2] for point in points], strict=True), "o-", label=state)
+    ticks = [f"{samples:.2g}\n{size}" for samples, _, size in points]
+    by_size.set_xticks([samples for samples, _, _ in points], ticks, fontsize=8)
+    by_size.minorticks_off()
+    by_size.legend()
+    by_size.set(xlabel="samples in a sweep / million", ylabel="ms a sweep", title="Size")
+    densities = milliseconds(benchmarks, "test_render_denser_tissue")
+    by_density.plot(*zip(*sorted((k[0], ms) for k, ms in densities.items()), strict=True), "o-")
+    by_density.set(
+        xlabel="scatterers in a resolution cell", title="Density (31 x 128 x 480)", ylim=(0, None)
+    )
+    for axes in (by_size, by_density):
+        axes.grid(alpha=0.3, which="both")
+    figure.savefig(target, dpi=120)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
