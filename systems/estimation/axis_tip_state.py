@@ -146,12 +146,15 @@ def _axis_and_tip(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(5,) deviations of a measured direction and tip, and their (5, 5) covariance."""
     curve, across = measurement.curve, frame[:2]
-    k = curve.direction if curve.direction @ frame[2] >= 0 else -curve.direction
+    # An axis has no sense: it is taken as the one that it nearly has already.
+    sense = 1.0 if curve.direction @ frame[2] >= 0 else -1.0
+    k = sense * curve.direction
     aside = across @ k
     sine = float(np.linalg.norm(aside))
     angle = np.arctan2(sine, k @ frame[2])
     deviation = aside * (angle / sine if sine > 0 else 1.0)
     J = np.zeros((5, 6))
-    J[:2, :3], J[:2, 3:] = -across / curve.chord, across / curve.chord
+    J[:2, 3:] = sense * across / curve.chord
+    J[:2, :3] = -J[:2, 3:]
     J[2:, 3:] = np.eye(3)
     return np.concatenate([deviation, curve.tip]), J @ measurement.covariance @ J.T

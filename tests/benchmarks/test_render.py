@@ -10,8 +10,8 @@ import time
 import numpy as np
 import pytest
 from pymust_referee import middle_line
-from zhao2012 import ZHAO
 
+from sonoservo.diagrams.zhao2012_phantom import IMAGING as ZHAO
 from sonoservo.systems.needle.needle import Needle
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.rendering import ScannerParameters, SweepRenderer

@@ -3,8 +3,8 @@ import dataclasses
 import numpy as np
 import pytest
 from pymust_referee import middle_line
-from zhao2012 import ZHAO
 
+from sonoservo.diagrams.zhao2012_phantom import IMAGING as ZHAO
 from sonoservo.systems.ultrasound.beam import (
     axial_width,
     beam_profile,
