@@ -20,6 +20,9 @@ Floats = NDArray[np.float64]
 ENOUGH_IN_VIEW = 20e-3
 """Errors count from this length of needle in the image on, in m."""
 
+_OUT_OF_VIEW = 2e-3
+"""One insertion ends and the next begins where less than this is in the image, in m."""
+
 _RIGHT_PLACE = 10e-3
 """A needle is found where the estimated tip lies within this of the true one, in m."""
 
@@ -168,7 +171,7 @@ def found_after(log: RunLog) -> list[tuple[float, float]]:
     time = log.volume_estimate_time
     tracked = log.volume_estimate_mode == TrackingMode.TRACKING
     right = tracked & (estimate_errors(log).tip < _RIGHT_PLACE)
-    inside = np.nan_to_num(log.visible_length) > 0
+    inside = np.nan_to_num(log.visible_length) > _OUT_OF_VIEW
     edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(int)))
     lengths = []
     for start, stop in edges.reshape(-1, 2):

@@ -71,15 +71,15 @@ def test_the_whole_study_in_short(tmp_path, monkeypatch):
         chatelain2013,
         "PROTOCOLS",
         {
-            "fig4": Protocol("chatelain2013_fig4", 1, (1, 6.0), quick),
-            "fig5": Protocol("chatelain2013_fig5", 1, (1, 7.0), quick),
-            "fig6": Protocol("chatelain2013_fig6", 1, (1, 7.0), [*quick, moved]),
-            "bent": Protocol("chatelain2013_fig5", 1, (1, 5.0), ["tracker.order=3"]),
+            "fig4": Protocol("chatelain2013_fig4", 1, (1, 5.0), quick),
+            "fig5": Protocol("chatelain2013_fig5", 1, (1, 6.5), quick),
+            "fig6": Protocol("chatelain2013_fig6", 1, (1, 6.6), [*quick, moved]),
+            "bent": Protocol("chatelain2013_fig5", 1, (1, 2.5), ["tracker.order=3"]),
             "no needle, probe still": Protocol(
-                "chatelain2013_fig4", 1, (1, 3.0), PROTOCOLS["no needle, probe still"].changes
+                "chatelain2013_fig4", 1, (1, 2.5), PROTOCOLS["no needle, probe still"].changes
             ),
             "fig5, no refits": Protocol(
-                "chatelain2013_fig5", 1, (1, 6.0), [*quick, *ABLATIONS["no refits"]]
+                "chatelain2013_fig5", 1, (1, 2.5), [*quick, *ABLATIONS["no refits"]]
             ),
             "fig5, no filter": Protocol("chatelain2013_fig5", 1, (1, 5.0), ["no.such.field=1"]),
         },
@@ -95,7 +95,7 @@ def test_the_whole_study_in_short(tmp_path, monkeypatch):
     assert rows["fig5", "contact force, mean"]["true"] == pytest.approx(2, abs=0.1)
     assert rows["fig6", "force, largest"]["true"] > 2
     assert rows["no needle, probe still", "false starts, all runs"]["true"] == 0
-    assert rows["no needle, probe still", "volumes"]["true"] >= 15
+    assert rows["no needle, probe still", "volumes"]["true"] >= 10
     assert ("fig5, no refits", "axis error, 95 %") in rows
     (failure,) = data["failures"]
     assert failure["experiment"] == "fig5, no filter"
