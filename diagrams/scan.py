@@ -23,6 +23,7 @@ from sonoservo.systems.ultrasound.sweep import Sweep, SweepMotion
 from sonoservo.systems.ultrasound.tissue import load_tissue
 from sonoservo.systems.ultrasound.transducer import load_transducer
 from sonoservo.systems.ultrasound.volume import Volume
+from sonoservo.systems.values import require_not_negative
 
 _INDENTATION = 4e-3
 """How deep a dome of 40 mm radius sinks into the phantom at 2 N, in m."""
@@ -93,6 +94,7 @@ def _scan(
     insertion = Insertion(scenario.hand, np.random.default_rng(insertion_seed))
     if time is None:
         time = float(max(np.linspace(0, scenario.duration, 200), key=insertion.depth))
+    require_not_negative(time=time)
     renderer = SweepRenderer(
         transducer=load_transducer(scenario.transducer),
         imaging=scenario.imaging,

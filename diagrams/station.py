@@ -86,6 +86,7 @@ class StationParameters:
 
     def __post_init__(self) -> None:
         require_positive(time_step=self.time_step, display_period=self.display_period)
+        require(self.time_step <= 0.02, "time_step", self.time_step, "at most 0.02 s")
         require_not_negative(force_noise=self.force_noise, torque_noise=self.torque_noise)
         position = self.phantom_position
         finite = len(position) == 3 and bool(np.isfinite(position).all())

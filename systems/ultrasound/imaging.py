@@ -106,7 +106,7 @@ def sweep_geometry(transducer: Transducer, imaging: ImagingParameters) -> SweepG
     frequency = imaging.transmit_frequency
     require(
         low <= frequency <= high,
-        "transmit_frequency",
+        "imaging.transmit_frequency",
         frequency,
         f"from {low:g} to {high:g} Hz with this transducer",
     )
@@ -120,13 +120,13 @@ def sweep_geometry(transducer: Transducer, imaging: ImagingParameters) -> SweepG
         frames -= 1 - frames % 2
         require(
             frames >= 3,
-            "volume_rate",
+            "imaging.volume_rate",
             imaging.volume_rate,
             f"lower: sound has time for {fitting} frames of {lines} lines in a sweep",
         )
     require(
         frames <= transducer.most_frames,
-        "frames",
+        "imaging.frames",
         frames,
         f"at most {transducer.most_frames} with this transducer",
     )

@@ -36,6 +36,7 @@ def test_list_names_every_scenario(tmp_path):
         (["chatelain2013_fig5", "--set", "station.probe.x=3"], "cannot reach"),
         (["chatelain2013_fig5", "--set", "hand.entry=[-0.12, 0.9, -0.04]"], "hand.entry: "),
         (["chatelain2013_fig5", "--set", "phantom=agr"], "there is no model"),
+        (["chatelain2013_fig5", "--set", "imaging.volume_rate=50"], "imaging.volume_rate: 50.0"),
         (["chatelain2013_fig5", "--set", "processing_time=1"], "processing_time: 1.0"),
         (["carriere2016_d60", "--set", "rotations=[0.2]"], "rotations: [0.2]"),
         (["carriere2016_d60", "--set", "estimator=particle"], "did you mean 'particle_filter'"),

@@ -70,6 +70,7 @@ def test_the_tracker_is_chosen_by_name(tmp_path):
         ("chatelain2013_fig5", ["imaging.volume_rate=-3"], "imaging.volume_rate: -3.0"),
         ("chatelain2013_fig5", ["imaging.volume_rate=fast"], "imaging.volume_rate: 'fast'"),
         ("chatelain2013_fig5", ["duration=0"], "duration: 0.0"),
+        ("chatelain2013_fig5", ["station.time_step=10"], "station.time_step: 10.0"),
         ("chatelain2013_fig5", ["seed=-1"], "seed: -1"),
         ("chatelain2013_fig5", ["name=../../elsewhere"], "name: '../../elsewhere'"),
         ("chatelain2013_fig5", ["hand.azimuth_deg=.nan"], "hand.azimuth_deg: nan"),
