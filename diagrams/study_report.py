@@ -212,7 +212,7 @@ def _rows_table(rows: Sequence[StudyRow]) -> str:
             ]
         )
         before = row.experiment
-    return "<h2>Figures</h2>" + _table(heads, lines)
+    return "<h2>Results</h2>" + _table(heads, lines)
 
 
 def _cases_table(study: Study) -> str:

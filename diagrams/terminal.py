@@ -119,8 +119,10 @@ def study_table(study: Study) -> Table:
 
 def format_figure(value: Any) -> str:
     """Return a figure with three significant digits, a whole number as it is, or a dash."""
-    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+    if value is None or (isinstance(value, float) and math.isnan(value)):
         return "-"
+    if value == math.inf:
+        return "∞"
     return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 

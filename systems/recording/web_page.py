@@ -2,6 +2,7 @@
 
 import base64
 import html
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -86,6 +87,8 @@ def cell_text(value: Any) -> str:
     """Return a value as the HTML of a table's cell: a dash for None, about three digits."""
     if value is None:
         return "–"
+    if isinstance(value, float) and math.isinf(value):
+        return "∞"
     if isinstance(value, float):
         return f"{value:.{sum(abs(value) < limit for limit in (1, 10, 100))}f}"
     return html.escape(str(value))

@@ -25,6 +25,7 @@ def study():
             ),
             StudyRow(experiment="fig4", quantity="found", true=18, target=20, wanted="at least"),
             StudyRow(experiment="fig5", quantity="unknown", unit="s"),
+            StudyRow(experiment="fig5", quantity="error", true=float("inf"), target=1.0),
         ],
         outcomes=[
             Outcome(Case("fig4", 0), {"x": 1}, wall_s=2.0),
@@ -64,7 +65,8 @@ def test_json(study, tmp_path):
     assert data["seeds"] == {"fig4": [0, 1, 3]}
     wanted = {"experiment", "quantity", "unit", "paper", "estimated", "true", "target", "met"}
     assert all(wanted <= row.keys() for row in data["rows"])
-    assert [row["met"] for row in data["rows"]] == [True, False, None]
+    assert [row["met"] for row in data["rows"]] == [True, False, None, False]
+    assert data["rows"][-1]["true"] is None
     assert data["cases"] == {"fig4": {"cases": 3, "failed": 1}}
     (failure,) = data["failures"]
     assert (failure["seed"], failure["error"]) == (3, "ValueError: <no> luck")
@@ -80,13 +82,14 @@ def test_page_needs_no_other_file(study, tmp_path):
     cells = [re.findall(r"<t[hd]>(.*?)</t[hd]>", row) for row in re.findall(r"<tr>.*?</tr>", text)]
     assert ["fig4", "tip error (mm)", "1.50", "0.400", "0.610", "≤ 0.7", "yes"] in cells
     assert ["", "found", "", "", "18", "≥ 20", "<b>no</b>"] in cells
+    assert ["", "error", "", "", "∞", "≤ 1", "<b>no</b>"] in cells
     assert ["fig4", "0-1, 3", "3", "1"] in cells
     assert "ValueError: &lt;no&gt; luck" in text
-    assert "1 of 2 targets met" in text
+    assert "1 of 3 targets met" in text
     assert "20 seeds &lt; 100." in text
 
 
 def test_table_in_the_terminal(study):
     table = study_table(study)
-    assert table.row_count == 3
+    assert table.row_count == 4
     assert "3 runs, 1 failed" in table.caption
