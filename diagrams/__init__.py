@@ -5,17 +5,23 @@
 >>> result.summary["servo"]["at_rest"]
 """
 
+from sonoservo.diagrams.locate import LocatedNeedle, locate
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, NeedleTrackerParameters, track
+from sonoservo.diagrams.recorded import TrackedRecording, track_recording
 from sonoservo.diagrams.scenario import Scenario, list_scenarios, load_scenario
 from sonoservo.diagrams.simulation import RunResult, run
 
 __all__ = [
+    "LocatedNeedle",
     "MakeNeedleTracker",
     "NeedleTrackerParameters",
     "RunResult",
     "Scenario",
+    "TrackedRecording",
     "list_scenarios",
     "load_scenario",
+    "locate",
     "run",
     "track",
+    "track_recording",
 ]

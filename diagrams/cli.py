@@ -1,4 +1,4 @@
-"""The command line: ``sonoservo list``, ``run``, ``scan`` and ``reproduce``."""
+"""The command line: ``sonoservo list``, ``run``, ``scan``, ``track``, ``locate``, ``reproduce``."""
 
 import shlex
 import sys
@@ -6,10 +6,13 @@ from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 from rich.console import Console
 from rich.table import Table
 
+from sonoservo.diagrams.locate import locate_in_recording
+from sonoservo.diagrams.recorded import track_recording, tracker_parameters
 from sonoservo.diagrams.scan import caption, scan, summarize_scan, write_scan
 from sonoservo.diagrams.scenario import list_scenarios, load_any_scenario, load_scenario
 from sonoservo.diagrams.shape_scenario import ShapeScenario
@@ -17,8 +20,16 @@ from sonoservo.diagrams.shape_simulation import predict_shape
 from sonoservo.diagrams.simulation import run
 from sonoservo.diagrams.study import StudyOptions
 from sonoservo.diagrams.study_report import write_study
-from sonoservo.diagrams.terminal import Progress, start_display, study_table, summary_table
+from sonoservo.diagrams.terminal import (
+    Progress,
+    VolumeProgress,
+    mode_table,
+    start_display,
+    study_table,
+    summary_table,
+)
 from sonoservo.systems.recording.files import write_json
+from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.typed_yaml import ConfigurationError, suggest
 
 app = typer.Typer(
@@ -34,6 +45,27 @@ _PAPERS = ("chatelain2013", "zhao2012")
 
 JsonOption = Annotated[
     Path | None, typer.Option("--json", help="Also write what is printed to this file.")
+]
+
+
+DepthOption = Annotated[
+    str,
+    typer.Option(help="Where the sound goes in the file's space: L, R, P, A, S or I (the feet)."),
+]
+WindowOption = Annotated[
+    tuple[float, float] | None,
+    typer.Option(help="Numbers that become black and white; by default from the first volume."),
+]
+OrderOption = Annotated[int, typer.Option(help="2 for a straight needle, 3 for a bent one.")]
+DynamicRangeOption = Annotated[
+    float | None, typer.Option(help="dB from black to white; 60 unless the recorder noted it.")
+]
+RateOption = Annotated[
+    float | None, typer.Option(help="Volumes per second, for a file that tells no times.")
+]
+PosesOption = Annotated[
+    str | None,
+    typer.Option(help="Transform that is the probe's pose (ProbeToTracker), or none."),
 ]
 
 
@@ -120,6 +152,73 @@ def scan_command(
         soft_wrap=True,
     )
     _write_json(json_path, summary)
+
+
+@app.command("track")
+def track_command(
+    recording: Annotated[
+        Path, typer.Argument(help="Recorded volumes: .seq.nrrd, .nrrd, .nhdr, .mha or .mhd.")
+    ],
+    tracker: Annotated[str, typer.Option(help="chatelain2013 or zhao2012.")] = "chatelain2013",
+    order: OrderOption = 2,
+    start: Annotated[
+        str,
+        typer.Option(help="search: find it when pushed in; anywhere: seek it in whole volumes."),
+    ] = "search",
+    depth: DepthOption = "P",
+    window: WindowOption = None,
+    dynamic_range_db: DynamicRangeOption = None,
+    volume_rate: RateOption = None,
+    poses: PosesOption = None,
+    seed: Annotated[int | None, typer.Option(help="Seed; by default the recorder's.")] = None,
+    real_time: Annotated[
+        bool, typer.Option("--real-time", help="No faster than it was recorded.")
+    ] = False,
+    out: Annotated[Path | None, typer.Option(help="Folder for the results.")] = None,
+    json_path: JsonOption = None,
+) -> None:
+    """Track a needle through recorded volumes; end with a folder of results."""
+    parameters = tracker_parameters(tracker, order=order, start=start)
+    opened = Recording(recording, depth=depth, window=window, volume_rate=volume_rate, poses=poses)
+    folder = out or Path("out") / f"{recording.name.partition('.')[0]}_track"
+    with VolumeProgress(_console, recording.name, len(opened)) as progress:
+        result = track_recording(
+            opened,
+            parameters=parameters,
+            dynamic_range_db=dynamic_range_db,
+            seed=seed,
+            real_time=real_time,
+            out=folder,
+            command=shlex.join(["sonoservo", *sys.argv[1:]]),
+            after_volume=progress,
+        )
+    _console.print(mode_table(result.summary))
+    _console.print(f"Results, starting with the report: {folder / 'report.html'}", soft_wrap=True)
+    _write_json(json_path, result.summary)
+    if result.summary["interrupted"]:
+        raise typer.Exit(130)
+
+
+@app.command("locate")
+def locate_command(
+    volume: Annotated[Path, typer.Argument(help="A volume: .nrrd, .nhdr, .mha or .mhd.")],
+    number: Annotated[int, typer.Option(help="Which volume, if the file has several.")] = 0,
+    order: OrderOption = 2,
+    depth: DepthOption = "P",
+    window: WindowOption = None,
+    dynamic_range_db: DynamicRangeOption = None,
+    json_path: JsonOption = None,
+) -> None:
+    """Find the needle in one volume, in the file's coordinates; exit code 1 if there is none."""
+    # Neither times nor poses matter for a single volume.
+    opened = Recording(volume, depth=depth, window=window, volume_rate=1.0, poses="none")
+    found = locate_in_recording(opened, number, order=order, dynamic_range_db=dynamic_range_db)
+    for name, value in found.items():
+        shown = np.round(value, 3).tolist() if isinstance(value, list | float) else value
+        _console.print(f"{name}: {shown}", soft_wrap=True, highlight=False)
+    _write_json(json_path, found)
+    if not found["found"]:
+        raise typer.Exit(1)
 
 
 @app.command("reproduce")

@@ -185,6 +185,61 @@ class Progress:
         )
 
 
+class VolumeProgress:
+    """A bar that shows how far a recording has been tracked and what the tracker does.
+
+    Call it after every volume with its number and the estimate.
+
+    Parameters
+    ----------
+    console
+        Where to draw.
+    name
+        Of the recording.
+    count
+        Of its volumes.
+    """
+
+    def __init__(self, console: Console, name: str, count: int) -> None:
+        self._bar = RichProgress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.fields[state]}"),
+            TimeRemainingColumn(),
+            console=console,
+        )
+        self._count = count
+        self._task = self._bar.add_task(name, total=count, state="")
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._bar.stop()
+
+    def __call__(self, number: int, estimate: NeedleEstimate) -> None:
+        """Move the bar."""
+        state = f"volume {number + 1} of {self._count}  {estimate.mode}"
+        self._bar.update(self._task, completed=number + 1, state=state)
+
+
+def mode_table(summary: Mapping[str, Any]) -> Table:
+    """Return the figures of a tracked recording, for a terminal."""
+    table = Table(title=str(summary["scenario"]))
+    table.add_column("quantity")
+    table.add_column("this recording", justify="right")
+    table.add_row("volumes", str(summary["volumes"]))
+    table.add_row("skipped, because the file calls them invalid", str(summary["skipped"]))
+    for mode, count in summary["modes"].items():
+        table.add_row(f"volumes after which it was {mode}", str(count))
+    for path, label in _ROWS.items():
+        figure = look_up(summary, path)
+        if figure is not None:
+            table.add_row(label, format_figure(figure))
+    return table
+
+
 def start_display(console: Console) -> Meshcat:
     """Start a Meshcat, and say where it is to be seen."""
     meshcat = Meshcat()

@@ -61,6 +61,9 @@ class NeedleKalmanFilterParameters:
         Whether the needle's state is kept in the frame of the probe, as in the paper: it is then
         carried along as the probe moves, and its velocity is that in the image, which suits the
         servo without feed-forward only. Off, it is kept in W.
+    anywhere
+        Whether a needle is sought in the whole volume as long as there is none, so that no
+        insertion need be seen.
     """
 
     order: int = 2
@@ -77,6 +80,7 @@ class NeedleKalmanFilterParameters:
     seconds_to_give_up: float = 10.0
     filtering: bool = True
     probe_frame: bool = False
+    anywhere: bool = False
 
     def __post_init__(self) -> None:
         require(self.order in (2, 3), "order", self.order, "2 or 3")
@@ -247,7 +251,7 @@ class NeedleKalmanFilter(LeafSystem):
         self._gate = float(chi2.ppf(self._parameters.gate, 3 * self._parameters.order))
         for name in ("volume", "detection", "measurement"):
             self.DeclareAbstractInputPort(name, Value[object]())
-        empty = NeedleTrack(TrackingMode.SEARCHING, 0.0, self._parameters.motion)
+        empty = self._without_needle(0.0, "")
         none = NotFound("no volume has been seen")
         self._track = self.DeclareAbstractState(Value[object](empty))
         self._detection = self.DeclareAbstractState(Value[object](none))
@@ -279,7 +283,7 @@ class NeedleKalmanFilter(LeafSystem):
         measurement: Immutable = NotFound("no needle has been detected")
         if track.mode == TrackingMode.SEARCHING:
             detection = evaluate(self, context, "detection", (InsertionDetection, NotFound))
-        if track:
+        if track or track.mode == TrackingMode.LOST:
             measurement = evaluate(self, context, "measurement", (NeedleMeasurement, NotFound))
         track = replace(
             self._next(context, track, volume.time, detection, measurement),
@@ -293,6 +297,11 @@ class NeedleKalmanFilter(LeafSystem):
         ):
             state.get_mutable_abstract_state(index).set_value(value)
         return EventStatus.Succeeded()
+
+    def _without_needle(self, time: float, reason: str) -> NeedleTrack:
+        """Return the track while there is no needle."""
+        mode = TrackingMode.LOST if self._parameters.anywhere else TrackingMode.SEARCHING
+        return NeedleTrack(mode, time, self._parameters.motion, reason=reason)
 
     def _start(self, measurement: NeedleMeasurement) -> NeedleTrack:
         """Start a track at a measurement."""
@@ -348,7 +357,7 @@ class NeedleKalmanFilter(LeafSystem):
         """Return the track after a volume that did not confirm it."""
         p = self._parameters
         missed = track.missed + 1
-        empty = NeedleTrack(TrackingMode.SEARCHING, time, p.motion, reason=reason)
+        empty = self._without_needle(time, reason)
         if track.mode == TrackingMode.SEARCHING:
             if isinstance(detection, InsertionDetection):
                 return start_track(track, detection, p)

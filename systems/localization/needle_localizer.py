@@ -22,6 +22,7 @@ from sonoservo.systems.localization.tip import (
     axis_profile,
     find_extent,
 )
+from sonoservo.systems.localization.whole_volume import find_needle_line
 from sonoservo.systems.needle.curve import NeedleCurve
 from sonoservo.systems.ultrasound.volume import Volume
 from sonoservo.systems.values import NotFound, evaluate, require, require_positive
@@ -380,11 +381,13 @@ def localize(
     -------
     The measurement in W, or a `NotFound` that says why there is none.
     """
-    if not track:
+    if not track and track.mode != TrackingMode.LOST:
         return NotFound("no needle has been detected")
     track = track.seen_from(volume.X_WP)
     if not parameters.sweep_time:
         volume = volume.at_once()
+    if not track:
+        return seek_needle(volume, parameters, rng)[0]
     if track.mode != TrackingMode.LOST:
         region = _predicted_region(track, volume.time, parameters)
         return _localize_in(volume, region, parameters, rng)
@@ -409,6 +412,40 @@ def localize(
         if isinstance(found, NeedleMeasurement):
             best = found if best is None or found.curve.chord > best.curve.chord else best
     return best or NotFound("no needle in the whole volume")
+
+
+def seek_needle(
+    volume: Volume, parameters: NeedleLocalizerParameters, rng: np.random.Generator
+) -> tuple[NeedleMeasurement | NotFound, float]:
+    """Find the needle in a volume of which nothing else is known.
+
+    Parameters
+    ----------
+    volume
+        To search.
+    parameters
+        Thresholds.
+    rng
+        Draws samples.
+
+    Returns
+    -------
+    The measurement in W, or a `NotFound` that says why there is none, and the evidence for it in
+    dB m (`NeedleLine`).
+    """
+    line = find_needle_line(volume, rng, decibels_per_level=parameters.tip.decibels_per_level)
+    if isinstance(line, NotFound):
+        return line, 0.0
+    entry, tip = volume.to_world(line.ends)[0]
+    region = _Region(
+        curve=NeedleCurve(np.linspace(entry, tip, parameters.order)),
+        radius=0.8 * parameters.margin,
+        before=parameters.largest_entry_gap,
+        beyond=2 * parameters.margin,
+        shaft_beyond=0.0,
+        largest_angle=math.radians(parameters.largest_angle_deg),
+    )
+    return _localize_in(volume, region, parameters, rng), line.evidence
 
 
 class NeedleLocalizer(LeafSystem):

@@ -158,7 +158,8 @@ def axis_profile(
     inside = np.all((p_P >= volume.origin) & (p_P <= volume.upper), axis=1)
     if volume.motion is not None:
         inside &= volume.motion.geometry.contains(p_P)
-    seen = inside & (maxima[0] >= 0)
+    # Without a motion the sector is not known, but for the zeros outside it.
+    seen = inside & (maxima[0] >= 0 if volume.motion is not None else maxima[0] > 0)
     # Positions beside the axis that fall outside the sector say nothing about the background.
     beside = np.where(maxima[1:] > 0, maxima[1:], np.nan)
     beside[0, np.all(np.isnan(beside), axis=0)] = 0.0
@@ -196,7 +197,7 @@ class NeedleExtent(Immutable):
 
 
 @njit(cache=True, nogil=True)
-def _best_stretch(evidence: Any) -> Any:  # pragma: no cover - compiled
+def best_stretch(evidence: Any) -> Any:  # pragma: no cover - compiled
     """First and last index of the stretch with the largest sum (Kadane); last is -1 if none."""
     first, last, best = 0, -1, 0.0
     start, total = 0, 0.0
@@ -236,7 +237,7 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
     evidence = np.clip(
         contrast - parameters.contrast, -parameters.contrast, parameters.largest_evidence
     )
-    first, last = _best_stretch(np.where(profile.seen, evidence, -parameters.contrast))
+    first, last = best_stretch(np.where(profile.seen, evidence, -parameters.contrast))
     if last < 0:
         return NotFound("nothing along the axis stands out from the background")
     tip = _tip(profile, contrast, first, last, parameters)
@@ -261,7 +262,7 @@ def _tip(
     """Abscissa of the tip in m, from where the stretch's end is lost in the background."""
     a, threshold = profile.a, parameters.end_contrast
     evidence = np.clip(contrast[first : last + 1] - threshold, -threshold, threshold)
-    end = first + max(_best_stretch(evidence)[1], 0)
+    end = first + max(best_stretch(evidence)[1], 0)
     begin = max(first, int(np.searchsorted(a, a[end] - parameters.end_length)))
     fallen = max(float(contrast[begin : end + 1].max()) - threshold, 0.0)
     lost = float(a[end])

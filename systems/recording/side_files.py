@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
+from sonoservo.systems.needle.needle import Needle
 from sonoservo.systems.recording.sequence_writer import SUFFIX, partial_path
 from sonoservo.systems.typed_yaml import ConfigurationError
 from sonoservo.systems.ultrasound.sweep import SweepGeometry, SweepMotion
@@ -163,19 +164,19 @@ class Truth:
     ----------
     times
         (n,) in s.
-    tip, entry
-        (n, 3) of the needle in W, in m; NaN while it is outside the tissue.
-    length
-        (n,) inside the tissue, in m.
+    needles
+        The part inside the tissue at each time, in W.
     contact_force
         (n,) in N.
     """
 
     times: NDArray[np.float64]
-    tip: NDArray[np.float64]
-    entry: NDArray[np.float64]
-    length: NDArray[np.float64]
+    needles: list[Needle]
     contact_force: NDArray[np.float64]
+
+    def at(self, time: float) -> int:
+        """Number of the sample nearest to a time in s."""
+        return int(np.abs(self.times - time).argmin())
 
 
 def read_truth(path: Path) -> Truth:
@@ -186,17 +187,14 @@ def read_truth(path: Path) -> Truth:
     ConfigurationError
         If the file is damaged.
     """
-    _, lines = _read_lines(path)
+    first, lines = _read_lines(path)
     try:
-        needles = [np.array(line["needle"], float).reshape(-1, 3) for line in lines]
-        outside = np.full((2, 3), np.nan)
-        ends = np.array([shaft[[0, -1]] if len(shaft) else outside for shaft in needles])
-        ends = ends.reshape(-1, 2, 3)
         return Truth(
             np.array([line["time"] for line in lines], float),
-            ends[:, 1],
-            ends[:, 0],
-            np.array([np.linalg.norm(np.diff(s, axis=0), axis=1).sum() for s in needles]),
+            [
+                Needle(np.reshape(np.array(line["needle"], float), (-1, 3)), first["needle_radius"])
+                for line in lines
+            ],
             np.array([line["contact_force"] for line in lines], float),
         )
     except (KeyError, TypeError, ValueError) as error:
