@@ -4,11 +4,16 @@ import nrrd
 import numpy as np
 import SimpleITK
 
+STEPS = (0.3, 0.6, 1.1)
+"""From voxel to voxel, in mm."""
 
-def write_sequence_nrrd(path, arrays, *, list_first=False, encoding="gzip", times=None, **fields):
-    """As 3D Slicer does: arrays [i, j, k] in LPS mm, steps of 0.3 x 0.6 x 1.1 mm."""
+
+def write_sequence_nrrd(
+    path, arrays, *, list_first=False, encoding="gzip", times=None, steps=STEPS, **fields
+):
+    """As 3D Slicer does: arrays [i, j, k] in LPS mm."""
     stack = np.stack(arrays, axis=0 if list_first else -1)
-    steps = [[0.3, 0, 0], [0, 0.6, 0], [0, 0, 1.1]]
+    steps = np.diag(steps).tolist()
     none = [np.nan] * 3
     kinds = ["domain"] * 3
     labels = [""] * 3
@@ -29,11 +34,11 @@ def write_sequence_nrrd(path, arrays, *, list_first=False, encoding="gzip", time
     return path
 
 
-def write_meta_image(path, arrays, fields=None, *, compressed=False):
+def write_meta_image(path, arrays, fields=None, *, compressed=False, steps=STEPS):
     """Arrays [i, j, k]; several become a fourth axis, as PLUS stores them."""
     stack = np.stack([array.T for array in arrays]) if len(arrays) > 1 else arrays[0].T
     image = SimpleITK.GetImageFromArray(stack, isVector=False)
-    image.SetSpacing([0.3, 0.6, 1.1] + [1.0] * (image.GetDimension() - 3))
+    image.SetSpacing([*steps] + [1.0] * (image.GetDimension() - 3))
     image.SetOrigin([-20.0, 5.0, -30.0] + [0.0] * (image.GetDimension() - 3))
     for key, value in (fields or {}).items():
         image.SetMetaData(key, value)

@@ -103,7 +103,8 @@ def closest_side(volume: Volume, p_P: NDArray[np.float64]) -> NDArray[np.float64
     """Project a position on the closest lateral or elevation side of the field of view.
 
     A needle enters beside the probe: its face and the end of the depth are no candidates. The side
-    is the swept sector's where the volume knows its sweep, else the grid's.
+    is the swept sector's where the volume knows its sweep, else that of the voxels that are not
+    zero.
 
     Parameters
     ----------
@@ -117,16 +118,27 @@ def closest_side(volume: Volume, p_P: NDArray[np.float64]) -> NDArray[np.float64
     (3,) position in the probe frame, in m.
     """
     if volume.motion is None:
-        sides = np.repeat(p_P[np.newaxis], 4, axis=0)
-        sides[[0, 1, 2, 3], [0, 0, 2, 2]] = [
-            volume.origin[0], volume.upper[0], volume.origin[2], volume.upper[2]
-        ]  # fmt: skip
+        sides = _sides_of_what_is_seen(volume, p_P)
     else:
         geometry, direction = volume.motion.geometry, volume.motion.direction
         k, j, i = (float(x) for x in geometry.index(p_P, direction))
         frames, lines = geometry.frames - 1, geometry.lines - 1
         sides = geometry.position([k, k, 0, frames], [0, lines, j, j], i, direction)
     return np.asarray(sides[np.argmin(np.linalg.norm(sides - p_P, axis=1))])
+
+
+def _sides_of_what_is_seen(volume: Volume, p_P: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(4, 3) positions to either side along X and Z of P where a grid's voxels become zero."""
+    last = np.array(volume.intensities.shape) - 1
+    at = np.clip(np.rint((p_P - volume.origin) / volume.spacing), 0, last).astype(int)
+    sides = np.repeat(p_P[np.newaxis], 4, axis=0)
+    for row, axis in ((0, 0), (2, 2)):
+        line = [slice(int(i), int(i) + 1) for i in at]
+        line[axis] = slice(None)
+        seen = np.flatnonzero(volume.intensities[tuple(line)])
+        ends = seen[[0, -1]] if len(seen) else np.array([0, last[axis]])
+        sides[row : row + 2, axis] = volume.origin[axis] + volume.spacing[axis] * ends
+    return sides
 
 
 def largest_motion(current: Volume, previous: Volume) -> float:

@@ -9,14 +9,8 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from sonoservo.systems.values import Immutable, require
 
-_DEPTHS = {
-    "L": (1, 0, 0),
-    "R": (-1, 0, 0),
-    "P": (0, 1, 0),
-    "A": (0, -1, 0),
-    "S": (0, 0, 1),
-    "I": (0, 0, -1),
-}
+_L, _P, _S = np.eye(3)
+_DEPTHS = {"L": _L, "R": -_L, "P": _P, "A": -_P, "S": _S, "I": -_S}
 """Where the sound goes, in LPS: to the left, right, back (posterior), front, head, feet."""
 
 
@@ -24,9 +18,10 @@ _DEPTHS = {
 class FileGrid(Immutable):
     """How a file's axes become those of the probe frame P: by order and sign, then by a rotation.
 
-    P is right-handed, its Y axis the one of the file's axes that comes closest to the depth. So an
-    array with left-handed or permuted axes is only looked at differently, never resampled; however
-    the grid is turned in space goes into the pose X_LP.
+    Of the file's axes, Y of P is the one that comes closest to the depth, X of the others the one
+    that comes closest to L (to P, if the depth is L or R), and P is right-handed. So an array with
+    left-handed or permuted axes is only looked at differently, never resampled, and however it is
+    stored it is the same volume in P. How the grid is turned in space goes into the pose X_LP.
 
     Parameters
     ----------
@@ -77,11 +72,12 @@ def make_file_grid(
     steps = np.asarray(directions, float)
     lengths = np.linalg.norm(steps, axis=0)
     unit = steps / lengths
-    y = int(np.abs(np.array(_DEPTHS[depth]) @ unit).argmax())
+    depths = _DEPTHS[depth] @ unit
+    y = int(np.abs(depths).argmax())
+    sideways = (_P if depth in "LR" else _L) @ unit
+    x, z = sorted((axis for axis in range(3) if axis != y), key=lambda axis: -abs(sideways[axis]))
     signs = np.ones(3)
-    signs[y] = np.sign(np.array(_DEPTHS[depth]) @ unit[:, y]) or 1.0
-    x, z = (axis for axis in range(3) if axis != y)
-    # The lateral axis keeps its direction where it can: the sweep's is turned to be right-handed.
+    signs[[x, y]] = np.where(np.array([sideways[x], depths[y]]) < 0, -1, 1)
     if np.linalg.det((unit * signs)[:, [x, y, z]]) < 0:
         signs[z] = -1
     order = (x, y, z)

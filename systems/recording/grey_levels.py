@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from sonoservo.systems.values import Immutable, require
 
-_SATURATED = 0.999
-"""Quantile of the voxels in the field of view that becomes the greatest grey level."""
+_ALMOST_ALL = 0.999
+"""Share of the voxels in the field of view above which a much greater number is an outlier."""
 
 
 @dataclass(frozen=True)
@@ -43,18 +43,20 @@ class GreyWindow(Immutable):
 def choose_window(voxels: NDArray[Any]) -> GreyWindow:
     """Choose a window for volumes like this one; it must then stay the same for all of them.
 
-    8-bit grey levels are taken as they are, and so are other numbers that look like such: from 0 to
-    at most 255, with more than half of that range in use. Otherwise the least number, which also
-    fills what lies outside the field of view, becomes 0, and the 99.9 % quantile of those above it
-    becomes 255. The numbers should be log-compressed: for linear amplitudes take the logarithm
-    first.
+    8-bit grey levels are taken as they are. So are other numbers that look like such: from 0 to at
+    most 255, with more than half of that range in use; from 0 to at most 1 likewise, times 255.
+    Otherwise the least number, which also fills what lies outside the field of view, becomes 0, and
+    the greatest becomes 255, unless it is an outlier: then the 99.9 % quantile does. The numbers
+    should be log-compressed: for linear amplitudes take the logarithm first.
     """
     if voxels.dtype == np.uint8:
         return GreyWindow(0, 255)
     low, high = float(voxels.min()), float(voxels.max())
-    if low >= 0 and 127.5 < high <= 255:
-        return GreyWindow(0, 255)
+    for full in (1, 255):
+        if low >= 0 and 0.5 * full < high <= full and (full > 1 or voxels.dtype.kind == "f"):
+            return GreyWindow(0, full)
     above = voxels[voxels > low]
     if above.size == 0:
         return GreyWindow(low, low + 1.0)
-    return GreyWindow(low, float(np.quantile(above, _SATURATED, method="higher")))
+    most = float(np.quantile(above, _ALMOST_ALL, method="higher"))
+    return GreyWindow(low, high if high - low < 2 * (most - low) else most)

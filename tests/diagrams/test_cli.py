@@ -120,3 +120,63 @@ def test_a_mistake_in_what_to_reproduce_is_one_line_and_exit_code_2(arguments, m
     assert result.returncode == 2
     assert result.stderr.strip() == f"sonoservo: {message}"
     assert not (tmp_path / "out").exists()
+
+
+def test_what_is_recorded_is_tracked_and_its_needle_located(tmp_path):
+    recording, changes = tmp_path / "a.seq.nrrd", ["duration=8", "hand.start=0.5"]
+    made = sonoservo(
+        "run",
+        "chatelain2013_fig4",
+        "--seed",
+        "101",
+        *(each for change in changes for each in ("--set", change)),
+        "--set",
+        "hand.pushes.0.speed=0.012",
+        "--no-meshcat",
+        "--record",
+        str(recording),
+        "--out",
+        str(tmp_path / "run"),
+    )
+    assert made.returncode == 0, made.stderr
+    tracked = sonoservo("track", str(recording), "--out", str(tmp_path / "out"))
+    assert tracked.returncode == 0, tracked.stderr
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["modes"]["tracking"] > 3
+    count = summary["volumes"]
+    figures = tmp_path / "found.json"
+    arguments = ["locate", str(recording), "--json", str(figures), "--number"]
+    assert sonoservo(*arguments, "0").returncode == 1
+    assert json.loads(figures.read_text())["found"] is False
+    found = sonoservo(*arguments, str(count - 1))
+    assert found.returncode == 0, found.stderr
+    assert "tip_lps_mm" in found.stdout
+
+
+@pytest.mark.parametrize("command", ["track", "locate"])
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.seq.nrrd", b"", "it is empty"),
+        ("a.seq.nrrd", None, "it is a folder"),
+        ("a.mha", b"NRRD0005\n", "no MetaImage file"),
+    ],
+)
+def test_a_bad_recording_is_one_line_and_leaves_nothing(tmp_path, command, name, content, message):
+    path = tmp_path / name
+    path.mkdir() if content is None else path.write_bytes(content)
+    options = ["--out", str(tmp_path / "out")] if command == "track" else []
+    result = sonoservo(command, str(path), *options)
+    assert result.returncode == 2
+    assert message in result.stderr
+    assert str(path) in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert [each.name for each in tmp_path.iterdir()] == [name]
+
+
+def test_a_recording_cannot_have_another_suffix(tmp_path):
+    path = tmp_path / "a.mha"
+    result = sonoservo("run", "chatelain2013_fig5", "--no-meshcat", "--record", str(path))
+    assert result.returncode == 2
+    assert "must end in .seq.nrrd" in result.stderr
+    assert not list(tmp_path.iterdir())

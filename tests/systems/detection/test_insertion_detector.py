@@ -96,8 +96,19 @@ def test_side_of_the_sector(line, direction):
     np.testing.assert_allclose(closest_side(volume, inside), on_side, atol=1e-9)
 
 
-def test_side_of_a_volume_of_unknown_origin(before):
+def test_side_of_a_sector_of_unknown_motion_is_where_its_voxels_end(before):
     volume = dataclasses.replace(before, motion=None)
+    on_side = GEOMETRY.position(12, 0, 150, 1)
+    inside = GEOMETRY.position(12, 5, 150, 1)
+    side = closest_side(volume, inside)
+    # Along X, not along the arc: from 5 lines within, that is nearly the same.
+    assert np.linalg.norm(side - on_side) < 3e-3
+    np.testing.assert_allclose(side[1:], inside[1:])
+
+
+def test_side_of_a_volume_of_unknown_origin(before):
+    filled = np.maximum(before.intensities, 1)
+    volume = dataclasses.replace(before, motion=None, intensities=filled)
     p = volume.position(np.array(volume.intensities.shape) / 2)
     p[2] = volume.upper[2] - 1e-3
     np.testing.assert_allclose(closest_side(volume, p), [p[0], p[1], volume.upper[2]])
