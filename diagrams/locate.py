@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.localization.needle_localizer import NeedleLocalizerParameters, seek_needle
+from sonoservo.systems.localization.localize import seek_needle
+from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.localization.whole_volume import LEAST_EVIDENCE
 from sonoservo.systems.needle.curve import NeedleCurve
 from sonoservo.systems.recording.recording import Recording

@@ -18,10 +18,8 @@ from sonoservo.systems.estimation.needle_kalman_filter import (
     NeedleKalmanFilter,
     NeedleKalmanFilterParameters,
 )
-from sonoservo.systems.localization.needle_localizer import (
-    NeedleLocalizer,
-    NeedleLocalizerParameters,
-)
+from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
+from sonoservo.systems.localization.needle_localizer import NeedleLocalizer
 from sonoservo.systems.localization.speckle_velocimeter import (
     SpeckleVelocimeter,
     SpeckleVelocimeterParameters,

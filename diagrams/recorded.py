@@ -23,7 +23,7 @@ from sonoservo.diagrams.needle_tracker import (
 from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilterParameters
 from sonoservo.systems.estimation.estimate import NeedleEstimate
 from sonoservo.systems.estimation.needle_kalman_filter import NeedleKalmanFilterParameters
-from sonoservo.systems.localization.needle_localizer import NeedleLocalizerParameters
+from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.recording.files import write_atomically, write_json
 from sonoservo.systems.recording.logger import RunLogger
 from sonoservo.systems.recording.metrics import summarize

@@ -10,8 +10,8 @@ from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, Zhao2012Tracker
 from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter, AxisTipFilterParameters
 from sonoservo.systems.estimation.estimate import NeedleEstimate
 from sonoservo.systems.estimation.track import NeedleMotionParameters
+from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.localization.measurement import NeedleMeasurement
-from sonoservo.systems.localization.needle_localizer import NeedleLocalizerParameters
 from sonoservo.systems.localization.ransac import RansacParameters
 from sonoservo.systems.localization.speckle_velocimeter import (
     SpeckleVelocimeterParameters,

@@ -15,8 +15,8 @@ from sonoservo.systems.detection.insertion_detector import (
 )
 from sonoservo.systems.estimation.estimate import TrackingMode
 from sonoservo.systems.estimation.track import NeedleMotionParameters, NeedleTrack
-from sonoservo.systems.localization import needle_localizer
-from sonoservo.systems.localization.needle_localizer import NeedleLocalizerParameters, localize
+from sonoservo.systems.localization.localize import localize
+from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.localization.normalized_cross_correlation import (
     normalized_cross_correlation,
 )
@@ -85,7 +85,7 @@ def candidate_sets(request):
         return ransac_axis(points, weights, **options)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(needle_localizer, "ransac_axis", record)
+        patch.setattr("sonoservo.systems.localization.localize.ransac_axis", record)
         run(load_scenario(request.param, seed=100))
     return calls
 

@@ -8,12 +8,10 @@ from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.systems.estimation.estimate import TrackingMode
 from sonoservo.systems.estimation.track import NeedleMotionParameters, NeedleTrack
+from sonoservo.systems.localization.localize import localize
+from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.localization.measurement import NeedleMeasurement
-from sonoservo.systems.localization.needle_localizer import (
-    NeedleLocalizer,
-    NeedleLocalizerParameters,
-    localize,
-)
+from sonoservo.systems.localization.needle_localizer import NeedleLocalizer
 from sonoservo.systems.localization.ransac import RansacParameters
 from sonoservo.systems.localization.tip import TipParameters
 from sonoservo.systems.values import NotFound
