@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sonoservo.diagrams.scenario import Scenario, load_scenario
 from sonoservo.diagrams.study import Outcome
 from sonoservo.systems.estimation.estimate import TrackingMode
-from sonoservo.systems.recording.metrics import at_times, estimate_errors, features
+from sonoservo.systems.recording.run_errors import at_times, estimate_errors, features
 from sonoservo.systems.recording.run_log import RunLog, read_log
 
 Floats = NDArray[np.float64]

@@ -6,7 +6,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.distance import cdist
 
 from sonoservo.systems.needle.curve import NeedleCurve
-from sonoservo.systems.recording.metrics import at_times
+from sonoservo.systems.recording.run_errors import at_times
 from sonoservo.systems.recording.run_log import RunLog
 from sonoservo.systems.ultrasound.sweep import SweepGeometry
 

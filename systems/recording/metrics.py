@@ -4,15 +4,20 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.integrate import cumulative_trapezoid
+from numpy.typing import NDArray
 
 from sonoservo.systems.estimation.estimate import TrackingMode
-from sonoservo.systems.recording.run_log import RunLog, unit
+from sonoservo.systems.recording.run_errors import (
+    Floats,
+    Mask,
+    at_times,
+    estimate_errors,
+    features,
+    is_known,
+    needle_speed,
+)
+from sonoservo.systems.recording.run_log import RunLog
 from sonoservo.systems.values import require_not_negative, require_positive
-
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(kw_only=True)
@@ -173,7 +178,7 @@ def servo(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     """
     tracked = log.estimate_mode == TrackingMode.TRACKING
     moves = needle_speed(log, parameters.rest_window) >= parameters.rest_speed
-    rest = _held(~moves & _known(log.needle_tip), log.time, parameters.rest_time)
+    rest = _held(~moves & is_known(log.needle_tip), log.time, parameters.rest_time)
     true = features(log.X_WP, log.needle_tip, log.needle_entry)
     estimated = features(log.X_WP, log.estimate_tip, log.estimate_entry)
     return {
@@ -210,100 +215,9 @@ def force(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     }
 
 
-def features(X_WP: ArrayLike, p_WTip: ArrayLike, p_WEntry: ArrayLike) -> Floats:
-    """Return the visual features of Chatelain 2013, eq. 23.
-
-    Parameters
-    ----------
-    X_WP
-        (n, 4, 4) poses of the probe.
-    p_WTip, p_WEntry
-        (n, 3) positions in m.
-
-    Returns
-    -------
-    (n, 3) array of x and z of the tip in P in m, and of theta = atan2(k_z, k_x), wrapped to
-    +-pi/2, in rad.
-    """
-    X_WP, p_WTip = np.asarray(X_WP), np.asarray(p_WTip)
-    R_PW = np.swapaxes(X_WP[:, :3, :3], 1, 2)
-    tip = np.einsum("nij,nj->ni", R_PW, p_WTip - X_WP[:, :3, 3])
-    k = np.einsum("nij,nj->ni", R_PW, p_WTip - np.asarray(p_WEntry))
-    theta = np.arctan2(k[:, 2], k[:, 0])
-    theta = (theta + np.pi / 2) % np.pi - np.pi / 2
-    return np.stack([tip[:, 0], tip[:, 2], theta], axis=1)
-
-
-def needle_speed(log: RunLog, window: float) -> Floats:
-    """Speed of the true tip in W, without the hand's tremor.
-
-    Parameters
-    ----------
-    log
-        Of the run.
-    window
-        In s: the mean position in the half of it that follows is compared with that before.
-
-    Returns
-    -------
-    (n,) speed in m/s; NaN while the needle is outside.
-    """
-    known = _known(log.needle_tip)
-    speed = np.full(len(log.time), np.nan)
-    if known.sum() < 2:
-        return speed
-    time, tip = log.time[known], log.needle_tip[known]
-    half = 0.5 * min(window, time[-1] - time[0])
-    middle = np.clip(time, time[0] + half, time[-1] - half)
-    integral = cumulative_trapezoid(tip, time, axis=0, initial=0)
-    before, now, after = (
-        np.stack([np.interp(t, time, column) for column in integral.T], axis=1)
-        for t in (middle - half, middle, middle + half)
-    )
-    speed[known] = np.linalg.norm(after - 2 * now + before, axis=1) / half**2
-    return speed
-
-
-@dataclass(frozen=True, kw_only=True)
-class EstimateErrors:
-    """Errors of the estimate after each volume, NaN where there is no estimate or no needle.
-
-    Parameters
-    ----------
-    tip
-        (v,) distance from the true to the estimated tip, in m.
-    axial, lateral
-        (v,) its part along the true needle, above zero beyond the true tip, and across it, in m.
-    axis
-        (v,) angle between the true and the estimated direction, entry to tip, in rad.
-    """
-
-    tip: Floats
-    axial: Floats
-    lateral: Floats
-    axis: Floats
-
-
-def estimate_errors(log: RunLog) -> EstimateErrors:
-    """Compare the estimate after each volume with the truth at the estimate's time."""
-    time = log.volume_estimate_time
-    tip, entry = at_times(log, log.needle_tip, time), at_times(log, log.needle_entry, time)
-    true = unit(tip - entry)
-    estimated = unit(log.volume_estimate_tip - log.volume_estimate_entry)
-    miss = log.volume_estimate_tip - tip
-    axial = np.sum(miss * true, axis=1)
-    sine = np.linalg.norm(np.cross(true, estimated), axis=1)
-    return EstimateErrors(
-        tip=np.linalg.norm(miss, axis=1),
-        axial=axial,
-        lateral=np.linalg.norm(miss - axial[:, np.newaxis] * true, axis=1),
-        axis=np.arctan2(sine, np.sum(true * estimated, axis=1)),
-    )
-
-
 def _starts(log: RunLog, parameters: MetricsParameters) -> tuple[NDArray[np.intp], Mask]:
     """Volumes with which tracking began, and whether the needle was there."""
-    there = _known(log.volume_estimate_tip)
+    there = is_known(log.volume_estimate_tip)
     started = np.flatnonzero(_begins(there))
     time, p = log.volume_estimate_time[started], log.volume_estimate_tip[started]
     tip, entry = at_times(log, log.needle_tip, time), at_times(log, log.needle_entry, time)
@@ -312,29 +226,6 @@ def _starts(log: RunLog, parameters: MetricsParameters) -> tuple[NDArray[np.intp
     u = np.clip(along / np.where(squared > 0, squared, 1.0), 0, 1)[:, np.newaxis]
     distance = np.linalg.norm(p - (entry + u * (tip - entry)), axis=1)
     return started, distance <= parameters.start_tolerance
-
-
-def at_times(log: RunLog, values: Floats, time: Floats) -> Floats:
-    """Interpolate a column of the samples at other times; NaN where the nearest sample is."""
-    if len(log.time) == 0:
-        return np.full((len(time), *values.shape[1:]), np.nan)
-    flat = values.reshape(len(values), -1)
-    known = _known(flat)
-    if not known.any():
-        return np.full((len(time), *values.shape[1:]), np.nan)
-    columns = [np.interp(time, log.time[known], column) for column in flat[known].T]
-    result = np.stack(columns, axis=1)
-    after = np.clip(np.searchsorted(log.time, time), 1, max(len(log.time) - 1, 1))
-    before = after - 1
-    after = np.minimum(after, len(log.time) - 1)
-    nearest = np.where(time - log.time[before] <= log.time[after] - time, before, after)
-    result[~known[nearest] | ~np.isfinite(time)] = np.nan
-    return result.reshape(len(time), *values.shape[1:])
-
-
-def _known(rows: Floats) -> Mask:
-    """(m,) whether all of a row is finite."""
-    return np.asarray(np.isfinite(rows).all(axis=-1))
 
 
 def _begins(condition: Mask) -> Mask:
@@ -351,7 +242,7 @@ def _held(condition: Mask, time: Floats, duration: float) -> Mask:
 
 
 def _feature_errors(errors: Floats, counted: Mask, time: Floats) -> dict[str, float | None]:
-    counted = counted & _known(errors)
+    counted = counted & is_known(errors)
     if not counted.any():
         return {"x_mm": None, "z_mm": None, "theta_deg": None, "seconds": 0.0}
     x, z, theta = np.abs(errors[counted]).mean(axis=0)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydrake.math import RotationMatrix
 
 from sonoservo.systems.estimation.estimate import TrackingMode
-from sonoservo.systems.recording.metrics import estimate_errors, features
+from sonoservo.systems.recording.run_errors import estimate_errors, features
 from sonoservo.systems.recording.run_log import RunLog
 
 Floats = NDArray[np.float64]
