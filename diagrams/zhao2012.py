@@ -94,19 +94,18 @@ def _tracking_experiments() -> list[str]:
 
 
 def _cases(options: StudyOptions) -> list[Case]:
-    lengths = [5, 10, 15, 20] if options.quick else list(range(5, 21))
+    lengths = [5, 10, 15, 20] if options.quick else [5, 6, 7, 9, 11, 13, 15, 17, 20]
     settings: dict[str, dict[str, Any]] = {
         "static": {"lengths_mm": lengths, "volumes": 8},
         "dynamic": {"volumes": VOLUMES},
     }
     seeds = options.seed_range(50, 2)
     cases = []
-    for name in _tracking_experiments():
-        motion, kind = name.split(", ")
-        for seed in seeds:
+    for seed in seeds:
+        for name in _tracking_experiments():
+            motion, kind = name.split(", ")
             phantom = seed if kind == "fresh speckle" else options.first_seed
             cases.append(Case(name, seed, {**settings[motion], "phantom": phantom}))
-    for seed in seeds:
         cases.append(Case("velocimeter", seed, {"phantom": seed, "speeds_mm_s": list(SPEEDS)}))
     for tracker in ("chatelain2013", "zhao2012"):
         for seed in options.seed_range(10, 1):

@@ -75,9 +75,13 @@ class WholeVolumeNeedle:
 def brightest_voxels(volume: Volume, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
     """(count, 3) indices of the brightest voxels, drawn among equally bright ones."""
     values = volume.intensities.ravel()
-    least = np.partition(values, -count)[-count]
-    above, equal = np.flatnonzero(values > least), np.flatnonzero(values == least)
-    chosen = np.concatenate([above, rng.choice(equal, count - len(above), replace=False)])
+    if values.dtype == np.uint8:
+        above = np.cumsum(np.bincount(values, minlength=256)[::-1])[::-1]
+        least = np.flatnonzero(above >= count)[-1]
+    else:
+        least = np.partition(values, -count)[-count]
+    brighter, equal = np.flatnonzero(values > least), np.flatnonzero(values == least)
+    chosen = np.concatenate([brighter, rng.choice(equal, count - len(brighter), replace=False)])
     return np.stack(np.unravel_index(chosen, volume.intensities.shape), axis=1)
 
 

@@ -1,4 +1,4 @@
-"""From echoes to grey levels: coupling, noise and log compression."""
+"""From echoes to grey levels: coupling, noise and log compression; and to their carrier."""
 
 import numpy as np
 from numba import njit, prange
@@ -133,3 +133,21 @@ def compress(grey, iq, share, noise, key, grey_per_db, offset):  # type: ignore[
             log2 = exponent + m * (_L1 + m * (_L2 + m * (_L3 + m * (_L4 + m * (_L5 + m * _L6)))))
             level = slope * log2 + half
             grey[j, i] = np.uint8(min(max(level, np.float32(0)), np.float32(255.5)))
+
+
+@njit(parallel=True, **OPTIONS)
+def modulate(lines, iq, cosine, sine):  # type: ignore[no-untyped-def]
+    """Put echoes on their carrier.
+
+    Parameters
+    ----------
+    lines, iq
+        (frames, lines, samples) float32, written, and complex64.
+    cosine, sine
+        (samples,) float32 of the carrier's phase.
+    """
+    for frame in prange(len(lines)):
+        for j in range(lines.shape[1]):
+            for i in range(lines.shape[2]):
+                echo = iq[frame, j, i]
+                lines[frame, j, i] = echo.real * cosine[i] - echo.imag * sine[i]

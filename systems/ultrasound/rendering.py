@@ -21,7 +21,7 @@ from sonoservo.systems.ultrasound.bright_points import (
     reverberations,
 )
 from sonoservo.systems.ultrasound.echo import FADE, render_tissue
-from sonoservo.systems.ultrasound.image_formation import form_image
+from sonoservo.systems.ultrasound.image_formation import form_image, modulate
 from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
 from sonoservo.systems.ultrasound.line_blur import line_kernel
 from sonoservo.systems.ultrasound.projection import FRACTIONS, DepthTables, Rays
@@ -194,8 +194,8 @@ class SweepRenderer:
         """Radio-frequency lines of echoes: see `radio_frequency_lines`."""
         step = 4 * np.pi / self.beam.wavelength * self.geometry.sample_pitch
         phase = step * np.arange(self.geometry.samples)
-        lines: NDArray[np.float32] = iq.real * np.cos(phase).astype(np.float32)
-        lines -= iq.imag * np.sin(phase).astype(np.float32)
+        lines = np.empty(iq.shape, np.float32)
+        modulate(lines, iq, np.cos(phase).astype(np.float32), np.sin(phase).astype(np.float32))
         return lines
 
     def add_scatterers(
