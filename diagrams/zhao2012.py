@@ -3,6 +3,7 @@
 >>> sonoservo reproduce zhao2012 --quick
 """
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -60,14 +61,13 @@ def reproduce(options: StudyOptions) -> Study:
         run_case, _cases(options), options.folder / "cases", jobs=options.jobs,
         console=options.console,
     )  # fmt: skip
-    rmse = {name: _rmse(outcomes, name) for name in _tracking_experiments()}
-    rows = [row for name in rmse for row in _tracking_rows(name, rmse[name])]
+    errors = {name: _errors(outcomes, name) for name in _tracking_experiments()}
+    rows = [row for name, found in errors.items() for row in _tracking_rows(name, found)]
     rows += _velocity_rows(outcomes) + _closed_loop_rows(outcomes)
     figures = []
-    for name, values in rmse.items():
-        if values is not None:
-            lengths, errors = values
-            figures += plot_rmse(name, lengths, errors, _NAMES)
+    for name, found in errors.items():
+        if found is not None:
+            figures += plot_rmse(name, found.lengths, found.rmse, _NAMES)
     trial = _velocimeter_trial(outcomes)
     if len(trial):
         figures.append(plot_velocimeter(np.array(SPEEDS), trial))
@@ -115,32 +115,50 @@ def _cases(options: StudyOptions) -> list[Case]:
     return cases
 
 
-def _rmse(outcomes: list[Outcome], experiment: str) -> tuple[NDArray[Any], NDArray[Any]] | None:
-    """Lengths in mm, (m,), and RMSE over runs, (m, estimators, quantities)."""
+@dataclass(frozen=True)
+class _Errors:
+    """What an experiment's runs found.
+
+    Parameters
+    ----------
+    lengths
+        (m,) of the needle in mm.
+    rmse
+        (m, estimators, quantities) over runs; NaN where no run found anything.
+    missing
+        (estimators,) share of the volumes in which nothing was found, from 0 to 1.
+    """
+
+    lengths: NDArray[np.floating[Any]]
+    rmse: NDArray[np.floating[Any]]
+    missing: NDArray[np.floating[Any]]
+
+
+def _errors(outcomes: list[Outcome], experiment: str) -> _Errors | None:
     mine = [each for each in outcomes if each and each.case.experiment == experiment]
     if not mine:
         return None
     errors = np.array([each.result["errors"] for each in mine], dtype=float)
     if experiment.startswith("dynamic"):
-        lengths, squares = 5.0 + np.arange(VOLUMES), errors**2
+        lengths = np.arange(5.0, 5.0 + VOLUMES)
     else:
         lengths = np.array(mine[0].case.settings["lengths_mm"], dtype=float)
         # Volumes of one length are runs like the others, once the filter is active.
-        squares = np.concatenate(np.moveaxis(errors[:, :, 2:], 2, 0)) ** 2
-    return np.asarray(lengths), np.sqrt(np.nanmean(squares, axis=0))
+        errors = np.concatenate(np.moveaxis(errors[:, :, 2:], 2, 0))
+    found = np.ma.masked_invalid(errors)
+    rmse = np.sqrt((found**2).mean(axis=0)).filled(np.nan)
+    return _Errors(lengths, rmse, np.isnan(errors[..., 0]).mean(axis=(0, 1)))
 
 
-def _tracking_rows(
-    experiment: str, values: tuple[NDArray[np.float64], NDArray[np.float64]] | None
-) -> list[StudyRow]:
+def _tracking_rows(experiment: str, errors: _Errors | None) -> list[StudyRow]:
     """Table 2 beside ours, and the absolute errors."""
-    if values is None:
+    if errors is None:
         return []
-    lengths, rmse = values
+    lengths, rmse = errors.lengths, errors.rmse
     motion = experiment.split(",")[0]
     if motion == "dynamic":
         lengths, rmse = lengths[2:], rmse[2:]
-    mean = dict(zip(ESTIMATORS, rmse.mean(axis=0), strict=True))
+    mean = dict(zip(ESTIMATORS, np.nanmean(rmse, axis=0), strict=True))
     final = mean["kalman_velocity"]
     rows = []
     for number, quantity in enumerate(QUANTITIES):
@@ -162,8 +180,8 @@ def _tracking_rows(
                     wanted="at least",
                 )
             )
-    for estimator, errors in mean.items():
-        for quantity, value in zip(QUANTITIES, errors, strict=True):
+    for estimator, values in mean.items():
+        for quantity, value in zip(QUANTITIES, values, strict=True):
             name = f"{quantity}: RMSE, {_NAMES[estimator]}"
             rows.append(
                 StudyRow(
@@ -173,6 +191,16 @@ def _tracking_rows(
                     true=float(value),
                 )
             )
+    for estimator, share in zip(ESTIMATORS, errors.missing, strict=True):
+        rows.append(
+            StudyRow(
+                experiment=experiment,
+                quantity=f"nothing found, {_NAMES[estimator]}",
+                unit="%",
+                true=100 * float(share),
+                target=0 if estimator.startswith("kalman") else None,
+            )
+        )
     long = rmse[lengths >= LONG, ESTIMATORS.index("kalman_velocity")].max(axis=0)
     if experiment.endswith("fresh speckle"):
         for quantity, most in (("alpha", 0.6), ("beta", 0.6), ("tip", 0.5)):

@@ -108,6 +108,8 @@ def find_needle(
     rng
         Draws samples.
     """
+    if volume.intensities.min() == volume.intensities.max():
+        return NotFound("the volume is constant")
     count = round(parameters.candidate_volume / float(np.prod(volume.spacing)))
     count = min(count, volume.intensities.size)
     index = brightest_voxels(volume, count, rng)

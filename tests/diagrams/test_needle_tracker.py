@@ -5,7 +5,12 @@ from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
 from pydrake.systems.analysis import Simulator
 from synthetic_volumes import Scene, entry_on_side
 
-from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, NeedleTrackerParameters, track
+from sonoservo.diagrams.needle_tracker import (
+    MakeNeedleTracker,
+    NeedleTrackerParameters,
+    Zhao2012TrackerParameters,
+    track,
+)
 from sonoservo.systems.estimation.estimate import TrackingMode
 from sonoservo.systems.values import NotFound
 
@@ -116,3 +121,44 @@ def test_the_volumes_scale_reaches_detector_and_localizer():
     reasons = [track(volumes, dynamic_range_db=range_db)[-1].reason for range_db in (60.0, 30.0)]
     full, half = (float(reason.split(" more than ")[1].split()[0]) for reason in reasons)
     assert half == pytest.approx(full / 2, abs=0.1)
+
+
+@pytest.fixture(scope="module")
+def zhao(volumes):
+    return track(volumes, parameters=Zhao2012TrackerParameters())
+
+
+def test_zhao_s_tracker_has_the_same_face(volumes, zhao):
+    first = next(k for k, estimate in enumerate(zhao) if estimate)
+    assert 3e-3 < depth(volumes[first].time) < 13e-3
+    inserted = [e for e in zhao if e and e.time < 9 and depth(e.time) > 12e-3]
+    assert len(inserted) > 10
+    assert all(e.mode == TrackingMode.TRACKING for e in inserted)
+    errors = [np.linalg.norm(e.curve.tip - needle(e.time)[1]) for e in inserted]
+    angles = [np.degrees(np.arccos(min(e.curve.direction @ K, 1))) for e in inserted]
+    assert np.median(errors) < 2e-3
+    assert np.median(angles) < 1.5
+    speeds = [e.tip_velocity @ K for e in inserted if 5 < e.time < 6.5]
+    assert np.median(speeds) == pytest.approx(SPEED, abs=2e-3)
+    assert zhao[-1].mode == TrackingMode.SEARCHING
+    ports = [
+        [tracker.get_output_port(n).get_name() for n in range(tracker.num_output_ports())]
+        for parameters in (NeedleTrackerParameters(), Zhao2012TrackerParameters())
+        for tracker in (MakeNeedleTracker(parameters=parameters, period=1.0),)
+    ]
+    assert ports[0] == ports[1] == ["estimate", "measurement", "detection"]
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("kind", "x"),
+        ("look_back", -1.0),
+        ("localizer", NeedleTrackerParameters(order=3).localizer),
+    ],
+)
+def test_zhao_s_parameters_are_checked(field, value):
+    if field == "localizer":
+        value.order = 3
+    with pytest.raises(ValueError, match=field):
+        Zhao2012TrackerParameters(**{field: value})
