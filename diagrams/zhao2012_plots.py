@@ -1,6 +1,7 @@
 """Figures like Zhao 2012, figs. 2 to 5, and the velocimeter's bias and spread."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -28,8 +29,8 @@ _LABELS = {
 
 def plot_rmse(
     experiment: str,
-    lengths: NDArray[np.float64],
-    rmse: NDArray[np.float64],
+    lengths: NDArray[np.floating[Any]],
+    rmse: NDArray[np.floating[Any]],
     names: Mapping[str, str],
 ) -> list[StudyFigure]:
     """Return figures of the root mean square errors of angles and of tips.
