@@ -74,7 +74,7 @@ def tracker_parameters() -> Zhao2012TrackerParameters:
         velocimeter=VELOCIMETER,
         axis_tip_filter=AxisTipFilterParameters(
             motion=NeedleMotionParameters(insertion=1e-10, body=1e-10),
-            turning=1e-6,
+            turning=2e-5,
             first_speed=1e-3,
             first_drift=0.2e-3,
             withdrawn_length=2e-3,
