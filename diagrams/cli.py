@@ -1,4 +1,4 @@
-"""The command line: ``sonoservo list``, ``run``, ``scan``, ``track``, ``locate``, ``reproduce``."""
+"""The command line of ``sonoservo``: one function a command."""
 
 import shlex
 import sys
@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from sonoservo.diagrams.dataset import make_dataset
 from sonoservo.diagrams.locate import locate_in_recording
 from sonoservo.diagrams.recorded import track_recording, tracker_parameters
 from sonoservo.diagrams.scan import caption, scan, summarize_scan, write_scan
@@ -218,6 +219,46 @@ def locate_command(
         _console.print(f"{name}: {shown}", soft_wrap=True, highlight=False)
     _write_json(json_path, found)
     if not found["found"]:
+        raise typer.Exit(1)
+
+
+@app.command("dataset")
+def dataset_command(
+    scenario: Annotated[str, typer.Argument(help="A name from `sonoservo list`, or a YAML file.")],
+    count: Annotated[int, typer.Option(help="Number of sequences.")],
+    out: Annotated[Path, typer.Option(help="Folder for the sequences and manifest.json.")],
+    volumes: Annotated[int, typer.Option(help="In each sequence.")] = 10,
+    transducers: Annotated[
+        list[str] | None, typer.Option("--transducer", help="One to choose from; again for more.")
+    ] = None,
+    changes: Annotated[
+        list[str] | None, typer.Option("--set", help="Change a field: path.to.field=value.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Of the first sequence.")] = None,
+    jobs: Annotated[int, typer.Option(help="Processes; -1 means one for each core.")] = -1,
+    json_path: JsonOption = None,
+) -> None:
+    """Make labelled sequences of needles, tissues and probes drawn at random.
+
+    What is done is kept: the same command goes on where it was interrupted.
+    """
+    loaded = load_scenario(scenario, changes=changes, seed=seed)
+    manifest = make_dataset(
+        loaded,
+        out,
+        count=count,
+        volumes=volumes,
+        transducers=transducers or (),
+        jobs=jobs,
+        console=_console,
+    )
+    _console.print(
+        f"{len(manifest['sequences'])} sequences, {len(manifest['failed'])} failed: "
+        f"{out / 'manifest.json'}",
+        soft_wrap=True,
+    )
+    _write_json(json_path, manifest)
+    if manifest["failed"]:
         raise typer.Exit(1)
 
 
