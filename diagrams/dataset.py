@@ -35,6 +35,9 @@ FORMAT = 1
 _OUTSIDE = 15e-3
 """Length of needle in the tissue before it enters the field of view, in m."""
 
+_FIRST_VOLUME = 1.1
+"""When the first volume begins, in s: the hand has then pushed in what no volume shows go in."""
+
 _INDENTATION = 4e-3
 """How deep the probe sinks into the phantom, in m."""
 
@@ -304,7 +307,8 @@ def _acquire(
     """Acquire a volume; the tissue's frame is the world's."""
     geometry, direction = renderer.geometry, 1 - 2 * (number % 2)
     frames = np.arange(geometry.frames)[::direction]
-    times: NDArray[np.float64] = 1.1 + number * geometry.period + geometry.frame_period * frames
+    begin = _FIRST_VOLUME + number * geometry.period
+    times = np.array(begin + geometry.frame_period * frames, dtype=np.float64)
     poses = np.tile(X_TP.GetAsMatrix4(), (geometry.frames, 1, 1))
     needles = [insertion.needle(float(time)) for time in times]
     samples = renderer.render(poses, needles, direction, number)
@@ -327,9 +331,9 @@ def needle_mask(volume: Volume, needle: Needle) -> NDArray[np.bool_]:
     That is where their centres lie within its radius, or, as it is thinner than some grids, within
     0.75 of the largest spacing of its axis.
     """
-    mask = np.zeros(volume.intensities.shape, dtype=bool)
+    mask: NDArray[np.bool_] = np.zeros(volume.intensities.shape, dtype=bool)
     radius = max(needle.radius, 0.75 * float(volume.spacing.max()))
-    last = np.array(mask.shape)
+    last = np.array(volume.intensities.shape)
     for a, b in zip(needle.shaft[:-1], needle.shaft[1:], strict=True):
         low = (np.minimum(a, b) - radius - volume.origin) / volume.spacing
         high = (np.maximum(a, b) + radius - volume.origin) / volume.spacing
