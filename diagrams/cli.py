@@ -41,7 +41,7 @@ app = typer.Typer(
 )
 _console = Console()
 
-_PAPERS = ("chatelain2013", "zhao2012")
+_PAPERS = ("carriere2016", "chatelain2013", "zhao2012")
 """Modules of `sonoservo.diagrams`, each with ``reproduce(options: StudyOptions) -> Study``."""
 
 JsonOption = Annotated[

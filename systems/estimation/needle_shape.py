@@ -147,7 +147,8 @@ class NeedleShape(Immutable):
     def positions(self, depths: ArrayLike) -> Floats:
         """(m, 3) predicted positions in W, in m, at (m,) rising depths in m."""
         depths = np.asarray(depths, dtype=float)
-        p_I = np.column_stack([self.predict(depths)[0], depths])
+        mean = np.tensordot(self.weights, self.paths(depths), 1)
+        p_I = np.column_stack([mean, depths])
         p_W: Floats = self.X_WI.multiply(p_I.T).T.reshape(-1, 3)
         return p_W
 

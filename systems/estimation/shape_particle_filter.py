@@ -42,7 +42,7 @@ class ShapeParticleFilterParameters(ShapeEstimatorParameters):
 
     particles: int = 500
     least_radius: float = 0.2
-    moves: int = 3
+    moves: int = 2
     noise: MeasurementNoise = field(default_factory=MeasurementNoise)
 
     def __post_init__(self) -> None:

@@ -36,7 +36,7 @@ class ShapeLog(Immutable):
     tip, tip_covariance
         (n, 2) predicted x and y of the tip at full depth after this slice, and (n, 2, 2) in m^2.
     image_s, estimate_s
-        (n,) computing time of the tracker and of the estimator, in s.
+        (n,) processor time of the tracker and of the estimator, in s.
     """
 
     depth: Floats
