@@ -349,7 +349,8 @@ def _figures(outcomes: Sequence[Outcome]) -> list[StudyFigure]:
             StudyFigure(
                 name="particles",
                 caption="As fig. 6: particles before the first slice, five slices after 10 mm, and "
-                "at the end, of one needle; the cross is the truth.",
+                "at the end, of one needle. The cross is the truth; the faint one is the path that "
+                "starts alike and bends to the other side.",
                 figure=plot_particles(kept["particles"], kept["truth"], NAMES),
             )
         )

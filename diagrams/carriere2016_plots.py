@@ -41,7 +41,8 @@ def plot_paths(results: Results) -> Figure:
         axes.set_title(name, loc="left", fontsize="medium")
         axes.set_ylabel("deflection u (mm)\n4 mm from needle to needle")
         axes.grid(alpha=0.3)
-    rows[0].legend(frameon=False, loc="upper left")
+    handles, labels = rows[0].get_legend_handles_labels()
+    figure.legend(handles, labels, frameon=False, loc="outside lower center", ncols=2)
     rows[-1].set_xlabel("depth v (mm)")
     return figure
 
@@ -68,11 +69,14 @@ def plot_error_against_depth(results: Results, names: Mapping[str, str]) -> Figu
             axes.plot(depth, np.nanmedian(bound[:, known], axis=0), color=colour, linestyle="--",
                       linewidth=1)  # fmt: skip
         axes.set_yscale("log")
+        # The bound of the filter as printed falls to nothing.
+        axes.set_ylim(bottom=1e-2)
         axes.set_title(name, loc="left", fontsize="medium")
         axes.set_xlabel("depth seen (mm)")
         axes.grid(alpha=0.3)
     columns[0].set_ylabel("error of the predicted tip (mm)\ndashed: bound stated")
-    columns[0].legend(frameon=False, loc="lower left", fontsize="small")
+    handles, labels = columns[0].get_legend_handles_labels()
+    figure.legend(handles, labels, frameon=False, loc="outside lower center", ncols=3)
     return figure
 
 
@@ -116,6 +120,7 @@ def plot_errors(
             axes.plot([4 * row - 0.5, 4 * row + 2.5], 2 * [paper[name][key]], "k:",
                       label="" if row else "paper's mean, measured path")  # fmt: skip
         axes.set_yscale("log")
+        axes.set_ylim(bottom=max(axes.get_ylim()[0], 3e-3))
         axes.set_xticks(4 * np.arange(len(results)) + 1, list(results))
         axes.set_ylabel(f"{key} error ({unit}); dot: mean, box: quartiles, whiskers: all")
         axes.grid(alpha=0.3, axis="y")

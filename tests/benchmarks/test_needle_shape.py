@@ -1,0 +1,90 @@
+"""Needle shape prediction per slice: the paper's times, and template matching by others."""
+
+import time
+
+import cv2
+import numpy as np
+import pytest
+from skimage.feature import match_template
+
+from sonoservo.diagrams.scenario import load_any_scenario
+from sonoservo.diagrams.shape_experiment import ShapeExperiment, estimate_shape
+from sonoservo.systems.localization.cross_section import CrossSectionParameters, find_again
+from sonoservo.systems.localization.normalized_cross_correlation import (
+    normalized_cross_correlation,
+)
+
+PAPER_MS = {"image": 3.1, "particle filter": 2.8}
+
+
+def best_time(function, repeats=50):
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        function()
+        times.append(time.perf_counter() - start)
+    return min(times)
+
+
+@pytest.fixture(scope="module")
+def experiment():
+    experiment = ShapeExperiment(
+        load_any_scenario("carriere2016_d60", changes=["depth=0.07"], seed=101)
+    )
+    slices = []
+    look = experiment._look
+
+    def looking(number, due):
+        slices.append(experiment._evaluate(experiment.slice_converter, "slice"))
+        return look(number, due)
+
+    experiment._look = looking
+    experiment.run()
+    return experiment, slices
+
+
+@pytest.mark.parametrize("other", ["OpenCV", "scikit-image"])
+def test_template_matching_30_in_60(benchmark, other):
+    rng = np.random.default_rng(0)
+    search = rng.normal(size=(60, 60)).astype(np.float32)
+    template = search[14:44, 17:47].copy()
+    rho = benchmark(normalized_cross_correlation, search, template)
+    theirs = {
+        "OpenCV": lambda: cv2.matchTemplate(search, template, cv2.TM_CCOEFF_NORMED),
+        "scikit-image": lambda: match_template(search, template),
+    }[other]
+    assert np.allclose(rho, theirs(), atol=1e-4)
+    benchmark.extra_info["compared_with"] = other
+    if benchmark.stats is not None:
+        benchmark.extra_info["times_as_fast"] = best_time(theirs) / benchmark.stats["min"]
+
+
+def test_cross_section_in_a_slice(benchmark, experiment):
+    experiment, slices = experiment
+    last = experiment.cross_sections[100]
+    number = int(np.argmin([abs(each.time - last.time) for each in slices]))
+    parameters = CrossSectionParameters()
+    found = benchmark(find_again, slices[number + 1], last, last.centre, parameters)
+    assert found
+    note_paper(benchmark, "image")
+
+
+def test_particle_filter_per_slice(benchmark, experiment):
+    experiment, _ = experiment
+    used = experiment.cross_sections[:117]
+
+    def whole():
+        return estimate_shape(experiment.make_estimator("particle_filter"), used)
+
+    shapes = benchmark.pedantic(whole, rounds=3, warmup_rounds=1)
+    assert shapes[-1].observed > 0.055
+    benchmark.extra_info["slices"] = len(used)
+    note_paper(benchmark, "particle filter", len(used))
+
+
+def note_paper(benchmark, part, slices=1):
+    benchmark.extra_info["compared_with"] = "the paper's, on a Core i7-3930K in Matlab"
+    if benchmark.stats is not None:
+        ours = 1e3 * benchmark.stats["min"] / slices
+        benchmark.extra_info["ms_per_slice"] = ours
+        benchmark.extra_info["times_as_fast"] = PAPER_MS[part] / ours
