@@ -194,10 +194,23 @@ def _force(group: _Group, target: float | None = None) -> None:
 
 
 def _fig6(group: _Group) -> None:
+    _recovery(group, share=0.96, median=3.0)
+    lost = _largest(group.each("force", "contact_lost_s"))
+    group.row("contact lost, worst run", "s", true=lost, target=0.5)
+    group.row("force, largest", "N", true=_largest(group.each("force", "max_n")), target=6)
+    _force(group)
+    group.errors("tip", "tip error", "mm", _MM)
+    group.errors("axis", "axis error", "deg", _DEG)
+    group.reliability()
+
+
+def _recovery(group: _Group, share: float | None = None, median: float | None = None) -> None:
+    """Rows of how soon the needle is centred again; targets: share of runs, median time in s."""
     times = [recovery_times(run.log, run.scenario) for run in group.runs]
     total = len(group.runs) + group.failed
     back = sum(bool(np.isfinite(each).all()) for each in times)
-    group.count("runs back after every move", back, target=np.ceil(0.96 * total))
+    target = float(np.ceil(share * total)) if share else None
+    group.count("runs back after every move", back, target=target)
     every = [time for each in times for time in each]
     moves = max(map(len, times), default=0)
     every += group.failed * moves * [np.inf]
@@ -206,15 +219,8 @@ def _fig6(group: _Group) -> None:
             f"from the end of a move until back, {what}",
             "s",
             true=quantile(every, q),
-            target=3.0 if what == "median" else None,
+            target=median if what == "median" else None,
         )
-    lost = _largest(group.each("force", "contact_lost_s"))
-    group.row("contact lost, worst run", "s", true=lost, target=0.5)
-    group.row("force, largest", "N", true=_largest(group.each("force", "max_n")), target=6)
-    _force(group)
-    group.errors("tip", "tip error", "mm", _MM)
-    group.errors("axis", "axis error", "deg", _DEG)
-    group.reliability()
 
 
 def _bent(group: _Group) -> None:
@@ -231,6 +237,8 @@ def _no_needle(groups: Sequence[_Group]) -> None:
 
 
 def _ablation(group: _Group) -> None:
+    if group.name.startswith("fig6"):
+        _recovery(group)
     group.errors("tip", "tip error", "mm", _MM)
     group.errors("axis", "axis error", "deg", _DEG)
     group.reliability()

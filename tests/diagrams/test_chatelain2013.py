@@ -93,6 +93,7 @@ def test_the_whole_study_in_short(tmp_path, monkeypatch):
     assert rows["fig4", "false starts, all runs"]["met"]
     assert rows["fig5", "tip error, median"]["true"] < 2
     assert rows["fig5", "contact force, mean"]["true"] == pytest.approx(2, abs=0.1)
+    assert rows["fig6", "runs back after every move, of 1"]["target"] == 1
     assert rows["fig6", "force, largest"]["true"] > 2
     assert rows["no needle, probe still", "false starts, all runs"]["true"] == 0
     assert rows["no needle, probe still", "volumes"]["true"] >= 10
