@@ -1,1 +1,1 @@
-"""Where the needle is, given all volumes so far."""
+"""Where the needle is, given all volumes so far; its shape, given all slices."""

@@ -1,1 +1,1 @@
-"""The simulated robot's own parts: its wrist force sensor and the moving base of the phantom."""
+"""The simulated robot's own parts: wrist force sensor, the phantom's moving base, stepping stage."""
