@@ -3,8 +3,9 @@
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.common.value import Value
-from pydrake.geometry import Box, Meshcat, Rgba, Sphere
+from pydrake.geometry import Meshcat, Rgba, Sphere
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, LeafSystem
 
@@ -12,6 +13,7 @@ from sonoservo.systems.display.film import Film
 from sonoservo.systems.display.image_planes import Plane
 from sonoservo.systems.display.needle_view import NeedleView
 from sonoservo.systems.display.rod import Rod
+from sonoservo.systems.display.shapes import tubes
 from sonoservo.systems.display.textured_quads import gltf_textured_quads
 from sonoservo.systems.estimation.needle_shape import NeedleShape
 from sonoservo.systems.localization.cross_section import CrossSection
@@ -19,10 +21,11 @@ from sonoservo.systems.needle.needle import Needle
 from sonoservo.systems.ultrasound.image_slice import ImageSlice
 from sonoservo.systems.values import NotFound, evaluate
 
-_TISSUE = Rgba(0.85, 0.70, 0.65, 0.12)
+_TISSUE = Rgba(0.55, 0.35, 0.30)
 _PREDICTED, _TUBE = Rgba(0.84, 0.12, 0.05), Rgba(0.95, 0.75, 0.10, 0.35)
 _MEASURED = Rgba(0.34, 0.71, 0.91)
-_ROD = 0.3e-3
+_ROD = 0.75e-3
+"""Radius of the predicted needle in m: a little more than the true one's, which it may hide."""
 _DEVIATIONS = 2.448
 """Standard deviations within which 95 % of a normal distribution in a plane lie."""
 
@@ -45,7 +48,7 @@ class ShapeView(LeafSystem):
         - shape
 
     ``needle`` is the true `Needle` in T, grey. The predicted shape is red, from the first slice to
-    the full depth; the tube around it holds the needle with 95 % at each depth. A blue ball marks
+    the full depth; at each depth, the tube around it holds the needle with 95 %. A blue ball marks
     the newest cross-section.
 
     Parameters
@@ -90,9 +93,9 @@ class ShapeView(LeafSystem):
         meshcat.Delete(path)
         for each in ("/Axes", "/Grid"):
             meshcat.SetProperty(each, "visible", False)
-        meshcat.SetCameraPose(np.array([0.02, -0.20, 0.05]), np.array([0.0, 0.0, -0.028]))
-        meshcat.SetObject(f"{path}/tissue", Box(*self._size), _TISSUE)
-        meshcat.SetTransform(f"{path}/tissue", RigidTransform([0, 0, -self._size[2] / 2]))
+        meshcat.SetCameraPose(np.array([0.10, -0.13, 0.03]), np.array([0.0, 0.0, -0.028]))
+        # Edges only: of two clear things, one inside the other, a browser may hide the inner.
+        meshcat.SetObject(f"{path}/tissue", tubes(_box_edges(self._size), 0.25e-3), _TISSUE)
         meshcat.SetObject(f"{path}/cross_section", Sphere(1.2e-3), _MEASURED)
         meshcat.SetProperty(f"{path}/cross_section", "visible", False)
         self._needle: NeedleView | None = None  # until its radius is known
@@ -121,7 +124,7 @@ class ShapeView(LeafSystem):
             polyline = shape.positions(self._depths)
             middles = 0.5 * (self._depths[1:] + self._depths[:-1])
             self._predicted.show(polyline, time)
-            width = _DEVIATIONS * shape.deviation(middles) + 1.5 * _ROD
+            width = _DEVIATIONS * shape.deviation(middles) + _ROD
             self._tube.show(polyline, time, radii=np.minimum(width, 0.02))
         found = evaluate(self, context, "cross_section", (CrossSection, NotFound))
         path = f"{self._path}/cross_section"
@@ -140,3 +143,13 @@ class ShapeView(LeafSystem):
         opacity = np.where(grey > 0, np.uint8(255), np.uint8(0))
         gltf = gltf_textured_quads([plane], [np.stack([grey, opacity], axis=-1)])
         self._film.show(gltf, image.X_WP, time)
+
+
+def _box_edges(size: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """(2, 3) ends of each edge of a box of tissue, in T, in m."""
+    bits = (np.arange(8)[:, np.newaxis] >> np.arange(3)) & 1
+    corners = (bits - np.array([0.5, 0.5, 1.0])) * size
+    return [
+        corners[[corner, corner | bit]] for corner in range(8) for bit in (1, 2, 4)
+        if not corner & bit
+    ]  # fmt: skip

@@ -1,1 +1,1 @@
-"""The simulated robot's own parts: wrist force sensor, the phantom's moving base, stepping stage."""
+"""The simulated robot's own parts: wrist force sensor, moving base of the phantom, stepper."""
