@@ -3,6 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sonoservo.systems.ultrasound.scan_conversion import make_grid
 from sonoservo.systems.ultrasound.sweep import Sweep, SweepGeometry, SweepMotion
 
 CONVEX = {
@@ -110,3 +111,15 @@ def test_sweep_refuses_samples_of_another_shape():
     motion = SweepMotion(geometry, 1, np.zeros(27), np.repeat(np.eye(4)[None], 27, axis=0))
     with pytest.raises(ValueError, match="samples has shape"):
         Sweep(np.zeros((27, 96, 292), np.uint8), motion)
+
+
+def test_a_sweep_of_one_frame_has_one_time_and_pose_and_makes_no_volume():
+    geometry = SweepGeometry(**CONVEX | {"frames": 1})
+    X_WP = np.eye(4)[np.newaxis].copy()
+    X_WP[0, :3, 3] = [0.1, 0.2, 0.3]
+    motion = SweepMotion(geometry, 1, np.array([4.0]), X_WP)
+    p_W, times = motion.to_world([[0.0, 0.05, 0.0], [0.01, 0.06, 0.001]])
+    assert np.allclose(p_W, [[0.1, 0.25, 0.3], [0.11, 0.26, 0.301]])
+    assert np.allclose(times, 4.0)
+    with pytest.raises(ValueError, match="frames: 1"):
+        make_grid(geometry, 1e-3)

@@ -2,7 +2,14 @@ import numpy as np
 import pytest
 
 from sonoservo.systems.typed_yaml import ConfigurationError
-from sonoservo.systems.ultrasound.tissue import BLOCKS, Ball, Fibre, Tissue, load_tissue
+from sonoservo.systems.ultrasound.tissue import (
+    BLOCKS,
+    Ball,
+    Fibre,
+    RandomFibres,
+    Tissue,
+    load_tissue,
+)
 from sonoservo.systems.ultrasound.tissue import scatterer_tile as make_tile
 
 
@@ -83,3 +90,45 @@ def test_errors_name_the_field(tmp_path):
     path.write_text("balls: [{radius: -1}]\n")
     with pytest.raises(ConfigurationError, match=r"balls\.0"):
         load_tissue(str(path))
+
+
+def test_random_fibres_have_the_stated_density_lengths_levels_and_direction():
+    fibres = RandomFibres(
+        per_cubic_centimetre=0.5, shortest=3e-3, longest=9e-3, dimmest_db=15.0,
+        brightest_db=30.0, direction=[0.0, 2.0, 0.0], spread_deg=10.0,
+    )  # fmt: skip
+    size = np.array([0.2, 0.1, 0.1])
+    drawn = fibres.draw(size.tolist(), np.random.default_rng(3))
+    assert len(drawn) == pytest.approx(1000, rel=0.1)
+    start, end = (np.array([getattr(f, name) for f in drawn]) for name in ("start", "end"))
+    lengths = np.linalg.norm(end - start, axis=1)
+    assert lengths.min() >= 3e-3
+    assert lengths.max() <= 9e-3
+    assert lengths.mean() == pytest.approx(6e-3, rel=0.05)
+    middles = 0.5 * (start + end)
+    assert (np.abs(middles[:, :2]) <= size[:2] / 2).all()
+    assert (middles[:, 2] <= 0).all()
+    assert (middles[:, 2] >= -0.1).all()
+    aside = np.arcsin(((end - start) / lengths[:, np.newaxis])[:, [0, 2]])
+    assert np.rad2deg(aside.std()) == pytest.approx(10, rel=0.1)
+    levels = [fibre.level_db for fibre in drawn]
+    assert 15 <= min(levels) < 16
+    assert 29 < max(levels) <= 30
+
+
+def test_there_are_no_random_fibres_unless_asked_for():
+    assert Tissue().random_fibres.draw([0.2, 0.1, 0.1], np.random.default_rng(0)) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"per_cubic_centimetre": -1.0}, "per_cubic_centimetre"),
+        ({"longest": 1e-3}, "longest"),
+        ({"brightest_db": 0.0}, "brightest_db"),
+        ({"direction": [0.0, 0.0, 0.0]}, "direction"),
+    ],
+)
+def test_bad_random_fibres_are_named(changes, message):
+    with pytest.raises(ValueError, match=message):
+        RandomFibres(**changes)
