@@ -68,6 +68,22 @@ def test_a_recording_gives_the_estimates_of_the_live_run_exactly(live, tmp_path)
     np.testing.assert_allclose(last, 1e3 * volume.to_probe([seen.estimates[-1].curve.tip])[0])
 
 
+def test_an_interrupted_run_leaves_a_recording(tmp_path):
+    def stop(time, estimate):
+        if time > 0.7:
+            raise KeyboardInterrupt
+
+    path = tmp_path / "a.seq.nrrd"
+    result = run(load_scenario("chatelain2013_fig4", seed=101), record=path, after_volume=stop)
+    assert result.summary["interrupted"]
+    assert [volume.time for volume in Recording(path)] == list(result.log.volume_time[:3])
+    assert {each.name for each in tmp_path.iterdir()} == {
+        "a.seq.nrrd",
+        "a.acquisition.jsonl",
+        "a.truth.jsonl",
+    }
+
+
 def test_sweeps_are_recorded_as_acquired(live):
     path, _ = live
     data, header = nrrd.read(str(path.with_name("a.sweeps.seq.nrrd")))
