@@ -26,8 +26,10 @@ class VisualServoParameters:
     Parameters
     ----------
     gain
-        lambda of eq. 25, in 1/s. Where volumes come every T and are one volume old, 0.25 / T is
-        best damped: 0.83/s for 3.3 volumes/s. Zero switches all visual motion off.
+        lambda of eq. 25, in 1/s: errors fall to a third in a time constant of 1 / gain. Features
+        held as they were in a volume one period T old would allow 1 / T at most, 3.3/s at 3.3
+        volumes/s; an estimate in W is seen from where the probe is now and has no such limit. Zero
+        switches all visual motion off.
     feed_forward
         Whether the probe moves with the tip's estimated velocity while the needle is seen (not
         while the estimate coasts); off in the paper, where the tip lags by its velocity / gain.
@@ -42,7 +44,7 @@ class VisualServoParameters:
         Highest speeds asked for, in m/s and deg/s.
     """
 
-    gain: float = 0.83
+    gain: float = 1.6
     feed_forward: bool = True
     least_speed: float = 1.5e-3
     least_inclination_deg: float = 10.0
