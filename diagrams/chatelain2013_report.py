@@ -88,8 +88,8 @@ class _Group:
         """Rows of what should not happen."""
         untracked = pooled(self.runs, self.failed, lambda v: np.where(v.tracked, 0.0, 100.0))
         self.row("volumes not tracked", "%", true=_mean(np.minimum(untracked, 100)))
-        lost = int(np.sum(self.each("tracking", "lost_events")))
-        self.row("times lost, all runs", true=lost, target=target)
+        lost = sum(np.sum(np.diff(run.volumes.lost.astype(int)) > 0) for run in self.runs)
+        self.row("times lost, all runs", true=int(lost), target=target)
         self.false_starts(target)
 
     def false_starts(self, target: float | None = None) -> None:

@@ -20,6 +20,9 @@ Floats = NDArray[np.float64]
 ENOUGH_IN_VIEW = 20e-3
 """Errors count from this length of needle in the image on, in m."""
 
+_NOT_TO_BE_LOST = 15e-3
+"""A needle is lost where the tracker searches for it with more than this in the image, in m."""
+
 _OUT_OF_VIEW = 2e-3
 """One insertion ends and the next begins where less than this is in the image, in m."""
 
@@ -85,6 +88,9 @@ class Volumes:
         (v,) whether more than `ENOUGH_IN_VIEW` of the needle is in the image.
     tracked
         (v,) whether the volume confirmed the needle.
+    lost
+        (v,) whether the tracker searched, once it had found it, for what is well in the image;
+        what it only coasts over is not lost.
     tip, axis, curve
         (v,) errors of the tip in m, of the direction in rad, and along the curve in m.
     true, estimated
@@ -97,6 +103,7 @@ class Volumes:
 
     enough: NDArray[np.bool_]
     tracked: NDArray[np.bool_]
+    lost: NDArray[np.bool_]
     tip: Floats
     axis: Floats
     curve: Floats
@@ -115,13 +122,17 @@ def volumes(log: RunLog, curve_deviation: Floats) -> Volumes:
     X_WP = at_times(log, log.X_WP, time)
     tip, entry = (at_times(log, each, time) for each in (log.needle_tip, log.needle_entry))
     errors = estimate_errors(log)
+    tracked = log.volume_estimate_mode == TrackingMode.TRACKING
+    coasting = log.volume_estimate_mode == TrackingMode.COASTING
+    found = np.cumsum(tracked) > 0
 
     def in_probe(p_W: Floats) -> Floats:
         return np.einsum("vji,vj->vi", X_WP[:, :3, :3], p_W - X_WP[:, :3, 3])
 
     return Volumes(
         enough=visible >= ENOUGH_IN_VIEW,
-        tracked=log.volume_estimate_mode == TrackingMode.TRACKING,
+        tracked=tracked,
+        lost=found & ~tracked & ~coasting & (visible >= _NOT_TO_BE_LOST),
         tip=_or_infinite(errors.tip),
         axis=_or_infinite(errors.axis),
         curve=_or_infinite(curve_deviation),

@@ -50,6 +50,18 @@ def test_errors_and_features_by_volume(log):
     np.testing.assert_allclose(found.p_PTip[at_rest], [[0, 0.04, 0]] * at_rest.sum(), atol=1e-9)
 
 
+def test_a_needle_that_is_coasted_over_is_not_lost(log):
+    length = len(log.volume_time)
+    for mode, lost in (("coasting", 0), ("lost", 6), ("searching", 6)):
+        modes = np.where(
+            (log.volume_time > 14) & (log.volume_time < 15.8), mode, log.volume_estimate_mode
+        )
+        found = volumes(replace(log, volume_estimate_mode=modes), np.zeros(length))
+        assert found.lost.sum() == pytest.approx(lost, abs=1)
+        # Before it was found it was not lost either.
+        assert not found.lost[log.volume_time < 13].any()
+
+
 def test_a_volume_without_an_estimate_and_a_run_that_failed_are_infinitely_wrong(log):
     mode = np.where(log.volume_time > 14, "searching", log.volume_estimate_mode)
     tip = np.where(log.volume_time[:, np.newaxis] > 14, np.nan, log.volume_estimate_tip)
