@@ -10,3 +10,13 @@ from hypothesis import settings
 # The first example may have to wait for a kernel to be compiled.
 settings.register_profile("compiled", deadline=None)
 settings.load_profile("compiled")
+
+
+def pytest_terminal_summary(terminalreporter):
+    """Say so loudly where the tests in a browser did not run."""
+    skipped = terminalreporter.stats.get("skipped", [])
+    reasons = [each.longrepr[2] for each in skipped if isinstance(each.longrepr, tuple)]
+    blind = [reason for reason in reasons if "no Chromium" in reason]
+    if blind:
+        terminalreporter.section("THE SCREENS WERE NOT TESTED", sep="!", red=True, bold=True)
+        terminalreporter.line(f"{len(blind)} tests: {blind[0].removeprefix('Skipped: ')}")

@@ -1,0 +1,67 @@
+import re
+import shutil
+
+import pytest
+from playwright.sync_api import Error, sync_playwright
+
+NO_CHROMIUM = "no Chromium: install it with your package manager, or `playwright install chromium`"
+KNOWN_WARNINGS = ("GPU stall due to ReadPixels", "software rendering", "fallback software")
+
+
+@pytest.fixture(scope="session")
+def browser():
+    """A headless Chromium that draws WebGL without a graphics chip."""
+    installed = shutil.which("chromium") or shutil.which("chromium-browser")
+    arguments = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
+    with sync_playwright() as playwright:
+        try:
+            chromium = playwright.chromium.launch(executable_path=installed, args=arguments)
+        except Error:
+            if installed:
+                raise
+            pytest.skip(NO_CHROMIUM)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def open_page(browser):
+    """Open an address and wait until it shows something.
+
+    At the end, anything on the console but known warnings fails the test, and so does a request
+    that left this machine.
+    """
+    context = browser.new_context(viewport={"width": 1000, "height": 700})
+    complaints = []
+
+    def listen(page):
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.on("console", heed)
+
+    def heed(message):
+        known = any(re.search(each, message.text) for each in KNOWN_WARNINGS)
+        if message.type in ("warning", "error") and not known:
+            complaints.append(f"{message.type}: {message.text}")
+
+    def refuse_network(route):
+        local = re.match(
+            r"(http|ws)://(localhost|127\.0\.0\.1)[:/]|file:|data:|blob:", route.request.url
+        )
+        if local:
+            route.continue_()
+        else:
+            complaints.append(f"asked for {route.request.url}")
+            route.abort()
+
+    context.route("**/*", refuse_network)
+
+    def open_address(url):
+        page = context.new_page()
+        listen(page)
+        page.goto(url)
+        page.wait_for_function("typeof viewer !== 'undefined' && viewer.renderer")
+        return page
+
+    yield open_address
+    context.close()
+    assert not complaints
