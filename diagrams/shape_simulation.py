@@ -1,26 +1,20 @@
 """One run of needle shape prediction, from the first slice to the files that remain."""
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from pydrake.geometry import Meshcat
 
+from sonoservo.diagrams.kept_run import KeptRun, refusing
 from sonoservo.diagrams.shape_experiment import ShapeExperiment
 from sonoservo.diagrams.shape_scenario import ShapeScenario
 from sonoservo.systems.estimation.needle_shape import NeedleShape
 from sonoservo.systems.localization.cross_section import CrossSection
-from sonoservo.systems.recording.files import write_atomically, write_json
-from sonoservo.systems.recording.plots import png
-from sonoservo.systems.recording.replay import save_replay
-from sonoservo.systems.recording.report import write_report
 from sonoservo.systems.recording.shape_log import ShapeLog, write_shape_log
 from sonoservo.systems.recording.shape_metrics import summarize_shape
 from sonoservo.systems.recording.shape_plots import plot_shape
-from sonoservo.systems.typed_yaml import ConfigurationError
 from sonoservo.systems.values import NotFound
 
 
@@ -69,62 +63,25 @@ def predict_shape(
     ConfigurationError
         If the scenario cannot be carried out.
     """
-    try:
+    with refusing(scenario):
         experiment = ShapeExperiment(scenario, meshcat)
-    except (ValueError, FileNotFoundError) as error:
-        raise ConfigurationError(f"{scenario.name}: {error}") from error
-    if out is not None:
-        write_atomically(out / "scenario.yaml", scenario.to_yaml())
-    if meshcat is not None:
-        meshcat.StartRecording(set_visualizations_while_recording=True)
-    started = time.perf_counter()
-    interrupted = False
-    try:
-        experiment.run(after_slice, real_time=meshcat is not None)
-    except KeyboardInterrupt:
-        interrupted = True
-    finally:
-        # Whatever happened, what was logged is not lost.
-        log = experiment.log()
-        if out is not None:
-            write_shape_log(out / "log.npz", log)
-    wall = time.perf_counter() - started
-    shape = experiment.shape
-    summary = {
-        "scenario": scenario.name,
-        "seed": scenario.seed,
-        "version": version("sonoservo"),
-        "estimator": scenario.estimator,
-        "interrupted": interrupted,
-        "simulated_s": experiment.time,
-        "wall_s": wall,
-        "real_time_factor": experiment.time / wall,
-        **summarize_shape(log, shape),
-    }
-    if out is not None:
-        _write_results(out, scenario, summary, log, shape, meshcat)
-    return ShapeResult(summary, log, shape)
-
-
-def _write_results(
-    out: Path,
-    scenario: ShapeScenario,
-    summary: dict[str, Any],
-    log: ShapeLog,
-    shape: NeedleShape | NotFound,
-    meshcat: Meshcat | None,
-) -> None:
-    write_json(out / "summary.json", summary)
-    if meshcat is not None:
-        save_replay(meshcat, out / "replay.html")
-    picture = png(plot_shape(log, shape)) if len(log.depth) > 1 else None
-    if picture is not None:
-        write_atomically(out / "shape.png", picture)
-    write_report(
-        out / "report.html",
-        summary,
-        {"path, measured, true and predicted": picture} if picture else {},
-        command=f"sonoservo run {out / 'scenario.yaml'}",
-        paper=scenario.published_figures,
-        replay="replay.html" if meshcat is not None else "",
+    kept = KeptRun(
+        scenario, lambda path: write_shape_log(path, experiment.log()), out=out, meshcat=meshcat
     )
+
+    def note(simulated: float, found: CrossSection | NotFound) -> None:
+        kept.go_on()
+        if after_slice is not None:
+            after_slice(simulated, found)
+
+    with kept:
+        experiment.run(note, real_time=meshcat is not None)
+    log, shape = experiment.log(), experiment.shape
+    figures = {"estimator": scenario.estimator, **summarize_shape(log, shape)}
+    summary = kept.summary(experiment.time, figures)
+    if out is not None:
+        plots = {}
+        if len(log.depth) > 1:
+            plots["shape.png"] = ("path, measured, true and predicted", plot_shape(log, shape))
+        kept.write(summary, plots, scenario.published_figures)
+    return ShapeResult(summary, log, shape)
