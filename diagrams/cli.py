@@ -295,7 +295,7 @@ def reproduce_command(
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
     try:
-        study = import_module(f"sonoservo.diagrams.{paper}").reproduce(options)
+        study = import_module(f"sonoservo.diagrams.{paper}.reproduce").reproduce(options)
     except KeyboardInterrupt:
         _console.print(f"Interrupted. What is done is in {folder}; the same command goes on.")
         raise

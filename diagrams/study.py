@@ -23,7 +23,7 @@ from sonoservo.systems.values import require
 
 Work = Callable[["Case"], Mapping[str, Any]]
 
-_SHOWS_RESULTS = ("display", "cli", "terminal", "_runs", "_plots", "_report", "_page")
+_SHOWS_RESULTS = ("display", "cli", "terminal", "plots", "report", "page", "analysis")
 """Ends of the names of folders and modules that change no result."""
 
 _CASES_PER_PROCESS = 10

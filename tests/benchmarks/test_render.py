@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from pymust_referee import middle_line
 
-from sonoservo.diagrams.zhao2012_phantom import IMAGING as ZHAO
+from sonoservo.diagrams.zhao2012.phantom import IMAGING as ZHAO
 from sonoservo.systems.needle.needle import Needle
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.rendering import ScannerParameters, SweepRenderer

@@ -10,8 +10,8 @@ from skimage.measure import LineModelND, ransac
 from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.diagrams import load_scenario, run
-from sonoservo.diagrams.zhao2012_phantom import DIRECTION, Phantom, StraightNeedle
-from sonoservo.diagrams.zhao2012_tracking import BMode, Tracking
+from sonoservo.diagrams.zhao2012.phantom import DIRECTION, Phantom, StraightNeedle
+from sonoservo.diagrams.zhao2012.tracking import BMode, Tracking
 from sonoservo.systems.detection.insertion_detector import (
     InsertionDetectorParameters,
     detect_insertion,

@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from sonoservo.diagrams.zhao2012_phantom import IMAGING as ZHAO
+from sonoservo.diagrams.zhao2012.phantom import IMAGING as ZHAO
 from sonoservo.systems.typed_yaml import ConfigurationError
 from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
 from sonoservo.systems.ultrasound.transducer import Transducer, load_transducer

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sonoservo.diagrams import zhao2012
 from sonoservo.diagrams.study import Case, Outcome, StudyOptions
 from sonoservo.diagrams.study_report import Study, write_study
-from sonoservo.diagrams.zhao2012_phantom import DIRECTION, IMAGING, Phantom, StraightNeedle
-from sonoservo.diagrams.zhao2012_runs import ESTIMATORS, QUANTITIES, run_case
+from sonoservo.diagrams.zhao2012 import reproduce as zhao2012
+from sonoservo.diagrams.zhao2012.phantom import DIRECTION, IMAGING, Phantom, StraightNeedle
+from sonoservo.diagrams.zhao2012.runs import ESTIMATORS, QUANTITIES, run_case
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
 

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sonoservo.diagrams.chatelain2013_plots import study_figures
-from sonoservo.diagrams.chatelain2013_runs import (
+from sonoservo.diagrams.chatelain2013.analysis import (
     Run,
     converged,
     found_after,
@@ -17,6 +16,7 @@ from sonoservo.diagrams.chatelain2013_runs import (
     quantile,
     recovery_times,
 )
+from sonoservo.diagrams.chatelain2013.plots import study_figures
 from sonoservo.diagrams.study import Outcome
 from sonoservo.diagrams.study_report import Study, StudyRow
 

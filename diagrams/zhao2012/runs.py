@@ -11,8 +11,8 @@ import numpy as np
 from sonoservo.diagrams.experiment import Experiment
 from sonoservo.diagrams.scenario import load_scenario
 from sonoservo.diagrams.study import Case
-from sonoservo.diagrams.zhao2012_phantom import DIRECTION, Phantom, StraightNeedle
-from sonoservo.diagrams.zhao2012_tracking import VELOCIMETER, BMode, Tracking, find_as_published
+from sonoservo.diagrams.zhao2012.phantom import DIRECTION, Phantom, StraightNeedle
+from sonoservo.diagrams.zhao2012.tracking import VELOCIMETER, BMode, Tracking, find_as_published
 from sonoservo.systems.estimation.axis_tip_state import direction_angles
 from sonoservo.systems.localization.speckle_velocimeter import (
     VelocityMeasurement,

@@ -4,8 +4,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sonoservo.diagrams import carriere2016
-from sonoservo.diagrams.carriere2016 import SETS, reproduce, run_needle, set_rows
+from sonoservo.diagrams.carriere2016 import reproduce as carriere2016
+from sonoservo.diagrams.carriere2016.reproduce import SETS, reproduce, run_needle, set_rows
 from sonoservo.diagrams.shape_scenario import ESTIMATORS
 from sonoservo.diagrams.study import Case, StudyOptions
 from sonoservo.diagrams.study_report import write_study

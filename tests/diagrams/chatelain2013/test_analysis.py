@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from synthetic_logs import build_insertion_log
 
-from sonoservo.diagrams.chatelain2013_runs import (
+from sonoservo.diagrams.chatelain2013.analysis import (
     centred,
     converged,
     found_after,

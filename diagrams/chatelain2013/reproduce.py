@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from sonoservo.diagrams.chatelain2013_report import report
+from sonoservo.diagrams.chatelain2013.report import report
 from sonoservo.diagrams.experiment import Experiment
 from sonoservo.diagrams.scenario import load_scenario
 from sonoservo.diagrams.study import Case, StudyOptions, run_cases

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from sonoservo.diagrams.study import Case, Outcome, StudyOptions, run_cases
 from sonoservo.diagrams.study_report import Study, StudyRow
-from sonoservo.diagrams.zhao2012_phantom import DIRECTION
-from sonoservo.diagrams.zhao2012_plots import plot_rmse, plot_velocimeter
-from sonoservo.diagrams.zhao2012_runs import ESTIMATORS, QUANTITIES, VOLUMES, run_case
+from sonoservo.diagrams.zhao2012.phantom import DIRECTION
+from sonoservo.diagrams.zhao2012.plots import plot_rmse, plot_velocimeter
+from sonoservo.diagrams.zhao2012.runs import ESTIMATORS, QUANTITIES, VOLUMES, run_case
 
 TITLE = (
     "Zhao, Liebgott and Cachard, Tracking biopsy needle using Kalman filter and RANSAC algorithm "

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from sonoservo.diagrams.chatelain2013_runs import Run, pooled, quantile
+from sonoservo.diagrams.chatelain2013.analysis import Run, pooled, quantile
 from sonoservo.diagrams.study_report import StudyFigure
 from sonoservo.systems.recording.plots import BLUE, GREEN, ORANGE, PURPLE, plot_run
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.diagrams.carriere2016_plots import (
+from sonoservo.diagrams.carriere2016.plots import (
     plot_error_against_depth,
     plot_errors,
     plot_particles,

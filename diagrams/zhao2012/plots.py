@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from sonoservo.diagrams.study_report import StudyFigure
-from sonoservo.diagrams.zhao2012_runs import ESTIMATORS, QUANTITIES
+from sonoservo.diagrams.zhao2012.runs import ESTIMATORS, QUANTITIES
 
 _STYLES = {
     "ransac_sample": {"color": "0.65", "linestyle": ":", "marker": "x"},

@@ -5,8 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from sonoservo.diagrams import chatelain2013, load_scenario
-from sonoservo.diagrams.chatelain2013 import (
+from sonoservo.diagrams import load_scenario
+from sonoservo.diagrams.chatelain2013 import reproduce as chatelain2013
+from sonoservo.diagrams.chatelain2013.reproduce import (
     ABLATIONS,
     PROTOCOLS,
     Protocol,

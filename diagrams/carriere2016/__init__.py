@@ -1,0 +1,1 @@
+"""Carriere et al. (AIM 2016) reproduced."""

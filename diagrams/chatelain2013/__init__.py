@@ -1,0 +1,1 @@
+"""Chatelain, Krupa and Marchal (ICRA 2013) reproduced."""

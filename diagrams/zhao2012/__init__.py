@@ -1,0 +1,1 @@
+"""Zhao, Liebgott and Cachard (Acoustics 2012) reproduced."""
