@@ -62,6 +62,10 @@ class NeedleTrackerParameters:
         require(self.kind == "chatelain2013", "kind", self.kind, '"chatelain2013"')
         require(self.order in (2, 3), "order", self.order, "2 or 3")
         require_not_negative(look_back=self.look_back)
+        for name in ("localizer", "kalman_filter"):
+            order = getattr(self, name).order
+            require(order in (2, self.order), f"{name}.order", order, "left out: order sets it")
+        _require_default_scale(self)
 
 
 @dataclass(kw_only=True)
@@ -95,6 +99,21 @@ class Zhao2012TrackerParameters:
         require_not_negative(look_back=self.look_back)
         order = self.localizer.order
         require(order == 2, "localizer.order", order, "2: the needle is straight")
+        _require_default_scale(self)
+
+
+def _require_default_scale(parameters: NeedleTrackerParameters | Zhao2012TrackerParameters) -> None:
+    """Refuse a scale of grey levels in a part: the volumes' own takes its place."""
+    for name, part in (
+        ("detector", parameters.detector),
+        ("localizer.tip", parameters.localizer.tip),
+    ):
+        require(
+            part.decibels_per_level == type(part)().decibels_per_level,
+            f"{name}.decibels_per_level",
+            part.decibels_per_level,
+            "left out: imaging.dynamic_range_db sets it",
+        )
 
 
 def MakeNeedleTracker(

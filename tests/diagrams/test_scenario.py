@@ -80,6 +80,12 @@ def test_the_tracker_is_chosen_by_name(tmp_path):
             "tracker: unknown kind 'zhao'; did you mean 'zhao2012'?",
         ),
         ("chatelain2013_fig5", ["tracker=zhao2012", "tracker.order=3"], "tracker.order: unknown"),
+        ("chatelain2013_fig5", ["tracker.localizer.order=3"], "left out: order sets it"),
+        (
+            "chatelain2013_fig5",
+            ["tracker.localizer.tip.decibels_per_level=0.1"],
+            "left out: imaging.dynamic_range_db sets it",
+        ),
     ],
 )
 def test_mistakes_are_one_clear_line(name, changes, message):
