@@ -49,6 +49,9 @@ JsonOption = Annotated[
 ]
 
 
+HostOption = Annotated[
+    str, typer.Option(help="Address that the page is served on; * for all of this machine's.")
+]
 DepthOption = Annotated[
     str,
     typer.Option(help="Where the sound goes in the file's space: L, R, P, A, S or I (the feet)."),
@@ -90,6 +93,7 @@ def run_command(
     seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for the results.")] = None,
     meshcat: Annotated[bool, typer.Option(help="Show the run in a browser, at real time.")] = True,
+    host: HostOption = "localhost",
     record: Annotated[
         Path | None, typer.Option(help="Record the volumes, with the truth: FILE.seq.nrrd.")
     ] = None,
@@ -103,7 +107,7 @@ def run_command(
     if isinstance(loaded, ShapeScenario) and (record or record_sweeps):
         raise ConfigurationError(f"--record: {loaded.name} makes slices, no volumes")
     folder = out or Path("out") / f"{loaded.name}_seed{loaded.seed}"
-    display = start_display(_console) if meshcat else None
+    display = start_display(_console, host) if meshcat else None
     with Progress(_console, loaded) as progress:
         if isinstance(loaded, ShapeScenario):
             summary = predict_shape(

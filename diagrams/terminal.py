@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from types import TracebackType
 from typing import Any, Self
 
-from pydrake.geometry import Meshcat
+from pydrake.geometry import Meshcat, MeshcatParams
 from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as RichProgress
@@ -16,6 +16,7 @@ from sonoservo.diagrams.shape_scenario import ShapeScenario
 from sonoservo.diagrams.study_report import Study, target_text
 from sonoservo.systems.estimation.estimate import NeedleEstimate
 from sonoservo.systems.localization.cross_section import CrossSection
+from sonoservo.systems.typed_yaml import ConfigurationError
 from sonoservo.systems.values import NotFound
 
 _ROWS = {
@@ -240,8 +241,27 @@ def mode_table(summary: Mapping[str, Any]) -> Table:
     return table
 
 
-def start_display(console: Console) -> Meshcat:
-    """Start a Meshcat, and say where it is to be seen."""
-    meshcat = Meshcat()
+def start_display(console: Console, host: str = "localhost") -> Meshcat:
+    """Start a Meshcat on the first free port from 7000 on, and say where it is to be seen.
+
+    Parameters
+    ----------
+    console
+        Where to say it.
+    host
+        Address to listen on; ``*`` for all of this machine's.
+
+    Raises
+    ------
+    ConfigurationError
+        If it cannot listen there.
+    """
+    try:
+        meshcat = Meshcat(MeshcatParams(host=host))
+    except RuntimeError as error:
+        raise ConfigurationError(
+            f"host: {host!r} is not allowed; it must be an address of this machine with a free "
+            "port from 7000 to 7999"
+        ) from error
     console.print(f"Watch at [bold]{meshcat.web_url()}[/bold]")
     return meshcat

@@ -1,0 +1,59 @@
+import socket
+from urllib.parse import urlsplit
+
+import pytest
+from rich.console import Console
+from typer.testing import CliRunner
+
+from sonoservo.diagrams.cli import app
+from sonoservo.diagrams.terminal import start_display
+from sonoservo.systems.typed_yaml import ConfigurationError
+
+# Any address of this machine that is not its own loop, found without sending anything.
+with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as _probe:
+    try:
+        _probe.connect(("192.0.2.1", 9))
+        OUTSIDE = _probe.getsockname()[0]
+    except OSError:
+        OUTSIDE = None
+
+
+def connects(host, port):
+    try:
+        socket.create_connection((host, port), timeout=2).close()
+    except OSError:
+        return False
+    return True
+
+
+def test_only_this_machine_reaches_the_page_unless_told_otherwise():
+    if OUTSIDE is None:
+        pytest.skip("this machine has no address but its own loop")
+    console = Console(quiet=True)
+    private, public = start_display(console), start_display(console, "*")
+    assert connects("localhost", private.port())
+    assert not connects(OUTSIDE, private.port())
+    assert connects(OUTSIDE, public.port())
+
+
+def test_a_busy_port_is_stepped_over_and_the_address_printed():
+    console = Console(record=True, quiet=False)
+    first, second = (start_display(console) for _ in range(2))
+    assert first.port() != second.port()
+    shown = console.export_text()
+    for meshcat in (first, second):
+        assert urlsplit(meshcat.web_url()).hostname == "localhost"
+        assert f"Watch at {meshcat.web_url()}" in shown
+
+
+@pytest.mark.parametrize("host", ["198.51.100.7", "no such host"])
+def test_an_address_of_another_machine_is_refused(host):
+    with pytest.raises(ConfigurationError, match="host: .* an address of this machine"):
+        start_display(Console(quiet=True), host)
+
+
+def test_a_wrong_host_ends_the_command_before_anything_is_written(tmp_path):
+    arguments = ["run", "chatelain2013_fig5", "--host", "no such host"]
+    result = CliRunner().invoke(app, [*arguments, "--out", str(tmp_path / "out")])
+    assert isinstance(result.exception, ConfigurationError)
+    assert not (tmp_path / "out").exists()
