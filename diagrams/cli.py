@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from sonoservo.diagrams.dataset import make_dataset
+from sonoservo.diagrams.drive import drive
 from sonoservo.diagrams.locate import locate_in_recording
 from sonoservo.diagrams.recorded import track_recording, tracker_parameters
 from sonoservo.diagrams.scan import caption, scan, summarize_scan, write_scan
@@ -129,6 +130,39 @@ def run_command(
     _write_json(json_path, summary)
     if summary["interrupted"]:
         raise typer.Exit(130)
+
+
+@app.command("drive")
+def drive_command(
+    scenario: Annotated[
+        str, typer.Argument(help="A name from `sonoservo list`, or a YAML file.")
+    ] = "drive",
+    changes: Annotated[
+        list[str] | None, typer.Option("--set", help="Change a field: path.to.field=value.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
+    duration: Annotated[float, typer.Option(help="Longest simulated time, in s.")] = 600.0,
+    out: Annotated[Path | None, typer.Option(help="Folder for the results.")] = None,
+    host: HostOption = "localhost",
+    json_path: JsonOption = None,
+) -> None:
+    """Push the needle, move the phantom and set the controller yourself, in a browser.
+
+    The scenario's own pushes, moves and changes are left out. What you do is kept as scenario.yaml,
+    which `sonoservo run` repeats. Finish in the page, or with Ctrl-C.
+    """
+    changes = [*(changes or []), f"duration={duration!r}"]
+    loaded = load_scenario(scenario, changes=changes, seed=seed)
+    folder = out or Path("out") / f"{loaded.name}_driven_seed{loaded.seed}"
+    display = start_display(_console, host)
+    _console.print("Open it, push the needle with the key W, withdraw it with S. Ctrl-C ends.")
+    with Progress(_console, loaded) as progress:
+        summary = drive(loaded, display, out=folder, show=progress.show).summary
+    _console.print(summary_table(summary, {}))
+    _console.print(f"Results, starting with the report: {folder / 'report.html'}", soft_wrap=True)
+    again = f"sonoservo run {folder / 'scenario.yaml'}"
+    _console.print(f"The same again: {again}", soft_wrap=True)
+    _write_json(json_path, summary)
 
 
 @app.command("scan")

@@ -1,24 +1,26 @@
 """A scenario brought to life: the loop of station, hand, scanner, tracker and controller."""
 
 import time
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder, OutputPort, System
+from pydrake.systems.framework import Context, DiagramBuilder, OutputPort, System
 
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
 from sonoservo.diagrams.probe_controller import MakeProbeController
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.station import MakeStation, check_reach
+from sonoservo.systems.control.controller_schedule import ControllerSchedule, ControllerSettings
+from sonoservo.systems.control.scheduled_settings import ScheduledSettings
 from sonoservo.systems.display.world_view import WorldView, WorldViewParameters
 from sonoservo.systems.estimation.estimate import NeedleEstimate
 from sonoservo.systems.needle.hand import Hand
-from sonoservo.systems.needle.insertion import Insertion
+from sonoservo.systems.needle.insertion import Insertion, Push
 from sonoservo.systems.recording.logger import RunLogger
 from sonoservo.systems.recording.run_log import RunLog
 from sonoservo.systems.recording.volume_recorder import VolumeRecorder
@@ -42,8 +44,8 @@ class Experiment:
 
         name: (the scenario's)
 
-    The subsystems are station, phantom_motion, hand, scanner, scan_converter, needle_tracker,
-    probe_controller, run_logger and, if wanted, world_view and volume_recorder. Every one of their
+    The subsystems are station, scanner, scan_converter, needle_tracker, probe_controller,
+    run_logger, the sources and, if wanted, world_view and volume_recorder. Every one of their
     inputs is connected to the output that has the same name.
 
     Parameters
@@ -52,6 +54,12 @@ class Experiment:
         What is to happen.
     meshcat
         Where to draw, if anywhere.
+    sources
+        What moves needle and phantom and sets the controller, by name: systems with the outputs
+        needle, phantom_command, gain and force_target. By default phantom_motion, hand and
+        controller_settings, which do what the scenario says.
+    film
+        Whether to keep the slices for a replay.
     record
         Where to record the volumes, if anywhere: ``NAME.seq.nrrd``. Call `close` at the end.
     record_sweeps
@@ -68,18 +76,17 @@ class Experiment:
         scenario: Scenario,
         meshcat: Meshcat | None = None,
         *,
+        sources: Mapping[str, System] | None = None,
+        film: bool = True,
         record: Path | None = None,
         record_sweeps: bool = False,
     ) -> None:
         self.scenario = scenario
-        # One seed for each thing that is random, so that none depends on how the others draw.
-        tissue_seed, insertion_seed, noise_seed, wrist_seed, tracker_seed = (
-            int(seed) for seed in np.random.SeedSequence(scenario.seed).generate_state(5)
-        )
+        seeds = draw_seeds(scenario)
         transducer = load_transducer(scenario.transducer)
-        tissue = replace(load_tissue(scenario.phantom), seed=tissue_seed)
+        tissue = replace(load_tissue(scenario.phantom), seed=seeds.tissue)
         geometry = sweep_geometry(transducer, scenario.imaging)
-        insertion = Insertion(scenario.hand, np.random.default_rng(insertion_seed))
+        insertion = make_insertion(scenario)
         _check_entry(scenario, tissue.size)
         if scenario.controller.visual_servo.gain > 0:
             _check_reach(scenario, insertion)
@@ -95,19 +102,15 @@ class Experiment:
         self.station = MakeStation(
             parameters=scenario.station,
             phantom_size=tissue.size,
-            seed=wrist_seed,
+            seed=seeds.wrist,
             meshcat=meshcat,
         )
-        self.phantom_motion = PhantomMotion(
-            trajectory=phantom_trajectory(scenario.phantom_motion, scenario.station.X_WT)
-        )
-        self.hand = Hand(insertion=insertion)
         self.scanner = Scanner(
             transducer=transducer,
             imaging=scenario.imaging,
             tissue=tissue,
             parameters=scenario.scanner,
-            seed=noise_seed,
+            seed=seeds.noise,
         )
         self.scan_converter = ScanConverter(geometry=geometry, parameters=scenario.scan_conversion)
         self.needle_tracker = MakeNeedleTracker(
@@ -115,7 +118,7 @@ class Experiment:
             period=self._volume_period,
             offset=self._first_volume,
             dynamic_range_db=scenario.imaging.dynamic_range_db,
-            seed=tracker_seed,
+            seed=seeds.tracker,
         )
         self.probe_controller = MakeProbeController(parameters=scenario.controller)
         self.run_logger = RunLogger(
@@ -125,8 +128,7 @@ class Experiment:
         )
         systems: dict[str, System] = {
             "station": self.station,
-            "phantom_motion": self.phantom_motion,
-            "hand": self.hand,
+            **(_planned_sources(scenario, insertion) if sources is None else sources),
             "scanner": self.scanner,
             "scan_converter": self.scan_converter,
             "needle_tracker": self.needle_tracker,
@@ -134,7 +136,7 @@ class Experiment:
             "run_logger": self.run_logger,
         }
         if meshcat is not None:
-            frames = int(scenario.duration / self._volume_period) + 1
+            frames = int(scenario.duration / self._volume_period) + 1 if film else 0
             systems["world_view"] = WorldView(
                 meshcat=meshcat, parameters=WorldViewParameters(film_frames=frames)
             )
@@ -144,7 +146,7 @@ class Experiment:
                 path=record,
                 settings={
                     "dynamic_range_db": scenario.imaging.dynamic_range_db,
-                    "tracker_seed": tracker_seed,
+                    "tracker_seed": seeds.tracker,
                 },
                 sweeps=record_sweeps,
                 period=self._volume_period,
@@ -154,12 +156,10 @@ class Experiment:
         builder = DiagramBuilder()
         for name, system in systems.items():
             builder.AddNamedSystem(name, system)
-        phantom_command = self.phantom_motion.get_output_port()
-        connect_by_name(builder, list(systems.values()), {"phantom_command": phantom_command})
+        connect_by_name(builder, list(systems.values()))
         self.diagram = builder.Build()
         self.diagram.set_name(scenario.name)
         self._simulator = Simulator(self.diagram)
-        self._compute: dict[str, list[float]] = {"render": [], "convert": [], "track": []}
 
     def run(
         self,
@@ -175,22 +175,50 @@ class Experiment:
         real_time
             Whether to go no faster than real time.
         """
+        self.start(real_time=real_time)
+        self.advance(self.scenario.duration, after_volume)
+
+    def start(self, *, real_time: bool = False) -> None:
+        """Begin at time zero, also anew after a run: then everything is as it was before it.
+
+        Parameters
+        ----------
+        real_time
+            Whether to go no faster than real time.
+        """
         simulator = self._simulator
+        context = simulator.get_mutable_context()
+        self.diagram.SetDefaultContext(context)
+        context.SetTime(0.0)
+        self._compute: dict[str, list[float]] = {"render": [], "convert": [], "track": []}
+        self._due = self._first_volume
         simulator.set_target_realtime_rate(1.0 if real_time else 0.0)
         simulator.Initialize()
-        due = self._first_volume
-        while due < self.scenario.duration:
-            simulator.AdvanceTo(due - _INSTANT)
-            self._make_volume(due)
-            due += self._volume_period
+
+    def advance(
+        self, time: float, after_volume: Callable[[float, NeedleEstimate], None] | None = None
+    ) -> None:
+        """Simulate up to a time in s; `start` comes first, and `run` describes the other."""
+        while self._due < time:
+            self._simulator.AdvanceTo(self._due - _INSTANT)
+            self._make_volume(self._due)
+            self._due += self._volume_period
             if after_volume is not None:
                 after_volume(self.time, self._evaluate(self.needle_tracker, "estimate"))
-        simulator.AdvanceTo(self.scenario.duration)
+        self._simulator.AdvanceTo(max(time, self.time))
+
+    def forgive_delay(self) -> None:
+        """Go on at real time from here, without making up for time that was lost."""
+        self._simulator.ResetStatistics()
 
     def close(self) -> None:
         """Give a recording its final name."""
         if self._recorder is not None:
             self._recorder.close()
+
+    def context_of(self, system: System) -> Context:
+        """Return the context of one of the subsystems, as it is now."""
+        return system.GetMyContextFromRoot(self._simulator.get_context())
 
     @property
     def time(self) -> float:
@@ -217,14 +245,55 @@ class Experiment:
             self._compute[name].append(float(seconds))
 
     def _evaluate(self, system: System, port: str) -> Any:
-        context = system.GetMyContextFromRoot(self._simulator.get_context())
-        return system.GetOutputPort(port).Eval(context)
+        return system.GetOutputPort(port).Eval(self.context_of(system))
 
 
-def connect_by_name(
-    builder: DiagramBuilder, systems: list[System], outputs: dict[str, OutputPort]
-) -> None:
-    """Connect every input port to the output port that has, or is given, its name."""
+def make_insertion(scenario: Scenario, pushes: list[Push] | None = None) -> Insertion:
+    """Return the insertion of a scenario's needle.
+
+    Parameters
+    ----------
+    scenario
+        Tells the needle, the hand and the seed.
+    pushes
+        Take the place of the scenario's.
+    """
+    hand = scenario.hand if pushes is None else replace(scenario.hand, pushes=pushes)
+    return Insertion(hand, np.random.default_rng(draw_seeds(scenario).insertion))
+
+
+@dataclass(frozen=True)
+class Seeds:
+    """One for each thing that is random, so that none depends on how the others draw."""
+
+    tissue: int
+    insertion: int
+    noise: int
+    wrist: int
+    tracker: int
+
+
+def draw_seeds(scenario: Scenario) -> Seeds:
+    """Return the seeds that a scenario's own stands for."""
+    return Seeds(*(int(each) for each in np.random.SeedSequence(scenario.seed).generate_state(5)))
+
+
+def _planned_sources(scenario: Scenario, insertion: Insertion) -> dict[str, System]:
+    controller = scenario.controller
+    settings = ControllerSettings(controller.visual_servo.gain, controller.force.force)
+    schedule = ControllerSchedule(settings, tuple(scenario.controller_changes))
+    return {
+        "phantom_motion": PhantomMotion(
+            trajectory=phantom_trajectory(scenario.phantom_motion, scenario.station.X_WT)
+        ),
+        "hand": Hand(insertion=insertion),
+        "controller_settings": ScheduledSettings(schedule=schedule),
+    }
+
+
+def connect_by_name(builder: DiagramBuilder, systems: list[System]) -> None:
+    """Connect every input port to the output port that has its name."""
+    outputs: dict[str, OutputPort] = {}
     for system in systems:
         for index in range(system.num_output_ports()):
             port = system.get_output_port(index)

@@ -49,6 +49,8 @@ def MakeProbeController(*, parameters: ProbeControllerParameters) -> Diagram:
         - X_WP
         - wrist_force
         - joint_state
+        - gain (optional)
+        - force_target (optional)
         output_ports:
         - joint_command
         - planar_velocity
@@ -56,8 +58,9 @@ def MakeProbeController(*, parameters: ProbeControllerParameters) -> Diagram:
         - pressing_force
 
     `estimate` is the tracker's NeedleEstimate; the other inputs and `joint_command` fit the ports
-    of the station that bear their names. The last three outputs are for logs: what the servo and
-    the force law ask for, and the filtered force they act on.
+    of the station that bear their names. `gain` (lambda in 1/s) and `force_target` (in N) take the
+    place of the parameters'. The last three outputs are for logs: what the servo and the force law
+    ask for, and the filtered force they act on.
 
     Parameters
     ----------
@@ -91,6 +94,8 @@ def MakeProbeController(*, parameters: ProbeControllerParameters) -> Diagram:
     builder.ConnectInput("X_WP", force.GetInputPort("X_WP"))
     builder.ExportInput(force.GetInputPort("wrist_force"), "wrist_force")
     builder.ExportInput(kinematics.GetInputPort("joint_state"), "joint_state")
+    builder.ExportInput(servo.GetInputPort("gain"), "gain")
+    builder.ExportInput(force.GetInputPort("force_target"), "force_target")
     builder.ExportOutput(kinematics.GetOutputPort("joint_command"), "joint_command")
     builder.ExportOutput(servo.GetOutputPort("planar_velocity"), "planar_velocity")
     for name in ("approach_velocity", "pressing_force"):

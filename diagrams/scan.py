@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
+from sonoservo.diagrams.experiment import draw_seeds, make_insertion
 from sonoservo.diagrams.scenario import Scenario
-from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.needle.needle import Needle
 from sonoservo.systems.recording.files import write_atomically
 from sonoservo.systems.recording.nrrd import write_volume
@@ -87,20 +87,17 @@ def _scan(
     X_TP: RigidTransform | None,
     velocity: Sequence[float],
 ) -> Scan:
-    # As an experiment draws them.
-    tissue_seed, insertion_seed, noise_seed = (
-        int(seed) for seed in np.random.SeedSequence(scenario.seed).generate_state(5)[:3]
-    )
-    insertion = Insertion(scenario.hand, np.random.default_rng(insertion_seed))
+    seeds = draw_seeds(scenario)
+    insertion = make_insertion(scenario)
     if time is None:
         time = float(max(np.linspace(0, scenario.duration, 200), key=insertion.depth))
     require_not_negative(time=time)
     renderer = SweepRenderer(
         transducer=load_transducer(scenario.transducer),
         imaging=scenario.imaging,
-        tissue=replace(load_tissue(scenario.phantom), seed=tissue_seed),
+        tissue=replace(load_tissue(scenario.phantom), seed=seeds.tissue),
         parameters=scenario.scanner,
-        seed=noise_seed,
+        seed=seeds.noise,
     )
     geometry, station = renderer.geometry, scenario.station
     frames = np.arange(geometry.frames, dtype=np.float64)

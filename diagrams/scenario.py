@@ -14,6 +14,7 @@ from sonoservo.diagrams.needle_tracker import (
 from sonoservo.diagrams.probe_controller import ProbeControllerParameters
 from sonoservo.diagrams.shape_scenario import ShapeScenario
 from sonoservo.diagrams.station import StationParameters
+from sonoservo.systems.control.controller_schedule import ControllerChange
 from sonoservo.systems.needle.insertion import InsertionParameters
 from sonoservo.systems.robot.phantom_motion import PhantomMotionParameters
 from sonoservo.systems.typed_yaml import (
@@ -63,6 +64,8 @@ class Scenario:
         From volumes to the estimated needle: "chatelain2013", "zhao2012", or the fields of one.
     controller
         From the estimate to the probe's motion.
+    controller_changes
+        What is changed of it on the way, in order of time.
     processing_time
         From the end of a sweep to the estimate that it gives, in s.
     published
@@ -85,6 +88,7 @@ class Scenario:
         default_factory=NeedleTrackerParameters
     )
     controller: ProbeControllerParameters = field(default_factory=ProbeControllerParameters)
+    controller_changes: list[ControllerChange] = field(default_factory=list)
     processing_time: float = 0.02
     published: dict[str, float] = field(default_factory=dict)
 
@@ -93,6 +97,16 @@ class Scenario:
         plain = self.name.strip() and not set(self.name) & set("/\\\0")
         require(bool(plain) and self.name not in (".", ".."), "name", self.name, "a plain name")
         require(self.seed >= 0, "seed", self.seed, "a whole number of at least 0")
+        times = [change.time for change in self.controller_changes]
+        require(times == sorted(times), "controller_changes", times, "in order of time")
+        touch = self.controller.force.touch_force
+        for number, change in enumerate(self.controller_changes):
+            require(
+                change.force is None or change.force > touch,
+                f"controller_changes.{number}.force",
+                change.force,
+                f"above controller.force.touch_force ({touch} N)",
+            )
 
     def to_yaml(self) -> str:
         """Return all fields as YAML that `load_scenario` reads."""

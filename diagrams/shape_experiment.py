@@ -125,7 +125,7 @@ class ShapeExperiment:
         builder = DiagramBuilder()
         for name, system in systems.items():
             builder.AddNamedSystem(name, system)
-        connect_by_name(builder, list(systems.values()), {})
+        connect_by_name(builder, list(systems.values()))
         self.diagram = builder.Build()
         self.diagram.set_name(scenario.name)
         self._simulator = Simulator(self.diagram)

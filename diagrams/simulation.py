@@ -85,14 +85,29 @@ def run(
             experiment.run(note, real_time=meshcat is not None)
         finally:
             experiment.close()
+    return write_results(kept, experiment, scenario)
+
+
+def write_results(kept: KeptRun, experiment: Experiment, scenario: Scenario) -> RunResult:
+    """Sum up a run that has ended, and write what is to be kept of it.
+
+    Parameters
+    ----------
+    kept
+        The run.
+    experiment
+        What was simulated.
+    scenario
+        What happened.
+    """
     log = experiment.log()
-    target = scenario.controller.force.force
+    changed = any(change.force is not None for change in scenario.controller_changes)
+    target = None if changed else scenario.controller.force.force
     figures = summarize(log, MetricsParameters(force_target=target))
     summary = kept.summary(experiment.time, figures)
-    if out is not None:
-        plots = {
-            "run.png": ("features, tip, probe, force", plot_run(log, target)),
-            "errors.png": ("errors", plot_errors(log)),
-        }
-        kept.write(summary, plots, scenario.published)
+    plots = {
+        "run.png": ("features, tip, probe, force", plot_run(log, target)),
+        "errors.png": ("errors", plot_errors(log)),
+    }
+    kept.write(summary, plots, scenario.published)
     return RunResult(summary, log)

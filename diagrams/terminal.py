@@ -171,13 +171,14 @@ class Progress:
 
     def __call__(self, time: float, estimate: NeedleEstimate) -> None:
         """Move the bar."""
-        self._show(time, estimate.mode)
+        self.show(time, estimate.mode)
 
     def show_slice(self, time: float, found: CrossSection | NotFound) -> None:
         """Move the bar after a slice; takes the place of the call."""
-        self._show(time, "following" if found else "not found")
+        self.show(time, "following" if found else "not found")
 
-    def _show(self, time: float, state: str) -> None:
+    def show(self, time: float, state: str) -> None:
+        """Move the bar to a simulated time in s, and say what goes on."""
         self._bar.update(
             self._task,
             description=self._name,

@@ -1,5 +1,7 @@
 """Leaf: how fast the probe moves along its axis to press with a constant force."""
 
+from dataclasses import replace
+
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialForce
@@ -24,14 +26,15 @@ class ForceController(LeafSystem):
         input_ports:
         - wrist_force
         - X_WP
+        - force_target (optional)
         output_ports:
         - approach_velocity
         - pressing_force
 
     v_y = K_p (F* - F) + K_i int (F* - F) dt, with F the filtered force of the probe along its Y
     axis, free of the probe's weight. `wrist_force` is the SpatialForce of the arm on the probe in
-    P, `X_WP` a RigidTransform; `approach_velocity` is v_y of P in P, in m/s, and `pressing_force`
-    is F in N.
+    P, `X_WP` a RigidTransform, `force_target` F* in N in place of the parameter's;
+    `approach_velocity` is v_y of P in P, in m/s, and `pressing_force` is F in N.
 
     Parameters
     ----------
@@ -51,27 +54,38 @@ class ForceController(LeafSystem):
         self._time_step = time_step
         self.DeclareAbstractInputPort("wrist_force", Value(SpatialForce()))
         self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
+        target = self.DeclareVectorInputPort("force_target", 1)
         self.DeclareDiscreteState(3)
-        for name, calc in (
-            ("approach_velocity", self._calc_approach_velocity),
-            ("pressing_force", self._calc_pressing_force),
+        for name, calc, needs in (
+            ("approach_velocity", self._calc_approach_velocity, {target.ticket()}),
+            ("pressing_force", self._calc_pressing_force, set()),
         ):
-            self.DeclareVectorOutputPort(name, 1, calc, prerequisites_of_calc={self.xd_ticket()})
+            self.DeclareVectorOutputPort(
+                name, 1, calc, prerequisites_of_calc={self.xd_ticket(), *needs}
+            )
         self.DeclarePeriodicDiscreteUpdateEvent(time_step, 0, self._update_state)
 
     def _state(self, context: Context) -> ForceState:
         force, integral, in_contact = context.get_discrete_state_vector().value().tolist()
         return ForceState(force, integral, bool(in_contact))
 
+    def _parameters_now(self, context: Context) -> ForceControllerParameters:
+        target = self.GetInputPort("force_target")
+        if not target.HasValue(context):
+            return self._parameters
+        return replace(self._parameters, force=float(target.Eval(context)[0]))
+
     def _update_state(self, context: Context, discrete_state: DiscreteValues) -> None:
         wrist_force = evaluate(self, context, "wrist_force", SpatialForce)
         X_WP = evaluate(self, context, "X_WP", RigidTransform)
         force = pressing_force(wrist_force, X_WP.rotation(), self._mass)
-        state = next_state(self._state(context), force, self._time_step, self._parameters)
+        state = next_state(
+            self._state(context), force, self._time_step, self._parameters_now(context)
+        )
         discrete_state.set_value([state.force, state.integral, state.in_contact])
 
     def _calc_approach_velocity(self, context: Context, output: BasicVector) -> None:
-        output.SetAtIndex(0, approach_velocity(self._state(context), self._parameters))
+        output.SetAtIndex(0, approach_velocity(self._state(context), self._parameters_now(context)))
 
     def _calc_pressing_force(self, context: Context, output: BasicVector) -> None:
         output.SetAtIndex(0, self._state(context).force)

@@ -1,7 +1,7 @@
 """Leaf: where the probe should go so that the needle lies centred and along the image."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,13 +123,14 @@ class VisualServo(LeafSystem):
         input_ports:
         - estimate
         - X_WP
+        - gain (optional)
         output_ports:
         - planar_velocity
 
     v_c = -L_s^+ (lambda s + rates), s = (X_tip, Z_tip, Theta); `estimate` is a NeedleEstimate,
-    `X_WP` a RigidTransform, `planar_velocity` is (v_x, v_z, omega_y) of P, in P, in m/s and rad/s.
-    It has no state: between two estimates the features still follow the probe's own motion, and
-    with feed-forward the needle's.
+    `X_WP` a RigidTransform, `gain` lambda in 1/s in place of the parameter's, `planar_velocity` is
+    (v_x, v_z, omega_y) of P, in P, in m/s and rad/s. It has no state: between two estimates the
+    features still follow the probe's own motion, and with feed-forward the needle's.
 
     Parameters
     ----------
@@ -142,9 +143,14 @@ class VisualServo(LeafSystem):
         self._parameters = parameters
         self.DeclareAbstractInputPort("estimate", Value[object]())
         self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
+        self.DeclareVectorInputPort("gain", 1)
         self.DeclareVectorOutputPort("planar_velocity", 3, self._calc_planar_velocity)
 
     def _calc_planar_velocity(self, context: Context, output: BasicVector) -> None:
         estimate = evaluate(self, context, "estimate", NeedleEstimate)
         X_WP = evaluate(self, context, "X_WP", RigidTransform)
-        output.SetFromVector(planar_velocity(estimate, X_WP, context.get_time(), self._parameters))
+        parameters = self._parameters
+        gain = self.GetInputPort("gain")
+        if gain.HasValue(context):
+            parameters = replace(parameters, gain=float(gain.Eval(context)[0]))
+        output.SetFromVector(planar_velocity(estimate, X_WP, context.get_time(), parameters))

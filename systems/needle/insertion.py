@@ -1,13 +1,16 @@
-"""How a hand pushes a needle: where, along which arc, how deep at what time."""
+"""How a hand pushes and turns a needle: where, along which path, how deep at what time."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import PPoly
 
 from sonoservo.systems.needle.needle import Needle
+from sonoservo.systems.needle.steered_path import cut_arcs, positions
 from sonoservo.systems.values import (
+    Immutable,
     require,
     require_not_negative,
     require_positive,
@@ -28,6 +31,9 @@ OUTER_DIAMETER = {
 _POINT_SPACING = 2e-3
 """Greatest distance in m between points on a bent shaft: off the arc by 3 um at R = 150 mm."""
 
+_TURN_STEP = 1 / 64
+"""Time in s between the angles of a bevel that is turned while it cuts: 1.4 deg at 90 deg/s."""
+
 _TREMOR_BAND = (8.0, 12.0)
 """Frequencies of physiological hand tremor in Hz (Elble and Koller 1990)."""
 
@@ -42,20 +48,37 @@ class Push:
         In s.
     speed
         In m/s; zero is a pause, below zero a withdrawal.
+    turning_deg
+        Rate at which the needle is turned about its axis, in deg/s: it steers a bevelled tip.
     entry
         Point in T where the needle, which must be outside, is put in from now on, in m; None leaves
         it where it is.
+    azimuth_deg, dip_deg
+        Direction of the insertion from now on, in deg, of a needle that must be outside; None
+        leaves it as it is.
     """
 
     duration: float = 1.0
     speed: float = 0.0
+    turning_deg: float = 0.0
     entry: list[float] | None = None
+    azimuth_deg: float | None = None
+    dip_deg: float | None = None
 
     def __post_init__(self) -> None:
         require_positive(duration=self.duration)
+        require(abs(self.turning_deg) <= 720, "turning_deg", self.turning_deg, "up to 720 deg/s")
+        for name in ("azimuth_deg", "dip_deg"):
+            _check_direction(name, getattr(self, name))
         if self.entry is not None:
             require(len(self.entry) == 3, "entry", self.entry, "three coordinates in m")
         require(abs(self.speed) <= 0.2, "speed", self.speed, "from -0.2 to 0.2 m/s")
+
+    @property
+    def aim(self) -> dict[str, Any]:
+        """What changes of where the needle is put in, by name."""
+        names = ("entry", "azimuth_deg", "dip_deg")
+        return {name: value for name in names if (value := getattr(self, name)) is not None}
 
 
 @dataclass(kw_only=True)
@@ -75,7 +98,7 @@ class InsertionParameters:
     bend_radius
         Radius in m of the arc that a bevelled tip cuts; None for a straight needle.
     bend_roll_deg
-        Direction of the bend about the needle's axis, in deg; 0 bends upwards.
+        Direction of the bend about the needle's axis at the start, in deg; 0 bends upwards.
     start
         When the hand begins, in s.
     pushes
@@ -106,7 +129,8 @@ class InsertionParameters:
         allowed = ", ".join(str(gauge) for gauge in OUTER_DIAMETER)
         require(self.gauge in OUTER_DIAMETER, "gauge", self.gauge, f"one of {allowed}")
         require(len(self.entry) == 3, "entry", self.entry, "three coordinates in m")
-        require(abs(self.dip_deg) <= 90, "dip_deg", self.dip_deg, "from -90 to 90 deg")
+        for name in ("azimuth_deg", "dip_deg"):
+            _check_direction(name, getattr(self, name))
         if self.bend_radius is not None:
             require(self.bend_radius >= 0.05, "bend_radius", self.bend_radius, "at least 0.05 m")
         require_not_negative(
@@ -121,8 +145,8 @@ class InsertionParameters:
         require_positive(ramp=self.ramp)
 
 
-class Insertion:
-    """The insertion as a function of time.
+class Insertion(Immutable):
+    """The insertion as a function of time. Later pushes do not change what it was before them.
 
     Parameters
     ----------
@@ -133,39 +157,34 @@ class Insertion:
     """
 
     def __init__(self, parameters: InsertionParameters, rng: np.random.Generator) -> None:
-        self._parameters = parameters
-        azimuth, dip, roll = np.deg2rad(
-            [parameters.azimuth_deg, parameters.dip_deg, parameters.bend_roll_deg]
-        )
-        azimuth, dip = [azimuth, dip] + np.deg2rad(parameters.angle_spread_deg) * rng.uniform(
-            -1, 1, 2
-        )
-        heading = np.array([np.cos(azimuth), np.sin(azimuth), 0])
-        up = np.array([0, 0, 1.0])
-        offset = np.array(parameters.entry_spread) * rng.uniform(-1, 1, 3)
-        self._direction = np.cos(dip) * heading - np.sin(dip) * up
-        normal = np.sin(dip) * heading + np.cos(dip) * up
-        self._bend = np.cos(roll) * normal + np.sin(roll) * np.cross(self._direction, normal)
-        # A hand that takes `ramp` to change its speed pushes to the moving average of the depth
-        # that sudden changes would give, which is the difference of its integral.
-        speeds = [0.0, *(push.speed for push in parameters.pushes), 0.0]
-        durations = [push.duration for push in parameters.pushes]
-        times = parameters.start + np.concatenate([[0], np.cumsum(durations)])
-        breaks = np.concatenate([[-1e9], times, [1e9]])
-        speed = PPoly(np.array([speeds]), breaks)
-        self._depth_integral = speed.antiderivative(2)
+        self.parameters = parameters
+        self._tilt = np.deg2rad(parameters.angle_spread_deg) * rng.uniform(-1, 1, 2)
+        self._offset = np.array(parameters.entry_spread) * rng.uniform(-1, 1, 3)
+        pushes = parameters.pushes
+        times = parameters.start + np.cumsum([0.0, *(push.duration for push in pushes)])
         self._end = float(times[-1]) + parameters.ramp
-        self._entries = [(-np.inf, parameters.entry + offset)]
-        for number, (push, start) in enumerate(zip(parameters.pushes, times, strict=False)):
-            if push.entry is not None:
-                depth = self._steady_depth(start)
+        self._depth_integral = _twice_integrated(times, [push.speed for push in pushes])
+        aim = _Aim(parameters.entry, parameters.azimuth_deg, parameters.dip_deg)
+        self._aims = [(-np.inf, aim)]
+        for number, (push, start) in enumerate(zip(pushes, times, strict=False)):
+            for name, value in push.aim.items():
+                depth = float(self._steady_depth(start))
                 require(
                     depth <= 0,
-                    f"pushes.{number}.entry",
-                    push.entry,
+                    f"pushes.{number}.{name}",
+                    value,
                     f"left out: the needle is still {1e3 * depth:.1f} mm in the tissue",
                 )
-                self._entries.append((start, push.entry + offset))
+            if push.aim:
+                aim = replace(aim, **push.aim)
+                self._aims.append((start, aim))
+        self._turn_integral: PPoly | None = None
+        if parameters.bend_radius is not None and any(push.turning_deg for push in pushes):
+            rates = np.deg2rad([push.turning_deg for push in pushes])
+            self._turn_integral = _twice_integrated(times, rates)
+            self._history = np.arange(parameters.start, self._end, _TURN_STEP)
+            self._depths = self._steady_depth(self._history)
+            self._turns = self._turn(self._history)
         count = 8
         self._tremor_rate = 2 * np.pi * rng.uniform(*_TREMOR_BAND, count)
         self._tremor_phase = rng.uniform(0, 2 * np.pi, count)
@@ -173,42 +192,95 @@ class Insertion:
 
     @property
     def direction(self) -> NDArray[np.float64]:
-        """(3,) unit vector in T along which the needle enters."""
-        return self._direction
+        """(3,) unit vector in T along which the needle enters at first."""
+        return self._aims[0][1].axes(self._tilt)[0]
 
     @property
     def end(self) -> float:
         """When the hand comes to its last rest, in s."""
         return self._end
 
+    @property
+    def direction_deg(self) -> tuple[float, float]:
+        """Azimuth and dip in deg that the last pushes ask for, this insertion's deviation aside."""
+        _, aim = self._aims[-1]
+        return aim.azimuth_deg, aim.dip_deg
+
+    def is_outside(self, time: float) -> bool:
+        """Whether the needle is out of the tissue, and may be put in anew."""
+        return bool(self._steady_depth(time) <= 0)
+
     def depth(self, time: float) -> float:
         """Inserted length along the shaft in m, tremor included; never below zero."""
-        steady = self._steady_depth(time)
+        steady = float(self._steady_depth(time))
         if steady <= 0:
             return 0.0
         phases = self._tremor_rate * time + self._tremor_phase
         return max(0.0, steady + self._tremor_amplitude * float(np.sin(phases).sum()))
 
-    def _steady_depth(self, time: float) -> float:
-        """Inserted length in m without tremor; below zero it is how far the tip is outside."""
-        ramp = self._parameters.ramp
-        integral = self._depth_integral
-        return float(integral(time) - integral(time - ramp)) / ramp
-
     def needle(self, time: float) -> Needle:
         """Return the part of the needle that is inside the tissue, in T."""
         length = self.depth(time)
-        radius = OUTER_DIAMETER[self._parameters.gauge] / 2
+        radius = OUTER_DIAMETER[self.parameters.gauge] / 2
         if length <= 0:
             return Needle(np.zeros((0, 3)), radius)
-        bend_radius = self._parameters.bend_radius
+        bend_radius = self.parameters.bend_radius
         if bend_radius is None:
-            s = np.array([0, length])
-            along, aside = s, np.zeros(2)
+            along = np.array([[0, 0, 0], [length, 0, 0]])
         else:
             s = np.linspace(0, length, int(np.ceil(length / _POINT_SPACING)) + 1)
-            along = bend_radius * np.sin(s / bend_radius)
-            aside = bend_radius * (1 - np.cos(s / bend_radius))
-        entry = [entry for start, entry in self._entries if start <= time][-1]
-        shaft = entry + np.outer(along, self._direction) + np.outer(aside, self._bend)
-        return Needle(shaft, radius)
+            along = positions(*self._arcs(time, length), 1 / bend_radius, s)
+        aim = next(aim for start, aim in reversed(self._aims) if start <= time)
+        return Needle(aim.entry + self._offset + along @ aim.axes(self._tilt), radius)
+
+    def _arcs(self, time: float, length: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Lengths in m and bevel's angles in rad of the arcs of the path, see `cut_arcs`."""
+        if self._turn_integral is None:
+            return np.array([length]), np.deg2rad([self.parameters.bend_roll_deg])
+        past = np.searchsorted(self._history, time)
+        depths = np.append(self._depths[:past], length)
+        return cut_arcs(depths, np.append(self._turns[:past], self._turn(time)))
+
+    def _steady_depth(self, time: ArrayLike) -> NDArray[np.float64]:
+        """Inserted length in m without tremor; below zero it is how far the tip is outside."""
+        return self._smoothed(self._depth_integral, time)
+
+    def _turn(self, time: ArrayLike) -> NDArray[np.float64]:
+        """Angle of the bevel in rad."""
+        return np.deg2rad(self.parameters.bend_roll_deg) + self._smoothed(self._turn_integral, time)
+
+    def _smoothed(self, integral: PPoly, time: ArrayLike) -> NDArray[np.float64]:
+        # A hand that takes `ramp` to change its speed pushes to the moving average of the depth
+        # that sudden changes would give, which is the difference of its integral.
+        ramp = self.parameters.ramp
+        return (integral(time) - integral(np.subtract(time, ramp))) / ramp
+
+
+@dataclass(frozen=True)
+class _Aim:
+    """Where a needle is to be put in, see `InsertionParameters`."""
+
+    entry: list[float]
+    azimuth_deg: float
+    dip_deg: float
+
+    def axes(self, tilt: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(3, 3) rows along the needle, up from it and beside it, in T, tilted by (2,) rad."""
+        azimuth, dip = np.deg2rad([self.azimuth_deg, self.dip_deg]) + tilt
+        heading = np.array([np.cos(azimuth), np.sin(azimuth), 0])
+        up = np.array([0, 0, 1.0])
+        direction = np.cos(dip) * heading - np.sin(dip) * up
+        normal = np.sin(dip) * heading + np.cos(dip) * up
+        return np.array([direction, normal, np.cross(direction, normal)])
+
+
+def _twice_integrated(times: NDArray[np.float64], rates: ArrayLike) -> PPoly:
+    """Second integral of a rate that is constant between times, and zero before and after them."""
+    breaks = np.concatenate([[-1e9], times, [1e9]])
+    return PPoly(np.concatenate([[0.0], rates, [0.0]])[np.newaxis], breaks).antiderivative(2)
+
+
+def _check_direction(name: str, angle: float | None) -> None:
+    least, most = {"azimuth_deg": (-360, 360), "dip_deg": (-90, 90)}[name]
+    if angle is not None:
+        require(least <= angle <= most, name, angle, f"from {least} to {most} deg")

@@ -39,7 +39,7 @@ class MetricsParameters:
     start_tolerance
         A tracker that starts further than this from the needle has started falsely, in m.
     force_target
-        In N.
+        In N; None where it changes.
     contact_threshold
         Below this there is no contact, in N.
     settling_time
@@ -51,7 +51,7 @@ class MetricsParameters:
     rest_time: float = 3.0
     least_length: float = 15e-3
     start_tolerance: float = 10e-3
-    force_target: float = 2.0
+    force_target: float | None = 2.0
     contact_threshold: float = 0.05
     settling_time: float = 2.0
 
@@ -64,7 +64,7 @@ class MetricsParameters:
         require_not_negative(
             rest_time=self.rest_time,
             least_length=self.least_length,
-            force_target=self.force_target,
+            force_target=self.force_target or 0.0,
             contact_threshold=self.contact_threshold,
             settling_time=self.settling_time,
         )
@@ -193,9 +193,10 @@ def force(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
 
     Returns
     -------
-    `mean_n`, `rms_error_n`: mean, and root of the mean squared difference to `force_target`, from
-    `settling_time` after the first contact on; `max_n`: largest of the whole run (between samples
-    it may have been higher); `contact_lost_s`: time without contact after the first contact.
+    `mean_n`, `rms_error_n`: mean, and root of the mean squared difference to `force_target` (none
+    where it changes), from `settling_time` after the first contact on; `max_n`: largest of the
+    whole run (between samples it may have been higher); `contact_lost_s`: time without contact
+    after the first contact.
     """
     value = log.contact_force
     touching = value > parameters.contact_threshold
@@ -206,7 +207,8 @@ def force(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
         }  # fmt: skip
     first = log.time[np.argmax(touching)]
     settled = value[log.time >= first + parameters.settling_time]
-    error = settled - parameters.force_target
+    target = parameters.force_target
+    error = settled - (np.nan if target is None else target)
     return {
         "mean_n": _number(_mean(settled)),
         "rms_error_n": _number(np.sqrt(_mean(error**2))),

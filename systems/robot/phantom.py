@@ -8,6 +8,7 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex, RigidBody
+from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import Trajectory
 
@@ -61,12 +62,23 @@ def AddPhantom(plant: MultibodyPlant, scene_graph: SceneGraph, *, size: Sequence
     return Phantom(instance, phantom)
 
 
-def PhantomMotion(*, trajectory: Trajectory) -> TrajectorySource:
+def PhantomMotion(*, trajectory: Trajectory) -> Diagram:
     """Make the source of a station's `phantom_command` from a motion.
+
+    .. pydrake_system::
+
+        name: phantom_motion
+        output_ports:
+        - phantom_command
 
     Parameters
     ----------
     trajectory
         Of x, y, z in m, roll, pitch, yaw in rad: the pose X_WT.
     """
-    return TrajectorySource(trajectory, output_derivative_order=1)
+    builder = DiagramBuilder()
+    source = builder.AddSystem(TrajectorySource(trajectory, output_derivative_order=1))
+    builder.ExportOutput(source.get_output_port(), "phantom_command")
+    motion = builder.Build()
+    motion.set_name("phantom_motion")
+    return motion

@@ -1,8 +1,10 @@
 """How the phantom is moved while the robot works on it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.trajectories import PiecewisePolynomial
 
@@ -90,3 +92,42 @@ def phantom_trajectory(
     knots.append(pose)
     samples = np.array(knots).T
     return PiecewisePolynomial.CubicHermite(breaks, samples, np.zeros_like(samples))
+
+
+def next_move(
+    moves: Sequence[Move],
+    target: ArrayLike,
+    time: float,
+    *,
+    speed: ArrayLike,
+    least_duration: float = 0.3,
+) -> Move | None:
+    """Return the move that brings the phantom where it is wanted, if it is time for one.
+
+    A move under way is not interrupted, so that each goes from rest to rest.
+
+    Parameters
+    ----------
+    moves
+        So far.
+    target
+        (6,) wanted displacement from the pose at rest: x, y, z in m, roll, pitch, yaw in deg.
+    time
+        Now, in s.
+    speed
+        (6,) highest mean speeds, in m/s and deg/s.
+    least_duration
+        Of a move, in s.
+    """
+    if moves and time < moves[-1].start + moves[-1].duration:
+        return None
+    done = np.zeros(6)
+    for move in moves:
+        done += [*move.translation, *move.rotation_deg]
+    change = np.asarray(target, dtype=float) - done
+    change[np.abs(change) < 1e-6] = 0.0  # what rounding leaves
+    if not change.any():
+        return None
+    duration = max(least_duration, float((np.abs(change) / speed).max()))
+    translation, rotation_deg = change[:3].tolist(), change[3:].tolist()
+    return Move(start=time, duration=duration, translation=translation, rotation_deg=rotation_deg)

@@ -37,6 +37,13 @@ def test_leaf_steps_the_law():
     assert controller.GetOutputPort("pressing_force").Eval(context)[0] == pytest.approx(state.force)
 
 
-def test_outputs_come_from_the_state_alone():
+def test_what_is_measured_acts_through_the_state_alone():
     controller = ForceController(parameters=ForceControllerParameters(), mass=0.5, time_step=0.005)
-    assert not controller.HasAnyDirectFeedthrough()
+    for number in range(controller.num_output_ports()):
+        for name, direct in (
+            ("wrist_force", False),
+            ("X_WP", False),
+            ("force_target", number == 0),
+        ):
+            port = controller.GetInputPort(name).get_index()
+            assert controller.HasDirectFeedthrough(port, number) == direct

@@ -1,0 +1,212 @@
+"""A scenario with an operator's hand in it: needle, phantom and controller driven from the page."""
+
+import itertools
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from pydrake.geometry import Meshcat
+from pydrake.math import RigidTransform
+
+from sonoservo.diagrams.experiment import Experiment, make_insertion
+from sonoservo.diagrams.kept_run import KeptRun, refusing
+from sonoservo.diagrams.real_time import RealTime
+from sonoservo.diagrams.scenario import Scenario
+from sonoservo.diagrams.simulation import RunResult, write_results
+from sonoservo.systems.control.controller_schedule import ControllerSettings
+from sonoservo.systems.control.driven_settings import DrivenSettings
+from sonoservo.systems.display.operator_panel import OperatorPanel, operator_controls
+from sonoservo.systems.display.run_buttons import RunButtons
+from sonoservo.systems.display.screen import facing
+from sonoservo.systems.display.sign import Sign
+from sonoservo.systems.display.world_view import WorldViewParameters
+from sonoservo.systems.needle.driven_hand import DrivenHand
+from sonoservo.systems.recording.files import write_atomically
+from sonoservo.systems.recording.run_log import write_log
+from sonoservo.systems.robot.driven_phantom_motion import DrivenPhantomMotion
+from sonoservo.systems.robot.phantom_motion import PhantomMotionParameters
+
+_STRIDE = 1 / 16
+"""Simulated time in s between two looks at the buttons, and real time while paused."""
+
+_SAVE_EVERY = 10.0
+"""Simulated time in s after which what was driven is saved again."""
+
+_BUTTONS = {
+    "pause": ("pause / resume  [space]", "Space"),
+    "restart": ("restart  [R]", "KeyR"),
+    "save": ("save scenario  [V]", "KeyV"),
+    "finish": ("finish  [F]", "KeyF"),
+}
+
+
+class DrivenExperiment:
+    """An experiment whose needle, phantom and controller an operator drives.
+
+    Parameters
+    ----------
+    scenario
+        Where it takes place. Its pushes, moves of the phantom and changes of the controller are
+        left out; the operator's take their place.
+    meshcat
+        In whose page the operator sits.
+    """
+
+    def __init__(self, scenario: Scenario, meshcat: Meshcat) -> None:
+        self.scenario = replace(
+            scenario,
+            hand=replace(scenario.hand, start=0.0, pushes=[]),
+            phantom_motion=PhantomMotionParameters(),
+            controller_changes=[],
+        )
+        hand, controller = scenario.hand, scenario.controller
+        start = ControllerSettings(controller.visual_servo.gain, controller.force.force)
+        panel = OperatorPanel(
+            meshcat=meshcat,
+            controls=operator_controls(
+                azimuth_deg=hand.azimuth_deg,
+                dip_deg=hand.dip_deg,
+                gain=start.gain,
+                force=start.force,
+                least_force=controller.force.touch_force + 0.1,
+            ),
+        )
+        self._hand = DrivenHand(make_insertion=lambda pushes: make_insertion(self.scenario, pushes))
+        self._phantom_motion = DrivenPhantomMotion(X_WT=scenario.station.X_WT)
+        self._settings = DrivenSettings(start=start)
+        self.experiment = Experiment(
+            self.scenario,
+            meshcat,
+            film=False,
+            sources={
+                "operator_panel": panel,
+                "hand": self._hand,
+                "phantom_motion": self._phantom_motion,
+                "controller_settings": self._settings,
+            },
+        )
+
+    def recorded(self) -> Scenario:
+        """Return the scenario that does what the operator has done so far."""
+        context_of = self.experiment.context_of
+        pushes = self._hand.insertion(context_of(self._hand)).parameters.pushes
+        moves = self._phantom_motion.moves(context_of(self._phantom_motion))
+        changes = self._settings.schedule(context_of(self._settings)).changes
+        return replace(
+            self.scenario,
+            duration=self.experiment.time,
+            hand=replace(self.scenario.hand, pushes=pushes),
+            phantom_motion=PhantomMotionParameters(moves=moves),
+            controller_changes=list(changes),
+        )
+
+
+def drive(
+    scenario: Scenario,
+    meshcat: Meshcat,
+    *,
+    out: Path | None = None,
+    show: Callable[[float, str], None] | None = None,
+) -> RunResult:
+    """Let an operator drive, at real time, for the scenario's duration or until they finish.
+
+    Whatever the operator does is kept as a scenario, which `run` repeats. No page need be open, and
+    however many are, they steer together.
+
+    Parameters
+    ----------
+    scenario
+        Where it takes place; see `DrivenExperiment`.
+    meshcat
+        In whose page the operator sits.
+    out
+        Folder for scenario.yaml (what was driven), scenario_1.yaml and so on (what was saved or
+        given up by a restart), summary.json, log.npz, plots and report.html; None keeps nothing.
+    show
+        Called now and then with the simulated time in s, and what there is to say.
+
+    Returns
+    -------
+    The figures and the log, of the last start.
+
+    Raises
+    ------
+    ConfigurationError
+        If the scenario cannot be carried out.
+    """
+    with refusing(scenario):
+        driven = DrivenExperiment(scenario, meshcat)
+    experiment = driven.experiment
+    buttons = RunButtons(meshcat=meshcat, buttons=_BUTTONS)
+    sign = _sign(meshcat)
+    real_time = RealTime()
+    saved = 0.0  # simulated time
+
+    def save(name: str) -> None:
+        nonlocal saved
+        if out is not None and experiment.time > saved:
+            write_atomically(out / name, driven.recorded().to_yaml())
+            saved = experiment.time
+
+    def start() -> None:
+        nonlocal saved
+        experiment.start(real_time=True)
+        real_time.start(experiment.time)
+        saved = 0.0
+
+    kept = KeptRun(driven.scenario, lambda path: write_log(path, experiment.log()), out=out)
+    with kept:
+        start()
+        paused = False
+        while experiment.time < scenario.duration:
+            pressed = buttons.pressed()
+            if "finish" in pressed:
+                break
+            if pressed & {"save", "restart"}:
+                save(_next_name(out))
+            if "restart" in pressed:
+                start()
+                paused = False
+            elif "pause" in pressed:
+                paused = not paused
+            if paused:
+                time.sleep(_STRIDE)
+                real_time.start(experiment.time)
+                experiment.forgive_delay()
+            else:
+                experiment.advance(min(experiment.time + _STRIDE, scenario.duration))
+                if real_time.is_late(experiment.time):
+                    experiment.forgive_delay()
+                if experiment.time > saved + _SAVE_EVERY:
+                    save("scenario.yaml")
+            text = "paused" if paused else _pace(real_time.factor)
+            sign.show(text)
+            if show is not None:
+                show(experiment.time, text)
+    recorded = driven.recorded()
+    if out is not None:
+        write_atomically(out / "scenario.yaml", recorded.to_yaml())
+    return write_results(kept, experiment, recorded)
+
+
+def _pace(factor: float | None) -> str:
+    if factor is None or factor > 0.95:
+        return ""
+    return f"too slow: {factor:.2f} of real time"
+
+
+def _next_name(out: Path | None) -> str:
+    """First name of the series scenario_1.yaml, scenario_2.yaml that is not taken yet."""
+    numbers = itertools.count(1)
+    names = (f"scenario_{number}.yaml" for number in numbers)
+    return next(name for name in names if out is None or not (out / name).exists())
+
+
+def _sign(meshcat: Meshcat) -> Sign:
+    """The place of what there is to say about the run: above the view's screen."""
+    view = WorldViewParameters()
+    above = RigidTransform([0.0, -0.25, 0.0])
+    return Sign(
+        meshcat=meshcat, path="drive", X_WSign=facing(view.screen_position, view.camera) @ above
+    )

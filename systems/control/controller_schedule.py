@@ -1,0 +1,86 @@
+"""What is changed of the controller while it works: values that hold until the next change."""
+
+from bisect import bisect_right
+from dataclasses import dataclass
+
+from sonoservo.systems.values import Immutable, require_not_negative, require_positive
+
+
+@dataclass(kw_only=True)
+class ControllerChange:
+    """One change of the controller while it works.
+
+    Parameters
+    ----------
+    time
+        From which on it holds, in s.
+    gain
+        lambda of the visual servo, in 1/s; None leaves it as it is.
+    force
+        To press with, in N; None leaves it as it is.
+    """
+
+    time: float = 0.0
+    gain: float | None = None
+    force: float | None = None
+
+    def __post_init__(self) -> None:
+        require_not_negative(time=self.time)
+        if self.gain is not None:
+            require_not_negative(gain=self.gain)
+        if self.force is not None:
+            require_positive(force=self.force)
+
+
+@dataclass(frozen=True)
+class ControllerSettings(Immutable):
+    """The gain lambda of the visual servo in 1/s, and the force to press with in N."""
+
+    gain: float
+    force: float
+
+
+class ControllerSchedule(Immutable):
+    """Settings as a function of time.
+
+    Parameters
+    ----------
+    start
+        Which hold at first.
+    changes
+        In order of time.
+    """
+
+    def __init__(self, start: ControllerSettings, changes: tuple[ControllerChange, ...] = ()):
+        self.start, self.changes = start, changes
+        self._times = [change.time for change in changes]
+        self._settings = [start]
+        for change in changes:
+            last = self._settings[-1]
+            self._settings.append(
+                ControllerSettings(
+                    last.gain if change.gain is None else change.gain,
+                    last.force if change.force is None else change.force,
+                )
+            )
+
+    @property
+    def last(self) -> ControllerSettings:
+        """What holds after the last change."""
+        return self._settings[-1]
+
+    def at(self, time: float) -> ControllerSettings:
+        """Return what holds at a time in s: a change holds from its own time on."""
+        return self._settings[bisect_right(self._times, time)]
+
+    def followed_by(self, settings: ControllerSettings, time: float) -> "ControllerSchedule":
+        """Return the schedule that has other settings from a time in s on."""
+        now = self.last
+        if settings == now:
+            return self
+        change = ControllerChange(
+            time=time,
+            gain=None if settings.gain == now.gain else settings.gain,
+            force=None if settings.force == now.force else settings.force,
+        )
+        return ControllerSchedule(self.start, (*self.changes, change))
