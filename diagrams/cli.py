@@ -27,6 +27,7 @@ from sonoservo.diagrams.terminal import (
     VolumeProgress,
     mode_table,
     start_display,
+    start_monitor,
     study_table,
     summary_table,
 )
@@ -109,6 +110,8 @@ def run_command(
         raise ConfigurationError(f"--record: {loaded.name} makes slices, no volumes")
     folder = out or Path("out") / f"{loaded.name}_seed{loaded.seed}"
     display = start_display(_console, host) if meshcat else None
+    makes_volumes = not isinstance(loaded, ShapeScenario)
+    monitor = start_monitor(_console, host) if meshcat and makes_volumes else None
     with Progress(_console, loaded) as progress:
         if isinstance(loaded, ShapeScenario):
             summary = predict_shape(
@@ -120,6 +123,7 @@ def run_command(
                 loaded,
                 out=folder,
                 meshcat=display,
+                monitor=monitor,
                 after_volume=progress,
                 record=record,
                 record_sweeps=record_sweeps,
@@ -213,6 +217,10 @@ def track_command(
     real_time: Annotated[
         bool, typer.Option("--real-time", help="No faster than it was recorded.")
     ] = False,
+    show: Annotated[
+        bool, typer.Option("--show", help="Show the volumes in a browser, as a scanner does.")
+    ] = False,
+    host: HostOption = "localhost",
     out: Annotated[Path | None, typer.Option(help="Folder for the results.")] = None,
     json_path: JsonOption = None,
 ) -> None:
@@ -220,6 +228,7 @@ def track_command(
     parameters = tracker_parameters(tracker, order=order, start=start)
     opened = Recording(recording, depth=depth, window=window, volume_rate=volume_rate, poses=poses)
     folder = out or Path("out") / f"{recording.name.partition('.')[0]}_track"
+    monitor = start_monitor(_console, host) if show else None
     with VolumeProgress(_console, recording.name, len(opened)) as progress:
         result = track_recording(
             opened,
@@ -227,6 +236,7 @@ def track_command(
             dynamic_range_db=dynamic_range_db,
             seed=seed,
             real_time=real_time,
+            monitor=monitor,
             out=folder,
             command=shlex.join(["sonoservo", *sys.argv[1:]]),
             after_volume=progress,

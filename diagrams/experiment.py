@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydrake.geometry import Meshcat
@@ -17,6 +17,7 @@ from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.station import MakeStation, check_reach
 from sonoservo.systems.control.controller_schedule import ControllerSchedule, ControllerSettings
 from sonoservo.systems.control.scheduled_settings import ScheduledSettings
+from sonoservo.systems.display.scanner_monitor import ScannerMonitor
 from sonoservo.systems.display.world_view import WorldView, WorldViewParameters
 from sonoservo.systems.estimation.estimate import NeedleEstimate
 from sonoservo.systems.needle.hand import Hand
@@ -33,6 +34,9 @@ from sonoservo.systems.ultrasound.tissue import load_tissue
 from sonoservo.systems.ultrasound.transducer import load_transducer
 from sonoservo.systems.values import require
 
+if TYPE_CHECKING:
+    from sonoservo.systems.display.monitor import Monitor
+
 _INSTANT = 1e-6
 """Time in s between an event and what is looked at just before or after it."""
 
@@ -45,19 +49,21 @@ class Experiment:
         name: (the scenario's)
 
     The subsystems are station, scanner, scan_converter, needle_tracker, probe_controller,
-    run_logger, the sources and, if wanted, world_view and volume_recorder. Every one of their
-    inputs is connected to the output that has the same name.
+    run_logger, the sources and, if wanted, world_view, scanner_monitor and volume_recorder. Every
+    one of their inputs is connected to the output that has the same name.
 
     Parameters
     ----------
     scenario
         What is to happen.
     meshcat
-        Where to draw, if anywhere.
+        Where to draw the world, if anywhere.
     sources
         What moves needle and phantom and sets the controller, by name: systems with the outputs
         needle, phantom_command, gain and force_target. By default phantom_motion, hand and
         controller_settings, which do what the scenario says.
+    monitor
+        Where to show the volumes, if anywhere.
     film
         Whether to keep the slices for a replay.
     record
@@ -77,6 +83,7 @@ class Experiment:
         meshcat: Meshcat | None = None,
         *,
         sources: Mapping[str, System] | None = None,
+        monitor: "Monitor | None" = None,
         film: bool = True,
         record: Path | None = None,
         record_sweeps: bool = False,
@@ -139,6 +146,12 @@ class Experiment:
             frames = int(scenario.duration / self._volume_period) + 1 if film else 0
             systems["world_view"] = WorldView(
                 meshcat=meshcat, parameters=WorldViewParameters(film_frames=frames)
+            )
+        if monitor is not None:
+            systems["scanner_monitor"] = ScannerMonitor(
+                monitor=monitor,
+                period=self._volume_period,
+                offset=self._first_volume + 2 * _INSTANT,
             )
         self._recorder: VolumeRecorder | None = None
         if record is not None:

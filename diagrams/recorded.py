@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,9 @@ from sonoservo.systems.recording.track_plots import (
 )
 from sonoservo.systems.typed_yaml import ConfigurationError, suggest
 from sonoservo.systems.ultrasound.volume import Volume
+
+if TYPE_CHECKING:
+    from sonoservo.systems.display.monitor import Monitor
 
 TrackerParameters = NeedleTrackerParameters | Zhao2012TrackerParameters
 
@@ -128,6 +131,7 @@ def track_recording(
     dynamic_range_db: float | None = None,
     seed: int | None = None,
     real_time: bool = False,
+    monitor: "Monitor | None" = None,
     out: Path | None = None,
     command: str = "",
     after_volume: Callable[[int, NeedleEstimate], None] | None = None,
@@ -150,6 +154,8 @@ def track_recording(
         Of every random choice; by default the recorder's, or else 0.
     real_time
         Whether to go no faster than the volumes were acquired.
+    monitor
+        Where to show the volumes.
     out
         Folder for estimates.csv, estimates.json, summary.json, log.npz, plots and report.html; None
         keeps nothing.
@@ -215,6 +221,8 @@ def track_recording(
             estimate: NeedleEstimate = estimate_port.Eval(tracker_context)
             clock.append(time.perf_counter())
             _note(done, recording, number, volume, estimate, clock, number in pictured)
+            if monitor is not None:
+                monitor.show(volume, estimate, number + 1)
             if after_volume is not None:
                 after_volume(number, estimate)
     except KeyboardInterrupt:

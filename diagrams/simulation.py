@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydrake.geometry import Meshcat
 
@@ -14,6 +14,9 @@ from sonoservo.systems.estimation.estimate import NeedleEstimate
 from sonoservo.systems.recording.metrics import MetricsParameters, summarize
 from sonoservo.systems.recording.plots import plot_errors, plot_run
 from sonoservo.systems.recording.run_log import RunLog, write_log
+
+if TYPE_CHECKING:
+    from sonoservo.systems.display.monitor import Monitor
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,7 @@ def run(
     *,
     out: Path | None = None,
     meshcat: Meshcat | None = None,
+    monitor: "Monitor | None" = None,
     after_volume: Callable[[float, NeedleEstimate], None] | None = None,
     record: Path | None = None,
     record_sweeps: bool = False,
@@ -50,8 +54,9 @@ def run(
     out
         Folder for scenario.yaml, summary.json, log.npz, plots, report.html and, with a Meshcat,
         replay.html; None keeps nothing.
-    meshcat
-        Where to draw. The run then goes no faster than real time.
+    meshcat, monitor
+        Where to draw the world, and where to show the volumes. The run then goes no faster than
+        real time.
     after_volume
         Called after every volume, with the simulated time in s and the estimate.
     record
@@ -70,7 +75,9 @@ def run(
         If the scenario cannot be carried out.
     """
     with refusing(scenario):
-        experiment = Experiment(scenario, meshcat, record=record, record_sweeps=record_sweeps)
+        experiment = Experiment(
+            scenario, meshcat, monitor=monitor, record=record, record_sweeps=record_sweeps
+        )
     kept = KeptRun(
         scenario, lambda path: write_log(path, experiment.log()), out=out, meshcat=meshcat
     )
@@ -82,7 +89,7 @@ def run(
 
     with kept:
         try:
-            experiment.run(note, real_time=meshcat is not None)
+            experiment.run(note, real_time=bool(meshcat or monitor))
         finally:
             experiment.close()
     return write_results(kept, experiment, scenario)

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from pydrake.geometry import Meshcat, MeshcatParams
 from rich.console import Console
@@ -18,6 +18,9 @@ from sonoservo.systems.estimation.estimate import NeedleEstimate
 from sonoservo.systems.localization.cross_section import CrossSection
 from sonoservo.systems.typed_yaml import ConfigurationError
 from sonoservo.systems.values import NotFound
+
+if TYPE_CHECKING:
+    from sonoservo.systems.display.monitor import Monitor
 
 _ROWS = {
     "detection.volume": "insertion detected at volume",
@@ -266,3 +269,12 @@ def start_display(console: Console, host: str = "localhost") -> Meshcat:
         ) from error
     console.print(f"Watch at [bold]{meshcat.web_url()}[/bold]")
     return meshcat
+
+
+def start_monitor(console: Console, host: str = "localhost") -> "Monitor":
+    """Start a scanner's monitor, and say where it is to be seen."""
+    from sonoservo.systems.display.monitor import Monitor
+
+    monitor = Monitor(host=host)
+    console.print(f"The scanner's monitor: [bold]{monitor.web_url}[/bold]")
+    return monitor

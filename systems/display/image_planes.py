@@ -1,11 +1,12 @@
 """Slices through a volume."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
-from scipy.ndimage import map_coordinates
 
 from sonoservo.systems.needle.curve import NeedleCurve
 from sonoservo.systems.ultrasound.volume import Volume
@@ -126,14 +127,45 @@ def sample_plane(volume: Volume, plane: Plane, spacing: float) -> NDArray[np.uin
         max(1, int(np.ceil(size / spacing - 1e-9))) for size in (plane.height, plane.width)
     )
     p_P = plane.grid(rows, columns)
-    index = np.moveaxis((p_P - volume.origin) / volume.spacing, -1, 0)
+    first = volume.index(p_P[0, 0])
+    down, right = (
+        size / count * plane.X_PS.rotation().matrix()[:, axis] / volume.spacing
+        for size, count, axis in ((plane.height, rows, 1), (plane.width, columns, 0))
+    )
     picture = np.empty((rows, columns, 2), np.uint8)
-    grey = map_coordinates(volume.intensities, index, output=np.float32, order=1, mode="nearest")
-    picture[..., 0] = np.clip(np.rint(grey), 0, 255)
+    _interpolate(volume.intensities, first, down, right, picture)
     if volume.motion is not None:
-        inside = volume.motion.geometry.contains(p_P)
-    else:
-        last = np.array(volume.intensities.shape).reshape(3, 1, 1) - 1
-        inside = np.all((index >= -1e-9) & (index <= last + 1e-9), axis=0)
-    picture[..., 1] = np.where(inside, 255, 0)
+        picture[..., 1] = np.where(volume.motion.geometry.contains(p_P), 255, 0)
     return picture
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _interpolate(
+    intensities: NDArray[Any], first: Vector, down: Vector, right: Vector, picture: NDArray[Any]
+) -> None:
+    """Fill in grey levels by trilinear interpolation, and 255 where they are in the grid.
+
+    Outside the grid its nearest value is taken. `first` is the index of the first pixel, `down` and
+    `right` what is added from row to row and from column to column.
+    """
+    last = np.array(intensities.shape) - 1
+    low = np.zeros(3, np.int64)
+    part = np.zeros(3)
+    for row in range(picture.shape[0]):
+        for column in range(picture.shape[1]):
+            inside = True
+            for axis in range(3):
+                at = first[axis] + row * down[axis] + column * right[axis]
+                inside &= -1e-9 <= at <= last[axis] + 1e-9
+                at = min(max(at, 0.0), float(last[axis]))
+                low[axis] = min(int(at), last[axis] - 1)
+                part[axis] = at - low[axis]
+            grey = 0.0
+            for corner in range(8):
+                i, j, k = corner & 1, corner >> 1 & 1, corner >> 2
+                weight = part[0] if i else 1 - part[0]
+                weight *= part[1] if j else 1 - part[1]
+                weight *= part[2] if k else 1 - part[2]
+                grey += weight * intensities[low[0] + i, low[1] + j, low[2] + k]
+            picture[row, column, 0] = min(max(round(grey), 0), 255)
+            picture[row, column, 1] = 255 if inside else 0

@@ -102,7 +102,9 @@ def gltf_textured_quads(planes: Sequence[Plane], images: Sequence[NDArray[np.uin
                 "wrapT": _CLAMP_TO_EDGE,
             }
         ],
-        "images": [{"uri": _data_uri("image/png", _png(image))} for image in pictures.values()],
+        "images": [
+            {"uri": _data_uri("image/png", encode_png(image))} for image in pictures.values()
+        ],
         "accessors": accessors,
         "bufferViews": views,
         "buffers": buffers,
@@ -136,9 +138,10 @@ def text_image(text: str, colour: Sequence[float], height: int = 64) -> NDArray[
     return np.array(image)
 
 
-def _png(image: NDArray[np.uint8]) -> bytes:
+def encode_png(image: NDArray[np.uint8], compression: int = 6) -> bytes:
+    """Return an array as a PNG file; compression from 1, fast, to 9, small."""
     buffer = io.BytesIO()
-    Image.fromarray(np.ascontiguousarray(image)).save(buffer, "PNG", compress_level=6)
+    Image.fromarray(np.ascontiguousarray(image)).save(buffer, "PNG", compress_level=compression)
     return buffer.getvalue()
 
 

@@ -168,10 +168,12 @@ class SweepGeometry(Immutable):
 
     def contains(self, p_P: ArrayLike) -> NDArray[np.bool_]:
         """Whether positions in P lie in the part of the sector that both directions sweep."""
-        inside = np.ones(np.shape(p_P)[:-1], dtype=bool)
-        for direction in (1, -1):
-            for coordinate, extent in zip(self.index(p_P, direction), self.shape, strict=True):
-                inside &= (coordinate >= 0) & (coordinate <= extent - 1)
+        frames, lines, samples = self.shape
+        k, j, i = self.index(p_P, 1)
+        k_back = k + (2 * j - (lines - 1)) / lines
+        inside = (j >= 0) & (j <= lines - 1) & (i >= 0) & (i <= samples - 1)
+        for each in (k, k_back):
+            inside &= (each >= 0) & (each <= frames - 1)
         return inside
 
 

@@ -1,0 +1,60 @@
+"""Lines of text and scales in mm, as white pictures with a clear background."""
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+PIXELS = 1000
+"""Of a text and of a scale, per length on the screen."""
+
+
+def line_image(text: str, height: int) -> NDArray[np.uint8]:
+    """Return a line of text as a (rows, columns, 2) picture; every line of a size is as high."""
+    font = ImageFont.load_default(size=height)
+    size = int(np.ceil(font.getlength(text))) + 2, int(np.ceil(1.25 * height))
+    image = Image.new("L", size)
+    ImageDraw.Draw(image).text((1, height), text, 255, font, "ls")
+    return _white(image)
+
+
+def scale_image(
+    low: float, high: float, step: float, length: float, *, upright: bool
+) -> NDArray[np.uint8]:
+    """Return a scale with a tick at every multiple of a step, and numbers in mm.
+
+    Parameters
+    ----------
+    low, high, step
+        In m.
+    length
+        From low to high on the screen.
+    upright
+        Whether it stands at the left of a picture, low above, or lies below it.
+
+    Returns
+    -------
+    (rows, columns, 2) picture, a little longer than the scale at both ends: it has its middle.
+    """
+    letters, margin, breadth = round(0.024 * PIXELS), round(0.03 * PIXELS), 0.055 * PIXELS
+    pixels = round(length * PIXELS)
+    size = (pixels + 2 * margin, round(breadth))
+    image = Image.new("L", size[::-1] if upright else size)
+    draw = ImageDraw.Draw(image)
+    font = ImageFont.load_default(size=letters)
+    tick = round(0.010 * PIXELS)
+    for number in range(int(np.ceil(low / step - 1e-6)), int(np.floor(high / step + 1e-6)) + 1):
+        at = margin + (number * step - low) / (high - low) * pixels
+        label = f"{1e3 * number * step:g}"
+        if upright:
+            draw.line([(size[1] - tick, at), (size[1], at)], 255, 2)
+            draw.text((size[1] - 1.5 * tick, at), label, 255, font, "rm")
+        else:
+            draw.line([(at, 0), (at, tick)], 255, 2)
+            draw.text((at, 1.5 * tick), label, 255, font, "mt")
+    return _white(image)
+
+
+def _white(opacity: Image.Image) -> NDArray[np.uint8]:
+    """Return white with an opacity; what draws it gives it a colour."""
+    alpha = np.asarray(opacity)
+    return np.stack([np.full_like(alpha, 255), alpha], axis=-1)

@@ -1,0 +1,149 @@
+"""The scanner's monitor in a browser: what is where, and that it is the newest."""
+
+from contextlib import closing
+
+import numpy as np
+import pytest
+from browser_view import project, screenshot, wait_for_object
+from synthetic_volumes import Scene, entry_on_side
+
+from sonoservo.systems.display.monitor import Monitor
+from sonoservo.systems.display.monitor_views import monitor_views
+from sonoservo.systems.estimation.estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.needle.curve import NeedleCurve
+
+ENTRY = entry_on_side()
+TIPS = [ENTRY + np.array([0.045, 0.010, 0.004]), ENTRY + np.array([0.070, 0.014, 0.010])]
+
+
+@pytest.fixture(scope="module")
+def shown():
+    """Two volumes with a needle, and the estimate in each."""
+    scene = Scene(seed=3)
+    volumes = [
+        scene.volume(2 * k, lambda time, tip=tip: (ENTRY, tip)) for k, tip in enumerate(TIPS)
+    ]
+    return [
+        (volume, NeedleEstimate(TrackingMode.TRACKING, volume.time, NeedleCurve([ENTRY, tip]),
+                                np.zeros((2, 3)), np.eye(12), volume.time))
+        for volume, tip in zip(volumes, TIPS, strict=True)
+    ]  # fmt: skip
+
+
+@pytest.fixture
+def monitor():
+    with closing(Monitor()) as monitor:
+        yield monitor
+
+
+def wait_until_drawn(page):
+    wait_for_object(page, "/meshcat/monitor/probe/second/needle/<object>")
+    page.wait_for_timeout(500)
+
+
+def pixels(page, points):
+    """(m, 2) columns and rows of (m, 2) points of the screen, X right and Y down."""
+    return project(page, [[x, 0.0, -y] for x, y in points])
+
+
+def is_red(picture):
+    picture = picture.astype(int)
+    return (picture[..., 0] > 130) & (picture[..., 1:].max(axis=-1) < 100)
+
+
+def red_at(page, picture, points):
+    """(m,) whether there is red within a pixel of (m, 2) points of the screen."""
+    at = np.rint(pixels(page, points)).astype(int)
+    red = is_red(picture)
+    return [red[row - 1 : row + 2, column - 1 : column + 2].any() for column, row in at]
+
+
+def test_needle_and_ring_are_on_both_pictures(open_page, monitor, shown):
+    page = open_page(monitor.web_url)
+    for number, (volume, estimate) in enumerate(shown):
+        monitor.show(volume, estimate, number + 1)
+        wait_until_drawn(page)
+        picture = screenshot(page)
+        for view in monitor_views(volume, estimate.curve):
+            entry, tip = (view.coordinates(point) for point in (ENTRY, TIPS[number]))
+            turns = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+            circle = np.stack([np.cos(turns), np.sin(turns)], axis=1)
+            assert all(red_at(page, picture, view.on_screen(tip + 0.0025 * circle)))
+            assert not any(red_at(page, picture, view.on_screen(tip + [[0, 0], [0.008, 0]])))
+            assert not any(red_at(page, picture, view.on_screen(tip + 0.006 * circle[:5])))
+            along = entry + np.linspace(0.05, 0.9, 9)[:, np.newaxis] * (tip - entry)
+            assert all(red_at(page, picture, view.on_screen(along)))
+            beside = view.on_screen(along + [0, 0.004])
+            assert not any(red_at(page, picture, beside))
+
+
+def test_a_tick_each_10_mm_below_and_beside_each_picture(open_page, monitor, shown):
+    page = open_page(monitor.web_url)
+    volume, estimate = shown[0]
+    monitor.show(volume, estimate)
+    wait_until_drawn(page)
+    picture = screenshot(page).max(axis=2)
+    for view in monitor_views(volume, estimate.curve):
+        low, high = view.window
+        for axis in (0, 1):
+            at = 0.01 * np.arange(np.ceil(low[axis] / 0.01), np.floor(high[axis] / 0.01) + 1)
+            assert len(at) >= 9
+            ticks = np.tile([low[0], high[1]] if axis == 0 else low, (len(at), 1))
+            ticks[:, axis] = at
+            # 4 thousandths of the screen outside the picture, where the scale has ticks alone.
+            outside = [0, 0.004] if axis == 0 else [-0.004, 0]
+            for point in np.rint(pixels(page, view.on_screen(ticks) + outside)).astype(int):
+                column, row = point
+                around = picture[row - 6 : row + 7, column - 6 : column + 7]
+                line = around[6] if axis == 0 else around[:, 6]
+                assert abs(np.argmax(line) - 6) <= 1
+                assert line.max() > line[[0, -1]].max() + 40
+
+
+def test_every_page_shows_the_newest_volume(open_page, monitor, shown):
+    (before, old), (after, new) = shown
+    first = open_page(monitor.web_url)
+    monitor.show(before, old, 1)
+    wait_until_drawn(first)
+    earlier = screenshot(first)
+    second = open_page(monitor.web_url)  # opened late
+    wait_until_drawn(second)
+    np.testing.assert_allclose(screenshot(second), earlier, atol=3)
+    first.close()
+    monitor.show(after, new, 2)
+    second.wait_for_timeout(700)
+    later = screenshot(second)
+    assert np.abs(later.astype(int) - earlier).max() > 100
+    second.reload()
+    second.wait_for_function("typeof viewer !== 'undefined' && viewer.renderer")
+    wait_until_drawn(second)
+    np.testing.assert_allclose(screenshot(second), later, atol=3)
+
+
+def test_nothing_piles_up_in_a_page(open_page, monitor, shown):
+    page = open_page(monitor.web_url)
+    count = "[viewer.renderer.info.memory.textures, viewer.renderer.info.memory.geometries]"
+    monitor.show(*shown[0])
+    wait_until_drawn(page)
+    early = page.evaluate(count)
+    for number in range(40):
+        monitor.show(*shown[number % 2])
+        page.wait_for_timeout(25)
+    page.wait_for_timeout(700)
+    assert page.evaluate(count) == early
+    picture = screenshot(page)  # and it is the newest
+    for view in monitor_views(shown[1][0], shown[1][1].curve):
+        tip = view.coordinates(TIPS[1])
+        assert all(red_at(page, picture, view.on_screen(tip + 0.0025 * np.eye(2))))
+
+
+def test_the_document_shows_the_same(open_page, monitor, shown, tmp_path):
+    page = open_page(monitor.web_url)
+    monitor.show(*shown[0])
+    wait_until_drawn(page)
+    live = screenshot(page)
+    kept = tmp_path / "monitor.html"
+    kept.write_text(monitor.html())
+    page = open_page(kept.as_uri())
+    wait_until_drawn(page)
+    np.testing.assert_allclose(screenshot(page), live, atol=3)
