@@ -6,7 +6,7 @@ SCENARIO ?= chatelain2013_fig5
 ARGS ?=
 
 SHELL := /bin/bash
-.PHONY: help run test bench lint clean
+.PHONY: help run test bench pictures lint clean
 .DEFAULT_GOAL := help
 
 help:
@@ -36,6 +36,9 @@ bench: $(VENV)/.dev
 	@mkdir -p out
 	@$(BIN)/python -m pytest tests/benchmarks --benchmark-enable --benchmark-only --benchmark-json=out/bench.json $(ARGS)
 	@$(BIN)/python tests/benchmarks/plot_cost.py out/bench.json out/render_cost.png
+
+pictures: $(VENV)/.dev
+	@$(BIN)/python notebooks/screenshots.py
 
 # mypy finds packages by folder: the links give it the name that pyproject.toml maps to this folder.
 lint: $(VENV)/.dev

@@ -159,9 +159,10 @@ def drive_command(
     loaded = load_scenario(scenario, changes=changes, seed=seed)
     folder = out or Path("out") / f"{loaded.name}_driven_seed{loaded.seed}"
     display = start_display(_console, host)
+    monitor = start_monitor(_console, host)
     _console.print("Open it, push the needle with the key W, withdraw it with S. Ctrl-C ends.")
     with Progress(_console, loaded) as progress:
-        summary = drive(loaded, display, out=folder, show=progress.show).summary
+        summary = drive(loaded, display, monitor=monitor, out=folder, show=progress.show).summary
     _console.print(summary_table(summary, {}))
     _console.print(f"Results, starting with the report: {folder / 'report.html'}", soft_wrap=True)
     again = f"sonoservo run {folder / 'scenario.yaml'}"

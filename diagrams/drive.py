@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform
@@ -26,6 +27,9 @@ from sonoservo.systems.recording.files import write_atomically
 from sonoservo.systems.recording.run_log import write_log
 from sonoservo.systems.robot.driven_phantom_motion import DrivenPhantomMotion
 from sonoservo.systems.robot.phantom_motion import PhantomMotionParameters
+
+if TYPE_CHECKING:
+    from sonoservo.systems.display.monitor import Monitor
 
 _STRIDE = 1 / 16
 """Simulated time in s between two looks at the buttons, and real time while paused."""
@@ -51,9 +55,13 @@ class DrivenExperiment:
         left out; the operator's take their place.
     meshcat
         In whose page the operator sits.
+    monitor
+        Where to show the volumes, if anywhere.
     """
 
-    def __init__(self, scenario: Scenario, meshcat: Meshcat) -> None:
+    def __init__(
+        self, scenario: Scenario, meshcat: Meshcat, monitor: "Monitor | None" = None
+    ) -> None:
         self.scenario = replace(
             scenario,
             hand=replace(scenario.hand, start=0.0, pushes=[]),
@@ -78,6 +86,7 @@ class DrivenExperiment:
         self.experiment = Experiment(
             self.scenario,
             meshcat,
+            monitor=monitor,
             film=False,
             sources={
                 "operator_panel": panel,
@@ -106,6 +115,7 @@ def drive(
     scenario: Scenario,
     meshcat: Meshcat,
     *,
+    monitor: "Monitor | None" = None,
     out: Path | None = None,
     show: Callable[[float, str], None] | None = None,
 ) -> RunResult:
@@ -120,6 +130,8 @@ def drive(
         Where it takes place; see `DrivenExperiment`.
     meshcat
         In whose page the operator sits.
+    monitor
+        Where to show the volumes, if anywhere.
     out
         Folder for scenario.yaml (what was driven), scenario_1.yaml and so on (what was saved or
         given up by a restart), summary.json, log.npz, plots and report.html; None keeps nothing.
@@ -136,7 +148,7 @@ def drive(
         If the scenario cannot be carried out.
     """
     with refusing(scenario):
-        driven = DrivenExperiment(scenario, meshcat)
+        driven = DrivenExperiment(scenario, meshcat, monitor)
     experiment = driven.experiment
     buttons = RunButtons(meshcat=meshcat, buttons=_BUTTONS)
     sign = _sign(meshcat)

@@ -24,7 +24,7 @@ class ScannerMonitor(LeafSystem):
         - estimate (optional)
 
     `volume` is a `Volume`, or a `NotFound` while there is none, and `estimate` a `NeedleEstimate`.
-    Volumes are counted from 1.
+    Each run counts its volumes from 1.
 
     Parameters
     ----------
@@ -39,12 +39,16 @@ class ScannerMonitor(LeafSystem):
         require_positive(period=period)
         require_not_negative(offset=offset)
         self._monitor = monitor
-        self._volume_time = -float("inf")
-        self._number = 0
+        self._start()
         for name in ("volume", "estimate"):
             self.DeclareAbstractInputPort(name, Value[object]())
+        self.DeclareInitializationPublishEvent(publish=lambda context: self._start())
         self.DeclarePeriodicPublishEvent(period, offset, self._publish)
         self.DeclareForcedPublishEvent(self._publish)
+
+    def _start(self) -> None:
+        self._volume_time = -float("inf")
+        self._number = 0
 
     def _publish(self, context: Context) -> None:
         volume = evaluate(self, context, "volume", (Volume, NotFound))

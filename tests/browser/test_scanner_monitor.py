@@ -69,11 +69,11 @@ def test_needle_and_ring_are_on_both_pictures(open_page, monitor, shown):
             turns = np.linspace(0, 2 * np.pi, 16, endpoint=False)
             circle = np.stack([np.cos(turns), np.sin(turns)], axis=1)
             assert all(red_at(page, picture, view.on_screen(tip + 0.0025 * circle)))
-            assert not any(red_at(page, picture, view.on_screen(tip + [[0, 0], [0.008, 0]])))
+            assert not any(red_at(page, picture, view.on_screen(np.add(tip, [[0, 0], [0.008, 0]]))))
             assert not any(red_at(page, picture, view.on_screen(tip + 0.006 * circle[:5])))
             along = entry + np.linspace(0.05, 0.9, 9)[:, np.newaxis] * (tip - entry)
             assert all(red_at(page, picture, view.on_screen(along)))
-            beside = view.on_screen(along + [0, 0.004])
+            beside = view.on_screen(np.add(along, [0, 0.004]))
             assert not any(red_at(page, picture, beside))
 
 

@@ -139,8 +139,9 @@ def test_what_is_recorded_is_tracked_and_its_needle_located(tmp_path):
         str(tmp_path / "run"),
     )
     assert made.returncode == 0, made.stderr
-    tracked = sonoservo("track", str(recording), "--out", str(tmp_path / "out"))
+    tracked = sonoservo("track", str(recording), "--show", "--out", str(tmp_path / "out"))
     assert tracked.returncode == 0, tracked.stderr
+    assert "The scanner's monitor: http://localhost:" in tracked.stdout
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["modes"]["tracking"] > 3
     count = summary["volumes"]

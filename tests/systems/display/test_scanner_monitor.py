@@ -71,11 +71,15 @@ class Scanner(LeafSystem):
         state.get_mutable_abstract_state(0).set_value(volume)
 
 
-def test_in_a_diagram_every_volume_is_shown(make_volume):
+def test_in_a_diagram_every_volume_of_each_run_is_shown(make_volume):
     shown = Shown()
     builder = DiagramBuilder()
     source = builder.AddSystem(Scanner(make_volume))
     leaf = builder.AddSystem(ScannerMonitor(monitor=shown, period=0.25, offset=0.26))
     builder.Connect(source.GetOutputPort("volume"), leaf.GetInputPort("volume"))
-    Simulator(builder.Build()).AdvanceTo(1.3)
+    simulator = Simulator(builder.Build())
+    simulator.AdvanceTo(1.3)
     assert [volume.time for volume, _, _ in shown] == [0.25, 0.5, 0.75, 1.0, 1.25]
+    simulator.reset_context(simulator.get_system().CreateDefaultContext())
+    simulator.AdvanceTo(0.6)
+    assert [number for _, _, number in shown] == [1, 2, 3, 4, 5, 1, 2]
