@@ -19,7 +19,6 @@ from sonoservo.systems.control.controller_schedule import ControllerSettings
 from sonoservo.systems.control.driven_settings import DrivenSettings
 from sonoservo.systems.display.operator_panel import OperatorPanel, operator_controls
 from sonoservo.systems.display.run_buttons import RunButtons
-from sonoservo.systems.display.screen import facing
 from sonoservo.systems.display.sign import Sign
 from sonoservo.systems.display.world_view import WorldViewParameters
 from sonoservo.systems.needle.driven_hand import DrivenHand
@@ -216,9 +215,6 @@ def _next_name(out: Path | None) -> str:
 
 
 def _sign(meshcat: Meshcat) -> Sign:
-    """The place of what there is to say about the run: above the view's screen."""
-    view = WorldViewParameters()
-    above = RigidTransform([0.0, -0.25, 0.0])
-    return Sign(
-        meshcat=meshcat, path="drive", X_WSign=facing(view.screen_position, view.camera) @ above
-    )
+    """The place of what there is to say about the run: below the view's legend."""
+    below = RigidTransform([0.0, 0.21, 0.0])
+    return Sign(meshcat=meshcat, path="/drive", X_WSign=WorldViewParameters().X_WScreen @ below)

@@ -195,6 +195,10 @@ def MakeStation(
     arm = AddArmWithProbe(plant)
     phantom = AddPhantom(plant, scene_graph, size=phantom_size)
     Parser(plant).AddModels(str(model_path("bench.sdf")))
+    # The names of what is seen, in the page's controls too.
+    plant.RenameModelInstance(arm.model_instance, "arm")
+    plant.RenameModelInstance(arm.probe.model_instance(), "probe")
+    plant.RenameModelInstance(phantom.model_instance, "phantom")
     _add_joint_servos(plant)
     plant.Finalize()
     plant.SetDefaultPositions(arm.model_instance, start_posture(parameters))
@@ -243,7 +247,11 @@ def MakeStation(
             builder,
             scene_graph,
             meshcat,
-            MeshcatVisualizerParams(publish_period=parameters.display_period),
+            MeshcatVisualizerParams(
+                publish_period=parameters.display_period,
+                prefix="",  # each model is a layer at the top of the scene
+                delete_on_initialization_event=False,  # there are others' things, too
+            ),
         )
     station = builder.Build()
     station.set_name("station")

@@ -32,7 +32,7 @@ def screenshot(page):
 
 
 def wait_for_object(page, path):
-    """Wait until an object is in the scene: ``/drake/ultrasound/sector``."""
+    """Wait until an object is in the scene: ``/drake/sector``."""
     names = [name for name in path.split("/") if name]
     page.wait_for_function(
         "names => names.reduce((node, name) => node && node.children[name], viewer.scene_tree)",

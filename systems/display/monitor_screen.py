@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from pydrake.math import RotationMatrix
 
 from sonoservo.systems.control.visual_features import needle_features
+from sonoservo.systems.display.colours import MODE_COLOURS
 from sonoservo.systems.display.image_planes import sample_plane
 from sonoservo.systems.display.lettering import PIXELS, line_image, scale_image
 from sonoservo.systems.display.meshcat_shapes import (
@@ -23,7 +24,6 @@ from sonoservo.systems.display.meshcat_shapes import (
     ribbons,
 )
 from sonoservo.systems.display.monitor_views import View, monitor_views
-from sonoservo.systems.display.needle_view import MODE_COLOURS
 from sonoservo.systems.display.shapes import sector_edges
 from sonoservo.systems.display.textured_quads import encode_png
 from sonoservo.systems.estimation.estimate import NeedleEstimate

@@ -14,7 +14,7 @@ from sonoservo.systems.display.image_planes import Plane
 from sonoservo.systems.display.needle_view import NeedleView
 from sonoservo.systems.display.rod import Rod
 from sonoservo.systems.display.shapes import tubes
-from sonoservo.systems.display.textured_quads import gltf_textured_quads
+from sonoservo.systems.display.textured_quads import encode_webp, gltf_textured_quads
 from sonoservo.systems.estimation.needle_shape import NeedleShape
 from sonoservo.systems.localization.cross_section import CrossSection
 from sonoservo.systems.needle.needle import Needle
@@ -141,7 +141,7 @@ class ShapeView(LeafSystem):
         plane = Plane(RigidTransform([*middle, 0.0]), *(shape * image.spacing))
         grey = image.intensities.T
         opacity = np.where(grey > 0, np.uint8(255), np.uint8(0))
-        gltf = gltf_textured_quads([plane], [np.stack([grey, opacity], axis=-1)])
+        gltf = gltf_textured_quads([plane], [encode_webp(np.stack([grey, opacity], axis=-1))])
         self._film.show(gltf, image.X_WP, time)
 
 

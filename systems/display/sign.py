@@ -3,8 +3,14 @@
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform
 
+from sonoservo.systems.display.colours import ink
 from sonoservo.systems.display.image_planes import Plane
-from sonoservo.systems.display.textured_quads import gltf_mesh, gltf_textured_quads, text_image
+from sonoservo.systems.display.textured_quads import (
+    encode_png,
+    gltf_mesh,
+    gltf_textured_quads,
+    text_image,
+)
 
 
 class Sign:
@@ -17,17 +23,17 @@ class Sign:
     X_WSign
         Where it stands: its centre, X along it, -Y upwards.
     height
-        Of the letters, in m.
+        Of its plate, in m.
     """
 
     def __init__(
-        self, *, meshcat: Meshcat, path: str, X_WSign: RigidTransform, height: float = 0.03
+        self, *, meshcat: Meshcat, path: str, X_WSign: RigidTransform, height: float = 0.02
     ) -> None:
         self._meshcat, self._path = meshcat, path
         self._X_WSign, self._height = X_WSign, height
         self._text = ""
 
-    def show(self, text: str, colour: tuple[float, float, float] = (0.3, 0.3, 0.3)) -> None:
+    def show(self, text: str, background: tuple[float, float, float] = (0.3, 0.3, 0.3)) -> None:
         """Show a text in place of the last one."""
         if text == self._text:
             return
@@ -35,6 +41,8 @@ class Sign:
         if not text:
             self._meshcat.Delete(self._path)
             return
-        image = text_image(text, colour)
+        image = text_image(text, ink(background), background)
         plane = Plane(self._X_WSign, self._height * image.shape[1] / image.shape[0], self._height)
-        self._meshcat.SetObject(self._path, gltf_mesh(gltf_textured_quads([plane], [image])))
+        self._meshcat.SetObject(
+            self._path, gltf_mesh(gltf_textured_quads([plane], [encode_png(image)]))
+        )

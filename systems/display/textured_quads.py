@@ -18,18 +18,16 @@ _FLOAT, _UNSIGNED_SHORT = 5126, 5123
 _LINEAR, _CLAMP_TO_EDGE = 9729, 33071
 
 
-def gltf_textured_quads(planes: Sequence[Plane], images: Sequence[NDArray[np.uint8]]) -> str:
+def gltf_textured_quads(planes: Sequence[Plane], pictures: Sequence[bytes]) -> str:
     """Return rectangles with pictures on them as one self-contained glTF 2.0 document.
 
     Parameters
     ----------
     planes
         Where the pictures are, in the frame of the whole object.
-    images
-        As many arrays: (rows, columns) grey, (rows, columns, 2) grey and opacity, or
-        (rows, columns, 4) red, green, blue and opacity. Columns run along +X of a plane, rows
-        along +Y. What is less than half opaque is not drawn. A picture that stands in several
-        planes, the same array, is kept once.
+    pictures
+        As many PNG or WebP files. Columns run along +X of a plane, rows along +Y.
+        What is less than half opaque is not drawn.
 
     Returns
     -------
@@ -62,10 +60,8 @@ def gltf_textured_quads(planes: Sequence[Plane], images: Sequence[NDArray[np.uin
     corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
     texture = store(corners.astype("<f4"), "VEC2", _FLOAT)
     triangles = store(np.array([0, 1, 2, 0, 2, 3], "<u2"), "SCALAR", _UNSIGNED_SHORT)
-    pictures = {id(image): image for image in images}
-    material = {key: number for number, key in enumerate(pictures)}
     primitives = []
-    for plane, image in zip(planes, images, strict=True):
+    for number, plane in enumerate(planes):
         p_S = np.zeros((3, 4))
         p_S[:2] = (corners - 0.5).T * [[plane.width], [plane.height]]
         x, y, z = plane.X_PS.multiply(p_S)
@@ -74,12 +70,12 @@ def gltf_textured_quads(planes: Sequence[Plane], images: Sequence[NDArray[np.uin
             {
                 "attributes": {"POSITION": position, "TEXCOORD_0": texture},
                 "indices": triangles,
-                "material": material[id(image)],
+                "material": number,
             }
         )
     document = {
         "asset": {"version": "2.0"},
-        "extensionsUsed": ["KHR_materials_unlit"],
+        "extensionsUsed": ["KHR_materials_unlit", "EXT_texture_webp"],
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0}],
@@ -91,9 +87,12 @@ def gltf_textured_quads(planes: Sequence[Plane], images: Sequence[NDArray[np.uin
                 "alphaMode": "MASK",
                 "doubleSided": True,
             }
-            for number in range(len(pictures))
+            for number in range(len(planes))
         ],
-        "textures": [{"source": number, "sampler": 0} for number in range(len(pictures))],
+        "textures": [
+            {"source": number, "sampler": 0, "extensions": {"EXT_texture_webp": {"source": number}}}
+            for number in range(len(planes))
+        ],
         "samplers": [
             {
                 "magFilter": _LINEAR,
@@ -103,7 +102,8 @@ def gltf_textured_quads(planes: Sequence[Plane], images: Sequence[NDArray[np.uin
             }
         ],
         "images": [
-            {"uri": _data_uri("image/png", encode_png(image))} for image in pictures.values()
+            {"uri": _data_uri(_kind(picture), picture)}
+            for _, picture in zip(planes, pictures, strict=True)
         ],
         "accessors": accessors,
         "bufferViews": views,
@@ -117,24 +117,25 @@ def gltf_mesh(gltf: str) -> Mesh:
     return Mesh(InMemoryMesh(mesh_file=MemoryFile(gltf, ".gltf", "textured quads")))
 
 
-def text_image(text: str, colour: Sequence[float], height: int = 64) -> NDArray[np.uint8]:
-    """Return a text as a (rows, columns, 4) picture with a clear background.
+def text_image(
+    text: str, colour: Sequence[float], background: Sequence[float], height: int = 64
+) -> NDArray[np.uint8]:
+    """Return a text as a (rows, columns, 4) picture.
 
     Parameters
     ----------
     text
         One line.
-    colour
+    colour, background
         Red, green, blue from 0 to 1.
     height
-        Of the letters in pixels.
+        Of the picture in pixels.
     """
-    font = ImageFont.load_default(size=height)
-    left, top, right, bottom = font.getbbox(text)
-    size = (int(right - left) + 8, int(bottom - top) + 8)
-    fill = tuple(round(255 * each) for each in colour)
-    image = Image.new("RGBA", size, (*fill, 0))
-    ImageDraw.Draw(image).text((4 - left, 4 - top), text, font=font, fill=(*fill, 255))
+    font = ImageFont.load_default(size=0.7 * height)
+    width = int(font.getlength(text) + 0.6 * height)
+    image = Image.new("RGBA", (width, height), bytes_of(background))
+    middle = (0.5 * width, 0.5 * height)
+    ImageDraw.Draw(image).text(middle, text, font=font, fill=bytes_of(colour), anchor="mm")
     return np.array(image)
 
 
@@ -143,6 +144,26 @@ def encode_png(image: NDArray[np.uint8], compression: int = 6) -> bytes:
     buffer = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(image)).save(buffer, "PNG", compress_level=compression)
     return buffer.getvalue()
+
+
+def encode_webp(image: NDArray[np.uint8], quality: int = 85) -> bytes:
+    """Return a grey array with opacity as a WebP file, of a picture a third as large as a PNG.
+
+    Quality goes up to 100; of the opacity nothing is lost.
+    """
+    buffer = io.BytesIO()
+    picture = Image.fromarray(np.ascontiguousarray(image)).convert("RGBA")
+    picture.save(buffer, "WEBP", quality=quality, method=2)
+    return buffer.getvalue()
+
+
+def bytes_of(colour: Sequence[float]) -> tuple[int, ...]:
+    """Red, green, blue from 0 to 1 as (4,) bytes, opaque."""
+    return (*(round(255 * each) for each in colour), 255)
+
+
+def _kind(picture: bytes) -> str:
+    return "image/png" if picture.startswith(b"\x89PNG") else "image/webp"
 
 
 def _data_uri(kind: str, data: bytes) -> str:

@@ -5,16 +5,21 @@ from typing import Any
 
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.geometry import Meshcat, Rgba
+from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, LeafSystem
 
+from sonoservo.systems.display.colours import MODE_COLOURS, SECTOR, UNCERTAINTY, ink, rgba
+from sonoservo.systems.display.ellipsoid import EllipsoidView
 from sonoservo.systems.display.film import Film
+from sonoservo.systems.display.force_arrow import ForceArrow
 from sonoservo.systems.display.image_planes import sample_plane, slice_planes
+from sonoservo.systems.display.label import Label
+from sonoservo.systems.display.legend import draw_legend
 from sonoservo.systems.display.needle_view import EstimateView, NeedleView
-from sonoservo.systems.display.screen import Screen
+from sonoservo.systems.display.screen import Screen, facing
 from sonoservo.systems.display.shapes import sector_edges, tubes
-from sonoservo.systems.display.textured_quads import gltf_textured_quads
+from sonoservo.systems.display.textured_quads import encode_webp, gltf_textured_quads
 from sonoservo.systems.estimation.estimate import NeedleEstimate
 from sonoservo.systems.needle.needle import Needle
 from sonoservo.systems.ultrasound.sweep import SweepGeometry
@@ -27,7 +32,11 @@ from sonoservo.systems.values import (
     require_positive,
 )
 
-_SECTOR = Rgba(0.0, 0.45, 0.70)
+_LAYERS = (
+    "needle", "estimate", "uncertainty", "sector", "slices", "screen", "phase", "force", "legend"
+)  # fmt: skip
+_BESIDE = 0.045
+"""From the middle of the probe's face to the arrow of the force, in m: clear of the housing."""
 
 
 @dataclass(kw_only=True)
@@ -41,40 +50,52 @@ class WorldViewParameters:
     pixel
         Of the slices, in m.
     film_frames
-        Most slices kept for a replay, about 60 KB each; 0 where none is wanted.
+        Most slices kept for a replay, about 30 KB each; 0 where none is wanted.
     film_period
-        Least time between slices kept, in s: it bounds the size of the replay, to about 15 MB a
-        minute.
+        Least time between slices kept, in s: it bounds the size of the replay.
     needle_length
         Of the whole needle, in m: what is not in the tissue is drawn outside it.
-    screen_position
-        Of the screen that shows the slices upright, and the tracking mode above, in W, in m.
-    screen_scale
-        Of the slices on the screen; 1 is life-size.
     camera, camera_target
         Where the view begins, in W, in m.
+    field_of_view_deg
+        Of the camera, from the lower edge of the view to the upper one.
+    screen_position
+        Of the middle of the screen that shows the slices upright, in W, in m. Above it stands the
+        tracking mode, below it the legend.
+    screen_size
+        Its width and height, in m.
     """
 
     publish_period: float = 1 / 32
-    pixel: float = 1e-3
+    pixel: float = 7e-4
     film_frames: int = 0
     film_period: float = 0.2
     needle_length: float = 0.15
-    screen_position: list[float] = field(default_factory=lambda: [0.60, 0.30, 0.33])
-    screen_scale: float = 1.5
-    camera: list[float] = field(default_factory=lambda: [0.80, -0.40, 0.52])
-    camera_target: list[float] = field(default_factory=lambda: [0.47, 0.03, 0.28])
+    camera: list[float] = field(default_factory=lambda: [0.68, -0.74, 0.52])
+    camera_target: list[float] = field(default_factory=lambda: [0.54, 0.0, 0.25])
+    field_of_view_deg: float = 33.0
+    screen_position: list[float] = field(default_factory=lambda: [0.745, 0.06, 0.28])
+    screen_size: list[float] = field(default_factory=lambda: [0.18, 0.25])
 
     def __post_init__(self) -> None:
         require_positive(
             publish_period=self.publish_period,
             pixel=self.pixel,
             needle_length=self.needle_length,
-            screen_scale=self.screen_scale,
         )
         require_not_negative(film_frames=self.film_frames, film_period=self.film_period)
         for name in ("screen_position", "camera", "camera_target"):
             require(len(getattr(self, name)) == 3, name, getattr(self, name), "three numbers")
+        size = self.screen_size
+        require(len(size) == 2 and min(size) > 0, "screen_size", size, "two numbers above 0")
+        angle = self.field_of_view_deg
+        require(0 < angle < 180, "field_of_view_deg", angle, "between 0 and 180")
+
+    @property
+    def X_WScreen(self) -> RigidTransform:
+        """Pose of the screen: it shows the camera its face, X to the right, Y down."""
+        R = facing(self.camera, self.camera_target)
+        return RigidTransform(R, np.array(self.screen_position))
 
 
 class WorldView(LeafSystem):
@@ -91,21 +112,29 @@ class WorldView(LeafSystem):
         - volume (optional)
         - contact_force (optional)
 
-    The true `needle` (a Needle in T) is steel with a green hub; the `estimate` is red while
-    tracking, yellow while coasting, light blue when lost, and a word names the mode. The outline of
-    the sweep moves with the probe; the slices of each new `volume` stay where it was acquired: one
-    along needle and beam, one along the needle across the beam (Chatelain 2013, fig. 3). A screen
-    shows both upright, the probe at their top, and the `contact_force` in N. Arm, probe and phantom
-    are for Drake's MeshcatVisualizer to draw.
+    Each layer has a path of its own, and in the page a box under "Open Controls" that switches it
+    off:
 
-    Slices are drawn only while a browser is connected, or while a film is kept for the replay.
+    - ``needle``: the true `needle` (a Needle in T), steel with a green hub
+    - ``estimate``: red while tracking, yellow while coasting, light blue when lost
+    - ``uncertainty``: the ellipsoid that holds the tip with 95 %, true to scale
+    - ``sector``: the outline of the sweep, which moves with the probe
+    - ``slices``: of each new `volume`, where it was acquired: one along needle and beam, one along
+      the needle across the beam (Chatelain 2013, fig. 3)
+    - ``screen``: both slices upright, the probe at their top
+    - ``phase``: a word in the estimate's colour, for what the tracker does
+    - ``force``: the `contact_force` in N with which the probe presses, an arrow at its face
+    - ``legend``
+
+    Arm, probe and phantom are for Drake's MeshcatVisualizer to draw. Slices are made only while a
+    browser is connected, or while a film is kept for the replay.
 
     Parameters
     ----------
     meshcat
         To draw in.
     path
-        Of everything that is drawn.
+        Of everything that is drawn; by default the layers are at the top of the scene.
     parameters
         How it is drawn.
     """
@@ -114,7 +143,7 @@ class WorldView(LeafSystem):
         self,
         *,
         meshcat: Meshcat,
-        path: str = "ultrasound",
+        path: str = "",
         parameters: WorldViewParameters | None = None,
     ) -> None:
         super().__init__()
@@ -132,30 +161,44 @@ class WorldView(LeafSystem):
 
     def _start(self) -> None:
         meshcat, path, parameters = self._meshcat, self._path, self._parameters
-        meshcat.Delete(path)
+        for layer in _LAYERS:
+            meshcat.Delete(f"{path}/{layer}")
         for each in ("/Axes", "/Grid"):
             meshcat.SetProperty(each, "visible", False)
+        meshcat.SetProperty("/Background", "top_color", [0.96, 0.97, 0.98])
+        meshcat.SetProperty("/Background", "bottom_color", [0.72, 0.74, 0.77])
         camera: Any = parameters.camera
         target: Any = parameters.camera_target
+        meshcat.SetCamera(Meshcat.PerspectiveCamera(fov=parameters.field_of_view_deg, aspect=1.5))
         meshcat.SetCameraPose(camera, target)
-        self._needle: NeedleView | None = None  # until its radius is known
+        X_WS = parameters.X_WScreen
+        width, height = parameters.screen_size
         self._screen = Screen(
-            meshcat=meshcat, path=f"{path}/screen", position=parameters.screen_position,
-            camera=parameters.camera, scale=parameters.screen_scale,
+            meshcat=meshcat, path=f"{path}/screen", X_WS=X_WS, width=width, height=height,
+            frames=parameters.film_frames, period=parameters.film_period,
         )  # fmt: skip
-        self._estimate = EstimateView(
-            meshcat=meshcat, path=f"{path}/estimate", X_WLabel=self._screen.X_WLabel
-        )
         self._film = Film(
             meshcat=meshcat, path=f"{path}/slices",
             frames=parameters.film_frames, period=parameters.film_period,
         )  # fmt: skip
+        self._phase = Label(meshcat=meshcat, path=f"{path}/phase", height=0.03)
+        above, below = [0.0, -0.5 * height - 0.02, 0.0], [0.0, 0.5 * height + 0.005, 0.0]
+        meshcat.SetTransform(f"{path}/phase", X_WS @ RigidTransform(above))
+        draw_legend(meshcat, f"{path}/legend", X_WS @ RigidTransform(below), width)
+        self._needle: NeedleView | None = None  # until its radius is known
+        self._estimate = EstimateView(meshcat=meshcat, path=f"{path}/estimate")
+        self._uncertainty = EllipsoidView(
+            meshcat=meshcat, path=f"{path}/uncertainty/tip", colour=rgba(UNCERTAINTY, 0.75)
+        )
+        self._force = ForceArrow(meshcat=meshcat, path=f"{path}/force", R_WLabel=X_WS.rotation())
+        self._right = X_WS.rotation().col(0)
         self._sector: SweepGeometry | None = None
         self._sliced = -np.inf  # time of the volume whose slices are shown
 
     def _publish(self, context: Context) -> None:
         time = context.get_time()
         X_WP = evaluate(self, context, "X_WP", RigidTransform)
+        X_WT = evaluate(self, context, "X_WT", RigidTransform)
         self._meshcat.SetTransform(f"{self._path}/sector", X_WP, time)
         if self._connected(context, "needle"):
             needle = evaluate(self, context, "needle", Needle)
@@ -164,18 +207,28 @@ class WorldView(LeafSystem):
                     meshcat=self._meshcat, path=f"{self._path}/needle",
                     length=self._parameters.needle_length, radius=needle.radius,
                 )  # fmt: skip
-            self._needle.draw(needle, evaluate(self, context, "X_WT", RigidTransform), time)
+            self._needle.draw(needle, X_WT, time)
+        if self._connected(context, "contact_force"):
+            force = float(evaluate(self, context, "contact_force", np.ndarray)[0])
+            point = X_WP.translation() + _BESIDE * self._right
+            self._force.show(force, point, X_WT.rotation().col(2), time)
         estimate = None
         if self._connected(context, "estimate"):
             estimate = evaluate(self, context, "estimate", NeedleEstimate)
-            self._estimate.draw(estimate, time)
-        if self._connected(context, "contact_force"):
-            force = evaluate(self, context, "contact_force", np.ndarray)[0]
-            self._screen.show_force(float(force), time)
+            self._draw_estimate(estimate, time)
         self._draw_volume(context, estimate)
 
     def _connected(self, context: Context, port: str) -> bool:
         return self.GetInputPort(port).HasValue(context)
+
+    def _draw_estimate(self, estimate: NeedleEstimate, time: float) -> None:
+        self._estimate.draw(estimate, time)
+        colour = MODE_COLOURS[estimate.mode]
+        self._phase.show(estimate.mode, time, ink(colour), colour)
+        if estimate.curve is None:
+            self._uncertainty.hide(time)
+        else:
+            self._uncertainty.show(estimate.curve.tip, estimate.tip_covariance, time)
 
     def _draw_volume(self, context: Context, estimate: NeedleEstimate | None) -> None:
         # The slices follow the needle as the tracker saw it in the volume, so they wait for it. To
@@ -190,14 +243,15 @@ class WorldView(LeafSystem):
         self._sliced = volume.time
         geometry = volume.motion.geometry if volume.motion else None
         if geometry is not None and geometry is not self._sector:
-            mesh = tubes(sector_edges(geometry), 3e-4)
-            self._meshcat.SetObject(f"{self._path}/sector", mesh, _SECTOR)
+            mesh = tubes(sector_edges(geometry), 5e-4)
+            self._meshcat.SetObject(f"{self._path}/sector", mesh, rgba(SECTOR))
             self._sector = geometry
         if not self._parameters.film_frames and not self._meshcat.GetNumActiveConnections():
             return
         planes = slice_planes(volume, estimate.curve if estimate else None)
-        images = [sample_plane(volume, plane, self._parameters.pixel) for plane in planes]
-        if planes:
-            pictures = self._screen.pictures(planes, volume.X_WP)
-            gltf = gltf_textured_quads([*planes, *pictures], [*images, *images])
-            self._film.show(gltf, volume.X_WP, context.get_time())
+        if not planes:
+            return
+        pixel, time = self._parameters.pixel, context.get_time()
+        pictures = [encode_webp(sample_plane(volume, plane, pixel)) for plane in planes]
+        self._film.show(gltf_textured_quads(planes, pictures), volume.X_WP, time)
+        self._screen.show(volume, planes, pictures, time)

@@ -69,3 +69,11 @@ class NeedleEstimate(Immutable):
         """(3,) velocity of the tip in W, in m/s. Only where there is a curve."""
         assert self.velocity is not None
         return self.velocity[-1]
+
+    @property
+    def tip_covariance(self) -> NDArray[np.float64]:
+        """(3, 3) covariance of the tip in W, in m^2. Only where there is a curve."""
+        assert self.curve is not None
+        assert self.covariance is not None
+        tip = slice(3 * self.curve.order - 3, 3 * self.curve.order)
+        return self.covariance[tip, tip]

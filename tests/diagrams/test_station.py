@@ -150,8 +150,8 @@ def test_whole_workspace_is_within_reach():
 def test_station_is_drawn():
     meshcat = Meshcat()
     Bench(StationParameters(), meshcat=meshcat).run(0.05)
-    for model in ("viper_s850", "probe_4dc7", "agar_phantom"):
-        assert meshcat.HasPath(f"/drake/visualizer/{model}"), model
+    for model in ("arm", "probe", "phantom"):
+        assert meshcat.HasPath(f"/{model}"), model
 
 
 def test_parameters_load_from_yaml():

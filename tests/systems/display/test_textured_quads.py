@@ -8,7 +8,12 @@ from PIL import Image
 from pydrake.math import RigidTransform, RollPitchYaw
 
 from sonoservo.systems.display.image_planes import Plane
-from sonoservo.systems.display.textured_quads import gltf_textured_quads, text_image
+from sonoservo.systems.display.textured_quads import (
+    encode_png,
+    encode_webp,
+    gltf_textured_quads,
+    text_image,
+)
 
 PLANE = Plane(RigidTransform(RollPitchYaw(0.3, -0.5, 1.1), [0.1, 0.2, 0.3]), 0.06, 0.04)
 
@@ -34,7 +39,7 @@ def read(document, accessor):
 
 def test_every_pixel_is_at_its_place():
     image = np.arange(6, dtype=np.uint8).reshape(2, 3) * 40
-    document = json.loads(gltf_textured_quads([PLANE], [image]))
+    document = json.loads(gltf_textured_quads([PLANE], [encode_png(image)]))
     (primitive,) = document["meshes"][0]["primitives"]
     x, y, z = read(document, primitive["attributes"]["POSITION"]).T
     corners = np.stack([x, -z, y], axis=1)  # glTF's +Y is Drake's +Z
@@ -60,31 +65,37 @@ def test_every_pixel_is_at_its_place():
 @pytest.mark.parametrize("shape", [(5, 4), (5, 4, 2), (5, 4, 4)])
 def test_pictures_survive(shape):
     image = np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8)
-    document = json.loads(gltf_textured_quads([PLANE], [image]))
+    document = json.loads(gltf_textured_quads([PLANE], [encode_png(image)]))
     png = Image.open(io.BytesIO(decode(document["images"][0]["uri"])))
     np.testing.assert_array_equal(np.array(png), image)
 
 
-def test_a_picture_that_is_shown_twice_is_kept_once():
-    first, second = np.zeros((2, 2), np.uint8), np.ones((2, 2), np.uint8)
-    images = [first, second, first]
-    document = json.loads(gltf_textured_quads([PLANE] * 3, images))
-    assert len(document["images"]) == 2
-    materials = [each["material"] for each in document["meshes"][0]["primitives"]]
-    assert materials == [0, 1, 0]
+def test_a_webp_keeps_the_opacity_and_nearly_the_grey():
+    rows, columns = np.mgrid[:40, :60]
+    grey = 120 + 80 * np.sin(0.2 * rows) * np.cos(0.1 * columns)
+    image = np.stack([grey, 255 * (rows > columns)], axis=-1).astype(np.uint8)
+    document = json.loads(gltf_textured_quads([PLANE], [encode_webp(image)]))
+    uri = document["images"][0]["uri"]
+    assert uri.startswith("data:image/webp;")
+    seen = np.array(Image.open(io.BytesIO(decode(uri))).convert("RGBA"))
+    np.testing.assert_array_equal(seen[..., 3], image[..., 1])
+    opaque = image[..., 1] > 0
+    assert np.abs(seen[opaque, 0].astype(float) - image[opaque, 0]).mean() < 3
+    assert len(decode(uri)) < len(encode_png(image))
 
 
 def test_planes_and_pictures_must_match():
     with pytest.raises(ValueError, match="zip"):
-        gltf_textured_quads([PLANE, PLANE], [np.zeros((2, 2), np.uint8)])
+        gltf_textured_quads([PLANE, PLANE], [encode_png(np.zeros((2, 2), np.uint8))])
 
 
-def test_text_is_drawn_whole_in_its_colour():
-    image = text_image("tracking", (1.0, 0.0, 0.5))
+def test_text_is_drawn_whole_on_its_ground():
+    image = text_image("tracking", (1.0, 0.0, 0.5), (0.0, 0.0, 0.0))
     assert image.shape[1] > 2 * image.shape[0]
-    opaque = image[..., 3] > 0
-    assert (image[opaque, :3] == [255, 0, 128]).all()
-    rows, columns = np.flatnonzero(opaque.any(axis=1)), np.flatnonzero(opaque.any(axis=0))
+    assert (image[..., 3] == 255).all()
+    assert [255, 0, 128] in image[..., :3].reshape(-1, 3).tolist()
+    letters = image[..., 0] > 0
+    rows, columns = np.flatnonzero(letters.any(axis=1)), np.flatnonzero(letters.any(axis=0))
     assert rows[0] > 0 < columns[0]  # nothing is cut off at an edge
     assert rows[-1] < image.shape[0] - 1
     assert columns[-1] < image.shape[1] - 1

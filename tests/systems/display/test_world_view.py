@@ -1,5 +1,6 @@
 import base64
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
 from sonoservo.systems.display.image_planes import slice_planes
-from sonoservo.systems.display.screen import Screen, facing
+from sonoservo.systems.display.screen import facing, screen_planes
 from sonoservo.systems.display.world_view import WorldView, WorldViewParameters
 from sonoservo.systems.estimation.estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.needle.curve import NeedleCurve
@@ -64,9 +65,13 @@ def visible(meshcat, path):
     return {0xC3: True, 0xC2: False}[meshcat._GetPackedProperty(path, "visible")[-1]]
 
 
-def scale(meshcat, path):
+def scales(meshcat, path):
     packed = meshcat._GetPackedProperty(path, "scale")
-    return np.frombuffer(packed[-26:][-8:], ">f8")[0]
+    return [np.frombuffer(packed[-27:][9 * i + 1 : 9 * i + 9], ">f8")[0] for i in range(3)]
+
+
+def scale(meshcat, path):
+    return scales(meshcat, path)[2]
 
 
 def test_only_poses_are_needed(meshcat):
@@ -74,7 +79,7 @@ def test_only_poses_are_needed(meshcat):
     publish(view, 0.0, RigidTransform())
     assert meshcat.HasPath("/drake/poses/screen/panel")
     assert not meshcat.HasPath("/drake/poses/needle")
-    assert not meshcat.HasPath("/drake/poses/slices")
+    assert not meshcat.HasPath("/drake/poses/slices/live")
 
 
 def test_the_needle_is_where_it_is(meshcat):
@@ -104,13 +109,34 @@ def test_the_estimate_shows_its_mode(meshcat, make_volume):
     for time, mode in enumerate(TrackingMode):
         found = mode != TrackingMode.SEARCHING
         publish(view, time, volume.X_WP, estimate=estimate(volume, mode) if found else searching())
+        for other in list(TrackingMode)[: time + 1]:
+            assert visible(meshcat, f"modes/phase/{other}") == (other == mode)
         for other in TrackingMode:
-            assert visible(meshcat, f"modes/estimate/label/{other}") == (other == mode)
             if other != TrackingMode.SEARCHING:
                 assert visible(meshcat, f"modes/estimate/{other}") == (other == mode)
+        assert visible(meshcat, "modes/uncertainty/tip") == found
         if found:
-            tip = transform(meshcat, f"modes/estimate/{mode}/tip")[:3, 3]
-            np.testing.assert_allclose(tip, estimate(volume).curve.tip)
+            end = transform(meshcat, f"modes/estimate/{mode}/3")
+            length = scale(meshcat, f"modes/estimate/{mode}/3/unit")
+            tip = estimate(volume).curve.tip
+            np.testing.assert_allclose(end @ [0, 0, 0.5 * length, 1], [*tip, 1])
+
+
+def test_the_ellipsoid_at_the_tip_is_the_tip_s_covariance(meshcat, make_volume):
+    volume = make_volume(grey)
+    view = WorldView(meshcat=meshcat, path="uncertain")
+    # Of the four points only the second position is the tip's; R turns its axes out of W's.
+    R = RollPitchYaw(0.3, -0.4, 0.9).ToRotationMatrix().matrix()
+    covariance = np.eye(12)
+    covariance[3:6, 3:6] = R @ np.diag([1e-6, 4e-6, 9e-6]) @ R.T
+    believed = replace(estimate(volume), covariance=covariance)
+    publish(view, 0.0, volume.X_WP, estimate=believed)
+    X = transform(meshcat, "uncertain/uncertainty/tip")
+    np.testing.assert_allclose(X[:3, 3], believed.curve.tip)
+    half_axes = scales(meshcat, "uncertain/uncertainty/tip/unit")
+    # 95 % of chi-square with three degrees of freedom, from a table: 7.815.
+    np.testing.assert_allclose(half_axes, np.sqrt(7.815) * np.array([1e-3, 2e-3, 3e-3]), rtol=1e-4)
+    np.testing.assert_allclose(np.abs(X[:3, :3].T @ R), np.eye(3), atol=1e-9)
 
 
 def test_slices_wait_for_the_tracker(meshcat, make_volume):
@@ -147,42 +173,57 @@ def test_a_wrong_value_is_refused(meshcat):
         publish(view, 0.0, RigidTransform(), needle="needle")
 
 
-def test_the_force_is_a_bar_on_the_screen(meshcat):
-    parameters = WorldViewParameters(screen_scale=1.0)
-    view = WorldView(meshcat=meshcat, path="force", parameters=parameters)
-    lengths = []
-    for time, force in enumerate((-1.0, 0.0, 1.0, 2.0)):
-        publish(view, time, RigidTransform(), contact_force=force)
-        lengths.append(scale(meshcat, "force/screen/force/0/unit"))
-    np.testing.assert_allclose(lengths, [1e-6, 1e-6, 0.055, 0.11])
+def test_the_force_is_an_arrow_onto_the_phantom_with_its_value(meshcat):
+    view = WorldView(meshcat=meshcat, path="push")
+    X_WP = RigidTransform([0.5, 0.1, 0.2])
+    publish(view, 0.0, X_WP, contact_force=0.0)
+    assert not visible(meshcat, "push/force/arrow")
+    normal = X_WT.rotation().matrix()[:, 2]
+    for time, force in ((1.0, 1.0), (2.0, 2.04)):
+        publish(view, time, X_WP, contact_force=force)
+        assert visible(meshcat, "push/force/arrow")
+        assert scale(meshcat, "push/force/arrow/0/unit") == pytest.approx(0.02 * force)
+        head = transform(meshcat, "push/force/arrow/head")
+        np.testing.assert_allclose(head[:3, 2], normal, atol=1e-12)  # its apex points down
+        assert np.linalg.norm(head[:3, 3] - X_WP.translation()) == pytest.approx(0.045)
+    assert not visible(meshcat, "push/force/value/1.0 N")
+    assert visible(meshcat, "push/force/value/2.0 N")
+    publish(view, 3.0, X_WP, contact_force=-1.0)
+    assert not visible(meshcat, "push/force/arrow")
+    assert not visible(meshcat, "push/force/value/2.0 N")
 
 
-def test_the_screen_keeps_the_probe_in_its_place(meshcat, make_volume):
-    camera, position = [1.0, -0.5, 0.8], [0.5, 0.3, 0.3]
-    screen = Screen(meshcat=meshcat, path="screen", position=position, camera=camera, scale=2.0)
-    X_WS = facing(position, camera)
-    origins = []
-    for tip in ([0.0, 0.05, 0.0], [0.03, 0.04, 0.02]):
-        volume = make_volume(grey)
-        curve = NeedleCurve([[-0.05, 0.03, 0.01], tip]).transformed(volume.X_WP)
-        planes = slice_planes(volume, curve)
-        pictures = screen.pictures(planes, volume.X_WP)
-        for plane, picture in zip(planes, pictures, strict=True):
-            assert picture.width == pytest.approx(2 * plane.width)
-            X_SPicture = X_WS.inverse() @ volume.X_WP @ picture.X_PS
-            np.testing.assert_allclose(X_SPicture.rotation().matrix(), np.eye(3), atol=1e-9)
-            assert X_SPicture.translation()[2] < -0.002  # in front of the panel
+@pytest.mark.parametrize("turn", [0.0, 0.7, np.pi / 2])
+def test_the_screen_holds_the_slices_and_keeps_the_probe_in_its_place(make_volume, turn):
+    volume = make_volume(grey)
+    extent, width, height = volume.upper - volume.origin, 0.2, 0.25
+    direction = [np.cos(turn), 0.1, np.sin(turn)]
+    origins, scales = [], []
+    for tip in ([0.0, 0.05, 0.0], [0.01, 0.04, 0.01]):
+        curve = NeedleCurve([np.subtract(tip, 0.05 * np.array(direction)), tip])
+        slices = slice_planes(volume, curve.transformed(volume.X_WP))
+        pictures = screen_planes(slices, extent, width, height)
+        for plane, picture in zip(slices, pictures, strict=True):
+            scales.append(picture.width / plane.width)
+            assert picture.height / plane.height == pytest.approx(scales[0])
+            np.testing.assert_array_equal(picture.X_PS.rotation().matrix(), np.eye(3))
+            assert picture.X_PS.translation()[2] < -0.002  # in front of the panel
+        centre, half = pictures[0].X_PS.translation(), pictures[0].height / 2
+        assert centre[1] - half >= -height / 2
+        assert centre[1] + half <= pictures[1].X_PS.translation()[1]
         # The probe's face in the slice's own axes, and where the first picture has it.
-        p_S = planes[0].X_PS.inverse().multiply([0.0, 0.0, 0.0])
-        on_screen = pictures[0].X_PS.multiply([2 * p_S[0], 2 * p_S[1], 0.0])
-        origins.append((X_WS.inverse() @ volume.X_WP).multiply(on_screen))
+        p_S = slices[0].X_PS.inverse().multiply([0.0, 0.0, 0.0])
+        origins.append(pictures[0].X_PS.multiply(scales[0] * np.array([p_S[0], p_S[1], 0.0])))
+    np.testing.assert_allclose(scales, scales[0])
     np.testing.assert_allclose(origins[0], origins[1], atol=1e-9)
-    assert origins[0][1] == pytest.approx(2 * -0.105)  # near the top
 
 
-def test_a_panel_faces_the_camera_upright():
-    X = facing([0.5, 0.3, 0.3], [0.5, -0.7, 0.9])
-    np.testing.assert_allclose(X.rotation().matrix().T, [[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+def test_a_panel_is_parallel_to_the_image_of_the_camera():
+    R = facing([0.5, -0.7, 0.9], [0.5, 0.3, 0.9])
+    np.testing.assert_allclose(R.matrix().T, [[1, 0, 0], [0, 0, -1], [0, 1, 0]], atol=1e-12)
+    R = facing([0.0, -1.0, 1.0], [0.0, 0.0, 0.0])
+    np.testing.assert_allclose(R.matrix()[:, 2], [0, 0.5**0.5, -(0.5**0.5)], atol=1e-12)
+    facing([0, 0, 1], [0, 0, 0])  # straight down
 
 
 class Volumes(LeafSystem):
@@ -214,7 +255,7 @@ def simulate(meshcat, make_volume, **parameters):
     builder = DiagramBuilder()
     source = builder.AddSystem(Volumes(make_volume))
     view = builder.AddSystem(
-        WorldView(meshcat=meshcat, parameters=WorldViewParameters(**parameters))
+        WorldView(meshcat=meshcat, path="all", parameters=WorldViewParameters(**parameters))
     )
     for name in ("volume", "X_WP", "X_WT", "needle"):
         builder.Connect(source.GetOutputPort(name), view.GetInputPort(name))
@@ -242,17 +283,17 @@ def test_a_replay_keeps_its_film(tmp_path, make_volume, parameters, kept):
     meshcat = Meshcat()
     meshcat.StartRecording()
     simulate(meshcat, make_volume, **parameters).AdvanceTo(1.9)
-    names = [meshcat.HasPath(f"/drake/ultrasound/slices/{number}") for number in range(8)]
+    names = [meshcat.HasPath(f"/drake/all/slices/{number}") for number in range(8)]
     assert names == [number < kept for number in range(8)]
     text = save_replay(meshcat, tmp_path / "replay.html").read_text()
     messages = [base64.b64decode(each) for each in re.findall(r"base64,([A-Za-z0-9+/=]+)", text)]
     (animation,) = (each for each in messages if b"set_animation" in each)
-    assert animation.count(b"ultrasound/slices/") == kept + (kept > 0)  # the live one is hidden
+    assert animation.count(b"all/slices/") == kept + (kept > 0)  # the live one is hidden
     for path in ["needle/inside", *(f"slices/{number}" for number in range(kept))]:
-        assert shown(animation, f"ultrasound/{path}")[:2] == [False, True]
+        assert shown(animation, f"all/{path}")[:2] == [False, True]
     if kept:
-        assert shown(animation, "ultrasound/slices/live") == [False]
-        assert shown(animation, f"ultrasound/slices/{kept - 1}") == [False, True]  # to the end
+        assert shown(animation, "all/slices/live") == [False]
+        assert shown(animation, f"all/slices/{kept - 1}") == [False, True]  # to the end
     pictures = [each for each in messages if b"set_object" in each and b"/slices/" in each]
     assert len(pictures) == kept + (kept > 0)
 
@@ -263,13 +304,18 @@ def test_each_run_begins_anew(make_volume):
     simulator.AdvanceTo(1.9)
     simulator.reset_context(simulator.get_system().CreateDefaultContext())
     simulator.Initialize()
-    assert not meshcat.HasPath("/drake/ultrasound/slices")
+    assert not meshcat.HasPath("/drake/all/slices")
     simulator.AdvanceTo(0.6)
-    assert meshcat.HasPath("/drake/ultrasound/slices/1")
-    assert not meshcat.HasPath("/drake/ultrasound/slices/2")
+    assert meshcat.HasPath("/drake/all/slices/1")
+    assert not meshcat.HasPath("/drake/all/slices/2")
 
 
 def test_parameters_are_checked():
-    for name, value in (("pixel", 0), ("film_frames", -1), ("camera", [1.0]), ("screen_scale", 0)):
+    for name, value in (
+        ("pixel", 0),
+        ("film_frames", -1),
+        ("camera", [1.0]),
+        ("screen_size", [1, 0]),
+    ):
         with pytest.raises(ValueError, match=f"{name}: .* is not allowed"):
             WorldViewParameters(**{name: value})

@@ -1,0 +1,36 @@
+"""Colours of the displays, red, green and blue from 0 to 1.
+
+After Okabe and Ito's palette, which people of every colour vision tell apart; the modes differ in
+lightness too.
+"""
+
+from collections.abc import Sequence
+
+from pydrake.geometry import Rgba
+
+from sonoservo.systems.estimation.estimate import TrackingMode
+
+STEEL = (0.62, 0.65, 0.70)
+HUB = (0.0, 0.62, 0.45)
+SECTOR = (0.0, 0.45, 0.70)
+UNCERTAINTY = (0.96, 0.55, 0.90)
+FORCE = (0.95, 0.65, 0.0)
+PANEL = (0.06, 0.06, 0.07)
+
+MODE_COLOURS = {
+    TrackingMode.SEARCHING: (0.30, 0.30, 0.30),
+    TrackingMode.TRACKING: (0.84, 0.12, 0.05),
+    TrackingMode.COASTING: (0.94, 0.84, 0.10),
+    TrackingMode.LOST: (0.34, 0.71, 0.91),
+}
+
+
+def rgba(colour: Sequence[float], opacity: float = 1.0) -> Rgba:
+    """Return a colour as Drake's."""
+    return Rgba(*colour, opacity)
+
+
+def ink(background: Sequence[float]) -> tuple[float, float, float]:
+    """Black or white, whichever reads better on a background."""
+    light = 0.21 * background[0] + 0.72 * background[1] + 0.07 * background[2]
+    return (0.0, 0.0, 0.0) if light > 0.5 else (1.0, 1.0, 1.0)

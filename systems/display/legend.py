@@ -1,0 +1,90 @@
+"""What the colours and shapes of the world view mean."""
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+from pydrake.geometry import Meshcat
+from pydrake.math import RigidTransform
+
+from sonoservo.systems.display.colours import (
+    FORCE,
+    HUB,
+    MODE_COLOURS,
+    PANEL,
+    SECTOR,
+    STEEL,
+    UNCERTAINTY,
+)
+from sonoservo.systems.display.image_planes import Plane
+from sonoservo.systems.display.textured_quads import (
+    bytes_of,
+    encode_png,
+    gltf_mesh,
+    gltf_textured_quads,
+)
+from sonoservo.systems.estimation.estimate import TrackingMode
+
+_ROW, _TEXT, _SWATCH, _COLUMN = 44, 30, 64, 370  # pixels
+
+
+def legend_image() -> NDArray[np.uint8]:
+    """Return the legend as a (rows, columns, 4) picture."""
+    columns = [
+        [
+            ("needle, true", "needle", STEEL),
+            ("estimate, tracking", "line", MODE_COLOURS[TrackingMode.TRACKING]),
+            ("estimate, coasting", "line", MODE_COLOURS[TrackingMode.COASTING]),
+            ("estimate, lost", "line", MODE_COLOURS[TrackingMode.LOST]),
+        ],
+        [
+            ("tip, 95 %, to scale", "ellipse", UNCERTAINTY),
+            ("swept sector", "line", SECTOR),
+            ("force on phantom", "arrow", FORCE),
+        ],
+    ]
+    rows = max(map(len, columns))
+    size = (_COLUMN * len(columns), _ROW * rows + 16)
+    image = Image.new("RGBA", size, bytes_of((0.93, 0.93, 0.93)))
+    draw = ImageDraw.Draw(image)
+    font = ImageFont.load_default(size=_TEXT)
+    for column, entries in enumerate(columns):
+        for row, (text, shape, colour) in enumerate(entries):
+            x, y = 12 + _COLUMN * column, 8 + _ROW * (row + 0.5)
+            _draw_swatch(draw, shape, x, y, bytes_of(colour))
+            draw.text((x + _SWATCH + 12, y), text, font=font, fill=bytes_of(PANEL), anchor="lm")
+    return np.array(image)
+
+
+def _draw_swatch(
+    draw: ImageDraw.ImageDraw, shape: str, x: float, y: float, fill: tuple[int, ...]
+) -> None:
+    end = x + _SWATCH
+    if shape == "ellipse":
+        draw.ellipse((x + 8, y - 9, end - 8, y + 9), fill=fill)
+    elif shape == "arrow":
+        draw.rectangle((x, y - 4, end - 20, y + 4), fill=fill)
+        draw.polygon([(end - 24, y - 12), (end, y), (end - 24, y + 12)], fill=fill)
+    else:
+        draw.rectangle((x, y - 5, end, y + 5), fill=fill)
+    if shape == "needle":
+        draw.rectangle((x, y - 9, x + 18, y + 9), fill=bytes_of(HUB))
+
+
+def draw_legend(meshcat: Meshcat, path: str, X_WL: RigidTransform, width: float) -> None:
+    """Draw the legend.
+
+    Parameters
+    ----------
+    meshcat, path
+        Where it is drawn.
+    X_WL
+        Pose of the middle of its upper edge: X to its right, Y down.
+    width
+        In m.
+    """
+    image = legend_image()
+    rows, columns, _ = image.shape
+    height = width * rows / columns
+    plane = Plane(RigidTransform([0, 0.5 * height, 0]), width, height)
+    meshcat.SetObject(path, gltf_mesh(gltf_textured_quads([plane], [encode_png(image)])))
+    meshcat.SetTransform(path, X_WL)
