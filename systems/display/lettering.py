@@ -1,5 +1,8 @@
 """Lines of text and scales in mm, as white pictures with a clear background."""
 
+from functools import cache
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
@@ -10,11 +13,16 @@ PIXELS = 1000
 
 def line_image(text: str, height: int) -> NDArray[np.uint8]:
     """Return a line of text as a (rows, columns, 2) picture; every line of a size is as high."""
-    font = ImageFont.load_default(size=height)
-    size = int(np.ceil(font.getlength(text))) + 2, int(np.ceil(1.25 * height))
-    image = Image.new("L", size)
-    ImageDraw.Draw(image).text((1, height), text, 255, font, "ls")
-    return _white(image)
+    return _white(np.concatenate([_letter(each, height) for each in text], axis=1))
+
+
+@cache
+def _letter(letter: str, height: int) -> NDArray[np.uint8]:
+    """(rows, columns) opacity; kept, because most of what is said anew is old letters."""
+    font = _font(height)
+    image = Image.new("L", (round(font.getlength(letter)), int(np.ceil(1.25 * height))))
+    ImageDraw.Draw(image).text((0, height), letter, 255, font, "ls")
+    return np.asarray(image)
 
 
 def scale_image(
@@ -40,7 +48,7 @@ def scale_image(
     size = (pixels + 2 * margin, round(breadth))
     image = Image.new("L", size[::-1] if upright else size)
     draw = ImageDraw.Draw(image)
-    font = ImageFont.load_default(size=letters)
+    font = _font(letters)
     tick = round(0.010 * PIXELS)
     for number in range(int(np.ceil(low / step - 1e-6)), int(np.floor(high / step + 1e-6)) + 1):
         at = margin + (number * step - low) / (high - low) * pixels
@@ -51,10 +59,14 @@ def scale_image(
         else:
             draw.line([(at, 0), (at, tick)], 255, 2)
             draw.text((at, 1.5 * tick), label, 255, font, "mt")
-    return _white(image)
+    return _white(np.asarray(image))
 
 
-def _white(opacity: Image.Image) -> NDArray[np.uint8]:
+@cache
+def _font(height: int) -> Any:
+    return ImageFont.load_default(size=height)
+
+
+def _white(opacity: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return white with an opacity; what draws it gives it a colour."""
-    alpha = np.asarray(opacity)
-    return np.stack([np.full_like(alpha, 255), alpha], axis=-1)
+    return np.stack([np.full_like(opacity, 255), opacity], axis=-1)

@@ -21,9 +21,8 @@ class Monitor:
     is doing, and how deep the tip is below the probe's face. A web page shows it, or a notebook in
     which it is the last value of a cell.
 
-    A page that is slow, closed or not there never holds up whoever shows a volume: pictures are
-    drawn on a thread of their own, only while a page is open, and those it has no time for are left
-    out.
+    A page that is slow, closed or not there never holds up whoever shows a volume: a picture of the
+    newest one is drawn on a thread of its own when a page has drawn the last, and not before.
 
     Parameters
     ----------
@@ -43,7 +42,7 @@ class Monitor:
         self._drawn: object = None
         self._shown = 0
         page = read_page("monitor_page.html")
-        self._server = PageServer(page=page, host=host, port=port, opened=self._draw)
+        self._server = PageServer(page=page, host=host, port=port, asked=self._draw)
         self._screen: MonitorScreen | None = None
 
     @property
@@ -84,7 +83,7 @@ class Monitor:
 
     def _draw(self, needed: bool = False) -> None:
         newest = self._newest
-        if newest is None or newest is self._drawn or not (needed or self._server.pages):
+        if newest is None or newest is self._drawn or not (needed or self._server.wanted):
             return
         self._drawn = newest
         if self._screen is None:

@@ -73,8 +73,8 @@ class PageServer:
         Name or address to listen on.
     port
         To listen on; the next free one where it is in use.
-    opened
-        Called on the server's thread when a page has opened.
+    asked
+        Called on the server's thread when a page has opened, or has drawn all that it was sent.
 
     Raises
     ------
@@ -83,10 +83,10 @@ class PageServer:
     """
 
     def __init__(
-        self, *, page: str, host: str = "localhost", port: int, opened: Callable[[], None]
+        self, *, page: str, host: str = "localhost", port: int, asked: Callable[[], None]
     ) -> None:
         require(0 < port <= 65535, "port", port, "1 to 65535")
-        self._page, self._opened = page, opened
+        self._page, self._asked = page, asked
         self._scene: dict[tuple[str, str, str], bytes] = {}
         self._pages: set[_Page] = set()
         sockets = _listen(host, port)
@@ -104,9 +104,9 @@ class PageServer:
         return f"http://{socket.gethostname() if anywhere else self._host}:{self._port}/"
 
     @property
-    def pages(self) -> int:
-        """Number of pages that are open."""
-        return len(self._pages)
+    def wanted(self) -> bool:
+        """Whether a page is open that has drawn all that it was sent."""
+        return any(page.waits for page in self._pages)
 
     def call(self, function: Callable[[], None]) -> None:
         """Have a function called on the server's thread, soon; return at once."""
@@ -156,7 +156,7 @@ class PageServer:
                     ("/", _Document, {"text": live}),
                     (f"/({_VIEWER})", StaticFileHandler, {"path": str(_asset(""))}),
                     ("/commands", _Page, {"scene": self._scene, "pages": self._pages,
-                                          "opened": self._opened}),
+                                          "asked": self._asked}),
                 ]
             )
         )  # fmt: skip
@@ -184,37 +184,42 @@ class _Page(WebSocketHandler):
         self,
         scene: dict[tuple[str, str, str], bytes],
         pages: set["_Page"],
-        opened: Callable[[], None],
+        asked: Callable[[], None],
     ) -> None:
-        self._scene, self._pages, self._opened = scene, pages, opened
+        self._scene, self._pages, self._asked = scene, pages, asked
         self._due: dict[tuple[str, str, str], None] = {}
-        self._ready = False
+        self.waits = False  # whether it has drawn all that it was sent
 
     async def open(self) -> None:
         self._due = dict.fromkeys(self._scene)
         self._pages.add(self)
-        self._opened()
-        await self._send_due()
+        await self._go_on()
 
     def on_close(self) -> None:
         self._pages.discard(self)
 
     async def on_message(self, message: str | bytes) -> None:
-        await self._send_due()
+        await self._go_on()
 
     def send(self, key: tuple[str, str, str]) -> None:
         self._due[key] = None
-        if self._ready:
-            self._ready = False
-            # Later, together with what is drawn besides.
+        if self.waits:
+            self.waits = False
+            # Later, together with what else is drawn now.
             self._sending = asyncio.create_task(self._send_due())
 
+    async def _go_on(self) -> None:
+        """Send what is new since the page was sent something; it has drawn all that."""
+        self.waits = True
+        self._asked()
+        await self._send_due()
+
     async def _send_due(self) -> None:
-        """Send what is due and a mark; the page answers to it when it has drawn it all."""
+        """Send what is due and a mark, to which the page answers when it has drawn it all."""
         due, self._due = self._due, {}
-        self._ready = not due
-        if self._ready:
+        if not due:
             return
+        self.waits = False
         try:
             for key in due:
                 await self.write_message(self._scene[key], binary=True)

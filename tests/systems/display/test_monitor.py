@@ -25,7 +25,7 @@ def monitor():
 
 @pytest.fixture
 def server():
-    with closing(PageServer(page=PAGE, port=7700, opened=lambda: None)) as server:
+    with closing(PageServer(page=PAGE, port=7700, asked=lambda: None)) as server:
         yield server
 
 
@@ -118,7 +118,7 @@ def test_the_document_holds_what_the_newest_volume_shows(monitor, make_volume):
 def test_what_a_slow_page_did_not_read_is_left_out(server):
     """200 pictures of 1 MB for one that reads none of them: at the most a few are kept."""
     slow = open_feed(server.web_url)
-    while not server.pages:
+    while not server.wanted:
         server.ask(lambda: None)
     tracemalloc.start()
     for number in range(200):
