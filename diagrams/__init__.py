@@ -5,13 +5,15 @@
 >>> result.summary["servo"]["at_rest"]
 """
 
-from sonoservo.diagrams.locate import LocatedNeedle, locate
+from sonoservo.diagrams.experiment import Experiment, tracker_events
+from sonoservo.diagrams.locate import LocatedNeedle, locate, locate_in
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, NeedleTrackerParameters, track
 from sonoservo.diagrams.recorded import TrackedRecording, track_recording
 from sonoservo.diagrams.scenario import Scenario, list_scenarios, load_scenario
 from sonoservo.diagrams.simulation import RunResult, run
 
 __all__ = [
+    "Experiment",
     "LocatedNeedle",
     "MakeNeedleTracker",
     "NeedleTrackerParameters",
@@ -21,7 +23,9 @@ __all__ = [
     "list_scenarios",
     "load_scenario",
     "locate",
+    "locate_in",
     "run",
     "track",
     "track_recording",
+    "tracker_events",
 ]

@@ -1,7 +1,7 @@
 """A scenario brought to life: the loop of station, hand, scanner, tracker and controller."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -62,6 +62,10 @@ class Experiment:
         What moves needle and phantom and sets the controller, by name: systems with the outputs
         needle, phantom_command, gain and force_target. By default phantom_motion, hand and
         controller_settings, which do what the scenario says.
+    tracker
+        In place of the scenario's: a system with the input volume and the output estimate; the log
+        keeps its outputs measurement and detection too, if it has them. `tracker_events` tells when
+        it should look.
     monitor
         Where to show the volumes, if anywhere.
     film
@@ -83,6 +87,7 @@ class Experiment:
         meshcat: Meshcat | None = None,
         *,
         sources: Mapping[str, System] | None = None,
+        tracker: System | None = None,
         monitor: "Monitor | None" = None,
         film: bool = True,
         record: Path | None = None,
@@ -103,8 +108,8 @@ class Experiment:
             scenario.processing_time,
             f"below the {geometry.period:.3f} s of a sweep",
         )
-        self._volume_period = geometry.period
-        self._first_volume = geometry.period + scenario.processing_time
+        events = tracker_events(scenario)
+        self._volume_period, self._first_volume = events["period"], events["offset"]
 
         self.station = MakeStation(
             parameters=scenario.station,
@@ -120,7 +125,7 @@ class Experiment:
             seed=seeds.noise,
         )
         self.scan_converter = ScanConverter(geometry=geometry, parameters=scenario.scan_conversion)
-        self.needle_tracker = MakeNeedleTracker(
+        self.needle_tracker = tracker or MakeNeedleTracker(
             parameters=scenario.tracker,
             period=self._volume_period,
             offset=self._first_volume,
@@ -169,7 +174,7 @@ class Experiment:
         builder = DiagramBuilder()
         for name, system in systems.items():
             builder.AddNamedSystem(name, system)
-        connect_by_name(builder, list(systems.values()))
+        connect_by_name(builder, list(systems.values()), optional=("measurement", "detection"))
         self.diagram = builder.Build()
         self.diagram.set_name(scenario.name)
         self._simulator = Simulator(self.diagram)
@@ -304,8 +309,22 @@ def _planned_sources(scenario: Scenario, insertion: Insertion) -> dict[str, Syst
     }
 
 
-def connect_by_name(builder: DiagramBuilder, systems: list[System]) -> None:
-    """Connect every input port to the output port that has its name."""
+def tracker_events(scenario: Scenario) -> dict[str, float]:
+    """When a tracker should look for a new volume: the period and the offset of its events, in s.
+
+    Raises
+    ------
+    ValueError
+        If the scenario's transducer or imaging is not possible.
+    """
+    period = sweep_geometry(load_transducer(scenario.transducer), scenario.imaging).period
+    return {"period": period, "offset": period + scenario.processing_time}
+
+
+def connect_by_name(
+    builder: DiagramBuilder, systems: list[System], optional: Container[str] = ()
+) -> None:
+    """Connect every input port to the output port that has its name; optional ones if there is."""
     outputs: dict[str, OutputPort] = {}
     for system in systems:
         for index in range(system.num_output_ports()):
@@ -314,7 +333,8 @@ def connect_by_name(builder: DiagramBuilder, systems: list[System]) -> None:
     for system in systems:
         for index in range(system.num_input_ports()):
             port = system.get_input_port(index)
-            builder.Connect(outputs[port.get_name()], port)
+            if port.get_name() in outputs or port.get_name() not in optional:
+                builder.Connect(outputs[port.get_name()], port)
 
 
 def _check_entry(scenario: Scenario, size: list[float]) -> None:

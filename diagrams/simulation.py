@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pydrake.geometry import Meshcat
+from pydrake.systems.framework import System
 
 from sonoservo.diagrams.experiment import Experiment
 from sonoservo.diagrams.kept_run import KeptRun, refusing
@@ -39,6 +40,7 @@ def run(
     scenario: Scenario,
     *,
     out: Path | None = None,
+    tracker: System | None = None,
     meshcat: Meshcat | None = None,
     monitor: "Monitor | None" = None,
     after_volume: Callable[[float, NeedleEstimate], None] | None = None,
@@ -54,6 +56,8 @@ def run(
     out
         Folder for scenario.yaml, summary.json, log.npz, plots, report.html and, with a Meshcat,
         replay.html; None keeps nothing.
+    tracker
+        One's own, in place of the scenario's; see `Experiment`.
     meshcat, monitor
         Where to draw the world, and where to show the volumes. The run then goes no faster than
         real time.
@@ -76,7 +80,12 @@ def run(
     """
     with refusing(scenario):
         experiment = Experiment(
-            scenario, meshcat, monitor=monitor, record=record, record_sweeps=record_sweeps
+            scenario,
+            meshcat,
+            tracker=tracker,
+            monitor=monitor,
+            record=record,
+            record_sweeps=record_sweeps,
         )
     kept = KeptRun(
         scenario, lambda path: write_log(path, experiment.log()), out=out, meshcat=meshcat

@@ -1,9 +1,17 @@
 """The closed loop against what the paper reports, with the truth as judge."""
 
+import socket
+from contextlib import closing
+
 import numpy as np
 import pytest
+from pydrake.common.value import Value
+from pydrake.systems.framework import LeafSystem
 
-from sonoservo.diagrams import load_scenario, run
+from sonoservo.diagrams import load_scenario, run, tracker_events
+from sonoservo.systems.display.monitor import Monitor
+from sonoservo.systems.estimation.estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.needle.curve import NeedleCurve
 from sonoservo.systems.typed_yaml import ConfigurationError
 
 
@@ -66,3 +74,63 @@ def test_what_cannot_be_is_refused_before_anything_moves(changes, message):
     changes = ["hand.pushes.0.speed=0.02", *changes]
     with pytest.raises(ConfigurationError, match=message):
         run(load_scenario("chatelain2013_fig5", changes=changes))
+
+
+class Counting(LeafSystem):
+    """A tracker of one's own, with the least that it needs: after three volumes it is sure."""
+
+    def __init__(self, *, period, offset):
+        super().__init__()
+        self.volumes = []
+        self.DeclareAbstractInputPort("volume", Value[object]())
+        self.DeclareStateOutputPort(
+            "estimate",
+            self.DeclareAbstractState(Value[object](NeedleEstimate(TrackingMode.SEARCHING, 0.0))),
+        )
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, offset, self._update)
+
+    def _update(self, context, state):
+        volume = self.GetInputPort("volume").Eval(context)
+        self.volumes.append(volume)
+        mode = TrackingMode.SEARCHING if len(self.volumes) < 4 else TrackingMode.TRACKING
+        estimate = NeedleEstimate(
+            mode,
+            volume.time,
+            NeedleCurve([[-0.02, 0.03, 0], [0.01, 0.04, 0.01]]).transformed(volume.X_WP),
+            np.zeros((2, 3)),
+            1e-6 * np.eye(12),
+            volume.time,
+        )
+        state.get_mutable_abstract_state(0).set_value(estimate)
+
+
+def test_a_tracker_of_one_s_own_takes_the_place_of_the_scenario_s():
+    scenario = load_scenario("chatelain2013_fig5", changes=["duration=4"])
+    events = tracker_events(scenario)
+    tracker = Counting(**events)
+    log = run(scenario, tracker=tracker).log
+    seen = events["offset"] + events["period"] * np.arange(len(tracker.volumes))
+    assert seen[-1] < 4 < seen[-1] + events["period"]
+    np.testing.assert_allclose(log.volume_seen, seen, atol=1e-5)
+    np.testing.assert_allclose(log.volume_time, [volume.time for volume in tracker.volumes])
+    assert log.volume_estimate_mode.tolist() == 3 * ["searching"] + (len(seen) - 3) * ["tracking"]
+    # The controller believes it: the probe, first at rest over the phantom, begins to move.
+    moved = np.linalg.norm(log.X_WP[:, :2, 3] - log.X_WP[0, :2, 3], axis=1)
+    assert moved[log.time < seen[3]].max() < 1e-3 < moved[-1]
+
+
+def test_a_page_that_never_answers_changes_nothing():
+    scenario = load_scenario("chatelain2013_fig5", changes=["duration=3"])
+    alone = run(scenario).log
+    with closing(Monitor()) as monitor:
+        port = int(monitor.web_url.rstrip("/").rpartition(":")[2])
+        with socket.create_connection(("localhost", port)) as page:
+            page.sendall(
+                b"GET /commands HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\n"
+                b"Connection: Upgrade\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
+                b"Sec-WebSocket-Version: 13\r\n\r\n"
+            )
+            assert page.recv(12) == b"HTTP/1.1 101"
+            shown = run(scenario, monitor=monitor).log
+    np.testing.assert_array_equal(shown.X_WP, alone.X_WP)
+    np.testing.assert_array_equal(shown.volume_time, alone.volume_time)
