@@ -2,6 +2,7 @@
 
 import shlex
 import sys
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,7 +13,8 @@ from rich.console import Console
 from rich.table import Table
 
 from sonoservo.diagrams.dataset import make_dataset
-from sonoservo.diagrams.drive import drive
+from sonoservo.diagrams.drive import DRIVING, drive
+from sonoservo.diagrams.kept_run import refusing
 from sonoservo.diagrams.locate import locate_in_recording
 from sonoservo.diagrams.recorded import track_recording, tracker_parameters
 from sonoservo.diagrams.scan import caption, scan, summarize_scan, write_scan
@@ -155,12 +157,13 @@ def drive_command(
     The scenario's own pushes, moves and changes are left out. What you do is kept as scenario.yaml,
     which `sonoservo run` repeats. Finish in the page, or with Ctrl-C.
     """
-    changes = [*(changes or []), f"duration={duration!r}"]
     loaded = load_scenario(scenario, changes=changes, seed=seed)
+    with refusing(loaded):
+        loaded = replace(loaded, duration=duration)
     folder = out or Path("out") / f"{loaded.name}_driven_seed{loaded.seed}"
     display = start_display(_console, host)
+    _console.print(DRIVING)
     monitor = start_monitor(_console, host)
-    _console.print("Open it, push the needle with the key W, withdraw it with S. Ctrl-C ends.")
     with Progress(_console, loaded) as progress:
         summary = drive(loaded, display, monitor=monitor, out=folder, show=progress.show).summary
     _console.print(summary_table(summary, {}))

@@ -37,11 +37,18 @@ _SAVE_EVERY = 10.0
 """Simulated time in s after which what was driven is saved again."""
 
 _BUTTONS = {
-    "pause": ("pause / resume  [space]", "Space"),
-    "restart": ("restart  [R]", "KeyR"),
-    "save": ("save scenario  [V]", "KeyV"),
-    "finish": ("finish  [F]", "KeyF"),
+    "pause": ("pause / resume [space]", "Space"),
+    "restart": ("restart [R]", "KeyR"),
+    "save": ("save scenario [V]", "KeyV"),
+    "finish": ("finish [F]", "KeyF"),
 }
+
+DRIVING = """\
+Open it there; "Open Controls" shows the sliders, and these keys move them too:
+  needle   W in, S out, A and D turn it about its axis
+  phantom  L J along x, I K along y, Y H up and down, O U turn it
+  run      space pauses, R begins anew, V saves what was done, F finishes (or Ctrl-C here)"""
+"""How to drive, for a terminal."""
 
 
 class DrivenExperiment:
@@ -94,6 +101,11 @@ class DrivenExperiment:
                 "controller_settings": self._settings,
             },
         )
+
+    def hint(self) -> str:
+        """Return what the operator should know, if anything."""
+        context = self.experiment.context_of(self._hand)
+        return "withdraw the needle to aim it" if self._hand.is_held(context) else ""
 
     def recorded(self) -> Scenario:
         """Return the scenario that does what the operator has done so far."""
@@ -191,7 +203,7 @@ def drive(
                     experiment.forgive_delay()
                 if experiment.time > saved + _SAVE_EVERY:
                     save("scenario.yaml")
-            text = "paused" if paused else _pace(real_time.factor)
+            text = "paused" if paused else _pace(real_time.factor) or driven.hint()
             sign.show(text)
             if show is not None:
                 show(experiment.time, text)

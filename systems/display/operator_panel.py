@@ -25,7 +25,7 @@ class Control:
     port
         Output to which it belongs; its place there is the order of the controls.
     label
-        In the page, with the unit.
+        In the page, with the unit; of some 14 letters, as more are not shown.
     unit
         What 1 on the slider is, in SI.
     least, most, step
@@ -66,21 +66,21 @@ def operator_controls(
         That can be asked for, in N.
     """
     return [
-        Control(port="needle_target", label="needle depth (mm)  W / S", unit=1e-3, least=-5,
-                most=100, step=1, start=-5, keys=("KeyS", "KeyW"), axis=1, rate=-20),
-        Control(port="needle_target", label="needle turned (deg)  A / D", unit=_DEG, least=-360,
+        Control(port="needle_target", label="depth (mm) S W", unit=1e-3, least=-5,
+                most=100, step=1, keys=("KeyS", "KeyW"), axis=1, rate=-20),
+        Control(port="needle_target", label="turn (deg) A D", unit=_DEG, least=-360,
                 most=360, step=5, keys=("KeyA", "KeyD"), axis=0, rate=90),
-        Control(port="needle_target", label="azimuth (deg), when outside", unit=_DEG,
+        Control(port="needle_target", label="azimuth (deg)", unit=_DEG,
                 least=azimuth_deg - 20, most=azimuth_deg + 20, step=1, start=azimuth_deg),
-        Control(port="needle_target", label="dip (deg), when outside", unit=_DEG,
-                least=dip_deg - 15, most=dip_deg + 15, step=1, start=dip_deg),
-        Control(port="phantom_target", label="phantom x (mm)  J / L", unit=1e-3, least=-40,
+        Control(port="needle_target", label="dip (deg)", unit=_DEG,
+                least=max(dip_deg - 15, -90), most=min(dip_deg + 15, 90), step=1, start=dip_deg),
+        Control(port="phantom_target", label="phantom x (mm)", unit=1e-3, least=-40,
                 most=40, step=5, keys=("KeyJ", "KeyL"), axis=2, rate=40),
-        Control(port="phantom_target", label="phantom y (mm)  K / I", unit=1e-3, least=-30,
+        Control(port="phantom_target", label="phantom y (mm)", unit=1e-3, least=-30,
                 most=30, step=5, keys=("KeyK", "KeyI"), axis=3, rate=-40),
-        Control(port="phantom_target", label="phantom z (mm)  H / Y", unit=1e-3, least=-10,
+        Control(port="phantom_target", label="phantom z (mm)", unit=1e-3, least=-10,
                 most=10, step=2, keys=("KeyH", "KeyY")),
-        Control(port="phantom_target", label="phantom yaw (deg)  U / O", unit=_DEG, least=-30,
+        Control(port="phantom_target", label="phantom (deg)", unit=_DEG, least=-30,
                 most=30, step=5, keys=("KeyU", "KeyO")),
         Control(port="controller_target", label="lambda (1/s)", unit=1.0, least=0,
                 most=max(3.0, gain), step=0.1, start=gain),

@@ -104,6 +104,12 @@ class DrivenHand(LeafSystem):
         """Return the insertion of all pushes so far."""
         return self._driven(context).insertion
 
+    def is_held(self, context: Context) -> bool:
+        """Whether the needle cannot be aimed as wanted, because it is in the tissue."""
+        insertion = self.insertion(context)
+        target = self.GetInputPort("needle_target").Eval(context)
+        return bool(new_aim(insertion, target)) and not insertion.is_outside(context.get_time())
+
     def _driven(self, context: Context) -> DrivenInsertion:
         driven: DrivenInsertion = context.get_abstract_state(0).get_value()
         return driven
@@ -144,18 +150,20 @@ def next_push(
         How the hand follows.
     """
     period = parameters.period
-    angle_deg, azimuth_deg, dip_deg = np.round(np.rad2deg(target[1:]), 6).tolist()
-    aim: dict[str, Any] = {}
-    if driven.insertion.is_outside(time):
-        azimuth, dip = driven.insertion.direction_deg
-        aim = {} if azimuth == azimuth_deg else {"azimuth_deg": azimuth_deg}
-        aim |= {} if dip == dip_deg else {"dip_deg": dip_deg}
+    depth, turn_deg = float(target[0]), float(np.rad2deg(target[1]))
     return Push(
         duration=period,
-        speed=_limited((float(target[0]) - driven.depth) / period, parameters.speed),
-        turning_deg=_limited((angle_deg - driven.turn_deg) / period, parameters.turning_deg),
-        **aim,
+        speed=_limited((depth - driven.depth) / period, parameters.speed),
+        turning_deg=_limited((turn_deg - driven.turn_deg) / period, parameters.turning_deg),
+        **(new_aim(driven.insertion, target) if driven.insertion.is_outside(time) else {}),
     )
+
+
+def new_aim(insertion: Insertion, target: NDArray[np.float64]) -> dict[str, Any]:
+    """Return azimuth and dip in deg, of those that a target (see `next_push`) changes, by name."""
+    wanted = np.round(np.rad2deg(target[2:]), 6).tolist()
+    aims = zip(("azimuth_deg", "dip_deg"), wanted, insertion.direction_deg, strict=True)
+    return {name: value for name, value, now in aims if value != round(now, 6)}
 
 
 def appended(pushes: list[Push], push: Push) -> list[Push]:

@@ -68,8 +68,9 @@ class Push:
     def __post_init__(self) -> None:
         require_positive(duration=self.duration)
         require(abs(self.turning_deg) <= 720, "turning_deg", self.turning_deg, "up to 720 deg/s")
-        for name in ("azimuth_deg", "dip_deg"):
-            _check_direction(name, getattr(self, name))
+        dip_deg = self.dip_deg
+        allowed = dip_deg is None or abs(dip_deg) <= 90
+        require(allowed, "dip_deg", dip_deg, "from -90 to 90 deg")
         if self.entry is not None:
             require(len(self.entry) == 3, "entry", self.entry, "three coordinates in m")
         require(abs(self.speed) <= 0.2, "speed", self.speed, "from -0.2 to 0.2 m/s")
@@ -129,8 +130,7 @@ class InsertionParameters:
         allowed = ", ".join(str(gauge) for gauge in OUTER_DIAMETER)
         require(self.gauge in OUTER_DIAMETER, "gauge", self.gauge, f"one of {allowed}")
         require(len(self.entry) == 3, "entry", self.entry, "three coordinates in m")
-        for name in ("azimuth_deg", "dip_deg"):
-            _check_direction(name, getattr(self, name))
+        require(abs(self.dip_deg) <= 90, "dip_deg", self.dip_deg, "from -90 to 90 deg")
         if self.bend_radius is not None:
             require(self.bend_radius >= 0.05, "bend_radius", self.bend_radius, "at least 0.05 m")
         require_not_negative(
@@ -278,9 +278,3 @@ def _twice_integrated(times: NDArray[np.float64], rates: ArrayLike) -> PPoly:
     """Second integral of a rate that is constant between times, and zero before and after them."""
     breaks = np.concatenate([[-1e9], times, [1e9]])
     return PPoly(np.concatenate([[0.0], rates, [0.0]])[np.newaxis], breaks).antiderivative(2)
-
-
-def _check_direction(name: str, angle: float | None) -> None:
-    least, most = {"azimuth_deg": (-360, 360), "dip_deg": (-90, 90)}[name]
-    if angle is not None:
-        require(least <= angle <= most, name, angle, f"from {least} to {most} deg")
