@@ -205,9 +205,8 @@ class Experiment:
             Whether to go no faster than real time.
         """
         simulator = self._simulator
-        context = simulator.get_mutable_context()
-        self.diagram.SetDefaultContext(context)
-        context.SetTime(0.0)
+        # A context of its own: a plant keeps its last contact forces in one that is only reset.
+        simulator.reset_context(self.diagram.CreateDefaultContext())
         self._compute: dict[str, list[float]] = {"render": [], "convert": [], "track": []}
         self._due = self._first_volume
         simulator.set_target_realtime_rate(1.0 if real_time else 0.0)

@@ -203,3 +203,17 @@ def test_parameters_load_from_yaml():
 def test_time_step_must_be_positive():
     with pytest.raises(ValueError, match="time_step"):
         ProbeControllerParameters(time_step=0.0)
+
+
+def test_the_wanted_force_may_be_changed_on_the_way():
+    loop = Loop(tracker=no_needle()).run(4.0)
+    context = loop.controller.GetMyMutableContextFromRoot(loop.simulator.get_mutable_context())
+    target = loop.controller.GetInputPort("force_target")
+    for start, force in ((4.0, 5.0), (8.0, 1.0), (12.0, 3.0)):
+        before = loop.force()[1][-1]
+        target.FixValue(context, [force])
+        times, forces = loop.run(start + 4).force()
+        settled = forces[times > start + 2]
+        np.testing.assert_allclose(settled, force, atol=0.1)
+        beyond = np.sign(force - before) * (forces[times > start] - force)
+        assert beyond.max() < 0.4  # of steps of 2 to 4 N: no windup

@@ -120,3 +120,16 @@ def test_leaf_refuses_what_is_no_estimate():
 def test_parameters_name_what_is_wrong(field, value):
     with pytest.raises(ValueError, match=field):
         VisualServoParameters(**{field: value})
+
+
+def test_the_gain_may_come_in_by_its_port():
+    servo = VisualServo(parameters=replace(PAPER, gain=3.0))
+    context = servo.CreateDefaultContext()
+    servo.GetInputPort("estimate").FixValue(context, Value[object](estimate()))
+    servo.GetInputPort("X_WP").FixValue(context, Value(X_WP))
+    velocity = servo.GetOutputPort("planar_velocity")
+    faster = velocity.Eval(context).copy()
+    servo.GetInputPort("gain").FixValue(context, [1.0])
+    np.testing.assert_allclose(velocity.Eval(context), faster / 3)
+    servo.GetInputPort("gain").FixValue(context, [0.0])
+    np.testing.assert_array_equal(velocity.Eval(context), np.zeros(3))

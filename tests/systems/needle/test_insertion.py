@@ -3,6 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sonoservo.systems.needle.bicycle_model import BicyclePath
 from sonoservo.systems.needle.hand import Hand
 from sonoservo.systems.needle.insertion import Insertion, InsertionParameters, Push
 
@@ -120,3 +121,48 @@ def test_hand_gives_the_needle_of_the_context_time():
     np.testing.assert_array_equal(
         hand.GetOutputPort("needle").Eval(context).shaft, insertion.needle(4.0).shaft
     )
+
+
+BENT = {"bend_radius": 0.15, "start": 0.0, "entry": [0.0, 0.0, 0.0]}
+
+
+def test_a_needle_turned_before_it_is_pushed_bends_the_other_way():
+    push = Push(duration=10, speed=6e-3)
+    turned = make(**BENT, pushes=[Push(duration=2, turning_deg=60), Push(duration=1), push])
+    rolled = make(**BENT, bend_roll_deg=120.0, pushes=[push])
+    np.testing.assert_allclose(turned.needle(30).shaft, rolled.needle(30).shaft, atol=1e-15)
+
+
+def test_a_needle_turned_half_way_in_follows_the_bicycle_model():
+    push = Push(duration=5, speed=6e-3)
+    insertion = make(**BENT, pushes=[push, Push(), Push(duration=2, turning_deg=90), Push(), push])
+    # X_T runs along the insertion, Z_T up, towards which the needle bends at first.
+    turned = 0.15 * np.sin(30e-3 / 0.15)  # depth along X_T after 30 mm of path
+    s = np.linspace(0, 60e-3, 31)
+    path = BicyclePath(radius=0.15, rotations=(turned,)).along(s)
+    np.testing.assert_allclose(insertion.needle(60).shaft, path[:, [2, 1, 0]], atol=1e-12)
+
+
+def test_a_withdrawn_needle_goes_back_along_its_path():
+    out = Push(duration=10, speed=-5e-3)
+    insertion = make(
+        **BENT, ramp=0.1, pushes=[Push(duration=10, speed=5e-3, turning_deg=50), Push(), out]
+    )
+    for going, coming in ((2.15, 18.95), (6.25, 14.85), (9.25, 11.85)):
+        before, after = insertion.needle(going), insertion.needle(coming)
+        assert before.length == pytest.approx(after.length)
+        np.testing.assert_allclose(after.shaft, before.shaft, atol=1e-7)
+    assert not insertion.needle(30.0)
+
+
+def test_a_needle_that_is_outside_can_be_aimed_anew():
+    pushes = [Push(duration=2, speed=1e-2), Push(duration=4, speed=-1e-2)]
+    again = Push(duration=6, speed=1e-2, azimuth_deg=90.0)
+    insertion = make(pushes=[*pushes, again], dip_deg=10.0, entry=[0.0, 0.0, 0.0])
+    assert insertion.direction_deg == (90.0, 10.0)
+    dip = np.deg2rad(10)
+    np.testing.assert_allclose(
+        insertion.needle(30).tip, [0, 0.04 * np.cos(dip), -0.04 * np.sin(dip)], atol=1e-15
+    )
+    with pytest.raises(ValueError, match="pushes.1.azimuth_deg: 90.0 is not allowed"):
+        make(pushes=[pushes[0], again])

@@ -1,0 +1,49 @@
+import numpy as np
+import pytest
+from pydrake.systems.analysis import Simulator
+
+from sonoservo.systems.control.controller_schedule import (
+    ControllerChange,
+    ControllerSchedule,
+    ControllerSettings,
+)
+from sonoservo.systems.control.driven_settings import DrivenSettings
+from sonoservo.systems.control.scheduled_settings import ScheduledSettings
+
+START = ControllerSettings(gain=1.6, force=2.0)
+
+
+def test_a_change_holds_from_its_time_until_the_next():
+    changes = (ControllerChange(time=1.0, gain=0.5), ControllerChange(time=2.0, force=3.0))
+    schedule = ControllerSchedule(START, changes)
+    assert schedule.at(0.999) == START
+    assert schedule.at(1.0) == ControllerSettings(0.5, 2.0)
+    assert schedule.at(99.0) == schedule.last == ControllerSettings(0.5, 3.0)
+
+
+def test_what_an_operator_changes_is_recorded():
+    driven = DrivenSettings(start=START, period=1 / 16)
+    simulator = Simulator(driven)
+    context = simulator.get_mutable_context()
+    times, seen = np.arange(0.003, 3, 1 / 100), []
+    for time in times:
+        wanted = [1.6, 2.0] if time < 1 else [0.0, 2.0] if time < 2 else [0.0, 4.0]
+        driven.GetInputPort("controller_target").FixValue(context, wanted)
+        simulator.AdvanceTo(time)
+        seen.append([driven.GetOutputPort(n).Eval(context)[0] for n in ("gain", "force_target")])
+    changes = driven.schedule(context).changes
+    assert changes == (
+        ControllerChange(time=1.0, gain=0.0),
+        ControllerChange(time=2.0, force=4.0),
+    )
+    again = ScheduledSettings(schedule=ControllerSchedule(START, changes))
+    context = again.CreateDefaultContext()
+    for time, values in zip(times, seen, strict=True):
+        context.SetTime(time)
+        assert values == [again.GetOutputPort(n).Eval(context)[0] for n in ("gain", "force_target")]
+
+
+@pytest.mark.parametrize(("field", "value"), [("time", -1.0), ("gain", -0.1), ("force", 0.0)])
+def test_bad_changes_are_refused(field, value):
+    with pytest.raises(ValueError, match=f"{field}: .* is not allowed"):
+        ControllerChange(**{field: value})
