@@ -216,7 +216,7 @@ def drive(
 def _pace(factor: float | None) -> str:
     if factor is None or factor > 0.95:
         return ""
-    return f"too slow: {factor:.2f} of real time"
+    return f"too slow: {factor:.1f} of real time"
 
 
 def _next_name(out: Path | None) -> str:

@@ -6,6 +6,9 @@ from pydrake.math import RigidTransform
 
 from sonoservo.systems.display.textured_quads import gltf_mesh
 
+_RECENT = 16
+"""Pictures held for pages that have not fetched them yet, where none is kept for a replay."""
+
 
 class Film:
     """A picture that changes, live and in a recording.
@@ -26,7 +29,7 @@ class Film:
     def __init__(self, *, meshcat: Meshcat, path: str, frames: int, period: float) -> None:
         self._meshcat, self._path = meshcat, path
         self._frames, self._period = frames, period
-        self._kept = 0
+        self._kept = self._shown = 0
         self._newest = -np.inf
 
     def show(self, gltf: str, X: RigidTransform, time: float) -> None:
@@ -35,6 +38,12 @@ class Film:
         mesh = gltf_mesh(gltf)
         self._meshcat.SetObject(live, mesh)
         self._meshcat.SetTransform(live, X)
+        if not self._frames:
+            # Meshcat forgets the textures of what has been replaced, and a slow page asks later.
+            recent = f"{self._path}/recent/{self._shown % _RECENT}"
+            self._meshcat.SetObject(recent, mesh)
+            self._meshcat.SetProperty(recent, "visible", False)
+            self._shown += 1
         if self._kept == self._frames or time < self._newest + self._period:
             return
         path = f"{self._path}/{self._kept}"

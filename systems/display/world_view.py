@@ -165,8 +165,8 @@ class WorldView(LeafSystem):
             meshcat.Delete(f"{path}/{layer}")
         for each in ("/Axes", "/Grid"):
             meshcat.SetProperty(each, "visible", False)
-        meshcat.SetProperty("/Background", "top_color", [0.96, 0.97, 0.98])
-        meshcat.SetProperty("/Background", "bottom_color", [0.72, 0.74, 0.77])
+        meshcat.SetProperty("/Background/<object>", "top_color", [0.96, 0.97, 0.98])
+        meshcat.SetProperty("/Background/<object>", "bottom_color", [0.72, 0.74, 0.77])
         camera: Any = parameters.camera
         target: Any = parameters.camera_target
         meshcat.SetCamera(Meshcat.PerspectiveCamera(fov=parameters.field_of_view_deg, aspect=1.5))
