@@ -203,7 +203,8 @@ def drive(
                     experiment.forgive_delay()
                 if experiment.time > saved + _SAVE_EVERY:
                     save("scenario.yaml")
-            text = "paused" if paused else _pace(real_time.factor) or driven.hint()
+            said = ["paused" if paused else _pace(real_time.factor), driven.hint()]
+            text = "; ".join(filter(None, said))
             sign.show(text)
             if show is not None:
                 show(experiment.time, text)
