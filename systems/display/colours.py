@@ -1,7 +1,7 @@
 """Colours of the displays, red, green and blue from 0 to 1.
 
-After Okabe and Ito's palette, which people of every colour vision tell apart; the modes differ in
-lightness too.
+After Okabe and Ito's palette: people of every colour vision tell them apart, as a test holds. The
+modes differ in lightness too.
 """
 
 from collections.abc import Sequence
@@ -12,8 +12,8 @@ from sonoservo.systems.estimation.estimate import TrackingMode
 
 STEEL = (0.62, 0.65, 0.70)
 HUB = (0.0, 0.62, 0.45)
-SECTOR = (0.0, 0.45, 0.70)
-UNCERTAINTY = (0.96, 0.55, 0.90)
+SECTOR = (0.0, 0.35, 0.65)
+UNCERTAINTY = (0.70, 0.0, 1.0)
 FORCE = (0.95, 0.65, 0.0)
 PANEL = (0.06, 0.06, 0.07)
 

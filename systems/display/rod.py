@@ -40,7 +40,8 @@ class Rod:
     """A polyline drawn as a fixed number of cylinders that are posed and stretched.
 
     Meshcat's recordings keep transforms and properties but no new shapes, so nothing else may
-    change once the rod is made. A new rod is hidden.
+    change once the rod is made. A polyline of fewer pieces leaves cylinders unused, one of more is
+    resampled. A new rod is hidden.
 
     Parameters
     ----------
@@ -58,7 +59,7 @@ class Rod:
         self, *, meshcat: Meshcat, path: str, radius: float, colour: Rgba, segments: int = 1
     ) -> None:
         self._meshcat, self._path, self._segments = meshcat, path, segments
-        self._radius = radius
+        self._radius, self._used = radius, segments
         for number in range(segments):
             meshcat.SetObject(f"{path}/{number}/unit", Cylinder(radius, 1.0), colour)
         self._switch = Switch(meshcat=meshcat, path=path)
@@ -67,16 +68,24 @@ class Rod:
         self, polyline: ArrayLike, time: float, radii: NDArray[np.float64] | None = None
     ) -> None:
         """Draw the rod along an (m, 3) polyline; (segments,) radii in m replace its own."""
+        points = np.asarray(polyline, dtype=float)
+        if len(points) > self._segments + 1 or radii is not None:
+            points = resample(points, self._segments + 1)
         wide = np.ones(self._segments) if radii is None else radii / self._radius
-        for number, ends in enumerate(pairwise(resample(polyline, self._segments + 1))):
+        used = len(points) - 1
+        for number, ends in enumerate(pairwise(points)):
             X, length = segment_pose(*ends)
-            path = f"{self._path}/{number}"
-            self._meshcat.SetTransform(path, X, time)
-            self._meshcat.SetProperty(
-                f"{path}/unit", "scale", [wide[number], wide[number], max(length, 1e-6)], time
-            )
+            self._meshcat.SetTransform(f"{self._path}/{number}", X, time)
+            self._stretch(number, wide[number], max(length, 1e-6), time)
+        for number in range(used, self._used):
+            self._stretch(number, 1e-6, 1e-6, time)
+        self._used = used
         self._switch.set(True, time)
 
     def hide(self, time: float) -> None:
         """Do not draw it."""
         self._switch.set(False, time)
+
+    def _stretch(self, number: int, width: float, length: float, time: float) -> None:
+        scale = [width, width, length]
+        self._meshcat.SetProperty(f"{self._path}/{number}/unit", "scale", scale, time)

@@ -153,7 +153,7 @@ def encode_webp(image: NDArray[np.uint8], quality: int = 85) -> bytes:
     """
     buffer = io.BytesIO()
     picture = Image.fromarray(np.ascontiguousarray(image)).convert("RGBA")
-    picture.save(buffer, "WEBP", quality=quality, method=2)
+    picture.save(buffer, "WEBP", quality=quality, method=0)
     return buffer.getvalue()
 
 

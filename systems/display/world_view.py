@@ -66,8 +66,8 @@ class WorldViewParameters:
         Its width and height, in m.
     """
 
-    publish_period: float = 1 / 32
-    pixel: float = 7e-4
+    publish_period: float = 1 / 16
+    pixel: float = 8e-4
     film_frames: int = 0
     film_period: float = 0.2
     needle_length: float = 0.15
@@ -192,6 +192,7 @@ class WorldView(LeafSystem):
         )
         self._force = ForceArrow(meshcat=meshcat, path=f"{path}/force", R_WLabel=X_WS.rotation())
         self._right = X_WS.rotation().col(0)
+        self._drawn: NeedleEstimate | None = None
         self._sector: SweepGeometry | None = None
         self._sliced = -np.inf  # time of the volume whose slices are shown
 
@@ -222,6 +223,9 @@ class WorldView(LeafSystem):
         return self.GetInputPort(port).HasValue(context)
 
     def _draw_estimate(self, estimate: NeedleEstimate, time: float) -> None:
+        if estimate is self._drawn:
+            return
+        self._drawn = estimate
         self._estimate.draw(estimate, time)
         colour = MODE_COLOURS[estimate.mode]
         self._phase.show(estimate.mode, time, ink(colour), colour)
