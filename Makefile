@@ -6,7 +6,7 @@ SCENARIO ?= chatelain2013_fig5
 ARGS ?=
 
 SHELL := /bin/bash
-.PHONY: help run test bench pictures lint clean
+.PHONY: help run test bench notebooks pictures lint clean
 .DEFAULT_GOAL := help
 
 help:
@@ -36,6 +36,11 @@ bench: $(VENV)/.dev
 	@mkdir -p out
 	@$(BIN)/python -m pytest tests/benchmarks --benchmark-enable --benchmark-only --benchmark-json=out/bench.json $(ARGS)
 	@$(BIN)/python tests/benchmarks/plot_cost.py out/bench.json out/render_cost.png
+
+KERNEL := '{"kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}}'
+# The notebooks are written as scripts; what Jupyter opens is made of them.
+notebooks: $(VENV)/.dev
+	@$(BIN)/jupytext --quiet --to ipynb --update --update-metadata $(KERNEL) notebooks/[1-9]*.py
 
 pictures: $(VENV)/.dev
 	@$(BIN)/python notebooks/screenshots.py

@@ -1,0 +1,112 @@
+# %% [markdown]
+# # Your own tracker in place of ours
+#
+# A tracker is any Drake system with the input `volume` and the output `estimate`. Everything
+# else, robot, ultrasound, controller, log, figures, stays as it is. Here is one in 25 lines: it
+# seeks the needle in the whole of every volume and remembers nothing.
+
+# %%
+# %matplotlib inline
+import os
+
+import matplotlib.pyplot as plt
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.systems.framework import LeafSystem
+
+from sonoservo.diagrams import load_scenario, locate_in, run, tracker_events
+from sonoservo.systems.estimation.estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.recording.run_errors import estimate_errors, features
+from sonoservo.systems.ultrasound.volume import Volume
+
+QUICK = ["duration=7", "hand.start=1", "hand.pushes.0.speed=0.016"]
+scenario = load_scenario(
+    "chatelain2013_fig5", changes=QUICK if "SONOSERVO_QUICK" in os.environ else ["duration=20"]
+)
+
+# %% [markdown]
+# * `volume` carries a `Volume` (grey levels on a grid in the probe frame P, and the pose `X_WP`
+#   at its `time`), or a falsy `NotFound` before the first one.
+# * `estimate` carries a `NeedleEstimate`: a mode, the needle's curve in the world frame W (entry
+#   first, tip last), the velocity of its control points and their covariance.
+# * The estimate is a state, updated once a volume: the controller reads it a hundred times as
+#   often.
+
+# %%
+SEARCHING = NeedleEstimate(TrackingMode.SEARCHING, time=0.0)
+
+
+class MemorylessTracker(LeafSystem):
+    """Seeks the needle in the whole of every volume."""
+
+    def __init__(self, *, period, offset):
+        super().__init__()
+        self.DeclareAbstractInputPort("volume", Value[object]())
+        estimate = self.DeclareAbstractState(Value[object](SEARCHING))
+        self.DeclareStateOutputPort("estimate", estimate)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, offset, self._update)
+
+    def _update(self, context, state):
+        volume = self.GetInputPort("volume").Eval(context)
+        if isinstance(volume, Volume):
+            state.get_mutable_abstract_state(0).set_value(estimate_in(volume))
+
+
+def estimate_in(volume):
+    """Return what a single volume tells."""
+    found = locate_in(volume)
+    if not found:
+        return NeedleEstimate(
+            TrackingMode.SEARCHING, volume.time, volume_time=volume.time, reason=found.reason
+        )
+    return NeedleEstimate(
+        TrackingMode.TRACKING,
+        time=volume.time,
+        curve=found.curve,
+        velocity=np.zeros((2, 3)),  # a guess: at rest
+        covariance=np.diag(np.repeat([1e-6, 1e-4], 6)),  # a guess: 1 mm, 10 mm/s
+        volume_time=volume.time,
+    )
+
+
+# %% [markdown]
+# `tracker_events` tells when volumes come: the period and the offset of the tracker's event.
+
+# %%
+events = tracker_events(scenario)
+events
+
+# %%
+runs = {
+    "Chatelain 2013": run(scenario),
+    "without memory": run(scenario, tracker=MemorylessTracker(**events)),
+}
+
+# %% [markdown]
+# Look at how soon the needle is found, at the error of the tip, and at what it does to the loop:
+# the true place of the tip in the image, which the servo wants at X = 0.
+
+# %%
+figure, (error, place) = plt.subplots(2, 1, figsize=(9, 5), sharex=True)
+for name, result in runs.items():
+    log = result.log
+    error.plot(log.volume_time, 1e3 * estimate_errors(log).tip, ".-", label=name)
+    place.plot(log.time, 1e3 * features(log.X_WP, log.needle_tip, log.needle_entry)[:, 0])
+error.set_ylabel("error of the tip (mm)")
+error.legend()
+place.axhline(0, color="0.6", linewidth=1)
+place.set_ylabel("X of the true tip (mm)")
+place.set_xlabel("time (s)")
+# %%
+for name, result in runs.items():
+    tracking, compute = result.summary["tracking"], result.summary["compute_ms"]["track"]
+    print(
+        f"{name}: {tracking['tracked']} of {tracking['volumes']} volumes, "
+        f"tip {tracking['tip_error_mm']['median']:.2f} mm (median), "
+        f"{compute['median']:.1f} ms a volume"
+    )
+
+# %% [markdown]
+# What is between the two: a detector that finds a short needle because it moves, a Kalman filter
+# that says where to look, and a velocity that the servo feeds forward. To write a tracker like
+# that, take `diagrams/needle_tracker.py` apart: each block is a system of its own.

@@ -1,0 +1,96 @@
+# %% [markdown]
+# # Your own recording
+#
+# The tracker takes volumes from anywhere: files of 3D Slicer and PLUS, or arrays of your own.
+# Here a simulated run stands in for your scanner; replace the file by yours and go on from there.
+
+# %%
+# %matplotlib inline
+import os
+import tempfile
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from pydrake.math import RigidTransform
+
+from sonoservo.diagrams import load_scenario, locate, run, track, track_recording
+from sonoservo.systems.display.monitor import Monitor
+from sonoservo.systems.recording.recording import Recording
+from sonoservo.systems.recording.track_plots import picture_planes, plot_planes
+from sonoservo.systems.ultrasound.volume import Volume
+
+QUICK = ["duration=8", "hand.start=1", "hand.pushes.0.speed=0.012"]
+LONG = ["duration=20", "hand.pushes.0.speed=0.005"]
+path = Path(tempfile.mkdtemp()) / "mine.seq.nrrd"
+
+# %%
+run(
+    load_scenario("chatelain2013_fig4", changes=QUICK if "SONOSERVO_QUICK" in os.environ else LONG),
+    record=path,
+)
+print(*(f"{each.name}: {each.stat().st_size / 1e6:.1f} MB" for each in path.parent.iterdir()),
+      sep="\n")  # fmt: skip
+
+# %% [markdown]
+# A `Recording` reads one volume at a time. A file tells its grid and times; what it does not tell
+# is said here: `depth` is where the sound goes in the file's space, `window` the numbers that
+# become black and white, `volume_rate` the volumes a second.
+
+# %%
+recording = Recording(path)
+volume = recording[len(recording) - 1]
+print(f"{len(recording)} volumes of {volume.intensities.shape}, {1e3 * volume.spacing} mm")
+print(f"from {recording.times[0]:.2f} to {recording.times[-1]:.2f} s; poses: {recording.posed}")
+
+# %% [markdown]
+# Track it, and watch the scanner's monitor while it goes on. In the terminal: `sonoservo track
+# mine.seq.nrrd --show`.
+
+# %%
+monitor = Monitor()
+monitor
+
+# %%
+tracked = track_recording(recording, monitor=monitor)
+print({name: count for name, count in tracked.summary["modes"].items()})
+
+# %% [markdown]
+# Estimates come in the world frame W, as `NeedleEstimate`s; `tracked.rows` has them in the file's
+# own coordinates (LPS, mm). Look at how the tip advances, and whether it ever jumps.
+
+# %%
+times = [row["time_s"] for row in tracked.rows]
+plt.figure(figsize=(9, 3))
+for axis, name in zip("lps", ("left", "posterior", "superior"), strict=True):
+    plt.plot(times, [row[f"tip_{axis}_mm"] for row in tracked.rows], ".-", label=name)
+plt.xlabel("time (s)")
+plt.ylabel("estimated tip (mm)")
+plt.legend()
+# %% [markdown]
+# The two orthogonal planes through the needle in a few volumes; along the beam above, across it
+# below.
+
+# %%
+chosen = np.linspace(len(recording) // 3, len(recording) - 1, 4).astype(int)
+plot_planes(
+    [
+        picture_planes(recording[k], tracked.estimates[k].mode, tracked.estimates[k].curve)
+        for k in chosen
+    ]
+)
+
+# %% [markdown]
+# Arrays of your own, without any file: index `[x, y, z]` with the depth along `y`, grey levels
+# from 0 to 255 over 60 dB, lengths in m. `locate` seeks the needle in one of them; `track`
+# follows it through many.
+
+# %%
+arrays = [each.intensities for each in recording]
+found = locate(arrays[-1], volume.spacing, origin=volume.origin)
+print("tip in the array's coordinates, mm:", 1e3 * found.curve.tip if found else found.reason)
+estimates = track(
+    Volume(array, volume.origin, volume.spacing, RigidTransform(), time)
+    for array, time in zip(arrays, recording.times, strict=True)
+)
+print([str(estimate.mode) for estimate in estimates[-3:]], 1e3 * estimates[-1].curve.tip)
