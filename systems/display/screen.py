@@ -72,20 +72,20 @@ def screen_planes(
     slices
         In P; at most two. The first one has the beam's axis upright.
     extent
-        (3,) of the volume along X, Y and Z of P, in m. Slices through it fit, whatever their turn
-        about the beam; their scale depends on nothing else.
+        (3,) of the volume along X, Y and Z of P, in m. What a sector shows in slices through it
+        fits, whatever their turn about the beam; their scale depends on nothing else.
     width, height
         Of the screen, in m.
     """
     x, depth, z = np.asarray(extent, dtype=float)
-    across = float(np.hypot(x, z))
-    scale = min((width - 2 * _MARGIN) / across, (height - 3 * _MARGIN) / (depth + across))
+    across, below = np.hypot(x, z), 0.8 * max(x, z)
+    scale = min((width - 2 * _MARGIN) / across, (height - 3 * _MARGIN) / (depth + below))
     face = -0.5 * height + _MARGIN
-    middle = face + scale * (depth + 0.5 * across) + _MARGIN
+    middle = face + scale * (depth + 0.5 * below) + _MARGIN
     planes = []
     for number, plane in enumerate(slices):
-        right, below, _ = plane.X_PS.rotation().inverse() @ plane.X_PS.translation()
-        y = middle if number else face + scale * below
+        right, down, _ = plane.X_PS.rotation().inverse() @ plane.X_PS.translation()
+        y = middle if number else face + scale * down
         place = RigidTransform([scale * right, y, _IN_FRONT])
         planes.append(Plane(place, scale * plane.width, scale * plane.height))
     return planes

@@ -75,7 +75,7 @@ class WorldViewParameters:
     camera_target: list[float] = field(default_factory=lambda: [0.54, 0.0, 0.25])
     field_of_view_deg: float = 33.0
     screen_position: list[float] = field(default_factory=lambda: [0.745, 0.06, 0.28])
-    screen_size: list[float] = field(default_factory=lambda: [0.18, 0.25])
+    screen_size: list[float] = field(default_factory=lambda: [0.18, 0.215])
 
     def __post_init__(self) -> None:
         require_positive(

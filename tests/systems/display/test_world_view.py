@@ -211,7 +211,7 @@ def test_the_force_is_an_arrow_onto_the_phantom_with_its_value(meshcat):
 @pytest.mark.parametrize("turn", [0.0, 0.7, np.pi / 2])
 def test_the_screen_holds_the_slices_and_keeps_the_probe_in_its_place(make_volume, turn):
     volume = make_volume(grey)
-    extent, width, height = volume.upper - volume.origin, 0.2, 0.25
+    extent, width, height = volume.upper - volume.origin, 0.2, 0.22
     direction = [np.cos(turn), 0.1, np.sin(turn)]
     origins, scales = [], []
     for tip in ([0.0, 0.05, 0.0], [0.01, 0.04, 0.01]):

@@ -1,0 +1,213 @@
+"""The world view in a browser: live, opened late, layer by layer, and as a replay."""
+
+import numpy as np
+import pytest
+from browser_view import project, screenshot, wait_for_object
+from pydrake.common.value import Value
+from pydrake.geometry import Meshcat, MeshcatParams
+from pydrake.math import RigidTransform, RotationMatrix
+
+from sonoservo.diagrams import load_scenario
+from sonoservo.diagrams.experiment import Experiment
+from sonoservo.systems.display.world_view import WorldView, WorldViewParameters
+from sonoservo.systems.estimation.estimate import TrackingMode
+from sonoservo.systems.recording.replay import save_replay
+from sonoservo.systems.ultrasound.volume import Volume
+
+CHANGES = [
+    "duration=7.5",
+    "hand.start=1",
+    "hand.pushes=[{duration: 6, speed: 0.012}]",
+    "station.contact_model=point",
+]
+LAYERS = [
+    "arm", "probe", "phantom", "needle", "estimate", "uncertainty", "sector", "slices", "screen",
+    "phase", "force", "legend",
+]  # fmt: skip
+
+
+def local_meshcat():
+    return Meshcat(MeshcatParams(host="localhost"))
+
+
+class Run:
+    """A short run in which a needle is found, and what was believed after each volume."""
+
+    def __init__(self, meshcat=None, after_volume=lambda number: None):
+        self.meshcat = meshcat
+        scenario = load_scenario("chatelain2013_fig5", changes=CHANGES)
+        experiment = Experiment(scenario, meshcat)
+        if meshcat is not None:
+            meshcat.StartRecording(set_visualizations_while_recording=True)
+        self.times, self.estimates = [], []
+
+        def note(time, estimate):
+            self.times.append(time)
+            self.estimates.append(estimate)
+            after_volume(len(self.times))
+
+        experiment.run(note)
+        self.log = experiment.log()
+
+
+@pytest.fixture(scope="module")
+def run(browser):
+    """It is watched by two pages, of which one is closed, and one reloaded and closed."""
+    meshcat, pages = local_meshcat(), []
+
+    def disturb(number):
+        if number in (2, 3):
+            pages.append(browser.new_page(viewport={"width": 160, "height": 120}))
+            pages[-1].goto(meshcat.web_url())
+            pages[-1].wait_for_function("connection.readyState == WebSocket.OPEN")
+        elif number == 8:
+            assert meshcat.GetNumActiveConnections() == 2
+            pages[0].close()
+        elif number == 10:
+            pages[1].reload(wait_until="commit")
+        elif number == 16:
+            pages[1].close()
+
+    return Run(meshcat, disturb)
+
+
+@pytest.fixture(scope="module")
+def replay(run, tmp_path_factory):
+    """The last thing that is done with the run: its page plays the recording from then on."""
+    return save_replay(run.meshcat, tmp_path_factory.mktemp("world") / "replay.html")
+
+
+def open_world(open_page, url):
+    page = open_page(url)
+    wait_for_object(page, "/legend/<object>")
+    page.wait_for_timeout(1500)  # the pictures are decoded and drawn
+    return page
+
+
+def patch(picture, point, size=3):
+    column, row = np.rint(np.ravel(point)).astype(int)
+    return picture[row - size : row + size + 1, column - size : column + size + 1].astype(int)
+
+
+def is_red(colours):
+    return (colours[..., 0] > 130) & (colours[..., 1:].max(axis=-1) < 110)
+
+
+def is_violet(colours):
+    return np.minimum(colours[..., 0], colours[..., 2]) - colours[..., 1] > 50
+
+
+def test_pages_that_come_and_go_change_nothing(run):
+    alone = Run()
+    assert run.times == alone.times
+    assert run.estimates[-1].mode == TrackingMode.TRACKING
+    for ours, theirs in zip(run.estimates, alone.estimates, strict=True):
+        assert ours.mode == theirs.mode
+        if ours:
+            np.testing.assert_array_equal(ours.curve.control_points, theirs.curve.control_points)
+
+
+def test_a_page_opened_late_shows_everything_and_each_layer_can_be_switched_off(run, open_page):
+    page = open_world(open_page, run.meshcat.web_url())
+    picture = screenshot(page)
+    curve = run.estimates[-1].curve
+    for point in project(page, np.linspace(curve.entry, curve.tip, 9)[1:-1]):
+        assert is_red(patch(picture, point)).any()
+    assert is_violet(patch(picture, project(page, curve.tip))).any()
+    hub = page.evaluate("viewer.scene_tree.find(['needle', 'hub', '0']).object.position.toArray()")
+    green = patch(picture, project(page, hub))
+    assert (green[..., 1] - green[..., 0] > 50).any()
+    # Between the probe's face and the needle there is speckle.
+    X_WP = RigidTransform(run.log.X_WP[-1])
+    assert patch(picture, project(page, X_WP.multiply([0.0, 0.02, 0.0])), 8)[..., 1].std() > 3
+
+    page.get_by_text("Open Controls").click()
+    rows = {name: page.get_by_text(name, exact=True).locator("xpath=../../..") for name in LAYERS}
+    covered = np.rint(page.get_by_text("Close Controls").bounding_box()["x"]).astype(int) - 250
+    for name, row in rows.items():
+        page.wait_for_timeout(150)
+        before = screenshot(page)[:, :covered]
+        row.locator("input[type=checkbox]").first.click()
+        page.wait_for_timeout(300)
+        changed = (np.abs(screenshot(page)[:, :covered].astype(int) - before).max(-1) > 8).sum()
+        visible = f"viewer.scene_tree.children[{name!r}].object.visible"
+        assert page.evaluate(visible) is False, name
+        assert changed > 3 or name in ("screen", "phase", "legend"), name
+
+
+def volume_of(grey, time):
+    """A volume of one grey level, 60 mm wide, whose probe looks down from 0.3 m."""
+    X_WP = RigidTransform(RotationMatrix.MakeXRotation(-np.pi / 2), [0.5, 0, 0.3])
+    origin, spacing = [-0.03, 0.0, -0.03], [2e-3] * 3
+    return Volume(np.full((31, 31, 31), grey, np.uint8), origin, spacing, X_WP, time)
+
+
+def test_every_new_volume_is_seen_and_what_is_off_stays_off(open_page):
+    meshcat = local_meshcat()
+    view = WorldView(meshcat=meshcat, parameters=WorldViewParameters())
+    context = view.CreateDefaultContext()
+    page = open_world(open_page, meshcat.web_url())
+
+    def show(grey, time):
+        volume = volume_of(grey, time)
+        context.SetTime(time)
+        for name in ("X_WP", "X_WT"):
+            view.GetInputPort(name).FixValue(context, Value(volume.X_WP))
+        view.GetInputPort("volume").FixValue(context, Value[object](volume))
+        view.ForcedPublish(context)
+        meshcat.Flush()
+        page.wait_for_timeout(1000)
+        point = project(page, volume.X_WP.multiply([0.01, 0.03, 0.0]))
+        return patch(screenshot(page), point, 2)
+
+    # Meshcat's tone mapping makes dark greys up to 15 levels darker, light ones lighter.
+    for time, grey in enumerate((60, 180, 120)):
+        np.testing.assert_allclose(show(grey, float(time)), grey, atol=20)
+    page.evaluate("viewer.scene_tree.children['slices'].vis_controller.setValue(false)")
+    assert np.abs(show(10, 3.0) - 10).min() > 50  # what is behind
+    page.evaluate("viewer.scene_tree.children['slices'].vis_controller.setValue(true)")
+    np.testing.assert_allclose(show(150, 4.0), 150, atol=20)
+
+
+SHOWN = """
+names => names.map(name => {
+  const node = viewer.scene_tree.find(name.split('/'));
+  return Object.keys(node.children).filter(
+    each => each != '<object>' && node.children[each].object.visible);
+})
+"""
+
+
+def test_the_replay_plays_by_itself_in_step(run, replay, open_page):
+    page = open_page(replay.as_uri())
+    page.wait_for_function("viewer.animator.duration > 0 && viewer.animator.playing")
+    assert page.evaluate("viewer.animator.duration") == pytest.approx(7.5, abs=0.2)
+    page.evaluate("viewer.animator.pause()")
+    count = len(run.times)
+    for number in (1, count // 2, count - 2):  # a moment before the next volume
+        time = run.times[number + 1] - 0.05
+        page.evaluate("time => viewer.animator.seek(time)", time)
+        page.wait_for_timeout(1500)
+        slices, pictures, phase, force = page.evaluate(
+            SHOWN, ["slices", "screen/pictures", "phase", "force/value"]
+        )
+        assert slices == pictures == [str(number)]
+        assert phase == [run.estimates[number].mode]
+        logged = np.interp(time, run.log.time, run.log.contact_force)
+        value = float(force[0].removesuffix(" N")) if force else 0.0
+        assert value == pytest.approx(logged, abs=0.15)
+        picture = screenshot(page)
+        if run.estimates[number]:
+            tip = project(page, run.estimates[number].curve.tip)
+            assert is_violet(patch(picture, tip)).any()
+        # The probe is where it was: its face, in the arm's own chain of poses.
+        p_WP = np.array([np.interp(time, run.log.time, axis) for axis in run.log.X_WP[:, :3, 3].T])
+        face = "viewer.scene_tree.find(['probe', 'probe']).object.position.toArray()"
+        np.testing.assert_allclose(page.evaluate(face), p_WP, atol=5e-4)
+
+
+def test_a_minute_of_replay_is_below_20_mb(run, replay):
+    # Beside the viewer itself, all that the size depends on is how long it was recorded.
+    viewer = len(local_meshcat().StaticHtml())
+    per_second = (replay.stat().st_size - viewer) / run.times[-1]
+    assert viewer + 60 * per_second < 20e6
