@@ -34,6 +34,9 @@ _POINT_SPACING = 2e-3
 _TURN_STEP = 1 / 64
 """Time in s between the angles of a bevel that is turned while it cuts: 1.4 deg at 90 deg/s."""
 
+_REST = 1e-12
+"""A step of the needle, in m, that is rounding alone."""
+
 _TREMOR_BAND = (8.0, 12.0)
 """Frequencies of physiological hand tremor in Hz (Elble and Koller 1990)."""
 
@@ -78,8 +81,10 @@ class Push:
     @property
     def aim(self) -> dict[str, Any]:
         """What changes of where the needle is put in, by name."""
-        names = ("entry", "azimuth_deg", "dip_deg")
-        return {name: value for name in names if (value := getattr(self, name)) is not None}
+        if self.entry is None and self.azimuth_deg is None and self.dip_deg is None:
+            return {}
+        changed = {"entry": self.entry, "azimuth_deg": self.azimuth_deg, "dip_deg": self.dip_deg}
+        return {name: value for name, value in changed.items() if value is not None}
 
 
 @dataclass(kw_only=True)
@@ -182,8 +187,12 @@ class Insertion(Immutable):
         if parameters.bend_radius is not None and any(push.turning_deg for push in pushes):
             rates = np.deg2rad([push.turning_deg for push in pushes])
             self._turn_integral = _twice_integrated(times, rates)
-            self._history = np.arange(parameters.start, self._end, _TURN_STEP)
-            self._depths = self._steady_depth(self._history)
+            history = np.arange(parameters.start, self._end, _TURN_STEP)
+            depths = self._steady_depth(history)
+            # While the needle rests nothing is cut: only where it starts and stops matters.
+            moves = np.abs(np.diff(depths)) > _REST
+            kept = np.append(moves, False) | np.append(False, moves)
+            self._history, self._depths = history[kept], depths[kept]
             self._turns = self._turn(self._history)
         count = 8
         self._tremor_rate = 2 * np.pi * rng.uniform(*_TREMOR_BAND, count)
