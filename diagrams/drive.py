@@ -44,7 +44,7 @@ _BUTTONS = {
 }
 
 DRIVING = """\
-Open it there; "Open Controls" shows the sliders, and these keys move them too:
+There, "Open Controls" shows the sliders (below "Scene": fold it away). Keys move them too:
   needle   W in, S out, A and D turn it about its axis
   phantom  L J along x, I K along y, Y H up and down, O U turn it
   run      space pauses, R begins anew, V saves what was done, F finishes (or Ctrl-C here)"""
@@ -105,7 +105,7 @@ class DrivenExperiment:
     def hint(self) -> str:
         """Return what the operator should know, if anything."""
         context = self.experiment.context_of(self._hand)
-        return "withdraw the needle to aim it" if self._hand.is_held(context) else ""
+        return "aim it when it is outside" if self._hand.is_held(context) else ""
 
     def recorded(self) -> Scenario:
         """Return the scenario that does what the operator has done so far."""
@@ -217,7 +217,7 @@ def drive(
 def _pace(factor: float | None) -> str:
     if factor is None or factor > 0.95:
         return ""
-    return f"too slow: {factor:.1f} of real time"
+    return f"only {factor:.1f} x real time"
 
 
 def _next_name(out: Path | None) -> str:

@@ -22,13 +22,14 @@ class DrivenHandParameters:
     period
         Between its decisions, in s.
     speed
-        Highest, of the needle along its axis, in m/s.
+        Highest, of the needle along its axis, in m/s. A needle that is pushed in much faster has
+        come to rest before enough volumes show it move, and is not noticed.
     turning_deg
         Fastest turning of the needle about its axis, in deg/s.
     """
 
     period: float = 1 / 16
-    speed: float = 0.02
+    speed: float = 0.012
     turning_deg: float = 90.0
 
     def __post_init__(self) -> None:

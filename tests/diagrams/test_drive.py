@@ -63,7 +63,7 @@ def driven(meshcat, tmp_path_factory):
     """A drive of 8 s, its result and its folder."""
     folder = tmp_path_factory.mktemp("drive")
     script = [
-        (0.2, slide(DEPTH, 70)),
+        (0.2, slide(DEPTH, 60)),
         (1.0, slide(TURN, 90)),
         (3.0, slide(PHANTOM, 15)),
         (4.0, slide("lambda (1/s)", 0.5)),
@@ -85,7 +85,7 @@ def test_the_recorded_scenario_repeats_the_run(driven):
     assert len(recorded.phantom_motion.moves) == 1
     assert [change.force for change in recorded.controller_changes] == [3.0]
     first, again = result.log, run(recorded).log
-    assert np.nanmax(first.inserted_length) == pytest.approx(0.07, abs=1e-3)
+    assert np.nanmax(first.inserted_length) == pytest.approx(0.06, abs=1e-3)
     assert np.ptp(first.X_WT[:, 0, 3]) == pytest.approx(0.015, abs=1e-4)
     for name in ("needle_points", "X_WT", "X_WP", "contact_force", "volume_estimate_tip"):
         np.testing.assert_allclose(getattr(again, name), getattr(first, name), rtol=0, atol=1e-9)
@@ -105,7 +105,7 @@ def test_it_leaves_what_a_run_leaves(driven):
     assert names >= {"scenario.yaml", "summary.json", "log.npz", "run.png", "report.html"}
     assert json.loads((folder / "summary.json").read_text())["force"]["rms_error_n"] is None
     np.testing.assert_array_equal(read_log(folder / "log.npz").time, result.log.time)
-    assert any("withdraw the needle to aim it" in text for *_, text in operator.seen)
+    assert any("aim it when it is outside" in text for *_, text in operator.seen)
 
 
 def test_pause_stops_time_and_none_is_made_up_for(meshcat):
@@ -132,13 +132,13 @@ def test_restart_begins_the_same_again(meshcat):
     logs = []
     for _ in range(2):
         driven.experiment.start()
-        for depth in (30, 45):
+        for depth in (12, 25):
             meshcat.SetSliderValue(DEPTH, depth)
             driven.experiment.advance(driven.experiment.time + 1.5)
         logs.append(driven.experiment.log())
     for name in ("time", "needle_points", "X_WP", "contact_force", "volume_inlier_count"):
         np.testing.assert_array_equal(getattr(logs[0], name), getattr(logs[1], name))
-    assert logs[0].inserted_length[-1] == pytest.approx(0.045, abs=5e-4)
+    assert logs[0].inserted_length[-1] == pytest.approx(0.025, abs=5e-4)
 
 
 def test_a_restart_keeps_what_was_done_before(meshcat, tmp_path):
