@@ -78,7 +78,7 @@ class Monitor:
         return self._server.ask(document)
 
     def close(self) -> None:
-        """Stop serving; open pages keep the last picture."""
+        """Stop serving; open pages keep the last picture, and say so."""
         self._server.close()
 
     def _draw(self, needed: bool = False) -> None:

@@ -225,7 +225,7 @@ def readings(volume: Volume, estimate: NeedleEstimate | None, number: int) -> di
         entry, tip = volume.to_probe([estimate.curve.entry, estimate.curve.tip])
         x, z, theta = needle_features(tip, tip - entry) * [1e3, 1e3, np.rad2deg(1)]
         said["tip"] = f"tip depth {1e3 * tip[1]:.1f} mm"
-        said["features"] = f"X {x:+.1f} mm   Z {z:+.1f} mm   Theta {theta:+.1f} deg"
+        said["features"] = f"X {x:+z.1f} mm   Z {z:+z.1f} mm   Theta {theta:+z.1f} deg"
     return said
 
 

@@ -25,6 +25,9 @@ T = TypeVar("T")
 _PORTS = 100
 """Ports that are tried, one after the other."""
 
+_FAREWELL = 0.05
+"""Time in s in which open pages are told that the server stops."""
+
 _VIEWER = "main.min.js"
 _DRAWN = "drawn"
 
@@ -165,6 +168,9 @@ class PageServer:
             self._loop.run_forever()
         finally:
             server.stop()
+            for page in tuple(self._pages):
+                page.close()
+            self._loop.run_until_complete(asyncio.sleep(_FAREWELL))
             self._loop.close()
 
 

@@ -120,6 +120,26 @@ def test_every_page_shows_the_newest_volume(open_page, monitor, shown):
     np.testing.assert_allclose(screenshot(second), later, atol=3)
 
 
+def test_a_page_says_when_its_monitor_ends_and_goes_on_with_the_next(open_page, shown):
+    port = 8640  # no other test looks here
+    with closing(Monitor(port=port)) as monitor:
+        page = open_page(monitor.web_url)
+        monitor.show(*shown[0])
+        wait_until_drawn(page)
+        assert not page.is_visible("#stopped")
+    with closing(Monitor(port=port)) as following:
+        assert following.web_url == monitor.web_url
+        page.wait_for_selector("#stopped", state="visible")
+        following.show(*shown[1])
+        page.wait_for_selector("#stopped", state="hidden")
+        page.wait_for_timeout(700)
+        picture = screenshot(page)
+        for view in monitor_views(shown[1][0], shown[1][1].curve):
+            tip = view.coordinates(TIPS[1])
+            assert all(red_at(page, picture, view.on_screen(tip + 0.0025 * np.eye(2))))
+        page.close()
+
+
 def test_nothing_piles_up_in_a_page(open_page, monitor, shown):
     page = open_page(monitor.web_url)
     count = "[viewer.renderer.info.memory.textures, viewer.renderer.info.memory.geometries]"
