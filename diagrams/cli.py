@@ -111,9 +111,9 @@ def run_command(
     if isinstance(loaded, ShapeScenario) and (record or record_sweeps):
         raise ConfigurationError(f"--record: {loaded.name} makes slices, no volumes")
     folder = out or Path("out") / f"{loaded.name}_seed{loaded.seed}"
-    display = start_display(_console, host) if meshcat else None
     makes_volumes = not isinstance(loaded, ShapeScenario)
     monitor = start_monitor(_console, host) if meshcat and makes_volumes else None
+    display = start_display(_console, host) if meshcat else None
     with Progress(_console, loaded) as progress:
         if isinstance(loaded, ShapeScenario):
             summary = predict_shape(
@@ -161,9 +161,9 @@ def drive_command(
     with refusing(loaded):
         loaded = replace(loaded, duration=duration)
     folder = out or Path("out") / f"{loaded.name}_driven_seed{loaded.seed}"
+    monitor = start_monitor(_console, host)
     display = start_display(_console, host)
     _console.print(DRIVING)
-    monitor = start_monitor(_console, host)
     with Progress(_console, loaded) as progress:
         summary = drive(loaded, display, monitor=monitor, out=folder, show=progress.show).summary
     _console.print(summary_table(summary, {}))

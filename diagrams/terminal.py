@@ -272,9 +272,12 @@ def start_display(console: Console, host: str = "localhost") -> Meshcat:
 
 
 def start_monitor(console: Console, host: str = "localhost") -> "Monitor":
-    """Start a scanner's monitor, and say where it is to be seen."""
+    """Start a scanner's monitor, and say where it is to be seen; as `start_display` does."""
     from sonoservo.systems.display.monitor import Monitor
 
-    monitor = Monitor(host=host)
+    try:
+        monitor = Monitor(host=host)
+    except OSError as error:
+        raise ConfigurationError(str(error)) from error
     console.print(f"The scanner's monitor: [bold]{monitor.web_url}[/bold]")
     return monitor

@@ -6,7 +6,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from sonoservo.diagrams.cli import app
-from sonoservo.diagrams.terminal import start_display
+from sonoservo.diagrams.terminal import start_display, start_monitor
 from sonoservo.systems.typed_yaml import ConfigurationError
 
 # Any address of this machine that is not its own loop, found without sending anything.
@@ -50,6 +50,8 @@ def test_a_busy_port_is_stepped_over_and_the_address_printed():
 def test_an_address_of_another_machine_is_refused(host):
     with pytest.raises(ConfigurationError, match="host: .* an address of this machine"):
         start_display(Console(quiet=True), host)
+    with pytest.raises(ConfigurationError, match="host: .* address of this machine"):
+        start_monitor(Console(quiet=True), host)
 
 
 def test_a_wrong_host_ends_the_command_before_anything_is_written(tmp_path):
