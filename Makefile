@@ -13,6 +13,7 @@ help:
 	@echo "make run    simulate $(SCENARIO): the robot finds a needle and follows it"
 	@echo "make test   run the tests            make bench  run the benchmarks"
 	@echo "make lint   ruff and mypy            make clean  remove what was built"
+	@echo "make notebooks   write the .ipynb    make pictures   take the README's screens"
 
 $(VENV)/.run: pyproject.toml
 	@echo "Setting up $(VENV): sonoservo and what it needs (a minute or two, once) ..."

@@ -28,7 +28,8 @@ QUICK = ["duration=7", "hand.start=1", "hand.pushes.0.speed=0.016"]
 # answered with the field, its value and what is allowed.
 
 # %%
-file = Path(tempfile.mkdtemp()) / "abdominal.yaml"
+folder = tempfile.TemporaryDirectory()
+file = Path(folder.name) / "abdominal.yaml"
 file.write_text("""
 array_radius: 0.060
 motor_radius: 0.050

@@ -22,7 +22,8 @@ from sonoservo.systems.ultrasound.volume import Volume
 
 QUICK = ["duration=8", "hand.start=1", "hand.pushes.0.speed=0.012"]
 LONG = ["duration=20", "hand.pushes.0.speed=0.005"]
-path = Path(tempfile.mkdtemp()) / "mine.seq.nrrd"
+folder = tempfile.TemporaryDirectory()
+path = Path(folder.name) / "mine.seq.nrrd"
 
 # %%
 run(
