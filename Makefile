@@ -45,6 +45,7 @@ notebooks: $(VENV)/.dev
 
 pictures: $(VENV)/.dev
 	@$(BIN)/python notebooks/screenshots.py
+	@cd notebooks && $(abspath $(BIN))/python gallery.py
 
 # mypy finds packages by folder: the links give it the name that pyproject.toml maps to this folder.
 lint: $(VENV)/.dev

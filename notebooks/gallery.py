@@ -143,6 +143,6 @@ figure.suptitle(
     "length that stands out by 12 dB, thickness at -20 dB",
     color=INK,
 )
-figure.savefig("gallery.png", dpi=84, pil_kwargs={"optimize": True})
+figure.savefig("gallery.png", dpi=66, pil_kwargs={"optimize": True})
 plt.close(figure)
 print(f"written: {Path('gallery.png').resolve()}")

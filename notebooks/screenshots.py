@@ -1,34 +1,51 @@
 """The screens of the README, from a real browser: `make pictures`."""
 
 import shutil
+import sys
 from contextlib import closing
 from pathlib import Path
 
-from playwright.sync_api import Browser, sync_playwright
+from playwright.sync_api import Browser, Error, Page, sync_playwright
+from pydrake.geometry import Meshcat, MeshcatParams
 
 from sonoservo.diagrams import load_scenario, run
 from sonoservo.systems.display.monitor import Monitor
 
 HERE = Path(__file__).parent
+NO_CHROMIUM = "no Chromium: install it with your package manager, or `playwright install chromium`"
 
 
-def picture_monitor(browser: Browser) -> None:
-    """The scanner's monitor when the needle of fig. 5 is centred."""
-    with closing(Monitor()) as monitor:
-        run(load_scenario("chatelain2013_fig5", changes=["duration=14"]), monitor=monitor)
-        page = browser.new_page(viewport={"width": 1200, "height": 750})
-        page.goto(monitor.web_url)
-        page.wait_for_timeout(5000)
-        page.screenshot(path=HERE / "monitor.png")
+def launch(playwright) -> Browser:
+    """Start a headless Chromium that draws WebGL without a graphics chip."""
+    installed = shutil.which("chromium") or shutil.which("chromium-browser")
+    arguments = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
+    try:
+        return playwright.chromium.launch(executable_path=installed, args=arguments)
+    except Error:
+        if installed:
+            raise
+        sys.exit(NO_CHROMIUM)
+
+
+def picture(page: Page, url: str, path: Path) -> None:
+    """Take a picture of a page when it has drawn everything."""
+    page.goto(url)
+    page.wait_for_timeout(5000)
+    page.screenshot(path=path)
+    print(f"written: {path}")
 
 
 def main() -> None:
-    """Take them all."""
-    arguments = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
-    installed = shutil.which("chromium") or shutil.which("chromium-browser")
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=installed, args=arguments)
-        picture_monitor(browser)
+    """Take them all, when the needle of fig. 5 is centred."""
+    with sync_playwright() as playwright, closing(Monitor()) as monitor:
+        browser = launch(playwright)
+        meshcat = Meshcat(MeshcatParams(host="localhost"))
+        scenario = load_scenario("chatelain2013_fig5", changes=["duration=14"])
+        run(scenario, meshcat=meshcat, monitor=monitor)
+        for url, name in ((meshcat.web_url(), "world.png"), (monitor.web_url, "monitor.png")):
+            page = browser.new_page(viewport={"width": 1200, "height": 750})
+            picture(page, url, HERE / name)
+            page.close()
         browser.close()
 
 

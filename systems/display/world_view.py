@@ -50,7 +50,7 @@ class WorldViewParameters:
     pixel
         Of the slices, in m.
     film_frames
-        Most slices kept for a replay, about 30 KB each; 0 where none is wanted.
+        Most slices kept for a replay, about 15 KB each; 0 where none is wanted.
     film_period
         Least time between slices kept, in s: it bounds the size of the replay.
     needle_length
@@ -67,7 +67,7 @@ class WorldViewParameters:
     """
 
     publish_period: float = 1 / 16
-    pixel: float = 8e-4
+    pixel: float = 1e-3
     film_frames: int = 0
     film_period: float = 0.2
     needle_length: float = 0.15
