@@ -1,4 +1,6 @@
-"""What the colours and shapes of the world view mean."""
+"""What the colours and shapes of a view mean."""
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,26 +26,30 @@ from sonoservo.systems.display.textured_quads import (
 )
 from sonoservo.systems.estimation.estimate import TrackingMode
 
+Entry = tuple[str, str, Sequence[float]]
+"""A text, the shape of its mark (line, needle, ellipse or arrow) and its colour."""
+
+WORLD_LEGEND: Sequence[Sequence[Entry]] = (
+    (
+        ("needle, true", "needle", STEEL),
+        ("estimate, tracking", "line", MODE_COLOURS[TrackingMode.TRACKING]),
+        ("estimate, coasting", "line", MODE_COLOURS[TrackingMode.COASTING]),
+        ("estimate, lost", "line", MODE_COLOURS[TrackingMode.LOST]),
+    ),
+    (
+        ("tip, 95 %, to scale", "ellipse", UNCERTAINTY),
+        ("swept sector", "line", SECTOR),
+        ("force on phantom", "arrow", FORCE),
+    ),
+)
+"""Of the world view, by columns."""
+
 _ROW, _TEXT, _SWATCH, _COLUMN = 44, 30, 64, 370  # pixels
 
 
-def legend_image() -> NDArray[np.uint8]:
-    """Return the legend as a (rows, columns, 4) picture."""
-    columns = [
-        [
-            ("needle, true", "needle", STEEL),
-            ("estimate, tracking", "line", MODE_COLOURS[TrackingMode.TRACKING]),
-            ("estimate, coasting", "line", MODE_COLOURS[TrackingMode.COASTING]),
-            ("estimate, lost", "line", MODE_COLOURS[TrackingMode.LOST]),
-        ],
-        [
-            ("tip, 95 %, to scale", "ellipse", UNCERTAINTY),
-            ("swept sector", "line", SECTOR),
-            ("force on phantom", "arrow", FORCE),
-        ],
-    ]
-    rows = max(map(len, columns))
-    size = (_COLUMN * len(columns), _ROW * rows + 16)
+def legend_image(columns: Sequence[Sequence[Entry]]) -> NDArray[np.uint8]:
+    """Return the legend of some columns of entries as a (rows, columns, 4) picture."""
+    size = (_COLUMN * len(columns), _ROW * max(map(len, columns)) + 16)
     image = Image.new("RGBA", size, bytes_of((0.93, 0.93, 0.93)))
     draw = ImageDraw.Draw(image)
     font = ImageFont.load_default(size=_TEXT)
@@ -70,7 +76,13 @@ def _draw_swatch(
         draw.rectangle((x, y - 9, x + 18, y + 9), fill=bytes_of(HUB))
 
 
-def draw_legend(meshcat: Meshcat, path: str, X_WL: RigidTransform, width: float) -> None:
+def draw_legend(
+    meshcat: Meshcat,
+    path: str,
+    X_WL: RigidTransform,
+    width: float,
+    columns: Sequence[Sequence[Entry]],
+) -> None:
     """Draw the legend.
 
     Parameters
@@ -81,8 +93,10 @@ def draw_legend(meshcat: Meshcat, path: str, X_WL: RigidTransform, width: float)
         Pose of the middle of its upper edge: X to its right, Y down.
     width
         In m.
+    columns
+        What it says.
     """
-    image = legend_image()
+    image = legend_image(columns)
     rows, columns, _ = image.shape
     height = width * rows / columns
     plane = Plane(RigidTransform([0, 0.5 * height, 0]), width, height)

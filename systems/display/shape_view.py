@@ -8,13 +8,19 @@ from pydrake.common.value import Value
 from pydrake.geometry import Meshcat, Rgba, Sphere
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, LeafSystem
+from scipy.ndimage import binary_fill_holes
 
+from sonoservo.systems.display.colours import FORCE, MODE_COLOURS, STEEL, rgba
 from sonoservo.systems.display.film import Film
 from sonoservo.systems.display.image_planes import Plane
+from sonoservo.systems.display.legend import Entry, draw_legend
 from sonoservo.systems.display.needle_view import NeedleView
 from sonoservo.systems.display.rod import Rod
+from sonoservo.systems.display.screen import facing
 from sonoservo.systems.display.shapes import tubes
+from sonoservo.systems.display.stage import set_stage
 from sonoservo.systems.display.textured_quads import encode_webp, gltf_textured_quads
+from sonoservo.systems.estimation.estimate import TrackingMode
 from sonoservo.systems.estimation.needle_shape import NeedleShape
 from sonoservo.systems.localization.cross_section import CrossSection
 from sonoservo.systems.needle.needle import Needle
@@ -22,8 +28,15 @@ from sonoservo.systems.ultrasound.image_slice import ImageSlice
 from sonoservo.systems.values import NotFound, evaluate
 
 _TISSUE = Rgba(0.55, 0.35, 0.30)
-_PREDICTED, _TUBE = Rgba(0.84, 0.12, 0.05), Rgba(0.95, 0.75, 0.10, 0.35)
-_MEASURED = Rgba(0.34, 0.71, 0.91)
+_PREDICTED = MODE_COLOURS[TrackingMode.TRACKING]
+_TUBE = FORCE
+_MEASURED = MODE_COLOURS[TrackingMode.LOST]
+_LEGEND: Sequence[Sequence[Entry]] = (
+    (("needle, true", "needle", STEEL), ("predicted shape", "line", _PREDICTED)),
+    (("95 % around it", "line", _TUBE), ("cross-section", "ellipse", _MEASURED)),
+)
+_LAYERS = ("tissue", "cross_section", "needle", "predicted", "tube", "slice", "legend")
+_CAMERA, _TARGET = (0.10, -0.13, 0.03), (0.0, 0.0, -0.028)
 _ROD = 0.75e-3
 """Radius of the predicted needle in m: a little more than the true one's, which it may hide."""
 _DEVIATIONS = 2.448
@@ -62,7 +75,7 @@ class ShapeView(LeafSystem):
     period, offset
         Of the pictures, in s: a moment after the estimator's events.
     path
-        Of everything that is drawn.
+        Of everything that is drawn; by default the layers are at the top of the scene.
     """
 
     def __init__(
@@ -73,7 +86,7 @@ class ShapeView(LeafSystem):
         depth: float,
         period: float,
         offset: float,
-        path: str = "needle_shape",
+        path: str = "",
     ) -> None:
         super().__init__()
         self.set_name("shape_view")
@@ -90,21 +103,27 @@ class ShapeView(LeafSystem):
 
     def _start(self) -> None:
         meshcat, path = self._meshcat, self._path
-        meshcat.Delete(path)
-        for each in ("/Axes", "/Grid"):
-            meshcat.SetProperty(each, "visible", False)
-        meshcat.SetCameraPose(np.array([0.10, -0.13, 0.03]), np.array([0.0, 0.0, -0.028]))
+        for layer in _LAYERS:
+            meshcat.Delete(f"{path}/{layer}")
+        set_stage(meshcat, _CAMERA, _TARGET, 52.0)
+        R_WL = facing(_CAMERA, _TARGET)
+        X_WL = RigidTransform(R_WL, np.array(_TARGET)) @ RigidTransform([-0.04, -0.08, 0.0])
+        draw_legend(meshcat, f"{path}/legend", X_WL, 0.12, _LEGEND)
         # Edges only: of two clear things, one inside the other, a browser may hide the inner.
         meshcat.SetObject(f"{path}/tissue", tubes(_box_edges(self._size), 0.25e-3), _TISSUE)
-        meshcat.SetObject(f"{path}/cross_section", Sphere(1.2e-3), _MEASURED)
+        meshcat.SetObject(f"{path}/cross_section", Sphere(1.2e-3), rgba(_MEASURED))
         meshcat.SetProperty(f"{path}/cross_section", "visible", False)
         self._needle: NeedleView | None = None  # until its radius is known
         self._predicted = Rod(
-            meshcat=meshcat, path=f"{path}/predicted", radius=_ROD, colour=_PREDICTED,
+            meshcat=meshcat, path=f"{path}/predicted", radius=_ROD, colour=rgba(_PREDICTED),
             segments=_SEGMENTS,
         )  # fmt: skip
         self._tube = Rod(
-            meshcat=meshcat, path=f"{path}/tube", radius=1e-3, colour=_TUBE, segments=_SEGMENTS
+            meshcat=meshcat,
+            path=f"{path}/tube",
+            radius=1e-3,
+            colour=rgba(_TUBE, 0.35),
+            segments=_SEGMENTS,
         )
         self._film = Film(
             meshcat=meshcat, path=f"{path}/slice", frames=400, period=max(0.2, self._period)
@@ -140,7 +159,8 @@ class ShapeView(LeafSystem):
         middle = image.position(0.5 * (shape - 1))
         plane = Plane(RigidTransform([*middle, 0.0]), *(shape * image.spacing))
         grey = image.intensities.T
-        opacity = np.where(grey > 0, np.uint8(255), np.uint8(0))
+        # Black speckle inside the picture is no hole in it.
+        opacity = np.where(binary_fill_holes(grey > 0), np.uint8(255), np.uint8(0))
         gltf = gltf_textured_quads([plane], [encode_webp(np.stack([grey, opacity], axis=-1))])
         self._film.show(gltf, image.X_WP, time)
 

@@ -1,7 +1,6 @@
 """The leaf that draws the needle, its estimate and the ultrasound slices in Meshcat."""
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from pydrake.common.value import Value
@@ -15,10 +14,11 @@ from sonoservo.systems.display.film import Film
 from sonoservo.systems.display.force_arrow import ForceArrow
 from sonoservo.systems.display.image_planes import sample_plane, slice_planes
 from sonoservo.systems.display.label import Label
-from sonoservo.systems.display.legend import draw_legend
+from sonoservo.systems.display.legend import WORLD_LEGEND, draw_legend
 from sonoservo.systems.display.needle_view import EstimateView, NeedleView
 from sonoservo.systems.display.screen import Screen, facing
 from sonoservo.systems.display.shapes import sector_edges, tubes
+from sonoservo.systems.display.stage import set_stage
 from sonoservo.systems.display.textured_quads import encode_webp, gltf_textured_quads
 from sonoservo.systems.estimation.estimate import NeedleEstimate
 from sonoservo.systems.needle.needle import Needle
@@ -163,14 +163,9 @@ class WorldView(LeafSystem):
         meshcat, path, parameters = self._meshcat, self._path, self._parameters
         for layer in _LAYERS:
             meshcat.Delete(f"{path}/{layer}")
-        for each in ("/Axes", "/Grid"):
-            meshcat.SetProperty(each, "visible", False)
-        meshcat.SetProperty("/Background/<object>", "top_color", [0.96, 0.97, 0.98])
-        meshcat.SetProperty("/Background/<object>", "bottom_color", [0.72, 0.74, 0.77])
-        camera: Any = parameters.camera
-        target: Any = parameters.camera_target
-        meshcat.SetCamera(Meshcat.PerspectiveCamera(fov=parameters.field_of_view_deg, aspect=1.5))
-        meshcat.SetCameraPose(camera, target)
+        set_stage(
+            meshcat, parameters.camera, parameters.camera_target, parameters.field_of_view_deg
+        )
         X_WS = parameters.X_WScreen
         width, height = parameters.screen_size
         self._screen = Screen(
@@ -184,7 +179,7 @@ class WorldView(LeafSystem):
         self._phase = Label(meshcat=meshcat, path=f"{path}/phase", height=0.03)
         above, below = [0.0, -0.5 * height - 0.02, 0.0], [0.0, 0.5 * height + 0.005, 0.0]
         meshcat.SetTransform(f"{path}/phase", X_WS @ RigidTransform(above))
-        draw_legend(meshcat, f"{path}/legend", X_WS @ RigidTransform(below), width)
+        draw_legend(meshcat, f"{path}/legend", X_WS @ RigidTransform(below), width, WORLD_LEGEND)
         self._needle: NeedleView | None = None  # until its radius is known
         self._estimate = EstimateView(meshcat=meshcat, path=f"{path}/estimate")
         self._uncertainty = EllipsoidView(

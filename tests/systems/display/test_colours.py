@@ -13,7 +13,7 @@ from sonoservo.systems.display.colours import (
     UNCERTAINTY,
     ink,
 )
-from sonoservo.systems.display.legend import legend_image
+from sonoservo.systems.display.legend import WORLD_LEGEND, legend_image
 
 # How a colour without its blue, green or red cones is seen, in linear RGB: Machado, Oliveira and
 # Fernandes 2009, table 1, severity 1.
@@ -68,7 +68,7 @@ def test_ink_reads_on_every_mode_s_ground():
 
 
 def test_the_legend_shows_every_colour():
-    image = legend_image()[..., :3].reshape(-1, 3)
+    image = legend_image(WORLD_LEGEND)[..., :3].reshape(-1, 3)
     found = set(map(tuple, image.tolist()))
     modes = list(MODE_COLOURS.values())[1:]
     for colour in (*modes, STEEL, HUB, SECTOR, UNCERTAINTY, FORCE):

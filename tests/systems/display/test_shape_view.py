@@ -64,8 +64,8 @@ def test_tube_is_as_wide_as_95_percent_and_follows_the_predicted_shape(meshcat, 
     assert np.allclose(radii, 2.448e-3 + 0.75e-3)
     assert np.allclose(polyline[-1], shape(1e-3).tip)
     assert np.allclose(polyline[0], [0, 0.03, 0])
-    assert meshcat.HasPath("needle_shape/predicted")
-    assert meshcat.HasPath("needle_shape/slice/live")
+    assert meshcat.HasPath("/predicted")
+    assert meshcat.HasPath("/slice/live")
 
 
 def test_nothing_is_predicted_while_there_is_no_shape(meshcat, monkeypatch):
