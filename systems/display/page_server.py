@@ -6,7 +6,7 @@ import base64
 import errno
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeVar
@@ -29,16 +29,25 @@ _FAREWELL = 0.05
 """Time in s in which open pages are told that the server stops."""
 
 _VIEWER = "main.min.js"
-_DRAWN = "drawn"
+_HANDLE = """
+  function handle(batch) {
+    const view = new DataView(batch);
+    for (let start = 0; start < batch.byteLength;) {
+      const end = start + 4 + view.getUint32(start);
+      viewer.handle_command_bytearray(new Uint8Array(batch.slice(start + 4, end)));
+      start = end;
+    }
+  }
+"""
 
 _CONNECT = """
   function connect() {
     viewer.connect(`ws://${location.host}/commands`);
     const connection = viewer.connection;
     connection.onmessage = (message) => {
-      if (typeof message.data !== "string") viewer.handle_command_message(message);
-      else requestAnimationFrame(() => {
-        if (connection.readyState === WebSocket.OPEN) connection.send(message.data);
+      handle(message.data);
+      requestAnimationFrame(() => {
+        if (connection.readyState === WebSocket.OPEN) connection.send("drawn");
       });
     };
     const show = (shown) => () => {
@@ -51,9 +60,7 @@ _CONNECT = """
 """
 
 _DRAW = """
-  for (const text of [{commands}]) {{
-    viewer.handle_command_bytearray(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)));
-  }}
+  handle(Uint8Array.from(atob("BATCH"), (c) => c.charCodeAt(0)).buffer);
 """
 
 
@@ -135,10 +142,8 @@ class PageServer:
     def html(self) -> str:
         """Return the page as it is now, as one document that needs no server."""
         script = _asset(_VIEWER).read_text().replace("</script", "<\\/script")
-        commands = ", ".join(
-            f'"{base64.b64encode(each).decode()}"' for each in tuple(self._scene.values())
-        )
-        return self._filled(f"<script>{script}</script>", _DRAW.format(commands=commands))
+        batch = base64.b64encode(_batch(self._scene.values())).decode()
+        return self._filled(f"<script>{script}</script>", _DRAW.replace("BATCH", batch))
 
     def close(self) -> None:
         """Stop serving."""
@@ -148,7 +153,7 @@ class PageServer:
             self._thread.join()
 
     def _filled(self, viewer: str, feed: str) -> str:
-        return self._page.replace("<!-- VIEWER -->", viewer).replace("/* FEED */", feed)
+        return self._page.replace("<!-- VIEWER -->", viewer).replace("/* FEED */", _HANDLE + feed)
 
     def _serve(self, sockets: list[socket.socket]) -> None:
         asyncio.set_event_loop(self._loop)
@@ -221,17 +226,20 @@ class _Page(WebSocketHandler):
         await self._send_due()
 
     async def _send_due(self) -> None:
-        """Send what is due and a mark, to which the page answers when it has drawn it all."""
+        """Send what is due, together; the page answers when it has drawn it."""
         due, self._due = self._due, {}
         if not due:
             return
         self.waits = False
         try:
-            for key in due:
-                await self.write_message(self._scene[key], binary=True)
-            await self.write_message(_DRAWN)
+            await self.write_message(_batch(self._scene[key] for key in due), binary=True)
         except WebSocketClosedError:
             self._pages.discard(self)
+
+
+def _batch(commands: Iterable[bytes]) -> bytes:
+    """Return commands as one message: each after its length, four bytes."""
+    return b"".join(len(each).to_bytes(4) + each for each in commands)
 
 
 def _listen(host: str, port: int) -> list[socket.socket]:
