@@ -36,6 +36,9 @@ _STRIDE = 1 / 16
 _SAVE_EVERY = 10.0
 """Simulated time in s after which what was driven is saved again."""
 
+_LEAST_TRY = 1.0
+"""What an operator does in less time, in s, has no file of its own: clicks may come in floods."""
+
 _BUTTONS = {
     "pause": ("pause / resume [space]", "Space"),
     "restart": ("restart [R]", "KeyR"),
@@ -47,7 +50,7 @@ DRIVING = """\
 There, "Open Controls" shows the sliders (below "Scene": fold it away). Keys move them too:
   needle   W in, S out, A and D turn it about its axis
   phantom  L J along x, I K along y, Y H up and down, O U turn it
-  run      space pauses, R begins anew, V saves what was done, F finishes (or Ctrl-C here)"""
+  run      space pauses, R begins anew, V saves, F finishes (as Ctrl-C does here)"""
 """How to drive, for a terminal."""
 
 
@@ -115,7 +118,7 @@ class DrivenExperiment:
         changes = self._settings.schedule(context_of(self._settings)).changes
         return replace(
             self.scenario,
-            duration=self.experiment.time,
+            duration=max(self.experiment.time, _STRIDE),
             hand=replace(self.scenario.hand, pushes=pushes),
             phantom_motion=PhantomMotionParameters(moves=moves),
             controller_changes=list(changes),
@@ -164,34 +167,34 @@ def drive(
     buttons = RunButtons(meshcat=meshcat, buttons=_BUTTONS)
     sign = _sign(meshcat)
     real_time = RealTime()
-    saved = 0.0  # simulated time
 
     def save(name: str) -> None:
-        nonlocal saved
-        if out is not None and experiment.time > saved:
+        if out is not None:
             write_atomically(out / name, driven.recorded().to_yaml())
-            saved = experiment.time
 
-    def start() -> None:
-        nonlocal saved
-        experiment.start(real_time=True)
-        real_time.start(experiment.time)
-        saved = 0.0
+    def save_all(log_path: Path) -> None:
+        save("scenario.yaml")
+        write_log(log_path, experiment.log())
 
-    kept = KeptRun(driven.scenario, lambda path: write_log(path, experiment.log()), out=out)
+    kept = KeptRun(driven.scenario, save_all, out=out)
     with kept:
-        start()
-        paused = False
-        while experiment.time < scenario.duration:
+        start = True
+        while start or experiment.time < scenario.duration:
+            if start:
+                experiment.start(real_time=True)
+                real_time.start(experiment.time)
+                start = paused = False
+                saved = numbered = 0.0
             pressed = buttons.pressed()
             if "finish" in pressed:
                 break
-            if pressed & {"save", "restart"}:
+            if pressed & {"save", "restart"} and experiment.time >= numbered + _LEAST_TRY:
                 save(_next_name(out))
-            if "restart" in pressed:
-                start()
-                paused = False
-            elif "pause" in pressed:
+                numbered = experiment.time
+            start = "restart" in pressed
+            if start:
+                continue
+            if "pause" in pressed:
                 paused = not paused
             if paused:
                 time.sleep(_STRIDE)
@@ -201,17 +204,15 @@ def drive(
                 experiment.advance(min(experiment.time + _STRIDE, scenario.duration))
                 if real_time.is_late(experiment.time):
                     experiment.forgive_delay()
-                if experiment.time > saved + _SAVE_EVERY:
+                if experiment.time >= saved + _SAVE_EVERY:
                     save("scenario.yaml")
+                    saved = experiment.time
             said = ["paused" if paused else _pace(real_time.factor), driven.hint()]
             text = "; ".join(filter(None, said))
             sign.show(text)
             if show is not None:
                 show(experiment.time, text)
-    recorded = driven.recorded()
-    if out is not None:
-        write_atomically(out / "scenario.yaml", recorded.to_yaml())
-    return write_results(kept, experiment, recorded)
+    return write_results(kept, experiment, driven.recorded())
 
 
 def _pace(factor: float | None) -> str:

@@ -72,6 +72,9 @@ def test_the_tracker_is_chosen_by_name(tmp_path):
         ("chatelain2013_fig5", ["duration=0"], "duration: 0.0"),
         ("chatelain2013_fig5", ["station.time_step=10"], "station.time_step: 10.0"),
         ("chatelain2013_fig5", ["seed=-1"], "seed: -1"),
+        ("drive", ["controller_changes=[{force: 0.3}]"], "controller_changes.0.force: 0.3"),
+        ("drive", ["controller_changes=[{time: 2}, {time: 1}]"], "must be in order of time"),
+        ("drive", ["hand.pushes=[{turning_deg: 1e4}]"], "hand.pushes.0.turning_deg: 10000.0"),
         ("chatelain2013_fig5", ["name=../../elsewhere"], "name: '../../elsewhere'"),
         ("chatelain2013_fig5", ["hand.azimuth_deg=.nan"], "hand.azimuth_deg: nan"),
         (
