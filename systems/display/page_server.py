@@ -7,6 +7,7 @@ import errno
 import socket
 import threading
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeVar
@@ -111,7 +112,8 @@ class PageServer:
     def web_url(self) -> str:
         """Where the page is to be seen."""
         anywhere = self._host in ("", "0.0.0.0", "::", "*")
-        return f"http://{socket.gethostname() if anywhere else self._host}:{self._port}/"
+        host = socket.gethostname() if anywhere else self._host
+        return f"http://{f'[{host}]' if ':' in host else host}:{self._port}/"
 
     @property
     def wanted(self) -> bool:
@@ -119,8 +121,8 @@ class PageServer:
         return any(page.waits for page in self._pages)
 
     def call(self, function: Callable[[], None]) -> None:
-        """Have a function called on the server's thread, soon; return at once."""
-        if not self._loop.is_closed():
+        """Have a function called on the server's thread, soon; return at once, also when closed."""
+        with suppress(RuntimeError):
             self._loop.call_soon_threadsafe(function)
 
     def ask(self, function: Callable[[], T]) -> T:
