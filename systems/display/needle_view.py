@@ -33,17 +33,21 @@ class NeedleView:
         self._hub = Rod(meshcat=meshcat, path=f"{path}/hub", radius=4 * radius, colour=rgba(HUB))
 
     def draw(self, needle: Needle, X_WT: RigidTransform, time: float) -> None:
-        """Draw a needle given in T; hide it while it is not in the tissue."""
-        if not needle:
+        """Draw a needle given in T; hide it where nobody knows where it is."""
+        needle = needle.transformed(X_WT)
+        axis = needle.shaft if needle else needle.aim
+        if axis is None:
             for rod in (self._inside, self._outside, self._hub):
                 rod.hide(time)
             return
-        shaft = needle.transformed(X_WT).shaft
-        backward = shaft[0] - shaft[1]
+        backward = axis[0] - axis[1]
         backward = backward / sum(backward**2) ** 0.5
-        end = shaft[0] + max(self._length - needle.length, 0.0) * backward
-        self._inside.show(shaft, time)
-        self._outside.show([shaft[0], end], time)
+        end = axis[0] + max(self._length - needle.length, 0.0) * backward
+        if needle:
+            self._inside.show(axis, time)
+        else:
+            self._inside.hide(time)
+        self._outside.show([axis[0], end], time)
         self._hub.show([end, end + 0.025 * backward], time)
 
 

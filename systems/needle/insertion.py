@@ -231,16 +231,18 @@ class Insertion(Immutable):
         """Return the part of the needle that is inside the tissue, in T."""
         length = self.depth(time)
         radius = OUTER_DIAMETER[self.parameters.gauge] / 2
+        aim = next(aim for start, aim in reversed(self._aims) if start <= time)
+        entry, axes = aim.entry + self._offset, aim.axes(self._tilt)
         if length <= 0:
-            return Needle(np.zeros((0, 3)), radius)
+            tip = entry + min(float(self._steady_depth(time)), 0.0) * axes[0]
+            return Needle(np.zeros((0, 3)), radius, np.array([tip, tip + axes[0]]))
         bend_radius = self.parameters.bend_radius
         if bend_radius is None:
             along = np.array([[0, 0, 0], [length, 0, 0]])
         else:
             s = np.linspace(0, length, int(np.ceil(length / _POINT_SPACING)) + 1)
             along = positions(*self._arcs(time, length), 1 / bend_radius, s)
-        aim = next(aim for start, aim in reversed(self._aims) if start <= time)
-        return Needle(aim.entry + self._offset + along @ aim.axes(self._tilt), radius)
+        return Needle(entry + along @ axes, radius)
 
     def _arcs(self, time: float, length: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Lengths in m and bevel's angles in rad of the arcs of the path, see `cut_arcs`."""

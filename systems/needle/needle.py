@@ -21,15 +21,22 @@ class Needle(Immutable):
         needle is outside.
     radius
         Outer radius in m.
+    aim
+        While the needle is outside: (2, 3) its tip and a point that it is aimed at, in m. None
+        while it is inside, or where nobody knows. Only who draws the world asks.
     """
 
     shaft: NDArray[np.float64]
     radius: float
+    aim: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         shaft = read_only(self.shaft, "shaft", (None, 3))
         require(len(shaft) != 1, "shaft", len(shaft), "no point, or at least 2")
         object.__setattr__(self, "shaft", shaft)
+        if self.aim is not None:
+            require(not len(shaft), "aim", self.aim, "None while the needle is inside")
+            object.__setattr__(self, "aim", read_only(self.aim, "aim", (2, 3)))
         require_positive(radius=self.radius)
 
     def __bool__(self) -> bool:
@@ -58,6 +65,8 @@ class Needle(Immutable):
 
     def transformed(self, X: RigidTransform) -> "Needle":
         """Return the needle expressed in another frame."""
-        if not self:
-            return self
-        return Needle(X.multiply(self.shaft.T).T, self.radius)
+        if self:
+            return Needle(X.multiply(self.shaft.T).T, self.radius)
+        if self.aim is not None:
+            return Needle(self.shaft, self.radius, X.multiply(self.aim.T).T)
+        return self

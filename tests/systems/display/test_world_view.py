@@ -98,8 +98,14 @@ def test_the_needle_is_where_it_is(meshcat):
         assert scale(meshcat, f"truth/needle/inside/{number}/unit") < 1e-5
     outside = transform(meshcat, "truth/needle/outside/0")
     np.testing.assert_allclose(outside[:3, 3], X_WT.multiply([-0.02, 0, -0.04]), atol=1e-12)
-    publish(view, 2.0, RigidTransform(), needle=OUTSIDE)
+    waiting = Needle(np.zeros((0, 3)), 6e-4, [[-0.01, 0, -0.04], [0.5, 0, -0.04]])
+    publish(view, 2.0, RigidTransform(), needle=waiting)
     assert not visible(meshcat, "truth/needle/inside")
+    outside = transform(meshcat, "truth/needle/outside/0")
+    np.testing.assert_allclose(outside[:3, 3], X_WT.multiply([-0.06, 0, -0.04]), atol=1e-12)
+    assert scale(meshcat, "truth/needle/outside/0/unit") == pytest.approx(0.1)
+    publish(view, 3.0, RigidTransform(), needle=OUTSIDE)
+    assert not visible(meshcat, "truth/needle/outside")
 
 
 def test_a_bent_needle_is_drawn_in_pieces_and_straight_again(meshcat):

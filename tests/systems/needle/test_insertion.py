@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydrake.math import RigidTransform, RollPitchYaw
 
 from sonoservo.systems.needle.bicycle_model import BicyclePath
 from sonoservo.systems.needle.hand import Hand
@@ -31,8 +32,19 @@ def test_speed_changes_within_the_ramp_and_never_jumps():
 
 
 def test_withdrawn_past_the_entry_the_needle_is_outside():
-    insertion = make(pushes=[Push(duration=1, speed=1e-2), Push(duration=2, speed=-1e-2)])
-    assert not insertion.needle(20.0)
+    entry = [-0.06, 0.01, -0.03]
+    pushes = [Push(duration=1, speed=1e-2), Push(duration=2, speed=-1e-2)]
+    insertion = make(entry=entry, azimuth_deg=90.0, pushes=pushes)
+    outside = insertion.needle(20.0)
+    assert not outside
+    # 10 mm before the entry, aimed along +Y.
+    tip, ahead = outside.aim
+    np.testing.assert_allclose(tip, [-0.06, 0.0, -0.03], atol=1e-12)
+    np.testing.assert_allclose(np.cross(ahead - tip, [0, 1, 0]), 0, atol=1e-12)
+    assert (ahead - tip)[1] > 0
+    X = RigidTransform(RollPitchYaw(0.1, 0.2, 0.3), [1.0, 2.0, 3.0])
+    np.testing.assert_allclose(outside.transformed(X).aim[0], X.multiply(tip))
+    assert insertion.needle(2.0).aim is None
 
 
 def test_a_needle_that_is_outside_can_be_put_in_elsewhere():
