@@ -3,6 +3,7 @@ import shutil
 
 import pytest
 from playwright.sync_api import Error, sync_playwright
+from pydrake.geometry import Meshcat, MeshcatParams
 
 NO_CHROMIUM = "no Chromium: install it with your package manager, or `playwright install chromium`"
 KNOWN_WARNINGS = (
@@ -29,6 +30,14 @@ def browser():
             pytest.skip(NO_CHROMIUM)
         yield chromium
         chromium.close()
+
+
+@pytest.fixture
+def meshcat():
+    """A Meshcat that outlives the pages, if it comes before `open_page` among the arguments."""
+    meshcat = Meshcat(MeshcatParams(host="localhost"))
+    yield meshcat
+    del meshcat
 
 
 @pytest.fixture

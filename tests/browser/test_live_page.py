@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 from browser_view import project, screenshot, wait_for_object
-from pydrake.geometry import Meshcat, MeshcatParams, Rgba, Sphere
+from pydrake.geometry import Rgba, Sphere
 from pydrake.math import RigidTransform
 
 
 @pytest.mark.parametrize("p_W", [[0.2, 0.1, 0.3], [-0.3, 0.2, 0.1]])
-def test_a_ball_is_seen_where_it_is(open_page, p_W):
-    meshcat = Meshcat(MeshcatParams(host="localhost"))
+def test_a_ball_is_seen_where_it_is(meshcat, open_page, p_W):
     meshcat.SetProperty("/Background", "visible", False)
     meshcat.SetObject("ball", Sphere(0.04), Rgba(1, 0, 0))
     meshcat.SetTransform("ball", RigidTransform(p_W))

@@ -142,8 +142,7 @@ def volume_of(grey, time):
     return Volume(np.full((31, 31, 31), grey, np.uint8), origin, spacing, X_WP, time)
 
 
-def test_every_new_volume_is_seen_and_what_is_off_stays_off(open_page):
-    meshcat = local_meshcat()
+def test_every_new_volume_is_seen_and_what_is_off_stays_off(meshcat, open_page):
     view = WorldView(meshcat=meshcat, parameters=WorldViewParameters())
     context = view.CreateDefaultContext()
     page = open_world(open_page, meshcat.web_url())
