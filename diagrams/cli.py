@@ -27,6 +27,7 @@ from sonoservo.diagrams.study_report import write_study
 from sonoservo.diagrams.terminal import (
     Progress,
     VolumeProgress,
+    keep_shown,
     mode_table,
     start_display,
     start_monitor,
@@ -248,6 +249,8 @@ def track_command(
     _console.print(mode_table(result.summary))
     _console.print(f"Results, starting with the report: {folder / 'report.html'}", soft_wrap=True)
     _write_json(json_path, result.summary)
+    if monitor is not None and not result.summary["interrupted"]:
+        keep_shown(_console)
     if result.summary["interrupted"]:
         raise typer.Exit(130)
 

@@ -1,7 +1,9 @@
 """What a person sees in the terminal: progress while it runs, figures when it ends."""
 
 import math
+import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -281,3 +283,11 @@ def start_monitor(console: Console, host: str = "localhost") -> "Monitor":
         raise ConfigurationError(str(error)) from error
     console.print(f"The scanner's monitor: [bold]{monitor.web_url}[/bold]")
     return monitor
+
+
+def keep_shown(console: Console) -> None:
+    """Wait until the user at the terminal has seen enough; at once where nobody sits at one."""
+    if console.is_interactive and sys.stdin.isatty():
+        console.print("The monitor keeps its last picture: press Enter to end.")
+        with suppress(EOFError, KeyboardInterrupt):
+            input()

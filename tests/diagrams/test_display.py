@@ -1,4 +1,6 @@
+import io
 import socket
+import sys
 from urllib.parse import urlsplit
 
 import pytest
@@ -6,7 +8,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from sonoservo.diagrams.cli import app
-from sonoservo.diagrams.terminal import start_display, start_monitor
+from sonoservo.diagrams.terminal import keep_shown, start_display, start_monitor
 from sonoservo.systems.typed_yaml import ConfigurationError
 
 # Any address of this machine that is not its own loop, found without sending anything.
@@ -59,3 +61,24 @@ def test_a_wrong_host_ends_the_command_before_anything_is_written(tmp_path):
     result = CliRunner().invoke(app, [*arguments, "--out", str(tmp_path / "out")])
     assert isinstance(result.exception, ConfigurationError)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(("typed", "left"), [("\nnext", "next"), ("", "")])
+def test_a_picture_stays_until_enter_or_the_end_of_input(monkeypatch, typed, left):
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    terminal, said = Terminal(typed), io.StringIO()
+    monkeypatch.setattr("sys.stdin", terminal)
+    keep_shown(Console(file=said, force_interactive=True))
+    assert "press Enter" in said.getvalue()
+    assert terminal.read() == left
+
+
+def test_nobody_at_a_terminal_is_waited_for(monkeypatch):
+    monkeypatch.setattr("sys.stdin", io.StringIO("kept"))
+    said = io.StringIO()
+    keep_shown(Console(file=said, force_interactive=True))
+    assert said.getvalue() == ""
+    assert sys.stdin.read() == "kept"
