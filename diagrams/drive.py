@@ -147,8 +147,9 @@ def drive(
     monitor
         Where to show the volumes, if anywhere.
     out
-        Folder for scenario.yaml (what was driven), scenario_1.yaml and so on (what was saved or
-        given up by a restart), summary.json, log.npz, plots and report.html; None keeps nothing.
+        Folder for scenario.yaml (what was driven), scenario_1.yaml and so on (what was saved, given
+        up by a restart, or driven earlier into the same folder), summary.json, log.npz, plots and
+        report.html; None keeps nothing.
     show
         Called now and then with the simulated time in s, and what there is to say.
 
@@ -176,6 +177,8 @@ def drive(
         save("scenario.yaml")
         write_log(log_path, experiment.log())
 
+    if out is not None and (out / "scenario.yaml").exists():  # of an earlier drive
+        (out / "scenario.yaml").rename(out / _next_name(out))
     kept = KeptRun(driven.scenario, save_all, out=out)
     with kept:
         start = True

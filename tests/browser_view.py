@@ -1,6 +1,7 @@
 """What a page of Meshcat shows, and where."""
 
 import io
+import time
 
 import numpy as np
 from PIL import Image
@@ -38,3 +39,28 @@ def wait_for_object(page, path):
         "names => names.reduce((node, name) => node && node.children[name], viewer.scene_tree)",
         arg=names,
     )
+
+
+def eventually(page, check, patience=30.0):
+    """Return what a check returns once it holds; how soon depends on the machine alone."""
+    end = time.monotonic() + patience
+    while True:
+        try:
+            return check()
+        except AssertionError:
+            if time.monotonic() > end:
+                raise
+        page.wait_for_timeout(100)
+
+
+def still(page):
+    """A screenshot, when the page has ceased to change."""
+
+    def check():
+        before = screenshot(page)
+        page.wait_for_timeout(250)
+        after = screenshot(page)
+        np.testing.assert_array_equal(before, after)
+        return after
+
+    return eventually(page, check)

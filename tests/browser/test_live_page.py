@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from browser_view import project, screenshot, wait_for_object
+from browser_view import eventually, project, screenshot, wait_for_object
 from pydrake.geometry import Rgba, Sphere
 from pydrake.math import RigidTransform
 
@@ -15,9 +15,12 @@ def test_a_ball_is_seen_where_it_is(meshcat, open_page, p_W):
     meshcat.SetCameraPose([1.5, -1.0, 1.0], [0, 0, 0.2])
     page = open_page(meshcat.web_url())
     wait_for_object(page, "/drake/ball")
-    page.wait_for_timeout(500)
-    picture = screenshot(page).astype(int)
-    red = (picture[..., 0] > 100) & (picture[..., 1:].max(axis=2) < 60)
-    rows, columns = np.nonzero(red)
-    assert rows.size > 100
-    np.testing.assert_allclose([columns.mean(), rows.mean()], project(page, p_W)[0], atol=2)
+
+    def check():
+        picture = screenshot(page).astype(int)
+        red = (picture[..., 0] > 100) & (picture[..., 1:].max(axis=2) < 60)
+        rows, columns = np.nonzero(red)
+        assert rows.size > 100
+        np.testing.assert_allclose([columns.mean(), rows.mean()], project(page, p_W)[0], atol=2)
+
+    eventually(page, check)

@@ -4,7 +4,7 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from browser_view import project, screenshot, wait_for_object
+from browser_view import eventually, project, screenshot, still
 from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.systems.display.monitor import Monitor
@@ -36,11 +36,6 @@ def monitor():
         yield monitor
 
 
-def wait_until_drawn(page):
-    wait_for_object(page, "/meshcat/monitor/probe/second/needle/<object>")
-    page.wait_for_timeout(500)
-
-
 def pixels(page, points):
     """(m, 2) columns and rows of (m, 2) points of the screen, X right and Y down."""
     return project(page, [[x, 0.0, -y] for x, y in points])
@@ -58,31 +53,39 @@ def red_at(page, picture, points):
     return [red[row - 1 : row + 2, column - 1 : column + 2].any() for column, row in at]
 
 
+def check_needle(page, picture, volume, estimate):
+    """The needle is on both pictures, and nothing beside it; its ring surrounds the tip."""
+    turns = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+    circle = np.stack([np.cos(turns), np.sin(turns)], axis=1)
+    for view in monitor_views(volume, estimate.curve):
+        entry, tip = view.coordinates([estimate.curve.entry, estimate.curve.tip])
+        assert all(red_at(page, picture, view.on_screen(tip + 0.0025 * circle)))
+        assert not any(red_at(page, picture, view.on_screen(np.add(tip, [[0, 0], [0.008, 0]]))))
+        assert not any(red_at(page, picture, view.on_screen(tip + 0.006 * circle[:5])))
+        along = entry + np.linspace(0.05, 0.9, 9)[:, np.newaxis] * (tip - entry)
+        assert all(red_at(page, picture, view.on_screen(along)))
+        beside = view.on_screen(np.add(along, [0, 0.004]))
+        assert not any(red_at(page, picture, beside))
+
+
+def drawn(page, volume, estimate):
+    """A screenshot, when a volume has been drawn."""
+    eventually(page, lambda: check_needle(page, screenshot(page), volume, estimate))
+    return still(page)
+
+
 def test_needle_and_ring_are_on_both_pictures(open_page, monitor, shown):
     page = open_page(monitor.web_url)
     for number, (volume, estimate) in enumerate(shown):
         monitor.show(volume, estimate, number + 1)
-        wait_until_drawn(page)
-        picture = screenshot(page)
-        for view in monitor_views(volume, estimate.curve):
-            entry, tip = (view.coordinates(point) for point in (ENTRY, TIPS[number]))
-            turns = np.linspace(0, 2 * np.pi, 16, endpoint=False)
-            circle = np.stack([np.cos(turns), np.sin(turns)], axis=1)
-            assert all(red_at(page, picture, view.on_screen(tip + 0.0025 * circle)))
-            assert not any(red_at(page, picture, view.on_screen(np.add(tip, [[0, 0], [0.008, 0]]))))
-            assert not any(red_at(page, picture, view.on_screen(tip + 0.006 * circle[:5])))
-            along = entry + np.linspace(0.05, 0.9, 9)[:, np.newaxis] * (tip - entry)
-            assert all(red_at(page, picture, view.on_screen(along)))
-            beside = view.on_screen(np.add(along, [0, 0.004]))
-            assert not any(red_at(page, picture, beside))
+        drawn(page, volume, estimate)
 
 
 def test_a_tick_each_10_mm_below_and_beside_each_picture(open_page, monitor, shown):
     page = open_page(monitor.web_url)
     volume, estimate = shown[0]
     monitor.show(volume, estimate)
-    wait_until_drawn(page)
-    picture = screenshot(page).max(axis=2)
+    picture = drawn(page, volume, estimate).max(axis=2)
     for view in monitor_views(volume, estimate.curve):
         low, high = view.window
         for axis in (0, 1):
@@ -101,23 +104,17 @@ def test_a_tick_each_10_mm_below_and_beside_each_picture(open_page, monitor, sho
 
 
 def test_every_page_shows_the_newest_volume(open_page, monitor, shown):
-    (before, old), (after, new) = shown
     first = open_page(monitor.web_url)
-    monitor.show(before, old, 1)
-    wait_until_drawn(first)
-    earlier = screenshot(first)
+    monitor.show(*shown[0], 1)
+    earlier = drawn(first, *shown[0])
     second = open_page(monitor.web_url)  # opened late
-    wait_until_drawn(second)
-    np.testing.assert_allclose(screenshot(second), earlier, atol=3)
+    np.testing.assert_allclose(drawn(second, *shown[0]), earlier, atol=3)
     first.close()
-    monitor.show(after, new, 2)
-    second.wait_for_timeout(700)
-    later = screenshot(second)
-    assert np.abs(later.astype(int) - earlier).max() > 100
+    monitor.show(*shown[1], 2)
+    later = drawn(second, *shown[1])
     second.reload()
     second.wait_for_function("typeof viewer !== 'undefined' && viewer.renderer")
-    wait_until_drawn(second)
-    np.testing.assert_allclose(screenshot(second), later, atol=3)
+    np.testing.assert_allclose(drawn(second, *shown[1]), later, atol=3)
 
 
 def test_a_page_says_when_its_monitor_ends_and_goes_on_with_the_next(open_page, shown):
@@ -125,18 +122,14 @@ def test_a_page_says_when_its_monitor_ends_and_goes_on_with_the_next(open_page, 
     with closing(Monitor(port=port)) as monitor:
         page = open_page(monitor.web_url)
         monitor.show(*shown[0])
-        wait_until_drawn(page)
+        drawn(page, *shown[0])
         assert not page.is_visible("#stopped")
     with closing(Monitor(port=port)) as following:
         assert following.web_url == monitor.web_url
         page.wait_for_selector("#stopped", state="visible")
         following.show(*shown[1])
         page.wait_for_selector("#stopped", state="hidden")
-        page.wait_for_timeout(700)
-        picture = screenshot(page)
-        for view in monitor_views(shown[1][0], shown[1][1].curve):
-            tip = view.coordinates(TIPS[1])
-            assert all(red_at(page, picture, view.on_screen(tip + 0.0025 * np.eye(2))))
+        drawn(page, *shown[1])
         page.close()
 
 
@@ -144,26 +137,20 @@ def test_nothing_piles_up_in_a_page(open_page, monitor, shown):
     page = open_page(monitor.web_url)
     count = "[viewer.renderer.info.memory.textures, viewer.renderer.info.memory.geometries]"
     monitor.show(*shown[0])
-    wait_until_drawn(page)
+    drawn(page, *shown[0])
     early = page.evaluate(count)
     for number in range(40):
         monitor.show(*shown[number % 2])
         page.wait_for_timeout(25)
-    page.wait_for_timeout(700)
+    drawn(page, *shown[1])  # the newest
     assert page.evaluate(count) == early
-    picture = screenshot(page)  # and it is the newest
-    for view in monitor_views(shown[1][0], shown[1][1].curve):
-        tip = view.coordinates(TIPS[1])
-        assert all(red_at(page, picture, view.on_screen(tip + 0.0025 * np.eye(2))))
 
 
 def test_the_document_shows_the_same(open_page, monitor, shown, tmp_path):
     page = open_page(monitor.web_url)
     monitor.show(*shown[0])
-    wait_until_drawn(page)
-    live = screenshot(page)
+    live = drawn(page, *shown[0])
     kept = tmp_path / "monitor.html"
     kept.write_text(monitor.html())
     page = open_page(kept.as_uri())
-    wait_until_drawn(page)
-    np.testing.assert_allclose(screenshot(page), live, atol=3)
+    np.testing.assert_allclose(drawn(page, *shown[0]), live, atol=3)

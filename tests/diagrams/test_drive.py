@@ -150,6 +150,13 @@ def test_a_restart_keeps_what_was_done_before(meshcat, tmp_path):
     assert not result.log.inserted_length.any()
 
 
+def test_an_earlier_drive_into_the_same_folder_is_kept(meshcat, tmp_path):
+    (tmp_path / "scenario.yaml").write_text("of an earlier drive")
+    drive(cheap(0.5), meshcat, out=tmp_path)
+    assert (tmp_path / "scenario_1.yaml").read_text() == "of an earlier drive"
+    assert load_scenario(tmp_path / "scenario.yaml").duration == 0.5
+
+
 def test_nothing_a_page_says_stops_the_run(meshcat):
     flood = [click(PAUSE)] * 2000 + [click(SAVE)] * 2000
     flood += [slide(DEPTH, value) for value in (math.nan, math.inf, 1e308, "x")] * 500
