@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from browser_view import project, screenshot, wait_for_object
+from browser_view import eventually, project, screenshot, wait_for_object
 from pydrake.common.value import Value
 from pydrake.geometry import Meshcat, MeshcatParams
 from pydrake.math import RigidTransform, RotationMatrix
@@ -80,7 +80,6 @@ def replay(run, tmp_path_factory):
 def open_world(open_page, url):
     page = open_page(url)
     wait_for_object(page, "/legend/<object>")
-    page.wait_for_timeout(1500)  # the pictures are decoded and drawn
     return page
 
 
@@ -109,30 +108,38 @@ def test_pages_that_come_and_go_change_nothing(run):
 
 def test_a_page_opened_late_shows_everything_and_each_layer_can_be_switched_off(run, open_page):
     page = open_world(open_page, run.meshcat.web_url())
-    picture = screenshot(page)
     curve = run.estimates[-1].curve
-    for point in project(page, np.linspace(curve.entry, curve.tip, 9)[1:-1]):
-        assert is_red(patch(picture, point)).any()
-    assert is_violet(patch(picture, project(page, curve.tip))).any()
-    hub = page.evaluate("viewer.scene_tree.find(['needle', 'hub', '0']).object.position.toArray()")
-    green = patch(picture, project(page, hub))
-    assert (green[..., 1] - green[..., 0] > 50).any()
-    # Between the probe's face and the needle there is speckle.
     X_WP = RigidTransform(run.log.X_WP[-1])
-    assert patch(picture, project(page, X_WP.multiply([0.0, 0.02, 0.0])), 8)[..., 1].std() > 3
+    wait_for_object(page, "/needle/hub/0")
 
+    def check():
+        picture = screenshot(page)
+        for point in project(page, np.linspace(curve.entry, curve.tip, 9)[1:-1]):
+            assert is_red(patch(picture, point)).any()
+        assert is_violet(patch(picture, project(page, curve.tip))).any()
+        hub = "viewer.scene_tree.find(['needle', 'hub', '0']).object.position.toArray()"
+        green = patch(picture, project(page, page.evaluate(hub)))
+        assert (green[..., 1] - green[..., 0] > 50).any()
+        # Between the probe's face and the needle there is speckle.
+        speckle = patch(picture, project(page, X_WP.multiply([0.0, 0.02, 0.0])), 8)
+        assert speckle[..., 1].std() > 3
+
+    eventually(page, check)
     page.get_by_text("Open Controls").click()
     rows = {name: page.get_by_text(name, exact=True).locator("xpath=../../..") for name in LAYERS}
     covered = np.rint(page.get_by_text("Close Controls").bounding_box()["x"]).astype(int) - 250
+
+    def check_is_off(name, before):
+        visible = f"viewer.scene_tree.children[{name!r}].object.visible"
+        assert page.evaluate(visible) is False, name
+        changed = np.abs(screenshot(page)[:, :covered].astype(int) - before).max(-1) > 8
+        assert changed.sum() > 3 or name in ("screen", "phase", "legend"), name
+
     for name, row in rows.items():
         page.wait_for_timeout(150)
         before = screenshot(page)[:, :covered]
         row.locator("input[type=checkbox]").first.click()
-        page.wait_for_timeout(300)
-        changed = (np.abs(screenshot(page)[:, :covered].astype(int) - before).max(-1) > 8).sum()
-        visible = f"viewer.scene_tree.children[{name!r}].object.visible"
-        assert page.evaluate(visible) is False, name
-        assert changed > 3 or name in ("screen", "phase", "legend"), name
+        eventually(page, lambda name=name, before=before: check_is_off(name, before))
 
 
 def volume_of(grey, time):
@@ -155,17 +162,28 @@ def test_every_new_volume_is_seen_and_what_is_off_stays_off(meshcat, open_page):
         view.GetInputPort("volume").FixValue(context, Value[object](volume))
         view.ForcedPublish(context)
         meshcat.Flush()
-        page.wait_for_timeout(1000)
-        point = project(page, volume.X_WP.multiply([0.01, 0.03, 0.0]))
+
+    def seen():
+        point = project(page, volume_of(0, 0.0).X_WP.multiply([0.01, 0.03, 0.0]))
         return patch(screenshot(page), point, 2)
 
-    # Meshcat's tone mapping makes dark greys up to 15 levels darker, light ones lighter.
+    def check_grey(grey):
+        # Meshcat's tone mapping makes dark greys up to 15 levels darker, light ones lighter.
+        np.testing.assert_allclose(seen(), grey, atol=20)
+
     for time, grey in enumerate((60, 180, 120)):
-        np.testing.assert_allclose(show(grey, float(time)), grey, atol=20)
+        show(grey, float(time))
+        eventually(page, lambda grey=grey: check_grey(grey))
     page.evaluate("viewer.scene_tree.children['slices'].vis_controller.setValue(false)")
-    assert np.abs(show(10, 3.0) - 10).min() > 50  # what is behind
+    live = "viewer.scene_tree.find(['slices', 'live']).children['<object>'].object.uuid"
+    last = page.evaluate(live)
+    show(10, 3.0)
+    page.wait_for_function(f"last => {live} != last", arg=last)
+    page.wait_for_timeout(300)
+    assert np.abs(seen() - 10).min() > 50  # what is behind
     page.evaluate("viewer.scene_tree.children['slices'].vis_controller.setValue(true)")
-    np.testing.assert_allclose(show(150, 4.0), 150, atol=20)
+    show(150, 4.0)
+    eventually(page, lambda: check_grey(150))
 
 
 SHOWN = """
@@ -183,10 +201,13 @@ def test_the_replay_plays_by_itself_in_step(run, replay, open_page):
     assert page.evaluate("viewer.animator.duration") == pytest.approx(7.5, abs=0.2)
     page.evaluate("viewer.animator.pause()")
     count = len(run.times)
+
+    def check_tip(tip):
+        assert is_violet(patch(screenshot(page), tip)).any()
+
     for number in (1, count // 2, count - 2):  # a moment before the next volume
         time = run.times[number + 1] - 0.05
         page.evaluate("time => viewer.animator.seek(time)", time)
-        page.wait_for_timeout(1500)
         slices, pictures, phase, force = page.evaluate(
             SHOWN, ["slices", "screen/pictures", "phase", "force/value"]
         )
@@ -195,10 +216,9 @@ def test_the_replay_plays_by_itself_in_step(run, replay, open_page):
         logged = np.interp(time, run.log.time, run.log.contact_force)
         value = float(force[0].removesuffix(" N")) if force else 0.0
         assert value == pytest.approx(logged, abs=0.15)
-        picture = screenshot(page)
         if run.estimates[number]:
             tip = project(page, run.estimates[number].curve.tip)
-            assert is_violet(patch(picture, tip)).any()
+            eventually(page, lambda tip=tip: check_tip(tip))
         # The probe is where it was: its face, in the arm's own chain of poses.
         p_WP = np.array([np.interp(time, run.log.time, axis) for axis in run.log.X_WP[:, :3, 3].T])
         face = "viewer.scene_tree.find(['probe', 'probe']).object.position.toArray()"
