@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform
 
-from sonoservo.diagrams.experiment import Experiment, make_insertion
+from sonoservo.diagrams.experiment import Experiment
 from sonoservo.diagrams.kept_run import KeptRun, refusing
 from sonoservo.diagrams.real_time import RealTime
 from sonoservo.diagrams.scenario import Scenario
+from sonoservo.diagrams.scenario_insertion import make_insertion
 from sonoservo.diagrams.simulation import RunResult, write_results
 from sonoservo.systems.control.controller_schedule import ControllerSettings
 from sonoservo.systems.control.driven_settings import DrivenSettings

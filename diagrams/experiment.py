@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Container, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,14 +14,16 @@ from pydrake.systems.framework import Context, DiagramBuilder, OutputPort, Syste
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
 from sonoservo.diagrams.probe_controller import MakeProbeController
 from sonoservo.diagrams.scenario import Scenario
-from sonoservo.diagrams.station import MakeStation, check_reach
+from sonoservo.diagrams.scenario_insertion import check_entry, check_followed, make_insertion
+from sonoservo.diagrams.seeds import draw_seeds
+from sonoservo.diagrams.station import MakeStation
 from sonoservo.systems.control.controller_schedule import ControllerSchedule, ControllerSettings
 from sonoservo.systems.control.scheduled_settings import ScheduledSettings
 from sonoservo.systems.display.scanner_monitor import ScannerMonitor
 from sonoservo.systems.display.world_view import WorldView, WorldViewParameters
 from sonoservo.systems.estimation.estimate import NeedleEstimate
 from sonoservo.systems.needle.hand import Hand
-from sonoservo.systems.needle.insertion import Insertion, Push
+from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.recording.logger import RunLogger
 from sonoservo.systems.recording.run_log import RunLog
 from sonoservo.systems.recording.volume_recorder import VolumeRecorder
@@ -99,9 +101,9 @@ class Experiment:
         tissue = replace(load_tissue(scenario.phantom), seed=seeds.tissue)
         geometry = sweep_geometry(transducer, scenario.imaging)
         insertion = make_insertion(scenario)
-        _check_entry(scenario, tissue.size)
+        check_entry(scenario, tissue.size)
         if scenario.controller.visual_servo.gain > 0:
-            _check_reach(scenario, insertion)
+            check_followed(scenario, insertion)
         require(
             scenario.processing_time < geometry.period,
             "processing_time",
@@ -265,36 +267,6 @@ class Experiment:
         return system.GetOutputPort(port).Eval(self.context_of(system))
 
 
-def make_insertion(scenario: Scenario, pushes: list[Push] | None = None) -> Insertion:
-    """Return the insertion of a scenario's needle.
-
-    Parameters
-    ----------
-    scenario
-        Tells the needle, the hand and the seed.
-    pushes
-        Take the place of the scenario's.
-    """
-    hand = scenario.hand if pushes is None else replace(scenario.hand, pushes=pushes)
-    return Insertion(hand, np.random.default_rng(draw_seeds(scenario).insertion))
-
-
-@dataclass(frozen=True)
-class Seeds:
-    """One for each thing that is random, so that none depends on how the others draw."""
-
-    tissue: int
-    insertion: int
-    noise: int
-    wrist: int
-    tracker: int
-
-
-def draw_seeds(scenario: Scenario) -> Seeds:
-    """Return the seeds that a scenario's own stands for."""
-    return Seeds(*(int(each) for each in np.random.SeedSequence(scenario.seed).generate_state(5)))
-
-
 def _planned_sources(scenario: Scenario, insertion: Insertion) -> dict[str, System]:
     controller = scenario.controller
     settings = ControllerSettings(controller.visual_servo.gain, controller.force.force)
@@ -334,40 +306,3 @@ def connect_by_name(
             port = system.get_input_port(index)
             if port.get_name() in outputs or port.get_name() not in optional:
                 builder.Connect(outputs[port.get_name()], port)
-
-
-def _check_entry(scenario: Scenario, size: list[float]) -> None:
-    """Refuse a needle that enters beside the phantom."""
-    half = np.array(size) / 2
-    entries = {"hand.entry": scenario.hand.entry}
-    for number, push in enumerate(scenario.hand.pushes):
-        if push.entry is not None:
-            entries[f"hand.pushes.{number}.entry"] = push.entry
-    for name, entry in entries.items():
-        reach = np.abs(np.subtract(entry, [0, 0, -half[2]])) + scenario.hand.entry_spread
-        require(
-            bool((reach <= half + 1e-9).all()),
-            name,
-            entry,
-            "in the phantom or on its surface, entry_spread included: "
-            f"|x| up to {half[0]:g}, |y| up to {half[1]:g}, z from {-size[2]:g} to 0 m",
-        )
-
-
-def _check_reach(scenario: Scenario, insertion: Insertion) -> None:
-    """Refuse a needle that the arm cannot follow to where it goes deepest."""
-    deepest = max(np.linspace(0, scenario.duration, 200), key=insertion.depth)
-    needle = insertion.needle(deepest)
-    if not needle:
-        return
-    station, direction = scenario.station, needle.curve.direction
-    start = station.probe.yaw_deg
-    # The needle's axis has no sense of direction: the probe turns to it the shorter way.
-    turn = (np.rad2deg(np.arctan2(direction[1], direction[0])) - start + 90) % 180 - 90
-    x, y, _ = needle.tip
-    pose = station.probe_pose(x=x, y=y, yaw_deg=start + turn, height=0.0)
-    if not check_reach(station, [pose])[0]:
-        raise ValueError(
-            f"hand: the arm cannot follow the needle to its deepest point, x {x:.3f}, y {y:.3f} m "
-            f"on the phantom, with the probe turned to {start + turn:.0f} deg"
-        )

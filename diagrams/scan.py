@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
-from sonoservo.diagrams.experiment import draw_seeds, make_insertion
 from sonoservo.diagrams.scenario import Scenario
+from sonoservo.diagrams.scenario_insertion import make_insertion
+from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.systems.needle.needle import Needle
 from sonoservo.systems.recording.files import write_atomically
 from sonoservo.systems.recording.nrrd import write_volume
