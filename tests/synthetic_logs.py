@@ -52,6 +52,7 @@ def build_insertion_log() -> RunLog:
         X_WT=np.tile(np.eye(4), (len(time), 1, 1)),
         needle_tip=tip,
         needle_entry=entry,
+        needle_points=np.linspace(entry, tip, 9, axis=1),
         inserted_length=length,
         estimate_mode=np.where(known, "tracking", "searching"),
         estimate_tip=np.where(known[:, np.newaxis], volume_tip[last], np.nan),

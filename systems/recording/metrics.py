@@ -133,8 +133,7 @@ def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     `lost_events`: how often that began;
     `tip_error_mm`: distance from the estimated to the true tip; `tip_axial_error_mm` and
     `tip_lateral_error_mm`: its parts along and across the true needle;
-    `axis_error_deg`: angle between the estimated and the true direction, entry to tip: between
-    chords, so for a bent needle also how much it bends before it comes into view;
+    `axis_error_deg`: angle between the estimated and the true direction (`EstimateErrors`);
     each {median, p95, max}; `tip_axial_bias_mm`: mean of the signed axial part, above zero where
     the estimate lies beyond the true tip.
     """

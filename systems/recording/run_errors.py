@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import cumulative_trapezoid
+from scipy.interpolate import CubicSpline
 
 from sonoservo.systems.recording.run_log import RunLog, unit
 
@@ -77,7 +78,9 @@ class EstimateErrors:
     axial, lateral
         (v,) its part along the true needle, above zero beyond the true tip, and across it, in m.
     axis
-        (v,) angle between the true and the estimated direction, entry to tip, in rad.
+        (v,) angle between the true and the estimated direction in rad. The estimate's runs from its
+        entry to its tip; the true one from the point of the needle that is nearest to that entry,
+        for before it a bent needle has not been seen.
     """
 
     tip: Floats
@@ -89,8 +92,8 @@ class EstimateErrors:
 def estimate_errors(log: RunLog) -> EstimateErrors:
     """Compare the estimate after each volume with the truth at the estimate's time."""
     time = log.volume_estimate_time
-    tip, entry = at_times(log, log.needle_tip, time), at_times(log, log.needle_entry, time)
-    true = unit(tip - entry)
+    tip = at_times(log, log.needle_tip, time)
+    true = _direction(at_times(log, log.needle_points, time), log.volume_estimate_entry)
     estimated = unit(log.volume_estimate_tip - log.volume_estimate_entry)
     miss = log.volume_estimate_tip - tip
     axial = np.sum(miss * true, axis=1)
@@ -101,6 +104,31 @@ def estimate_errors(log: RunLog) -> EstimateErrors:
         lateral=np.linalg.norm(miss - axial[:, np.newaxis] * true, axis=1),
         axis=np.arctan2(sine, np.sum(true * estimated, axis=1)),
     )
+
+
+def _direction(points: Floats, entry: Floats) -> Floats:
+    """Return the direction of needles from where they are first seen to their tips.
+
+    Parameters
+    ----------
+    points
+        (v, m, 3) evenly along each needle.
+    entry
+        (v, 3) where it is first seen.
+
+    Returns
+    -------
+    (v, 3) unit vectors; NaN where anything is. A tenth of the needle is used at the least.
+    """
+    direction = np.full((len(points), 3), np.nan)
+    known = is_known(points).all(axis=1) & is_known(entry)
+    if known.any():
+        u = np.linspace(0, 1, 201)
+        curves = CubicSpline(np.linspace(0, 1, points.shape[1]), points[known], axis=1)(u)
+        distances = np.linalg.norm(curves - entry[known, np.newaxis], axis=2)
+        first = np.minimum(np.argmin(distances, axis=1), 180)
+        direction[known] = unit(curves[:, -1] - curves[np.arange(len(curves)), first])
+    return direction
 
 
 def at_times(log: RunLog, values: Floats, time: Floats) -> Floats:

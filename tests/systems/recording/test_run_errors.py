@@ -23,6 +23,28 @@ def test_a_reversed_needle_is_half_a_turn_wrong(insertion_log):
     assert np.nanmin(estimate_errors(log).axis) == pytest.approx(np.pi)
 
 
+def test_a_bent_needle_is_judged_from_where_it_is_seen(insertion_log):
+    # An arc of radius 0.2 m; the estimate is its chord from the middle on.
+    angles = np.linspace(0, 0.5, 9)
+    arc = 0.2 * np.stack([np.sin(angles), 0 * angles, 1 - np.cos(angles)], axis=1)
+    rows = np.isfinite(insertion_log.needle_tip).all(axis=1)
+    log = replace(
+        insertion_log,
+        needle_points=np.where(rows[:, np.newaxis, np.newaxis], arc, np.nan),
+        needle_tip=np.where(rows[:, np.newaxis], arc[-1], np.nan),
+        volume_estimate_tip=np.tile(arc[-1], (len(insertion_log.volume_time), 1)),
+        volume_estimate_entry=np.tile(arc[4], (len(insertion_log.volume_time), 1)),
+    )
+    errors = estimate_errors(log).axis
+    assert np.isfinite(errors).sum() > 40
+    # Points of the true needle are looked at every half per cent.
+    assert np.nanmax(errors) < np.deg2rad(0.05)
+    whole = replace(log, volume_estimate_entry=np.tile(arc[0], (len(log.volume_time), 1)))
+    np.testing.assert_allclose(
+        np.nanmax(np.abs(estimate_errors(whole).axis)), 0.0, atol=np.deg2rad(0.05)
+    )
+
+
 def test_truth_is_taken_at_the_time_of_the_estimate(insertion_log):
     # Estimates that hold 0.1 s later and say where the tip then is are right.
     later = insertion_log.volume_estimate_time + 0.1
