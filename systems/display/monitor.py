@@ -1,5 +1,6 @@
 """The scanner's monitor: a web page of its own, in the probe frame."""
 
+import gc
 from html import escape
 
 from meshcat import Visualizer
@@ -88,7 +89,15 @@ class Monitor:
         self._drawn = newest
         if self._screen is None:
             self._screen = MonitorScreen(Visualizer(window=self._server))
-        self._screen.draw(*newest)
+        # Drake aborts where a Meshcat ends on another thread than its own: none is to be found here
+        # and collected as garbage.
+        collects = gc.isenabled()
+        gc.disable()
+        try:
+            self._screen.draw(*newest)
+        finally:
+            if collects:
+                gc.enable()
 
     def _repr_html_(self) -> str:
         return (

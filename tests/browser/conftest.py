@@ -1,3 +1,4 @@
+import gc
 import re
 import shutil
 
@@ -13,6 +14,7 @@ KNOWN_WARNINGS = (
     # A picture that was replaced before a page that draws in software came to fetch it.
     "CAS key not found",
     "Couldn't load texture cas-v1",
+    'Failed to load buffer "cas-v1',
 )
 
 
@@ -30,6 +32,13 @@ def browser():
             pytest.skip(NO_CHROMIUM)
         yield chromium
         chromium.close()
+
+
+@pytest.fixture(autouse=True)
+def no_garbage():
+    """Drake aborts where a Meshcat ends on another thread than its own, as in a monitor's."""
+    yield
+    gc.collect()
 
 
 @pytest.fixture

@@ -203,7 +203,7 @@ def test_the_replay_plays_by_itself_in_step(run, replay, open_page):
     count = len(run.times)
 
     def check_tip(tip):
-        assert is_violet(patch(screenshot(page), tip)).any()
+        assert is_violet(patch(screenshot(page), project(page, tip))).any()
 
     for number in (1, count // 2, count - 2):  # a moment before the next volume
         time = run.times[number + 1] - 0.05
@@ -217,7 +217,7 @@ def test_the_replay_plays_by_itself_in_step(run, replay, open_page):
         value = float(force[0].removesuffix(" N")) if force else 0.0
         assert value == pytest.approx(logged, abs=0.15)
         if run.estimates[number]:
-            tip = project(page, run.estimates[number].curve.tip)
+            tip = run.estimates[number].curve.tip
             eventually(page, lambda tip=tip: check_tip(tip))
         # The probe is where it was: its face, in the arm's own chain of poses.
         p_WP = np.array([np.interp(time, run.log.time, axis) for axis in run.log.X_WP[:, :3, 3].T])

@@ -1,3 +1,4 @@
+import gc
 import socket
 import subprocess
 import sys
@@ -12,6 +13,7 @@ from meshcat.commands import SetProperty
 from meshcat.path import Path
 
 from sonoservo.systems.display.monitor import PORT, Monitor
+from sonoservo.systems.display.monitor_screen import MonitorScreen
 from sonoservo.systems.display.page_server import PageServer
 
 PAGE = "<!-- VIEWER --><script>/* FEED */</script>"
@@ -113,6 +115,15 @@ def test_the_document_holds_what_the_newest_volume_shows(monitor, make_volume):
     assert before == monitor.html()
     monitor.show(make_volume(lambda p_P: 100 + 1000 * p_P[..., 0]))
     assert before != monitor.html()
+
+
+def test_no_garbage_is_collected_on_the_thread_that_draws(monitor, make_volume, monkeypatch):
+    collects = []
+    monkeypatch.setattr(MonitorScreen, "draw", lambda *_: collects.append(gc.isenabled()))
+    monitor.show(make_volume(zeros))
+    monitor.html()
+    assert collects == [False]
+    assert gc.isenabled()
 
 
 def test_what_a_slow_page_did_not_read_is_left_out(server):
