@@ -8,7 +8,8 @@
 from sonoservo.diagrams.experiment import Experiment, tracker_events
 from sonoservo.diagrams.locate import LocatedNeedle, locate, locate_in
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, NeedleTrackerParameters, track
-from sonoservo.diagrams.recorded import TrackedRecording, track_recording
+from sonoservo.diagrams.probe_controller import MakeProbeController
+from sonoservo.diagrams.recorded import TrackedRecording, track_recording, tracker_parameters
 from sonoservo.diagrams.scenario import Scenario, list_scenarios, load_scenario
 from sonoservo.diagrams.simulation import RunResult, run
 
@@ -16,6 +17,7 @@ __all__ = [
     "Experiment",
     "LocatedNeedle",
     "MakeNeedleTracker",
+    "MakeProbeController",
     "NeedleTrackerParameters",
     "RunResult",
     "Scenario",
@@ -28,4 +30,5 @@ __all__ = [
     "track",
     "track_recording",
     "tracker_events",
+    "tracker_parameters",
 ]

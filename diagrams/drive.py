@@ -185,6 +185,7 @@ def drive(
         start = True
         while start or experiment.time < scenario.duration:
             if start:
+                kept.begin()
                 experiment.start(real_time=True)
                 real_time.start(experiment.time)
                 start = paused = False

@@ -72,7 +72,8 @@ class KeptRun:
             write_atomically(self._out / "scenario.yaml", self._scenario.to_yaml())
         if self._meshcat is not None:
             self._meshcat.StartRecording(set_visualizations_while_recording=True)
-        self._started = self._saved = time.perf_counter()
+        self._saved = time.perf_counter()
+        self.begin()
         return self
 
     def __exit__(
@@ -85,6 +86,10 @@ class KeptRun:
         self.interrupted = kind is KeyboardInterrupt
         self._save()
         return self.interrupted
+
+    def begin(self) -> None:
+        """Start the clock; inside the context, start it anew."""
+        self._started = time.perf_counter()
 
     def go_on(self) -> None:
         """Save the log so far if that was long ago; call it now and then."""

@@ -1,6 +1,6 @@
 """Needle trackers: diagrams that turn volumes into an estimate of the needle."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -239,8 +239,10 @@ def track(
     parameters: NeedleTrackerParameters | Zhao2012TrackerParameters | None = None,
     dynamic_range_db: float = 60.0,
     seed: int = 0,
-) -> list[NeedleEstimate]:
+) -> Iterator[NeedleEstimate]:
     """Track a needle through volumes in order of time, without a simulation.
+
+    Each estimate is there as soon as its volume is, so the volumes may come from a live scanner.
 
     Parameters
     ----------
@@ -253,8 +255,8 @@ def track(
     seed
         Of every random choice.
 
-    Returns
-    -------
+    Yields
+    ------
     The estimate after each volume.
     """
     # No event is ever due: one is forced for each volume.
@@ -262,10 +264,8 @@ def track(
         parameters=parameters, period=1.0, dynamic_range_db=dynamic_range_db, seed=seed
     )
     context = tracker.CreateDefaultContext()
-    estimates: list[NeedleEstimate] = []
     for volume in volumes:
         tracker.GetInputPort("volume").FixValue(context, Value[object](volume))
         tracker.ExecuteForcedEvents(context)
         estimate: Any = tracker.GetOutputPort("estimate").Eval(context)
-        estimates.append(estimate)
-    return estimates
+        yield estimate

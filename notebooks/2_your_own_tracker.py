@@ -97,6 +97,7 @@ error.legend()
 place.axhline(0, color="0.6", linewidth=1)
 place.set_ylabel("X of the true tip (mm)")
 place.set_xlabel("time (s)")
+plt.show()
 # %%
 for name, result in runs.items():
     tracking, compute = result.summary["tracking"], result.summary["compute_ms"]["track"]

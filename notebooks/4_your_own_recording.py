@@ -68,6 +68,7 @@ for axis, name in zip("lps", ("left", "posterior", "superior"), strict=True):
 plt.xlabel("time (s)")
 plt.ylabel("estimated tip (mm)")
 plt.legend()
+plt.show()
 # %% [markdown]
 # The two orthogonal planes through the needle in a few volumes; along the beam above, across it
 # below.
@@ -90,8 +91,9 @@ plot_planes(
 arrays = [each.intensities for each in recording]
 found = locate(arrays[-1], volume.spacing, origin=volume.origin)
 print("tip in the array's coordinates, mm:", 1e3 * found.curve.tip if found else found.reason)
-estimates = track(
+volumes = (
     Volume(array, volume.origin, volume.spacing, RigidTransform(), time)
     for array, time in zip(arrays, recording.times, strict=True)
 )
+estimates = list(track(volumes))  # or one by one, as your scanner makes the volumes
 print([str(estimate.mode) for estimate in estimates[-3:]], 1e3 * estimates[-1].curve.tip)

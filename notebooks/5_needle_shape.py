@@ -60,6 +60,7 @@ for name, each in results.items():
 plt.xlabel("depth of the newest slice (mm)")
 plt.ylabel("error of the predicted tip (mm)")
 plt.legend()
+plt.show()
 # %%
 for name, each in results.items():
     miss = 1e3 * np.linalg.norm(each.log.tip[-1] - each.log.true[-1, :2])

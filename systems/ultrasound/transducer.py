@@ -142,10 +142,12 @@ def model_file(folder: str, name: str) -> Path:
     Raises
     ------
     FileNotFoundError
-        If there is neither; the message lists the names that ship.
+        If there is neither; for a name the message lists those that ship.
     """
     own = Path(name)
-    return own if own.suffix and own.is_file() else model_path(f"{folder}/{name}.yaml")
+    if own.suffix and not own.is_file():
+        raise FileNotFoundError(f"{folder.removesuffix('s')}: there is no file {name}")
+    return own if own.suffix else model_path(f"{folder}/{name}.yaml")
 
 
 def load_transducer(name: str) -> Transducer:

@@ -43,7 +43,7 @@ def volumes():
 
 @pytest.fixture(scope="module")
 def estimates(volumes):
-    return track(volumes)
+    return list(track(volumes))
 
 
 def test_finds_the_needle_soon_and_not_before(volumes, estimates):
@@ -118,14 +118,16 @@ def test_the_volumes_scale_reaches_detector_and_localizer():
     """Half the range over the same grey levels: every change counts half as many dB."""
     scene = Scene(seed=3)
     volumes = [scene.volume(k) for k in range(12)]
-    reasons = [track(volumes, dynamic_range_db=range_db)[-1].reason for range_db in (60.0, 30.0)]
+    reasons = [
+        list(track(volumes, dynamic_range_db=range_db))[-1].reason for range_db in (60.0, 30.0)
+    ]
     full, half = (float(reason.split(" more than ")[1].split()[0]) for reason in reasons)
     assert half == pytest.approx(full / 2, abs=0.1)
 
 
 @pytest.fixture(scope="module")
 def zhao(volumes):
-    return track(volumes, parameters=Zhao2012TrackerParameters())
+    return list(track(volumes, parameters=Zhao2012TrackerParameters()))
 
 
 def test_zhao_s_tracker_has_the_same_face(volumes, zhao):
@@ -162,3 +164,15 @@ def test_zhao_s_parameters_are_checked(field, value):
         value.order = 3
     with pytest.raises(ValueError, match=field):
         Zhao2012TrackerParameters(**{field: value})
+
+
+def test_an_estimate_is_there_before_the_next_volume_is_made():
+    made = []
+
+    def live():
+        for number in range(3):
+            made.append(number)
+            yield SCENE.volume(number)
+
+    for count, _ in enumerate(track(live()), start=1):
+        assert len(made) == count
