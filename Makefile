@@ -31,7 +31,7 @@ run: $(VENV)/.run
 	@$(BIN)/sonoservo run $(SCENARIO) $(ARGS)
 
 test: $(VENV)/.dev
-	@$(BIN)/python -m pytest -n 2 $(ARGS)
+	@$(BIN)/python -m pytest -n 2 --dist loadfile $(ARGS)
 
 bench: $(VENV)/.dev
 	@mkdir -p out
