@@ -1,5 +1,6 @@
 """What a person sees in the terminal: progress while it runs, figures when it ends."""
 
+import logging
 import math
 import sys
 from collections.abc import Mapping
@@ -269,8 +270,18 @@ def start_display(console: Console, host: str = "localhost") -> Meshcat:
             f"host: {host!r} is not allowed; it must be an address of this machine with a free "
             "port from 7000 to 7999"
         ) from error
+    logging.getLogger("drake").addFilter(_is_news)
     console.print(f"Watch at [bold]{meshcat.web_url()}[/bold]")
     return meshcat
+
+
+def _is_news(record: logging.LogRecord) -> bool:
+    """Whether a record of Drake's tells more than that a page asked for a replaced picture.
+
+    A page that draws slowly asks for pictures when newer ones have taken their place, and gets
+    these next: nothing is amiss, and a line for each would tear the progress bar apart.
+    """
+    return "Unknown CAS key" not in record.getMessage()
 
 
 def start_monitor(console: Console, host: str = "localhost") -> "Monitor":

@@ -1,7 +1,9 @@
 import io
 import socket
 import sys
+from urllib.error import HTTPError
 from urllib.parse import urlsplit
+from urllib.request import urlopen
 
 import pytest
 from rich.console import Console
@@ -46,6 +48,17 @@ def test_a_busy_port_is_stepped_over_and_the_address_printed():
     for meshcat in (first, second):
         assert urlsplit(meshcat.web_url()).hostname == "localhost"
         assert f"Watch at {meshcat.web_url()}" in shown
+
+
+def test_a_page_that_is_late_for_a_picture_is_no_news(caplog):
+    meshcat = start_display(Console(quiet=True))
+    with pytest.raises(HTTPError, match="404"):
+        urlopen(f"{meshcat.web_url()}/cas-v1/{64 * '0'}")
+    with pytest.raises(HTTPError, match="400"):
+        urlopen(f"{meshcat.web_url()}/cas-v1/torn")
+    assert [record.getMessage() for record in caplog.records if record.levelname == "WARNING"] == [
+        "Meshcat: Malformed CAS key torn"
+    ]
 
 
 @pytest.mark.parametrize("host", ["198.51.100.7", "no such host"])
