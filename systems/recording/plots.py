@@ -126,7 +126,8 @@ def _label(
     axes.grid(alpha=0.3)
     handles, names = axes.get_legend_handles_labels()
     if second is not None:
-        second.set_ylabel(second_unit)
+        # Beside its ticks, however wide they are, stands the legend.
+        second.set_title(f"right: {second_unit}", loc="right", fontsize="medium")
         more = second.get_legend_handles_labels()
         handles, names = handles + more[0], names + more[1]
     axes.legend(handles, names, loc="center left", bbox_to_anchor=(1.08, 0.5), frameon=False)
