@@ -36,6 +36,7 @@ _HANDLE = """
     for (let start = 0; start < batch.byteLength;) {
       const end = start + 4 + view.getUint32(start);
       viewer.handle_command_bytearray(new Uint8Array(batch.slice(start + 4, end)));
+      document.getElementById("waiting").style.display = "none";
       start = end;
     }
   }
@@ -79,7 +80,8 @@ class PageServer:
     ----------
     page
         HTML of the page. ``<!-- VIEWER -->`` in it becomes meshcat's script; ``/* FEED */`` becomes
-        what connects the variable ``viewer``, a ``MeshCat.Viewer``, with this server.
+        what connects the variable ``viewer``, a ``MeshCat.Viewer``, with this server. Its element
+        ``waiting`` is shown until the first command comes, ``stopped`` while there is no server.
     host
         Name or address to listen on.
     port

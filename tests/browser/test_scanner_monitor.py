@@ -76,9 +76,11 @@ def drawn(page, volume, estimate):
 
 def test_needle_and_ring_are_on_both_pictures(open_page, monitor, shown):
     page = open_page(monitor.web_url)
+    assert page.is_visible("text=waiting for the first volume")
     for number, (volume, estimate) in enumerate(shown):
         monitor.show(volume, estimate, number + 1)
         drawn(page, volume, estimate)
+        assert not page.is_visible("text=waiting for the first volume")
 
 
 def test_a_tick_each_10_mm_below_and_beside_each_picture(open_page, monitor, shown):
