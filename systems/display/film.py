@@ -2,7 +2,6 @@
 
 import numpy as np
 from pydrake.geometry import Meshcat
-from pydrake.math import RigidTransform
 
 from sonoservo.systems.display.textured_quads import gltf_mesh
 
@@ -32,12 +31,14 @@ class Film:
         self._kept = self._shown = 0
         self._newest = -np.inf
 
-    def show(self, gltf: str, X: RigidTransform, time: float) -> None:
-        """Draw a glTF document at a pose."""
+    def show(self, gltf: str, time: float) -> None:
+        """Draw a glTF document.
+
+        It has its place in itself: a transform would move what a slow page still shows.
+        """
         live = f"{self._path}/live"
         mesh = gltf_mesh(gltf)
         self._meshcat.SetObject(live, mesh)
-        self._meshcat.SetTransform(live, X)
         if not self._frames:
             # Meshcat forgets the textures of what has been replaced, and a slow page asks later.
             recent = f"{self._path}/recent/{self._shown % _RECENT}"
@@ -48,7 +49,6 @@ class Film:
             return
         path = f"{self._path}/{self._kept}"
         self._meshcat.SetObject(path, mesh)
-        self._meshcat.SetTransform(path, X)
         self._meshcat.SetProperty(path, "visible", False)
         recording = self._meshcat.get_mutable_recording()
         frame = recording.frame(time)

@@ -20,7 +20,7 @@ _EDGES = [(i, i | bit) for i in range(8) for bit in (1, 2, 4) if not i & bit]
 
 @dataclass(frozen=True, eq=False)
 class Plane(Immutable):
-    """A rectangle in the probe frame P.
+    """A rectangle in the probe frame P, or in another one.
 
     Parameters
     ----------
@@ -37,6 +37,10 @@ class Plane(Immutable):
 
     def __post_init__(self) -> None:
         require_positive(width=self.width, height=self.height)
+
+    def transformed(self, X: RigidTransform) -> "Plane":
+        """Return it in another frame, in which P has the pose X."""
+        return Plane(X @ self.X_PS, self.width, self.height)
 
     def grid(self, rows: int, columns: int) -> Vector:
         """(rows, columns, 3) positions in P, in m, of the pixels' centres.

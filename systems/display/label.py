@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import numpy as np
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform
 
@@ -24,12 +25,15 @@ class Label:
     ----------
     meshcat, path
         Where it is drawn.
-    height
-        Of the plate in m.
+    height, width
+        Most of a plate, in m: a text that is too wide is written smaller.
     """
 
-    def __init__(self, *, meshcat: Meshcat, path: str, height: float) -> None:
-        self._meshcat, self._path, self._height = meshcat, path, height
+    def __init__(
+        self, *, meshcat: Meshcat, path: str, height: float, width: float = np.inf
+    ) -> None:
+        self._meshcat, self._path = meshcat, path
+        self._height, self._width = height, width
         self._plates: dict[str, Switch] = {}
         self._shown = ""
 
@@ -65,6 +69,7 @@ class Label:
         path = f"{self._path}/{text.replace('/', ' ')}"
         image = text_image(text, colour, background)
         rows, columns, _ = image.shape
-        plane = Plane(RigidTransform(), self._height * columns / rows, self._height)
+        height = min(self._height, self._width * rows / columns)
+        plane = Plane(RigidTransform(), height * columns / rows, height)
         self._meshcat.SetObject(path, gltf_mesh(gltf_textured_quads([plane], [encode_png(image)])))
         return Switch(meshcat=self._meshcat, path=path)

@@ -58,8 +58,9 @@ class Screen:
         self, volume: Volume, slices: Sequence[Plane], pictures: Sequence[bytes], time: float
     ) -> None:
         """Show slices of a volume, at most two, and their pictures."""
-        planes = screen_planes(slices, volume.upper - volume.origin, *self._size)
-        self._film.show(gltf_textured_quads(planes, pictures), self._X_WS, time)
+        places = screen_planes(slices, volume.upper - volume.origin, *self._size)
+        planes = [place.transformed(self._X_WS) for place in places]
+        self._film.show(gltf_textured_quads(planes, pictures), time)
 
 
 def screen_planes(

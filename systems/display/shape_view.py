@@ -36,7 +36,7 @@ _LEGEND: Sequence[Sequence[Entry]] = (
     (("95 % around it", "line", _TUBE), ("cross-section", "ellipse", _MEASURED)),
 )
 _LAYERS = ("tissue", "cross_section", "needle", "predicted", "tube", "slice", "legend")
-_CAMERA, _TARGET = (0.10, -0.13, 0.03), (0.0, 0.0, -0.028)
+_CAMERA, _TARGET = (0.11, -0.122, 0.03), (0.01, 0.008, -0.028)
 _ROD = 0.75e-3
 """Radius of the predicted needle in m: a little more than the true one's, which it may hide."""
 _DEVIATIONS = 2.448
@@ -157,12 +157,13 @@ class ShapeView(LeafSystem):
     def _draw_slice(self, image: ImageSlice, time: float) -> None:
         shape = np.array(image.intensities.shape)
         middle = image.position(0.5 * (shape - 1))
-        plane = Plane(RigidTransform([*middle, 0.0]), *(shape * image.spacing))
+        X_WS = image.X_WP @ RigidTransform([*middle, 0.0])
+        plane = Plane(X_WS, *(shape * image.spacing))
         grey = image.intensities.T
         # Black speckle inside the picture is no hole in it.
         opacity = np.where(binary_fill_holes(grey > 0), np.uint8(255), np.uint8(0))
         gltf = gltf_textured_quads([plane], [encode_webp(np.stack([grey, opacity], axis=-1))])
-        self._film.show(gltf, image.X_WP, time)
+        self._film.show(gltf, time)
 
 
 def _box_edges(size: NDArray[np.float64]) -> list[NDArray[np.float64]]:

@@ -35,6 +35,7 @@ from sonoservo.systems.values import (
 _LAYERS = (
     "needle", "estimate", "uncertainty", "sector", "slices", "screen", "phase", "force", "legend"
 )  # fmt: skip
+_WAITING = "waiting for the first volume"
 _BESIDE = 0.045
 """From the middle of the probe's face to the arrow of the force, in m: clear of the housing."""
 
@@ -61,7 +62,8 @@ class WorldViewParameters:
         Of the camera, from the lower edge of the view to the upper one.
     screen_position
         Of the middle of the screen that shows the slices upright, in W, in m. Above it stands the
-        tracking mode, below it the legend.
+        tracking mode, below it the legend. By default all three are clear of the open controls of a
+        page that is at least 1.6 times as wide as it is high, and 1280 pixels wide.
     screen_size
         Its width and height, in m.
     """
@@ -71,9 +73,9 @@ class WorldViewParameters:
     film_frames: int = 0
     film_period: float = 0.2
     needle_length: float = 0.15
-    camera: list[float] = field(default_factory=lambda: [0.68, -0.74, 0.52])
-    camera_target: list[float] = field(default_factory=lambda: [0.54, 0.0, 0.25])
-    field_of_view_deg: float = 33.0
+    camera: list[float] = field(default_factory=lambda: [0.74, -0.74, 0.52])
+    camera_target: list[float] = field(default_factory=lambda: [0.60, 0.0, 0.25])
+    field_of_view_deg: float = 36.0
     screen_position: list[float] = field(default_factory=lambda: [0.745, 0.06, 0.28])
     screen_size: list[float] = field(default_factory=lambda: [0.18, 0.215])
 
@@ -122,7 +124,7 @@ class WorldView(LeafSystem):
     - ``slices``: of each new `volume`, where it was acquired: one along needle and beam, one along
       the needle across the beam (Chatelain 2013, fig. 3)
     - ``screen``: both slices upright, the probe at their top
-    - ``phase``: a word in the estimate's colour, for what the tracker does
+    - ``phase``: what the tracker does, in the estimate's colour
     - ``force``: the `contact_force` in N with which the probe presses, an arrow at its face
     - ``legend``
 
@@ -176,7 +178,7 @@ class WorldView(LeafSystem):
             meshcat=meshcat, path=f"{path}/slices",
             frames=parameters.film_frames, period=parameters.film_period,
         )  # fmt: skip
-        self._phase = Label(meshcat=meshcat, path=f"{path}/phase", height=0.03)
+        self._phase = Label(meshcat=meshcat, path=f"{path}/phase", height=0.03, width=width)
         above, below = [0.0, -0.5 * height - 0.02, 0.0], [0.0, 0.5 * height + 0.005, 0.0]
         meshcat.SetTransform(f"{path}/phase", X_WS @ RigidTransform(above))
         draw_legend(meshcat, f"{path}/legend", X_WS @ RigidTransform(below), width, WORLD_LEGEND)
@@ -223,7 +225,8 @@ class WorldView(LeafSystem):
         self._drawn = estimate
         self._estimate.draw(estimate, time)
         colour = MODE_COLOURS[estimate.mode]
-        self._phase.show(estimate.mode, time, ink(colour), colour)
+        seen = estimate.volume_time > -np.inf
+        self._phase.show(estimate.mode if seen else _WAITING, time, ink(colour), colour)
         if estimate.curve is None:
             self._uncertainty.hide(time)
         else:
@@ -252,5 +255,6 @@ class WorldView(LeafSystem):
             return
         pixel, time = self._parameters.pixel, context.get_time()
         pictures = [encode_webp(sample_plane(volume, plane, pixel)) for plane in planes]
-        self._film.show(gltf_textured_quads(planes, pictures), volume.X_WP, time)
+        in_world = [plane.transformed(volume.X_WP) for plane in planes]
+        self._film.show(gltf_textured_quads(in_world, pictures), time)
         self._screen.show(volume, planes, pictures, time)

@@ -143,8 +143,9 @@ def test_a_page_opened_late_shows_everything_and_each_layer_can_be_switched_off(
 
 
 def volume_of(grey, time):
-    """A volume of one grey level, 60 mm wide, whose probe looks down from 0.3 m."""
-    X_WP = RigidTransform(RotationMatrix.MakeXRotation(-np.pi / 2), [0.5, 0, 0.3])
+    """A volume of one grey level, 60 mm wide, whose probe looks down, now here and now there."""
+    place = [0.45 + 0.08 * (time % 2), 0, 0.3]
+    X_WP = RigidTransform(RotationMatrix.MakeXRotation(-np.pi / 2), place)
     origin, spacing = [-0.03, 0.0, -0.03], [2e-3] * 3
     return Volume(np.full((31, 31, 31), grey, np.uint8), origin, spacing, X_WP, time)
 
@@ -163,27 +164,49 @@ def test_every_new_volume_is_seen_and_what_is_off_stays_off(meshcat, open_page):
         view.ForcedPublish(context)
         meshcat.Flush()
 
-    def seen():
-        point = project(page, volume_of(0, 0.0).X_WP.multiply([0.01, 0.03, 0.0]))
+    def seen(time):
+        point = project(page, volume_of(0, time).X_WP.multiply([0.01, 0.03, 0.0]))
         return patch(screenshot(page), point, 2)
 
-    def check_grey(grey):
+    def check_grey(grey, time):
         # Meshcat's tone mapping makes dark greys up to 15 levels darker, light ones lighter.
-        np.testing.assert_allclose(seen(), grey, atol=20)
+        np.testing.assert_allclose(seen(time), grey, atol=20)
 
     for time, grey in enumerate((60, 180, 120)):
         show(grey, float(time))
-        eventually(page, lambda grey=grey: check_grey(grey))
+        eventually(page, lambda grey=grey, time=time: check_grey(grey, time))
     page.evaluate("viewer.scene_tree.children['slices'].vis_controller.setValue(false)")
     live = "viewer.scene_tree.find(['slices', 'live']).children['<object>'].object.uuid"
     last = page.evaluate(live)
     show(10, 3.0)
     page.wait_for_function(f"last => {live} != last", arg=last)
     page.wait_for_timeout(300)
-    assert np.abs(seen() - 10).min() > 50  # what is behind
+    assert np.abs(seen(3.0) - 10).min() > 50  # what is behind
     page.evaluate("viewer.scene_tree.children['slices'].vis_controller.setValue(true)")
     show(150, 4.0)
-    eventually(page, lambda: check_grey(150))
+    eventually(page, lambda: check_grey(150, 4.0))
+
+
+def test_open_controls_cover_nothing_of_the_screen(meshcat, open_page):
+    parameters = WorldViewParameters()
+    WorldView(meshcat=meshcat, parameters=parameters)
+    page = open_world(open_page, meshcat.web_url())
+    page.get_by_text("Open Controls").click()
+    right, down = 0.5 * np.array(parameters.screen_size)
+    # The phase is no wider than the screen, and 35 mm above it; so is the legend, below.
+    corners = [[x, y, 0] for x in (-right, right) for y in (-down - 0.035, down + 0.055)]
+    points = parameters.X_WScreen.multiply(np.array(corners).T).T
+
+    def check(width, height):
+        columns, rows = project(page, points).T
+        assert (columns > 0.5 * width).all()  # the robot's half
+        assert (columns < page.get_by_text("Close Controls").bounding_box()["x"]).all()
+        assert (rows > 0).all()
+        assert (rows < height).all()
+
+    for width, height in ((1280, 800), (1600, 900)):
+        page.set_viewport_size({"width": width, "height": height})
+        eventually(page, lambda size=(width, height): check(*size))
 
 
 SHOWN = """

@@ -1,4 +1,5 @@
 import base64
+import json
 import re
 from dataclasses import replace
 
@@ -59,6 +60,19 @@ def transform(meshcat, path):
     numbers = [packed[-9 * i : len(packed) - 9 * (i - 1)] for i in range(16, 0, -1)]
     assert all(number[0] == 0xCB for number in numbers)  # MessagePack's mark of a double
     return np.array([np.frombuffer(n[1:], ">f8")[0] for n in numbers]).reshape(4, 4).T
+
+
+def boxes(meshcat, path):
+    """[least, greatest] x, y, z of each picture of a glTF object, by the document alone."""
+    packed = meshcat._GetPackedObject(path).decode(errors="replace")
+    document, _ = json.JSONDecoder().raw_decode(packed[packed.index('{"') :])
+    found = []
+    for primitive in document["meshes"][0]["primitives"]:
+        accessor = document["accessors"][primitive["attributes"]["POSITION"]]
+        ends = np.array([accessor["min"], accessor["max"]])
+        x, y, z = ends[:, 0], -ends[::-1, 2], ends[:, 1]  # glTF's +Y is Drake's +Z
+        found.append(np.stack([x, y, z], axis=1))
+    return found
 
 
 def visible(meshcat, path):
@@ -129,7 +143,8 @@ def test_the_estimate_shows_its_mode(meshcat, make_volume):
     view = WorldView(meshcat=meshcat, path="modes")
     for time, mode in enumerate(TrackingMode):
         found = mode != TrackingMode.SEARCHING
-        publish(view, time, volume.X_WP, estimate=estimate(volume, mode) if found else searching())
+        shown = estimate(volume, mode) if found else searching(volume_time=0.0)
+        publish(view, time, volume.X_WP, estimate=shown)
         for other in list(TrackingMode)[: time + 1]:
             assert visible(meshcat, f"modes/phase/{other}") == (other == mode)
         for other in TrackingMode:
@@ -166,18 +181,28 @@ def test_slices_wait_for_the_tracker(meshcat, make_volume):
     publish(view, 0.7, volume.X_WP, volume=volume, estimate=searching())
     assert not meshcat.HasPath("/drake/waiting/slices/live")
     publish(view, 0.8, volume.X_WP, volume=volume, estimate=estimate(volume))
-    np.testing.assert_allclose(
-        transform(meshcat, "waiting/slices/live"), volume.X_WP.GetAsMatrix4(), atol=1e-12
-    )
-    assert meshcat.HasPath("/drake/waiting/slices/0")
+    planes = slice_planes(volume, estimate(volume).curve)
+    for path in ("waiting/slices/live", "waiting/slices/0"):
+        for box, plane in zip(boxes(meshcat, path), planes, strict=True):
+            corners = volume.X_WP.multiply(
+                plane.grid(1000, 1000)[[[0], [-1]], [0, -1]].reshape(4, 3).T
+            )
+            expected = [corners.min(axis=1), corners.max(axis=1)]
+            np.testing.assert_allclose(box, expected, atol=1e-4)  # half a pixel
+        assert not meshcat._GetPackedTransform(path)  # it would come before the pictures
     publish(view, 0.9, volume.X_WP, volume=volume, estimate=estimate(volume))
     assert not meshcat.HasPath("/drake/waiting/slices/1")  # the same volume is not drawn twice
 
 
 def test_no_volume_yet(meshcat):
     view = WorldView(meshcat=meshcat, path="early", parameters=WorldViewParameters(film_frames=9))
-    publish(view, 0.0, RigidTransform(), volume=NotFound("no sweep is complete yet"))
+    missing = NotFound("no sweep is complete yet")
+    publish(view, 0.0, RigidTransform(), volume=missing, estimate=searching())
     assert not meshcat.HasPath("/drake/early/slices")
+    assert visible(meshcat, "early/phase/waiting for the first volume")
+    publish(view, 0.1, RigidTransform(), estimate=searching(volume_time=0.1))
+    assert not visible(meshcat, "early/phase/waiting for the first volume")
+    assert visible(meshcat, "early/phase/searching")
 
 
 def test_without_a_browser_or_film_no_slice_is_made(meshcat, make_volume):
