@@ -82,7 +82,7 @@ class StationParameters:
     probe: ProbePlacement = field(default_factory=ProbePlacement)
     force_noise: float = 0.02
     torque_noise: float = 0.001
-    display_period: float = 1 / 16
+    display_period: float = 3 / 32
 
     def __post_init__(self) -> None:
         require_positive(time_step=self.time_step, display_period=self.display_period)

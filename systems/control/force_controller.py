@@ -73,7 +73,10 @@ class ForceController(LeafSystem):
         target = self.GetInputPort("force_target")
         if not target.HasValue(context):
             return self._parameters
-        return replace(self._parameters, force=float(target.Eval(context)[0]))
+        force = float(target.Eval(context)[0])
+        if force == self._parameters.force:
+            return self._parameters  # a new one is checked anew, which takes its time
+        return replace(self._parameters, force=force)
 
     def _update_state(self, context: Context, discrete_state: DiscreteValues) -> None:
         wrist_force = evaluate(self, context, "wrist_force", SpatialForce)

@@ -149,8 +149,8 @@ class VisualServo(LeafSystem):
     def _calc_planar_velocity(self, context: Context, output: BasicVector) -> None:
         estimate = evaluate(self, context, "estimate", NeedleEstimate)
         X_WP = evaluate(self, context, "X_WP", RigidTransform)
-        parameters = self._parameters
-        gain = self.GetInputPort("gain")
-        if gain.HasValue(context):
-            parameters = replace(parameters, gain=float(gain.Eval(context)[0]))
+        parameters, port = self._parameters, self.GetInputPort("gain")
+        gain = float(port.Eval(context)[0]) if port.HasValue(context) else parameters.gain
+        if gain != parameters.gain:  # a new one is checked anew, which takes its time
+            parameters = replace(parameters, gain=gain)
         output.SetFromVector(planar_velocity(estimate, X_WP, context.get_time(), parameters))

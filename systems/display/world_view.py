@@ -68,7 +68,7 @@ class WorldViewParameters:
         Its width and height, in m.
     """
 
-    publish_period: float = 1 / 16
+    publish_period: float = 3 / 32
     pixel: float = 1e-3
     film_frames: int = 0
     film_period: float = 0.2
