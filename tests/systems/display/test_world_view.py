@@ -301,7 +301,11 @@ def simulate(meshcat, make_volume, **parameters):
     builder = DiagramBuilder()
     source = builder.AddSystem(Volumes(make_volume))
     view = builder.AddSystem(
-        WorldView(meshcat=meshcat, path="all", parameters=WorldViewParameters(**parameters))
+        WorldView(
+            meshcat=meshcat,
+            path="all",
+            parameters=WorldViewParameters(publish_period=1 / 16, **parameters),
+        )
     )
     for name in ("volume", "X_WP", "X_WT", "needle"):
         builder.Connect(source.GetOutputPort(name), view.GetInputPort(name))
