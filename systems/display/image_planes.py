@@ -8,14 +8,12 @@ from numba import njit
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 
+from sonoservo.systems.display.shapes import box_edges
 from sonoservo.systems.needle.curve import NeedleCurve
 from sonoservo.systems.ultrasound.volume import Volume
 from sonoservo.systems.values import Immutable, require_positive
 
 Vector = NDArray[np.float64]
-
-_EDGES = [(i, i | bit) for i in range(8) for bit in (1, 2, 4) if not i & bit]
-"""Pairs of corners of a box, corners numbered by their bits in x, y, z."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,13 +88,11 @@ def slice_planes(volume: Volume, curve: NeedleCurve | None = None) -> list[Plane
 def _cut(volume: Volume, point: Vector, u: Vector, v: Vector) -> Plane | None:
     """Return the least rectangle along u and v around a plane's cut through a volume's grid."""
     normal = np.cross(u, v)
-    bits = (np.arange(8)[:, np.newaxis] >> np.arange(3)) & 1
-    corners = np.where(bits, volume.upper, volume.origin)
-    side = (corners - point) @ normal
+    edges = np.array(box_edges(volume.origin, volume.upper))
     cuts = [
-        corners[a] + side[a] / (side[a] - side[b]) * (corners[b] - corners[a])
-        for a, b in _EDGES
-        if side[a] * side[b] <= 0 and side[a] != side[b]
+        start + before / (before - behind) * (end - start)
+        for (start, end), (before, behind) in zip(edges, (edges - point) @ normal, strict=True)
+        if before * behind <= 0 and before != behind
     ]
     if not cuts:
         return None

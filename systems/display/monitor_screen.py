@@ -24,7 +24,7 @@ from sonoservo.systems.display.meshcat_shapes import (
     ribbons,
 )
 from sonoservo.systems.display.monitor_views import View, monitor_views
-from sonoservo.systems.display.shapes import sector_edges
+from sonoservo.systems.display.shapes import box_edges, sector_edges
 from sonoservo.systems.display.textured_quads import encode_png
 from sonoservo.systems.estimation.estimate import NeedleEstimate
 from sonoservo.systems.ultrasound.volume import Volume
@@ -175,7 +175,7 @@ class MonitorScreen:
         X[:3, :3] = _PROBE_SIZE / np.linalg.norm(high - low) * _R_MP.matrix()
         X[:3, 3] = _PROBE - X[:3, :3] @ (0.5 * (low + high))
         self._root["probe"].set_transform(X)
-        edges = sector_edges(geometry) if geometry is not None else _box_edges(low, high)
+        edges = sector_edges(geometry) if geometry is not None else box_edges(low, high)
         self._put("probe/outline", lines(edges, _FAINT))
         axes = np.diag(1.1 * np.maximum(high, 0.0))
         self._put("probe/axes", lines([np.stack([np.zeros(3), axis]) for axis in axes], _DIM))
@@ -227,9 +227,3 @@ def readings(volume: Volume, estimate: NeedleEstimate | None, number: int) -> di
         said["tip"] = f"tip depth {1e3 * tip[1]:.1f} mm"
         said["features"] = f"X {x:+z.1f} mm   Z {z:+z.1f} mm   Theta {theta:+z.1f} deg"
     return said
-
-
-def _box_edges(low: Floats, high: Floats) -> list[Floats]:
-    """(2, 3) ends of each edge of a box."""
-    corners = np.where((np.arange(8)[:, np.newaxis] >> np.arange(3)) & 1, high, low)
-    return [corners[[i, i | bit]] for i in range(8) for bit in (1, 2, 4) if not i & bit]

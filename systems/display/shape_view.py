@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.common.value import Value
 from pydrake.geometry import Meshcat, Rgba, Sphere
 from pydrake.math import RigidTransform
@@ -17,7 +16,7 @@ from sonoservo.systems.display.legend import Entry, draw_legend
 from sonoservo.systems.display.needle_view import NeedleView
 from sonoservo.systems.display.rod import Rod
 from sonoservo.systems.display.screen import facing
-from sonoservo.systems.display.shapes import tubes
+from sonoservo.systems.display.shapes import box_edges, tubes
 from sonoservo.systems.display.stage import set_stage
 from sonoservo.systems.display.textured_quads import encode_webp, gltf_textured_quads
 from sonoservo.systems.estimation.estimate import TrackingMode
@@ -110,7 +109,8 @@ class ShapeView(LeafSystem):
         X_WL = RigidTransform(R_WL, np.array(_TARGET)) @ RigidTransform([-0.04, -0.08, 0.0])
         draw_legend(meshcat, f"{path}/legend", X_WL, 0.12, _LEGEND)
         # Edges only: of two clear things, one inside the other, a browser may hide the inner.
-        meshcat.SetObject(f"{path}/tissue", tubes(_box_edges(self._size), 0.25e-3), _TISSUE)
+        edges = box_edges(self._size * [-0.5, -0.5, -1], self._size * [0.5, 0.5, 0])
+        meshcat.SetObject(f"{path}/tissue", tubes(edges, 0.25e-3), _TISSUE)
         meshcat.SetObject(f"{path}/cross_section", Sphere(1.2e-3), rgba(_MEASURED))
         meshcat.SetProperty(f"{path}/cross_section", "visible", False)
         self._needle: NeedleView | None = None  # until its radius is known
@@ -164,13 +164,3 @@ class ShapeView(LeafSystem):
         opacity = np.where(binary_fill_holes(grey > 0), np.uint8(255), np.uint8(0))
         gltf = gltf_textured_quads([plane], [encode_webp(np.stack([grey, opacity], axis=-1))])
         self._film.show(gltf, time)
-
-
-def _box_edges(size: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """(2, 3) ends of each edge of a box of tissue, in T, in m."""
-    bits = (np.arange(8)[:, np.newaxis] >> np.arange(3)) & 1
-    corners = (bits - np.array([0.5, 0.5, 1.0])) * size
-    return [
-        corners[[corner, corner | bit]] for corner in range(8) for bit in (1, 2, 4)
-        if not corner & bit
-    ]  # fmt: skip
