@@ -16,7 +16,6 @@ from sonoservo.diagrams.real_time import RealTime
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.scenario_insertion import make_insertion
 from sonoservo.diagrams.simulation import RunResult, write_results
-from sonoservo.systems.control.controller_schedule import ControllerSettings
 from sonoservo.systems.control.driven_settings import DrivenSettings
 from sonoservo.systems.display.operator_panel import OperatorPanel, operator_controls
 from sonoservo.systems.display.run_buttons import RunButtons
@@ -79,7 +78,7 @@ class DrivenExperiment:
             controller_changes=[],
         )
         hand, controller = scenario.hand, scenario.controller
-        start = ControllerSettings(controller.visual_servo.gain, controller.force.force)
+        start = controller.settings
         panel = OperatorPanel(
             meshcat=meshcat,
             controls=operator_controls(

@@ -17,7 +17,7 @@ from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.scenario_insertion import check_entry, check_followed, make_insertion
 from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.diagrams.station import MakeStation
-from sonoservo.systems.control.controller_schedule import ControllerSchedule, ControllerSettings
+from sonoservo.systems.control.controller_schedule import ControllerSchedule
 from sonoservo.systems.control.scheduled_settings import ScheduledSettings
 from sonoservo.systems.display.scanner_monitor import ScannerMonitor
 from sonoservo.systems.display.world_view import WorldView, WorldViewParameters
@@ -268,9 +268,7 @@ class Experiment:
 
 
 def _planned_sources(scenario: Scenario, insertion: Insertion) -> dict[str, System]:
-    controller = scenario.controller
-    settings = ControllerSettings(controller.visual_servo.gain, controller.force.force)
-    schedule = ControllerSchedule(settings, tuple(scenario.controller_changes))
+    schedule = ControllerSchedule(scenario.controller.settings, tuple(scenario.controller_changes))
     return {
         "phantom_motion": PhantomMotion(
             trajectory=phantom_trajectory(scenario.phantom_motion, scenario.station.X_WT)

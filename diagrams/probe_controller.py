@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
+from sonoservo.systems.control.controller_schedule import ControllerSettings
 from sonoservo.systems.control.differential_kinematics import (
     DifferentialKinematics,
     DifferentialKinematicsParameters,
@@ -36,6 +37,11 @@ class ProbeControllerParameters:
 
     def __post_init__(self) -> None:
         require_positive(time_step=self.time_step)
+
+    @property
+    def settings(self) -> ControllerSettings:
+        """What may be changed while it works, as it is at first."""
+        return ControllerSettings(self.visual_servo.gain, self.force.force)
 
 
 def MakeProbeController(*, parameters: ProbeControllerParameters) -> Diagram:
