@@ -6,14 +6,8 @@ import numpy as np
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.display.image_planes import Plane
 from sonoservo.systems.display.rod import Switch
-from sonoservo.systems.display.textured_quads import (
-    encode_png,
-    gltf_mesh,
-    gltf_textured_quads,
-    text_image,
-)
+from sonoservo.systems.display.textured_quads import draw_picture, text_image
 
 
 class Label:
@@ -70,6 +64,5 @@ class Label:
         image = text_image(text, colour, background)
         rows, columns, _ = image.shape
         height = min(self._height, self._width * rows / columns)
-        plane = Plane(RigidTransform(), height * columns / rows, height)
-        self._meshcat.SetObject(path, gltf_mesh(gltf_textured_quads([plane], [encode_png(image)])))
+        draw_picture(self._meshcat, path, image, RigidTransform(), height)
         return Switch(meshcat=self._meshcat, path=path)

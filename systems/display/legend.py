@@ -17,13 +17,7 @@ from sonoservo.systems.display.colours import (
     STEEL,
     UNCERTAINTY,
 )
-from sonoservo.systems.display.image_planes import Plane
-from sonoservo.systems.display.textured_quads import (
-    bytes_of,
-    encode_png,
-    gltf_mesh,
-    gltf_textured_quads,
-)
+from sonoservo.systems.display.textured_quads import bytes_of, draw_picture
 from sonoservo.systems.estimation.estimate import TrackingMode
 
 Entry = tuple[str, str, Sequence[float]]
@@ -99,6 +93,5 @@ def draw_legend(
     image = legend_image(columns)
     rows, columns, _ = image.shape
     height = width * rows / columns
-    plane = Plane(RigidTransform([0, 0.5 * height, 0]), width, height)
-    meshcat.SetObject(path, gltf_mesh(gltf_textured_quads([plane], [encode_png(image)])))
+    draw_picture(meshcat, path, image, RigidTransform([0, 0.5 * height, 0]), height)
     meshcat.SetTransform(path, X_WL)

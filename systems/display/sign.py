@@ -4,13 +4,7 @@ from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.display.colours import ink
-from sonoservo.systems.display.image_planes import Plane
-from sonoservo.systems.display.textured_quads import (
-    encode_png,
-    gltf_mesh,
-    gltf_textured_quads,
-    text_image,
-)
+from sonoservo.systems.display.textured_quads import draw_picture, text_image
 
 
 class Sign:
@@ -42,7 +36,4 @@ class Sign:
             self._meshcat.Delete(self._path)
             return
         image = text_image(text, ink(background), background)
-        plane = Plane(self._X_WSign, self._height * image.shape[1] / image.shape[0], self._height)
-        self._meshcat.SetObject(
-            self._path, gltf_mesh(gltf_textured_quads([plane], [encode_png(image)]))
-        )
+        draw_picture(self._meshcat, self._path, image, self._X_WSign, self._height)

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 from pydrake.common import MemoryFile
-from pydrake.geometry import InMemoryMesh, Mesh
+from pydrake.geometry import InMemoryMesh, Mesh, Meshcat
+from pydrake.math import RigidTransform
 
 from sonoservo.systems.display.image_planes import Plane
 
@@ -115,6 +116,15 @@ def gltf_textured_quads(planes: Sequence[Plane], pictures: Sequence[bytes]) -> s
 def gltf_mesh(gltf: str) -> Mesh:
     """Return a glTF document as a shape that Meshcat can draw."""
     return Mesh(InMemoryMesh(mesh_file=MemoryFile(gltf, ".gltf", "textured quads")))
+
+
+def draw_picture(
+    meshcat: Meshcat, path: str, image: NDArray[np.uint8], X: RigidTransform, height: float
+) -> None:
+    """Draw a picture as high as is said, in m: its centre at X, X along its rows, -Y upwards."""
+    rows, columns = image.shape[:2]
+    plane = Plane(X, height * columns / rows, height)
+    meshcat.SetObject(path, gltf_mesh(gltf_textured_quads([plane], [encode_png(image)])))
 
 
 def text_image(
