@@ -5,13 +5,13 @@
 >>> result.summary["servo"]["at_rest"]
 """
 
+from sonoservo.diagrams.app.locate import LocatedNeedle, locate, locate_in
+from sonoservo.diagrams.app.run import RunResult, run
+from sonoservo.diagrams.app.track import TrackedRecording, track_recording, tracker_parameters
 from sonoservo.diagrams.experiment import Experiment, tracker_events
-from sonoservo.diagrams.locate import LocatedNeedle, locate, locate_in
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, NeedleTrackerParameters, track
 from sonoservo.diagrams.probe_controller import MakeProbeController
-from sonoservo.diagrams.recorded import TrackedRecording, track_recording, tracker_parameters
 from sonoservo.diagrams.scenario import Scenario, list_scenarios, load_scenario
-from sonoservo.diagrams.simulation import RunResult, run
 
 __all__ = [
     "Experiment",

@@ -19,25 +19,25 @@ from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.diagrams.station import MakeStation
 from sonoservo.systems.control.controller_schedule import ControllerSchedule
 from sonoservo.systems.control.scheduled_settings import ScheduledSettings
-from sonoservo.systems.display.scanner_monitor import ScannerMonitor
-from sonoservo.systems.display.world_view import WorldView, WorldViewParameters
-from sonoservo.systems.estimation.estimate import NeedleEstimate
+from sonoservo.systems.display.monitor.scanner_monitor import ScannerMonitor
+from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
+from sonoservo.systems.evaluation.run_log import RunLog
+from sonoservo.systems.evaluation.run_logger import RunLogger
 from sonoservo.systems.needle.hand import Hand
 from sonoservo.systems.needle.insertion import Insertion
-from sonoservo.systems.recording.logger import RunLogger
-from sonoservo.systems.recording.run_log import RunLog
 from sonoservo.systems.recording.volume_recorder import VolumeRecorder
 from sonoservo.systems.robot.phantom import PhantomMotion
 from sonoservo.systems.robot.phantom_motion import phantom_trajectory
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate
+from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.ultrasound.imaging import sweep_geometry
 from sonoservo.systems.ultrasound.scan_converter import ScanConverter
-from sonoservo.systems.ultrasound.scanner import Scanner
-from sonoservo.systems.ultrasound.tissue import load_tissue
+from sonoservo.systems.ultrasound.simulation.scanner import Scanner
+from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
 from sonoservo.systems.ultrasound.transducer import load_transducer
-from sonoservo.systems.values import require
 
 if TYPE_CHECKING:
-    from sonoservo.systems.display.monitor import Monitor
+    from sonoservo.systems.display.monitor.monitor import Monitor
 
 _INSTANT = 1e-6
 """Time in s between an event and what is looked at just before or after it."""

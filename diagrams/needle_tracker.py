@@ -13,7 +13,6 @@ from sonoservo.systems.detection.insertion_detector import (
 )
 from sonoservo.systems.detection.volume_memory import VolumeMemory
 from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter, AxisTipFilterParameters
-from sonoservo.systems.estimation.estimate import NeedleEstimate
 from sonoservo.systems.estimation.needle_kalman_filter import (
     NeedleKalmanFilter,
     NeedleKalmanFilterParameters,
@@ -24,8 +23,9 @@ from sonoservo.systems.localization.speckle_velocimeter import (
     SpeckleVelocimeter,
     SpeckleVelocimeterParameters,
 )
-from sonoservo.systems.ultrasound.volume import Volume
-from sonoservo.systems.values import require, require_not_negative
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate
+from sonoservo.systems.signals.requirements import require, require_not_negative
+from sonoservo.systems.signals.volume import Volume
 
 
 @dataclass(kw_only=True)

@@ -13,7 +13,7 @@ from sonoservo.systems.control.force_controller import ForceController
 from sonoservo.systems.control.force_law import ForceControllerParameters
 from sonoservo.systems.control.visual_servo import VisualServo, VisualServoParameters
 from sonoservo.systems.robot.arm import MakeArmPlant
-from sonoservo.systems.values import require_positive
+from sonoservo.systems.signals.requirements import require_positive
 
 
 @dataclass(kw_only=True)

@@ -7,27 +7,24 @@ from typing import Any
 
 import yaml
 
-from sonoservo.diagrams.needle_tracker import (
-    NeedleTrackerParameters,
-    Zhao2012TrackerParameters,
-)
+from sonoservo.diagrams.needle_tracker import NeedleTrackerParameters, Zhao2012TrackerParameters
 from sonoservo.diagrams.probe_controller import ProbeControllerParameters
 from sonoservo.diagrams.shape_scenario import ShapeScenario
 from sonoservo.diagrams.station import StationParameters
 from sonoservo.systems.control.controller_schedule import ControllerChange
-from sonoservo.systems.needle.insertion import InsertionParameters
-from sonoservo.systems.robot.phantom_motion import PhantomMotionParameters
-from sonoservo.systems.typed_yaml import (
+from sonoservo.systems.files.typed_yaml import (
     ConfigurationError,
     assign,
     load_typed,
     read_yaml,
     suggest,
 )
+from sonoservo.systems.needle.insertion import InsertionParameters
+from sonoservo.systems.robot.phantom_motion import PhantomMotionParameters
+from sonoservo.systems.signals.requirements import require, require_positive
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.scan_converter import ScanConversionParameters
-from sonoservo.systems.ultrasound.scanner import ScannerParameters
-from sonoservo.systems.values import require, require_positive
+from sonoservo.systems.ultrasound.simulation.scanner import ScannerParameters
 
 
 @dataclass(kw_only=True)

@@ -8,7 +8,7 @@ from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.diagrams.station import check_reach
 from sonoservo.systems.needle.insertion import Insertion, Push
-from sonoservo.systems.values import require
+from sonoservo.systems.signals.requirements import require
 
 
 def make_insertion(scenario: Scenario, pushes: list[Push] | None = None) -> Insertion:

@@ -14,24 +14,25 @@ from pydrake.systems.framework import DiagramBuilder, System
 
 from sonoservo.diagrams.experiment import connect_by_name
 from sonoservo.diagrams.shape_scenario import ShapeScenario
-from sonoservo.systems.display.shape_view import ShapeView
+from sonoservo.systems.display.world.shape_view import ShapeView
 from sonoservo.systems.estimation.least_squares_shape_estimator import LeastSquaresShapeEstimator
-from sonoservo.systems.estimation.needle_shape import NeedleShape
 from sonoservo.systems.estimation.particle_shape_estimator import ParticleShapeEstimator
 from sonoservo.systems.estimation.published_shape_estimator import PublishedShapeEstimator
 from sonoservo.systems.estimation.shape_estimator import ShapeEstimator
-from sonoservo.systems.localization.cross_section import CrossSection
+from sonoservo.systems.evaluation.shape_log import ShapeLog
 from sonoservo.systems.localization.cross_section_tracker import CrossSectionTracker
 from sonoservo.systems.needle.bevelled_insertion import BevelledInsertion
 from sonoservo.systems.needle.hand import Hand
 from sonoservo.systems.needle.insertion import OUTER_DIAMETER
-from sonoservo.systems.recording.shape_log import ShapeLog
-from sonoservo.systems.robot.stepping_stage import SteppingStage
-from sonoservo.systems.ultrasound.scanner import Scanner
+from sonoservo.systems.robot.probe_stepper import ProbeStepper
+from sonoservo.systems.signals.cross_section import CrossSection
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.needle_shape import NeedleShape
+from sonoservo.systems.signals.requirements import require
+from sonoservo.systems.ultrasound.simulation.scanner import Scanner
+from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
 from sonoservo.systems.ultrasound.slice_converter import SliceConverter
-from sonoservo.systems.ultrasound.tissue import load_tissue
 from sonoservo.systems.ultrasound.transducer import load_transducer
-from sonoservo.systems.values import NotFound, require
 
 _INSTANT = 1e-6
 """Time in s between an event and what is looked at just before or after it."""
@@ -44,7 +45,7 @@ class ShapeExperiment:
 
         name: (the scenario's)
 
-    The subsystems are hand, stepping_stage, scanner, slice_converter, cross_section_tracker,
+    The subsystems are hand, probe_stepper, scanner, slice_converter, cross_section_tracker,
     shape_estimator and, with a Meshcat, shape_view. Every one of their inputs is connected to the
     output that has the same name. W and T are the same but for the tissue's shifts.
 
@@ -104,7 +105,7 @@ class ShapeExperiment:
         self.shape_estimator = self.make_estimator(scenario.estimator)
         systems: dict[str, System] = {
             "hand": Hand(insertion=self.insertion),
-            "stepping_stage": SteppingStage(
+            "probe_stepper": ProbeStepper(
                 X_WP=self.X_WP,
                 step=scenario.step,
                 period=scenario.period,

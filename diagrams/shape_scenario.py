@@ -4,17 +4,15 @@ from dataclasses import asdict, dataclass, field
 
 import yaml
 
-from sonoservo.systems.estimation.published_particle_filter import (
-    PublishedParticleFilterParameters,
-)
+from sonoservo.systems.estimation.published_particle_filter import PublishedParticleFilterParameters
 from sonoservo.systems.estimation.shape_least_squares import ShapeLeastSquaresParameters
 from sonoservo.systems.estimation.shape_particle_filter import ShapeParticleFilterParameters
+from sonoservo.systems.files.typed_yaml import suggest
 from sonoservo.systems.localization.cross_section_tracker import CrossSectionTrackerParameters
 from sonoservo.systems.needle.bevelled_insertion import BevelledInsertionParameters
-from sonoservo.systems.typed_yaml import suggest
+from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.rendering import ScannerParameters
-from sonoservo.systems.values import require, require_not_negative, require_positive
+from sonoservo.systems.ultrasound.simulation.rendering import ScannerParameters
 
 ESTIMATORS = ("particle_filter", "least_squares", "published")
 """Names of the shape estimators."""

@@ -20,7 +20,7 @@ from sonoservo.systems.robot.contact_force import ContactForce
 from sonoservo.systems.robot.phantom import AddPhantom
 from sonoservo.systems.robot.posture import probe_pose, reachable, solve_posture
 from sonoservo.systems.robot.wrist_force_sensor import WristForceSensor
-from sonoservo.systems.values import require, require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 
 _CONTACT_MODELS = ("hydroelastic_with_fallback", "hydroelastic", "point")
 

@@ -14,10 +14,10 @@ import matplotlib.pyplot as plt
 from rich.console import Console
 
 from sonoservo.diagrams import Experiment, load_scenario, run
-from sonoservo.diagrams.terminal import summary_table
-from sonoservo.systems.display.monitor import Monitor
-from sonoservo.systems.recording.plots import plot_run
-from sonoservo.systems.recording.run_errors import estimate_errors
+from sonoservo.diagrams.app.terminal import summary_table
+from sonoservo.systems.display.monitor.monitor import Monitor
+from sonoservo.systems.evaluation.plots import plot_run
+from sonoservo.systems.evaluation.run_errors import estimate_errors
 
 QUICK = ["duration=7", "hand.start=1", "hand.pushes.0.speed=0.016"]
 scenario = load_scenario(
@@ -69,7 +69,7 @@ Console(width=100).print(summary_table(result.summary, scenario.published))
 plot_run(result.log, scenario.controller.force.force)
 
 # %% [markdown]
-# `result.log` holds every signal as an array, in SI units and in W (`systems/recording/README.md`
+# `result.log` holds every signal as an array, in SI units and in W (`systems/evaluation/README.md`
 # lists them). How far is the estimate after each volume from the truth? Across the needle a few
 # tenths of a millimetre, along it more: a beam 2 mm wide blurs the needle's end.
 

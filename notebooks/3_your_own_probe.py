@@ -14,10 +14,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from sonoservo.diagrams import load_scenario, run
-from sonoservo.diagrams.scan import scan
-from sonoservo.systems.display.image_planes import sample_plane
-from sonoservo.systems.display.monitor_views import monitor_views
+from sonoservo.diagrams.app.scan import scan
+from sonoservo.systems.display.monitor.views import monitor_views
 from sonoservo.systems.ultrasound.beam import elevation_width, lateral_width
+from sonoservo.systems.ultrasound.planes import sample_plane
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
 QUICK = ["duration=7", "hand.start=1", "hand.pushes.0.speed=0.016"]

@@ -13,9 +13,9 @@ import os
 import matplotlib.pyplot as plt
 import numpy as np
 
+from sonoservo.diagrams.app.shape_run import predict_shape
 from sonoservo.diagrams.scenario import load_any_scenario
-from sonoservo.diagrams.shape_simulation import predict_shape
-from sonoservo.systems.recording.shape_plots import plot_shape
+from sonoservo.systems.evaluation.shape_plots import plot_shape
 
 COARSE = ["step=0.004"] if "SONOSERVO_QUICK" in os.environ else []
 
@@ -45,7 +45,7 @@ plot_shape(result.log, result.shape)
 # %%
 depths = np.linspace(0, 0.14, 8)
 for depth, position, deviation in zip(
-    depths, result.shape.positions(depths), result.shape.deviation(depths), strict=True
+    depths, result.shape.positions(depths), result.shape.std(depths), strict=True
 ):
     print(f"{1e3 * depth:4.0f} mm: {np.round(1e3 * position, 2)} mm, +- {1e3 * deviation:.2f} mm")
 
@@ -67,7 +67,7 @@ for name, each in results.items():
     figures = each.summary["prediction"]
     print(
         f"{name:>16}: tip {miss:.2f} mm off, "
-        f"stated deviation {figures['tip_deviation_mm']:.2f} mm, "
+        f"stated deviation {figures['tip_std_mm']:.2f} mm, "
         f"area between the paths {figures['shape_error_true_mm2']:.1f} mm²"
     )
 

@@ -6,11 +6,11 @@ import numpy as np
 from pydrake.math import RigidTransform
 
 from sonoservo.diagrams import load_scenario
-from sonoservo.diagrams.scan import scan
-from sonoservo.systems.needle.curve import NeedleCurve
+from sonoservo.diagrams.app.scan import scan
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.ultrasound.imaging import sweep_geometry
 from sonoservo.systems.ultrasound.transducer import load_transducer
-from sonoservo.systems.ultrasound.volume import Volume
 
 OUTSIDE = 15e-3
 """Length of needle in the tissue before it enters the field of view, in m."""

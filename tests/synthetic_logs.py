@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from sonoservo.systems.recording.run_log import RunLog, columns
+from sonoservo.systems.evaluation.run_log import RunLog, columns
 
 
 def build_log(samples: int, volumes: int, **known: Any) -> RunLog:

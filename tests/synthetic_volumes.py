@@ -8,8 +8,8 @@ from pydrake.math import RigidTransform
 from scipy.ndimage import gaussian_filter
 from scipy.special import ndtr
 
-from sonoservo.systems.ultrasound.sweep import SweepGeometry, SweepMotion
-from sonoservo.systems.ultrasound.volume import Volume
+from sonoservo.systems.signals.sweep import SweepGeometry, SweepMotion
+from sonoservo.systems.signals.volume import Volume
 
 GEOMETRY = SweepGeometry(
     array_radius=40e-3,

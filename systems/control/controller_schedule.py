@@ -3,7 +3,8 @@
 from bisect import bisect_right
 from dataclasses import dataclass
 
-from sonoservo.systems.values import Immutable, require_not_negative, require_positive
+from sonoservo.systems.signals.immutable import Immutable
+from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 
 
 @dataclass(kw_only=True)

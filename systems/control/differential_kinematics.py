@@ -13,7 +13,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Frame, JacobianWrtVariable
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, EventStatus, LeafSystem
 
-from sonoservo.systems.values import require, require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 
 
 @dataclass(kw_only=True)

@@ -14,7 +14,8 @@ from sonoservo.systems.control.force_law import (
     next_state,
     pressing_force,
 )
-from sonoservo.systems.values import evaluate, require_positive
+from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.requirements import require_positive
 
 
 class ForceController(LeafSystem):

@@ -11,7 +11,7 @@ from pydrake.math import RotationMatrix
 from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.tree import UniformGravityFieldElement
 
-from sonoservo.systems.values import require, require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 
 
 @dataclass(kw_only=True)

@@ -83,11 +83,11 @@ def saturated(
     return velocity / excess
 
 
-def significant_velocity(velocity: NDArray[np.float64], least_speed: float) -> NDArray[np.float64]:
+def significant_velocity(velocity: NDArray[np.float64], min_speed: float) -> NDArray[np.float64]:
     """Estimated velocity where it stands out of its noise, zero where it does not.
 
     A filter's velocity is never quite zero, and following its noise would shake a probe that ought
-    to rest. A velocity is passed on unchanged from twice `least_speed`, not at all below it, and
+    to rest. A velocity is passed on unchanged from twice `min_speed`, not at all below it, and
     in proportion in between, without a jump. (Its covariance does not tell noise from motion: a
     filter that allows for sudden starts is unsure of the velocity even where it hardly scatters.)
 
@@ -95,10 +95,10 @@ def significant_velocity(velocity: NDArray[np.float64], least_speed: float) -> N
     ----------
     velocity
         (3,) in m/s.
-    least_speed
+    min_speed
         In m/s; zero passes everything on.
     """
     speed = math.hypot(*velocity.tolist())
-    if speed >= 2 * least_speed:
+    if speed >= 2 * min_speed:
         return velocity
-    return velocity * max(speed / least_speed - 1, 0)
+    return velocity * max(speed / min_speed - 1, 0)

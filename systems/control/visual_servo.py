@@ -15,8 +15,9 @@ from sonoservo.systems.control.visual_features import (
     servo_velocity,
     significant_velocity,
 )
-from sonoservo.systems.estimation.estimate import NeedleEstimate, TrackingMode
-from sonoservo.systems.values import evaluate, require_not_negative, require_positive
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 
 
 @dataclass(kw_only=True)
@@ -33,10 +34,10 @@ class VisualServoParameters:
     feed_forward
         Whether the probe moves with the tip's estimated velocity while the needle is seen (not
         while the estimate coasts); off in the paper, where the tip lags by its velocity / gain.
-    least_speed
+    min_speed
         Slower than this, in m/s, that velocity counts as noise and is not followed; from twice
         this speed it is followed in full. Zero follows it always.
-    least_inclination_deg
+    min_inclination_deg
         A needle closer than this to the beam leaves the probe's rotation alone, in deg.
     stale_after
         An estimate older than this stops the visual motion, in s.
@@ -46,8 +47,8 @@ class VisualServoParameters:
 
     gain: float = 1.6
     feed_forward: bool = True
-    least_speed: float = 1.5e-3
-    least_inclination_deg: float = 10.0
+    min_speed: float = 1.5e-3
+    min_inclination_deg: float = 10.0
     stale_after: float = 1.5
     max_speed: float = 0.03
     max_angular_speed_deg: float = 20.0
@@ -60,8 +61,8 @@ class VisualServoParameters:
         )
         require_not_negative(
             gain=self.gain,
-            least_speed=self.least_speed,
-            least_inclination_deg=self.least_inclination_deg,
+            min_speed=self.min_speed,
+            min_inclination_deg=self.min_inclination_deg,
         )
 
 
@@ -95,7 +96,7 @@ def planar_velocity(
     tip = estimate.curve.tip - X_WP.translation()
     rates = np.zeros(3)
     if parameters.feed_forward and estimate.mode is TrackingMode.TRACKING:
-        velocity = significant_velocity(estimate.tip_velocity, parameters.least_speed)
+        velocity = significant_velocity(estimate.tip_velocity, parameters.min_speed)
         tip = tip + age * velocity
         rates[:2] = (R_PW @ velocity)[[0, 2]]
 
@@ -105,7 +106,7 @@ def planar_velocity(
         needle_features(R_PW @ tip, direction),
         gain=parameters.gain,
         rates=rates,
-        rotate=inclination > math.sin(math.radians(parameters.least_inclination_deg)),
+        rotate=inclination > math.sin(math.radians(parameters.min_inclination_deg)),
     )
     return saturated(
         velocity,

@@ -5,7 +5,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def geometric_median(
-    points: ArrayLike, *, tolerance: float = 1e-7, largest_iterations: int = 200
+    points: ArrayLike, *, tolerance: float = 1e-7, max_trials: int = 200
 ) -> NDArray[np.float64]:
     """Geometric median of points, a robust centre (Chatelain 2013, eq. 2).
 
@@ -19,7 +19,7 @@ def geometric_median(
         (m, d) points, at least one.
     tolerance
         Stops when a step is shorter; in the points' unit.
-    largest_iterations
+    max_trials
         Stops after so many steps.
 
     Returns
@@ -35,7 +35,7 @@ def geometric_median(
     if points.ndim != 2 or len(points) == 0:
         raise ValueError(f"points has shape {points.shape}; (m, d) with m > 0 is wanted")
     median = points.mean(axis=0)
-    for _ in range(largest_iterations):
+    for _ in range(max_trials):
         distance = np.linalg.norm(points - median, axis=1)
         apart = distance > tolerance
         if not apart.any():

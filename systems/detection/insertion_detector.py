@@ -8,17 +8,12 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem
 
 from sonoservo.systems.detection.geometric_median import geometric_median
-from sonoservo.systems.detection.volume_difference import largest_differences
-from sonoservo.systems.ultrasound.volume import Volume
-from sonoservo.systems.values import (
-    Immutable,
-    NotFound,
-    evaluate,
-    read_only,
-    require,
-    require_not_negative,
-    require_positive,
-)
+from sonoservo.systems.detection.volume_difference import top_differences
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.insertion_detection import InsertionDetection
+from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.volume import Volume
 
 
 @dataclass(kw_only=True)
@@ -31,11 +26,11 @@ class InsertionDetectorParameters:
     ----------
     candidate_volume
         Volume that the candidate voxels |X| fill together, in m^3.
-    largest_deviation
+    max_std
         Root of the variance threshold tau: of the trace of the candidates' covariance, in m.
-    largest_depth
+    max_depth
         delta: from the side of the field of view to the median, in m.
-    least_change
+    min_change
         Least difference T_t of the candidates, in dB; below it nothing but noise has moved.
     floor_quantile
         Of the volume's intensities; what is darker counts as equally dark. 0 is the paper's form.
@@ -48,9 +43,9 @@ class InsertionDetectorParameters:
     """
 
     candidate_volume: float = 5e-9
-    largest_deviation: float = 6e-3
-    largest_depth: float = 12e-3
-    least_change: float = 4.5
+    max_std: float = 6e-3
+    max_depth: float = 12e-3
+    min_change: float = 4.5
     floor_quantile: float = 0.9
     reach: float = 0.7e-3
     stillness: float = 0.3e-3
@@ -59,44 +54,15 @@ class InsertionDetectorParameters:
     def __post_init__(self) -> None:
         require_positive(
             candidate_volume=self.candidate_volume,
-            largest_deviation=self.largest_deviation,
-            largest_depth=self.largest_depth,
+            max_std=self.max_std,
+            max_depth=self.max_depth,
             stillness=self.stillness,
             decibels_per_level=self.decibels_per_level,
         )
-        require_not_negative(least_change=self.least_change, reach=self.reach)
+        require_not_negative(min_change=self.min_change, reach=self.reach)
         require(
             0 <= self.floor_quantile < 1, "floor_quantile", self.floor_quantile, "from 0 to below 1"
         )
-
-
-@dataclass(frozen=True, eq=False)
-class InsertionDetection(Immutable):
-    """Where something has just entered. Where nothing has, a `NotFound` takes its place.
-
-    Parameters
-    ----------
-    p_WEntry, p_WMedian, p_WTip
-        (3,) the candidate entry point E_t on the side of the field of view, the candidates'
-        geometric median, and that of the half farther from the entry, in m.
-    deviation
-        Root of the trace of the candidates' covariance, in m.
-    change
-        Least difference among the candidates, in dB.
-    time
-        When the tip was acquired, in s.
-    """
-
-    p_WEntry: NDArray[np.float64]
-    p_WMedian: NDArray[np.float64]
-    p_WTip: NDArray[np.float64]
-    deviation: float
-    change: float
-    time: float
-
-    def __post_init__(self) -> None:
-        for name in ("p_WEntry", "p_WMedian", "p_WTip"):
-            object.__setattr__(self, name, read_only(getattr(self, name), name, (3,)))
 
 
 def closest_side(volume: Volume, p_P: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -141,7 +107,7 @@ def _sides_of_what_is_seen(volume: Volume, p_P: NDArray[np.float64]) -> NDArray[
     return sides
 
 
-def largest_motion(current: Volume, previous: Volume) -> float:
+def max_motion(current: Volume, previous: Volume) -> float:
     """Largest distance that a corner of the volume moved in W between two volumes, in m."""
     corners = np.array(np.meshgrid(*zip(current.origin, current.upper, strict=True))).reshape(3, -1)
     corners = np.vstack([corners, np.ones(corners.shape[1])])
@@ -183,7 +149,7 @@ def detect_insertion(
         and np.allclose(volume.spacing, previous.spacing)
     ):
         return NotFound("the previous volume lies on another grid")
-    motion = largest_motion(volume, previous)
+    motion = max_motion(volume, previous)
     if motion > parameters.stillness:
         return NotFound(f"the probe moved {1e3 * motion:.2f} mm between the volumes")
     count = max(4, round(parameters.candidate_volume / float(np.prod(volume.spacing))))
@@ -193,7 +159,7 @@ def detect_insertion(
         and previous.motion is not None
         and volume.motion.direction != previous.motion.direction
     )
-    index, threshold = largest_differences(
+    index, threshold = top_differences(
         volume.intensities,
         previous.intensities,
         count,
@@ -203,21 +169,21 @@ def detect_insertion(
         both_seen=unlike,
     )
     change = threshold * parameters.decibels_per_level
-    if len(index) < count or change < parameters.least_change:
+    if len(index) < count or change < parameters.min_change:
         return NotFound(f"nothing changed by more than {change:.1f} dB")
     p_P = volume.position(index)
-    deviation = float(np.sqrt(p_P.var(axis=0).sum()))
-    if deviation > parameters.largest_deviation:
-        return NotFound(f"the change is spread over {1e3 * deviation:.1f} mm")
+    std = float(np.sqrt(p_P.var(axis=0).sum()))
+    if std > parameters.max_std:
+        return NotFound(f"the change is spread over {1e3 * std:.1f} mm")
     median = geometric_median(p_P)
     entry = closest_side(volume, median)
     depth = float(np.linalg.norm(entry - median))
-    if depth > parameters.largest_depth:
+    if depth > parameters.max_depth:
         return NotFound(f"the change lies {1e3 * depth:.1f} mm inside the field of view")
     away = np.linalg.norm(p_P - entry, axis=1)
     tip = geometric_median(p_P[away >= np.median(away)])
     p_W, times = volume.to_world(np.stack([entry, median, tip]))
-    return InsertionDetection(p_W[0], p_W[1], p_W[2], deviation, change, float(times[2]))
+    return InsertionDetection(p_W[0], p_W[1], p_W[2], std, change, float(times[2]))
 
 
 class InsertionDetector(LeafSystem):

@@ -50,7 +50,7 @@ def _changes(  # pragma: no cover - compiled
     return index[:found], change[:found]
 
 
-def largest_differences(
+def top_differences(
     current: NDArray[Any],
     previous: NDArray[Any],
     count: int,

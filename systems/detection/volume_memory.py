@@ -3,14 +3,11 @@
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
-from sonoservo.systems.ultrasound.radio_frequency import RadioFrequencySweep
-from sonoservo.systems.ultrasound.volume import Volume
-from sonoservo.systems.values import (
-    NotFound,
-    evaluate,
-    require_not_negative,
-    require_positive,
-)
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.radio_frequency_sweep import RadioFrequencySweep
+from sonoservo.systems.signals.requirements import require_not_negative, require_positive
+from sonoservo.systems.signals.volume import Volume
 
 Remembered = Volume | RadioFrequencySweep
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from pydrake.geometry import Rgba
 
-from sonoservo.systems.estimation.estimate import TrackingMode
+from sonoservo.systems.signals.needle_estimate import TrackingMode
 
 STEEL = (0.62, 0.65, 0.70)
 HUB = (0.0, 0.62, 0.45)

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydrake.geometry import SurfaceTriangle, TriangleSurfaceMesh
 from pydrake.math import RigidTransform, RotationMatrix
 
-from sonoservo.systems.ultrasound.sweep import SweepGeometry
+from sonoservo.systems.signals.sweep import SweepGeometry
 
 
 def resample(polyline: ArrayLike, points: int) -> NDArray[np.float64]:

@@ -14,15 +14,17 @@ from sonoservo.systems.estimation.axis_tip_state import (
     start_axis_tip,
     update_axis_tip,
 )
-from sonoservo.systems.estimation.estimate import TrackingMode
 from sonoservo.systems.estimation.needle_kalman_filter import (
     NeedleKalmanFilter,
     NeedleKalmanFilterParameters,
 )
 from sonoservo.systems.estimation.track import NeedleTrack
-from sonoservo.systems.localization.measurement import NeedleMeasurement
-from sonoservo.systems.localization.speckle_velocimeter import VelocityMeasurement
-from sonoservo.systems.values import NotFound, evaluate, require, require_not_negative
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.needle_estimate import TrackingMode
+from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.requirements import require, require_not_negative
+from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 
 
 @dataclass(kw_only=True)
@@ -146,7 +148,7 @@ class AxisTipFilter(NeedleKalmanFilter):
             since=measurement.time,
             turning=p.turning,
         )
-        state = start_axis_tip(measurement, p.first_speed, p.first_drift)
+        state = start_axis_tip(measurement, p.first_speed_std, p.first_drift_std)
         return track.at(state, measurement.curve.entry)
 
     def _confirm(

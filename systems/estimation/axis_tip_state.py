@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sonoservo.systems.estimation.track import NeedleMotionParameters, constant_velocity
-from sonoservo.systems.localization.measurement import NeedleMeasurement
-from sonoservo.systems.localization.speckle_velocimeter import VelocityMeasurement
-from sonoservo.systems.values import Immutable, read_only
+from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ def direction_angles(direction: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def start_axis_tip(
-    measurement: NeedleMeasurement, first_speed: float, first_drift: float
+    measurement: NeedleMeasurement, first_speed_std: float, first_drift_std: float
 ) -> AxisTipState:
     """Start at a measurement, with a velocity that is not known.
 
@@ -72,7 +72,7 @@ def start_axis_tip(
     ----------
     measurement
         Of a straight needle.
-    first_speed, first_drift
+    first_speed_std, first_drift_std
         Standard deviations of the tip's velocity along the needle and in every direction, in m/s.
     """
     k = measurement.curve.direction
@@ -80,7 +80,7 @@ def start_axis_tip(
     frame[0] *= np.sign(np.linalg.det(frame))
     P = np.zeros((8, 8))
     P[:5, :5] = _axis_and_tip(frame, measurement)[1]
-    P[5:, 5:] = first_drift**2 * np.eye(3) + first_speed**2 * np.outer(k, k)
+    P[5:, 5:] = first_drift_std**2 * np.eye(3) + first_speed_std**2 * np.outer(k, k)
     return AxisTipState(frame, measurement.curve.tip, np.zeros(3), P)
 
 

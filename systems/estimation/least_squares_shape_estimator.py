@@ -5,13 +5,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.estimation.needle_shape import bicycle_paths, path_statistics
 from sonoservo.systems.estimation.shape_estimator import ShapeEstimator
 from sonoservo.systems.estimation.shape_least_squares import (
     FittedShape,
     ShapeFit,
     ShapeLeastSquaresParameters,
 )
+from sonoservo.systems.signals.needle_shape import bicycle_paths, path_statistics
 
 Floats = NDArray[np.float64]
 

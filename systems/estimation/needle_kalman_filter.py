@@ -9,20 +9,15 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 from scipy.stats import chi2
 
-from sonoservo.systems.detection.insertion_detector import InsertionDetection
-from sonoservo.systems.estimation.estimate import TrackingMode
 from sonoservo.systems.estimation.track import NeedleMotionParameters, NeedleTrack
-from sonoservo.systems.localization.measurement import NeedleMeasurement
-from sonoservo.systems.needle.curve import NeedleCurve
-from sonoservo.systems.ultrasound.volume import Volume
-from sonoservo.systems.values import (
-    Immutable,
-    NotFound,
-    evaluate,
-    require,
-    require_not_negative,
-    require_positive,
-)
+from sonoservo.systems.signals.immutable import Immutable, NotFound
+from sonoservo.systems.signals.insertion_detection import InsertionDetection
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_estimate import TrackingMode
+from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.volume import Volume
 
 
 @dataclass(kw_only=True)
@@ -35,14 +30,14 @@ class NeedleKalmanFilterParameters:
         n of the curve: 2 straight, 3 bent.
     motion
         How the needle may accelerate: Q.
-    first_deviation
+    first_std
         Standard deviation of the control points at a detection, in m.
-    first_speed, first_drift
+    first_speed_std, first_drift_std
         Standard deviations of the tip's velocity along the needle, and of every point's in every
         direction, when a track starts, in m/s.
-    least_advance
+    min_advance
         Of the tip, from the first to the last of detections that follow one another, in m.
-    largest_detection_jump
+    max_detection_jump
         Of the tip between detections that follow one another, in m.
     gate
         Probability that a true measurement passes the gate on the innovation.
@@ -68,11 +63,11 @@ class NeedleKalmanFilterParameters:
 
     order: int = 2
     motion: NeedleMotionParameters = field(default_factory=NeedleMotionParameters)
-    first_deviation: float = 1.0e-3
-    first_speed: float = 4e-3
-    first_drift: float = 2e-3
-    least_advance: float = 2.5e-3
-    largest_detection_jump: float = 10e-3
+    first_std: float = 1.0e-3
+    first_speed_std: float = 4e-3
+    first_drift_std: float = 2e-3
+    min_advance: float = 2.5e-3
+    max_detection_jump: float = 10e-3
     gate: float = 0.9999
     volumes_to_confirm: int = 4
     volumes_to_lose: int = 4
@@ -85,11 +80,11 @@ class NeedleKalmanFilterParameters:
     def __post_init__(self) -> None:
         require(self.order in (2, 3), "order", self.order, "2 or 3")
         require_positive(
-            first_deviation=self.first_deviation,
-            first_speed=self.first_speed,
-            first_drift=self.first_drift,
-            least_advance=self.least_advance,
-            largest_detection_jump=self.largest_detection_jump,
+            first_std=self.first_std,
+            first_speed_std=self.first_speed_std,
+            first_drift_std=self.first_drift_std,
+            min_advance=self.min_advance,
+            max_detection_jump=self.max_detection_jump,
             gate=self.gate,
             withdrawn_length=self.withdrawn_length,
             seconds_to_give_up=self.seconds_to_give_up,
@@ -111,9 +106,9 @@ def _track(
     u, k = np.linspace(0, 1, curve.order), curve.direction
     P = np.zeros((2 * size, 2 * size))
     P[:size, :size] = covariance
-    P[size:, size:] = parameters.first_drift**2 * np.eye(size) + parameters.first_speed**2 * (
-        np.kron(np.outer(u, u), np.outer(k, k))
-    )
+    P[size:, size:] = parameters.first_drift_std**2 * np.eye(
+        size
+    ) + parameters.first_speed_std**2 * (np.kron(np.outer(u, u), np.outer(k, k)))
     mean = np.concatenate([curve.control_points.ravel(), np.zeros(size)])
     return NeedleTrack(mode, time, parameters.motion, mean, P, since=time)
 
@@ -129,7 +124,7 @@ def start_track(
     first, last = track.detections or (detection, detection)
     jump = float(np.linalg.norm(detection.p_WTip - last.p_WTip))
     depths = [np.linalg.norm(each.p_WTip - first.p_WEntry) for each in (first, detection)]
-    if jump > parameters.largest_detection_jump or depths[1] < depths[0]:
+    if jump > parameters.max_detection_jump or depths[1] < depths[0]:
         # Something else moves, or a needle is being withdrawn.
         first = detection
     empty = NeedleTrack(
@@ -140,10 +135,10 @@ def start_track(
         reason="something moved; the needle is not confirmed yet",
     )
     advance = detection.p_WTip - first.p_WTip
-    if np.linalg.norm(advance) < parameters.least_advance:
+    if np.linalg.norm(advance) < parameters.min_advance:
         return empty
     points = first.p_WTip + np.outer(np.linspace(0, 1, parameters.order), advance)
-    covariance = parameters.first_deviation**2 * np.eye(points.size)
+    covariance = parameters.first_std**2 * np.eye(points.size)
     started = _track(
         TrackingMode.SEARCHING, detection.time, NeedleCurve(points), covariance, parameters
     )

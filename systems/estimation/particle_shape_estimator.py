@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.estimation.needle_shape import bicycle_paths, path_statistics
 from sonoservo.systems.estimation.shape_estimator import ShapeEstimator
 from sonoservo.systems.estimation.shape_particle_filter import (
     ParticleBelief,
@@ -15,6 +14,7 @@ from sonoservo.systems.estimation.shape_particle_filter import (
     update,
 )
 from sonoservo.systems.estimation.shape_posterior import about_best_origin
+from sonoservo.systems.signals.needle_shape import bicycle_paths, path_statistics
 
 Floats = NDArray[np.float64]
 

@@ -17,9 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.estimation.needle_shape import ShapeEstimatorParameters
-from sonoservo.systems.needle.bicycle_model import deflections
-from sonoservo.systems.values import Immutable, require, require_positive
+from sonoservo.systems.estimation.shape_parameters import ShapeEstimatorParameters
+from sonoservo.systems.signals.bicycle_paths import deflections
+from sonoservo.systems.signals.immutable import Immutable
+from sonoservo.systems.signals.requirements import require, require_positive
 
 Floats = NDArray[np.float64]
 
@@ -92,8 +93,8 @@ def begin(
 ) -> PublishedBelief:
     """Step 1: particles drawn from the first distribution."""
     p = parameters
-    radius = rng.normal(p.mean_radius, p.radius_deviation, p.particles)
-    angle = rng.normal(0.0, p.angle_deviation, p.particles)
+    radius = rng.normal(p.mean_radius, p.radius_std, p.particles)
+    angle = rng.normal(0.0, p.angle_std, p.particles)
     return PublishedBelief(np.column_stack([radius, angle]), np.zeros((0, 3)))
 
 

@@ -13,7 +13,7 @@ from sonoservo.systems.estimation.published_particle_filter import (
     update,
 )
 from sonoservo.systems.estimation.shape_estimator import ShapeEstimator
-from sonoservo.systems.values import NotFound
+from sonoservo.systems.signals.immutable import NotFound
 
 Floats = NDArray[np.float64]
 

@@ -10,9 +10,11 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
-from sonoservo.systems.estimation.needle_shape import NeedleShape, ShapeEstimatorParameters
-from sonoservo.systems.localization.cross_section import CrossSection
-from sonoservo.systems.values import Immutable, NotFound, evaluate
+from sonoservo.systems.estimation.shape_parameters import ShapeEstimatorParameters
+from sonoservo.systems.signals.cross_section import CrossSection
+from sonoservo.systems.signals.immutable import Immutable, NotFound
+from sonoservo.systems.signals.needle_shape import NeedleShape
+from sonoservo.systems.signals.ports import evaluate
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.estimation.needle_shape import ShapeEstimatorParameters
+from sonoservo.systems.estimation.shape_parameters import ShapeEstimatorParameters
 from sonoservo.systems.estimation.shape_posterior import MeasurementNoise
-from sonoservo.systems.needle.bicycle_model import deflections
-from sonoservo.systems.values import Immutable, require
+from sonoservo.systems.signals.bicycle_paths import deflections
+from sonoservo.systems.signals.immutable import Immutable
+from sonoservo.systems.signals.requirements import require
 
 Floats = NDArray[np.float64]
 
@@ -30,23 +31,23 @@ class ShapeLeastSquaresParameters(ShapeEstimatorParameters):
     ----------
     samples
         Paths that stand for the distribution of the shape.
-    least_radius
+    min_radius
         No needle bends more than this, in m.
     noise
         Of the measured cross-sections.
     """
 
     samples: int = 200
-    least_radius: float = 0.2
+    min_radius: float = 0.2
     noise: MeasurementNoise = field(default_factory=MeasurementNoise)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         require(self.samples >= 20, "samples", self.samples, "at least 20")
         require(
-            0 < self.least_radius < self.mean_radius,
-            "least_radius",
-            self.least_radius,
+            0 < self.min_radius < self.mean_radius,
+            "min_radius",
+            self.min_radius,
             "above 0, below mean_radius",
         )
 
@@ -80,14 +81,14 @@ class ShapeFit:
         p = parameters
         self._prior_mean = np.array([0.0, 0.0, 0.0, 0.0, p.mean_radius])
         self._prior_precision = np.array(
-            [0.0, 0.0, _PLANE_DEVIATION**-2, p.angle_deviation**-2, p.radius_deviation**-2]
+            [0.0, 0.0, _PLANE_DEVIATION**-2, p.angle_std**-2, p.radius_std**-2]
         )
 
     def begin(self) -> FittedShape:
         """Return the prior; the origin is unknown."""
         deviation = np.array(
-            [1.0, 1.0, _PLANE_DEVIATION, self._parameters.angle_deviation,
-             self._parameters.radius_deviation]
+            [1.0, 1.0, _PLANE_DEVIATION, self._parameters.angle_std,
+             self._parameters.radius_std]
         )  # fmt: skip
         return FittedShape(self._prior_mean, np.diag(deviation**2))
 
@@ -141,7 +142,7 @@ class ShapeFit:
             gradient = jacobian.T @ (weighted * residual) / variance + precision * from_prior
             parameters = parameters + np.linalg.solve(hessian, gradient)
             parameters[3] = np.clip(parameters[3], -1.0, 1.0)
-            parameters[4] = max(parameters[4], self._parameters.least_radius)
+            parameters[4] = max(parameters[4], self._parameters.min_radius)
         residual, jacobian = self._linearized(parameters, points)
         squares = float(np.tile(weights, 2) @ residual**2)
         hessian = (jacobian.T * np.tile(weights, 2)) @ jacobian / noise.variance(squares, total)
@@ -181,6 +182,6 @@ class ShapeFit:
         # In pairs about the middle, so that their mean is the fit.
         draws = np.vstack([draws, -draws]) @ np.linalg.cholesky(fitted.covariance).T
         x, y, plane, angle, radius = (fitted.parameters + draws).T
-        radius = np.maximum(radius, self._parameters.least_radius)
+        radius = np.maximum(radius, self._parameters.min_radius)
         angle = np.clip(angle, -1.0, 1.0)
         return np.column_stack([radius, angle, plane]), np.column_stack([x, y])

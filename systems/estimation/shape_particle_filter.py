@@ -12,14 +12,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.estimation.needle_shape import ShapeEstimatorParameters
+from sonoservo.systems.estimation.shape_parameters import ShapeEstimatorParameters
 from sonoservo.systems.estimation.shape_posterior import (
     MeasurementNoise,
     about_best_origin,
     residual_sums,
 )
-from sonoservo.systems.needle.bicycle_model import deflections
-from sonoservo.systems.values import Immutable, require
+from sonoservo.systems.signals.bicycle_paths import deflections
+from sonoservo.systems.signals.immutable import Immutable
+from sonoservo.systems.signals.requirements import require
 
 Floats = NDArray[np.float64]
 
@@ -32,7 +33,7 @@ class ShapeParticleFilterParameters(ShapeEstimatorParameters):
     ----------
     particles
         Their number n.
-    least_radius
+    min_radius
         No needle bends more than this, in m; the normal distribution of R is cut off here.
     moves
         Metropolis steps after each resampling.
@@ -41,7 +42,7 @@ class ShapeParticleFilterParameters(ShapeEstimatorParameters):
     """
 
     particles: int = 500
-    least_radius: float = 0.2
+    min_radius: float = 0.2
     moves: int = 2
     noise: MeasurementNoise = field(default_factory=MeasurementNoise)
 
@@ -50,9 +51,9 @@ class ShapeParticleFilterParameters(ShapeEstimatorParameters):
         require(self.particles >= 50, "particles", self.particles, "at least 50")
         require(self.moves >= 1, "moves", self.moves, "at least 1")
         require(
-            0 < self.least_radius < self.mean_radius,
-            "least_radius",
-            self.least_radius,
+            0 < self.min_radius < self.mean_radius,
+            "min_radius",
+            self.min_radius,
             "above 0, below mean_radius",
         )
 
@@ -103,19 +104,19 @@ class ShapePosterior:
     def draw(self, rng: np.random.Generator) -> Floats:
         """(n, 3) particles of the prior; phi is anywhere."""
         p = self._parameters
-        radius = rng.normal(p.mean_radius, p.radius_deviation, p.particles)
-        while np.any(low := radius < p.least_radius):
-            radius[low] = rng.normal(p.mean_radius, p.radius_deviation, int(low.sum()))
-        angle = rng.normal(0.0, p.angle_deviation, p.particles)
+        radius = rng.normal(p.mean_radius, p.radius_std, p.particles)
+        while np.any(low := radius < p.min_radius):
+            radius[low] = rng.normal(p.mean_radius, p.radius_std, int(low.sum()))
+        angle = rng.normal(0.0, p.angle_std, p.particles)
         return np.column_stack([radius, angle, rng.uniform(-np.pi, np.pi, p.particles)])
 
     def log_prior(self, particles: Floats) -> Floats:
         """(n,) up to a constant."""
         p = self._parameters
         radius, angle, _ = particles.T
-        out = -0.5 * ((radius - p.mean_radius) / p.radius_deviation) ** 2
-        out -= 0.5 * (angle / p.angle_deviation) ** 2
-        possible = (radius >= p.least_radius) & (np.abs(angle) < np.pi / 2)
+        out = -0.5 * ((radius - p.mean_radius) / p.radius_std) ** 2
+        out -= 0.5 * (angle / p.angle_std) ** 2
+        possible = (radius >= p.min_radius) & (np.abs(angle) < np.pi / 2)
         return np.where(possible, out, -np.inf)
 
     def sums(self, particles: Floats, points: Floats, weights: Floats) -> Floats:

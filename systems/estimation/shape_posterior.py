@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sonoservo.systems.values import require, require_positive
+from sonoservo.systems.signals.requirements import require, require_positive
 
 Floats = NDArray[np.float64]
 
@@ -20,7 +20,7 @@ class MeasurementNoise:
 
     Parameters
     ----------
-    deviation
+    std
         Expected standard deviation of x and of y, in m.
     confidence
         Number of measurements that the expectation counts for.
@@ -33,13 +33,13 @@ class MeasurementNoise:
         in inverse proportion (Huber).
     """
 
-    deviation: float = 0.12e-3
+    std: float = 0.12e-3
     confidence: float = 10.0
     independence: float = 0.6
     outlier: float = 3.0
 
     def __post_init__(self) -> None:
-        require_positive(deviation=self.deviation, confidence=self.confidence, outlier=self.outlier)
+        require_positive(std=self.std, confidence=self.confidence, outlier=self.outlier)
         require(0 < self.independence <= 1, "independence", self.independence, "above 0, at most 1")
 
     def log_likelihood(self, squares: Floats, total: float) -> Floats:
@@ -66,7 +66,7 @@ class MeasurementNoise:
 
     @property
     def _scale(self) -> float:
-        return self.confidence * self.deviation**2
+        return self.confidence * self.std**2
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -7,11 +7,12 @@ from filterpy.kalman import predict
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.detection.insertion_detector import InsertionDetection
-from sonoservo.systems.estimation.estimate import NeedleEstimate, TrackingMode
-from sonoservo.systems.localization.measurement import NeedleMeasurement
-from sonoservo.systems.needle.curve import NeedleCurve
-from sonoservo.systems.values import Immutable, read_only, require_not_negative
+from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.insertion_detection import InsertionDetection
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals.requirements import require_not_negative
 
 
 @dataclass(kw_only=True)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sonoservo.systems.values import Immutable, NotFound, read_only
+from sonoservo.systems.signals.immutable import Immutable, NotFound, read_only
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from sonoservo.systems.localization.axis import Axis
-from sonoservo.systems.values import Immutable, NotFound, read_only
+from sonoservo.systems.signals.immutable import Immutable, NotFound, read_only
 
 
 @dataclass(frozen=True, eq=False)

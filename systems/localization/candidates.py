@@ -9,8 +9,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from sonoservo.systems.localization.axis import Axis
-from sonoservo.systems.ultrasound.radio_frequency import RadioFrequencySweep
-from sonoservo.systems.ultrasound.volume import Volume
+from sonoservo.systems.signals.radio_frequency_sweep import RadioFrequencySweep
+from sonoservo.systems.signals.volume import Volume
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -8,8 +8,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from sonoservo.systems.localization.normalized_cross_correlation import Match, best_match
-from sonoservo.systems.ultrasound.image_slice import ImageSlice
-from sonoservo.systems.values import Immutable, NotFound, read_only, require, require_positive
+from sonoservo.systems.signals.cross_section import CrossSection
+from sonoservo.systems.signals.image_slice import ImageSlice
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.requirements import require, require_positive
 
 Floats = NDArray[np.float64]
 
@@ -29,9 +31,9 @@ class CrossSectionParameters:
         Which deviations from the mean the variance image (eq. 1) shows: "both" alike, as printed,
         so that shadows and the dark grains of speckle are as bright as echoes; "signed", with
         their sign; "brighter", those above the mean.
-    least_correlation
+    min_correlation
         With the last template, below which the needle counts as lost.
-    least_contrast_db
+    min_contrast_db
         Of the needle's echo over the mean of the region of interest, in dB.
     vertex
         Half width and half height in m of the part of the echo to which a paraboloid is fitted.
@@ -47,8 +49,8 @@ class CrossSectionParameters:
 
     template: list[float] = field(default_factory=lambda: [6e-3, 6e-3])
     deviations: str = "brighter"
-    least_correlation: float = 0.4
-    least_contrast_db: float = 12.0
+    min_correlation: float = 0.4
+    min_contrast_db: float = 12.0
     vertex: list[float] = field(default_factory=lambda: [0.6e-3, 0.2e-3])
     search: list[float] = field(default_factory=lambda: [0.8e-3, 1.1e-3])
     needle_radius: float = 0.635e-3
@@ -68,45 +70,11 @@ class CrossSectionParameters:
             f"one of {', '.join(DEVIATIONS)}",
         )
         require(
-            0 <= self.least_correlation < 1,
-            "least_correlation",
-            self.least_correlation,
+            0 <= self.min_correlation < 1,
+            "min_correlation",
+            self.min_correlation,
             "from 0, below 1",
         )
-
-
-@dataclass(frozen=True, eq=False)
-class CrossSection(Immutable):
-    """A needle's cross-section in one slice. Where there is none, a `NotFound` takes its place.
-
-    Parameters
-    ----------
-    position
-        (3,) of the needle's axis in W, in m.
-    X_WP
-        (4, 4) pose of the probe in W: the slice is the plane Z = 0 of P.
-    time
-        Of the slice, in s.
-    correlation
-        With the template, from 0 to 1.
-    centre
-        (2,) x and y of the axis in P, in m.
-    template
-        (w, h) variance image around the axis, to find it again with.
-    """
-
-    position: Floats
-    X_WP: Floats
-    time: float
-    correlation: float
-    centre: Floats
-    template: NDArray[np.float32]
-
-    def __post_init__(self) -> None:
-        for name, shape in (("position", (3,)), ("X_WP", (4, 4)), ("centre", (2,))):
-            object.__setattr__(self, name, read_only(getattr(self, name), name, shape))
-        template = read_only(self.template, "template", (None, None), np.float32)
-        object.__setattr__(self, "template", template)
 
 
 def variance_image(
@@ -201,10 +169,10 @@ def find_again(
     )
     if not isinstance(match, Match):
         return match
-    if match.correlation < parameters.least_correlation:
+    if match.correlation < parameters.min_correlation:
         return NotFound(
             f"the correlation {match.correlation:.2f} with the template is below "
-            f"{parameters.least_correlation:g}"
+            f"{parameters.min_correlation:g}"
         )
     centre = image.position(low + match.position + 0.5 * (size - 1))
     return _at(image, centre, match.correlation, mean, parameters)
@@ -223,10 +191,10 @@ def _at(
         return head
     at = tuple(np.rint(image.index(head)).astype(int))
     contrast = parameters.decibels_per_level * (float(image.intensities[at]) - mean)
-    if contrast < parameters.least_contrast_db:
+    if contrast < parameters.min_contrast_db:
         return NotFound(
             f"the echo is only {contrast:.0f} dB over the tissue; "
-            f"{parameters.least_contrast_db:g} dB are wanted"
+            f"{parameters.min_contrast_db:g} dB are wanted"
         )
     axis = _axis_of(head, image, parameters)
     assert not isinstance(axis, NotFound)

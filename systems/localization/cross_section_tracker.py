@@ -8,22 +8,18 @@ from numpy.typing import NDArray
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State, ValueProducer
 
-from sonoservo.systems.estimation.needle_shape import NeedleShape
 from sonoservo.systems.localization.cross_section import (
-    CrossSection,
     CrossSectionParameters,
     find_again,
     find_needle,
     start_at,
 )
-from sonoservo.systems.ultrasound.image_slice import ImageSlice
-from sonoservo.systems.values import (
-    Immutable,
-    NotFound,
-    evaluate,
-    require,
-    require_not_negative,
-)
+from sonoservo.systems.signals.cross_section import CrossSection
+from sonoservo.systems.signals.image_slice import ImageSlice
+from sonoservo.systems.signals.immutable import Immutable, NotFound
+from sonoservo.systems.signals.needle_shape import NeedleShape
+from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.requirements import require, require_not_negative
 
 
 @dataclass(kw_only=True)

@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
-from sonoservo.systems.ultrasound.volume import Volume
+from sonoservo.systems.signals.volume import Volume
 
 
 @njit(cache=True, nogil=True)
@@ -109,7 +109,7 @@ def bright_lines(
     draws: int = 6000,
     distance: float = 2.5e-3,
     separation: float = 6e-3,
-    largest_gap: float = 5e-3,
+    max_gap: float = 5e-3,
 ) -> list[NDArray[np.float64]]:
     """Longest thin bright lines of a volume.
 
@@ -134,7 +134,7 @@ def bright_lines(
         Of a line's candidates from it, in m.
     separation
         Least distance between the points of a pair, in m.
-    largest_gap
+    max_gap
         Between successive candidates along a line, in m.
 
     Returns
@@ -151,7 +151,7 @@ def bright_lines(
     while len(lines) < count and len(p_P) >= 4:
         samples = rng.integers(0, len(p_P), (draws, 2))
         best, score, start, stop = _longest_line(
-            p_P, samples, distance, separation, block, round(largest_gap / block)
+            p_P, samples, distance, separation, block, round(max_gap / block)
         )
         if best < 0 or score * block < separation:
             break

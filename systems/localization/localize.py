@@ -5,14 +5,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.estimation.estimate import TrackingMode
 from sonoservo.systems.estimation.track import NeedleTrack
 from sonoservo.systems.localization.axis import axis_through
 from sonoservo.systems.localization.axis_fit import AxisFit, fit_axis
 from sonoservo.systems.localization.candidates import acquired_from, select_candidates
 from sonoservo.systems.localization.line_search import bright_lines
 from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
-from sonoservo.systems.localization.measurement import NeedleMeasurement
 from sonoservo.systems.localization.ransac import ransac_axis
 from sonoservo.systems.localization.search_region import (
     SearchRegion,
@@ -21,9 +19,11 @@ from sonoservo.systems.localization.search_region import (
 )
 from sonoservo.systems.localization.tip import NeedleExtent, axis_profile, find_extent
 from sonoservo.systems.localization.whole_volume import find_needle_line
-from sonoservo.systems.needle.curve import NeedleCurve
-from sonoservo.systems.ultrasound.volume import Volume
-from sonoservo.systems.values import NotFound
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_estimate import TrackingMode
+from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals.volume import Volume
 
 _REPEATS = 7
 """Of the search along a line of which nothing else is known; the middlemost result counts."""
@@ -59,7 +59,7 @@ def _localize_in(
         rng=rng,
         parameters=parameters.ransac,
         direction=region.curve.direction,
-        largest_angle=region.largest_angle,
+        max_angle=region.max_angle,
     )
     if isinstance(found, NotFound):
         return found
@@ -84,10 +84,10 @@ def _measure(
         ends = fit.axis.position([extent.start, extent.tip])
         away = np.linalg.norm(ends - region.curve.tip, axis=1).min()
         aside = fit.axis.distance(region.curve.tip)
-        if away > parameters.largest_entry_gap or aside > parameters.largest_aside:
+        if away > parameters.max_entry_gap or aside > parameters.max_aside:
             return NotFound("what was found is not what moved")
     inliers = _between(points, fit, extent) & (
-        fit.axis.distance(points) < parameters.ransac.inlier_distance
+        fit.axis.distance(points) < parameters.ransac.residual_threshold
     )
     if parameters.ransac.refits > 0:
         refit = fit_axis(points[inliers], weights[inliers], parameters.order, fit.axis.direction)
@@ -97,13 +97,13 @@ def _measure(
     extent = _extent(volume, region, parameters, fit)
     if isinstance(extent, NotFound):
         return extent
-    if region.entry is None and extent.start - extent.entered > parameters.largest_entry_gap:
+    if region.entry is None and extent.start - extent.entered > parameters.max_entry_gap:
         longer = towards_outside(region, parameters, fit, extent)
         if isinstance(longer, NotFound):
             return longer
         return _localize_in(volume, longer, parameters, rng)
     candidates = _between(points, fit, extent)
-    inliers = candidates & (fit.axis.distance(points) < parameters.ransac.inlier_distance)
+    inliers = candidates & (fit.axis.distance(points) < parameters.ransac.residual_threshold)
     return _judge(volume, region, parameters, fit, extent, inliers.sum(), candidates.sum())
 
 
@@ -116,10 +116,10 @@ def _extent(
         volume, fit.axis, ends[0] - region.before, ends[1] + region.beyond, parameters.tip
     )
     extent = find_extent(profile, parameters.tip)
-    least = parameters.least_length
+    least = parameters.min_length
     if region.entry is not None:
         predicted = profile.seen & (profile.a >= ends[0]) & (profile.a <= ends[1])
-        least = max(least, parameters.least_share * parameters.tip.step * float(predicted.sum()))
+        least = max(least, parameters.min_share * parameters.tip.step * float(predicted.sum()))
     if isinstance(extent, NeedleExtent) and extent.tip - extent.start < least:
         return NotFound(f"only {1e3 * (extent.tip - extent.start):.1f} mm of it are visible")
     return extent
@@ -141,12 +141,12 @@ def _judge(
 ) -> NeedleMeasurement | NotFound:
     """Measure the control points and their covariance, unless there is too little to believe."""
     ratio = float(inliers / max(candidates, 1))
-    if ratio < parameters.least_inlier_ratio:
+    if ratio < parameters.min_inlier_ratio:
         return NotFound(f"only {100 * ratio:.0f} % of the candidates lie on the axis")
-    if extent.evidence < parameters.least_evidence:
+    if extent.evidence < parameters.min_evidence:
         return NotFound("too little stands out from the background along the axis")
     start = extent.start if region.entry is None else float(fit.axis.abscissa(region.entry))
-    if extent.tip - start < parameters.least_length:
+    if extent.tip - start < parameters.min_length:
         return NotFound("the needle has been withdrawn to its entry")
     # Interior points uniform in chord: the entry rests, the tip moves, no point slides.
     u = np.linspace(0, 1, parameters.order)
@@ -158,13 +158,13 @@ def _judge(
     independent = max(
         (extent.tip - extent.start) / parameters.correlation_length, parameters.order + 1.0
     )
-    tip_deviation = parameters.unseen_tip_deviation if extent.leaves else parameters.tip_deviation
+    tip_std = parameters.unseen_tip_std if extent.leaves else parameters.tip_std
     ends = np.stack([1 - u, u], axis=1)
-    along = ends @ np.diag([parameters.entry_deviation**2, tip_deviation**2]) @ ends.T
+    along = ends @ np.diag([parameters.entry_std**2, tip_std**2]) @ ends.T
     covariance = (
         fit.covariance(a, independent)
         + np.kron(along, np.outer(k, k))
-        + parameters.systematic_deviation**2 * np.eye(3 * len(u))
+        + parameters.systematic_std**2 * np.eye(3 * len(u))
     )
     time = float(volume.to_world(acquired_from(volume, curve.control_points[-1:]))[1][0])
     return NeedleMeasurement(curve, covariance, time, int(inliers), ratio)
@@ -217,7 +217,7 @@ def localize(
                 before=parameters.search_reach,
                 beyond=parameters.search_reach,
                 shaft_beyond=parameters.search_reach,
-                largest_angle=math.radians(2 * parameters.largest_angle_deg),
+                max_angle=math.radians(2 * parameters.max_angle_deg),
             ),
             parameters,
             rng,
@@ -253,10 +253,10 @@ def seek_needle(
     region = SearchRegion(
         curve=NeedleCurve(np.linspace(entry, tip, parameters.order)),
         radius=0.8 * parameters.margin,
-        before=parameters.largest_entry_gap,
+        before=parameters.max_entry_gap,
         beyond=2 * parameters.margin,
         shaft_beyond=0.0,
-        largest_angle=math.radians(parameters.largest_angle_deg),
+        max_angle=math.radians(parameters.max_angle_deg),
     )
     # Of a short needle, thick as the beam shows it, draws tell the axis differently.
     found = [_localize_in(volume, region, parameters, rng) for _ in range(_REPEATS)]

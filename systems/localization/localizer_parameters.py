@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 from sonoservo.systems.localization.ransac import RansacParameters
 from sonoservo.systems.localization.tip import TipParameters
-from sonoservo.systems.values import require, require_positive
+from sonoservo.systems.signals.requirements import require, require_positive
 
 
 @dataclass(kw_only=True)
@@ -19,39 +19,39 @@ class NeedleLocalizerParameters:
         Around the predicted curve, beyond three standard deviations, in m.
     margin_growth
         Further margin for every volume that did not confirm the needle, in m.
-    largest_radius
+    max_radius
         Of the volume of interest, in m.
-    largest_angle_deg
+    max_angle_deg
         alpha_0 about a certain prediction, in degrees; the prediction's uncertainty is added.
     cross_section
         Area of the candidates across the needle, in m^2.
     slab
         Length of needle that shares a threshold, in m.
-    least_length, least_share
+    min_length, min_share
         That must be visible, in m, and of the predicted length that lies in the field of view.
-    largest_aside
+    max_aside
         Of what moved from the axis of a needle newly found, in m.
-    largest_entry_gap
+    max_entry_gap
         From where a needle newly found enters the field of view to where it stands out, in m: it
         comes from outside, inclusions do not.
     search_reach
         Beyond either end of a bright line, for a needle that was lost, in m.
-    least_inlier_ratio
+    min_inlier_ratio
         Of the candidates between entry and tip.
-    least_evidence
+    min_evidence
         How much must stand out from the background along the needle, in dB m; see `NeedleExtent`.
     correlation_length
         Length of needle that one beam width blurs into one observation, in m.
-    tip_deviation, entry_deviation
+    tip_std, entry_std
         Standard deviations along the axis, in m. A volume does not tell where along the axis the
         entry is; it rests, so it is measured where it was last, not where it is predicted: a
         velocity along the axis would never be contradicted otherwise.
-    unseen_tip_deviation
+    unseen_tip_std
         The same where the needle leaves the field of view.
     echo_offset
         From the centre of the needle's echo to its axis, away from the probe, in m: the sound
         returns from the front wall, but for what goes to and fro inside.
-    systematic_deviation
+    systematic_std
         Of every control point in every direction, in m.
     volume_of_interest
         Whether only the surroundings of the prediction are searched; off, all of the volume is.
@@ -65,23 +65,23 @@ class NeedleLocalizerParameters:
     order: int = 2
     margin: float = 3e-3
     margin_growth: float = 2e-3
-    largest_radius: float = 20e-3
-    largest_angle_deg: float = 10.0
+    max_radius: float = 20e-3
+    max_angle_deg: float = 10.0
     cross_section: float = 4e-6
     slab: float = 2e-3
-    least_length: float = 4e-3
-    least_share: float = 0.4
-    largest_aside: float = 2.5e-3
-    largest_entry_gap: float = 8e-3
+    min_length: float = 4e-3
+    min_share: float = 0.4
+    max_aside: float = 2.5e-3
+    max_entry_gap: float = 8e-3
     search_reach: float = 40e-3
-    least_inlier_ratio: float = 0.15
-    least_evidence: float = 12e-3
+    min_inlier_ratio: float = 0.15
+    min_evidence: float = 12e-3
     correlation_length: float = 2e-3
-    tip_deviation: float = 0.6e-3
-    entry_deviation: float = 1e-3
-    unseen_tip_deviation: float = 10e-3
+    tip_std: float = 0.6e-3
+    entry_std: float = 1e-3
+    unseen_tip_std: float = 10e-3
     echo_offset: float = 0.4e-3
-    systematic_deviation: float = 0.1e-3
+    systematic_std: float = 0.1e-3
     volume_of_interest: bool = True
     angle_gate: bool = True
     sweep_time: bool = True
@@ -93,20 +93,20 @@ class NeedleLocalizerParameters:
         require_positive(
             margin=self.margin,
             margin_growth=self.margin_growth,
-            largest_radius=self.largest_radius,
-            largest_angle_deg=self.largest_angle_deg,
+            max_radius=self.max_radius,
+            max_angle_deg=self.max_angle_deg,
             cross_section=self.cross_section,
             slab=self.slab,
-            least_length=self.least_length,
-            least_share=self.least_share,
-            largest_aside=self.largest_aside,
-            largest_entry_gap=self.largest_entry_gap,
+            min_length=self.min_length,
+            min_share=self.min_share,
+            max_aside=self.max_aside,
+            max_entry_gap=self.max_entry_gap,
             search_reach=self.search_reach,
-            least_inlier_ratio=self.least_inlier_ratio,
-            least_evidence=self.least_evidence,
+            min_inlier_ratio=self.min_inlier_ratio,
+            min_evidence=self.min_evidence,
             correlation_length=self.correlation_length,
-            tip_deviation=self.tip_deviation,
-            entry_deviation=self.entry_deviation,
-            unseen_tip_deviation=self.unseen_tip_deviation,
-            systematic_deviation=self.systematic_deviation,
+            tip_std=self.tip_std,
+            entry_std=self.entry_std,
+            unseen_tip_std=self.unseen_tip_std,
+            systematic_std=self.systematic_std,
         )

@@ -7,8 +7,9 @@ from pydrake.systems.framework import Context, LeafSystem
 from sonoservo.systems.estimation.track import NeedleTrack
 from sonoservo.systems.localization.localize import localize
 from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
-from sonoservo.systems.ultrasound.volume import Volume
-from sonoservo.systems.values import NotFound, evaluate
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.volume import Volume
 
 
 class NeedleLocalizer(LeafSystem):

@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.fft import irfftn, next_fast_len, rfftn
 
-from sonoservo.systems.values import Immutable, NotFound, read_only, require
+from sonoservo.systems.signals.immutable import Immutable, NotFound, read_only
+from sonoservo.systems.signals.requirements import require
 
-_LEAST_ENERGY = {np.dtype(np.float32): 1e-6, np.dtype(np.float64): 1e-12}
+_MIN_ENERGY = {np.dtype(np.float32): 1e-6, np.dtype(np.float64): 1e-12}
 """Of a window that is not constant, as a share of the search region's: rounding reaches there."""
 
 
@@ -77,7 +78,7 @@ def normalized_cross_correlation(search: ArrayLike, kernel: ArrayLike) -> NDArra
     total, energy = _window_sums(np.stack([whole, whole * whole], dtype=np.float64), part.shape)
     energy -= total * total / part.size
     part_energy = float(np.vdot(part, part))
-    least = _LEAST_ENERGY[np.dtype(dtype)] * float(np.vdot(whole, whole)) + rounding
+    least = _MIN_ENERGY[np.dtype(dtype)] * float(np.vdot(whole, whole)) + rounding
     rho = np.zeros(numerator.shape, dtype)
     if part_energy > rounding:
         norm = np.sqrt(part_energy * np.abs(energy))

@@ -8,13 +8,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sonoservo.systems.localization.axis_fit import (
-    AxisFit,
-    as_fit,
-    assess_axis,
-    least_squares,
-)
-from sonoservo.systems.values import NotFound, require, require_positive
+from sonoservo.systems.localization.axis_fit import AxisFit, as_fit, assess_axis, least_squares
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.requirements import require, require_positive
 
 
 @dataclass(kw_only=True)
@@ -23,39 +19,37 @@ class RansacParameters:
 
     Parameters
     ----------
-    inlier_distance
+    residual_threshold
         f_0: from the axis, in m.
-    least_separation
+    min_separation
         Between neighbouring points of a sample along the axis, in m: closer ones say nothing.
-    largest_bend
+    max_bend
         Of a curve of order 3: sagitta over chord.
-    failure
-        epsilon: probability that no sample was free of outliers.
-    largest_iterations
+    stop_probability
+        1 - epsilon (eq. 21): probability that at least one sample was free of outliers.
+    max_trials
         Cap on the draws, rejected ones included.
     refits
         Least-squares refits on re-selected inliers. With none, here and between the needle's ends,
         the winning sample's axis remains as it is, for comparison.
     """
 
-    inlier_distance: float = 2e-3
-    least_separation: float = 2e-3
-    largest_bend: float = 0.1
-    failure: float = 1e-3
-    largest_iterations: int = 3000
+    residual_threshold: float = 2e-3
+    min_separation: float = 2e-3
+    max_bend: float = 0.1
+    stop_probability: float = 0.999
+    max_trials: int = 3000
     refits: int = 3
 
     def __post_init__(self) -> None:
         require_positive(
-            inlier_distance=self.inlier_distance,
-            least_separation=self.least_separation,
-            largest_bend=self.largest_bend,
-            failure=self.failure,
+            residual_threshold=self.residual_threshold,
+            min_separation=self.min_separation,
+            max_bend=self.max_bend,
+            stop_probability=self.stop_probability,
         )
-        require(self.failure < 1, "failure", self.failure, "below 1")
-        require(
-            self.largest_iterations >= 1, "largest_iterations", self.largest_iterations, "1 or more"
-        )
+        require(self.stop_probability < 1, "stop_probability", self.stop_probability, "below 1")
+        require(self.max_trials >= 1, "max_trials", self.max_trials, "1 or more")
         require(self.refits >= 0, "refits", self.refits, "0 or more")
 
 
@@ -69,13 +63,13 @@ class RansacResult:
         Least-squares fit on the inliers; the winning sample's axis where there are no refits.
     inliers
         (m,) which points lie within the inlier distance.
-    draws, rejected
+    trials, rejected
         Samples drawn, and how many of them were rejected unevaluated.
     """
 
     fit: AxisFit
     inliers: NDArray[np.bool_]
-    draws: int
+    trials: int
     rejected: int
 
 
@@ -180,12 +174,12 @@ def _consensus(  # pragma: no cover - compiled
     order: int,
     seed: int,
     expected: Any,
-    least_cosine: float,
+    min_cosine: float,
     distance: float,
     separation: float,
     bend: float,
     log_failure: float,
-    largest_draws: int,
+    max_draws: int,
     refits: int,
 ) -> Any:
     """Find the sample whose curve has most points within `distance`, and refit on those points.
@@ -200,14 +194,14 @@ def _consensus(  # pragma: no cover - compiled
     coordinates = points.T.copy()
     sample = np.zeros(order, np.int64)
     curve, best_curve, best_length = np.zeros((3, 3)), np.zeros((3, 3)), 0.0
-    best, rejected, draws, needed = 0, 0, 0, float(largest_draws)
-    while draws < min(needed, largest_draws):
+    best, rejected, draws, needed = 0, 0, 0, float(max_draws)
+    while draws < min(needed, max_draws):
         draws += 1
         for n in range(order):
             sample[n] = np.random.randint(m)  # noqa: NPY002
         possible, length = _through(coordinates, sample, separation, bend, curve)
         cosine = curve[1, 0] * expected[0] + curve[1, 1] * expected[1] + curve[1, 2] * expected[2]
-        if not possible or abs(cosine) < least_cosine:
+        if not possible or abs(cosine) < min_cosine:
             rejected += 1
             continue
         count = _count_near(coordinates, curve, length, limit)
@@ -241,7 +235,7 @@ def ransac_axis(
     rng: np.random.Generator,
     parameters: RansacParameters | None = None,
     direction: NDArray[np.float64] | None = None,
-    largest_angle: float = math.pi / 2,
+    max_angle: float = math.pi / 2,
 ) -> RansacResult | NotFound:
     """Fit an axis by random sample consensus (Chatelain 2013, eqs. 17-22; Uhercik 2010).
 
@@ -262,7 +256,7 @@ def ransac_axis(
         Draws the samples.
     parameters
         Thresholds.
-    direction, largest_angle
+    direction, max_angle
         Expected direction, and the largest angle alpha_0 from it in rad; the sign of the direction
         does not matter, but orients the result.
 
@@ -275,19 +269,19 @@ def ransac_axis(
     if len(points) <= order:
         return NotFound(f"{len(points)} candidates are too few for an axis of order {order}")
     expected = np.zeros(3) if direction is None else np.asarray(direction, dtype=float)
-    least_cosine = 0.0 if direction is None else math.cos(largest_angle)
+    min_cosine = 0.0 if direction is None else math.cos(max_angle)
     draws, rejected, inliers, solution = _consensus(
         np.ascontiguousarray(points),
         weights,
         order,
         int(rng.integers(2**32)),
         expected,
-        least_cosine,
-        parameters.inlier_distance,
-        parameters.least_separation,
-        parameters.largest_bend,
-        math.log(parameters.failure),
-        parameters.largest_iterations,
+        min_cosine,
+        parameters.residual_threshold,
+        parameters.min_separation,
+        parameters.max_bend,
+        math.log1p(-parameters.stop_probability),
+        parameters.max_trials,
         parameters.refits,
     )
     if draws == rejected:
@@ -297,6 +291,6 @@ def ransac_axis(
         return fit
     if parameters.refits == 0:
         fit = assess_axis(fit.axis, points[inliers], weights[inliers])
-    if direction is not None and fit.axis.direction @ expected < least_cosine:
+    if direction is not None and fit.axis.direction @ expected < min_cosine:
         return NotFound("the fitted axis deviates from the expected direction")
     return RansacResult(fit, inliers, int(draws), int(rejected))

@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.estimation.estimate import TrackingMode
 from sonoservo.systems.estimation.track import NeedleTrack
 from sonoservo.systems.localization.axis_fit import AxisFit
 from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.localization.tip import NeedleExtent
-from sonoservo.systems.needle.curve import NeedleCurve
-from sonoservo.systems.values import NotFound
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_estimate import TrackingMode
 
 _EVERYWHERE = 0.3
 """More than any volume measures, in m."""
@@ -32,7 +32,7 @@ class SearchRegion:
         How far the profile along the needle goes on past the curve's ends, in m.
     shaft_beyond
         How far past the curve's tip voxels still count as candidates for the shaft, in m.
-    largest_angle
+    max_angle
         Between the needle and the curve, in rad.
     entry
         (3,) where the needle enters, in W; None where that is to be found.
@@ -47,7 +47,7 @@ class SearchRegion:
     before: float
     beyond: float
     shaft_beyond: float
-    largest_angle: float
+    max_angle: float
     entry: NDArray[np.float64] | None = None
     tip_moved: bool = False
     followed: int = 0
@@ -69,14 +69,13 @@ def predicted_region(
     margin = parameters.margin + track.missed * parameters.margin_growth
     region = SearchRegion(
         curve=curve,
-        radius=min(margin + 3 * across, parameters.largest_radius),
-        before=parameters.largest_entry_gap if searching else margin,
+        radius=min(margin + 3 * across, parameters.max_radius),
+        before=parameters.max_entry_gap if searching else margin,
         shaft_beyond=along,
         # Of what has just been detected, the tip is known best.
-        beyond=min(3 * along + (0 if searching else margin), 3 * parameters.largest_radius),
-        largest_angle=min(
-            math.radians(parameters.largest_angle_deg)
-            + math.atan2(3 * across, max(curve.chord, 1e-3)),
+        beyond=min(3 * along + (0 if searching else margin), 3 * parameters.max_radius),
+        max_angle=min(
+            math.radians(parameters.max_angle_deg) + math.atan2(3 * across, max(curve.chord, 1e-3)),
             math.pi / 4 if searching else math.pi / 2,
         ),
         # Of what has just been detected, the entry is a guess.
@@ -87,7 +86,7 @@ def predicted_region(
         far = _EVERYWHERE
         region = replace(region, radius=far, before=far, beyond=far, shaft_beyond=far)
     if not parameters.angle_gate:
-        region = replace(region, largest_angle=math.pi / 2)
+        region = replace(region, max_angle=math.pi / 2)
     return region
 
 
@@ -100,7 +99,7 @@ def towards_outside(
     as it proves longer.
     """
     before = fit.axis.abscissa(region.curve.entry) - extent.start
-    if region.followed > 0 and before < parameters.least_length:
+    if region.followed > 0 and before < parameters.min_length:
         return NotFound("what was found does not come from outside the field of view")
     ends = np.linspace(extent.start, extent.tip, parameters.order)
     return SearchRegion(
@@ -109,6 +108,6 @@ def towards_outside(
         before=parameters.search_reach,
         beyond=parameters.margin,
         shaft_beyond=0.0,
-        largest_angle=math.radians(2 * parameters.largest_angle_deg),
+        max_angle=math.radians(2 * parameters.max_angle_deg),
         followed=region.followed + 1,
     )

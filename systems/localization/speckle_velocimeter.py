@@ -11,17 +11,12 @@ from scipy.signal import hilbert
 from sonoservo.systems.estimation.track import NeedleTrack
 from sonoservo.systems.localization.candidates import acquired_from
 from sonoservo.systems.localization.normalized_cross_correlation import best_match
-from sonoservo.systems.ultrasound.radio_frequency import RadioFrequencySweep
-from sonoservo.systems.ultrasound.volume import Volume
-from sonoservo.systems.values import (
-    Immutable,
-    NotFound,
-    evaluate,
-    read_only,
-    require,
-    require_not_negative,
-    require_positive,
-)
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.radio_frequency_sweep import RadioFrequencySweep
+from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
+from sonoservo.systems.signals.volume import Volume
 
 
 @dataclass(kw_only=True)
@@ -35,14 +30,14 @@ class SpeckleVelocimeterParameters:
         sample of a `RadioFrequencySweep`. Odd, so that the tip lies in its middle.
     search
         The same of the search region, centred on the predicted tip.
-    least_correlation
+    min_correlation
         Of the best match; below it nothing was found again.
-    largest_distance
+    max_distance
         From the predicted to the measured tip, in m: what is farther is another place that looks
         alike.
-    deviation
+    displacement_std
         Standard deviation of the displacement along each axis of the array, in elements.
-    least_speed_deviation
+    min_speed_std
         Standard deviation of the velocity that no correlation takes away, in every direction, in
         m/s. The default is what was found at 3.3 MHz with a steel needle at 5 mm/s, in volumes
         0.6 s apart: its mirror-like echo and the tissue rest, so that the measured speed is 2 to
@@ -57,10 +52,10 @@ class SpeckleVelocimeterParameters:
 
     kernel: list[int] = field(default_factory=lambda: [11, 7, 7])
     search: list[int] = field(default_factory=lambda: [17, 13, 13])
-    least_correlation: float = 0.6
-    largest_distance: float = 5e-3
-    deviation: list[float] = field(default_factory=lambda: [0.5, 0.5, 0.5])
-    least_speed_deviation: float = 4e-3
+    min_correlation: float = 0.6
+    max_distance: float = 5e-3
+    displacement_std: list[float] = field(default_factory=lambda: [0.5, 0.5, 0.5])
+    min_speed_std: float = 4e-3
     along_axis: bool = False
     envelope: bool = True
 
@@ -71,39 +66,16 @@ class SpeckleVelocimeterParameters:
             require(odd, name, value, "three odd numbers")
         holds = all(m <= M for m, M in zip(self.kernel, self.search, strict=True))
         require(holds, "search", self.search, f"at least kernel, {self.kernel}")
-        deviations = len(self.deviation) == 3 and all(d > 0 for d in self.deviation)
-        require(deviations, "deviation", self.deviation, "three numbers above 0")
+        positive = len(self.displacement_std) == 3 and all(d > 0 for d in self.displacement_std)
+        require(positive, "displacement_std", self.displacement_std, "three numbers above 0")
         require(
-            0 < self.least_correlation < 1,
-            "least_correlation",
-            self.least_correlation,
+            0 < self.min_correlation < 1,
+            "min_correlation",
+            self.min_correlation,
             "between 0 and 1",
         )
-        require_positive(largest_distance=self.largest_distance)
-        require_not_negative(least_speed_deviation=self.least_speed_deviation)
-
-
-@dataclass(frozen=True, eq=False)
-class VelocityMeasurement(Immutable):
-    """The tip's velocity. Where it was not found, a `NotFound` takes its place.
-
-    Parameters
-    ----------
-    velocity
-        (3,) in W, in m/s: the mean between the two volumes.
-    covariance
-        (3, 3) in m^2/s^2.
-    correlation
-        Coefficient of the best match, from 0 to 1: how much to trust it.
-    """
-
-    velocity: NDArray[np.float64]
-    covariance: NDArray[np.float64]
-    correlation: float
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "velocity", read_only(self.velocity, "velocity", (3,)))
-        object.__setattr__(self, "covariance", read_only(self.covariance, "covariance", (3, 3)))
+        require_positive(max_distance=self.max_distance)
+        require_not_negative(min_speed_std=self.min_speed_std)
 
 
 Speckle = Volume | RadioFrequencySweep
@@ -173,7 +145,7 @@ def measure_velocity(
     match = best_match(search, kernel)
     if isinstance(match, NotFound):
         return match
-    if match.correlation < parameters.least_correlation:
+    if match.correlation < parameters.min_correlation:
         return NotFound(f"the speckle has changed: it correlates with {match.correlation:.2f}")
     if match.at_border.any():
         return NotFound("the speckle has moved out of the search region")
@@ -185,11 +157,11 @@ def measure_velocity(
     if not elapsed > 0:
         return NotFound("the volumes were acquired at the same time")
     aside = moved - (p_WPredicted - p_WBefore)
-    if np.linalg.norm(aside) > parameters.largest_distance:
+    if np.linalg.norm(aside) > parameters.max_distance:
         return NotFound(f"the speckle matches {1e3 * np.linalg.norm(aside):.1f} mm aside")
     steps = current.position(found + np.eye(3)) - current.position(found)
-    scaled = current.X_WP.rotation().matrix() @ (steps.T * parameters.deviation) / elapsed
-    covariance = scaled @ scaled.T + parameters.least_speed_deviation**2 * np.eye(3)
+    scaled = current.X_WP.rotation().matrix() @ (steps.T * parameters.displacement_std) / elapsed
+    covariance = scaled @ scaled.T + parameters.min_speed_std**2 * np.eye(3)
     velocity = moved / elapsed
     if parameters.along_axis:
         velocity = (velocity @ direction) * direction

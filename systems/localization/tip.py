@@ -11,13 +11,9 @@ from scipy.special import ndtri
 
 from sonoservo.systems.localization.axis import Axis
 from sonoservo.systems.localization.candidates import acquired_from
-from sonoservo.systems.ultrasound.volume import Volume
-from sonoservo.systems.values import (
-    Immutable,
-    NotFound,
-    read_only,
-    require_positive,
-)
+from sonoservo.systems.signals.immutable import Immutable, NotFound, read_only
+from sonoservo.systems.signals.requirements import require_positive
+from sonoservo.systems.signals.volume import Volume
 
 
 @dataclass(kw_only=True)
@@ -35,7 +31,7 @@ class TipParameters:
     contrast
         Halfway between the background and a faint needle, in dB: more speaks for the needle, less
         against it.
-    largest_evidence
+    max_evidence
         What one sample can count for the needle, in dB over ``contrast``.
     smoothing
         Length over which the intensity is averaged, in m.
@@ -53,7 +49,7 @@ class TipParameters:
     tube_radius: float = 1.0e-3
     background_radius: float = 5e-3
     contrast: float = 3.0
-    largest_evidence: float = 3.0
+    max_evidence: float = 3.0
     smoothing: float = 1.25e-3
     end_contrast: float = 6.0
     end_length: float = 4e-3
@@ -66,7 +62,7 @@ class TipParameters:
             tube_radius=self.tube_radius,
             background_radius=self.background_radius,
             contrast=self.contrast,
-            largest_evidence=self.largest_evidence,
+            max_evidence=self.max_evidence,
             smoothing=self.smoothing,
             end_contrast=self.end_contrast,
             end_length=self.end_length,
@@ -235,7 +231,7 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
     level = uniform_filter1d(profile.level, width, mode="nearest")
     contrast = level - uniform_filter1d(profile.background, width, mode="nearest")
     evidence = np.clip(
-        contrast - parameters.contrast, -parameters.contrast, parameters.largest_evidence
+        contrast - parameters.contrast, -parameters.contrast, parameters.max_evidence
     )
     first, last = best_stretch(np.where(profile.seen, evidence, -parameters.contrast))
     if last < 0:

@@ -8,12 +8,12 @@ from scipy.ndimage import map_coordinates, uniform_filter1d
 
 from sonoservo.systems.localization.line_search import bright_lines
 from sonoservo.systems.localization.tip import best_stretch
-from sonoservo.systems.ultrasound.volume import Volume
-from sonoservo.systems.values import Immutable, NotFound, read_only
+from sonoservo.systems.signals.immutable import Immutable, NotFound, read_only
+from sonoservo.systems.signals.volume import Volume
 
 Floats = NDArray[np.float64]
 
-LEAST_EVIDENCE = 76e-3
+MIN_EVIDENCE = 76e-3
 """In dB m, for a line to count as a needle. Of 100 volumes of the phantom, seeds 100 to 199, one
 without a needle had more, and one of those with a needle of 20 to 80 mm had less."""
 
@@ -70,16 +70,16 @@ def find_needle_line(
     rng: np.random.Generator,
     *,
     decibels_per_level: float,
-    least_length: float = 17e-3,
-    least_evidence: float = LEAST_EVIDENCE,
-    largest_entry_gap: float = 8e-3,
+    min_length: float = 17e-3,
+    min_evidence: float = MIN_EVIDENCE,
+    max_entry_gap: float = 8e-3,
 ) -> NeedleLine | NotFound:
     """Find the line in a volume that looks most like a needle.
 
     The longest bright lines are refined: of every cross-section the centre of what is brightest
     counts, and the line is fitted to the centres, robustly. A needle stands out along its length
     from all around it, and comes from outside. A bright fibre looks the same, so what is shorter
-    than `least_length` is no needle.
+    than `min_length` is no needle.
 
     Parameters
     ----------
@@ -89,11 +89,11 @@ def find_needle_line(
         Draws the lines.
     decibels_per_level
         dB per unit of a voxel's intensity.
-    least_length
+    min_length
         In view, in m.
-    least_evidence
+    min_evidence
         In dB m.
-    largest_entry_gap
+    max_entry_gap
         From the side of the field of view, in m.
 
     Returns
@@ -106,13 +106,13 @@ def find_needle_line(
         if found is not None:
             # Between its ends a needle tells best where it lies.
             found = _stretch(volume, found.ends, decibels_per_level)
-        if found is None or found.length < least_length or found.entry_gap > largest_entry_gap:
+        if found is None or found.length < min_length or found.entry_gap > max_entry_gap:
             continue
         if best is None or found.evidence > best.evidence:
             best = found
     if best is None:
         return NotFound("no bright line comes from outside the field of view")
-    if best.evidence < least_evidence:
+    if best.evidence < min_evidence:
         return NotFound("no line stands out from its surroundings as a needle does")
     return best
 

@@ -6,12 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.localization.axis_fit import AxisFit
-from sonoservo.systems.localization.measurement import NeedleMeasurement
 from sonoservo.systems.localization.ransac import RansacParameters, ransac_axis
 from sonoservo.systems.localization.tip import TipParameters, axis_profile
-from sonoservo.systems.needle.curve import NeedleCurve
-from sonoservo.systems.ultrasound.volume import Volume
-from sonoservo.systems.values import NotFound, require_positive
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals.requirements import require_positive
+from sonoservo.systems.signals.volume import Volume
 
 
 @dataclass(kw_only=True)
@@ -22,7 +23,7 @@ class WholeVolumeRansacParameters:
     ----------
     candidate_volume
         Volume that the brightest voxels fill together, in m^3.
-    largest_gap
+    max_gap
         In the intensity along the needle that does not end it, in m.
     ransac, tip
         Of the axis, and of the intensity along it. Without refits the axis is the best sample's;
@@ -30,12 +31,12 @@ class WholeVolumeRansacParameters:
     """
 
     candidate_volume: float = 60e-9
-    largest_gap: float = 2e-3
+    max_gap: float = 2e-3
     ransac: RansacParameters = field(default_factory=RansacParameters)
     tip: TipParameters = field(default_factory=TipParameters)
 
     def __post_init__(self) -> None:
-        require_positive(candidate_volume=self.candidate_volume, largest_gap=self.largest_gap)
+        require_positive(candidate_volume=self.candidate_volume, max_gap=self.max_gap)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,20 +55,20 @@ class WholeVolumeNeedle:
     start: float
     tip: float
 
-    def measurement(self, time: float, deviation: float, independent: float) -> NeedleMeasurement:
+    def measurement(self, time: float, std: float, independent: float) -> NeedleMeasurement:
         """Return what starts a tracker.
 
         Parameters
         ----------
         time
             When the tip was acquired, in s.
-        deviation
-            Standard deviation of both ends in every direction, beyond the fit's, in m.
+        std
+            Standard std of both ends in every direction, beyond the fit's, in m.
         independent
             Number of independent observations that the voxels amount to.
         """
         ends = np.array([self.start, self.tip])
-        covariance = self.fit.covariance(ends, independent) + deviation**2 * np.eye(6)
+        covariance = self.fit.covariance(ends, independent) + std**2 * np.eye(6)
         curve = NeedleCurve(self.fit.axis.position(ends))
         return NeedleMeasurement(curve, covariance, time, 0, 0.0)
 
@@ -129,15 +130,15 @@ def find_needle(
     middle = float(np.median(a))
     profile = axis_profile(volume, axis, a[0], a[-1], parameters.tip)
     # Halfway, in amplitude, between nothing and the needle as it is around its middle.
-    inside = np.abs(profile.a - middle) <= parameters.largest_gap
+    inside = np.abs(profile.a - middle) <= parameters.max_gap
     bright = profile.level > np.median(profile.level[inside]) - 20 * np.log10(2)
-    start, tip = (_end(profile.a[bright], middle, side, parameters.largest_gap) for side in (-1, 1))
+    start, tip = (_end(profile.a[bright], middle, side, parameters.max_gap) for side in (-1, 1))
     return WholeVolumeNeedle(found.fit, start, tip)
 
 
-def _end(bright: NDArray[np.float64], middle: float, side: int, largest_gap: float) -> float:
+def _end(bright: NDArray[np.float64], middle: float, side: int, max_gap: float) -> float:
     """Last abscissa to a side of the middle that no gap separates from it."""
     away = np.sort(side * (bright - middle))
     away = np.concatenate([[0.0], away[away > 0]])
-    last = np.flatnonzero(np.append(np.diff(away), np.inf) > largest_gap)[0]
+    last = np.flatnonzero(np.append(np.diff(away), np.inf) > max_gap)[0]
     return middle + side * float(away[last])

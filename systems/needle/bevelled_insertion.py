@@ -7,10 +7,11 @@ from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 from scipy.ndimage import gaussian_filter1d
 
-from sonoservo.systems.needle.bicycle_model import BicyclePath, bicycle_step, require_rising
+from sonoservo.systems.needle.bicycle_model import BicyclePath, bicycle_step
 from sonoservo.systems.needle.insertion import OUTER_DIAMETER
-from sonoservo.systems.needle.needle import Needle
-from sonoservo.systems.values import require, require_not_negative, require_positive
+from sonoservo.systems.signals.bicycle_paths import require_rising
+from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 
 _STEP = 0.5e-3
 """Between the points of a shaft, in m: off an arc of R = 0.5 m by 0.1 um."""
@@ -34,7 +35,7 @@ class BevelledInsertionParameters:
         Origin of I in T, in m. Z of I is X of T, Y of I points down.
     entry_spread
         Greatest deviation from it along X and Y of I, in m.
-    least_radius, greatest_radius
+    min_radius, greatest_radius
         Range of the radius R that the bevel cuts, in m.
     greatest_angle_deg
         The first direction is within this of Z, in the plane of deflection, which has any angle.
@@ -58,7 +59,7 @@ class BevelledInsertionParameters:
     gauge: int = 18
     entry: list[float] = field(default_factory=lambda: [-0.075, 0.0, -0.030])
     entry_spread: float = 2e-3
-    least_radius: float = 0.8
+    min_radius: float = 0.8
     greatest_radius: float = 2.4
     greatest_angle_deg: float = 2.0
     rotations: list[float] = field(default_factory=list)
@@ -74,12 +75,12 @@ class BevelledInsertionParameters:
         require(self.gauge in OUTER_DIAMETER, "gauge", self.gauge, f"one of {allowed}")
         require(len(self.entry) == 3, "entry", self.entry, "three coordinates in m")
         require_positive(depth=self.depth, speed=self.speed, wander_length=self.wander_length)
-        require(self.least_radius >= 0.2, "least_radius", self.least_radius, "at least 0.2 m")
+        require(self.min_radius >= 0.2, "min_radius", self.min_radius, "at least 0.2 m")
         require(
-            self.greatest_radius >= self.least_radius,
+            self.greatest_radius >= self.min_radius,
             "greatest_radius",
             self.greatest_radius,
-            "at least least_radius",
+            "at least min_radius",
         )
         require(
             0 <= self.greatest_angle_deg <= 20,
@@ -125,7 +126,7 @@ class BevelledInsertion:
         axes = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
         self.X_TI = RigidTransform(RotationMatrix(axes), parameters.entry)
         self.path = BicyclePath(
-            radius=rng.uniform(parameters.least_radius, parameters.greatest_radius),
+            radius=rng.uniform(parameters.min_radius, parameters.greatest_radius),
             angle=np.deg2rad(parameters.greatest_angle_deg) * rng.uniform(-1, 1),
             plane=rng.uniform(-np.pi, np.pi),
             rotations=tuple(parameters.rotations),

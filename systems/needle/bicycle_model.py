@@ -13,15 +13,14 @@ Carriere et al. 2016, section III. Two of its equations are corrected here:
   goes on from where it is. The centre of the circle is at u_c = u_turn + s R cos(theta_turn).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from sonoservo.systems.values import Immutable, require, require_positive
+from sonoservo.systems.signals.bicycle_paths import deflections, require_rising
+from sonoservo.systems.signals.immutable import Immutable
+from sonoservo.systems.signals.requirements import require, require_positive
 
 Floats = NDArray[np.float64]
 
@@ -137,58 +136,3 @@ class BicyclePath(Immutable):
                 )
                 theta, sign = end, -sign
         return np.stack([np.cos(self.plane) * u, np.sin(self.plane) * u, v], axis=-1)
-
-
-def require_rising(rotations: Sequence[float]) -> None:
-    """Raise ValueError unless the depths of rotation, in m, are above zero and rise."""
-    rising = all(a < b for a, b in pairwise([0.0, *rotations]))
-    require(rising, "rotations", list(rotations), "depths in m above 0, in rising order")
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def deflections(parameters, depths, rotations):  # type: ignore[no-untyped-def]
-    """Deflections of many paths at once, in closed form.
-
-    Parameters
-    ----------
-    parameters
-        (n, 2) curvature 1 / R in 1/m, and sin(theta_0), of each path.
-    depths
-        (m,) depths v in m, in rising order; below zero the first piece is continued backwards.
-    rotations
-        (r,) depths in m at which the curvature changes sign, in rising order.
-
-    Returns
-    -------
-    (n, m) deflections u in m; NaN where a path has turned back.
-    """
-    u = np.empty((len(parameters), len(depths)))
-    for i in range(len(parameters)):
-        curvature, sine = parameters[i]
-        u_turn = 0.0
-        v_turn = 0.0
-        cosine = np.sqrt(1 - sine * sine)
-        turn = 0
-        for j in range(len(depths)):
-            while turn < len(rotations) and depths[j] > rotations[turn]:
-                u_turn, sine, cosine = _go(
-                    u_turn, sine, cosine, curvature, rotations[turn] - v_turn
-                )
-                v_turn = rotations[turn]
-                curvature = -curvature
-                turn += 1
-            u[i, j], _, _ = _go(u_turn, sine, cosine, curvature, depths[j] - v_turn)
-    return u
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def _go(u, sine, cosine, curvature, v):  # type: ignore[no-untyped-def]
-    """Deflection, sine and cosine of theta, a depth v further on an arc.
-
-    sin(theta) grows by v / R, and cos(theta) - cos(theta') = (sin^2 - sin'^2) / -(cos + cos'): so
-    written, an arc of little curvature loses no digits.
-    """
-    further = sine + curvature * v
-    squared = 1 - further * further
-    cosine_further = np.sqrt(squared) if squared > 0 else np.nan
-    return u + v * (sine + further) / (cosine + cosine_further), further, cosine_further

@@ -5,7 +5,7 @@ from typing import Protocol
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem
 
-from sonoservo.systems.needle.needle import Needle
+from sonoservo.systems.signals.needle import Needle
 
 
 class NeedleMotion(Protocol):

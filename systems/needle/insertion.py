@@ -7,14 +7,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import PPoly
 
-from sonoservo.systems.needle.needle import Needle
 from sonoservo.systems.needle.steered_path import cut_arcs, positions
-from sonoservo.systems.values import (
-    Immutable,
-    require,
-    require_not_negative,
-    require_positive,
-)
+from sonoservo.systems.signals.immutable import Immutable
+from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 
 OUTER_DIAMETER = {
     14: 2.108e-3,

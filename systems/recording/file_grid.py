@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 
-from sonoservo.systems.values import Immutable, require
+from sonoservo.systems.signals.immutable import Immutable
+from sonoservo.systems.signals.requirements import require
 
 _L, _P, _S = np.eye(3)
 _DEPTHS = {"L": _L, "R": -_L, "P": _P, "A": -_P, "S": _S, "I": -_S}

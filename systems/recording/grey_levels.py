@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.values import Immutable, require
+from sonoservo.systems.signals.immutable import Immutable
+from sonoservo.systems.signals.requirements import require
 
 _ALMOST_ALL = 0.999
 """Share of the voxels in the field of view above which a much greater number is an outlier."""

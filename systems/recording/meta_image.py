@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sonoservo.systems.files.typed_yaml import ConfigurationError
 from sonoservo.systems.recording.volume_file import (
-    LARGEST_HEADER,
+    MAX_HEADER,
     DataSection,
     VolumeFile,
     check_layout,
 )
-from sonoservo.systems.typed_yaml import ConfigurationError
 
 _TYPES = {
     "MET_UCHAR": "u1",
@@ -85,7 +85,7 @@ def _read_header(path: Path) -> tuple[dict[str, str], int]:
         while "ElementDataFile" not in fields:
             line = file.readline(1 << 16)
             key, equals, value = line.decode("latin-1").partition("=")
-            if not equals or file.tell() > LARGEST_HEADER:
+            if not equals or file.tell() > MAX_HEADER:
                 raise ConfigurationError(f"{path}: no MetaImage file, or its header has no end")
             fields[key.strip()] = value.strip()
         return fields, file.tell()

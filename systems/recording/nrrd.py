@@ -10,16 +10,16 @@ import nrrd
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.recording.files import write_atomically
+from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.writing import write_atomically
 from sonoservo.systems.recording.volume_file import (
-    LARGEST_HEADER,
+    MAX_HEADER,
     DataSection,
     VolumeFile,
     check_layout,
     one_line,
 )
-from sonoservo.systems.typed_yaml import ConfigurationError
-from sonoservo.systems.ultrasound.volume import Volume
+from sonoservo.systems.signals.volume import Volume
 
 _SPACES = {
     "left-posterior-superior": (1, 1, 1),
@@ -170,9 +170,9 @@ def _read_header(path: Path) -> tuple[bytes, int]:
         if not file.read(8).startswith(b"NRRD000"):
             raise ConfigurationError(f"{path}: no NRRD file: it does not begin with NRRD000")
         file.seek(0)
-        while line := file.readline(LARGEST_HEADER):
+        while line := file.readline(MAX_HEADER):
             size += len(line)
-            if size > LARGEST_HEADER:
+            if size > MAX_HEADER:
                 raise ConfigurationError(f"{path}: its header has no end")
             lines.append(line)
             if not line.strip():

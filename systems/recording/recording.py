@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 
+from sonoservo.systems.files.typed_yaml import ConfigurationError, suggest
 from sonoservo.systems.recording.file_grid import FileGrid, make_file_grid
 from sonoservo.systems.recording.grey_levels import GreyWindow, choose_window
 from sonoservo.systems.recording.meta_image import open_meta_image
@@ -19,8 +20,7 @@ from sonoservo.systems.recording.side_files import (
     side_path,
 )
 from sonoservo.systems.recording.volume_file import VolumeFile
-from sonoservo.systems.typed_yaml import ConfigurationError, suggest
-from sonoservo.systems.ultrasound.volume import Volume
+from sonoservo.systems.signals.volume import Volume
 
 _FORMATS = {
     ".nrrd": open_nrrd,

@@ -13,8 +13,8 @@ from sonoservo.systems.recording.side_files import (
     describe_acquisition,
     describe_grid,
 )
-from sonoservo.systems.ultrasound.sweep import Sweep
-from sonoservo.systems.ultrasound.volume import Volume
+from sonoservo.systems.signals.sweep import Sweep
+from sonoservo.systems.signals.volume import Volume
 
 
 class RecordingWriter:

@@ -10,7 +10,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.recording.files import write_atomically
+from sonoservo.systems.files.writing import write_atomically
 
 SUFFIX = ".seq.nrrd"
 """By which 3D Slicer knows a sequence."""

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.needle.needle import Needle
+from sonoservo.systems.files.typed_yaml import ConfigurationError
 from sonoservo.systems.recording.sequence_writer import SUFFIX, partial_path
-from sonoservo.systems.typed_yaml import ConfigurationError
-from sonoservo.systems.ultrasound.sweep import SweepGeometry, SweepMotion
-from sonoservo.systems.ultrasound.volume import Volume
+from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.sweep import SweepGeometry, SweepMotion
+from sonoservo.systems.signals.volume import Volume
 
 ACQUISITION, TRUTH = ".acquisition.jsonl", ".truth.jsonl"
 """Suffixes, in the place of the recording's."""

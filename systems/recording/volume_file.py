@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.typed_yaml import ConfigurationError
+from sonoservo.systems.files.typed_yaml import ConfigurationError
 
-LARGEST_HEADER = 1 << 26
+MAX_HEADER = 1 << 26
 """Bytes; a header of a long sequence with poses has some hundred for each volume."""
 
 _MOST_DEFLATED = 1032

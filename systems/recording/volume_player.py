@@ -8,8 +8,9 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem
 
 from sonoservo.systems.recording.recording import Recording
-from sonoservo.systems.ultrasound.volume import Volume
-from sonoservo.systems.values import NotFound, require, require_not_negative
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.requirements import require, require_not_negative
+from sonoservo.systems.signals.volume import Volume
 
 
 class VolumePlayer(LeafSystem):

@@ -8,12 +8,14 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, LeafSystem
 
-from sonoservo.systems.needle.needle import Needle
 from sonoservo.systems.recording.recording_writer import RecordingWriter, SweepWriter
 from sonoservo.systems.recording.side_files import TRUTH, LinesWriter
-from sonoservo.systems.ultrasound.sweep import Sweep
-from sonoservo.systems.ultrasound.volume import Volume
-from sonoservo.systems.values import NotFound, evaluate, require_not_negative, require_positive
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.requirements import require_not_negative, require_positive
+from sonoservo.systems.signals.sweep import Sweep
+from sonoservo.systems.signals.volume import Volume
 
 
 class VolumeRecorder(LeafSystem):

@@ -6,7 +6,7 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import ContactResults
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
-from sonoservo.systems.values import evaluate
+from sonoservo.systems.signals.ports import evaluate
 
 
 def normal_force(contact: ContactResults, X_WT: RigidTransform) -> float:

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.trajectories import PiecewisePolynomial
 
-from sonoservo.systems.values import require, require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 
 
 @dataclass(kw_only=True)
@@ -100,7 +100,7 @@ def next_move(
     time: float,
     *,
     speed: ArrayLike,
-    least_duration: float = 0.3,
+    min_duration: float = 0.3,
 ) -> Move | None:
     """Return the move that brings the phantom where it is wanted, if it is time for one.
 
@@ -116,7 +116,7 @@ def next_move(
         Now, in s.
     speed
         (6,) highest mean speeds, in m/s and deg/s.
-    least_duration
+    min_duration
         Of a move, in s.
     """
     if moves and time < moves[-1].start + moves[-1].duration:
@@ -128,6 +128,6 @@ def next_move(
     change[np.abs(change) < 1e-6] = 0.0  # what rounding leaves
     if not change.any():
         return None
-    duration = max(least_duration, float((np.abs(change) / speed).max()))
+    duration = max(min_duration, float((np.abs(change) / speed).max()))
     translation, rotation_deg = change[:3].tolist(), change[3:].tolist()
     return Move(start=time, duration=duration, translation=translation, rotation_deg=rotation_deg)

@@ -7,7 +7,7 @@ from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.tree import JointIndex
 from pydrake.systems.framework import Context, LeafSystem
 
-from sonoservo.systems.values import require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 
 
 class WristForceSensor(LeafSystem):

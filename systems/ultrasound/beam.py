@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from sonoservo.systems.signals.immutable import Immutable
+from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.sweep import SweepGeometry
 from sonoservo.systems.ultrasound.transducer import Transducer
-from sonoservo.systems.values import Immutable
 
 FWHM_PER_SIGMA = 2 * np.sqrt(2 * np.log(2))
 """Full width at half maximum of a Gaussian, over its standard deviation."""

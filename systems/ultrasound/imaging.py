@@ -3,9 +3,9 @@
 import math
 from dataclasses import dataclass
 
-from sonoservo.systems.ultrasound.sweep import SweepGeometry
+from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.ultrasound.transducer import Transducer
-from sonoservo.systems.values import require, require_not_negative, require_positive
 
 
 @dataclass(kw_only=True)

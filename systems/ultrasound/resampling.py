@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from sonoservo.systems.ultrasound.projection import OPTIONS
+from sonoservo.systems.sampling.options import OPTIONS
 
 WIDEST_ANGLE = 2 * np.arctan(0.8)
 """Largest angle in rad, 77 deg, from the middle of the sector that `_angle` covers."""
@@ -140,10 +140,10 @@ def rows_in_sector(
     outermost_line = 0.5 * sector.last_line / sector.lines_per_radian
     outermost_frame = 0.5 * sector.lines * sector.last_frame / sector.steps_per_radian
     # All conditions are on q = rho + centre_offset and on the angle, which both grow with |z|.
-    least_q = np.maximum(
+    min_q = np.maximum(
         np.sqrt(np.maximum(near**2 - x**2, 0)), (x - margin) / np.tan(outermost_line) - margin
     )
-    least = np.maximum(least_q - sector.centre_offset, 0)
+    least = np.maximum(min_q - sector.centre_offset, 0)
     most = np.sqrt(np.maximum(far**2 - x**2, 0)) - sector.centre_offset
     low = np.sqrt(np.maximum(least**2 - y**2, 0))
     high = np.minimum(

@@ -6,6 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform
 
+from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
+from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.ultrasound.resampling import (
     POSES_PER_FRAME,
     WIDEST_ANGLE,
@@ -15,9 +18,6 @@ from sonoservo.systems.ultrasound.resampling import (
     resample_moving,
     rows_in_sector,
 )
-from sonoservo.systems.ultrasound.sweep import Sweep, SweepGeometry, SweepMotion
-from sonoservo.systems.ultrasound.volume import Volume
-from sonoservo.systems.values import require, require_positive
 
 _SLACK = 1e-6
 """Length in m that covers the rounding of single precision."""

@@ -6,9 +6,11 @@ from functools import lru_cache
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem
 
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.requirements import require
+from sonoservo.systems.signals.sweep import Sweep, SweepGeometry
 from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
-from sonoservo.systems.ultrasound.sweep import Sweep, SweepGeometry
-from sonoservo.systems.values import NotFound, evaluate, require
 
 
 @dataclass(kw_only=True)

@@ -5,9 +5,10 @@ from functools import lru_cache
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem
 
-from sonoservo.systems.ultrasound.image_slice import SliceConversion
-from sonoservo.systems.ultrasound.sweep import Sweep, SweepGeometry
-from sonoservo.systems.values import NotFound, evaluate
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.sweep import Sweep, SweepGeometry
+from sonoservo.systems.ultrasound.slice_conversion import SliceConversion
 
 
 class SliceConverter(LeafSystem):

@@ -1,11 +1,10 @@
 """The hardware of a motorised ultrasound probe."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
-from sonoservo.models import model_path
-from sonoservo.systems.typed_yaml import load_typed, read_yaml
-from sonoservo.systems.values import require, require_not_negative, require_positive
+from sonoservo.systems.files.model_file import model_file
+from sonoservo.systems.files.typed_yaml import load_typed, read_yaml
+from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 
 _LARGEST = {
     "array_radius": 0.5,
@@ -134,20 +133,6 @@ class Transducer:
             self.highest_frequency,
             "at least lowest_frequency",
         )
-
-
-def model_file(folder: str, name: str) -> Path:
-    """Path of a model that ships with the package, by its name, or of one's own, by its path.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is neither; for a name the message lists those that ship.
-    """
-    own = Path(name)
-    if own.suffix and not own.is_file():
-        raise FileNotFoundError(f"{folder.removesuffix('s')}: there is no file {name}")
-    return own if own.suffix else model_path(f"{folder}/{name}.yaml")
 
 
 def load_transducer(name: str) -> Transducer:

@@ -10,9 +10,9 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from sonoservo.diagrams.probe_controller import MakeProbeController, ProbeControllerParameters
 from sonoservo.diagrams.station import MakeStation, StationParameters
-from sonoservo.systems.estimation.estimate import NeedleEstimate, TrackingMode
-from sonoservo.systems.needle.curve import NeedleCurve
 from sonoservo.systems.robot.phantom import PhantomMotion
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 
 
 @pytest.mark.parametrize("contact_model", ["hydroelastic_with_fallback", "point"])

@@ -13,10 +13,10 @@ from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.diagrams import load_scenario
 from sonoservo.diagrams.experiment import Experiment
-from sonoservo.systems.display.monitor import Monitor
-from sonoservo.systems.display.monitor_screen import MonitorScreen
-from sonoservo.systems.estimation.estimate import NeedleEstimate, TrackingMode
-from sonoservo.systems.needle.curve import NeedleCurve
+from sonoservo.systems.display.monitor.drawing import MonitorScreen
+from sonoservo.systems.display.monitor.monitor import Monitor
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 
 ENTRY = entry_on_side()
 TIP = ENTRY + np.array([0.045, 0.012, 0.005])

@@ -10,9 +10,7 @@ from skimage.feature import match_template
 from sonoservo.diagrams.scenario import load_any_scenario
 from sonoservo.diagrams.shape_experiment import ShapeExperiment, estimate_shape
 from sonoservo.systems.localization.cross_section import CrossSectionParameters, find_again
-from sonoservo.systems.localization.normalized_cross_correlation import (
-    normalized_cross_correlation,
-)
+from sonoservo.systems.localization.normalized_cross_correlation import normalized_cross_correlation
 
 PAPER_MS = {"image": 3.1, "particle filter": 2.8}
 

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from pymust_referee import middle_line
 
-from sonoservo.diagrams.zhao2012.phantom import IMAGING as ZHAO
-from sonoservo.systems.needle.needle import Needle
+from sonoservo.diagrams.papers.zhao2012.phantom import IMAGING as ZHAO
+from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.rendering import ScannerParameters, SweepRenderer
-from sonoservo.systems.ultrasound.tissue import load_tissue
+from sonoservo.systems.ultrasound.simulation.rendering import ScannerParameters, SweepRenderer
+from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
 from sonoservo.systems.ultrasound.transducer import Transducer, load_transducer
 
 LARGE = ImagingParameters(depth=0.1476, sector=1.0, frames=31, volume_rate=1.3)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
+from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
 from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
 from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
-from sonoservo.systems.ultrasound.sweep import Sweep, SweepGeometry, SweepMotion
 from sonoservo.systems.ultrasound.transducer import Transducer
 
 LARGE = SweepGeometry(

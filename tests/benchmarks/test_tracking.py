@@ -10,20 +10,18 @@ from skimage.measure import LineModelND, ransac
 from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.diagrams import load_scenario, run
-from sonoservo.diagrams.zhao2012.phantom import DIRECTION, Phantom, StraightNeedle
-from sonoservo.diagrams.zhao2012.tracking import BMode, Tracking
+from sonoservo.diagrams.papers.zhao2012.phantom import DIRECTION, Phantom, StraightNeedle
+from sonoservo.diagrams.papers.zhao2012.tracking import BMode, Tracking
 from sonoservo.systems.detection.insertion_detector import (
     InsertionDetectorParameters,
     detect_insertion,
 )
-from sonoservo.systems.estimation.estimate import TrackingMode
 from sonoservo.systems.estimation.track import NeedleMotionParameters, NeedleTrack
 from sonoservo.systems.localization.localize import localize
 from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
-from sonoservo.systems.localization.normalized_cross_correlation import (
-    normalized_cross_correlation,
-)
+from sonoservo.systems.localization.normalized_cross_correlation import normalized_cross_correlation
 from sonoservo.systems.localization.ransac import ransac_axis
+from sonoservo.systems.signals.needle_estimate import TrackingMode
 
 ENTRY = entry_on_side()
 TIP = ENTRY + np.array([0.045, 0.012, 0.005])
@@ -52,7 +50,7 @@ def volumes():
 
 def test_detect_insertion(benchmark, volumes):
     before, volume = volumes
-    parameters = InsertionDetectorParameters(largest_deviation=1.0, largest_depth=1.0)
+    parameters = InsertionDetectorParameters(max_std=1.0, max_depth=1.0)
     rng = np.random.default_rng(0)
     assert benchmark(lambda: detect_insertion(volume, before, parameters, rng))
 
@@ -107,9 +105,9 @@ def test_ransac(benchmark, candidate_sets):
                 points,
                 LineModelND,
                 2,
-                parameters.inlier_distance,
-                max_trials=parameters.largest_iterations,
-                stop_probability=1 - parameters.failure,
+                parameters.residual_threshold,
+                max_trials=parameters.max_trials,
+                stop_probability=parameters.stop_probability,
                 rng=rng,
             )
 

@@ -7,7 +7,7 @@ import pytest
 from pydrake.geometry import Meshcat, MeshcatParams
 
 from sonoservo.diagrams import load_scenario, run
-from sonoservo.diagrams.drive import drive
+from sonoservo.diagrams.app.drive import drive
 
 CHEAP = [
     "station.contact_model=point",

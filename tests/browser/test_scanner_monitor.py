@@ -7,10 +7,10 @@ import pytest
 from browser_view import eventually, project, screenshot, still
 from synthetic_volumes import Scene, entry_on_side
 
-from sonoservo.systems.display.monitor import Monitor
-from sonoservo.systems.display.monitor_views import monitor_views
-from sonoservo.systems.estimation.estimate import NeedleEstimate, TrackingMode
-from sonoservo.systems.needle.curve import NeedleCurve
+from sonoservo.systems.display.monitor.monitor import Monitor
+from sonoservo.systems.display.monitor.views import monitor_views
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 
 ENTRY = entry_on_side()
 TIPS = [ENTRY + np.array([0.045, 0.010, 0.004]), ENTRY + np.array([0.070, 0.014, 0.010])]

@@ -9,10 +9,10 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from sonoservo.diagrams import load_scenario
 from sonoservo.diagrams.experiment import Experiment
-from sonoservo.systems.display.world_view import WorldView, WorldViewParameters
-from sonoservo.systems.estimation.estimate import TrackingMode
-from sonoservo.systems.recording.replay import save_replay
-from sonoservo.systems.ultrasound.volume import Volume
+from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
+from sonoservo.systems.evaluation.replay import save_replay
+from sonoservo.systems.signals.needle_estimate import TrackingMode
+from sonoservo.systems.signals.volume import Volume
 
 CHANGES = [
     "duration=7.5",

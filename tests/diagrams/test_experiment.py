@@ -9,10 +9,10 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import LeafSystem
 
 from sonoservo.diagrams import load_scenario, run, tracker_events
-from sonoservo.systems.display.monitor import Monitor
-from sonoservo.systems.estimation.estimate import NeedleEstimate, TrackingMode
-from sonoservo.systems.needle.curve import NeedleCurve
-from sonoservo.systems.typed_yaml import ConfigurationError
+from sonoservo.systems.display.monitor.monitor import Monitor
+from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 
 
 def assert_finds_and_follows(summary, x_mm):

@@ -11,8 +11,8 @@ from sonoservo.diagrams.needle_tracker import (
     Zhao2012TrackerParameters,
     track,
 )
-from sonoservo.systems.estimation.estimate import TrackingMode
-from sonoservo.systems.values import NotFound
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.needle_estimate import TrackingMode
 
 PERIOD = 0.303
 SPEED = 5e-3

@@ -11,9 +11,9 @@ from sonoservo.diagrams.probe_controller import MakeProbeController, ProbeContro
 from sonoservo.diagrams.station import MakeStation, ProbePlacement, StationParameters
 from sonoservo.systems.control.visual_features import needle_features
 from sonoservo.systems.control.visual_servo import VisualServoParameters
-from sonoservo.systems.estimation.estimate import NeedleEstimate, TrackingMode
-from sonoservo.systems.needle.curve import NeedleCurve
 from sonoservo.systems.robot.phantom import PhantomMotion
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 
 VOLUME_PERIOD = 0.303
 

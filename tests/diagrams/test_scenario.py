@@ -2,13 +2,8 @@ import pytest
 import yaml
 
 from sonoservo.diagrams.needle_tracker import Zhao2012TrackerParameters
-from sonoservo.diagrams.scenario import (
-    Scenario,
-    list_scenarios,
-    load_any_scenario,
-    load_scenario,
-)
-from sonoservo.systems.typed_yaml import ConfigurationError
+from sonoservo.diagrams.scenario import Scenario, list_scenarios, load_any_scenario, load_scenario
+from sonoservo.systems.files.typed_yaml import ConfigurationError
 
 
 @pytest.mark.parametrize("name", list_scenarios())
@@ -52,10 +47,10 @@ def test_a_file_of_ones_own_and_the_whole_of_it_read_back(tmp_path):
 
 
 def test_the_tracker_is_chosen_by_name(tmp_path):
-    changes = ["tracker=zhao2012", "tracker.velocimeter.least_correlation=0.4"]
+    changes = ["tracker=zhao2012", "tracker.velocimeter.min_correlation=0.4"]
     scenario = load_scenario("chatelain2013_fig5", changes=changes)
     assert isinstance(scenario.tracker, Zhao2012TrackerParameters)
-    assert scenario.tracker.velocimeter.least_correlation == 0.4
+    assert scenario.tracker.velocimeter.min_correlation == 0.4
     path = tmp_path / "mine.yaml"
     path.write_text(scenario.to_yaml())
     assert load_scenario(path).tracker == scenario.tracker

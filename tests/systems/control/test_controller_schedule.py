@@ -7,7 +7,7 @@ from sonoservo.systems.control.controller_schedule import (
     ControllerSchedule,
     ControllerSettings,
 )
-from sonoservo.systems.control.driven_settings import DrivenSettings
+from sonoservo.systems.control.operator_settings import OperatorSettings
 from sonoservo.systems.control.scheduled_settings import ScheduledSettings
 
 START = ControllerSettings(gain=1.6, force=2.0)
@@ -22,7 +22,7 @@ def test_a_change_holds_from_its_time_until_the_next():
 
 
 def test_what_an_operator_changes_is_recorded():
-    driven = DrivenSettings(start=START, period=1 / 16)
+    driven = OperatorSettings(start=START, period=1 / 16)
     simulator = Simulator(driven)
     context = simulator.get_mutable_context()
     times, seen = np.arange(0.003, 3, 1 / 100), []

@@ -10,8 +10,8 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from sonoservo.systems.control.visual_features import needle_features
 from sonoservo.systems.control.visual_servo import VisualServoParameters, planar_velocity
-from sonoservo.systems.estimation.estimate import NeedleEstimate, TrackingMode
-from sonoservo.systems.needle.curve import NeedleCurve
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 
 PERIOD = 0.303
 STEP = PERIOD / 30

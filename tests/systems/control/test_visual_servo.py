@@ -10,8 +10,8 @@ from sonoservo.systems.control.visual_servo import (
     VisualServoParameters,
     planar_velocity,
 )
-from sonoservo.systems.estimation.estimate import NeedleEstimate, TrackingMode
-from sonoservo.systems.needle.curve import NeedleCurve
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 
 X_WP = RigidTransform(RotationMatrix.MakeXRotation(-np.pi / 2), [0.5, 0, 0.2])
 PAPER = VisualServoParameters(gain=0.8, feed_forward=False, max_speed=1, max_angular_speed_deg=200)

@@ -7,15 +7,15 @@ from pydrake.math import RigidTransform
 from synthetic_volumes import GEOMETRY, Scene, entry_on_side
 
 from sonoservo.systems.detection.insertion_detector import (
-    InsertionDetection,
     InsertionDetector,
     InsertionDetectorParameters,
     closest_side,
     detect_insertion,
 )
 from sonoservo.systems.detection.volume_memory import VolumeMemory
-from sonoservo.systems.ultrasound.volume import Volume
-from sonoservo.systems.values import NotFound
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.insertion_detection import InsertionDetection
+from sonoservo.systems.signals.volume import Volume
 
 PARAMETERS = InsertionDetectorParameters()
 RNG = np.random.default_rng(0)

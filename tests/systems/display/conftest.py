@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform, RollPitchYaw
 
-from sonoservo.systems.ultrasound.sweep import SweepGeometry, SweepMotion
-from sonoservo.systems.ultrasound.volume import Volume
+from sonoservo.systems.signals.sweep import SweepGeometry, SweepMotion
+from sonoservo.systems.signals.volume import Volume
 
 X_WP = RigidTransform(RollPitchYaw(-1.5, 0.2, 0.7), [0.4, 0.1, 0.3])
 GEOMETRY = SweepGeometry(

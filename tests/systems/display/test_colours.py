@@ -13,7 +13,7 @@ from sonoservo.systems.display.colours import (
     UNCERTAINTY,
     ink,
 )
-from sonoservo.systems.display.legend import WORLD_LEGEND, legend_image
+from sonoservo.systems.display.world.legend import WORLD_LEGEND, legend_image
 
 # How a colour without its blue, green or red cones is seen, in linear RGB: Machado, Oliveira and
 # Fernandes 2009, table 1, severity 1.

@@ -16,13 +16,13 @@ from sonoservo.systems.estimation.axis_tip_state import (
     start_axis_tip,
     update_axis_tip,
 )
-from sonoservo.systems.estimation.estimate import TrackingMode
 from sonoservo.systems.estimation.track import NeedleMotionParameters
-from sonoservo.systems.localization.measurement import NeedleMeasurement
-from sonoservo.systems.localization.speckle_velocimeter import VelocityMeasurement
-from sonoservo.systems.needle.curve import NeedleCurve
-from sonoservo.systems.ultrasound.volume import Volume
-from sonoservo.systems.values import NotFound
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_estimate import TrackingMode
+from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
+from sonoservo.systems.signals.volume import Volume
 
 MOTION = NeedleMotionParameters(insertion=1e-6, body=2e-7)
 TURNING = 1e-4

@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from sonoservo.systems.estimation.estimate import TrackingMode
 from sonoservo.systems.estimation.needle_kalman_filter import (
     NeedleKalmanFilterParameters,
     restart_track,
     update_track,
 )
-from sonoservo.systems.localization.measurement import NeedleMeasurement
-from sonoservo.systems.needle.curve import NeedleCurve
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_estimate import TrackingMode
+from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 
 
 def test_entry_rests_along_an_axis_that_does_not_show_it():

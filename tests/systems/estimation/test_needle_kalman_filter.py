@@ -8,8 +8,6 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform, RotationMatrix
 from scipy.linalg import expm
 
-from sonoservo.systems.detection.insertion_detector import InsertionDetection
-from sonoservo.systems.estimation.estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.estimation.needle_kalman_filter import (
     NeedleKalmanFilter,
     NeedleKalmanFilterParameters,
@@ -23,10 +21,12 @@ from sonoservo.systems.estimation.track import (
     NeedleTrack,
     constant_velocity,
 )
-from sonoservo.systems.localization.measurement import NeedleMeasurement
-from sonoservo.systems.needle.curve import NeedleCurve
-from sonoservo.systems.ultrasound.volume import Volume
-from sonoservo.systems.values import NotFound
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.insertion_detection import InsertionDetection
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals.volume import Volume
 
 PARAMETERS = NeedleKalmanFilterParameters()
 R = np.diag([1, 0.2, 0.3, 0.5, 0.2, 0.4]) * 1e-6
@@ -308,7 +308,8 @@ def test_log_shows_what_was_used():
 
 
 @pytest.mark.parametrize(
-    ("field", "value"), [("gate", 1.0), ("order", 4), ("volumes_to_lose", 0), ("first_speed", -1.0)]
+    ("field", "value"),
+    [("gate", 1.0), ("order", 4), ("volumes_to_lose", 0), ("first_speed_std", -1.0)],
 )
 def test_parameters_are_checked(field, value):
     with pytest.raises(ValueError, match=field):

@@ -5,13 +5,14 @@ from pydrake.math import RigidTransform, RotationMatrix
 from scipy.stats import chi2
 
 from sonoservo.systems.estimation.least_squares_shape_estimator import LeastSquaresShapeEstimator
-from sonoservo.systems.estimation.needle_shape import NeedleShape, ShapeEstimatorParameters
 from sonoservo.systems.estimation.particle_shape_estimator import ParticleShapeEstimator
 from sonoservo.systems.estimation.published_shape_estimator import PublishedShapeEstimator
+from sonoservo.systems.estimation.shape_parameters import ShapeEstimatorParameters
 from sonoservo.systems.estimation.shape_posterior import MeasurementNoise
-from sonoservo.systems.localization.cross_section import CrossSection
 from sonoservo.systems.needle.bicycle_model import BicyclePath
-from sonoservo.systems.values import NotFound
+from sonoservo.systems.signals.cross_section import CrossSection
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.needle_shape import NeedleShape
 
 X_WI = RigidTransform(RotationMatrix.MakeYRotation(1.2), [0.3, -0.1, 0.2])
 SOUND = (ParticleShapeEstimator, LeastSquaresShapeEstimator)
@@ -26,7 +27,7 @@ PARAMETERS = {
 def parameters_of(leaf, **values):
     module = __import__(leaf.__module__, fromlist=["_"])
     if leaf is not PublishedShapeEstimator:
-        values.setdefault("noise", MeasurementNoise(deviation=0.1e-3, independence=1.0))
+        values.setdefault("noise", MeasurementNoise(std=0.1e-3, independence=1.0))
     else:
         values.pop("noise", None)
     return getattr(module, PARAMETERS[leaf])(**values)
@@ -69,7 +70,7 @@ def measured(path, depths, deviation, seed=0):
 def test_little_noise_gives_the_path_beyond_the_rotation(leaf, plane):
     path = BicyclePath(radius=1.2, angle=-0.02, plane=plane, rotations=(0.06,))
     points = measured(path, np.arange(0, 0.0601, 0.5e-3), 5e-6)
-    noise = MeasurementNoise(deviation=5e-6, independence=1.0)
+    noise = MeasurementNoise(std=5e-6, independence=1.0)
     shape = estimate(leaf, points, depth=0.14, rotations=[0.06], noise=noise)[-1]
     depths = np.linspace(0, 0.14, 15)
     mean, _ = shape.predict(depths)
@@ -104,7 +105,7 @@ def test_particle_filter_has_the_posterior_that_quadrature_gives():
     path = BicyclePath(radius=1.0, angle=0.03, plane=0.0)
     depths = np.arange(0, 0.0601, 2e-3)
     points = measured(path, depths, 0.1e-3, seed=2)
-    noise = MeasurementNoise(deviation=0.1e-3, confidence=1e6, independence=1.0, outlier=100.0)
+    noise = MeasurementNoise(std=0.1e-3, confidence=1e6, independence=1.0, outlier=100.0)
     found = [
         estimate(ParticleShapeEstimator, points, seed, depth=0.1, noise=noise, particles=2000)[-1]
         for seed in range(3)
@@ -143,7 +144,7 @@ def test_fewer_slices_than_parameters_are_wide_not_wrong(leaf):
     # The more is seen, the narrower.
     depths = np.arange(0, 0.08, 1e-3)
     shapes = estimate(leaf, measured(path, depths, 0.1e-3), depth=0.1)
-    deviation = [shape.deviation([0.1])[0] for shape in shapes]
+    deviation = [shape.std([0.1])[0] for shape in shapes]
     assert deviation[-1] < 0.1 * deviation[10] < 0.1 * deviation[2] * 2
 
 
@@ -156,7 +157,7 @@ def test_echoes_of_something_else_widen_the_uncertainty(leaf):
     hit = estimate(leaf, points, depth=0.1)[-1]
     error = np.linalg.norm(hit.predict([0.1])[0][0] - path.position(0.1)[:2])
     assert error < 1e-3
-    assert hit.deviation([0.1])[0] > 1.2 * clean.deviation([0.1])[0]
+    assert hit.std([0.1])[0] > 1.2 * clean.std([0.1])[0]
 
 
 @pytest.mark.parametrize("leaf", ALL)
@@ -185,7 +186,7 @@ def test_frame_may_be_given_before_the_needle_is_seen():
     path = BicyclePath(radius=1.2, angle=0.03, rotations=(0.04,))
     points = measured(path, np.arange(5e-3, 0.0401, 0.5e-3), 5e-6)
     leaf = ParticleShapeEstimator
-    noise = MeasurementNoise(deviation=5e-6, independence=1.0)
+    noise = MeasurementNoise(std=5e-6, independence=1.0)
     parameters = parameters_of(leaf, depth=0.1, rotations=[0.04], noise=noise)
     estimator = leaf(parameters=parameters, X_WI=X_WI, period=1.0)
     context = estimator.CreateDefaultContext()
@@ -206,9 +207,9 @@ def test_the_printed_filter_waits_for_10_mm_and_loses_its_spread():
     first, last = shapes[20], shapes[-1]
     assert isinstance(first, NeedleShape)
     # 100 steps, each of which shrinks the spread by 0.3 whatever was measured.
-    assert last.deviation([0.14])[0] < 0.01 * first.deviation([0.14])[0]
+    assert last.std([0.14])[0] < 0.01 * first.std([0.14])[0]
     error = np.linalg.norm(last.predict([0.14])[0][0] - path.position(0.14)[:2])
-    assert error > 5 * last.deviation([0.14])[0]
+    assert error > 5 * last.std([0.14])[0]
 
 
 @pytest.mark.parametrize(

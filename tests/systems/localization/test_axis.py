@@ -6,8 +6,8 @@ from pydrake.math import RigidTransform, RollPitchYaw
 
 from sonoservo.systems.localization.axis import Axis, axis_through
 from sonoservo.systems.localization.axis_fit import fit_axis
-from sonoservo.systems.needle.curve import NeedleCurve
-from sonoservo.systems.values import NotFound
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.needle_curve import NeedleCurve
 
 angles = st.floats(-3, 3)
 

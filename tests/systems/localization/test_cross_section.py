@@ -4,10 +4,8 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from scipy.ndimage import gaussian_filter
 
-from sonoservo.systems.estimation.needle_shape import NeedleShape
 from sonoservo.systems.localization.cross_section import (
     DEVIATIONS,
-    CrossSection,
     CrossSectionParameters,
     find_again,
     find_needle,
@@ -19,8 +17,10 @@ from sonoservo.systems.localization.cross_section_tracker import (
     CrossSectionTracker,
     CrossSectionTrackerParameters,
 )
-from sonoservo.systems.ultrasound.image_slice import ImageSlice
-from sonoservo.systems.values import NotFound
+from sonoservo.systems.signals.cross_section import CrossSection
+from sonoservo.systems.signals.image_slice import ImageSlice
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.needle_shape import NeedleShape
 
 PARAMETERS = CrossSectionParameters()
 SPACING, ORIGIN = 0.2e-3, np.array([-0.02, 0.005])
@@ -131,7 +131,7 @@ def test_a_needle_that_is_not_there_is_not_found(image, expected, reason):
     [
         ({"template": [6e-3]}, "template"),
         ({"search": [0.0, 1e-3]}, "search"),
-        ({"least_correlation": 1.0}, "least_correlation"),
+        ({"min_correlation": 1.0}, "min_correlation"),
         ({"start": [0.0]}, "start"),
         ({"start_slices": 0}, "start_slices"),
     ],

@@ -6,15 +6,15 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from synthetic_volumes import Scene, entry_on_side
 
-from sonoservo.systems.estimation.estimate import TrackingMode
 from sonoservo.systems.estimation.track import NeedleMotionParameters, NeedleTrack
 from sonoservo.systems.localization.localize import localize
 from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
-from sonoservo.systems.localization.measurement import NeedleMeasurement
 from sonoservo.systems.localization.needle_localizer import NeedleLocalizer
 from sonoservo.systems.localization.ransac import RansacParameters
 from sonoservo.systems.localization.tip import TipParameters
-from sonoservo.systems.values import NotFound
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.needle_estimate import TrackingMode
+from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 
 SCENE = Scene(
     seed=5,
@@ -106,7 +106,7 @@ def test_a_needle_of_which_only_the_end_moved_is_followed_to_where_it_enters(see
     end = np.array([ends[1] - 0.012 * K, ends[1]])
     guess = track(end, mode=TrackingMode.SEARCHING)
     found = run(SCENE.volume(1, lambda time: ends), guess, seed)
-    assert np.linalg.norm(found.curve.entry - ENTRY) < PARAMETERS.largest_entry_gap
+    assert np.linalg.norm(found.curve.entry - ENTRY) < PARAMETERS.max_entry_gap
     assert np.linalg.norm(found.curve.tip - ends[1]) < 2e-3
     # The same the wrong way round comes from inside.
     assert not run(SCENE.volume(1, lambda time: ends), track(end[::-1], mode=guess.mode), seed)

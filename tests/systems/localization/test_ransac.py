@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sonoservo.systems.localization.ransac import RansacParameters, ransac_axis
-from sonoservo.systems.values import NotFound
+from sonoservo.systems.signals.immutable import NotFound
 
 K = np.array([2, 1, -0.5]) / np.linalg.norm([2, 1, -0.5])
 LENGTH = 0.06
@@ -49,7 +49,7 @@ def test_finds_a_bent_needle(ratio):
 def test_all_inliers_need_few_draws():
     rng = np.random.default_rng(0)
     found = fit(scene(rng, 500, 1.0, noise=0.05e-3), rng)
-    assert found.draws < 20
+    assert found.trials < 20
     assert found.inliers.all()
 
 
@@ -57,21 +57,21 @@ def test_all_inliers_need_few_draws():
 def test_draws_are_capped_where_all_are_outliers(order):
     rng = np.random.default_rng(0)
     points = rng.uniform(-1, 1, (300, 3))
-    found = fit(points, rng, order, parameters=RansacParameters(largest_iterations=50))
-    assert isinstance(found, NotFound) or (found.draws <= 50 and found.inliers.mean() < 0.1)
+    found = fit(points, rng, order, parameters=RansacParameters(max_trials=50))
+    assert isinstance(found, NotFound) or (found.trials <= 50 and found.inliers.mean() < 0.1)
 
 
 def test_expected_direction_rejects_and_orients():
     rng = np.random.default_rng(0)
     points = scene(rng, 600, 0.4)
-    found = fit(points, rng, direction=K, largest_angle=math.radians(10))
+    found = fit(points, rng, direction=K, max_angle=math.radians(10))
     assert found.fit.axis.direction @ K > 0.99
     assert found.rejected > 0
-    found = fit(points, rng, direction=-K, largest_angle=math.radians(10))
+    found = fit(points, rng, direction=-K, max_angle=math.radians(10))
     assert found.fit.axis.direction @ K < -0.99
     sideways = np.linalg.svd(K[np.newaxis])[2][1]
     line = np.outer(np.linspace(0, LENGTH, 100), K)
-    found = fit(line, rng, direction=sideways, largest_angle=math.radians(10))
+    found = fit(line, rng, direction=sideways, max_angle=math.radians(10))
     assert not found
     assert "none of 3000 samples" in found.reason
 
@@ -113,7 +113,7 @@ def test_same_seed_same_result():
 
 
 @pytest.mark.parametrize(
-    ("field", "value"), [("failure", 1.0), ("inlier_distance", 0.0), ("refits", -1)]
+    ("field", "value"), [("failure", 1.0), ("residual_threshold", 0.0), ("refits", -1)]
 )
 def test_parameters_are_checked(field, value):
     with pytest.raises(ValueError, match=field):

@@ -7,18 +7,18 @@ import pytest
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform, RollPitchYaw
 
-from sonoservo.systems.estimation.estimate import TrackingMode
 from sonoservo.systems.estimation.track import NeedleMotionParameters, NeedleTrack
 from sonoservo.systems.localization.speckle_velocimeter import (
     SpeckleVelocimeter,
     SpeckleVelocimeterParameters,
-    VelocityMeasurement,
     measure_velocity,
 )
-from sonoservo.systems.ultrasound.radio_frequency import RadioFrequencySweep
-from sonoservo.systems.ultrasound.sweep import SweepGeometry, SweepMotion
-from sonoservo.systems.ultrasound.volume import Volume
-from sonoservo.systems.values import NotFound
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.needle_estimate import TrackingMode
+from sonoservo.systems.signals.radio_frequency_sweep import RadioFrequencySweep
+from sonoservo.systems.signals.sweep import SweepGeometry, SweepMotion
+from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
+from sonoservo.systems.signals.volume import Volume
 
 SHAPE = (41, 35, 33)
 SPACING = np.array([0.7e-3, 0.5e-3, 0.6e-3])
@@ -74,10 +74,10 @@ def test_only_what_lies_along_the_needle_may_be_kept():
 
 
 def test_covariance_is_that_of_the_elements_in_the_world():
-    parameters = dataclasses.replace(PARAMETERS, least_speed_deviation=0.0)
+    parameters = dataclasses.replace(PARAMETERS, min_speed_std=0.0)
     found = measure_velocity(volume(0.5), volume(0.0), TIP, TIP, DIRECTION, parameters)
     R = X_WP.rotation().matrix()
-    expected = R @ np.diag((np.array(parameters.deviation) * SPACING / 0.5) ** 2) @ R.T
+    expected = R @ np.diag((np.array(parameters.displacement_std) * SPACING / 0.5) ** 2) @ R.T
     np.testing.assert_allclose(found.covariance, expected, rtol=1e-6, atol=1e-15)
 
 
@@ -98,7 +98,7 @@ def test_says_why_there_is_no_velocity(current, tip, reason):
 
 
 def test_what_matches_far_aside_is_not_believed():
-    near = dataclasses.replace(PARAMETERS, largest_distance=1e-3)
+    near = dataclasses.replace(PARAMETERS, max_distance=1e-3)
     current = volume(0.5, (2.0, 0.0, 0.0))
     assert measure_velocity(current, volume(0.0), TIP, TIP, DIRECTION, PARAMETERS)
     found = measure_velocity(current, volume(0.0), TIP, TIP, DIRECTION, near)
@@ -212,9 +212,9 @@ def test_leaf_says_what_is_missing(current, previous, track, reason):
         ("kernel", [11, 8, 9]),
         ("kernel", [11, 9]),
         ("search", [9, 15, 15]),
-        ("least_correlation", 1.0),
+        ("min_correlation", 1.0),
         ("deviation", [0.1, 0.1, 0.0]),
-        ("largest_distance", 0.0),
+        ("max_distance", 0.0),
     ],
 )
 def test_impossible_parameters_are_refused(field, value):

@@ -6,12 +6,7 @@ from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.systems.localization.axis import axis_through
 from sonoservo.systems.localization.candidates import acquired_from, select_candidates
-from sonoservo.systems.localization.tip import (
-    AxisProfile,
-    TipParameters,
-    axis_profile,
-    find_extent,
-)
+from sonoservo.systems.localization.tip import AxisProfile, TipParameters, axis_profile, find_extent
 
 SIGMA = 0.8e-3
 PARAMETERS = TipParameters(beam_width=SIGMA * np.sqrt(8 * np.log(2)))

@@ -13,14 +13,14 @@ from sonoservo.systems.localization.whole_volume_ransac import (
     brightest_voxels,
     find_needle,
 )
-from sonoservo.systems.ultrasound.volume import Volume
+from sonoservo.systems.signals.volume import Volume
 
 SPACING = 0.4e-3
 X_WP = RigidTransform(RotationMatrix.MakeXRotation(-1.2), [0.1, 0.0, 0.2])
 START, TIP = np.array([6e-3, 9e-3, 10e-3]), np.array([22e-3, 14e-3, 12e-3])
 PARAMETERS = WholeVolumeRansacParameters(
     candidate_volume=60e-9,
-    ransac=RansacParameters(inlier_distance=1e-3, least_separation=1e-3, refits=1),
+    ransac=RansacParameters(residual_threshold=1e-3, min_separation=1e-3, refits=1),
     tip=TipParameters(tube_radius=0.5e-3, smoothing=0.75e-3, beam_width=1e-3),
 )
 

@@ -6,7 +6,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from sonoservo.systems.needle.bicycle_model import BicyclePath, bicycle_step, deflections
+from sonoservo.systems.needle.bicycle_model import BicyclePath, bicycle_step
+from sonoservo.systems.signals.bicycle_paths import deflections
 
 radii = st.floats(0.3, 5.0)
 angles = st.floats(-0.15, 0.15)

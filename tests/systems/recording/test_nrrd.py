@@ -4,7 +4,7 @@ import pytest
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.recording.nrrd import write_volume
-from sonoservo.systems.ultrasound.volume import Volume
+from sonoservo.systems.signals.volume import Volume
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.float32])

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from pydrake.math import RollPitchYaw
 from recordings import tracked, write_meta_image, write_sequence_nrrd
 
+from sonoservo.systems.files.typed_yaml import ConfigurationError
 from sonoservo.systems.recording.recording import Recording
-from sonoservo.systems.typed_yaml import ConfigurationError
 
 SHAPE = (6, 8, 5)
 RNG = np.random.default_rng(0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pymust_referee import middle_line
 
-from sonoservo.diagrams.zhao2012.phantom import IMAGING as ZHAO
+from sonoservo.diagrams.papers.zhao2012.phantom import IMAGING as ZHAO
 from sonoservo.systems.ultrasound.beam import (
     axial_width,
     beam_profile,

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.signal import hilbert
 
-from sonoservo.systems.needle.needle import Needle
+from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.rendering import ScannerParameters, SweepRenderer
-from sonoservo.systems.ultrasound.tissue import Tissue
+from sonoservo.systems.ultrasound.simulation.rendering import ScannerParameters, SweepRenderer
+from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
 NOWHERE = Needle(np.zeros((0, 3)), 0.5e-3)

@@ -6,12 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydrake.math import RigidTransform, RotationMatrix
 
-from sonoservo.systems.ultrasound.radio_frequency import (
-    RadioFrequencySweep,
-    detect_envelope,
-    detected_geometry,
-)
-from sonoservo.systems.ultrasound.sweep import SweepGeometry, SweepMotion
+from sonoservo.systems.signals.radio_frequency_sweep import RadioFrequencySweep
+from sonoservo.systems.signals.sweep import SweepGeometry, SweepMotion
+from sonoservo.systems.ultrasound.radio_frequency import detect_envelope, detected_geometry
 
 GEOMETRY = SweepGeometry(
     array_radius=0.0,

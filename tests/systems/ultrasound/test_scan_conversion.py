@@ -6,14 +6,10 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform, RotationMatrix
 from scipy.ndimage import map_coordinates
 
-from sonoservo.systems.ultrasound.scan_conversion import (
-    ScanConversion,
-    make_grid,
-    sector_bounds,
-)
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
+from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid, sector_bounds
 from sonoservo.systems.ultrasound.scan_converter import ScanConversionParameters, ScanConverter
-from sonoservo.systems.ultrasound.sweep import Sweep, SweepGeometry, SweepMotion
-from sonoservo.systems.values import NotFound
 
 GEOMETRY = SweepGeometry(
     array_radius=0.04,

@@ -3,8 +3,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from sonoservo.diagrams.zhao2012.phantom import IMAGING as ZHAO
-from sonoservo.systems.typed_yaml import ConfigurationError
+from sonoservo.diagrams.papers.zhao2012.phantom import IMAGING as ZHAO
+from sonoservo.systems.files.typed_yaml import ConfigurationError
 from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
 from sonoservo.systems.ultrasound.transducer import Transducer, load_transducer
 

@@ -1,0 +1,240 @@
+"""A scenario with an operator's hand in it: needle, phantom and controller driven from the page."""
+
+import itertools
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pydrake.geometry import Meshcat
+from pydrake.math import RigidTransform
+
+from sonoservo.diagrams.app.kept_run import KeptRun, refusing
+from sonoservo.diagrams.app.real_time import RealTime
+from sonoservo.diagrams.app.run import RunResult, write_results
+from sonoservo.diagrams.experiment import Experiment
+from sonoservo.diagrams.scenario import Scenario
+from sonoservo.diagrams.scenario_insertion import make_insertion
+from sonoservo.systems.control.operator_settings import OperatorSettings
+from sonoservo.systems.display.world.operator_panel import OperatorPanel, operator_controls
+from sonoservo.systems.display.world.run_buttons import RunButtons
+from sonoservo.systems.display.world.sign import Sign
+from sonoservo.systems.display.world.world_view import WorldViewParameters
+from sonoservo.systems.evaluation.run_log import write_log
+from sonoservo.systems.files.writing import write_atomically
+from sonoservo.systems.needle.operator_hand import OperatorHand
+from sonoservo.systems.robot.operator_phantom_motion import OperatorPhantomMotion
+from sonoservo.systems.robot.phantom_motion import PhantomMotionParameters
+
+if TYPE_CHECKING:
+    from sonoservo.systems.display.monitor.monitor import Monitor
+
+_STRIDE = 1 / 16
+"""Simulated time in s between two looks at the buttons, and real time while paused."""
+
+_SAVE_EVERY = 10.0
+"""Simulated time in s after which what was driven is saved again."""
+
+_MIN_TRY = 1.0
+"""What an operator does in less time, in s, has no file of its own: clicks may come in floods."""
+
+_BUTTONS = {
+    "pause": ("pause / resume [space]", "Space"),
+    "restart": ("restart [R]", "KeyR"),
+    "save": ("save scenario [V]", "KeyV"),
+    "finish": ("finish [F]", "KeyF"),
+}
+
+DRIVING = """\
+There, "Open Controls" shows the sliders (below "Scene": fold it away). Keys move them too:
+  needle   W in, S out, A and D turn it about its axis
+  phantom  L J along x, I K along y, Y H up and down, O U turn it
+  run      space pauses, R begins anew, V saves, F finishes (as Ctrl-C does here)"""
+"""How to drive, for a terminal."""
+
+
+class DrivenExperiment:
+    """An experiment whose needle, phantom and controller an operator drives.
+
+    Parameters
+    ----------
+    scenario
+        Where it takes place. Its pushes, moves of the phantom and changes of the controller are
+        left out; the operator's take their place.
+    meshcat
+        In whose page the operator sits.
+    monitor
+        Where to show the volumes, if anywhere.
+    """
+
+    def __init__(
+        self, scenario: Scenario, meshcat: Meshcat, monitor: "Monitor | None" = None
+    ) -> None:
+        self.scenario = replace(
+            scenario,
+            hand=replace(scenario.hand, start=0.0, pushes=[]),
+            phantom_motion=PhantomMotionParameters(),
+            controller_changes=[],
+        )
+        hand, controller = scenario.hand, scenario.controller
+        start = controller.settings
+        panel = OperatorPanel(
+            meshcat=meshcat,
+            controls=operator_controls(
+                azimuth_deg=hand.azimuth_deg,
+                dip_deg=hand.dip_deg,
+                gain=start.gain,
+                force=start.force,
+                min_force=controller.force.touch_force + 0.1,
+            ),
+        )
+        self._hand = OperatorHand(
+            make_insertion=lambda pushes: make_insertion(self.scenario, pushes)
+        )
+        self._phantom_motion = OperatorPhantomMotion(X_WT=scenario.station.X_WT)
+        self._settings = OperatorSettings(start=start)
+        self.experiment = Experiment(
+            self.scenario,
+            meshcat,
+            monitor=monitor,
+            film=False,
+            sources={
+                "operator_panel": panel,
+                "hand": self._hand,
+                "phantom_motion": self._phantom_motion,
+                "controller_settings": self._settings,
+            },
+        )
+
+    def hint(self) -> str:
+        """Return what the operator should know, if anything."""
+        context = self.experiment.context_of(self._hand)
+        return "aim it when it is outside" if self._hand.is_held(context) else ""
+
+    def recorded(self) -> Scenario:
+        """Return the scenario that does what the operator has done so far."""
+        context_of = self.experiment.context_of
+        pushes = self._hand.insertion(context_of(self._hand)).parameters.pushes
+        moves = self._phantom_motion.moves(context_of(self._phantom_motion))
+        changes = self._settings.schedule(context_of(self._settings)).changes
+        return replace(
+            self.scenario,
+            duration=max(self.experiment.time, _STRIDE),
+            hand=replace(self.scenario.hand, pushes=pushes),
+            phantom_motion=PhantomMotionParameters(moves=moves),
+            controller_changes=list(changes),
+        )
+
+
+def drive(
+    scenario: Scenario,
+    meshcat: Meshcat,
+    *,
+    monitor: "Monitor | None" = None,
+    out: Path | None = None,
+    show: Callable[[float, str], None] | None = None,
+) -> RunResult:
+    """Let an operator drive, at real time, for the scenario's duration or until they finish.
+
+    Whatever the operator does is kept as a scenario, which `run` repeats. No page need be open, and
+    however many are, they steer together.
+
+    Parameters
+    ----------
+    scenario
+        Where it takes place; see `DrivenExperiment`.
+    meshcat
+        In whose page the operator sits.
+    monitor
+        Where to show the volumes, if anywhere.
+    out
+        Folder for scenario.yaml (what was driven), scenario_1.yaml and so on (what was saved, given
+        up by a restart, or driven earlier into the same folder), summary.json, log.npz, plots and
+        report.html; None keeps nothing.
+    show
+        Called now and then with the simulated time in s, and what there is to say.
+
+    Returns
+    -------
+    The figures and the log, of the last start.
+
+    Raises
+    ------
+    ConfigurationError
+        If the scenario cannot be carried out.
+    """
+    with refusing(scenario):
+        driven = DrivenExperiment(scenario, meshcat, monitor)
+    experiment = driven.experiment
+    buttons = RunButtons(meshcat=meshcat, buttons=_BUTTONS)
+    sign = _sign(meshcat)
+    real_time = RealTime()
+
+    def save(name: str) -> None:
+        if out is not None:
+            write_atomically(out / name, driven.recorded().to_yaml())
+
+    def save_all(log_path: Path) -> None:
+        save("scenario.yaml")
+        write_log(log_path, experiment.log())
+
+    if out is not None and (out / "scenario.yaml").exists():  # of an earlier drive
+        (out / "scenario.yaml").rename(out / _next_name(out))
+    kept = KeptRun(driven.scenario, save_all, out=out)
+    with kept:
+        start = True
+        while start or experiment.time < scenario.duration:
+            if start:
+                kept.begin()
+                experiment.start(real_time=True)
+                real_time.start(experiment.time)
+                start = paused = False
+                saved = numbered = 0.0
+            pressed = buttons.pressed()
+            if "finish" in pressed:
+                break
+            if pressed & {"save", "restart"} and experiment.time >= numbered + _MIN_TRY:
+                save(_next_name(out))
+                numbered = experiment.time
+            start = "restart" in pressed
+            if start:
+                continue
+            if "pause" in pressed:
+                paused = not paused
+            if paused:
+                time.sleep(_STRIDE)
+                real_time.start(experiment.time)
+                experiment.forgive_delay()
+            else:
+                experiment.advance(min(experiment.time + _STRIDE, scenario.duration))
+                if real_time.is_late(experiment.time):
+                    experiment.forgive_delay()
+                if experiment.time >= saved + _SAVE_EVERY:
+                    save("scenario.yaml")
+                    saved = experiment.time
+            said = ["paused" if paused else _pace(real_time.factor), driven.hint()]
+            text = "; ".join(filter(None, said))
+            sign.show(text)
+            if show is not None:
+                show(experiment.time, text)
+    return write_results(kept, experiment, driven.recorded())
+
+
+def _pace(factor: float | None) -> str:
+    if factor is None or factor > 0.95:
+        return ""
+    return f"only {factor:.1f} x real time"
+
+
+def _next_name(out: Path | None) -> str:
+    """First name of the series scenario_1.yaml, scenario_2.yaml that is not taken yet."""
+    numbers = itertools.count(1)
+    names = (f"scenario_{number}.yaml" for number in numbers)
+    return next(name for name in names if out is None or not (out / name).exists())
+
+
+def _sign(meshcat: Meshcat) -> Sign:
+    """The place of what there is to say about the run: below the view's legend."""
+    below = RigidTransform([0.0, 0.21, 0.0])
+    return Sign(meshcat=meshcat, path="/drive", X_WSign=WorldViewParameters().X_WScreen @ below)

@@ -1,0 +1,158 @@
+"""What every run of a scenario leaves behind, whatever is simulated."""
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from matplotlib.figure import Figure
+from pydrake.geometry import Meshcat
+
+from sonoservo.diagrams.scenario import Scenario
+from sonoservo.diagrams.shape_scenario import ShapeScenario
+from sonoservo.systems.evaluation.plots import png
+from sonoservo.systems.evaluation.replay import save_replay
+from sonoservo.systems.evaluation.report import write_report
+from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.writing import write_atomically, write_json
+
+_SAVE_EVERY = 10.0
+"""Wall-clock time in s after which the log is saved again while a run goes on."""
+
+
+@contextmanager
+def refusing(scenario: Scenario | ShapeScenario) -> Iterator[None]:
+    """Turn what a scenario's blocks refuse into a ConfigurationError that names the scenario."""
+    try:
+        yield
+    except (ValueError, FileNotFoundError) as error:
+        raise ConfigurationError(f"{scenario.name}: {error}") from error
+
+
+class KeptRun:
+    """A run that leaves its scenario from the start, its log whatever happens, results at the end.
+
+    As a context manager it surrounds the simulation: the clock runs inside it, and an interruption
+    from the keyboard ends the simulation but not the program.
+
+    Parameters
+    ----------
+    scenario
+        What is run.
+    write_log
+        Writes what has been logged so far to a path.
+    out
+        Folder of everything; None keeps nothing.
+    meshcat
+        Where the run is drawn, if anywhere: it records what becomes the replay.
+
+    Attributes
+    ----------
+    interrupted
+        Whether the simulation was interrupted.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario | ShapeScenario,
+        write_log: Callable[[Path], Any],
+        *,
+        out: Path | None = None,
+        meshcat: Meshcat | None = None,
+    ) -> None:
+        self._scenario, self._write_log = scenario, write_log
+        self._out, self._meshcat = out, meshcat
+        self.interrupted = False
+
+    def __enter__(self) -> Self:
+        if self._out is not None:
+            write_atomically(self._out / "scenario.yaml", self._scenario.to_yaml())
+        if self._meshcat is not None:
+            self._meshcat.StartRecording(set_visualizations_while_recording=True)
+        self._saved = time.perf_counter()
+        self.begin()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> bool:
+        self._wall = time.perf_counter() - self._started
+        self.interrupted = kind is KeyboardInterrupt
+        self._save()
+        return self.interrupted
+
+    def begin(self) -> None:
+        """Start the clock; inside the context, start it anew."""
+        self._started = time.perf_counter()
+
+    def go_on(self) -> None:
+        """Save the log so far if that was long ago; call it now and then."""
+        if time.perf_counter() - self._saved > _SAVE_EVERY:
+            self._save()
+
+    def summary(self, simulated: float, figures: Mapping[str, Any]) -> dict[str, Any]:
+        """Return what summary.json is to hold.
+
+        Parameters
+        ----------
+        simulated
+            Time in s.
+        figures
+            Of the run.
+        """
+        return {
+            "scenario": self._scenario.name,
+            "seed": self._scenario.seed,
+            "version": version("sonoservo"),
+            "interrupted": self.interrupted,
+            "simulated_s": simulated,
+            "wall_s": self._wall,
+            "real_time_factor": simulated / self._wall,
+            **figures,
+        }
+
+    def write(
+        self,
+        summary: Mapping[str, Any],
+        plots: Mapping[str, tuple[str, Figure]],
+        published: Mapping[str, float],
+    ) -> None:
+        """Write summary.json, the plots, report.html and, with a Meshcat, replay.html.
+
+        Parameters
+        ----------
+        summary
+            As `summary` gave it.
+        plots
+            Caption and figure by the name of the file.
+        published
+            Figures of the publication, by the path of ours in the summary.
+        """
+        if self._out is None:
+            return
+        write_json(self._out / "summary.json", summary)
+        if self._meshcat is not None:
+            save_replay(self._meshcat, self._out / "replay.html")
+        images = {}
+        for name, (caption, figure) in plots.items():
+            images[caption] = png(figure)
+            write_atomically(self._out / name, images[caption])
+        write_report(
+            self._out / "report.html",
+            summary,
+            images,
+            command=f"sonoservo run {self._out / 'scenario.yaml'}",
+            paper=published,
+            replay="replay.html" if self._meshcat is not None else "",
+        )
+
+    def _save(self) -> None:
+        if self._out is not None:
+            self._write_log(self._out / "log.npz")
+        self._saved = time.perf_counter()

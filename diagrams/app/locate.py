@@ -1,0 +1,137 @@
+"""The needle in a single volume."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydrake.math import RigidTransform
+
+from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.localization.localize import seek_needle
+from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
+from sonoservo.systems.localization.whole_volume import MIN_EVIDENCE
+from sonoservo.systems.recording.recording import Recording
+from sonoservo.systems.signals.immutable import Immutable, NotFound
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.volume import Volume
+
+
+@dataclass(frozen=True, eq=False)
+class LocatedNeedle(Immutable):
+    """A needle in a volume. Where there is none, a `NotFound` takes its place.
+
+    Parameters
+    ----------
+    curve
+        From where it enters the field of view to its tip, in m.
+    inlier_count, inlier_ratio
+        Bright voxels on it, and their share of all bright voxels around.
+    evidence
+        Integral along it of what stands out from the surroundings, in dB m (`NeedleLine`).
+    """
+
+    curve: NeedleCurve
+    inlier_count: int
+    inlier_ratio: float
+    evidence: float
+
+    @property
+    def confidence(self) -> float:
+        """From 0.5, where the evidence just suffices, towards 1; it is no probability."""
+        return self.evidence / (self.evidence + MIN_EVIDENCE)
+
+
+def locate(
+    intensities: ArrayLike,
+    spacing: ArrayLike,
+    *,
+    origin: ArrayLike = (0.0, 0.0, 0.0),
+    order: int = 2,
+    dynamic_range_db: float = 60.0,
+    seed: int = 0,
+) -> LocatedNeedle | NotFound:
+    """Find the needle in an array.
+
+    Parameters
+    ----------
+    intensities
+        (nx, ny, nz) grey levels from 0 to 255, log-compressed; zero outside the field of view. The
+        sound goes along the second axis.
+    spacing
+        (3,) between neighbouring elements, in m.
+    origin
+        (3,) position of the first element, in m.
+    order
+        2 for a straight needle, 3 for a bent one.
+    dynamic_range_db
+        Range of echo amplitudes that 0 to 255 show.
+    seed
+        Of random samples.
+
+    Returns
+    -------
+    The needle in the array's coordinates, or a `NotFound` that says why there is none.
+    """
+    volume = Volume(
+        np.asarray(intensities), np.asarray(origin), np.asarray(spacing), RigidTransform(), 0.0
+    )
+    return locate_in(volume, order=order, dynamic_range_db=dynamic_range_db, seed=seed)
+
+
+def locate_in(
+    volume: Volume, *, order: int = 2, dynamic_range_db: float = 60.0, seed: int = 0
+) -> LocatedNeedle | NotFound:
+    """Find the needle in a `Volume`; in W. See `locate`."""
+    parameters = NeedleLocalizerParameters(order=order)
+    tip = replace(parameters.tip, decibels_per_level=dynamic_range_db / 255)
+    found, evidence = seek_needle(volume, replace(parameters, tip=tip), np.random.default_rng(seed))
+    if isinstance(found, NotFound):
+        return found
+    return LocatedNeedle(found.curve, found.inlier_count, found.inlier_ratio, evidence)
+
+
+def locate_in_recording(
+    recording: Recording, number: int = 0, *, order: int = 2, dynamic_range_db: float | None = None
+) -> dict[str, Any]:
+    """Find the needle in a volume of a file, and describe it in the file's coordinates.
+
+    Parameters
+    ----------
+    recording
+        The file.
+    number
+        Of the volume.
+    order
+        2 for a straight needle, 3 for a bent one.
+    dynamic_range_db
+        Range of echo amplitudes that 0 to 255 show; by default the recorder's, or else 60.
+
+    Returns
+    -------
+    What is printed: LPS in mm.
+
+    Raises
+    ------
+    ConfigurationError
+        If there is no such volume.
+    """
+    if not 0 <= number < len(recording):
+        raise ConfigurationError(f"{recording.path}: volume {number}: it has {len(recording)}")
+    if dynamic_range_db is None:
+        dynamic_range_db = float(recording.settings.get("dynamic_range_db", 60.0))
+    found = locate_in(recording[number], order=order, dynamic_range_db=dynamic_range_db)
+    result: dict[str, Any] = {"file": str(recording.path), "volume": number, "found": bool(found)}
+    if isinstance(found, NotFound):
+        return result | {"reason": found.reason}
+    curve = found.curve.transformed(recording.X_WL(number).inverse())
+    return result | {
+        "entry_lps_mm": (1e3 * curve.entry).tolist(),
+        "tip_lps_mm": (1e3 * curve.tip).tolist(),
+        "direction_lps": curve.direction.tolist(),
+        "control_points_lps_mm": (1e3 * curve.control_points).tolist(),
+        "length_mm": 1e3 * curve.chord,
+        "inliers": found.inlier_count,
+        "inlier_ratio": found.inlier_ratio,
+        "confidence": found.confidence,
+    }

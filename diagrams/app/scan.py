@@ -1,0 +1,182 @@
+"""One sweep of a scenario, without a robot: what the scanner shows."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.math import RigidTransform
+
+from sonoservo.diagrams.scenario import Scenario
+from sonoservo.diagrams.scenario_insertion import make_insertion
+from sonoservo.diagrams.seeds import draw_seeds
+from sonoservo.systems.evaluation.plots import png
+from sonoservo.systems.evaluation.scan_sheet import scan_sheet
+from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.writing import write_atomically
+from sonoservo.systems.recording.nrrd import write_volume
+from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.requirements import require_not_negative
+from sonoservo.systems.signals.sweep import Sweep, SweepMotion
+from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
+from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
+from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
+from sonoservo.systems.ultrasound.transducer import load_transducer
+
+_INDENTATION = 4e-3
+"""How deep a dome of 40 mm radius sinks into the phantom at 2 N, in m."""
+
+
+@dataclass(frozen=True)
+class Scan:
+    """What one sweep shows.
+
+    Parameters
+    ----------
+    sweep, volume
+        As acquired, and on a Cartesian grid.
+    needle
+        The true needle in W at the middle of the sweep, possibly empty.
+    """
+
+    sweep: Sweep
+    volume: Volume
+    needle: Needle
+
+
+def scan(
+    scenario: Scenario,
+    *,
+    time: float | None = None,
+    X_TP: RigidTransform | None = None,
+    velocity: Sequence[float] = (0.0, 0.0, 0.0),
+) -> Scan:
+    """Make one sweep towards +Z.
+
+    Phantom, needle and tissue are those of a run with the same seed.
+
+    Parameters
+    ----------
+    scenario
+        The robot's part of it is not used.
+    time
+        Of the middle of the sweep, in s; None for when the needle is deepest.
+    X_TP
+        Pose of the probe in the phantom at that time. By default the probe is pressed on the
+        phantom as at 2 N, over the needle's tip (where the scenario starts, if no needle is in the
+        phantom), and turned as the scenario starts.
+    velocity
+        (3,) of the probe during the sweep, along the axes of P, in m/s.
+
+    Raises
+    ------
+    ConfigurationError
+        If the scenario cannot be carried out.
+    """
+    try:
+        return _scan(scenario, time, X_TP, velocity)
+    except (ValueError, FileNotFoundError) as error:
+        raise ConfigurationError(f"{scenario.name}: {error}") from error
+
+
+def _scan(
+    scenario: Scenario,
+    time: float | None,
+    X_TP: RigidTransform | None,
+    velocity: Sequence[float],
+) -> Scan:
+    seeds = draw_seeds(scenario)
+    insertion = make_insertion(scenario)
+    if time is None:
+        time = float(max(np.linspace(0, scenario.duration, 200), key=insertion.depth))
+    require_not_negative(time=time)
+    renderer = SweepRenderer(
+        transducer=load_transducer(scenario.transducer),
+        imaging=scenario.imaging,
+        tissue=replace(load_tissue(scenario.phantom), seed=seeds.tissue),
+        parameters=scenario.scanner,
+        seed=seeds.noise,
+    )
+    geometry, station = renderer.geometry, scenario.station
+    frames = np.arange(geometry.frames, dtype=np.float64)
+    times: NDArray[np.float64] = time + geometry.frame_period * (frames - geometry.frames // 2)
+    needles = [insertion.needle(float(each)) for each in times]
+    needle = needles[geometry.frames // 2]
+    X_WT = station.X_WT
+    if X_TP is None:
+        x, y = needle.tip[:2] if needle else (None, None)
+        X_TP = X_WT.InvertAndCompose(station.probe_pose(x=x, y=y, height=-_INDENTATION))
+    poses = np.tile(np.eye(4), (geometry.frames, 1, 1))
+    poses[:, :3, 3] = (times - time)[:, np.newaxis] * np.array(velocity)
+    poses = X_TP.GetAsMatrix4() @ poses
+    samples = renderer.render(poses, needles, 1, 0)
+    sweep = Sweep(samples, SweepMotion(geometry, 1, times, X_WT.GetAsMatrix4() @ poses))
+    parameters = scenario.scan_conversion
+    conversion = ScanConversion(
+        geometry,
+        make_grid(geometry, parameters.spacing),
+        compensate_motion=parameters.compensate_motion,
+    )
+    return Scan(sweep, conversion(sweep), needle.transformed(X_WT))
+
+
+def write_scan(scan: Scan, scenario: Scenario, out: Path) -> list[Path]:
+    """Write scan.png, a sheet of pictures, and scan.nrrd, the volume.
+
+    Parameters
+    ----------
+    scan
+        To write.
+    scenario
+        That it was made of.
+    out
+        Folder.
+
+    Returns
+    -------
+    The paths of the files.
+    """
+    figure = scan_sheet(
+        scan.sweep,
+        scan.volume,
+        scan.needle,
+        dynamic_range_db=scenario.imaging.dynamic_range_db,
+        caption=caption(scan, scenario),
+    )
+    return [
+        write_atomically(out / "scan.png", png(figure)),
+        write_volume(out / "scan.nrrd", scan.volume),
+    ]
+
+
+def caption(scan: Scan, scenario: Scenario) -> str:
+    """Return a line that says what was scanned with what."""
+    geometry, imaging = scan.sweep.geometry, scenario.imaging
+    return (
+        f"{Path(scenario.transducer).stem} at {1e-6 * imaging.transmit_frequency:.1f} MHz:  "
+        f"{imaging.volume_rate:g} volumes/s,  {geometry.frames} frames x {geometry.lines} lines x "
+        f"{geometry.samples} samples,  {1e3 * geometry.depth:.0f} mm deep"
+    )
+
+
+def summarize_scan(scan: Scan, scenario: Scenario) -> dict[str, Any]:
+    """Return the figures that are printed: settings, needle and levels."""
+    geometry = scan.sweep.geometry
+    needle = scan.needle
+    return {
+        "scenario": scenario.name,
+        "seed": scenario.seed,
+        "time_s": scan.volume.time,
+        "transducer": scenario.transducer,
+        "volume_rate_hz": scenario.imaging.volume_rate,
+        "frames_lines_samples": list(geometry.shape),
+        "voxels": list(scan.volume.intensities.shape),
+        "spacing_mm": [1e3 * float(s) for s in scan.volume.spacing],
+        "inserted_mm": 1e3 * needle.length if needle else 0.0,
+        "tip_in_probe_mm": (
+            (1e3 * scan.volume.to_probe(needle.tip[np.newaxis])[0]).tolist() if needle else None
+        ),
+    }

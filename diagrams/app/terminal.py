@@ -1,0 +1,304 @@
+"""What a person sees in the terminal: progress while it runs, figures when it ends."""
+
+import logging
+import math
+import sys
+from collections.abc import Mapping
+from contextlib import suppress
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+from pydrake.geometry import Meshcat, MeshcatParams
+from rich.console import Console
+from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as RichProgress
+from rich.table import Table
+
+from sonoservo.diagrams.scenario import Scenario
+from sonoservo.diagrams.shape_scenario import ShapeScenario
+from sonoservo.diagrams.studies.study_report import Study, target_text
+from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.signals.cross_section import CrossSection
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate
+
+if TYPE_CHECKING:
+    from sonoservo.systems.display.monitor.monitor import Monitor
+
+_ROWS = {
+    "detection.volume": "insertion detected at volume",
+    "detection.visible_mm": "needle in view at detection, mm",
+    "detection.false_starts": "false starts in the whole run",
+    "tracking.volumes": "volumes since then, with the needle in the tissue",
+    "tracking.tracked": "of these, needle tracked",
+    "tracking.lost_events": "times lost",
+    "tracking.tip_error_mm.median": "tip error, median, mm",
+    "tracking.tip_error_mm.p95": "tip error, 95 %, mm",
+    "tracking.axis_error_deg.median": "axis error, median, deg",
+    "tracking.axis_error_deg.p95": "axis error, 95 %, deg",
+    "servo.at_rest.x_mm": "at rest: mean |X|, true, mm",
+    "servo.at_rest.z_mm": "at rest: mean |Z|, true, mm",
+    "servo.at_rest.theta_deg": "at rest: mean |Theta|, true, deg",
+    "servo.at_rest_estimated.x_mm": "at rest: mean |X|, estimated, mm",
+    "servo.at_rest_estimated.z_mm": "at rest: mean |Z|, estimated, mm",
+    "servo.at_rest_estimated.theta_deg": "at rest: mean |Theta|, estimated, deg",
+    "force.mean_n": "contact force, mean, N",
+    "force.rms_error_n": "contact force, RMS error, N",
+    "force.max_n": "contact force, largest, N",
+    "compute_ms.render.median": "rendering a sweep, median, ms",
+    "compute_ms.convert.median": "scan conversion, median, ms",
+    "compute_ms.track.median": "tracking, median, ms",
+    "real_time_factor": "simulated time / wall time",
+}
+
+_SHAPE_ROWS = {
+    "tracking.slices": "slices",
+    "tracking.found": "of these, cross-section found",
+    "tracking.error_mm.median": "cross-section's error, median, mm",
+    "tracking.error_mm.p95": "cross-section's error, 95 %, mm",
+    "prediction.observed_mm": "depth of the last slice used, mm",
+    "prediction.tip_error_measured_mm": "predicted tip against the measured one, mm",
+    "prediction.tip_error_true_mm": "predicted tip against the true one, mm",
+    "prediction.tip_std_mm": "standard deviation that the estimate states, mm",
+    "prediction.shape_error_measured_mm2": "predicted shape against the measured one, mm²",
+    "prediction.shape_error_true_mm2": "predicted shape against the true one, mm²",
+    "prediction.max_error_true_mm": "largest distance from the true shape, mm",
+    "compute_ms.image.median": "finding the cross-section, median, ms",
+    "compute_ms.estimate.median": "estimating the shape, median, ms",
+    "compute_ms.total.median": "both, median, ms",
+    "compute_ms.total.max": "both, largest, ms",
+    "real_time_factor": "simulated time / wall time",
+}
+
+
+def look_up(summary: Mapping[str, Any], path: str) -> Any:
+    """Return the entry of a nested mapping at a dotted path; None where there is none."""
+    node: Any = summary
+    for key in path.split("."):
+        node = node.get(key) if isinstance(node, Mapping) else None
+    return node
+
+
+def summary_table(summary: Mapping[str, Any], published: Mapping[str, float]) -> Table:
+    """Return the figures of a run beside the published ones, for a terminal.
+
+    Parameters
+    ----------
+    summary
+        Of the run.
+    published
+        Dotted paths into the summary, and the published figures.
+    """
+    table = Table(title=f"{summary['scenario']}, seed {summary['seed']}")
+    table.add_column("quantity")
+    table.add_column("this run", justify="right")
+    if published:
+        table.add_column("paper", justify="right")
+    rows = _SHAPE_ROWS if "prediction" in summary else _ROWS
+    for path, label in rows.items():
+        cells = [label, format_figure(look_up(summary, path))]
+        if published:
+            cells.append(format_figure(published[path]) if path in published else "")
+        table.add_row(*cells)
+    return table
+
+
+def study_table(study: Study) -> Table:
+    """Return the rows of a study, for a terminal."""
+    failed = sum(not each for each in study.outcomes)
+    table = Table(
+        title=f"{study.paper} reproduced", caption=f"{len(study.outcomes)} runs, {failed} failed"
+    )
+    table.add_column("experiment")
+    table.add_column("quantity")
+    for name in ("paper", "estimated", "true", "target", "met"):
+        table.add_column(name, justify="right")
+    for row in study.rows:
+        table.add_row(
+            row.experiment,
+            row.quantity + (f", {row.unit}" if row.unit else ""),
+            *(format_figure(value) for value in (row.paper, row.estimated, row.true)),
+            target_text(row),
+            {None: "", True: "yes", False: "[bold red]no[/]"}[row.met],
+        )
+    return table
+
+
+def format_figure(value: Any) -> str:
+    """Return a figure with three significant digits, a whole number as it is, or a dash."""
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return "-"
+    if value == math.inf:
+        return "∞"
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+class Progress:
+    """A bar that shows how far a run has come and what the tracker does.
+
+    Call it after every volume with the simulated time in s and the estimate.
+
+    Parameters
+    ----------
+    console
+        Where to draw.
+    scenario
+        Tells the duration.
+    """
+
+    def __init__(self, console: Console, scenario: Scenario | ShapeScenario) -> None:
+        self._console = console
+        self._duration = scenario.duration
+        self._name = scenario.name
+        self._bar = RichProgress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.fields[state]}"),
+            TimeRemainingColumn(),
+            console=console,
+        )
+        self._task = self._bar.add_task(
+            "starting (the first run compiles for half a minute) ...",
+            total=scenario.duration,
+            state="",
+        )
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._bar.stop()
+
+    def __call__(self, time: float, estimate: NeedleEstimate) -> None:
+        """Move the bar."""
+        self.show(time, estimate.mode)
+
+    def show_slice(self, time: float, found: CrossSection | NotFound) -> None:
+        """Move the bar after a slice; takes the place of the call."""
+        self.show(time, "following" if found else "not found")
+
+    def show(self, time: float, state: str) -> None:
+        """Move the bar to a simulated time in s, and say what goes on."""
+        self._bar.update(
+            self._task,
+            description=self._name,
+            completed=time,
+            state=f"{time:5.1f} of {self._duration:g} s  {state}",
+        )
+
+
+class VolumeProgress:
+    """A bar that shows how far a recording has been tracked and what the tracker does.
+
+    Call it after every volume with its number and the estimate.
+
+    Parameters
+    ----------
+    console
+        Where to draw.
+    name
+        Of the recording.
+    count
+        Of its volumes.
+    """
+
+    def __init__(self, console: Console, name: str, count: int) -> None:
+        self._bar = RichProgress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.fields[state]}"),
+            TimeRemainingColumn(),
+            console=console,
+        )
+        self._count = count
+        self._task = self._bar.add_task(name, total=count, state="")
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._bar.stop()
+
+    def __call__(self, number: int, estimate: NeedleEstimate) -> None:
+        """Move the bar."""
+        state = f"volume {number + 1} of {self._count}  {estimate.mode}"
+        self._bar.update(self._task, completed=number + 1, state=state)
+
+
+def mode_table(summary: Mapping[str, Any]) -> Table:
+    """Return the figures of a tracked recording, for a terminal."""
+    table = Table(title=str(summary["scenario"]))
+    table.add_column("quantity")
+    table.add_column("this recording", justify="right")
+    table.add_row("volumes", str(summary["volumes"]))
+    table.add_row("skipped, because the file calls them invalid", str(summary["skipped"]))
+    for mode, count in summary["modes"].items():
+        table.add_row(f"volumes after which it was {mode}", str(count))
+    for path, label in _ROWS.items():
+        figure = look_up(summary, path)
+        if figure is not None:
+            table.add_row(label, format_figure(figure))
+    return table
+
+
+def start_display(console: Console, host: str = "localhost") -> Meshcat:
+    """Start a Meshcat on the first free port from 7000 on, and say where it is to be seen.
+
+    Parameters
+    ----------
+    console
+        Where to say it.
+    host
+        Address to listen on; ``*`` for all of this machine's.
+
+    Raises
+    ------
+    ConfigurationError
+        If it cannot listen there.
+    """
+    try:
+        meshcat = Meshcat(MeshcatParams(host=host))
+    except RuntimeError as error:
+        raise ConfigurationError(
+            f"host: {host!r} is not allowed; it must be an address of this machine with a free "
+            "port from 7000 to 7999"
+        ) from error
+    logging.getLogger("drake").addFilter(_is_news)
+    console.print(f"Watch at [bold]{meshcat.web_url()}[/bold]")
+    return meshcat
+
+
+def _is_news(record: logging.LogRecord) -> bool:
+    """Whether a record of Drake's tells more than that a page asked for a replaced picture.
+
+    A page that draws slowly asks for pictures when newer ones have taken their place, and gets
+    these next: nothing is amiss, and a line for each would tear the progress bar apart.
+    """
+    return "Unknown CAS key" not in record.getMessage()
+
+
+def start_monitor(console: Console, host: str = "localhost") -> "Monitor":
+    """Start a scanner's monitor, and say where it is to be seen; as `start_display` does."""
+    from sonoservo.systems.display.monitor.monitor import Monitor
+
+    try:
+        monitor = Monitor(host=host)
+    except OSError as error:
+        raise ConfigurationError(str(error)) from error
+    console.print(f"The scanner's monitor: [bold]{monitor.web_url}[/bold]")
+    return monitor
+
+
+def keep_shown(console: Console) -> None:
+    """Wait until the user at the terminal has seen enough; at once where nobody sits at one."""
+    if console.is_interactive and sys.stdin.isatty():
+        console.print("The monitor keeps its last picture: press Enter to end.")
+        with suppress(EOFError, KeyboardInterrupt):
+            input()

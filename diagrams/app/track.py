@@ -1,0 +1,351 @@
+"""A tracker on recorded volumes: the needle in each, and the files that remain."""
+
+import csv
+import io
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import DiagramBuilder
+
+from sonoservo.diagrams.needle_tracker import (
+    MakeNeedleTracker,
+    NeedleTrackerParameters,
+    Zhao2012TrackerParameters,
+)
+from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilterParameters
+from sonoservo.systems.estimation.needle_kalman_filter import NeedleKalmanFilterParameters
+from sonoservo.systems.evaluation.metrics import summarize
+from sonoservo.systems.evaluation.plots import plot_errors, png
+from sonoservo.systems.evaluation.report import write_report
+from sonoservo.systems.evaluation.run_log import RunLog, write_log
+from sonoservo.systems.evaluation.run_logger import RunLogger
+from sonoservo.systems.evaluation.track_plots import (
+    VolumePictures,
+    picture_planes,
+    plot_planes,
+    plot_tip,
+)
+from sonoservo.systems.files.typed_yaml import ConfigurationError, suggest
+from sonoservo.systems.files.writing import write_atomically, write_json
+from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
+from sonoservo.systems.recording.recording import Recording
+from sonoservo.systems.recording.side_files import TRUTH, Truth, read_truth, side_path
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate
+from sonoservo.systems.signals.volume import Volume
+
+if TYPE_CHECKING:
+    from sonoservo.systems.display.monitor.monitor import Monitor
+
+TrackerParameters = NeedleTrackerParameters | Zhao2012TrackerParameters
+
+_TRACKERS = ("chatelain2013", "zhao2012")
+
+_PICTURES = 6
+"""Volumes of a recording that the report shows."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedRecording:
+    """What a tracker made of a recording.
+
+    Parameters
+    ----------
+    estimates
+        After each volume, in W.
+    rows
+        The same in the file's own coordinates, LPS in mm: what ``estimates.csv`` holds.
+    summary
+        Figures, as in summary.json.
+    log
+        As of a run; the truth in it is what lay beside the recording.
+    """
+
+    estimates: list[NeedleEstimate]
+    rows: list[dict[str, Any]]
+    summary: dict[str, Any]
+    log: RunLog
+
+
+@dataclass
+class _Progress:
+    """What has come out so far."""
+
+    times: list[float] = field(default_factory=list)
+    estimates: list[NeedleEstimate] = field(default_factory=list)
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    pictures: list[VolumePictures] = field(default_factory=list)
+    compute: dict[str, list[float]] = field(default_factory=lambda: {"read": [], "track": []})
+
+
+def tracker_parameters(
+    tracker: str = "chatelain2013", *, order: int = 2, start: str = "search"
+) -> TrackerParameters:
+    """Return the parameters of a tracker for recordings.
+
+    Parameters
+    ----------
+    tracker
+        "chatelain2013" or "zhao2012".
+    order
+        2 for a straight needle, 3 for a bent one.
+    start
+        "search": the needle is found when it is pushed in. "anywhere": it is sought in the whole
+        volume from the first volume on, so that no insertion need be seen.
+
+    Raises
+    ------
+    ConfigurationError
+        Naming what is not allowed.
+    """
+    starts = ("search", "anywhere")
+    if tracker not in _TRACKERS:
+        raise ConfigurationError(f"unknown tracker {tracker!r}; {suggest(tracker, _TRACKERS)}")
+    if start not in starts:
+        raise ConfigurationError(f"start: {start!r}; {suggest(start, starts)}")
+    anywhere = start == "anywhere"
+    try:
+        if tracker == "zhao2012":
+            return Zhao2012TrackerParameters(
+                localizer=NeedleLocalizerParameters(order=order),
+                axis_tip_filter=AxisTipFilterParameters(anywhere=anywhere),
+            )
+        return NeedleTrackerParameters(
+            order=order, kalman_filter=NeedleKalmanFilterParameters(anywhere=anywhere)
+        )
+    except ValueError as error:
+        raise ConfigurationError(str(error)) from error
+
+
+def track_recording(
+    recording: Recording,
+    *,
+    parameters: TrackerParameters | None = None,
+    dynamic_range_db: float | None = None,
+    seed: int | None = None,
+    real_time: bool = False,
+    monitor: "Monitor | None" = None,
+    out: Path | None = None,
+    command: str = "",
+    after_volume: Callable[[int, NeedleEstimate], None] | None = None,
+) -> TrackedRecording:
+    """Track a needle through a recording, to its end or until interrupted from the keyboard.
+
+    A recording that `run` made gives the estimates that the run had, to the last bit, with the
+    run's tracker. Truth that lies beside a recording is compared with, never tracked with.
+
+    Parameters
+    ----------
+    recording
+        To track in.
+    parameters
+        Which tracker, and its parts.
+    dynamic_range_db
+        Range of echo amplitudes that the grey levels show; by default what the recorder noted, or
+        else 60.
+    seed
+        Of every random choice; by default the recorder's, or else 0.
+    real_time
+        Whether to go no faster than the volumes were acquired.
+    monitor
+        Where to show the volumes.
+    out
+        Folder for estimates.csv, estimates.json, summary.json, log.npz, plots and report.html; None
+        keeps nothing.
+    command
+        That repeats this, for the report.
+    after_volume
+        Called after every volume, with its number and the estimate.
+
+    Raises
+    ------
+    ConfigurationError
+        If the recording, or the truth beside it, is damaged.
+    """
+    noted = recording.settings
+    if dynamic_range_db is None:
+        dynamic_range_db = float(noted.get("dynamic_range_db", 60.0))
+    seed = int(noted.get("tracker_seed", 0)) if seed is None else seed
+    truth_path = side_path(recording.path, TRUTH)
+    truth = read_truth(truth_path) if truth_path.is_file() else None
+
+    tracker = MakeNeedleTracker(
+        parameters=parameters, period=1.0, dynamic_range_db=dynamic_range_db, seed=seed
+    )
+    motion = recording[0].motion
+    logger = RunLogger(geometry=motion.geometry if motion else None)
+    builder = DiagramBuilder()
+    for name, system in (("needle_tracker", tracker), ("run_logger", logger)):
+        builder.AddNamedSystem(name, system)
+    for port in ("estimate", "measurement", "detection"):
+        builder.Connect(tracker.GetOutputPort(port), logger.GetInputPort(port))
+    builder.ExportInput(tracker.GetInputPort("volume"), "volume")
+    for port in ("X_WP", "X_WT", "needle", "contact_force"):
+        builder.ExportInput(logger.GetInputPort(port), port)
+    diagram = builder.Build()
+    context = diagram.CreateDefaultContext()
+    estimate_port = tracker.GetOutputPort("estimate")
+    tracker_context = tracker.GetMyContextFromRoot(context)
+
+    done = _Progress()
+    pictured = set(np.linspace(0, len(recording) - 1, _PICTURES).round().astype(int).tolist())
+    interrupted = False
+    started = time.perf_counter()
+    try:
+        for number in range(len(recording)):
+            clock = [time.perf_counter()]
+            volume = recording[number]
+            clock.append(time.perf_counter())
+            if real_time:
+                ahead = recording.times[number] - recording.times[0] - (clock[1] - started)
+                time.sleep(max(0.0, ahead))
+                clock[1] = time.perf_counter()
+            context.SetTime(volume.time)
+            diagram.GetInputPort("volume").FixValue(context, Value[object](volume))
+            diagram.GetInputPort("X_WP").FixValue(context, Value(volume.X_WP))
+            if truth is not None:
+                sample = truth.at(volume.time)
+                diagram.GetInputPort("X_WT").FixValue(context, Value(RigidTransform()))
+                needle = truth.needles[sample]
+                diagram.GetInputPort("needle").FixValue(context, Value[object](needle))
+                force = [truth.contact_force[sample]]
+                diagram.GetInputPort("contact_force").FixValue(context, force)
+            diagram.ExecuteForcedEvents(context)
+            estimate: NeedleEstimate = estimate_port.Eval(tracker_context)
+            clock.append(time.perf_counter())
+            _note(done, recording, number, volume, estimate, clock, number in pictured)
+            if monitor is not None:
+                monitor.show(volume, estimate, number + 1)
+            if after_volume is not None:
+                after_volume(number, estimate)
+    except KeyboardInterrupt:
+        interrupted = True
+    wall = time.perf_counter() - started
+
+    log = logger.log(compute={name: np.array(each) for name, each in done.compute.items()})
+    summary = _summarize(recording, done, log, truth, interrupted, wall)
+    if out is not None:
+        _write(out, done, summary, log, truth, command)
+    return TrackedRecording(done.estimates, done.rows, summary, log)
+
+
+def _note(
+    done: _Progress,
+    recording: Recording,
+    number: int,
+    volume: Volume,
+    estimate: NeedleEstimate,
+    clock: Sequence[float],
+    pictured: bool,
+) -> None:
+    for name, start, stop in zip(done.compute, clock, clock[1:], strict=False):
+        done.compute[name].append(stop - start)
+    done.times.append(volume.time)
+    done.estimates.append(estimate)
+    done.rows.append(_row(recording, number, volume, estimate))
+    if pictured:
+        done.pictures.append(picture_planes(volume, estimate.mode, estimate.curve))
+
+
+def _row(
+    recording: Recording, number: int, volume: Volume, estimate: NeedleEstimate
+) -> dict[str, Any]:
+    """The estimate in the file's frame L at the time of the volume, and in W where that differs."""
+    row: dict[str, Any] = {
+        "volume": number,
+        "time_s": volume.time,
+        "mode": str(estimate.mode),
+        "estimate_time_s": estimate.time,
+    }
+    entry = middle = tip = velocity = w_tip = np.full(3, np.nan)
+    if estimate.curve is not None:
+        X_LW = recording.X_WL(number).inverse()
+        entry, middle, tip = 1e3 * X_LW.multiply(estimate.curve.position([0, 0.5, 1]).T).T
+        velocity = 1e3 * (X_LW.rotation() @ estimate.tip_velocity)
+        w_tip = 1e3 * estimate.curve.tip
+    direction = (tip - entry) / np.linalg.norm(tip - entry) if estimate else tip
+    for name, vector, unit in (
+        ("tip", tip, "mm"),
+        ("entry", entry, "mm"),
+        ("middle", middle, "mm"),
+        ("direction", direction, ""),
+        ("tip_velocity", velocity, "mm_s"),
+    ):
+        for axis, value in zip("lps", vector, strict=True):
+            row["_".join(filter(None, (name, axis, unit)))] = float(value)
+    if recording.posed:
+        for axis, value in zip("xyz", w_tip, strict=True):
+            row[f"world_tip_{axis}_mm"] = float(value)
+    row["reason"] = estimate.reason
+    return row
+
+
+def _summarize(
+    recording: Recording,
+    done: _Progress,
+    log: RunLog,
+    truth: Truth | None,
+    interrupted: bool,
+    wall: float,
+) -> dict[str, Any]:
+    modes = [str(each.mode) for each in done.estimates]
+    summary: dict[str, Any] = {
+        "scenario": recording.path.name,
+        "version": version("sonoservo"),
+        "interrupted": interrupted,
+        "wall_s": wall,
+        "volumes": len(modes),
+        "skipped": recording.skipped,
+        "poses": recording.posed,
+        "truth": truth is not None,
+        "modes": {mode: modes.count(mode) for mode in sorted(set(modes))},
+    }
+    figures = summarize(log)
+    kept = ("detection", "tracking", "compute_ms") if truth is not None else ("compute_ms",)
+    return summary | {name: figures[name] for name in kept}
+
+
+def _write(
+    out: Path,
+    done: _Progress,
+    summary: dict[str, Any],
+    log: RunLog,
+    truth: Truth | None,
+    command: str,
+) -> None:
+    write_atomically(out / "estimates.csv", estimates_csv(done.rows))
+    write_json(out / "estimates.json", done.rows)
+    write_json(out / "summary.json", summary)
+    write_log(out / "log.npz", log)
+    p_LTip = 1e-3 * np.array([[row[f"tip_{axis}_mm"] for axis in "lps"] for row in done.rows])
+    times: NDArray[np.float64] = np.array(done.times)
+    figures = {
+        "needle, in the two orthogonal planes through it": plot_planes(done.pictures),
+        "tip": plot_tip(times, done.estimates, p_LTip.reshape(-1, 3)),
+    }
+    if truth is not None:
+        figures["errors"] = plot_errors(log)
+    images = {name: png(figure) for name, figure in figures.items()}
+    for name, image in zip(("planes.png", "tip.png", "errors.png"), images.values(), strict=False):
+        write_atomically(out / name, image)
+    write_report(out / "report.html", summary, images, command=command)
+
+
+def estimates_csv(rows: Sequence[dict[str, Any]]) -> str:
+    """Return estimates as a table; what is not there is empty."""
+    text = io.StringIO()
+    if rows:
+        writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        for row in rows:
+            writer.writerow(
+                {k: "" if isinstance(v, float) and v != v else v for k, v in row.items()}
+            )
+    return text.getvalue()

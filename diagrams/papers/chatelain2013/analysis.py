@@ -1,0 +1,245 @@
+"""What finished runs of Chatelain 2013's experiments tell, read from their logs."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.diagrams.scenario import Scenario, load_scenario
+from sonoservo.diagrams.studies.study import Outcome
+from sonoservo.systems.evaluation.run_errors import at_times, estimate_errors, features
+from sonoservo.systems.evaluation.run_log import RunLog, read_log
+from sonoservo.systems.signals.needle_estimate import TrackingMode
+
+Floats = NDArray[np.float64]
+
+ENOUGH_IN_VIEW = 20e-3
+"""Errors count from this length of needle in the image on, in m."""
+
+_NOT_TO_BE_LOST = 15e-3
+"""A needle is lost where the tracker searches for it with more than this in the image, in m."""
+
+_OUT_OF_VIEW = 2e-3
+"""One insertion ends and the next begins where less than this is in the image, in m."""
+
+_RIGHT_PLACE = 10e-3
+"""A needle is found where the estimated tip lies within this of the true one, in m."""
+
+_CENTRED = np.array([2e-3, 2e-3, np.deg2rad(2)])
+"""The needle is centred again below these errors of X, Z and Theta, in m and rad."""
+
+_STAYS = 0.5
+"""Time in s for which it must be."""
+
+_LAG_TIME = 2.0
+"""The lag is that in the last seconds of a push, when it has built up."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """One finished run.
+
+    Parameters
+    ----------
+    outcome
+        Of the study; one that has not failed.
+    logs
+        Folder of its log.
+    """
+
+    outcome: Outcome
+    logs: Path
+
+    @property
+    def log(self) -> RunLog:
+        """Read anew each time: a study has more of them than fit in memory."""
+        return read_log(self.logs / f"{self.outcome.case.name}.npz")
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """As in summary.json."""
+        return dict(self.outcome.result["summary"])
+
+    @cached_property
+    def scenario(self) -> Scenario:
+        """What was run."""
+        case = self.outcome.case
+        return load_scenario(
+            case.settings["scenario"], seed=case.seed, changes=case.settings["changes"]
+        )
+
+    @cached_property
+    def volumes(self) -> "Volumes":
+        """Errors and features by volume."""
+        return volumes(self.log, np.array(self.outcome.result["curve_deviation"], dtype=float))
+
+
+@dataclass(frozen=True, eq=False)
+class Volumes:
+    """A run by its v volumes; infinite errors where there is no estimate.
+
+    Parameters
+    ----------
+    enough
+        (v,) whether more than `ENOUGH_IN_VIEW` of the needle is in the image.
+    tracked
+        (v,) whether the volume confirmed the needle.
+    lost
+        (v,) whether the tracker searched, once it had found it, for what is well in the image;
+        what it only coasts over is not lost.
+    tip, axis, curve
+        (v,) errors of the tip in m, of the direction in rad, and along the curve in m.
+    true, estimated
+        (v, 3) features X, Z, Theta, in m and rad.
+    p_PTip, p_PTip_estimated
+        (v, 3) true and estimated tip in P, in m.
+    track_time
+        (v,) computing time of the tracker, in s.
+    """
+
+    enough: NDArray[np.bool_]
+    tracked: NDArray[np.bool_]
+    lost: NDArray[np.bool_]
+    tip: Floats
+    axis: Floats
+    curve: Floats
+    true: Floats
+    estimated: Floats
+    p_PTip: Floats
+    p_PTip_estimated: Floats
+    track_time: Floats
+
+
+def volumes(log: RunLog, curve_deviation: Floats) -> Volumes:
+    """Sum up a log by volume, at the time for which the estimate holds."""
+    dated = np.isfinite(log.volume_estimate_time)
+    time = np.where(dated, log.volume_estimate_time, log.volume_time)
+    visible = np.nan_to_num(at_times(log, log.visible_length, time))
+    X_WP = at_times(log, log.X_WP, time)
+    tip, entry = (at_times(log, each, time) for each in (log.needle_tip, log.needle_entry))
+    errors = estimate_errors(log)
+    tracked = log.volume_estimate_mode == TrackingMode.TRACKING
+    coasting = log.volume_estimate_mode == TrackingMode.COASTING
+    found = np.cumsum(tracked) > 0
+
+    def in_probe(p_W: Floats) -> Floats:
+        return np.einsum("vji,vj->vi", X_WP[:, :3, :3], p_W - X_WP[:, :3, 3])
+
+    return Volumes(
+        enough=visible >= ENOUGH_IN_VIEW,
+        tracked=tracked,
+        lost=found & ~tracked & ~coasting & (visible >= _NOT_TO_BE_LOST),
+        tip=_or_infinite(errors.tip),
+        axis=_or_infinite(errors.axis),
+        curve=_or_infinite(curve_deviation),
+        true=features(X_WP, tip, entry),
+        estimated=features(X_WP, log.volume_estimate_tip, log.volume_estimate_entry),
+        p_PTip=in_probe(tip),
+        p_PTip_estimated=in_probe(log.volume_estimate_tip),
+        track_time=np.asarray(log.compute["track"]),
+    )
+
+
+def _or_infinite(errors: Floats) -> Floats:
+    return np.where(np.isfinite(errors), errors, np.inf)
+
+
+def pooled(runs: Sequence[Run], failed: int, values: Callable[[Volumes], Floats]) -> Floats:
+    """Values of all volumes with enough of the needle in view, over all runs.
+
+    Parameters
+    ----------
+    runs
+        The finished ones.
+    failed
+        Number of others. Each counts as one more run of usual length without any estimate.
+    values
+        (v,) of a run.
+    """
+    each = [values(run.volumes)[run.volumes.enough] for run in runs]
+    usual = int(np.median([len(one) for one in each])) if each else 0
+    return np.concatenate([*each, np.full(failed * usual, np.inf)])
+
+
+def quantile(values: Sequence[float] | Floats, q: float) -> float | None:
+    """Quantile that is one of the values, so that infinite ones do no harm; None of nothing."""
+    if len(values) == 0:
+        return None
+    return float(np.quantile(np.asarray(values), q, method="inverted_cdf"))
+
+
+def found_after(log: RunLog) -> list[tuple[float, float]]:
+    """Length of needle in the image, and in the tissue, when it was found, in m.
+
+    Returns
+    -------
+    For each insertion of more than `ENOUGH_IN_VIEW`; infinite where it was not found.
+    """
+    time = log.volume_estimate_time
+    tracked = log.volume_estimate_mode == TrackingMode.TRACKING
+    right = tracked & (estimate_errors(log).tip < _RIGHT_PLACE)
+    inside = np.nan_to_num(log.visible_length) > _OUT_OF_VIEW
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(int)))
+    lengths = []
+    for start, stop in edges.reshape(-1, 2):
+        if log.visible_length[start:stop].max() < ENOUGH_IN_VIEW:
+            continue
+        during = (time >= log.time[start]) & (time <= log.time[stop - 1])
+        first = np.flatnonzero(right & during)[:1]
+        visible, inserted = (
+            at_times(log, each, time[first]) for each in (log.visible_length, log.inserted_length)
+        )
+        lengths.append((float(visible[0]), float(inserted[0])) if len(first) else (np.inf, np.inf))
+    return lengths
+
+
+def centred(log: RunLog, straight: bool = True) -> NDArray[np.bool_]:
+    """(n,) whether the needle is tracked, and truly centred and in line.
+
+    Of a needle that is not straight only the tip is judged: its direction from where it enters the
+    tissue, which the image does not show, is not the one that the servo aligns.
+    """
+    true = np.abs(features(log.X_WP, log.needle_tip, log.needle_entry))
+    tracked = log.estimate_mode == TrackingMode.TRACKING
+    judged = slice(None if straight else 2)
+    return np.asarray(tracked & (true < _CENTRED)[:, judged].all(axis=1))
+
+
+def converged(log: RunLog, straight: bool = True) -> bool:
+    """Whether the needle was centred all through the last second."""
+    return bool(centred(log, straight)[log.time >= log.time[-1] - 1.0].all())
+
+
+def recovery_times(log: RunLog, scenario: Scenario) -> list[float]:
+    """Time from the end of each move of the phantom until the needle is centred again, in s.
+
+    It must stay so for `_STAYS`, and before the next move starts; infinite where it does not.
+    """
+    good = centred(log)
+    moves = scenario.phantom_motion.moves
+    times = []
+    for move, following in zip(moves, [*moves[1:], None], strict=True):
+        end = move.start + move.duration
+        limit = min(following.start if following else np.inf, log.time[-1])
+        if limit <= end + _STAYS:
+            continue  # the run was over before
+        after = np.flatnonzero((log.time >= end) & (log.time <= limit))
+        count = round(_STAYS / (log.time[1] - log.time[0]))
+        held = np.convolve(good[after], np.ones(count), mode="valid") == count
+        times.append(float(log.time[after[np.argmax(held)]] - end) if held.any() else np.inf)
+    return times
+
+
+def lag(log: RunLog, scenario: Scenario) -> float:
+    """Mean |X| of the true tip at the end of the last push, in m; NaN where the run ends before."""
+    hand = scenario.hand
+    end = hand.start + sum(push.duration for push in hand.pushes)
+    during = (log.time >= end - _LAG_TIME) & (log.time <= end)
+    if log.time[-1] < end:
+        return float("nan")
+    x = features(log.X_WP, log.needle_tip, log.needle_entry)[during, 0]
+    return float(np.abs(x).mean())

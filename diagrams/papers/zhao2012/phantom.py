@@ -1,0 +1,126 @@
+"""The simulated phantom of Zhao, Liebgott and Cachard 2012, section 3."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.math import RigidTransform, RotationMatrix
+
+from sonoservo.systems.signals.radio_frequency_sweep import RadioFrequencySweep
+from sonoservo.systems.signals.requirements import require_positive
+from sonoservo.systems.signals.sweep import SweepMotion
+from sonoservo.systems.ultrasound.imaging import ImagingParameters
+from sonoservo.systems.ultrasound.simulation.rendering import ScannerParameters, SweepRenderer
+from sonoservo.systems.ultrasound.simulation.tissue import Tissue
+from sonoservo.systems.ultrasound.transducer import load_transducer
+
+IMAGING = ImagingParameters(
+    depth=0.07435,
+    sector=1.0,
+    transmit_frequency=7.5e6,
+    focus_depth=0.05,
+    frame_pitch_deg=0.7547,
+    volume_rate=1.0,
+    frames=53,
+    sample_pitch=2.8519e-5,
+)
+"""The scanner's settings of Table 1: 53 x 71 x 2608 samples; 1 volume/s follows from 16 volumes in
+which a needle at 1 mm/s grows from 5 to 20 mm."""
+
+SIZE = (0.05, 0.05, 0.03)
+"""Extents of the phantom in m."""
+
+FACE_HEIGHT = 0.035
+"""Of the probe over the phantom in m, so that the focus lies in its middle; not published."""
+
+DIRECTION = np.array([0.94, 0.0, -0.34]) / np.hypot(0.94, 0.34)
+"""Published direction of the needle, in T: its third component points into the phantom."""
+
+_NEEDLE_RADIUS = 0.5e-3
+_NEEDLE_DENSITY = 125e9
+_TISSUE_DENSITY = 10e9
+_NEEDLE_AMPLITUDE = 7.5
+_TISSUE_AMPLITUDE = 2.0
+"""Root mean square of the K distribution, 2 sqrt(nu) / lambda, with lambda = sqrt(nu)."""
+_SCATTERERS_PER_CELL = 5.0
+"""The intensity's moments of a K distribution with nu = 10."""
+_LONGEST_NEEDLE = 25e-3
+
+
+@dataclass(frozen=True)
+class StraightNeedle:
+    """A straight piece of needle inside the phantom.
+
+    Parameters
+    ----------
+    start
+        (3,) position of its rear end in T, in m.
+    direction
+        (3,) unit vector towards its tip.
+    """
+
+    start: NDArray[np.float64]
+    direction: NDArray[np.float64]
+
+    def tip(self, length: float) -> NDArray[np.float64]:
+        """(3,) position of the tip in T, in m, of a needle of this length in m."""
+        return self.start + length * self.direction
+
+
+class Phantom:
+    """A phantom with a needle, and the probe that looks at it from above, at rest.
+
+    T is the world. The needle consists of scatterers that move with it, 22 dB over the tissue's
+    where the beam lies inside; the tissue does not give way.
+
+    Parameters
+    ----------
+    needle
+        Where it is.
+    seed
+        Of the tissue's and of the needle's scatterers.
+    """
+
+    def __init__(self, needle: StraightNeedle, seed: int) -> None:
+        self.needle = needle
+        tissue = Tissue(
+            size=list(SIZE), scatterers_per_cell=_SCATTERERS_PER_CELL, attenuation=0.0, seed=seed
+        )
+        self.renderer = SweepRenderer(
+            transducer=load_transducer("zhao2012"),
+            imaging=IMAGING,
+            tissue=tissue,
+            parameters=ScannerParameters(),
+            seed=seed,
+        )
+        self.X_WP = RigidTransform(RotationMatrix.MakeXRotation(-np.pi / 2), [0, 0, FACE_HEIGHT])
+        frames = self.renderer.geometry.frames
+        self._poses = np.repeat(self.X_WP.GetAsMatrix4()[np.newaxis], frames, axis=0)
+        self._tissue = self.renderer.tissue_echo(self._poses, 1)
+        rng = np.random.default_rng([seed, 2])
+        count = rng.poisson(_NEEDLE_DENSITY * np.pi * _NEEDLE_RADIUS**2 * _LONGEST_NEEDLE)
+        radius = _NEEDLE_RADIUS * np.sqrt(rng.random(count))
+        angle = rng.uniform(0, 2 * np.pi, count)
+        self._behind = _LONGEST_NEEDLE * rng.random(count)
+        self._across = radius[:, np.newaxis] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        # A volume full of scatterers of amplitude a and density n has the power n a^2 per
+        # resolution cell; the tissue's is 1.
+        contrast = _NEEDLE_DENSITY * _NEEDLE_AMPLITUDE**2 / (_TISSUE_DENSITY * _TISSUE_AMPLITUDE**2)
+        focus = round(IMAGING.focus_depth / IMAGING.sample_pitch)
+        cell = self.renderer.beam.resolution_cell[focus]
+        self._amplitude = np.sqrt(contrast / (_NEEDLE_DENSITY * cell))
+
+    def sweep(self, length: float, time: float) -> RadioFrequencySweep:
+        """Acquire radio-frequency lines, all at once, of a needle of this length in m."""
+        require_positive(length=length)
+        k = self.needle.direction
+        basis = np.linalg.svd(k[np.newaxis])[2][1:]
+        inside = self._behind < length
+        points = self.needle.tip(length) - np.outer(self._behind[inside], k)
+        points += self._across[inside] @ basis
+        iq = self._tissue.copy()
+        amplitudes = np.full(len(points), self._amplitude, complex)
+        self.renderer.add_scatterers(iq, self._poses, points, amplitudes, 1)
+        geometry = self.renderer.geometry
+        motion = SweepMotion(geometry, 1, np.full(geometry.frames, time), self._poses)
+        return RadioFrequencySweep(self.renderer.on_carrier(iq), motion)

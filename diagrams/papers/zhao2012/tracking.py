@@ -1,0 +1,200 @@
+"""Zhao 2012's tracker on the radio-frequency sweeps of the simulated probe."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.common.value import Value
+
+from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, Zhao2012TrackerParameters
+from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter, AxisTipFilterParameters
+from sonoservo.systems.estimation.track import NeedleMotionParameters
+from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
+from sonoservo.systems.localization.ransac import RansacParameters
+from sonoservo.systems.localization.speckle_velocimeter import SpeckleVelocimeterParameters
+from sonoservo.systems.localization.tip import TipParameters
+from sonoservo.systems.localization.whole_volume_ransac import (
+    WholeVolumeRansacParameters,
+    find_needle,
+)
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate
+from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals.radio_frequency_sweep import RadioFrequencySweep
+from sonoservo.systems.signals.sweep import SweepGeometry
+from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
+from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.ultrasound.radio_frequency import detect_envelope, detected_geometry
+from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
+
+_RANSAC = RansacParameters(residual_threshold=1e-3, min_separation=1e-3)
+_TIP = TipParameters(
+    tube_radius=0.5e-3, background_radius=3e-3, smoothing=0.75e-3, beam_width=1.1e-3
+)
+
+VELOCIMETER = SpeckleVelocimeterParameters(
+    kernel=[7, 21, 51],
+    search=[11, 37, 61],
+    min_correlation=0.5,
+    max_distance=1e-3,
+    displacement_std=[0.2, 0.2, 0.3],
+    min_speed_std=0.05e-3,
+)
+"""The published windows: planes, lines, samples."""
+
+
+def tracker_parameters() -> Zhao2012TrackerParameters:
+    """Return the tracker's parameters for a beam 1 mm wide and a hand that pushes evenly.
+
+    The paper publishes the windows only. The rest was found on seeds from 100 on.
+    """
+    return Zhao2012TrackerParameters(
+        same_direction=False,
+        localizer=NeedleLocalizerParameters(
+            ransac=_RANSAC,
+            tip=_TIP,
+            max_angle_deg=20.0,
+            max_radius=5e-3,
+            cross_section=1.5e-6,
+            slab=1e-3,
+            min_length=2e-3,
+            min_evidence=6e-3,
+            correlation_length=0.05e-3,
+            tip_std=0.15e-3,
+            entry_std=0.3e-3,
+            systematic_std=0.02e-3,
+            # This needle is a cloud of scatterers: it has no wall that would reflect.
+            echo_offset=0.0,
+        ),
+        velocimeter=VELOCIMETER,
+        axis_tip_filter=AxisTipFilterParameters(
+            motion=NeedleMotionParameters(insertion=1e-10, body=1e-10),
+            turning=2e-5,
+            first_speed_std=1e-3,
+            first_drift_std=0.2e-3,
+            withdrawn_length=2e-3,
+        ),
+    )
+
+
+class BMode:
+    """Grey volumes of the phantom, 0.4 mm fine, from radio-frequency sweeps.
+
+    Parameters
+    ----------
+    geometry
+        Of the sweeps.
+    """
+
+    _STEP = 4
+    _DEPTHS = (0.034, 0.066)
+    _HALF_WIDTH = 0.024
+
+    def __init__(self, geometry: SweepGeometry) -> None:
+        detected = detected_geometry(geometry, self._STEP)
+        lower = [-self._HALF_WIDTH, self._DEPTHS[0], -self._HALF_WIDTH]
+        upper = [self._HALF_WIDTH, self._DEPTHS[1], self._HALF_WIDTH]
+        self._convert = ScanConversion(detected, make_grid(detected, 0.4e-3, lower, upper))
+
+    def __call__(self, sweep: RadioFrequencySweep) -> Volume:
+        """Detect the envelope, 60 dB from 20 dB under the tissue's mean, and convert it."""
+        near, far = self._DEPTHS[0] - 1e-3, self._DEPTHS[1] + 1e-3
+        return self._convert(
+            # The grid's corners are farther from the array than its depth.
+            detect_envelope(sweep, step=self._STEP, floor_db=-20.0, near=near, far=1.2 * far)
+        )
+
+
+def find_as_published(
+    volume: Volume, towards: NDArray[np.float64], refits: int, rng: np.random.Generator
+) -> NeedleMeasurement | NotFound:
+    """Find the needle by RANSAC in the whole volume: see `find_needle`.
+
+    Parameters
+    ----------
+    volume
+        To search.
+    towards
+        (3,) direction in W, of whose ends the one farther in it is the tip.
+    refits
+        Least-squares refits of the winner: 0 the best sample alone, 1 with the published local
+        optimization.
+    rng
+        Draws samples.
+    """
+    parameters = WholeVolumeRansacParameters(ransac=replace(_RANSAC, refits=refits), tip=_TIP)
+    found = find_needle(volume, towards, parameters, rng)
+    if isinstance(found, NotFound):
+        return found
+    independent = max((found.tip - found.start) / 1e-3, 4.0)
+    return found.measurement(volume.time, 1e-3, independent)
+
+
+@dataclass(frozen=True, eq=False)
+class Tracked:
+    """What a tracker says after a volume.
+
+    Parameters
+    ----------
+    estimate
+        RANSAC and Kalman.
+    measurement, velocity
+        What RANSAC and the velocimeter found.
+    """
+
+    estimate: NeedleEstimate
+    measurement: NeedleMeasurement | NotFound
+    velocity: VelocityMeasurement | NotFound
+
+
+class Tracking:
+    """The tracker, fed by hand.
+
+    Parameters
+    ----------
+    towards
+        (3,) rough direction in W from entry to tip.
+    seed
+        Of the random samples.
+    with_velocity
+        Whether the filter is told the velocity.
+    """
+
+    def __init__(self, towards: NDArray[np.float64], seed: int, with_velocity: bool = True) -> None:
+        self._towards = towards
+        self._with_velocity = with_velocity
+        self._rng = np.random.default_rng([seed, 3])
+        self._tracker = MakeNeedleTracker(
+            parameters=tracker_parameters(), period=1.0, seed=seed, speckle_port=True
+        )
+        self._context = self._tracker.CreateDefaultContext()
+        self._started = False
+
+    def __call__(self, sweep: RadioFrequencySweep, volume: Volume) -> Tracked:
+        """Track the needle in the next sweep and the volume that was made of it.
+
+        The first one starts the tracker, by RANSAC in the whole volume.
+        """
+        speckle = sweep if self._with_velocity else NotFound("the velocity is not measured")
+        for port, value in (("volume", volume), ("speckle", speckle)):
+            self._tracker.GetInputPort(port).FixValue(self._context, Value[object](value))
+        velocimeter = self._tracker.GetSubsystemByName("speckle_velocimeter")
+        context = velocimeter.GetMyContextFromRoot(self._context)
+        velocity = velocimeter.GetOutputPort("velocity").Eval(context)
+        measurement = None if self._started else self._start(volume)
+        self._tracker.ExecuteForcedEvents(self._context)
+        if measurement is None:
+            measurement = self._tracker.GetOutputPort("measurement").Eval(self._context)
+        estimate = self._tracker.GetOutputPort("estimate").Eval(self._context)
+        return Tracked(estimate, measurement, velocity)
+
+    def _start(self, volume: Volume) -> NeedleMeasurement | NotFound:
+        found = find_as_published(volume, self._towards, 3, self._rng)
+        if isinstance(found, NeedleMeasurement):
+            axis_tip_filter = self._tracker.GetSubsystemByName("needle_kalman_filter")
+            assert isinstance(axis_tip_filter, AxisTipFilter)
+            axis_tip_filter.start_at(
+                axis_tip_filter.GetMyMutableContextFromRoot(self._context), found
+            )
+            self._started = True
+        return found

@@ -1,0 +1,279 @@
+"""Many runs on all cores: each is kept as it ends, none is made twice, none can end the rest."""
+
+import hashlib
+import json
+import signal
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import asdict, dataclass, field
+from functools import cache
+from importlib.metadata import version
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from joblib import Parallel, delayed, effective_n_jobs, parallel_config
+from joblib.externals.loky import get_reusable_executor
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from sonoservo.systems.files.writing import write_json
+from sonoservo.systems.signals.requirements import require
+
+Work = Callable[["Case"], Mapping[str, Any]]
+
+_SHOWS_RESULTS = ("display", "cli", "terminal", "plots", "report", "page", "analysis")
+"""Ends of the names of folders and modules that change no result."""
+
+_CASES_PER_PROCESS = 10
+"""An experiment leaves some 20 MB behind that Drake never frees."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudyOptions:
+    """What a person may choose about the reproduction of any paper.
+
+    Parameters
+    ----------
+    folder
+        For whatever the study keeps.
+    quick
+        A few short runs: whether all works, not what the figures are.
+    seeds
+        Number of seeds of each experiment; None leaves it to the study.
+    first_seed
+        Of each experiment. Seeds below 100 are for reporting; parameters are tuned on others.
+    jobs
+        Processes; -1 means one for each core.
+    console
+        Where to show progress; None shows none.
+    """
+
+    folder: Path
+    quick: bool = False
+    seeds: int | None = None
+    first_seed: int = 0
+    jobs: int = -1
+    console: Console | None = None
+
+    def __post_init__(self) -> None:
+        if self.seeds is not None:
+            require(self.seeds >= 1, "seeds", self.seeds, "1 or more")
+        require(self.first_seed >= 0, "first_seed", self.first_seed, "0 or more")
+        require(self.jobs >= 1 or self.jobs == -1, "jobs", self.jobs, "1 or more, or -1")
+
+    def seed_range(self, number: int, quick_number: int) -> range:
+        """Return an experiment's seeds, given how many it has of its own, and how many if quick."""
+        own = quick_number if self.quick else number
+        return range(self.first_seed, self.first_seed + (self.seeds or own))
+
+
+@dataclass(frozen=True)
+class Case:
+    """One run of a study. Hashable, and equal to another with the same contents.
+
+    Parameters
+    ----------
+    experiment
+        Which of the study's experiments it belongs to.
+    seed
+        Of everything random in it.
+    settings
+        Whatever else the run needs to know, in types that JSON has.
+
+    Raises
+    ------
+    TypeError
+        If JSON cannot hold the settings.
+    """
+
+    experiment: str
+    seed: int
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        json.dumps(self.settings)
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    @property
+    def key(self) -> str:
+        """The contents as one text."""
+        return json.dumps(asdict(self), sort_keys=True)
+
+    @property
+    def name(self) -> str:
+        """What its files are called: readable, and different for different contents."""
+        digest = hashlib.sha256(self.key.encode()).hexdigest()[:8]
+        return f"{self.experiment}_seed{self.seed:03d}_{digest}"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a case. Falsy where it failed.
+
+    Parameters
+    ----------
+    case
+        What was run.
+    result
+        What the work returned, as JSON holds it; empty where it failed.
+    error
+        What it failed of; empty where it did not.
+    wall_s
+        How long it took, in s.
+    """
+
+    case: Case
+    result: Mapping[str, Any] = field(default_factory=dict)
+    error: str = ""
+    wall_s: float = 0.0
+
+    def __bool__(self) -> bool:
+        return not self.error
+
+
+@cache
+def code_fingerprint() -> str:
+    """Return a digest of the package's files and of Drake's version.
+
+    What only shows results (`_SHOWS_RESULTS`) is left out: a better plot does not make runs out of
+    date.
+    """
+    digest = hashlib.sha256(f"sonoservo {version('sonoservo')}, drake {version('drake')}".encode())
+    for part in ("systems", "models", "diagrams"):
+        folder = Path(str(files(f"sonoservo.{part}")))
+        for path in sorted(folder.rglob("*")):
+            names = path.relative_to(folder).with_suffix("").parts
+            shows = any(name.endswith(_SHOWS_RESULTS) for name in names)
+            if path.is_file() and not shows and "__pycache__" not in names:
+                digest.update("/".join((part, *names)).encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def run_cases(
+    work: Work,
+    cases: Sequence[Case],
+    folder: Path,
+    *,
+    jobs: int = -1,
+    console: Console | None = None,
+) -> list[Outcome]:
+    """Run every case that has not been run yet, several at a time.
+
+    Each outcome is written to a file of its own in ``folder`` as it comes. One that is there
+    already is read instead, if it was made by the same code with the same settings. Each process
+    computes with one thread.
+
+    Parameters
+    ----------
+    work
+        Runs a case and returns what is to be kept, in types that JSON or NumPy has. It must be
+        importable, or a partial of what is. Whatever it raises makes the case a failure.
+    cases
+        To run; no two alike.
+    folder
+        For the outcomes.
+    jobs
+        Processes; -1 means one for each core, 1 runs the cases in this process.
+    console
+        Where to show progress; None shows none.
+
+    Returns
+    -------
+    The outcomes, in the order of the cases.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        If interrupted; what was finished is kept.
+    """
+    outcomes = {case: _read(_path(folder, case), case) for case in cases}
+    if len(outcomes) < len(cases):
+        raise ValueError("two of the cases are alike")
+    pending = [case for case, outcome in outcomes.items() if outcome is None]
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    console = console or Console(quiet=True)
+    with Progress(*columns, TimeRemainingColumn(), console=console) as bar:
+        done = len(cases) - len(pending)
+        task = bar.add_task("starting ...", total=len(cases), completed=done)
+        for outcome in _run_all(work, pending, folder, jobs):
+            outcomes[outcome.case] = outcome
+            bar.update(task, advance=1, description=outcome.case.experiment)
+            if not outcome:
+                console.print(f"{outcome.case.name} failed: {outcome.error}", markup=False)
+    return [outcome for outcome in outcomes.values() if outcome is not None]
+
+
+def _run_all(work: Work, cases: list[Case], folder: Path, jobs: int) -> Iterator[Outcome]:
+    """Run cases in rounds, each in fresh processes.
+
+    Drake's Python systems are never freed, so a process must not live for ever. A case that kills
+    its process is found out by being run again alone.
+    """
+    pending = dict.fromkeys(cases)
+    most = together = _CASES_PER_PROCESS * effective_n_jobs(jobs)
+    while pending:
+        batch = list(pending)[:together]
+        try:
+            for outcome in _run_round(work, batch, folder, jobs if together > 1 else 2):
+                del pending[outcome.case]
+                yield outcome
+            together = most
+        except BrokenProcessPool:
+            if together == 1:
+                del pending[batch[0]]
+                yield _keep(Outcome(batch[0], error="its process died"), folder)
+                together = most
+            else:
+                together = 1
+
+
+def _run_round(work: Work, cases: list[Case], folder: Path, jobs: int) -> Iterator[Outcome]:
+    with parallel_config("loky", n_jobs=jobs, inner_max_num_threads=1, initializer=_leave_alone):
+        outcomes = Parallel(return_as="generator_unordered", batch_size=1)(
+            delayed(_run_case)(work, case, folder) for case in cases
+        )
+    try:
+        yield from outcomes
+    finally:
+        outcomes.close()
+        get_reusable_executor(kill_workers=True).shutdown(kill_workers=True)
+
+
+def _leave_alone() -> None:
+    """Leave Ctrl-C, which every process receives, to the one that started the others."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _run_case(work: Work, case: Case, folder: Path) -> Outcome:
+    started = time.perf_counter()
+    try:
+        result, error = work(case), ""
+    except Exception as exception:
+        result, error = {}, f"{type(exception).__name__}: {exception}"
+    return _keep(Outcome(case, result, error, time.perf_counter() - started), folder)
+
+
+def _path(folder: Path, case: Case) -> Path:
+    return folder / f"{case.name}.json"
+
+
+def _keep(outcome: Outcome, folder: Path) -> Outcome:
+    """Write an outcome to its file, and return it as it will be read."""
+    path = _path(folder, outcome.case)
+    write_json(path, {"code": code_fingerprint(), **asdict(outcome)})
+    return _read(path, outcome.case) or outcome
+
+
+def _read(path: Path, case: Case) -> Outcome | None:
+    """Read a case's outcome; None where there is none of the present code."""
+    try:
+        kept = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    if kept.pop("code") != code_fingerprint() or kept.pop("case") != asdict(case):
+        return None
+    return Outcome(case, **kept)

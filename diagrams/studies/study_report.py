@@ -1,0 +1,253 @@
+"""What a study found, and the files that tell it: JSON, pictures, one web page."""
+
+import html
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Literal
+
+from matplotlib.figure import Figure
+
+from sonoservo.diagrams.studies.study import Outcome
+from sonoservo.systems.evaluation.plots import png
+from sonoservo.systems.evaluation.web_page import cell_text, web_page
+from sonoservo.systems.files.writing import write_atomically, write_json
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudyRow:
+    """One quantity: what the paper reports, what we find, what is to be reached.
+
+    Parameters
+    ----------
+    experiment, quantity, unit
+        What it is, for a person.
+    paper
+        Published figure; None where there is none.
+    estimated
+        Ours, by what a tracker or controller knows itself: what an experiment could report.
+    true
+        Ours, by the simulator's truth.
+    target
+        What is to be reached: by the truth, where it is known.
+    wanted
+        On which side of the target.
+    """
+
+    experiment: str
+    quantity: str
+    unit: str = ""
+    paper: float | None = None
+    estimated: float | None = None
+    true: float | None = None
+    target: float | None = None
+    wanted: Literal["at most", "at least"] = "at most"
+
+    @property
+    def met(self) -> bool | None:
+        """Whether the target is met, which nothing does not; None where there is no target."""
+        if self.target is None:
+            return None
+        value = self.estimated if self.true is None else self.true
+        if value is None:
+            return False
+        return value <= self.target if self.wanted == "at most" else value >= self.target
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudyFigure:
+    """A figure, and what it shows; ``name`` is that of its file."""
+
+    name: str
+    caption: str
+    figure: Figure
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study:
+    """What a reproduction of a paper found.
+
+    Parameters
+    ----------
+    paper
+        As the command names it.
+    title
+        Authors, title, where it was published.
+    rows
+        In the order in which they are shown.
+    outcomes
+        Of every case, failures included.
+    figures
+        In the order in which they are shown.
+    compute_ms
+        Computing time in ms: by what was computed, {"median": ..., "max": ...}.
+    notes
+        What a reader must know to judge the rows, a paragraph each.
+    """
+
+    paper: str
+    title: str
+    rows: Sequence[StudyRow]
+    outcomes: Sequence[Outcome]
+    figures: Sequence[StudyFigure] = ()
+    compute_ms: Mapping[str, Mapping[str, float | None]] = field(default_factory=dict)
+    notes: Sequence[str] = ()
+
+    @property
+    def experiments(self) -> dict[str, dict[str, Any]]:
+        """By experiment: its `seeds`, how many `cases` it has, and how many of them `failed`."""
+        names = dict.fromkeys(each.case.experiment for each in self.outcomes)
+        summary = {}
+        for name in names:
+            mine = [each for each in self.outcomes if each.case.experiment == name]
+            summary[name] = {
+                "seeds": sorted({each.case.seed for each in mine}),
+                "cases": len(mine),
+                "failed": sum(not each for each in mine),
+            }
+        return summary
+
+    def as_json(self, command: str) -> dict[str, Any]:
+        """Return all but the pictures, for a JSON file."""
+        return {
+            "paper": self.paper,
+            "title": self.title,
+            "command": command,
+            "version": version("sonoservo"),
+            "seeds": {name: each["seeds"] for name, each in self.experiments.items()},
+            "rows": [
+                {key: value for key, value in asdict(row).items() if key != "wanted"}
+                | {"met": row.met, "wanted": row.wanted}
+                for row in self.rows
+            ],
+            "cases": {
+                name: {"cases": each["cases"], "failed": each["failed"]}
+                for name, each in self.experiments.items()
+            },
+            "failures": [
+                asdict(each.case) | {"error": each.error} for each in self.outcomes if not each
+            ],
+            "compute_ms": self.compute_ms,
+            "wall_s": sum(each.wall_s for each in self.outcomes),
+            "notes": list(self.notes),
+        }
+
+
+def write_study(folder: Path, study: Study, command: str) -> dict[str, Any]:
+    """Write a study to a folder: study.json, a PNG file for each figure, and report.html.
+
+    Parameters
+    ----------
+    folder
+        Where to.
+    study
+        What was found.
+    command
+        That repeats it.
+
+    Returns
+    -------
+    What study.json holds.
+    """
+    data = study.as_json(command)
+    write_json(folder / "study.json", data)
+    pictures = {}
+    for each in study.figures:
+        pictures[each.caption] = png(each.figure)
+        write_atomically(folder / f"{each.name}.png", pictures[each.caption])
+    write_atomically(folder / "report.html", study_page(study, command, pictures))
+    return data
+
+
+def study_page(study: Study, command: str, pictures: Mapping[str, bytes]) -> str:
+    """Return a study as one HTML page that needs no other file.
+
+    Parameters
+    ----------
+    study
+        What was found.
+    command
+        That repeats it.
+    pictures
+        PNG files by caption.
+    """
+    judged = [row.met for row in study.rows if row.met is not None]
+    met = f"{sum(judged)} of {len(judged)} targets met"
+    facts = html.escape(f"{study.title} · sonoservo {version('sonoservo')} · {met}")
+    body = [f"<p><code>{html.escape(command)}</code></p>"]
+    body += [f"<p>{html.escape(note)}</p>" for note in study.notes]
+    body += [_rows_table(study.rows), _cases_table(study), _failures_table(study)]
+    if study.compute_ms:
+        lines = [
+            [html.escape(name), cell_text(each.get("median")), cell_text(each.get("max"))]
+            for name, each in study.compute_ms.items()
+        ]
+        body.append(
+            "<h2>Computing time per volume (ms)</h2>" + _table(["", "median", "max"], lines)
+        )
+    return web_page(f"{study.paper} reproduced", facts, "\n".join(body), pictures)
+
+
+def target_text(row: StudyRow) -> str:
+    """Return a row's target with its side: "≤ 0.7"; empty where there is none."""
+    if row.target is None:
+        return ""
+    return f"{'≤' if row.wanted == 'at most' else '≥'} {row.target:g}"
+
+
+def _rows_table(rows: Sequence[StudyRow]) -> str:
+    heads = ["", "", "paper", "ours, estimated", "ours, true", "target", "met"]
+    lines, before = [], ""
+    for row in rows:
+        quantity = row.quantity + (f" ({row.unit})" if row.unit else "")
+        values = (row.paper, row.estimated, row.true)
+        lines.append(
+            [
+                html.escape(row.experiment if row.experiment != before else ""),
+                html.escape(quantity),
+                *("" if value is None else cell_text(value) for value in values),
+                target_text(row),
+                {None: "", True: "yes", False: "<b>no</b>"}[row.met],
+            ]
+        )
+        before = row.experiment
+    return "<h2>Results</h2>" + _table(heads, lines)
+
+
+def _cases_table(study: Study) -> str:
+    lines = [
+        [html.escape(name), _ranges(each["seeds"]), str(each["cases"]), str(each["failed"])]
+        for name, each in study.experiments.items()
+    ]
+    return "<h2>Runs</h2>" + _table(["", "seeds", "runs", "of these, failed"], lines)
+
+
+def _failures_table(study: Study) -> str:
+    failed = [each for each in study.outcomes if not each]
+    if not failed:
+        return ""
+    lines = [
+        [html.escape(each.case.name), str(each.case.seed), html.escape(each.error)]
+        for each in failed
+    ]
+    return "<h2>Runs that failed</h2>" + _table(["", "seed", "what it failed of"], lines)
+
+
+def _table(heads: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    head = "".join(f"<th>{each}</th>" for each in heads)
+    body = "\n".join(
+        f"<tr><th>{line[0]}</th>{''.join(f'<td>{cell}</td>' for cell in line[1:])}</tr>"
+        for line in lines
+    )
+    return f"<table><tr>{head}</tr>\n{body}</table>"
+
+
+def _ranges(numbers: Sequence[int]) -> str:
+    """[0, 1, 2, 5] -> 0-2, 5."""
+    starts = [n for n in numbers if n - 1 not in numbers]
+    ends = [n for n in numbers if n + 1 not in numbers]
+    return ", ".join(
+        str(start) if start == end else f"{start}-{end}"
+        for start, end in zip(starts, ends, strict=True)
+    )

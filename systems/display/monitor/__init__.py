@@ -1,0 +1,1 @@
+"""The scanner's monitor: a page of slices."""

@@ -1,0 +1,1 @@
+"""The world view, drawn with Drake's Meshcat."""

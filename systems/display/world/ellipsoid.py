@@ -1,0 +1,72 @@
+"""How uncertain a position is, as an ellipsoid."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydrake.geometry import Meshcat, Rgba, Sphere
+from pydrake.math import RigidTransform, RotationMatrix
+from scipy.stats import chi2
+
+from sonoservo.systems.display.world.rod import Switch
+from sonoservo.systems.signals.requirements import require
+
+
+def confidence_ellipsoid(
+    covariance: ArrayLike, probability: float = 0.95
+) -> tuple[RotationMatrix, NDArray[np.float64]]:
+    """Return the ellipsoid that holds a normally distributed position with a probability.
+
+    Parameters
+    ----------
+    covariance
+        (3, 3) of the position, in m^2.
+    probability
+        Between 0 and 1.
+
+    Returns
+    -------
+    Its axes, as columns, and its (3,) half axes in m, the shortest first.
+
+    Raises
+    ------
+    ValueError
+        If the probability is none.
+    """
+    require(0 < probability < 1, "probability", probability, "between 0 and 1")
+    variances, axes = np.linalg.eigh(np.asarray(covariance, dtype=float))
+    if np.linalg.det(axes) < 0:
+        axes = axes * [1, 1, -1]
+    half_axes = np.sqrt(np.maximum(variances, 0) * chi2.ppf(probability, 3))
+    return RotationMatrix(axes), half_axes
+
+
+class EllipsoidView:
+    """A translucent ellipsoid, true to scale. It is drawn over everything: nothing hides it.
+
+    Parameters
+    ----------
+    meshcat, path
+        Where it is drawn.
+    colour
+        Of it.
+    """
+
+    def __init__(self, *, meshcat: Meshcat, path: str, colour: Rgba) -> None:
+        self._meshcat, self._path = meshcat, path
+        meshcat.SetObject(f"{path}/unit", Sphere(1.0), colour)
+        # It is smaller than the needle is thick, and would be lost in it.
+        meshcat.SetProperty(f"{path}/unit/<object>", "material.depthTest", False)
+        meshcat.SetProperty(f"{path}/unit/<object>", "renderOrder", 1.0)
+        self._switch = Switch(meshcat=meshcat, path=path)
+
+    def show(self, centre: ArrayLike, covariance: ArrayLike, time: float) -> None:
+        """Show where a position is with 95 %: its mean in m and (3, 3) covariance in m^2, in W."""
+        R, half_axes = confidence_ellipsoid(covariance)
+        position = np.asarray(centre, dtype=float)
+        self._meshcat.SetTransform(self._path, RigidTransform(R, position), time)
+        scale = np.maximum(half_axes, 1e-6).tolist()
+        self._meshcat.SetProperty(f"{self._path}/unit", "scale", scale, time)
+        self._switch.set(True, time)
+
+    def hide(self, time: float) -> None:
+        """Do not draw it."""
+        self._switch.set(False, time)

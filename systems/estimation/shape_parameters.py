@@ -1,0 +1,67 @@
+"""The shape that a needle has and will have, and how sure that is."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.signals.bicycle_paths import require_rising
+from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(kw_only=True)
+class ShapeEstimatorParameters:
+    """What every shape estimator knows before the first slice.
+
+    Frame I of the insertion: the probe's frame P at the first slice that showed the needle; depths
+    are along its Z.
+
+    Parameters
+    ----------
+    depth
+        To which the shape is predicted, in m.
+    rotations
+        Depths at which the bevel is turned by 180 deg, in m, in rising order.
+    observe_until
+        Depth beyond which slices are not looked at, in m (the paper's D); None looks at all.
+    mean_radius, radius_std
+        Of the normal distribution of R, in m. The paper's, 1500 and 600 mm.
+    angle_std_deg
+        Of the normal distribution of theta_0 about zero. The paper's 5 is in degrees.
+
+    Raises
+    ------
+    ValueError
+        If a rotation lies outside the insertion or a value is out of range.
+    """
+
+    depth: float = 0.14
+    rotations: list[float] = field(default_factory=list)
+    observe_until: float | None = None
+    mean_radius: float = 1.5
+    radius_std: float = 0.6
+    angle_std_deg: float = 5.0
+
+    def __post_init__(self) -> None:
+        require_positive(
+            depth=self.depth,
+            mean_radius=self.mean_radius,
+            radius_std=self.radius_std,
+            angle_std_deg=self.angle_std_deg,
+        )
+        require_rising(self.rotations)
+        require(
+            not self.rotations or self.rotations[-1] < self.depth,
+            "rotations",
+            self.rotations,
+            f"within the insertion, below depth ({self.depth} m)",
+        )
+        if self.observe_until is not None:
+            require_not_negative(observe_until=self.observe_until)
+
+    @property
+    def angle_std(self) -> float:
+        """Of theta_0, in rad."""
+        return float(np.deg2rad(self.angle_std_deg))

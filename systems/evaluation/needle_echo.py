@@ -1,0 +1,88 @@
+"""How well a needle shows in a sweep."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from sonoservo.systems.evaluation.scan_sheet import sample
+from sonoservo.systems.signals.sweep import Sweep
+from sonoservo.systems.ultrasound.imaging import ImagingParameters
+
+_STEP = 0.1e-3
+_NEAR = 1e-3
+_FAR = 12e-3
+_VISIBLE_DB = 12.0
+_THICKNESS_DB = -20.0
+
+
+@dataclass(frozen=True, eq=False)
+class NeedleEchoFigures:
+    """How a straight needle looks.
+
+    Parameters
+    ----------
+    peak_db
+        Greatest level on the needle, over the tissue's mean. What is brighter than the greatest
+        grey level counts as that.
+    visible_length
+        Length of the needle whose level, averaged over 1 mm, is 12 dB or more over the tissue's,
+        in m.
+    thickness
+        Where the needle is brightest, distance across it, in the plane of needle and beam, between
+        the first and the last point less than 20 dB below the peak, in m.
+    distance, level_db
+        (n,) distance along the needle from its first end in m, and level there, averaged over 1 mm;
+        NaN outside the sector.
+    """
+
+    peak_db: float
+    visible_length: float
+    thickness: float
+    distance: NDArray[np.float64]
+    level_db: NDArray[np.float64]
+
+
+def measure_needle_echo(
+    sweep: Sweep, shaft: NDArray[np.float64], imaging: ImagingParameters
+) -> NeedleEchoFigures:
+    """Measure how a needle looks in a sweep of a probe at rest.
+
+    Parameters
+    ----------
+    sweep
+        To look at.
+    shaft
+        (2, 3) ends of the needle in P, in m.
+    imaging
+        That the sweep was made with.
+    """
+    length = float(np.linalg.norm(shaft[1] - shaft[0]))
+    along = (shaft[1] - shaft[0]) / length
+    depth = np.array([0, 1.0, 0])
+    normal = depth - (depth @ along) * along
+    normal /= np.linalg.norm(normal)
+    distance = np.arange(0, length, _STEP)
+    axis = shaft[0] + distance[:, np.newaxis] * along
+    offsets = np.arange(-_NEAR, _NEAR + _STEP, _STEP)[:, np.newaxis] * normal
+    grey, inside = sample(sweep, axis[:, np.newaxis] + offsets)
+    level = np.where(inside, (grey - imaging.tissue_grey) / imaging.grey_per_db, -np.inf)
+    crest = level.max(axis=1)
+    shown = np.isfinite(crest)
+    smooth = uniform_filter1d(np.where(shown, crest, 0), round(1e-3 / _STEP))
+    smooth[~shown] = np.nan
+    brightest = int(crest.argmax())
+    across = np.arange(-_FAR, _FAR, _STEP)
+    grey, _ = sample(sweep, axis[brightest] + across[:, np.newaxis] * normal)
+    peak = crest[brightest]
+    bright = np.flatnonzero(
+        (grey - imaging.tissue_grey) / imaging.grey_per_db > peak + _THICKNESS_DB
+    )
+    return NeedleEchoFigures(
+        peak_db=float(peak),
+        visible_length=float(_STEP * np.sum(smooth >= _VISIBLE_DB)),
+        thickness=float(_STEP * (bright[-1] - bright[0] + 1)),
+        distance=distance,
+        level_db=smooth,
+    )

@@ -1,0 +1,84 @@
+"""A run on one web page."""
+
+import html
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from sonoservo.systems.evaluation.web_page import cell_text, web_page, words
+from sonoservo.systems.files.writing import write_atomically
+
+
+def report_page(
+    summary: Mapping[str, Any],
+    figures: Mapping[str, bytes],
+    *,
+    command: str = "",
+    paper: Mapping[str, float] | None = None,
+    replay: str = "",
+) -> str:
+    """Return a run as one HTML page that needs no other file.
+
+    Parameters
+    ----------
+    summary
+        What `summary.json` holds: single values head the page, `scenario` names it, and each block
+        makes a table.
+    figures
+        PNG files by caption.
+    command
+        That repeats the run.
+    paper
+        Published figures to set beside ours, by the path of ours: ``{"servo.at_rest.x_mm": 1.1}``.
+    replay
+        Relative address of the replay.
+    """
+    single = {key: value for key, value in summary.items() if not isinstance(value, Mapping)}
+    title = str(single.pop("scenario", "Run"))
+    facts = " · ".join(f"{words(key)} {cell_text(value)}" for key, value in single.items())
+    lead = ""
+    if command:
+        lead += f"<p><code>{html.escape(command)}</code></p>\n"
+    if replay:
+        lead += f'<p><a href="{html.escape(replay)}">Watch the replay</a></p>\n'
+    if paper:
+        lead += "<p>Published figures are set beside ours in <small>(brackets)</small>.</p>\n"
+    tables = "\n".join(
+        _block(key, value, paper or {})
+        for key, value in summary.items()
+        if isinstance(value, Mapping) and value
+    )
+    return web_page(title, facts, f'{lead}<div class="tables">\n{tables}\n</div>', figures)
+
+
+def write_report(
+    path: str | Path, summary: Mapping[str, Any], figures: Mapping[str, bytes], **details: Any
+) -> Path:
+    """Write `report_page` to a file, atomically."""
+    return write_atomically(path, report_page(summary, figures, **details))
+
+
+def _block(name: str, block: Mapping[str, Any], paper: Mapping[str, float]) -> str:
+    """Return a block's tables: one of its single values, one for each set of equal columns."""
+    groups: dict[tuple[str, ...], list[str]] = {}
+    for key, value in block.items():
+        columns = tuple(value) if isinstance(value, Mapping) else ()
+        groups.setdefault(columns, []).append(key)
+    tables = []
+    for columns, keys in groups.items():
+        head = "".join(f"<th>{words(column)}</th>" for column in columns)
+        rows = [f"<tr><th></th>{head}</tr>"] if columns else []
+        for key in keys:
+            paths = [f"{name}.{key}.{column}" for column in columns] or [f"{name}.{key}"]
+            values = [block[key][column] for column in columns] or [block[key]]
+            cells = "".join(
+                f"<td>{cell_text(value)}{_published(paper.get(path))}</td>"
+                for path, value in zip(paths, values, strict=True)
+            )
+            rows.append(f"<tr><th>{words(key)}</th>{cells}</tr>")
+        tables.append("<table>" + "\n".join(rows) + "</table>")
+    return f"<section><h2>{words(name).capitalize()}</h2>\n" + "\n".join(tables) + "</section>"
+
+
+def _published(value: float | None) -> str:
+    return "" if value is None else f"<small>({cell_text(float(value))})</small>"

@@ -1,0 +1,217 @@
+"""The leaf that keeps what happened."""
+
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform
+from pydrake.multibody.math import SpatialForce
+from pydrake.systems.framework import Context, LeafSystem
+
+from sonoservo.systems.evaluation.run_log import Array, Column, RunLog, columns
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate
+from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.requirements import require_not_negative, require_positive
+from sonoservo.systems.signals.sweep import SweepGeometry
+
+T = TypeVar("T")
+Row = dict[str, Any]
+
+
+class RunLogger(LeafSystem):
+    """Keeps samples of truth and estimates, and a row for every volume the tracker has seen.
+
+    .. pydrake_system::
+
+        name: RunLogger
+        input_ports:
+        - X_WP
+        - X_WT
+        - needle (optional)
+        - estimate (optional)
+        - measurement (optional)
+        - detection (optional)
+        - joint_state (optional)
+        - wrist_force (optional)
+        - contact_force (optional)
+        - planar_velocity (optional)
+
+    Every port may stay unconnected; what it would give is then missing in the log. `X_WP` and
+    `X_WT` are RigidTransforms, `needle` the true Needle in T, `wrist_force` a SpatialForce,
+    `contact_force` a force in N, the others what their names say.
+
+    `measurement` and `detection` are those that the estimate was made with: a tracker holds them
+    until its next volume. So a row is kept whenever the estimate names a newer volume, and no
+    volume is ever computed for the sake of the log.
+
+    The logger remembers one run: it starts anew whenever a simulator is initialised.
+
+    Parameters
+    ----------
+    period
+        Between samples, in s.
+    volume_period, volume_offset
+        When to look for a new volume besides, in s: a moment after the tracker has done so, if the
+        log shall tell that moment exactly.
+    joints
+        Of the arm; `joint_state` has twice as many elements.
+    geometry
+        Of the sweeps: tells which part of the needle is in view.
+    """
+
+    def __init__(
+        self,
+        *,
+        period: float = 1 / 32,
+        volume_period: float | None = None,
+        volume_offset: float = 0.0,
+        joints: int = 6,
+        geometry: SweepGeometry | None = None,
+    ) -> None:
+        super().__init__()
+        require_positive(period=period)
+        require_not_negative(volume_offset=volume_offset)
+        self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
+        self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
+        for name in ("needle", "estimate", "measurement", "detection"):
+            self.DeclareAbstractInputPort(name, Value[object]())
+        self.DeclareVectorInputPort("joint_state", 2 * joints)
+        self.DeclareAbstractInputPort("wrist_force", Value(SpatialForce()))
+        self.DeclareVectorInputPort("contact_force", 1)
+        self.DeclareVectorInputPort("planar_velocity", 3)
+        self._joint_state = 2 * joints
+        self._geometry = geometry
+        self._start()
+        self.DeclareInitializationPublishEvent(publish=lambda context: self._start())
+        self.DeclarePeriodicPublishEvent(period, 0.0, self._sample)
+        if volume_period is not None:
+            require_positive(volume_period=volume_period)
+            self.DeclarePeriodicPublishEvent(volume_period, volume_offset, self._look)
+        self.DeclareForcedPublishEvent(self._sample)
+
+    def log(self, compute: Mapping[str, ArrayLike] | None = None) -> RunLog:
+        """Return what has been kept so far; also after a run that was cut short.
+
+        Parameters
+        ----------
+        compute
+            Computing time per volume in s, by what was computed, if it was measured.
+        """
+        return RunLog(
+            **{
+                name: self._stack(
+                    name, column, self._samples if column.shape[0] == "n" else self._volumes
+                )
+                for name, column in columns().items()
+            },
+            compute={name: np.asarray(each, float) for name, each in (compute or {}).items()},
+        )
+
+    def _stack(self, name: str, column: Column, rows: list[Row]) -> Array:
+        if column.dtype == "U":
+            return np.array([row.get(name, "") for row in rows], dtype=str)
+        shape = [each if isinstance(each, int) else self._joint_state for each in column.shape[1:]]
+        missing = np.full(shape, np.nan) if column.dtype == "f8" else np.zeros(shape, column.dtype)
+        return np.array([row.get(name, missing) for row in rows], column.dtype).reshape(-1, *shape)
+
+    def _start(self) -> None:
+        self._samples: list[Row] = []
+        self._volumes: list[Row] = []
+
+    def _value(
+        self, context: Context, port: str, expected: type[T] | tuple[type[T], ...]
+    ) -> T | None:
+        if self.GetInputPort(port).HasValue(context):
+            return evaluate(self, context, port, expected)
+        return None
+
+    def _vector(self, context: Context, port: str) -> Array | None:
+        return self._value(context, port, np.ndarray)
+
+    def _sample(self, context: Context) -> None:
+        time = context.get_time()
+        if self._samples and self._samples[-1]["time"] >= time:
+            return
+        row: Row = {"time": time}
+        X_WT = self._value(context, "X_WT", RigidTransform)
+        X_WP = self._value(context, "X_WP", RigidTransform)
+        for name, X in (("X_WP", X_WP), ("X_WT", X_WT)):
+            if X is not None:
+                row[name] = X.GetAsMatrix4()
+        needle = self._value(context, "needle", Needle)
+        if needle is not None:
+            row["inserted_length"] = needle.length if needle else 0.0
+            if needle and X_WT is not None:
+                row["needle_tip"] = X_WT.multiply(needle.tip)
+                row["needle_entry"] = X_WT.multiply(needle.shaft[0])
+                points = needle.position(np.linspace(0, needle.length, 9))
+                row["needle_points"] = X_WT.multiply(points.T).T
+            if self._geometry is not None and X_WP is not None and X_WT is not None:
+                in_probe = needle.transformed(X_WP.InvertAndCompose(X_WT))
+                row["visible_length"] = visible_length(in_probe, self._geometry)
+        estimate = self._value(context, "estimate", NeedleEstimate)
+        if estimate is not None:
+            row |= _describe(estimate, "estimate")
+            if estimate:
+                row["estimate_velocity"] = estimate.tip_velocity
+            self._look(context)
+        wrist_force = self._value(context, "wrist_force", SpatialForce)
+        if wrist_force is not None:
+            row["wrist_force"] = wrist_force.get_coeffs()
+        contact_force = self._vector(context, "contact_force")
+        if contact_force is not None:
+            row["contact_force"] = contact_force[0]
+        for name in ("joint_state", "planar_velocity"):
+            vector = self._vector(context, name)
+            if vector is not None:
+                row[name] = vector.copy()
+        self._samples.append(row)
+
+    def _look(self, context: Context) -> None:
+        """Keep a row if the estimate was made with a volume newer than the last one kept."""
+        estimate = self._value(context, "estimate", NeedleEstimate)
+        if estimate is None or not np.isfinite(estimate.volume_time):
+            return
+        if self._volumes and self._volumes[-1]["volume_time"] >= estimate.volume_time:
+            return
+        row: Row = {"volume_time": estimate.volume_time, "volume_seen": context.get_time()}
+        row |= _describe(estimate, "volume_estimate")
+        if estimate.curve is not None:
+            row["volume_estimate_points"] = estimate.curve.position([0, 0.5, 1])
+        detection = self._value(context, "detection", object)
+        row["volume_detected"] = bool(detection)
+        row["volume_detection_reason"] = _reason(detection)
+        measurement = self._value(context, "measurement", (NeedleMeasurement, NotFound))
+        row["volume_measurement_reason"] = _reason(measurement)
+        if isinstance(measurement, NeedleMeasurement):
+            row["volume_measured_time"] = measurement.time
+            row["volume_measured_tip"] = measurement.curve.tip
+            row["volume_measured_entry"] = measurement.curve.entry
+            row["volume_inlier_count"] = measurement.inlier_count
+            row["volume_inlier_ratio"] = measurement.inlier_ratio
+        self._volumes.append(row)
+
+
+def visible_length(needle: Needle, geometry: SweepGeometry) -> float:
+    """Length in m of the needle, given in P, that lies in the swept sector; to 0.5 mm."""
+    if not needle:
+        return 0.0
+    points = needle.position(np.arange(0.25e-3, needle.length, 0.5e-3))
+    return 0.5e-3 * float(geometry.contains(points).sum())
+
+
+def _describe(estimate: NeedleEstimate, prefix: str) -> Row:
+    row: Row = {f"{prefix}_mode": str(estimate.mode), f"{prefix}_time": estimate.time}
+    if estimate.curve is not None:
+        row[f"{prefix}_tip"] = estimate.curve.tip
+        row[f"{prefix}_entry"] = estimate.curve.entry
+    return row
+
+
+def _reason(value: object) -> str:
+    return value.reason if isinstance(value, NotFound) else ""

@@ -1,0 +1,251 @@
+"""A sheet of pictures of one sweep: a frame as acquired, and slices through the needle."""
+
+import itertools
+from dataclasses import dataclass, replace
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
+from numpy.typing import NDArray
+from pydrake.math import RigidTransform, RotationMatrix
+from scipy.ndimage import map_coordinates
+from scipy.spatial import KDTree
+
+from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.sweep import Sweep
+from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.ultrasound.planes import Plane, slice_planes
+
+Floats = NDArray[np.float64]
+
+_PIXEL = 0.2e-3
+_CLEARANCE = 3e-3
+"""Between the true needle's axis and the line around it in m: the echo stays in view."""
+
+_INK, _QUIET, _PAPER, _NEEDLE = "#F2F2F2", "#9AA4AD", "#0E1116", "#FFB000"
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """Where the pixels of a picture are.
+
+    Parameters
+    ----------
+    title, horizontal, vertical
+        What is shown, and what the axes are.
+    p_P
+        (rows, columns, 3) positions of the pixels in P, in m.
+    columns, rows
+        What the axes read at the pixels, in m.
+    """
+
+    title: str
+    horizontal: str
+    vertical: str
+    p_P: Floats
+    columns: Floats
+    rows: Floats
+
+
+def scan_sheet(
+    sweep: Sweep, volume: Volume, needle: Needle, *, dynamic_range_db: float, caption: str
+) -> Figure:
+    """Return a figure of a frame in the shape of its sector, and three slices through the sweep.
+
+    Slices are interpolated from the samples of the sweep. A dotted line goes around the true
+    needle at a distance of 3 mm, so that it hides no echo, and an arrow points at its tip.
+
+    Parameters
+    ----------
+    sweep
+        To show.
+    volume
+        The same sweep, converted: how far the slices reach, and from where they were seen.
+    needle
+        The true needle in W, possibly empty.
+    dynamic_range_db
+        Range of the grey levels from 0 to 255.
+    caption
+        What the scanner was set to.
+    """
+    figure = Figure(figsize=(13, 9.6), facecolor=_PAPER, layout="constrained")
+    figure.get_layout_engine().set(w_pad=0.12, h_pad=0.12)
+    shaft = volume.to_probe(needle.shaft) if needle else np.zeros((0, 3))
+    brightest = _brightest(sweep, shaft, needle.radius)
+    views = [_frame_view(sweep, brightest), *_slice_views(volume, needle, brightest)]
+    axes = figure.subplots(2, 2, gridspec_kw={"width_ratios": [1.12, 1]}).ravel()
+    for each, view, letter in zip(axes, views, "abcd", strict=False):
+        image = show_view(each, view, sweep, shaft, needle.radius)
+        each.set_title(f"{letter})  {view.title}", loc="left", color=_INK, fontsize=11.5)
+    for each in axes[len(views) :]:
+        each.set_visible(False)
+    bar = figure.colorbar(image, ax=axes, shrink=0.5, aspect=32, pad=0.02)
+    decibels = np.arange(0, dynamic_range_db + 1e-9, 10)
+    bar.set_ticks(
+        255 * (1 - decibels / dynamic_range_db), labels=[f"{0 - d:.0f}" for d in decibels]
+    )
+    bar.set_label("echo amplitude, dB", color=_INK)
+    bar.ax.tick_params(colors=_INK)
+    bar.outline.set_edgecolor(_QUIET)
+    figure.suptitle(caption, color=_INK, fontsize=12.5)
+    if len(shaft):
+        note = f"dotted: {1e3 * _CLEARANCE:.0f} mm around the true needle"
+        figure.supxlabel(note, color=_NEEDLE, fontsize=9.5, x=0.99, ha="right")
+    return figure
+
+
+def show_view(axes: Axes, view: View, sweep: Sweep, shaft: Floats, radius: float) -> AxesImage:
+    """Draw a view of a sweep.
+
+    Parameters
+    ----------
+    axes
+        Where to.
+    view, sweep
+        What to show.
+    shaft, radius
+        (m, 3) points on the true needle's axis in P, possibly none, and its radius, in m.
+    """
+    grey, inside = sample(sweep, view.p_P)
+    spans = [np.flatnonzero(inside.any(axis=axis)) for axis in (1, 0)]
+    rows, columns = (slice(span[0], span[-1] + 1) for span in spans)
+    view = replace(
+        view, p_P=view.p_P[rows, columns], columns=view.columns[columns], rows=view.rows[rows]
+    )
+    x, y = 1e3 * view.columns, 1e3 * view.rows
+    half = 0.5e3 * _PIXEL
+    image = axes.imshow(
+        np.ma.masked_where(~inside, grey)[rows, columns],
+        extent=(x[0] - half, x[-1] + half, y[-1] + half, y[0] - half),
+        cmap="gray",
+        vmin=0,
+        vmax=255,
+        interpolation="bilinear",
+    )
+    if len(shaft):
+        _outline(axes, view, inside[rows, columns], shaft, radius)
+    axes.set_facecolor(_PAPER)
+    axes.set_anchor("W")
+    axes.set_xlabel(f"{view.horizontal}, mm", color=_QUIET)
+    axes.set_ylabel(f"{view.vertical}, mm", color=_QUIET)
+    axes.tick_params(colors=_QUIET)
+    for side, spine in axes.spines.items():
+        spine.set_color(_QUIET)
+        spine.set_visible(side in ("left", "bottom"))
+    return image
+
+
+def sample(sweep: Sweep, p_P: Floats) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Grey levels at positions in P, by trilinear interpolation, and whether they were swept.
+
+    Parameters
+    ----------
+    sweep
+        Of a probe at rest.
+    p_P
+        (..., 3) positions in m.
+    """
+    index = np.stack(sweep.geometry.index(p_P, sweep.motion.direction))
+    last = np.array(sweep.geometry.shape).reshape(-1, *[1] * (p_P.ndim - 1)) - 1
+    inside = np.all((index >= -1e-6) & (index <= last + 1e-6), axis=0)
+    return map_coordinates(sweep.samples, index, np.float32, order=1, mode="nearest"), inside
+
+
+def _points(shaft: Floats, radius: float) -> Floats:
+    """Points along a polyline, a fifth of a radius apart."""
+    pieces = [
+        np.linspace(a, b, int(np.ceil(np.linalg.norm(b - a) / (0.2 * radius))), endpoint=False)
+        for a, b in itertools.pairwise(shaft)
+    ]
+    return np.concatenate([*pieces, shaft[-1:]])
+
+
+def _brightest(sweep: Sweep, shaft: Floats, radius: float) -> Floats | None:
+    """Point of the needle's axis in P that echoes most; None if none of it was swept."""
+    if not len(shaft):
+        return None
+    points = _points(shaft, radius)
+    grey, inside = sample(sweep, points)
+    return points[np.where(inside, grey, -1).argmax()] if inside.any() else None
+
+
+def _frame_view(sweep: Sweep, brightest: Floats | None) -> View:
+    """View of the frame that saw the needle's brightest point; of the middle one without any."""
+    geometry, direction = sweep.geometry, sweep.motion.direction
+    frame = geometry.frames // 2
+    if brightest is not None:
+        k, _, _ = geometry.index(brightest, direction)
+        frame = int(np.clip(np.rint(k), 0, geometry.frames - 1))
+    j = np.arange(geometry.lines)
+    edges = [geometry.position(frame, j, i, direction) for i in (0, geometry.samples - 1)]
+    x = np.concatenate(edges)[:, 0]
+    rho = np.hypot(np.concatenate(edges)[:, 1] + geometry.motor_radius, np.concatenate(edges)[:, 2])
+    columns = np.arange(x.min(), x.max() + _PIXEL, _PIXEL)
+    rows = np.arange(rho.min(), rho.max() + _PIXEL, _PIXEL)
+    q = rows[:, np.newaxis] + geometry.array_radius - geometry.motor_radius
+    line = np.arctan2(columns, q) / geometry.line_pitch + (geometry.lines - 1) / 2
+    sample_number = (np.hypot(columns, q) - geometry.array_radius) / geometry.sample_pitch
+    p_P = geometry.position(frame, line, sample_number, direction)
+    title = f"Frame {frame + 1} of {geometry.frames}, as the array acquires it"
+    return View(title, "lateral", "depth", p_P, columns, rows - geometry.motor_radius)
+
+
+def _slice_views(volume: Volume, needle: Needle, brightest: Floats | None) -> list[View]:
+    if brightest is None:
+        texts = [
+            ("Slice at elevation 0", "lateral", "depth"),
+            ("Slice at lateral 0", "elevation", "depth"),
+        ]
+        origins = [np.zeros(3)] * 2
+        planes = slice_planes(volume)
+        return [_plane_view(*each) for each in zip(planes, texts, origins, strict=True)]
+    size, centre = volume.upper - volume.origin, 0.5 * (volume.upper + volume.origin)
+    elevation, depth = np.array([0, 0, 1.0]), np.array([0, 1.0, 0])
+    R_PS = RotationMatrix(np.stack([elevation, depth, np.cross(elevation, depth)], axis=1))
+    centre[0] = brightest[0]
+    planes = [
+        *slice_planes(volume, needle.curve),
+        Plane(RigidTransform(R_PS, centre), width=size[2], height=size[1]),
+    ]
+    (tip,) = volume.to_probe(needle.tip[np.newaxis])
+    texts = [
+        ("Slice along the needle and the beam", "along the needle, from the tip", "depth"),
+        ("Slice along the needle, across the beam", "along the needle, from the tip", "across it"),
+        ("Slice across the frames", "elevation", "depth"),
+    ]
+    origins = [tip * [1, 0, 1], tip, np.zeros(3)]
+    return [_plane_view(*each) for each in zip(planes, texts, origins, strict=True)]
+
+
+def _plane_view(plane: Plane, texts: tuple[str, str, str], origin: Floats) -> View:
+    rows, columns = (int(np.ceil(size / _PIXEL)) for size in (plane.height, plane.width))
+    p_P = plane.grid(rows, columns)
+    u, v, _ = plane.X_PS.rotation().matrix().T
+    return View(*texts, p_P, (p_P[0] - origin) @ u, (p_P[:, 0] - origin) @ v)
+
+
+def _outline(
+    axes: Axes, view: View, inside: NDArray[np.bool_], shaft: Floats, radius: float
+) -> None:
+    """Draw a line around the needle, and an arrow at its tip if that is in the picture."""
+    distance, _ = KDTree(_points(shaft, radius)).query(view.p_P)
+    x, y = 1e3 * view.columns, 1e3 * view.rows
+    distance = np.ma.masked_where(~inside, distance)
+    if distance.min() > _CLEARANCE:
+        return
+    axes.contour(
+        x, y, distance, levels=[_CLEARANCE], colors=_NEEDLE, linewidths=0.9, linestyles="dotted"
+    )
+    away = np.linalg.norm(view.p_P - shaft[-1], axis=-1)
+    row, column = np.unravel_index(away.argmin(), away.shape)
+    if away[row, column] < radius and inside[row, column]:
+        axes.annotate(
+            "tip",
+            xy=(x[column], y[row]),
+            xytext=(24, -30),
+            textcoords="offset points",
+            color=_NEEDLE,
+            fontsize=9,
+            arrowprops={"arrowstyle": "->", "color": _NEEDLE, "linewidth": 1.0, "shrinkB": 4},
+        )

@@ -1,0 +1,156 @@
+"""How well a needle's shape was predicted: Carriere 2016, section V."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from sonoservo.systems.evaluation.shape_log import ShapeLog
+from sonoservo.systems.signals.needle_shape import NeedleShape
+
+Floats = NDArray[np.float64]
+
+WITHIN = float(chi2.ppf(0.95, 2))
+"""Squared Mahalanobis distance within which 95 % of a normal distribution in a plane lie."""
+
+OFF_NEEDLE = 2e-3
+"""A cross-section further than this from the needle has drifted off it, in m."""
+
+
+@dataclass(frozen=True)
+class ShapeErrors:
+    """Errors of a prediction.
+
+    Parameters
+    ----------
+    tip
+        |u - u^| at the last depth, in m.
+    shape
+        Area between the paths, the integral of |u - u^| over depth (eq. 8), in m^2.
+    largest
+        Largest distance across the insertion, in m.
+    """
+
+    tip: float
+    shape: float
+    largest: float
+
+
+def plane_of(path: Floats) -> Floats:
+    """(2,) unit vector u of the plane through Z in which an (m, 3) path deflects most."""
+    across = path[:, :2] - path[:, :2].mean(axis=0)
+    _, _, axes = np.linalg.svd(across)
+    axis: Floats = axes[0]
+    return axis
+
+
+def shape_errors(path: Floats, predicted: Floats) -> ShapeErrors:
+    """Errors of (m, 2) predicted positions against an (m, 3) path, both in I, in m."""
+    apart = predicted - path[:, :2]
+    u = apart @ plane_of(path)
+    return ShapeErrors(
+        tip=float(abs(u[-1])),
+        shape=float(np.trapezoid(np.abs(u), path[:, 2])),
+        largest=float(np.linalg.norm(apart, axis=1).max()),
+    )
+
+
+def shape_coverage(shape: NeedleShape, path: Floats) -> dict[str, float]:
+    """Whether a stated 95 % interval covers an (m, 3) path in I, in m.
+
+    Returns
+    -------
+    tip
+        1 if the tip lies within its 95 % ellipse, else 0.
+    shape
+        1 if the area between path and prediction is below what 95 % of the paths that the estimate
+        holds possible have, else 0.
+    points
+        Share of the depths at which the path lies within its 95 % ellipse.
+    """
+    mean, covariance = shape.predict(path[:, 2])
+    apart = path[:, :2] - mean
+    # The estimate holds a single point possible where it has no spread at all.
+    covariance = covariance + (1e-9) ** 2 * np.eye(2)
+    distance = np.einsum("mi,mi->m", apart, np.linalg.solve(covariance, apart[..., None])[..., 0])
+    u = plane_of(path)
+    possible = np.trapezoid(np.abs((shape.paths(path[:, 2]) - mean) @ u), path[:, 2], axis=1)
+    order = np.argsort(possible)
+    below = np.cumsum(shape.weights[order])
+    bound = possible[order][min(int(np.searchsorted(below, 0.95)), len(order) - 1)]
+    area = np.trapezoid(np.abs(apart @ u), path[:, 2])
+    return {
+        "tip": float(distance[-1] <= WITHIN),
+        "shape": float(area <= bound),
+        "points": float(np.mean(distance <= WITHIN)),
+    }
+
+
+def cross_section_errors(log: ShapeLog) -> Floats:
+    """(n,) distance in m of each cross-section from the needle; NaN where none was found."""
+    return np.linalg.norm(log.measured[:, :2] - log.true[:, :2], axis=1)
+
+
+def tracked_to_the_end(log: ShapeLog) -> bool:
+    """Whether the last cross-section was found, and none was off the needle."""
+    errors = cross_section_errors(log)
+    return bool(np.isfinite(errors[-1]) and not np.any(errors > OFF_NEEDLE))
+
+
+def summarize_shape(log: ShapeLog, shape: object) -> dict[str, Any]:
+    """Sum up a run in numbers that JSON can hold; None where there is none.
+
+    Returns
+    -------
+    Blocks by name: `tracking`, `prediction`, `compute_ms`.
+    """
+    errors = 1e3 * cross_section_errors(log)
+    found = errors[np.isfinite(errors)]
+    compute = {
+        "image": 1e3 * log.image_s,
+        "estimate": 1e3 * log.estimate_s,
+        "total": 1e3 * (log.image_s + log.estimate_s),
+    }
+    summary: dict[str, Any] = {
+        "tracking": {
+            "slices": len(errors),
+            "found": len(found),
+            "to_the_end": tracked_to_the_end(log) if len(errors) else False,
+            "error_mm": _quantiles(found),
+        },
+        "prediction": prediction(log, shape) if isinstance(shape, NeedleShape) else {},
+        "compute_ms": {name: _quantiles(each[1:]) for name, each in compute.items()},
+    }
+    return summary
+
+
+def prediction(log: ShapeLog, shape: NeedleShape) -> dict[str, Any]:
+    """Figures of a predicted shape: errors against the measured and the true path, and bounds."""
+    mean, covariance = shape.predict(log.depth)
+    true = shape_errors(log.true, mean)
+    found = np.isfinite(log.measured[:, 0])
+    figures = {
+        "observed_mm": 1e3 * shape.observed,
+        "tip_error_true_mm": 1e3 * true.tip,
+        "shape_error_true_mm2": 1e6 * true.shape,
+        "max_error_true_mm": 1e3 * true.largest,
+        "tip_std_mm": 1e3 * float(np.sqrt(np.linalg.eigvalsh(covariance[-1])[-1])),
+    }
+    if found.sum() > 2:
+        measured = shape_errors(log.measured[found], mean[found])
+        figures["tip_error_measured_mm"] = 1e3 * measured.tip
+        figures["shape_error_measured_mm2"] = 1e6 * measured.shape
+    figures |= {f"covers_{name}": each for name, each in shape_coverage(shape, log.true).items()}
+    return figures
+
+
+def _quantiles(values: Floats) -> dict[str, float | None]:
+    if not len(values):
+        return {"median": None, "p95": None, "max": None}
+    return {
+        "median": float(np.median(values)),
+        "p95": float(np.percentile(values, 95)),
+        "max": float(values.max()),
+    }

@@ -1,0 +1,64 @@
+"""Pictures of a needle's predicted shape."""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from sonoservo.systems.evaluation.shape_log import ShapeLog
+from sonoservo.systems.evaluation.shape_metrics import plane_of
+from sonoservo.systems.signals.needle_shape import NeedleShape
+
+_GREY, _BLUE, _RED = "#808080", "#56B4E9", "#D55E00"
+
+
+def plot_shape(log: ShapeLog, shape: object) -> Figure:
+    """Return a figure like Carriere 2016, fig. 8: measured, true and predicted path, and the rest.
+
+    Parameters
+    ----------
+    log
+        Of the run.
+    shape
+        What the estimator believes at the end: a `NeedleShape`, or else nothing is predicted.
+    """
+    figure = Figure(figsize=(9, 8), layout="constrained")
+    in_plane, across, tip = figure.subplots(
+        3, 1, sharex=True, gridspec_kw={"height_ratios": [3, 1.6, 2]}
+    )
+    plane = plane_of(log.true)
+    depth = 1e3 * log.depth
+    for axes, direction in ((in_plane, plane), (across, np.array([-plane[1], plane[0]]))):
+        origin = log.true[0, :2] @ direction
+        true = 1e3 * (log.true[:, :2] @ direction - origin)
+        measured = 1e3 * (log.measured[:, :2] @ direction - origin)
+        if isinstance(shape, NeedleShape):
+            mean, covariance = shape.predict(log.depth)
+            predicted = 1e3 * (mean @ direction - origin)
+            spread = 1.96e3 * np.sqrt(np.einsum("i,mij,j->m", direction, covariance, direction))
+            band = (predicted - spread, predicted + spread)
+            axes.fill_between(depth, *band, color=_RED, alpha=0.2, label="95 %")
+            axes.plot(depth, predicted, color=_RED, linewidth=1.6, label="predicted")
+            for each in shape.rotations:
+                axes.axvline(1e3 * each, color="0.3", linestyle=":", linewidth=1)
+            axes.axvline(1e3 * shape.observed, color="0.3", linestyle="--", linewidth=1)
+        axes.plot(depth, true, color=_GREY, linewidth=1.2, label="true")
+        axes.plot(depth, measured, ".", color=_BLUE, markersize=3, label="measured", zorder=1)
+        axes.grid(alpha=0.3)
+    in_plane.set_ylabel("deflection u (mm)")
+    across.set_ylabel("across the plane (mm)")
+    in_plane.set_title(
+        "Path of the needle; dashed: last slice used; dotted: bevel turned", loc="left",
+        fontsize="medium",
+    )  # fmt: skip
+    in_plane.legend(loc="upper left", frameon=False)
+    error = 1e3 * np.linalg.norm(log.tip - log.true[-1, :2], axis=1)
+    wide = np.where(np.isfinite(log.tip_covariance), log.tip_covariance, 0.0)
+    deviation = 1e3 * np.sqrt(np.linalg.eigvalsh(wide)[:, -1])
+    tip.plot(depth, error, color=_RED, label="error of the predicted tip")
+    tip.plot(depth, np.where(np.isfinite(error), 2.448 * deviation, np.nan), color=_RED,
+             linestyle="--", label="95 % bound that the estimate states")  # fmt: skip
+    tip.set_yscale("log")
+    tip.set_ylabel("mm")
+    tip.set_xlabel("depth of the slice (mm)")
+    tip.grid(alpha=0.3)
+    tip.legend(loc="upper right", frameon=False)
+    return figure

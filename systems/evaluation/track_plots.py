@@ -1,0 +1,136 @@
+"""Pictures of a needle tracked through a recording."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.ultrasound.planes import sample_plane, slice_planes
+
+Floats = NDArray[np.float64]
+
+_PIXEL = 0.5e-3
+"""Of a picture, in m."""
+
+_NEEDLE = "#D55E00"
+_COLOURS = ("#0072B2", "#CC79A7", "#009E73")
+
+
+@dataclass(frozen=True, eq=False)
+class PlanePicture:
+    """A slice through a volume, and the needle in it.
+
+    Parameters
+    ----------
+    grey
+        (rows, columns) levels from 0 to 255.
+    extent
+        Left, right, bottom and top of the picture, in mm from its middle.
+    needle
+        (m, 2) points of the estimated needle in the same coordinates; none without an estimate.
+    """
+
+    grey: NDArray[np.uint8]
+    extent: tuple[float, float, float, float]
+    needle: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class VolumePictures:
+    """The two orthogonal planes through the needle in one volume (`slice_planes`).
+
+    Parameters
+    ----------
+    time
+        Of the volume, in s.
+    mode
+        Of the tracker after it.
+    planes
+        Along the beam, and across it.
+    """
+
+    time: float
+    mode: TrackingMode
+    planes: list[PlanePicture]
+
+
+def picture_planes(volume: Volume, mode: TrackingMode, curve: NeedleCurve | None) -> VolumePictures:
+    """Cut a volume along the needle; without one, through its middle.
+
+    Parameters
+    ----------
+    volume
+        To cut.
+    mode
+        Of the tracker.
+    curve
+        Estimated needle in W.
+    """
+    points = np.zeros((0, 3))
+    if curve is not None:
+        points = volume.to_probe(curve.position(np.linspace(0, 1, 21)))
+    planes = []
+    for plane in slice_planes(volume, curve):
+        half = 500 * np.array([plane.width, plane.height])
+        p_S = 1e3 * plane.X_PS.inverse().multiply(points.T).T.reshape(-1, 3)[:, :2]
+        extent = (-half[0], half[0], half[1], -half[1])
+        planes.append(PlanePicture(sample_plane(volume, plane, _PIXEL)[..., 0], extent, p_S))
+    return VolumePictures(volume.time, mode, planes)
+
+
+def plot_planes(pictures: list[VolumePictures]) -> Figure:
+    """Return a figure with a column for each volume, along the beam above, across it below."""
+    columns = max(len(pictures), 1)
+    figure = Figure(figsize=(2.6 * columns + 0.8, 5.6), layout="constrained")
+    axes = figure.subplots(2, columns, squeeze=False)
+    for column, pictured in enumerate(pictures):
+        for row, picture in enumerate(pictured.planes):
+            each = axes[row, column]
+            each.imshow(picture.grey, cmap="gray", vmin=0, vmax=255, extent=picture.extent)
+            if len(picture.needle):
+                each.plot(*picture.needle.T, color=_NEEDLE, linewidth=1, linestyle=(0, (3, 2)))
+                each.plot(
+                    *picture.needle[-1], marker="o", markersize=5, color=_NEEDLE, fillstyle="none"
+                )
+            each.set_xlim(picture.extent[:2])
+            each.set_ylim(picture.extent[2:])
+            each.tick_params(labelsize=7)
+        axes[0, column].set_title(f"{pictured.time:.1f} s, {pictured.mode}", fontsize=9)
+    for row, name in enumerate(("along the beam, mm", "across the beam, mm")):
+        axes[row, 0].set_ylabel(name, fontsize=9)
+    return figure
+
+
+def plot_tip(times: Floats, estimates: list[NeedleEstimate], p_LTip: Floats) -> Figure:
+    """Return a figure of the estimated tip in the file's coordinates, and of the needle's length.
+
+    Parameters
+    ----------
+    times
+        (n,) of the volumes, in s.
+    estimates
+        After each.
+    p_LTip
+        (n, 3) in the file's frame L (LPS), in m; NaN where there is none.
+    """
+    figure = Figure(figsize=(9, 5), layout="constrained")
+    tip, length = figure.subplots(2, 1, sharex=True)
+    confirmed = np.array([each.mode == TrackingMode.TRACKING for each in estimates])
+    for axis, colour, name in zip(range(3), _COLOURS, "LPS", strict=True):
+        tip.plot(times, 1e3 * p_LTip[:, axis], color=colour, linewidth=1.4, label=name)
+        unsure = np.where(confirmed, np.nan, 1e3 * p_LTip[:, axis])
+        tip.plot(times, unsure, "o", color=colour, markersize=4, fillstyle="none")
+    tip.set_title("Estimated tip in the file's coordinates (circles: not confirmed)", loc="left")
+    chord = [1e3 * each.curve.chord if each.curve is not None else np.nan for each in estimates]
+    length.plot(times, chord, color=_NEEDLE, linewidth=1.4)
+    length.set_title("Length in view, entry to tip", loc="left")
+    for each in (tip, length):
+        each.set_ylabel("mm")
+        each.grid(alpha=0.3)
+    tip.legend(frameon=False, ncols=3)
+    length.set_xlabel("time (s)")
+    return figure

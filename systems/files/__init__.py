@@ -1,0 +1,1 @@
+"""Typed YAML in, whole files out."""

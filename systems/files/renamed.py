@@ -1,0 +1,37 @@
+"""Former names of fields, so that an old file is told the new one."""
+
+from collections.abc import Container
+
+_RENAMED = {
+    "angle_deviation_deg": "angle_std_deg",
+    "failure": "stop_probability",
+    "first_deviation": "first_std",
+    "first_drift": "first_drift_std",
+    "first_speed": "first_speed_std",
+    "inlier_distance": "residual_threshold",
+    "largest_deviation": "max_std",
+    "largest_iterations": "max_trials",
+    "least_speed_deviation": "min_speed_std",
+}
+_PREFIXES = {"least_": "min_", "largest_": "max_"}
+_SUFFIXES = {"_deviation": "_std"}
+
+
+def current_name(name: str, known: Container[str]) -> str | None:
+    """Return the present name of a field that had another one before, or None.
+
+    Parameters
+    ----------
+    name
+        As it was found in a file.
+    known
+        Present names of the fields.
+    """
+    candidates = [_RENAMED.get(name, "")]
+    for old, new in _PREFIXES.items():
+        if name.startswith(old):
+            candidates.append(new + name.removeprefix(old))
+    for old, new in _SUFFIXES.items():
+        if name.endswith(old):
+            candidates.append(name.removesuffix(old) + new)
+    return next((each for each in candidates if each in known), None)

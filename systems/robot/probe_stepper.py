@@ -1,0 +1,77 @@
+"""Leaf: a stage that steps a probe along its own Z."""
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import Context, LeafSystem
+
+from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+
+
+class ProbeStepper(LeafSystem):
+    """Steps a probe along its own Z, from one slice to the next; a function of time alone.
+
+    .. pydrake_system::
+
+        name: ProbeStepper
+        output_ports:
+        - X_WP
+        - X_WT
+
+    ``X_WP`` is the pose of the probe. ``X_WT`` is the pose of the tissue, which does not keep
+    quite still: the probe drags it along and the patient breathes, so that at every step it is
+    shifted by a random amount across the insertion that nobody knows.
+
+    Parameters
+    ----------
+    X_WP
+        Pose at the first slice.
+    step
+        Between slices, in m.
+    period
+        Between steps, in s; the first one is at time ``period``.
+    steps
+        Number of steps; the stage then rests.
+    tissue_shift
+        Standard deviation of the tissue's shift along X and along Y of P, in m.
+    seed
+        Of the shifts.
+    """
+
+    def __init__(
+        self,
+        *,
+        X_WP: RigidTransform,
+        step: float,
+        period: float,
+        steps: int,
+        tissue_shift: float = 0.0,
+        seed: int = 0,
+    ) -> None:
+        super().__init__()
+        self.set_name("probe_stepper")
+        require_positive(step=step, period=period)
+        require_not_negative(tissue_shift=tissue_shift)
+        require(steps >= 1, "steps", steps, "at least 1")
+        self._X_WP, self._step, self._period, self._steps = X_WP, step, period, steps
+        self._shifts = tissue_shift * np.random.default_rng(seed).normal(size=(steps + 1, 2))
+        for name, calc in (("X_WP", self._calc_probe), ("X_WT", self._calc_tissue)):
+            self.DeclareAbstractOutputPort(
+                name,
+                lambda: Value(RigidTransform()),
+                calc,
+                prerequisites_of_calc={self.time_ticket()},
+            )
+
+    def _number(self, context: Context) -> int:
+        """Of the slice that is due."""
+        # An event's time may be a rounding error early.
+        return min(int(context.get_time() / self._period + 1e-6), self._steps)
+
+    def _calc_probe(self, context: Context, output: Value) -> None:
+        moved = RigidTransform([0.0, 0.0, self._number(context) * self._step])
+        output.set_value(self._X_WP @ moved)
+
+    def _calc_tissue(self, context: Context, output: Value) -> None:
+        shift = np.append(self._shifts[self._number(context)], 0.0)
+        output.set_value(RigidTransform(self._X_WP.rotation() @ shift))

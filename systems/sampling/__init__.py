@@ -1,0 +1,1 @@
+"""Compiled kernels that sample images at points."""

@@ -1,0 +1,1 @@
+"""Values that travel on the wires between systems."""

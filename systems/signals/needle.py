@@ -1,0 +1,73 @@
+"""The part of a real needle that is inside the tissue."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydrake.math import RigidTransform
+
+from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.requirements import require, require_positive
+
+
+@dataclass(frozen=True, eq=False)
+class Needle(Immutable):
+    """The inserted part of a needle.
+
+    Parameters
+    ----------
+    shaft
+        (m, 3) points along the needle's axis in m, from the entry to the tip; (0, 3) while the
+        needle is outside.
+    radius
+        Outer radius in m.
+    aim
+        While the needle is outside: (2, 3) its tip and a point that it is aimed at, in m. None
+        while it is inside, or where nobody knows. Only who draws the world asks.
+    """
+
+    shaft: NDArray[np.float64]
+    radius: float
+    aim: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        shaft = read_only(self.shaft, "shaft", (None, 3))
+        require(len(shaft) != 1, "shaft", len(shaft), "no point, or at least 2")
+        object.__setattr__(self, "shaft", shaft)
+        if self.aim is not None:
+            require(not len(shaft), "aim", self.aim, "None while the needle is inside")
+            object.__setattr__(self, "aim", read_only(self.aim, "aim", (2, 3)))
+        require_positive(radius=self.radius)
+
+    def __bool__(self) -> bool:
+        return len(self.shaft) > 0
+
+    @property
+    def tip(self) -> NDArray[np.float64]:
+        """(3,) position of the tip in m."""
+        return self.shaft[-1]
+
+    @property
+    def length(self) -> float:
+        """Inserted length along the shaft, in m."""
+        return float(np.linalg.norm(np.diff(self.shaft, axis=0), axis=1).sum())
+
+    @property
+    def curve(self) -> NeedleCurve:
+        """The straight curve from entry to tip (order 2)."""
+        return NeedleCurve(self.shaft[[0, -1]])
+
+    def position(self, s: ArrayLike) -> NDArray[np.float64]:
+        """(..., 3) positions in m at distances s along the shaft from the entry, in m."""
+        ends = np.concatenate([[0], np.linalg.norm(np.diff(self.shaft, axis=0), axis=1).cumsum()])
+        s = np.asarray(s, dtype=float)
+        return np.stack([np.interp(s, ends, axis) for axis in self.shaft.T], axis=-1)
+
+    def transformed(self, X: RigidTransform) -> "Needle":
+        """Return the needle expressed in another frame."""
+        if self:
+            return Needle(X.multiply(self.shaft.T).T, self.radius)
+        if self.aim is not None:
+            return Needle(self.shaft, self.radius, X.multiply(self.aim.T).T)
+        return self

@@ -1,0 +1,86 @@
+"""The needle as a polynomial curve through control points."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydrake.math import RigidTransform
+
+from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.requirements import require
+
+
+@lru_cache
+def _points_to_coefficients(order: int) -> NDArray[np.floating]:
+    """Inverse of the Vandermonde matrix at the control points' abscissae i / (order - 1)."""
+    return np.linalg.inv(np.vander(np.linspace(0, 1, order), increasing=True))
+
+
+@dataclass(frozen=True, eq=False)
+class NeedleCurve(Immutable):
+    """A polynomial curve through its control points, entry first, tip last.
+
+    The state of Chatelain 2013's filter holds points (eq. 3), its localizer coefficients (eq. 16).
+    Here the points are primary: they lie at abscissae u = i / (n - 1), u from 0 at the entry to 1
+    at the tip, and the coefficients follow from them.
+
+    Parameters
+    ----------
+    control_points
+        (n, 3) positions in m; order n = 2 is straight, n = 3 bent.
+    """
+
+    control_points: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        points = read_only(self.control_points, "control_points", (None, 3))
+        require(2 <= len(points) <= 4, "control_points", len(points), "2 to 4 points")
+        object.__setattr__(self, "control_points", points)
+
+    @property
+    def order(self) -> int:
+        """Number n of control points."""
+        return len(self.control_points)
+
+    @property
+    def entry(self) -> NDArray[np.float64]:
+        """(3,) first control point, in m."""
+        return self.control_points[0]
+
+    @property
+    def tip(self) -> NDArray[np.float64]:
+        """(3,) last control point, in m."""
+        return self.control_points[-1]
+
+    @property
+    def chord(self) -> float:
+        """Distance from entry to tip, in m."""
+        return float(np.linalg.norm(self.tip - self.entry))
+
+    @property
+    def direction(self) -> NDArray[np.float64]:
+        """(3,) unit vector k from entry to tip: the principal direction k_0 of the paper."""
+        return (self.tip - self.entry) / max(self.chord, np.finfo(float).tiny)
+
+    @property
+    def coefficients(self) -> NDArray[np.float64]:
+        """(3, n) matrix H of Chatelain 2013, eq. 16, for abscissae u from 0 to 1."""
+        return (_points_to_coefficients(self.order) @ self.control_points).T
+
+    def position(self, u: ArrayLike) -> NDArray[np.float64]:
+        """(..., 3) positions in m at abscissae u (eq. 16); beyond [0, 1] it extrapolates."""
+        u = np.asarray(u, dtype=float)
+        return np.vander(u.ravel(), self.order, increasing=True).reshape(*u.shape, -1) @ (
+            self.coefficients.T
+        )
+
+    def tangent(self, u: float) -> NDArray[np.float64]:
+        """(3,) unit vector along the curve at abscissa u."""
+        powers = np.arange(1, self.order)
+        derivative = self.coefficients[:, 1:] @ (powers * float(u) ** (powers - 1))
+        return derivative / np.linalg.norm(derivative)
+
+    def transformed(self, X: RigidTransform) -> "NeedleCurve":
+        """Return the curve expressed in another frame."""
+        return NeedleCurve(X.multiply(self.control_points.T).T)

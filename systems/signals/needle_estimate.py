@@ -1,0 +1,79 @@
+"""Where a tracker believes the needle to be."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+
+
+class TrackingMode(StrEnum):
+    """What a tracker is doing."""
+
+    SEARCHING = "searching"
+    """Waits for an insertion."""
+    TRACKING = "tracking"
+    """The last volume confirmed the needle."""
+    COASTING = "coasting"
+    """The last volumes did not; the estimate is the prediction."""
+    LOST = "lost"
+    """Seeks the needle in the whole volume."""
+
+
+@dataclass(frozen=True, eq=False)
+class NeedleEstimate(Immutable):
+    """Where a tracker believes the needle to be. Falsy while there is no curve.
+
+    Parameters
+    ----------
+    mode
+        What the tracker is doing.
+    time
+        The estimate holds for this time, in s.
+    curve
+        In W, in m; None while searching.
+    velocity
+        (n, 3) velocity of the control points in W, in m/s; None while searching.
+    covariance
+        (6n, 6n) covariance of the stacked control points and their velocities; None while
+        searching.
+    volume_time
+        Time of the newest volume that has been seen, in s; -inf before the first.
+    reason
+        Why the last volume did not confirm the needle; empty where it did.
+    """
+
+    mode: TrackingMode
+    time: float
+    curve: NeedleCurve | None = None
+    velocity: NDArray[np.float64] | None = None
+    covariance: NDArray[np.float64] | None = None
+    volume_time: float = -np.inf
+    reason: str = ""
+
+    def __post_init__(self) -> None:
+        if self.curve is None:
+            return
+        order = self.curve.order
+        for name, shape in (("velocity", (order, 3)), ("covariance", (6 * order, 6 * order))):
+            object.__setattr__(self, name, read_only(getattr(self, name), name, shape))
+
+    def __bool__(self) -> bool:
+        return self.curve is not None
+
+    @property
+    def tip_velocity(self) -> NDArray[np.float64]:
+        """(3,) velocity of the tip in W, in m/s. Only where there is a curve."""
+        assert self.velocity is not None
+        return self.velocity[-1]
+
+    @property
+    def tip_covariance(self) -> NDArray[np.float64]:
+        """(3, 3) covariance of the tip in W, in m^2. Only where there is a curve."""
+        assert self.curve is not None
+        assert self.covariance is not None
+        tip = slice(3 * self.curve.order - 3, 3 * self.curve.order)
+        return self.covariance[tip, tip]

@@ -1,0 +1,119 @@
+"""The shape that a needle has and will have, and how sure that is."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydrake.math import RigidTransform
+
+from sonoservo.systems.signals.bicycle_paths import deflections
+from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.requirements import require
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class NeedleShape(Immutable):
+    """A weighted set of paths of the bicycle model: what a shape estimator believes.
+
+    Parameters
+    ----------
+    parameters
+        (n, 3) radius R in m, first angle theta_0 and plane phi in rad, of each path.
+    origins
+        (n, 2) x and y in I at depth 0 of each path, in m.
+    weights
+        (n,) of the paths; their sum is 1.
+    origin_variance
+        Of x and of y that each path has besides, in m^2.
+    rotations
+        Depths at which the bevel is turned, in m.
+    depth
+        Of the tip when the needle is fully inserted, in m.
+    observed
+        Depth of the last slice that was used, in m.
+    X_WI
+        Pose of the insertion's frame in W.
+    time
+        Of that slice, in s.
+    reason
+        Why the newest slice was not used; empty where it was.
+    """
+
+    parameters: Floats
+    origins: Floats
+    weights: Floats
+    origin_variance: float
+    rotations: tuple[float, ...]
+    depth: float
+    observed: float
+    X_WI: RigidTransform
+    time: float
+    reason: str = ""
+
+    def __post_init__(self) -> None:
+        n = len(self.parameters)
+        for name, shape in (("parameters", (n, 3)), ("origins", (n, 2)), ("weights", (n,))):
+            object.__setattr__(self, name, read_only(getattr(self, name), name, shape))
+        require(abs(self.weights.sum() - 1) < 1e-6, "weights", self.weights.sum(), "1 in sum")
+
+    def paths(self, depths: ArrayLike) -> Floats:
+        """(n, m, 2) x and y in I, in m, of every path at (m,) rising depths in m."""
+        return self.origins[:, np.newaxis] + bicycle_paths(self.parameters, depths, self.rotations)
+
+    def predict(self, depths: ArrayLike) -> tuple[Floats, Floats]:
+        """Mean and covariance of the needle's position across the insertion.
+
+        Parameters
+        ----------
+        depths
+            (m,) in m, in rising order.
+
+        Returns
+        -------
+        mean, covariance
+            (m, 2) in m, and (m, 2, 2) in m^2, of x and y in I.
+        """
+        mean, covariance = path_statistics(self.paths(depths), self.weights)
+        return mean, covariance + self.origin_variance * np.eye(2)
+
+    @property
+    def tip(self) -> Floats:
+        """(3,) predicted tip of the fully inserted needle in W, in m."""
+        return self.positions([self.depth])[0]
+
+    def positions(self, depths: ArrayLike) -> Floats:
+        """(m, 3) predicted positions in W, in m, at (m,) rising depths in m."""
+        depths = np.asarray(depths, dtype=float)
+        mean = np.tensordot(self.weights, self.paths(depths), 1)
+        p_I = np.column_stack([mean, depths])
+        p_W: Floats = self.X_WI.multiply(p_I.T).T.reshape(-1, 3)
+        return p_W
+
+    def std(self, depths: ArrayLike) -> Floats:
+        """(m,) largest standard deviation of the position across the insertion, in m."""
+        return np.sqrt(np.linalg.eigvalsh(self.predict(depths)[1])[:, -1])
+
+
+def bicycle_paths(
+    parameters: Floats, depths: ArrayLike, rotations: tuple[float, ...] | list[float]
+) -> Floats:
+    """(n, m, 2) x and y in m, from the origin, of the paths with (n, 3) R, theta_0 and phi.
+
+    Where a path turns back, its place is NaN.
+    """
+    radius, angle, plane = np.asarray(parameters, dtype=float).T
+    u = deflections(
+        np.column_stack([1 / radius, np.sin(angle)]),
+        np.asarray(depths, dtype=float),
+        np.asarray(rotations, dtype=float),
+    )
+    return np.stack([u * np.cos(plane)[:, np.newaxis], u * np.sin(plane)[:, np.newaxis]], axis=-1)
+
+
+def path_statistics(paths: Floats, weights: Floats) -> tuple[Floats, Floats]:
+    """Mean (m, 2) and covariance (m, 2, 2) of (n, m, 2) paths with (n,) weights."""
+    mean = np.tensordot(weights, paths, 1)
+    apart = (paths - mean) * np.sqrt(weights)[:, np.newaxis, np.newaxis]
+    return mean, np.einsum("nmi,nmj->mij", apart, apart)

@@ -1,0 +1,31 @@
+"""Typed access to a system's abstract input ports."""
+
+from typing import TypeVar
+
+from pydrake.systems.framework import Context, System
+
+T = TypeVar("T")
+
+
+def evaluate(
+    system: System, context: Context, port: str, expected: type[T] | tuple[type[T], ...]
+) -> T:
+    """Evaluate an abstract input port, and check the type of what comes in.
+
+    ``Value[object]`` ports are untyped, so a wrong connection passes ``Connect`` silently; it is
+    caught here instead.
+
+    Raises
+    ------
+    TypeError
+        If the value is of another type.
+    """
+    value = system.GetInputPort(port).Eval(context)
+    if not isinstance(value, expected):
+        names = expected if isinstance(expected, tuple) else (expected,)
+        wanted = " or ".join(each.__name__ for each in names)
+        raise TypeError(
+            f"port {port!r} of {system.get_name()!r} received a {type(value).__name__}; "
+            f"{wanted} is wanted"
+        )
+    return value

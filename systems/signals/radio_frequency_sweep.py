@@ -1,0 +1,62 @@
+"""The echoes of one sweep on their carrier."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydrake.math import RigidTransform
+
+from sonoservo.systems.signals.immutable import Immutable
+from sonoservo.systems.signals.requirements import require
+from sonoservo.systems.signals.sweep import SweepMotion
+
+
+@dataclass(frozen=True, eq=False)
+class RadioFrequencySweep(Immutable):
+    """The echoes of one sweep on their carrier, before any detection.
+
+    Parameters
+    ----------
+    lines
+        (frames, lines, samples) float32. Their values are not looked at here: it would take as
+        long as all else that is done with them.
+    motion
+        When and from where each frame was acquired.
+    """
+
+    lines: NDArray[np.float32]
+    motion: SweepMotion
+
+    def __post_init__(self) -> None:
+        lines = np.asarray(self.lines, dtype=np.float32).view()
+        shape = self.motion.geometry.shape
+        require(lines.shape == shape, "lines.shape", lines.shape, f"{shape}")
+        lines.flags.writeable = False
+        object.__setattr__(self, "lines", lines)
+
+    @property
+    def time(self) -> float:
+        """Middle of the acquisition, in s."""
+        return self.motion.time
+
+    @property
+    def X_WP(self) -> RigidTransform:
+        """Pose of the probe in the world when the middle frame was acquired."""
+        return RigidTransform(self.motion.X_WP[self.motion.geometry.frames // 2])
+
+    def index(self, p_P: ArrayLike) -> NDArray[np.float64]:
+        """(..., 3) frame, line and sample, fractions included, of (..., 3) positions in P, in m."""
+        return np.stack(self.motion.geometry.index(p_P, self.motion.direction), axis=-1)
+
+    def position(self, index: ArrayLike) -> NDArray[np.float64]:
+        """(..., 3) positions in P, in m, of (..., 3) frames, lines and samples."""
+        k, j, i = np.moveaxis(np.asarray(index, dtype=float), -1, 0)
+        return self.motion.geometry.position(k, j, i, self.motion.direction)
+
+    def to_world(self, p_P: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Positions in W, in m, and times, in s, at which (m, 3) positions in P were acquired."""
+        return self.motion.to_world(p_P)
+
+    def to_probe(self, p_W: ArrayLike) -> NDArray[np.float64]:
+        """(m, 3) positions in P, in m, of positions in W, for the pose `X_WP`."""
+        return self.X_WP.inverse().multiply(np.asarray(p_W, dtype=float).T).T.reshape(-1, 3)

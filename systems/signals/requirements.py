@@ -1,0 +1,27 @@
+"""Checks that raise a ValueError naming the field, its value and what is allowed."""
+
+import math
+
+import numpy as np
+
+
+def require(condition: bool, name: str, value: object, allowed: str) -> None:
+    """Raise ValueError naming the field, its value and what is allowed, unless ``condition``."""
+    if not condition:
+        raise ValueError(f"{name}: {value!r} is not allowed; it must be {allowed}")
+
+
+def require_positive(**values: float) -> None:
+    """Raise ValueError unless every value is a finite number above zero."""
+    for name, value in values.items():
+        require(_is_finite(value) and value > 0, name, value, "a number above 0")
+
+
+def require_not_negative(**values: float) -> None:
+    """Raise ValueError unless every value is a finite number of at least zero."""
+    for name, value in values.items():
+        require(_is_finite(value) and value >= 0, name, value, "a number of at least 0")
+
+
+def _is_finite(value: object) -> bool:
+    return isinstance(value, (int, float, np.number)) and math.isfinite(value)

@@ -1,0 +1,267 @@
+"""One sweep of a motorised probe: its geometry, its motion and its samples."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.requirements import require, require_positive
+
+
+@dataclass(frozen=True)
+class SweepGeometry(Immutable):
+    """Where the samples of a sweep lie in the probe frame P, and when.
+
+    The array is an arc of lines in the X-Y plane whose centre of curvature lies
+    ``array_radius - motor_radius`` beyond the motor's axis; the motor turns the arc about X.
+    The motor never stops, so every line has an angle of its own: line j of frame k is at
+
+        phi   = line_pitch (j - (lines - 1) / 2)
+        theta = frame_pitch frames ((s + lines k) / (frames lines - 1) - 1/2)
+        s     = j on a sweep towards +Z, lines - 1 - j on a sweep towards -Z
+
+    and its sample i at r = array_radius + sample_pitch i lies at
+
+        x = r sin(phi);  rho = r cos(phi) - (array_radius - motor_radius)
+        y = rho cos(theta) - motor_radius;  z = rho sin(theta)
+
+    (Lee and Krupa 2011, section II, with the origin moved to the centre of the probe's face.)
+    Both radii at zero give a sector from a single point.
+
+    Frames are numbered towards +Z, whatever the motor's direction.
+
+    Parameters
+    ----------
+    array_radius, motor_radius
+        From the face to the array's centre of curvature and to the motor's axis, in m.
+    line_pitch, frame_pitch
+        Angle between neighbouring lines and frames, in rad.
+    sample_pitch
+        Distance between neighbouring samples of a line, in m.
+    lines, frames, samples
+        Lines in a frame, frames in a sweep (1 for a single slice), samples in a line.
+    frame_period
+        Time from one frame's start to the next one's, in s.
+    sound_speed
+        In m/s.
+    """
+
+    array_radius: float
+    motor_radius: float
+    line_pitch: float
+    frame_pitch: float
+    sample_pitch: float
+    lines: int
+    frames: int
+    samples: int
+    frame_period: float
+    sound_speed: float = 1540.0
+
+    def __post_init__(self) -> None:
+        require_positive(
+            line_pitch=self.line_pitch,
+            frame_pitch=self.frame_pitch,
+            sample_pitch=self.sample_pitch,
+            frame_period=self.frame_period,
+            sound_speed=self.sound_speed,
+        )
+        require(self.array_radius >= 0, "array_radius", self.array_radius, "at least 0")
+        require(self.motor_radius >= 0, "motor_radius", self.motor_radius, "at least 0")
+        for name, min_count in (("frames", 1), ("lines", 2), ("samples", 2)):
+            count = getattr(self, name)
+            require(count >= min_count, name, count, f"at least {min_count}")
+        least = self.min_frame_period
+        require(
+            self.frame_period >= least * (1 - 1e-9),
+            "frame_period",
+            self.frame_period,
+            f"at least {least:.6f} s: {self.lines} lines x 2 x {1e3 * self.depth:.1f} mm depth at "
+            f"{self.sound_speed:.0f} m/s take that long",
+        )
+
+    @property
+    def depth(self) -> float:
+        """Distance from the face to a line's last sample, in m."""
+        return self.sample_pitch * (self.samples - 1)
+
+    @property
+    def min_frame_period(self) -> float:
+        """Time sound needs for all lines of a frame, in s."""
+        return self.lines * 2 * self.depth / self.sound_speed
+
+    @property
+    def period(self) -> float:
+        """Time of one sweep, in s."""
+        return self.frames * self.frame_period
+
+    @cached_property
+    def shape(self) -> tuple[int, int, int]:
+        """Frames, lines, samples."""
+        return (self.frames, self.lines, self.samples)
+
+    @property
+    def _centre_offset(self) -> float:
+        """From the motor's axis to the array's centre of curvature, in m."""
+        return self.array_radius - self.motor_radius
+
+    def line_angles(self, direction: int) -> NDArray[np.float64]:
+        """Angle theta of every line about the motor's axis, (frames, lines), in rad."""
+        j = np.arange(self.lines)
+        s = j if direction > 0 else self.lines - 1 - j
+        k = np.arange(self.frames)[:, np.newaxis]
+        return self._theta(s + self.lines * k)
+
+    def _theta(self, step: ArrayLike) -> NDArray[np.float64]:
+        fraction = np.asarray(step) / (self.frames * self.lines - 1) - 0.5
+        return self.frame_pitch * self.frames * fraction
+
+    def position(
+        self, k: ArrayLike, j: ArrayLike, i: ArrayLike, direction: int
+    ) -> NDArray[np.float64]:
+        """Position in P of sample i on line j of frame k.
+
+        Parameters
+        ----------
+        k, j, i
+            Frame, line and sample; fractions are allowed, and arrays that broadcast together.
+        direction
+            +1 for a sweep towards +Z, -1 towards -Z.
+
+        Returns
+        -------
+        (..., 3) array in m.
+        """
+        k, j, i = np.broadcast_arrays(*(np.asarray(x, dtype=float) for x in (k, j, i)))
+        r = self.array_radius + self.sample_pitch * i
+        phi = self.line_pitch * (j - (self.lines - 1) / 2)
+        theta = self._theta((j if direction > 0 else self.lines - 1 - j) + self.lines * k)
+        rho = r * np.cos(phi) - self._centre_offset
+        return np.stack(
+            [r * np.sin(phi), rho * np.cos(theta) - self.motor_radius, rho * np.sin(theta)], axis=-1
+        )
+
+    def index(self, p_P: ArrayLike, direction: int) -> tuple[NDArray[np.float64], ...]:
+        """Frame, line and sample (fractions) of positions in P: the inverse of `position`.
+
+        Parameters
+        ----------
+        p_P
+            (..., 3) positions in m, in front of the probe.
+        direction
+            +1 for a sweep towards +Z, -1 towards -Z.
+
+        Returns
+        -------
+        k, j, i
+            Arrays of shape (...); outside the sector they lie outside the sweep's extents.
+        """
+        x, y, z = np.moveaxis(np.asarray(p_P, dtype=float), -1, 0)
+        y = y + self.motor_radius
+        q = self._centre_offset + np.hypot(y, z)
+        i = (np.hypot(q, x) - self.array_radius) / self.sample_pitch
+        j = np.arctan2(x, q) / self.line_pitch + (self.lines - 1) / 2
+        theta = np.arctan2(z, y)
+        step = (theta / (self.frame_pitch * self.frames) + 0.5) * (self.frames * self.lines - 1)
+        k = (step - (j if direction > 0 else self.lines - 1 - j)) / self.lines
+        return k, j, i
+
+    def contains(self, p_P: ArrayLike) -> NDArray[np.bool_]:
+        """Whether positions in P lie in the part of the sector that both directions sweep."""
+        frames, lines, samples = self.shape
+        k, j, i = self.index(p_P, 1)
+        k_back = k + (2 * j - (lines - 1)) / lines
+        inside = (j >= 0) & (j <= lines - 1) & (i >= 0) & (i <= samples - 1)
+        for each in (k, k_back):
+            inside &= (each >= 0) & (each <= frames - 1)
+        return inside
+
+
+@dataclass(frozen=True, eq=False)
+class SweepMotion(Immutable):
+    """When and from where each frame of a sweep was acquired.
+
+    Parameters
+    ----------
+    geometry
+        Of the sweep.
+    direction
+        +1 towards +Z, -1 towards -Z.
+    times
+        (frames,) time of each frame in s; falls with the frame's number where direction is -1.
+    X_WP
+        (frames, 4, 4) pose of the probe in the world at each frame's time.
+    """
+
+    geometry: SweepGeometry
+    direction: int
+    times: NDArray[np.float64]
+    X_WP: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        frames = self.geometry.frames
+        require(self.direction in (1, -1), "direction", self.direction, "+1 or -1")
+        object.__setattr__(self, "times", read_only(self.times, "times", (frames,)))
+        object.__setattr__(self, "X_WP", read_only(self.X_WP, "X_WP", (frames, 4, 4)))
+
+    @property
+    def time(self) -> float:
+        """Middle of the sweep, in s."""
+        return float(0.5 * (self.times[0] + self.times[-1]))
+
+    def at_once(self, time: float) -> "SweepMotion":
+        """Return the motion of a sweep whose frames were all acquired at ``time``, in s."""
+        return replace(self, times=np.full(self.geometry.frames, time))
+
+    def to_world(self, p_P: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Positions in W, and times, at which positions in P were really acquired.
+
+        Parameters
+        ----------
+        p_P
+            (m, 3) positions in the probe frame, in m.
+
+        Returns
+        -------
+        p_W, times
+            (m, 3) positions in m, interpolated between the poses of the two nearest frames, and
+            (m,) times in s.
+        """
+        p_P = np.asarray(p_P, dtype=float)
+        last = self.geometry.frames - 1
+        k = np.clip(self.geometry.index(p_P, self.direction)[0], 0, last)
+        below = np.clip(k.astype(int), 0, max(last - 1, 0))
+        above = np.minimum(below + 1, last)
+        weight = (k - below)[:, np.newaxis]
+        X = (1 - weight[..., np.newaxis]) * self.X_WP[below] + weight[..., np.newaxis] * self.X_WP[
+            above
+        ]
+        p_W = np.einsum("mij,mj->mi", X[:, :3, :3], p_P) + X[:, :3, 3]
+        times = (1 - weight[:, 0]) * self.times[below] + weight[:, 0] * self.times[above]
+        return p_W, times
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep(Immutable):
+    """The pre-scan samples of one sweep.
+
+    Parameters
+    ----------
+    samples
+        (frames, lines, samples) uint8, log-compressed.
+    motion
+        When and from where each frame was acquired.
+    """
+
+    samples: NDArray[np.uint8]
+    motion: SweepMotion
+
+    def __post_init__(self) -> None:
+        shape = self.motion.geometry.shape
+        object.__setattr__(self, "samples", read_only(self.samples, "samples", shape, np.uint8))
+
+    @property
+    def geometry(self) -> SweepGeometry:
+        """Where the samples lie."""
+        return self.motion.geometry

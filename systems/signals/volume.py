@@ -1,0 +1,97 @@
+"""A volume on a Cartesian grid."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydrake.math import RigidTransform
+
+from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.sweep import SweepMotion
+
+
+@dataclass(frozen=True, eq=False)
+class Volume(Immutable):
+    """Intensities on a Cartesian grid aligned with the probe frame P.
+
+    Parameters
+    ----------
+    intensities
+        (nx, ny, nz) array of uint8, or finite float32 on the same scale: echo amplitudes,
+        log-compressed to 0 to 255. Element [i, j, k] lies at ``origin + spacing * (i, j, k)`` in P.
+        Zero outside the sector.
+    origin
+        (3,) position in P of element [0, 0, 0], in m.
+    spacing
+        (3,) distance between neighbouring elements along X, Y, Z, in m.
+    X_WP
+        Pose of the probe in the world, at ``time``.
+    time
+        Middle of the acquisition, in s.
+    motion
+        When and from where each frame was acquired; None if that is not known, and then the whole
+        volume counts as acquired at ``time`` from ``X_WP``.
+
+    Raises
+    ------
+    ValueError
+        If a shape is wrong, the array is empty, a spacing is not above zero or a value is not
+        finite.
+    """
+
+    intensities: NDArray[np.uint8] | NDArray[np.float32]
+    origin: NDArray[np.float64]
+    spacing: NDArray[np.float64]
+    X_WP: RigidTransform
+    time: float
+    motion: SweepMotion | None = None
+
+    def __post_init__(self) -> None:
+        array = np.asarray(self.intensities)
+        dtype = np.uint8 if array.dtype == np.uint8 else np.float32
+        array = read_only(array, "intensities", (None, None, None), dtype)
+        require(min(array.shape) >= 2, "intensities.shape", array.shape, "at least 2 each way")
+        object.__setattr__(self, "intensities", array)
+        object.__setattr__(self, "origin", read_only(self.origin, "origin", (3,)))
+        object.__setattr__(self, "spacing", read_only(self.spacing, "spacing", (3,)))
+        require_positive(**{f"spacing[{axis}]": s for axis, s in enumerate(self.spacing)})
+        require(bool(np.isfinite(self.time)), "time", self.time, "finite")
+
+    @property
+    def upper(self) -> NDArray[np.float64]:
+        """(3,) position in P of the last element, in m."""
+        return self.origin + self.spacing * (np.array(self.intensities.shape) - 1)
+
+    def position(self, index: ArrayLike) -> NDArray[np.float64]:
+        """(..., 3) positions in P, in m, of elements (fractions allowed)."""
+        return self.origin + self.spacing * np.asarray(index)
+
+    def index(self, p_P: ArrayLike) -> NDArray[np.float64]:
+        """(..., 3) elements, fractions included, of positions in P, in m."""
+        return np.asarray((np.asarray(p_P, dtype=float) - self.origin) / self.spacing)
+
+    def at_once(self) -> "Volume":
+        """Return the same as if all of it had been acquired at ``time``, from ``X_WP``."""
+        if self.motion is None:
+            return self
+        times = np.full_like(self.motion.times, self.time)
+        poses = np.broadcast_to(self.X_WP.GetAsMatrix4(), self.motion.X_WP.shape)
+        return replace(self, motion=replace(self.motion, times=times, X_WP=poses))
+
+    def to_world(self, p_P: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Positions in W, in m, and times, in s, at which positions in P were acquired.
+
+        Parameters
+        ----------
+        p_P
+            (m, 3) positions in the probe frame, in m.
+        """
+        if self.motion is not None:
+            return self.motion.to_world(p_P)
+        p_P = np.asarray(p_P, dtype=float)
+        return self.X_WP.multiply(p_P.T).T.reshape(-1, 3), np.full(len(p_P), self.time)
+
+    def to_probe(self, p_W: ArrayLike) -> NDArray[np.float64]:
+        """(m, 3) positions in P, in m, of positions in W, for the pose at ``time``."""
+        return self.X_WP.inverse().multiply(np.asarray(p_W, dtype=float).T).T.reshape(-1, 3)

@@ -1,0 +1,254 @@
+"""Echoes of bright points: needles and inclusions, with the shadow of the former."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, prange
+
+from sonoservo.systems.sampling.options import OPTIONS
+from sonoservo.systems.ultrasound.simulation.kernels.projection import (
+    FRACTIONS,
+    line_coordinates,
+    phasor,
+)
+
+SIDE_LOBE_WIDTH = 3
+"""Width of the side lobes, a second Gaussian, over the main lobe's."""
+
+_FURTHEST = (2.0 * SIDE_LOBE_WIDTH) ** 2 / 2
+"""Side lobes end at two of their standard deviations, 17 dB below their middle."""
+
+
+class NeedleEcho(NamedTuple):
+    """What a needle's points echo."""
+
+    spacing: float
+    """Between points along the shaft, in m."""
+    specular: float
+    """Amplitude of each point, all in phase."""
+    diffuse: float
+    """Amplitude of each point, in phases that the needle's surface fixes."""
+    tip: float
+    """Amplitude of the bevel's points together."""
+    bevel: float
+    """Length of the bevel over the needle's radius."""
+    shadow: float
+    """Share of the amplitude that a needle in the middle of the beam takes away behind it."""
+
+
+@njit(**OPTIONS)
+def _add_point(  # type: ignore[no-untyped-def]
+    layer, shadow, x, y, z, closer, real, imaginary, shadow_strength, rays, tables, pulse
+):
+    """Add the echo of one bright point in F; return whether the frame sees it.
+
+    Parameters
+    ----------
+    layer
+        (2, lines, samples + 2 taps) float32 real and imaginary parts, added to.
+    shadow
+        (lines, samples) float32: greatest loss that begins at each sample; (0, 0) for none.
+    x, y, z, closer
+        Position in F, and how much closer than that the reflecting surface is, in m.
+    real, imaginary
+        Amplitude of the point.
+    shadow_strength
+        Loss in the middle of the beam.
+    rays, tables
+        Of the frame.
+    pulse
+        (2, FRACTIONS + 1, taps) float32 real and imaginary parts; it begins ``rays.lead`` samples
+        before the echo.
+    """
+    lines = layer.shape[1]
+    taps = pulse.shape[2]
+    samples = layer.shape[2] - 2 * taps
+    line, e, r = line_coordinates(x, y, z, rays)
+    depth = r - rays.array_radius
+    at = np.int64(depth * rays.samples_per_metre + 0.5)
+    if at < 0 or at >= samples:
+        return False
+    u = tables.elevation_precision[at] * e * e
+    if u > _FURTHEST:
+        return False
+    path = depth + 0.5 * tables.curvature[at] * e * e - closer
+    sample = path * rays.samples_per_metre
+    k = np.int64(sample)
+    if sample < 0 or k >= samples:
+        return False
+    fraction = np.int64((sample - k) * FRACTIONS + 0.5)
+    c, s = phasor(np.float32(path * rays.turns_per_metre))
+    bright = tables.bright[at]
+    re = np.float32(bright * (real * c + imaginary * s))
+    im = np.float32(bright * (imaginary * c - real * s))
+    precision = 0.5 / (tables.line_sigma[at] * tables.line_sigma[at])
+    reach = np.sqrt((_FURTHEST - u) / precision)
+    first = np.int64(max(np.ceil(line - reach), 0.0))
+    last = np.int64(min(np.floor(line + reach), lines - 1.0))
+    start = k - rays.lead + taps
+    for j in range(first, last + 1):
+        distance = u + precision * (j - line) * (j - line)
+        wide = np.exp(-distance / SIDE_LOBE_WIDTH**2)
+        # In quadrature, side lobes neither add to nor take from the main lobe's coherent sum.
+        main = np.float32(wide ** (SIDE_LOBE_WIDTH**2))
+        side = np.float32(rays.side_lobes * wide)
+        a = main * re - side * im
+        b = main * im + side * re
+        for tap in range(taps):
+            layer[0, j, start + tap] += a * pulse[0, fraction, tap] - b * pulse[1, fraction, tap]
+        for tap in range(taps):
+            layer[1, j, start + tap] += a * pulse[1, fraction, tap] + b * pulse[0, fraction, tap]
+        if shadow.size > 0:
+            shadow[j, k] = max(shadow[j, k], np.float32(shadow_strength) * main)
+    return first <= last
+
+
+@njit(parallel=True, **OPTIONS)
+def render_points(iq, X_FT, points, amplitudes, rays, tables, pulse):  # type: ignore[no-untyped-def]
+    """Add inclusions to every frame.
+
+    Parameters
+    ----------
+    iq
+        (frames, lines, samples) complex64, added to.
+    X_FT
+        (frames, 3, 4) pose of the tissue in each F.
+    points, amplitudes
+        (n, 3) positions in T and (n,) complex amplitudes.
+    rays, tables, pulse
+        See `_add_point`.
+    """
+    frames, lines, samples = iq.shape
+    taps = pulse.shape[2]
+    # Most points are further from a frame's plane than its beam is wide anywhere.
+    furthest = rays.array_radius + samples / rays.samples_per_metre
+    slab = np.sqrt(_FURTHEST / tables.elevation_precision.min())
+    slab += abs(rays.twist) * rays.middle_line * furthest
+    for frame in prange(frames):
+        layer = np.zeros((2, lines, samples + 2 * taps), np.float32)
+        no_shadow = np.empty((0, 0), np.float32)
+        seen = False
+        for i in range(len(points)):
+            x, y, z = _transformed(X_FT[frame], points[i, 0], points[i, 1], points[i, 2])
+            if abs(z) > slab:
+                continue
+            re = amplitudes[i].real
+            im = amplitudes[i].imag
+            seen |= _add_point(layer, no_shadow, x, y, z, 0.0, re, im, 0.0, rays, tables, pulse)
+        if seen:
+            _add_layer(iq[frame], layer, taps)
+
+
+@njit(parallel=True, **OPTIONS)
+def render_needles(  # type: ignore[no-untyped-def]
+    iq, X_FT, shafts, starts, radius, echo, phases, rays, tables, pulse
+):
+    """Add the needle to every frame, with its shadow.
+
+    Parameters
+    ----------
+    iq
+        (frames, lines, samples) complex64, changed.
+    X_FT
+        (frames, 3, 4) pose of the tissue in each F.
+    shafts, starts
+        (m, 3) points in T of the needle's axis, entry first, of all frames together, and
+        (frames + 1,) where each frame's begin.
+    radius, echo, phases, rays, tables, pulse
+        See `_add_needle`.
+    """
+    frames, lines, samples = iq.shape
+    taps = pulse.shape[2]
+    for frame in prange(frames):
+        shaft = shafts[starts[frame] : starts[frame + 1]]
+        if len(shaft) > 1:
+            layer = np.zeros((2, lines, samples + 2 * taps), np.float32)
+            shadow = np.zeros((lines, samples), np.float32)
+            if _add_needle(
+                layer, shadow, X_FT[frame], shaft, radius, echo, phases, rays, tables, pulse
+            ):
+                _cast_shadow(iq[frame], shadow)
+                _add_layer(iq[frame], layer, taps)
+
+
+@njit(**OPTIONS)
+def _add_needle(  # type: ignore[no-untyped-def]
+    layer, shadow, X_FT, shaft, radius, echo, phases, rays, tables, pulse
+):
+    """Add the echo of a needle, point by point from the tip; return whether any point shows.
+
+    Parameters
+    ----------
+    layer, shadow
+        See `_add_point`.
+    X_FT
+        (3, 4) pose of the tissue in F.
+    shaft
+        (m, 3) points of the axis in T, entry first.
+    radius
+        The sound is reflected by the front wall, this much closer than the axis, in m.
+    echo
+        `NeedleEcho`.
+    phases
+        (n,) phase of each diffuse point in rad, tip first; used periodically.
+    rays, tables, pulse
+        Of the frame.
+    """
+    bevel_points = max(int(echo.bevel * radius / echo.spacing), 1)
+    bevel = echo.tip / np.sqrt(bevel_points)
+    number = 0
+    along = 0.0
+    seen = False
+    for segment in range(len(shaft) - 1, 0, -1):
+        dx = shaft[segment - 1, 0] - shaft[segment, 0]
+        dy = shaft[segment - 1, 1] - shaft[segment, 1]
+        dz = shaft[segment - 1, 2] - shaft[segment, 2]
+        length = np.sqrt(dx * dx + dy * dy + dz * dz)
+        while along <= length and length > 0:
+            share = along / length
+            x, y, z = _transformed(
+                X_FT,
+                shaft[segment, 0] + share * dx,
+                shaft[segment, 1] + share * dy,
+                shaft[segment, 2] + share * dz,
+            )
+            # Along the bevel the wall runs out, and its face scatters.
+            wall = min((number + 0.5) / bevel_points, 1.0)
+            diffuse = wall * echo.diffuse + (bevel if number < bevel_points else 0.0)
+            phase = phases[number % len(phases)]
+            real = wall * echo.specular + diffuse * np.cos(phase)
+            imaginary = diffuse * np.sin(phase)
+            seen |= _add_point(
+                layer, shadow, x, y, z, radius, real, imaginary, echo.shadow, rays, tables, pulse
+            )
+            number += 1
+            along += echo.spacing
+        along -= length
+    return seen
+
+
+@njit(**OPTIONS)
+def _cast_shadow(iq, shadow):  # type: ignore[no-untyped-def]
+    """Weaken echoes behind what casts a shadow: (lines, samples) each."""
+    for j in range(iq.shape[0]):
+        loss = np.float32(0)
+        for i in range(iq.shape[1]):
+            iq[j, i] *= np.float32(1) - loss
+            loss = max(loss, shadow[j, i])
+
+
+@njit(**OPTIONS)
+def _add_layer(iq, layer, taps):  # type: ignore[no-untyped-def]
+    """Add a layer of bright points to a frame's (lines, samples) complex64 echoes."""
+    for j in range(iq.shape[0]):
+        for i in range(iq.shape[1]):
+            iq[j, i] += complex(layer[0, j, i + taps], layer[1, j, i + taps])
+
+
+@njit(**OPTIONS)
+def _transformed(X, x, y, z):  # type: ignore[no-untyped-def]
+    return (
+        X[0, 0] * x + X[0, 1] * y + X[0, 2] * z + X[0, 3],
+        X[1, 0] * x + X[1, 1] * y + X[1, 2] * z + X[1, 3],
+        X[2, 0] * x + X[2, 1] * y + X[2, 2] * z + X[2, 3],
+    )

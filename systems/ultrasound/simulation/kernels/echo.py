@@ -1,0 +1,288 @@
+"""Echoes of tissue: scatterers become samples along the scan lines.
+
+COLE, the convolution of line echoes (Gao et al. 2009), in two stages. Every scatterer is projected
+on its three nearest scan lines and deposited there with its exact two-way phase and the pulse's
+envelope; then neighbouring lines are blurred to the beam's width, which depends on depth.
+"""
+
+import numpy as np
+from numba import njit, prange
+
+from sonoservo.systems.sampling.options import OPTIONS
+from sonoservo.systems.ultrasound.simulation.kernels.line_blur import blur_lines
+from sonoservo.systems.ultrasound.simulation.kernels.projection import (
+    FRACTIONS,
+    line_coordinates,
+    phasor,
+)
+from sonoservo.systems.ultrasound.simulation.kernels.vector_addition import LANES, add_to_rows
+from sonoservo.systems.ultrasound.simulation.tissue import BLOCKS
+
+FADE = 0.1
+"""Half width, relative to the share of scatterers used at a depth, over which more fade in."""
+
+REACH = 2.6
+"""Standard deviations in elevation beyond which scatterers are left out: 0.02 % of the energy."""
+
+_ZERO = np.float32(0)
+_EIGHTH = np.float32(0.125)
+_HALF = np.float32(0.5)
+_THREE_QUARTERS = np.float32(0.75)
+_ONE = np.float32(1)
+_FURTHEST = np.float32(REACH**2 / 2)
+_FADE_OUT = np.float32(1 + FADE)
+_FADE_WIDTH = np.float32(2 * FADE)
+_FRACTIONS = np.float32(FRACTIONS)
+_HALF_DIAGONAL = 3**0.5 / 2
+# Minimax polynomial of exp(-v) on [0, 0.6], to 1e-6.
+_E1, _E2, _E3, _E4 = (np.float32(c) for c in (-0.99994248, 0.49904756, -0.16171851, 0.03126755))
+
+
+@njit(parallel=True, **OPTIONS)
+def render_tissue(iq, X_FT, box, tile, rays, tables, pulse, kernel):  # type: ignore[no-untyped-def]
+    """Render the tissue's echoes in every frame.
+
+    Parameters
+    ----------
+    iq
+        (frames, lines, samples) complex64, written.
+    X_FT
+        (frames, 3, 4) pose of the tissue in each F.
+    box, tile, rays, tables, pulse
+        See `deposit_tissue`.
+    kernel
+        From `line_kernel`.
+    """
+    frames, lines, samples = iq.shape
+    pad = len(kernel.ends) // 2 + 1
+    taps = pulse.shape[1] // 2
+    for frame in prange(frames):
+        accumulator = np.zeros((lines + 2 * pad, 2 * (samples + 2 * taps)), np.float32)
+        deposit_tissue(accumulator, X_FT[frame], box, tile, rays, tables, pulse)
+        blur_lines(iq[frame], accumulator, kernel, taps)
+
+
+@njit(**OPTIONS)
+def _gaussian(u):  # type: ignore[no-untyped-def]
+    """exp(-u) for u from 0 to 4.8."""
+    v = u * _EIGHTH
+    w = _ONE + v * (_E1 + v * (_E2 + v * (_E3 + v * _E4)))
+    w *= w
+    w *= w
+    return w * w
+
+
+@njit(**OPTIONS)
+def _frame_blocks(X_FT, box, block_size, depth, half_angle, thickness, rays):  # type: ignore[no-untyped-def]
+    """First and last block (exclusive) along T's axes that the frame's bounding box can meet."""
+    sine = np.sin(min(half_angle, np.pi / 2))
+    cosine = np.cos(min(half_angle, np.pi / 2))
+    nearest = rays.array_radius * cosine - rays.centre_offset
+    furthest = depth + rays.array_radius - rays.centre_offset
+    middle = (0.0, (nearest + furthest) / 2, 0.0)
+    half = ((depth + rays.array_radius) * sine, (furthest - nearest) / 2, thickness)
+    first = np.empty(3, np.int64)
+    last = np.empty(3, np.int64)
+    for axis in range(3):
+        centre = 0.0
+        extent = 0.0
+        for other in range(3):
+            centre += X_FT[other, axis] * (middle[other] - X_FT[other, 3])
+            extent += abs(X_FT[other, axis]) * half[other]
+        first[axis] = np.int64(np.floor(max(centre - extent, box[0, axis]) / block_size))
+        last[axis] = np.int64(np.ceil(min(centre + extent, box[1, axis]) / block_size))
+    return first, last
+
+
+@njit(**OPTIONS)
+def _count_below(ranks, start, end, limit):  # type: ignore[no-untyped-def]
+    """How many of the sorted ranks from start to end are below a limit."""
+    first = start
+    while first < end:
+        middle = (first + end) // 2
+        if ranks[middle] < limit:
+            first = middle + 1
+        else:
+            end = middle
+    return first - start
+
+
+@njit(**OPTIONS)
+def _deposit(accumulator, chosen, count, line, sample, cosine, sine, pulse):  # type: ignore[no-untyped-def]
+    """Add projected scatterers to three lines each, eight numbers (four complex taps) at a time."""
+    width = accumulator.shape[1]
+    flat = accumulator.reshape(-1)
+    table = pulse.reshape(-1)
+    chunks = pulse.shape[1] // LANES
+    for number in range(count):
+        i = chosen[number]
+        re = cosine[i]
+        im = sine[i]
+        j = np.int32(line[i] + _HALF)
+        k = np.int32(sample[i])
+        fraction = np.int32((sample[i] - np.float32(k)) * _FRACTIONS + _HALF)
+        t = line[i] - np.float32(j)
+        below = _HALF * (_HALF - t) * (_HALF - t)
+        above = _HALF * (_HALF + t) * (_HALF + t)
+        here = _THREE_QUARTERS - t * t
+        for chunk in range(chunks):
+            add_to_rows(
+                flat,
+                (j - 1) * width + 2 * k + LANES * chunk,
+                width,
+                table,
+                fraction * pulse.shape[1] + LANES * chunk,
+                re,
+                im,
+                below,
+                here,
+                above,
+            )
+
+
+@njit(**OPTIONS)
+def deposit_tissue(  # type: ignore[no-untyped-def]
+    accumulator, X_FT, box, tile, rays, tables, pulse
+):
+    """Deposit the scatterers that a frame's beam meets.
+
+    Parameters
+    ----------
+    accumulator
+        (lines + 2 pad, 2 (samples + 2 taps)) float32, real and imaginary parts by turns.
+    X_FT
+        (3, 4) pose of the tissue in F, float64.
+    box
+        (2, 3) lower and upper corner of the tissue in T.
+    tile
+        `ScattererTile`.
+    rays, tables
+        Of the frame.
+    pulse
+        (FRACTIONS + 1, 2 taps) envelope around a scatterer, every value twice; a multiple of
+        `LANES` wide.
+    """
+    block_size, positions, ranks, starts = tile
+    lines = accumulator.shape[0]
+    taps = pulse.shape[1] // 2
+    samples = accumulator.shape[1] // 2
+    count = samples - 2 * taps
+    pad = np.float32((lines - 1) / 2) - rays.middle_line
+    lead = np.float32(taps - rays.lead)
+    last_line = np.float32(lines - 1.5)
+    last_sample = np.float32(samples - taps)
+    R = X_FT[:, :3].astype(np.float32)
+    depth = (count - 1) / rays.samples_per_metre
+    half_angle = (rays.middle_line + pad) / rays.lines_per_radian
+    twist_per_radian = rays.twist * rays.lines_per_radian
+    radius = _HALF_DIAGONAL * block_size
+    support = (abs(X_FT[2, 0]) + abs(X_FT[2, 1]) + abs(X_FT[2, 2])) * block_size / 2
+    reach = REACH / np.sqrt(2 * tables.elevation_precision)
+    twist_slack = abs(twist_per_radian) * radius
+    thickness = reach.max() + abs(twist_per_radian) * half_angle * (depth + rays.array_radius)
+    edge_cosine = np.cos(min(half_angle, np.pi / 2))
+    edge_sine = np.sin(min(half_angle, np.pi / 2))
+    first, last = _frame_blocks(X_FT, box, block_size, depth, half_angle, thickness, rays)
+    largest = 0
+    for block in range(starts.size - 1):
+        largest = max(largest, starts[block + 1] - starts[block])
+    line = np.empty(largest, np.float32)
+    sample = np.empty(largest, np.float32)
+    cosine = np.empty(largest, np.float32)
+    sine = np.empty(largest, np.float32)
+    kept = np.empty(largest, np.bool_)
+    chosen = np.empty(largest + 1, np.uint64)
+    for bx in range(first[0], last[0]):
+        for by in range(first[1], last[1]):
+            for bz in range(first[2], last[2]):
+                px = (bx + 0.5) * block_size
+                py = (by + 0.5) * block_size
+                pz = (bz + 0.5) * block_size
+                z = X_FT[2, 0] * px + X_FT[2, 1] * py + X_FT[2, 2] * pz + X_FT[2, 3]
+                if abs(z) > thickness + support:
+                    continue
+                x = X_FT[0, 0] * px + X_FT[0, 1] * py + X_FT[0, 2] * pz + X_FT[0, 3]
+                y = X_FT[1, 0] * px + X_FT[1, 1] * py + X_FT[1, 2] * pz + X_FT[1, 3]
+                q = y + rays.centre_offset
+                if abs(x) * edge_cosine - q * edge_sine > radius:
+                    continue
+                r = np.sqrt(q * q + x * x)
+                d = r - rays.array_radius
+                if d < -radius or d > depth + radius:
+                    continue
+                at = min(max(np.int64(d * rays.samples_per_metre), 1), count - 2)
+                span = min(np.int64(radius * rays.samples_per_metre) + 1, at, count - 1 - at)
+                turn = y * twist_per_radian * np.arctan(x / max(q, radius))
+                slab = max(reach[at - span], reach[at + span]) + support + twist_slack
+                if abs(z - turn) > slab:
+                    continue
+                # Within a block, what depends on depth does so linearly.
+                per_metre = np.float32(rays.samples_per_metre / (2 * span))
+                middle = np.float32(at / rays.samples_per_metre) + rays.array_radius
+                precision = tables.elevation_precision[at]
+                precision_slope = per_metre * (
+                    tables.elevation_precision[at + span] - tables.elevation_precision[at - span]
+                )
+                curvature = _HALF * tables.curvature[at]
+                share = tables.share[at]
+                share_slope = per_metre * (tables.share[at + span] - tables.share[at - span])
+                block = ((bx % BLOCKS) * BLOCKS + by % BLOCKS) * BLOCKS + bz % BLOCKS
+                start = starts[block]
+                most = max(tables.share[at + span], tables.share[at - span], share) * (1 + FADE)
+                n = _count_below(ranks, start, starts[block + 1], np.float32(most))
+                ox = np.float32(x - (X_FT[0, 0] + X_FT[0, 1] + X_FT[0, 2]) * block_size / 2)
+                oy = np.float32(y - (X_FT[1, 0] + X_FT[1, 1] + X_FT[1, 2]) * block_size / 2)
+                oz = np.float32(z - (X_FT[2, 0] + X_FT[2, 1] + X_FT[2, 2]) * block_size / 2)
+                low_x = np.float32(box[0, 0] - bx * block_size)
+                low_y = np.float32(box[0, 1] - by * block_size)
+                low_z = np.float32(box[0, 2] - bz * block_size)
+                high_x = np.float32(box[1, 0] - bx * block_size)
+                high_y = np.float32(box[1, 1] - by * block_size)
+                high_z = np.float32(box[1, 2] - bz * block_size)
+                xs = positions[0, start : start + n]
+                ys = positions[1, start : start + n]
+                zs = positions[2, start : start + n]
+                rank = ranks[start : start + n]
+                # No branch within this loop: it runs several scatterers at a time.
+                for i in range(n):
+                    tx = xs[i]
+                    ty = ys[i]
+                    tz = zs[i]
+                    at_line, e, r_i = line_coordinates(
+                        R[0, 0] * tx + R[0, 1] * ty + R[0, 2] * tz + ox,
+                        R[1, 0] * tx + R[1, 1] * ty + R[1, 2] * tz + oy,
+                        R[2, 0] * tx + R[2, 1] * ty + R[2, 2] * tz + oz,
+                        rays,
+                    )
+                    ahead = r_i - middle
+                    p = share + share_slope * ahead
+                    u = (precision + precision_slope * ahead) * e * e
+                    weight = (p * _FADE_OUT - rank[i]) / (p * _FADE_WIDTH)
+                    weight = min(max(weight, _ZERO), _ONE) * _gaussian(u)
+                    path = r_i - rays.array_radius + curvature * e * e
+                    c, s = phasor(path * rays.turns_per_metre)
+                    at_line += pad
+                    at_sample = path * rays.samples_per_metre + lead
+                    line[i] = at_line
+                    sample[i] = at_sample
+                    cosine[i] = weight * c
+                    sine[i] = -weight * s
+                    kept[i] = (
+                        (u < _FURTHEST)
+                        & (weight > _ZERO)
+                        & (at_line > _HALF)
+                        & (at_line < last_line)
+                        & (at_sample > _ZERO)
+                        & (at_sample < last_sample)
+                        & (tx > low_x)
+                        & (tx < high_x)
+                        & (ty > low_y)
+                        & (ty < high_y)
+                        & (tz > low_z)
+                        & (tz < high_z)
+                    )
+                number = 0
+                for i in range(n):
+                    chosen[number] = i
+                    number += kept[i]
+                _deposit(accumulator, chosen, number, line, sample, cosine, sine, pulse)

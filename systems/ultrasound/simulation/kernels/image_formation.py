@@ -1,0 +1,153 @@
+"""From echoes to grey levels: coupling, noise and log compression; and to their carrier."""
+
+import numpy as np
+from numba import njit, prange
+
+from sonoservo.systems.sampling.options import OPTIONS
+
+_LOG2_10 = np.log2(10)
+_SOFT_EDGE = 0.5e-3
+# Minimax polynomial of log2(1 + m) on [0, 1], to 2e-6.
+_L1, _L2, _L3, _L4, _L5, _L6 = (
+    np.float32(c)
+    for c in (1.44255314, -0.71828191, 0.45827078, -0.27953809, 0.12345144, -0.02645743)
+)
+
+
+@njit(parallel=True, **OPTIONS)
+def form_image(  # type: ignore[no-untyped-def]
+    grey, iq, X_TP, box, origins, directions, gel_thickness, noise, keys, grey_per_db, offset
+):
+    """Turn every frame's echoes into grey levels.
+
+    Parameters
+    ----------
+    grey, iq
+        (frames, lines, samples) uint8, written, and complex64.
+    X_TP, origins, directions
+        (frames, 3, 4), (frames, lines, 3) and (frames, lines, 3): see `coupling`.
+    box, gel_thickness
+        See `coupling`.
+    noise, keys, grey_per_db, offset
+        See `compress`; keys is (frames,).
+    """
+    for frame in prange(len(grey)):
+        share = coupling(X_TP[frame], origins[frame], directions[frame], box, gel_thickness)
+        compress(grey[frame], iq[frame], share, noise, keys[frame], grey_per_db, offset)
+
+
+@njit(**OPTIONS)
+def coupling(X_TP, origins, directions, box, gel_thickness):  # type: ignore[no-untyped-def]
+    """Share of the sound that reaches the tissue through each line of a frame.
+
+    Parameters
+    ----------
+    X_TP
+        (3, 4) pose of the probe in T.
+    origins, directions
+        (lines, 3) where each line leaves the face and its unit direction, in P.
+    box
+        (2, 3) corners of the tissue in T.
+    gel_thickness
+        Longest way from the face to the tissue that the gel fills, in m; beyond it, sound fades
+        over 0.5 mm.
+
+    Returns
+    -------
+    (lines,) float32 from 0 to 1.
+    """
+    share = np.empty(len(origins), np.float32)
+    for j in range(len(origins)):
+        enter = 0.0
+        leave = np.inf
+        for axis in range(3):
+            start = X_TP[axis, 3]
+            slope = 0.0
+            for other in range(3):
+                start += X_TP[axis, other] * origins[j, other]
+                slope += X_TP[axis, other] * directions[j, other]
+            if abs(slope) < 1e-9:
+                if start < box[0, axis] or start > box[1, axis]:
+                    leave = -1.0
+                continue
+            near = (box[0, axis] - start) / slope
+            far = (box[1, axis] - start) / slope
+            enter = max(enter, min(near, far))
+            leave = min(leave, max(near, far))
+        excess = (enter - gel_thickness) / _SOFT_EDGE
+        share[j] = 0.0 if leave < enter else 1.0 - min(max(excess, 0.0), 1.0)
+    return share
+
+
+@njit(**OPTIONS)
+def compress(grey, iq, share, noise, key, grey_per_db, offset):  # type: ignore[no-untyped-def]
+    """Add noise and compress a frame's echoes to grey levels, rounded to nearest.
+
+    Parameters
+    ----------
+    grey
+        (lines, samples) uint8, written.
+    iq, share
+        (lines, samples) echoes and (lines,) coupling.
+    noise
+        (samples,) float32 root mean square of the noise.
+    key
+        uint64 that selects the noise; equal keys give equal noise.
+    grey_per_db, offset
+        Grey level = grey_per_db x level in dB + offset.
+    """
+    lines, samples = iq.shape
+    power = np.empty(samples, np.float32)
+    bits = power.view(np.int32)
+    # Sum of four uniform bytes, with unit variance for real and imaginary part together.
+    scale = np.float32(np.sqrt(0.5 / ((256.0**2 - 1) / 3)))
+    slope = np.float32(grey_per_db * 10 / _LOG2_10)
+    half = np.float32(offset + 0.5)
+    byte = np.uint64(255)
+    for j in range(lines):
+        counter = key + np.uint64(j * samples) * np.uint64(0x9E3779B97F4A7C15)
+        for i in range(samples):
+            # SplitMix64 (Steele et al. 2014) of the sample's number: the noise needs no state.
+            counter += np.uint64(0x9E3779B97F4A7C15)
+            z = counter
+            z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+            z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+            z = z ^ (z >> np.uint64(31))
+            a = np.int32(z & byte)
+            a += np.int32((z >> np.uint64(8)) & byte)
+            a += np.int32((z >> np.uint64(16)) & byte)
+            a += np.int32((z >> np.uint64(24)) & byte) - np.int32(510)
+            b = np.int32((z >> np.uint64(32)) & byte)
+            b += np.int32((z >> np.uint64(40)) & byte)
+            b += np.int32((z >> np.uint64(48)) & byte)
+            b += np.int32(z >> np.uint64(56)) - np.int32(510)
+            level = noise[i] * scale
+            real = share[j] * iq[j, i].real + level * np.float32(a)
+            imaginary = share[j] * iq[j, i].imag + level * np.float32(b)
+            power[i] = real * real + imaginary * imaginary + np.float32(1e-12)
+        for i in range(samples):
+            # log2 from the floating-point format: exponent, and a polynomial in the mantissa.
+            exponent = np.float32((bits[i] >> np.int32(23)) - np.int32(127))
+            bits[i] = (bits[i] & np.int32(0x007FFFFF)) | np.int32(0x3F800000)
+            m = power[i] - np.float32(1)
+            log2 = exponent + m * (_L1 + m * (_L2 + m * (_L3 + m * (_L4 + m * (_L5 + m * _L6)))))
+            level = slope * log2 + half
+            grey[j, i] = np.uint8(min(max(level, np.float32(0)), np.float32(255.5)))
+
+
+@njit(parallel=True, **OPTIONS)
+def modulate(lines, iq, cosine, sine):  # type: ignore[no-untyped-def]
+    """Put echoes on their carrier.
+
+    Parameters
+    ----------
+    lines, iq
+        (frames, lines, samples) float32, written, and complex64.
+    cosine, sine
+        (samples,) float32 of the carrier's phase.
+    """
+    for frame in prange(len(lines)):
+        for j in range(lines.shape[1]):
+            for i in range(lines.shape[2]):
+                echo = iq[frame, j, i]
+                lines[frame, j, i] = echo.real * cosine[i] - echo.imag * sine[i]

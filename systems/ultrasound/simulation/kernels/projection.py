@@ -1,0 +1,86 @@
+"""Where the lines of a frame are: from a point to its line, its elevation and its phase.
+
+Frame F of a frame of the sweep: origin on the motor's axis, X along the array, Y along the middle
+line of the frame, Z in elevation. All other lines of the frame are turned by ``twist`` for each
+line's distance from the middle, because the motor never stops.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from sonoservo.systems.sampling.options import OPTIONS
+
+FRACTIONS = 64
+"""Fractions of a sample for which pulses are tabulated."""
+
+_HALF = np.float32(0.5)
+_ONE = np.float32(1)
+_TWO = np.float32(2)
+_PI = np.float32(np.pi)
+_POSITIVE = np.float32(1024)
+# Minimax polynomials, to 1e-6: sine and cosine on [-pi/2, pi/2], arc tangent on [-0.65, 0.65].
+_S3, _S5, _S7 = (np.float32(c) for c in (-0.16665681, 0.00831237, -0.00018492))
+_C4, _C6, _C8 = (np.float32(c) for c in (0.041665440, -0.00138652311, 2.33793852e-05))
+_A3, _A5, _A7, _A9 = (np.float32(c) for c in (-0.33320355, 0.19732617, -0.12394153, 0.05127381))
+
+
+class Rays(NamedTuple):
+    """Where the lines of a frame are, in float32."""
+
+    array_radius: np.float32
+    centre_offset: np.float32
+    lines_per_radian: np.float32
+    middle_line: np.float32
+    twist: np.float32
+    samples_per_metre: np.float32
+    turns_per_metre: np.float32
+    lead: int
+    """Samples from the beginning of a pulse to the one before its middle."""
+    side_lobes: np.float32
+    """Amplitude of a bright point's side lobes, relative to its main lobe."""
+
+
+class DepthTables(NamedTuple):
+    """What depends on depth, at every sample."""
+
+    elevation_precision: NDArray[np.float32]
+    """1 / (2 sigma_e^2)."""
+    curvature: NDArray[np.float32]
+    share: NDArray[np.float32]
+    """Of the tile's scatterers."""
+    line_sigma: NDArray[np.float32]
+    """sigma_l, in lines."""
+    bright: NDArray[np.float32]
+    """Factor on bright points, which keeps them right relative to the tissue, always 0 dB."""
+
+
+@njit(**OPTIONS)
+def line_coordinates(x, y, z, rays):  # type: ignore[no-untyped-def]
+    """Fractional line, elevation offset and distance from the array's centre of a point in F.
+
+    The lines' turns are small angles, so second order suffices: 0.1 um over a sweep's frame.
+    """
+    q = y + rays.centre_offset
+    r = np.sqrt(q * q + x * x)
+    u = x / (q + r)
+    v = u * u
+    phi = _TWO * u * (_ONE + v * (_A3 + v * (_A5 + v * (_A7 + v * _A9))))
+    line = phi * rays.lines_per_radian
+    turn = rays.twist * line
+    shift = z * turn - _HALF * y * turn * turn
+    line -= x * shift / (r * r) * rays.lines_per_radian
+    return line + rays.middle_line, z - y * turn, r + q * shift / r
+
+
+@njit(**OPTIONS)
+def phasor(turns):  # type: ignore[no-untyped-def]
+    """Cosine and sine of an angle in turns (above -1024)."""
+    h = turns - (np.float32(np.int32(turns + _HALF + _POSITIVE)) - _POSITIVE)
+    h *= _PI
+    v = h * h
+    s = h * (_ONE + v * (_S3 + v * (_S5 + v * _S7)))
+    c = _ONE - v * (_HALF - v * (_C4 + v * (_C6 + v * _C8)))
+    return _ONE - _TWO * s * s, _TWO * s * c

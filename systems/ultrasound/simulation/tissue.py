@@ -1,0 +1,239 @@
+"""What the phantom is made of, as sound sees it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.files.model_file import model_file
+from sonoservo.systems.files.typed_yaml import load_typed, read_yaml
+from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+
+
+@dataclass(kw_only=True)
+class Ball:
+    """A bright inclusion full of scatterers.
+
+    Parameters
+    ----------
+    centre
+        In T, in m.
+    radius
+        In m.
+    level_db
+        Mean echo intensity over the tissue's, at the depth where the lens focuses.
+    """
+
+    centre: list[float] = field(default_factory=lambda: [0.0, 0.0, -0.04])
+    radius: float = 1e-3
+    level_db: float = 25.0
+
+    def __post_init__(self) -> None:
+        require(len(self.centre) == 3, "centre", self.centre, "three coordinates in m")
+        require_positive(radius=self.radius)
+
+
+@dataclass(kw_only=True)
+class Fibre:
+    """A straight, thin, smooth inclusion: it mirrors sound as a needle does.
+
+    Parameters
+    ----------
+    start, end
+        In T, in m.
+    level_db
+        Echo's amplitude at normal incidence over the tissue's, where the lens focuses.
+    diffuse_db
+        Level of the part that is scattered in all directions, relative to ``level_db``.
+    """
+
+    start: list[float] = field(default_factory=lambda: [-0.01, 0.0, -0.04])
+    end: list[float] = field(default_factory=lambda: [0.01, 0.0, -0.04])
+    level_db: float = 38.0
+    diffuse_db: float = -22.0
+
+    def __post_init__(self) -> None:
+        require(len(self.start) == 3, "start", self.start, "three coordinates in m")
+        require(len(self.end) == 3, "end", self.end, "three coordinates in m")
+        require(self.start != self.end, "end", self.end, "another point than start")
+
+
+@dataclass(kw_only=True)
+class RandomFibres:
+    """Fibres anywhere in the tissue, drawn with its seed: those of a muscle, or of a gland.
+
+    Parameters
+    ----------
+    per_cubic_centimetre
+        Mean number of their middles.
+    shortest, longest
+        Limits of their lengths in m, uniformly distributed.
+    dimmest_db, brightest_db
+        Limits of their levels in dB, uniformly distributed; see `Fibre`.
+    direction
+        In T, about which they run.
+    spread_deg
+        Standard deviation of their direction along each axis across it.
+    """
+
+    per_cubic_centimetre: float = 0.0
+    shortest: float = 3e-3
+    longest: float = 12e-3
+    dimmest_db: float = 18.0
+    brightest_db: float = 30.0
+    direction: list[float] = field(default_factory=lambda: [0.0, 1.0, 0.0])
+    spread_deg: float = 20.0
+
+    def __post_init__(self) -> None:
+        require_not_negative(
+            per_cubic_centimetre=self.per_cubic_centimetre, spread_deg=self.spread_deg
+        )
+        require_positive(shortest=self.shortest)
+        require(self.longest >= self.shortest, "longest", self.longest, "at least shortest")
+        require(
+            self.brightest_db >= self.dimmest_db,
+            "brightest_db",
+            self.brightest_db,
+            "at least dimmest_db",
+        )
+        require(
+            len(self.direction) == 3 and any(self.direction),
+            "direction",
+            self.direction,
+            "three numbers, not all 0",
+        )
+
+    def draw(self, size: Sequence[float], rng: np.random.Generator) -> list[Fibre]:
+        """Fibres in a box of tissue, (3,) extents in m; their ends may lie beyond its faces."""
+        count = rng.poisson(self.per_cubic_centimetre * 1e6 * float(np.prod(size)))
+        middle = (rng.random((count, 3)) - [0.5, 0.5, 1.0]) * size
+        along = np.array(self.direction) / np.linalg.norm(self.direction)
+        along = along + np.deg2rad(self.spread_deg) * rng.normal(size=(count, 3))
+        along /= np.linalg.norm(along, axis=1, keepdims=True)
+        half = 0.5 * rng.uniform(self.shortest, self.longest, (count, 1)) * along
+        level = rng.uniform(self.dimmest_db, self.brightest_db, count)
+        return [
+            Fibre(start=start.tolist(), end=end.tolist(), level_db=float(decibels))
+            for start, end, decibels in zip(middle - half, middle + half, level, strict=True)
+        ]
+
+
+@dataclass(kw_only=True)
+class Tissue:
+    """A box of scattering tissue. Frame T: origin at the centre of the top face, +Z up.
+
+    Parameters
+    ----------
+    size
+        Extents along X, Y, Z of T, in m: the box is at z from -size[2] to 0.
+    scatterers_per_cell
+        Effective number N of scatterers in a resolution cell, at every depth: the intensity's
+        moments are <I^2> / <I>^2 = 2 + 1/N, those of a K distribution with nu = 2 N.
+    attenuation
+        One way, in dB/(cm MHz). The scanner's time-gain compensation undoes it, so it shows as
+        noise that grows with depth.
+    balls, fibres
+        Bright inclusions.
+    random_fibres
+        More fibres, anywhere.
+    seed
+        Draws where the scatterers and the random fibres are.
+
+    Raises
+    ------
+    ValueError
+        If a value is out of range; the message names it.
+    """
+
+    size: list[float] = field(default_factory=lambda: [0.24, 0.16, 0.08])
+    scatterers_per_cell: float = 4.0
+    attenuation: float = 0.5
+    balls: list[Ball] = field(default_factory=list)
+    fibres: list[Fibre] = field(default_factory=list)
+    random_fibres: RandomFibres = field(default_factory=RandomFibres)
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        require(
+            len(self.size) == 3 and min(self.size) > 0, "size", self.size, "three lengths above 0"
+        )
+        require(
+            0.5 <= self.scatterers_per_cell <= 64,
+            "scatterers_per_cell",
+            self.scatterers_per_cell,
+            "from 0.5 to 64",
+        )
+        require_not_negative(attenuation=self.attenuation, seed=self.seed)
+        require(max(self.size) <= 2, "size", self.size, "at most 2 m each; lengths are in m")
+        for number, ball in enumerate(self.balls):
+            self._require_within(f"balls[{number}].centre", ball.centre)
+        for number, fibre in enumerate(self.fibres):
+            self._require_within(f"fibres[{number}].start", fibre.start)
+            self._require_within(f"fibres[{number}].end", fibre.end)
+
+    def _require_within(self, name: str, point: list[float]) -> None:
+        width, length, height = self.size
+        x, y, z = point
+        within = abs(x) <= width / 2 and abs(y) <= length / 2 and -height <= z <= 0
+        require(within, name, point, f"within the tissue, {self.size} m large, z from its top")
+
+
+def load_tissue(name: str) -> Tissue:
+    """Read a phantom's tissue from YAML.
+
+    Parameters
+    ----------
+    name
+        Name of a file in ``models/phantoms`` ("agar"), or a path.
+    """
+    path = model_file("phantoms", name)
+    return load_typed(Tissue, read_yaml(path), str(path))
+
+
+BLOCKS = 8
+"""Blocks along an edge of the scatterer tile."""
+
+_SCATTERERS_PER_BLOCK = 160
+_MAX_BLOCK = 4e-3
+
+
+class ScattererTile(NamedTuple):
+    """Scatterers that fill the tissue frame periodically.
+
+    The cube is cut in blocks, so that a thin slab of the tissue can be gathered without looking
+    at the rest, and the whole of it stays in a processor's cache.
+    """
+
+    block_size: float
+    """Edge of a block in m; the tile's edge is `BLOCKS` times that."""
+    positions: NDArray[np.float32]
+    """(3, n) within the block, in m."""
+    ranks: NDArray[np.float32]
+    """(n,) uniform in [0, 1), rising within a block: those below p are a random share p."""
+    starts: NDArray[np.int64]
+    """(BLOCKS^3 + 1,) first scatterer of each block, x slowest."""
+
+
+def scatterer_tile(density: float, rng: np.random.Generator) -> ScattererTile:
+    """Fill a tile with independent scatterers.
+
+    Parameters
+    ----------
+    density
+        Scatterers per m^3.
+    rng
+        Draws their number, positions and ranks.
+    """
+    block_size = min((_SCATTERERS_PER_BLOCK / density) ** (1 / 3), _MAX_BLOCK)
+    counts = rng.poisson(density * block_size**3, BLOCKS**3)
+    starts = np.concatenate([[0], np.cumsum(counts)])
+    ranks = rng.random(starts[-1], dtype=np.float32)
+    block = np.repeat(np.arange(BLOCKS**3), counts)
+    return ScattererTile(
+        block_size=block_size,
+        positions=(rng.random((3, starts[-1])) * block_size).astype(np.float32),
+        ranks=ranks[np.lexsort((ranks, block))],
+        starts=starts,
+    )

@@ -1,0 +1,183 @@
+import json
+import subprocess
+import sys
+
+import pytest
+from typer.testing import CliRunner
+
+from sonoservo.diagrams.app.cli import app
+
+runner = CliRunner()
+
+
+def sonoservo(*arguments):
+    """The command as a person runs it: a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-c", "from sonoservo.diagrams.app.cli import main; main()", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+
+
+def test_list_names_every_scenario(tmp_path):
+    result = runner.invoke(app, ["list", "--json", str(tmp_path / "list.json")])
+    assert result.exit_code == 0
+    assert "chatelain2013_fig5" in result.stdout
+    assert "chatelain2013_fig5" in json.loads((tmp_path / "list.json").read_text())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["chatelain2031_fig5"], "did you mean 'chatelain2013_fig5'"),
+        (["chatelain2013_fig5", "--set", "imaging.frames=31"], "lines x 2 x"),
+        (["chatelain2013_fig5", "--set", "station.probe.x=3"], "cannot reach"),
+        (["chatelain2013_fig5", "--set", "hand.entry=[-0.12, 0.9, -0.04]"], "hand.entry: "),
+        (["chatelain2013_fig5", "--set", "phantom=agr"], "there is no model"),
+        (["chatelain2013_fig5", "--set", "imaging.volume_rate=50"], "imaging.volume_rate: 50.0"),
+        (["chatelain2013_fig5", "--set", "processing_time=1"], "processing_time: 1.0"),
+        (["carriere2016_d60", "--set", "rotations=[0.2]"], "rotations: [0.2]"),
+        (["carriere2016_d60", "--set", "estimator=particle"], "did you mean 'particle_filter'"),
+        (["carriere2016_d60", "--set", "depth=0.3"], "stays in the phantom"),
+        (["carriere2016_d60", "--set", "kind=needle"], "kind: 'needle'"),
+    ],
+)
+def test_a_mistake_is_one_line_and_exit_code_2(arguments, message, tmp_path):
+    result = sonoservo("run", *arguments, "--no-meshcat", "--out", str(tmp_path / "out"))
+    assert result.returncode == 2
+    assert message in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_short_run_leaves_its_files_and_its_summary(tmp_path):
+    out = tmp_path / "out"
+    result = sonoservo(
+        "run",
+        "chatelain2013_fig5",
+        "--set",
+        "duration=2.5",
+        "--no-meshcat",
+        "--out",
+        str(out),
+        "--json",
+        str(tmp_path / "summary.json"),
+    )
+    assert result.returncode == 0, result.stderr
+    assert {path.name for path in out.iterdir()} == {
+        "scenario.yaml",
+        "summary.json",
+        "log.npz",
+        "run.png",
+        "errors.png",
+        "report.html",
+    }
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary == json.loads((tmp_path / "summary.json").read_text())
+    assert summary["simulated_s"] == pytest.approx(2.5)
+    assert summary["interrupted"] is False
+    assert summary["force"]["max_n"] > 1.5
+
+
+def test_results_that_cannot_be_written_are_one_line_and_exit_code_2(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    result = sonoservo(
+        "run", "chatelain2013_fig5", "--no-meshcat", "--out", str(tmp_path / "file" / "out")
+    )
+    assert result.returncode == 2
+    assert len(result.stderr.strip().splitlines()) == 1
+
+
+def test_the_force_that_was_asked_for_is_what_the_error_is_taken_from(tmp_path):
+    result = sonoservo(
+        "run",
+        "chatelain2013_fig5",
+        "--no-meshcat",
+        "--set",
+        "duration=5",
+        "--set",
+        "controller.force.force=4",
+        "--out",
+        str(tmp_path),
+    )
+    assert result.returncode == 0, result.stderr
+    force = json.loads((tmp_path / "summary.json").read_text())["force"]
+    assert force["mean_n"] == pytest.approx(4, abs=0.1)
+    assert force["rms_error_n"] < 0.1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["chatelain2031"], "unknown paper 'chatelain2031'; did you mean 'chatelain2013'?"),
+        (["chatelain2013", "--seeds", "0"], "seeds: 0 is not allowed; it must be 1 or more"),
+    ],
+)
+def test_a_mistake_in_what_to_reproduce_is_one_line_and_exit_code_2(arguments, message, tmp_path):
+    result = sonoservo("reproduce", *arguments, "--out", str(tmp_path / "out"))
+    assert result.returncode == 2
+    assert result.stderr.strip() == f"sonoservo: {message}"
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_is_recorded_is_tracked_and_its_needle_located(tmp_path):
+    recording, changes = tmp_path / "a.seq.nrrd", ["duration=8", "hand.start=0.5"]
+    made = sonoservo(
+        "run",
+        "chatelain2013_fig4",
+        "--seed",
+        "101",
+        *(each for change in changes for each in ("--set", change)),
+        "--set",
+        "hand.pushes.0.speed=0.012",
+        "--no-meshcat",
+        "--record",
+        str(recording),
+        "--out",
+        str(tmp_path / "run"),
+    )
+    assert made.returncode == 0, made.stderr
+    tracked = sonoservo("track", str(recording), "--show", "--out", str(tmp_path / "out"))
+    assert tracked.returncode == 0, tracked.stderr
+    assert "The scanner's monitor: http://localhost:" in tracked.stdout
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["modes"]["tracking"] > 3
+    count = summary["volumes"]
+    figures = tmp_path / "found.json"
+    arguments = ["locate", str(recording), "--json", str(figures), "--number"]
+    assert sonoservo(*arguments, "0").returncode == 1
+    assert json.loads(figures.read_text())["found"] is False
+    found = sonoservo(*arguments, str(count - 1))
+    assert found.returncode == 0, found.stderr
+    assert "tip_lps_mm" in found.stdout
+
+
+@pytest.mark.parametrize("command", ["track", "locate"])
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.seq.nrrd", b"", "it is empty"),
+        ("a.seq.nrrd", None, "it is a folder"),
+        ("a.mha", b"NRRD0005\n", "no MetaImage file"),
+    ],
+)
+def test_a_bad_recording_is_one_line_and_leaves_nothing(tmp_path, command, name, content, message):
+    path = tmp_path / name
+    path.mkdir() if content is None else path.write_bytes(content)
+    options = ["--out", str(tmp_path / "out")] if command == "track" else []
+    result = sonoservo(command, str(path), *options)
+    assert result.returncode == 2
+    assert message in result.stderr
+    assert str(path) in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert [each.name for each in tmp_path.iterdir()] == [name]
+
+
+def test_a_recording_cannot_have_another_suffix(tmp_path):
+    path = tmp_path / "a.mha"
+    result = sonoservo("run", "chatelain2013_fig5", "--no-meshcat", "--record", str(path))
+    assert result.returncode == 2
+    assert "must end in .seq.nrrd" in result.stderr
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,183 @@
+"""An operator's hand in the loop: what it does is recorded, and nothing it does stops the run."""
+
+import json
+import math
+import os
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from meshcat_socket import MeshcatSocket
+from pydrake.geometry import Meshcat, MeshcatParams
+
+from sonoservo.diagrams import load_scenario, run
+from sonoservo.diagrams.app.drive import DrivenExperiment, drive
+from sonoservo.systems.evaluation.run_log import read_log
+
+CHEAP = [
+    "station.contact_model=point",
+    "station.time_step=0.01",
+    "controller.time_step=0.01",
+    "station.probe.height=0.004",
+]
+DEPTH, TURN, PHANTOM = "depth (mm) S W", "turn (deg) A D", "phantom x (mm)"
+PAUSE, RESTART, SAVE = "pause / resume [space]", "restart [R]", "save scenario [V]"
+
+
+def cheap(duration):
+    return replace(load_scenario("drive", changes=CHEAP, seed=7), duration=duration)
+
+
+@pytest.fixture(scope="module")
+def meshcat():
+    return Meshcat(MeshcatParams(host="localhost"))
+
+
+class Operator:
+    """Does what a script says at simulated times, and watches."""
+
+    def __init__(self, meshcat, script):
+        self.socket = None
+        self._meshcat, self._script = meshcat, list(script)
+        self.seen = []
+
+    def __call__(self, simulated, text):
+        self.socket = self.socket or MeshcatSocket(self._meshcat)
+        self.seen.append((time.perf_counter(), simulated, text))
+        while self._script and simulated >= self._script[0][0]:
+            _, act = self._script.pop(0)
+            act(self.socket)
+
+
+def slide(name, value):
+    return lambda socket: socket.slide(name, value)
+
+
+def click(name):
+    return lambda socket: socket.click(name)
+
+
+@pytest.fixture(scope="module")
+def driven(meshcat, tmp_path_factory):
+    """A drive of 8 s, its result and its folder."""
+    folder = tmp_path_factory.mktemp("drive")
+    script = [
+        (0.2, slide(DEPTH, 60)),
+        (1.0, slide(TURN, 90)),
+        (3.0, slide(PHANTOM, 15)),
+        (4.0, slide("lambda (1/s)", 0.5)),
+        (4.0, slide("force (N)", 3.0)),
+        (5.0, click(SAVE)),
+        (6.0, slide(DEPTH, 50)),
+        (6.0, slide("azimuth (deg)", 10)),
+    ]
+    operator = Operator(meshcat, script)
+    result = drive(cheap(8.0), meshcat, out=folder, show=operator)
+    return result, folder, operator
+
+
+def test_the_recorded_scenario_repeats_the_run(driven):
+    result, folder, _ = driven
+    recorded = load_scenario(folder / "scenario.yaml")
+    assert recorded.duration == 8.0
+    assert len(recorded.hand.pushes) > 5
+    assert len(recorded.phantom_motion.moves) == 1
+    assert [change.force for change in recorded.controller_changes] == [3.0]
+    first, again = result.log, run(recorded).log
+    assert np.nanmax(first.inserted_length) == pytest.approx(0.06, abs=1e-3)
+    assert np.ptp(first.X_WT[:, 0, 3]) == pytest.approx(0.015, abs=1e-4)
+    for name in ("needle_points", "X_WT", "X_WP", "contact_force", "volume_estimate_tip"):
+        np.testing.assert_allclose(getattr(again, name), getattr(first, name), rtol=0, atol=1e-9)
+
+
+def test_what_was_saved_on_the_way_is_a_scenario_too(driven):
+    _, folder, _ = driven
+    saved = load_scenario(folder / "scenario_1.yaml")
+    assert 5.0 <= saved.duration < 8.0
+    whole = load_scenario(folder / "scenario.yaml").hand.pushes
+    assert saved.hand.pushes[:-1] == whole[: len(saved.hand.pushes) - 1]
+
+
+def test_it_leaves_what_a_run_leaves(driven):
+    result, folder, operator = driven
+    names = {path.name for path in folder.iterdir()}
+    assert names >= {"scenario.yaml", "summary.json", "log.npz", "run.png", "report.html"}
+    assert json.loads((folder / "summary.json").read_text())["force"]["rms_error_n"] is None
+    np.testing.assert_array_equal(read_log(folder / "log.npz").time, result.log.time)
+    assert any("aim it when it is outside" in text for *_, text in operator.seen)
+
+
+def test_pause_stops_time_and_none_is_made_up_for(meshcat):
+    resumed = []
+
+    def pause(simulated, text):
+        operator(simulated, text)
+        if text == "paused" and len(operator.seen) > 60:
+            operator.seen.clear()
+            operator.socket.click(PAUSE)
+            resumed.append((time.perf_counter(), simulated))
+
+    operator = Operator(meshcat, [(1.0, click(PAUSE))])
+    result = drive(cheap(3.0), meshcat, show=pause)
+    ((real, simulated),) = resumed
+    assert 1.0 <= simulated < 2.0
+    assert result.log.time[-1] == pytest.approx(3.0, abs=0.05)
+    for now, time_then, _ in operator.seen:
+        assert time_then - simulated <= now - real + 0.1
+
+
+def test_restart_begins_the_same_again(meshcat):
+    driven = DrivenExperiment(cheap(3.0), meshcat)
+    logs = []
+    for _ in range(2):
+        driven.experiment.start()
+        for depth in (12, 25):
+            meshcat.SetSliderValue(DEPTH, depth)
+            driven.experiment.advance(driven.experiment.time + 1.5)
+        logs.append(driven.experiment.log())
+    for name in ("time", "needle_points", "X_WP", "contact_force", "volume_inlier_count"):
+        np.testing.assert_array_equal(getattr(logs[0], name), getattr(logs[1], name))
+    assert logs[0].inserted_length[-1] == pytest.approx(0.025, abs=5e-4)
+
+
+def test_a_restart_keeps_what_was_done_before(meshcat, tmp_path):
+    operator = Operator(meshcat, [(0.2, slide(DEPTH, 20)), (1.5, click(RESTART))])
+    result = drive(cheap(2.0), meshcat, out=tmp_path, show=operator)
+    assert load_scenario(tmp_path / "scenario_1.yaml").duration >= 1.5
+    assert max(push.speed for push in load_scenario(tmp_path / "scenario_1.yaml").hand.pushes) > 0
+    assert result.log.time[-1] == pytest.approx(2.0, abs=0.05)
+    assert not result.log.inserted_length.any()
+
+
+def test_an_earlier_drive_into_the_same_folder_is_kept(meshcat, tmp_path):
+    (tmp_path / "scenario.yaml").write_text("of an earlier drive")
+    drive(cheap(0.5), meshcat, out=tmp_path)
+    assert (tmp_path / "scenario_1.yaml").read_text() == "of an earlier drive"
+    assert load_scenario(tmp_path / "scenario.yaml").duration == 0.5
+
+
+def test_nothing_a_page_says_stops_the_run(meshcat):
+    flood = [click(PAUSE)] * 2000 + [click(SAVE)] * 2000
+    flood += [slide(DEPTH, value) for value in (math.nan, math.inf, 1e308, "x")] * 500
+    flood += [slide("force (N)", -math.inf), slide(PHANTOM, math.nan), slide("lambda (1/s)", 1e9)]
+    script = [(0.5 + 1e-4 * number, act) for number, act in enumerate(flood)]
+    script += [
+        (1.0, lambda socket: socket.say(type="gamepad", gamepad={"axes": "x", "index": []})),
+        (1.0, lambda socket: socket.send(b"\xff\xfe\xfd" + bytes(100))),
+        (1.1, lambda socket: MeshcatSocket(meshcat).half_close()),
+        (1.2, lambda socket: MeshcatSocket(meshcat).send_raw(os.urandom(5000))),
+        (1.3, lambda socket: socket.half_close()),
+    ]
+    operator = Operator(meshcat, script)
+
+    def go_on(simulated, text):
+        operator(simulated, text)
+        if text == "paused":  # by an odd number of looks at the flood
+            MeshcatSocket(meshcat).click(PAUSE)
+
+    log = drive(cheap(3.0), meshcat, show=go_on).log
+    assert log.time[-1] == pytest.approx(3.0, abs=0.05)
+    for name in ("X_WP", "X_WT", "inserted_length", "joint_state", "contact_force"):
+        assert np.isfinite(getattr(log, name)).all()
+    assert log.inserted_length.max() <= 0.1

@@ -1,0 +1,142 @@
+"""Single volumes: how often the needle is found, and that its storage does not matter."""
+
+import time
+
+import nrrd
+import numpy as np
+import pytest
+from pydrake.math import RollPitchYaw
+from random_scans import random_scan
+from scipy.ndimage import map_coordinates
+
+from sonoservo.diagrams.app import locate
+from sonoservo.diagrams.app.locate import locate_in, locate_in_recording
+from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.recording.nrrd import write_volume
+from sonoservo.systems.recording.recording import Recording
+
+
+def judge(seeds):
+    """How many are right to 2 mm and 2 deg, how many empty ones stay empty, and the times."""
+    right, none, seconds = [], [], []
+    for seed in seeds:
+        made, empty = random_scan(seed), random_scan(seed, needle=False)
+        begin = time.perf_counter()
+        found = locate_in(made.volume)
+        seconds.append(time.perf_counter() - begin)
+        if found:
+            tip = np.linalg.norm(found.curve.tip - made.needle.tip)
+            angle = np.degrees(np.arccos(min(found.curve.direction @ made.needle.direction, 1)))
+        right.append(bool(found) and tip <= 2e-3 and angle <= 2)
+        none.append(not locate_in(empty.volume))
+    return sum(right), sum(none), seconds
+
+
+def test_finds_needles_and_no_others():
+    right, none, _ = judge([104, 107, 112])
+    assert right == 3
+    assert none == 3
+
+
+@pytest.mark.slow
+def test_finds_needles_in_95_of_100_volumes_and_no_others():
+    right, none, seconds = judge(range(100))
+    print(f"{right} right, {none} empty, {1e3 * np.median(seconds):.0f} ms")
+    assert right >= 95
+    assert none >= 95
+
+
+@pytest.fixture(scope="module")
+def made():
+    return random_scan(104)
+
+
+def write(path, array, steps, origin):
+    header = {
+        "space": "left-posterior-superior",
+        "space directions": np.asarray(steps).T,
+        "space origin": origin,
+    }
+    nrrd.write(str(path), array, header, compression_level=1)
+    return Recording(path)
+
+
+def assert_same_needle(found, wanted, R=None, tip_mm=0.3, angle_deg=0.3):
+    R = np.eye(3) if R is None else R
+    assert found["found"]
+    assert np.linalg.norm(R.T @ found["tip_lps_mm"] - wanted["tip_lps_mm"]) <= tip_mm
+    cosine = (R.T @ found["direction_lps"]) @ wanted["direction_lps"]
+    assert np.degrees(np.arccos(min(cosine, 1))) <= angle_deg
+
+
+def test_the_same_volume_stored_otherwise_has_the_same_needle(tmp_path, made):
+    array = made.volume.intensities
+    steps, origin = np.diag(1e3 * made.volume.spacing), 1e3 * made.volume.origin
+    wanted = locate_in_recording(Recording(write_volume(tmp_path / "a.nrrd", made.volume)))
+    truth = made.volume.to_probe(made.needle.control_points)
+    assert np.linalg.norm(wanted["tip_lps_mm"] - 1e3 * truth[1]) < 2
+    size = steps @ (np.array(array.shape) - 1)
+    R = RollPitchYaw(0.3, -0.4, 0.5).ToRotationMatrix().matrix()
+    others = {
+        "rotated": (array, R @ steps, R @ origin, R),
+        "left-handed": (array[::-1], steps * [-1, 1, 1], origin + size * [1, 0, 0], None),
+        "upside down": (array[:, ::-1, ::-1], steps * [1, -1, -1], origin + size * [0, 1, 1], None),
+        "permuted": (array.transpose(2, 0, 1), steps[:, [2, 0, 1]], origin, None),
+        "float": (array.astype(np.float32) / 255, steps, origin, None),
+        "int16": (array.astype(np.int16) * 100 - 1000, steps, origin, None),
+    }
+    for name, (voxels, directions, first, turned) in others.items():
+        recording = write(tmp_path / f"{name}.nrrd", voxels, directions, first)
+        # But for rounding, which decides which of the draws is the middlemost, they are equal.
+        assert_same_needle(locate_in_recording(recording), wanted, turned, 0.15, 0.15)
+
+
+def test_anisotropic_voxels_show_the_same_needle(tmp_path):
+    """To 0.3 mm and 0.3 deg in the median: another grid has other noise at a needle's end."""
+    tips, angles = [], []
+    for seed in (104, 107, 110, 112, 113):
+        volume = random_scan(seed).volume
+        spacing, other = 1e3 * volume.spacing, np.array([0.3, 0.6, 1.1])
+        wanted = locate_in_recording(Recording(write_volume(tmp_path / "a.nrrd", volume)))
+        shape = np.floor((np.array(volume.intensities.shape) - 1) * spacing / other).astype(int) + 1
+        index = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"))
+        index = index * (other / spacing)[:, np.newaxis, np.newaxis, np.newaxis]
+        voxels = np.rint(map_coordinates(volume.intensities, index, np.float32, order=1))
+        path = tmp_path / "b.nrrd"
+        recording = write(path, voxels.astype(np.uint8), np.diag(other), 1e3 * volume.origin)
+        found = locate_in_recording(recording)
+        tips.append(np.linalg.norm(np.subtract(found["tip_lps_mm"], wanted["tip_lps_mm"])))
+        cosine = np.dot(found["direction_lps"], wanted["direction_lps"])
+        angles.append(np.degrees(np.arccos(min(cosine, 1))))
+    assert np.median(tips) <= 0.3
+    assert np.median(angles) <= 0.3
+    assert max(tips) <= 1
+    assert max(angles) <= 1.5
+
+
+def test_an_array_and_a_spacing_are_enough(made):
+    volume = made.volume
+    found = locate(volume.intensities, volume.spacing, origin=volume.origin)
+    tip = volume.to_probe(made.needle.control_points)[1]
+    assert np.linalg.norm(found.curve.tip - tip) < 2e-3
+    assert 0.5 <= found.confidence < 1
+    assert found.inlier_count > 50
+    bent = locate(volume.intensities, volume.spacing, origin=volume.origin, order=3)
+    assert bent.curve.order == 3
+    assert np.linalg.norm(bent.curve.tip - tip) < 2e-3
+
+
+@pytest.mark.parametrize("content", ["zeros", "constant", "noise"])
+@pytest.mark.parametrize("shape", [(2, 2, 2), (40, 50, 30)])
+def test_arrays_without_content_have_no_needle(content, shape):
+    noise = np.random.default_rng(0).integers(0, 255, shape)
+    array = {"zeros": np.zeros(shape), "constant": np.full(shape, 80), "noise": noise}[content]
+    found = locate(array.astype(np.uint8), [1e-3] * 3)
+    assert not found
+    assert found.reason
+
+
+def test_a_volume_that_is_not_there(tmp_path, made):
+    recording = Recording(write_volume(tmp_path / "a.nrrd", made.volume))
+    with pytest.raises(ConfigurationError, match="volume 3: it has 1"):
+        locate_in_recording(recording, 3)

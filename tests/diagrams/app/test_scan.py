@@ -1,0 +1,155 @@
+import json
+import subprocess
+import sys
+
+import nrrd
+import numpy as np
+import pytest
+from PIL import Image
+from pydrake.math import RigidTransform, RotationMatrix
+
+from sonoservo.diagrams.app.scan import caption, scan, summarize_scan
+from sonoservo.diagrams.scenario import load_scenario
+from sonoservo.systems.evaluation.scan_sheet import sample, scan_sheet
+from sonoservo.systems.files.typed_yaml import ConfigurationError
+
+SCENARIO = "chatelain2013_fig5"
+
+
+def sonoservo(*arguments):
+    return subprocess.run(
+        [sys.executable, "-c", "from sonoservo.diagrams.app.cli import main; main()", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return load_scenario(SCENARIO, changes=["hand.dip_deg=0", "hand.angle_spread_deg=0"])
+
+
+@pytest.fixture(scope="module")
+def shown(scenario):
+    return scan(scenario)
+
+
+def test_the_probe_is_pressed_on_the_phantom_over_the_deepest_needle(scenario, shown):
+    assert shown.needle.length == pytest.approx(0.097, abs=0.5e-3)
+    (tip,) = shown.volume.to_probe(shown.needle.tip[np.newaxis])
+    np.testing.assert_allclose(tip[[0, 2]], 0, atol=1e-9)
+    top = shown.volume.to_probe(scenario.station.X_WT.translation()[np.newaxis])[0, 1]
+    assert top == pytest.approx(-4e-3)
+    along = shown.volume.X_WP.rotation().matrix().T @ shown.needle.curve.direction
+    assert abs(np.rad2deg(np.arctan2(along[2], along[0]))) == pytest.approx(40, abs=0.1)
+
+
+def test_the_needle_is_bright_where_it_truly_is_and_nowhere_beside(shown):
+    shaft = shown.volume.to_probe(shown.needle.curve.position(np.linspace(0.7, 0.97, 60)))
+    needle, inside = sample(shown.sweep, shaft)
+    beside, _ = sample(shown.sweep, np.add(shaft, [0, -6e-3, 0]))
+    assert inside.all()
+    assert np.median(needle) - np.median(beside) > 30
+    assert needle.max() - np.median(beside) > 55
+
+
+def test_volume_and_slices_show_the_same(shown):
+    index = np.argwhere(shown.volume.intensities > 180)[::10]
+    grey, inside = sample(shown.sweep, shown.volume.position(index))
+    assert len(index) > 5
+    assert inside.all()
+    assert np.abs(grey - shown.volume.intensities[tuple(index.T)]).max() < 1
+
+
+def test_without_a_needle_the_probe_is_where_the_scenario_starts(scenario):
+    empty = scan(scenario, time=0.0)
+    assert not empty.needle
+    start = scenario.station.probe_pose(height=-4e-3)
+    np.testing.assert_allclose(empty.volume.X_WP.GetAsMatrix4(), start.GetAsMatrix4(), atol=1e-12)
+    assert summarize_scan(empty, scenario)["inserted_mm"] == 0
+    figure = scan_sheet(
+        empty.sweep, empty.volume, empty.needle, dynamic_range_db=60.0,
+        caption=caption(empty, scenario),
+    )  # fmt: skip
+    assert sum(axes.get_visible() and axes.get_title(loc="left") != "" for axes in figure.axes) == 3
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_needle_beside_the_sector_is_left_out(scenario):
+    away = RigidTransform(RotationMatrix.MakeXRotation(-np.pi / 2), [0.09, 0.05, -0.004])
+    beside = scan(scenario, time=6.0, X_TP=away)
+    assert beside.needle
+    figure = scan_sheet(
+        beside.sweep, beside.volume, beside.needle, dynamic_range_db=60.0,
+        caption=caption(beside, scenario),
+    )  # fmt: skip
+    assert not any(axes.texts for axes in figure.axes)
+
+
+def test_the_sheet_reads_in_millimetres_and_decibels(scenario, shown):
+    figure = scan_sheet(
+        shown.sweep, shown.volume, shown.needle, dynamic_range_db=60.0,
+        caption=caption(shown, scenario),
+    )  # fmt: skip
+    frame, along, across, elevation, bar = figure.axes
+    left, right, bottom, top = frame.images[0].get_extent()
+    assert bottom == pytest.approx(90, abs=0.5)
+    assert top < 0
+    assert right == pytest.approx(130 * np.sin(np.deg2rad(0.608768 * 47.5)), abs=0.5)
+    assert left == pytest.approx(-right, abs=0.5)
+    assert [text.get_text() for text in along.texts] == ["tip"]
+    np.testing.assert_allclose(along.texts[0].xy, [0, 38], atol=5)
+    assert bar.get_ylabel() == "echo amplitude, dB"
+    assert [label.get_text() for label in bar.get_yticklabels()][:2] == ["0", "-10"]
+    assert across.get_ylabel() == "across it, mm"
+    assert elevation.get_xlabel() == "elevation, mm"
+
+
+def test_command_writes_picture_volume_and_figures(tmp_path):
+    result = sonoservo("scan", SCENARIO, "--out", str(tmp_path / "new"), "--seed", "2",
+                       "--json", str(tmp_path / "scan.json"))  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    assert "27 frames x 96 lines x 293 samples" in result.stdout
+    with Image.open(tmp_path / "new" / "scan.png") as picture:
+        assert min(picture.size) > 800
+    data, header = nrrd.read(str(tmp_path / "new" / "scan.nrrd"))
+    figures = json.loads((tmp_path / "scan.json").read_text())
+    assert figures["seed"] == 2
+    assert list(data.shape) == figures["voxels"]
+    np.testing.assert_allclose(np.diag(header["space directions"]), figures["spacing_mm"])
+
+
+def test_a_mistake_is_one_line_and_exit_code_2(tmp_path):
+    result = sonoservo("scan", SCENARIO, "--set", "imaging.frames=31", "--out", str(tmp_path / "x"))
+    assert result.returncode == 2
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert "lines x 2 x" in result.stderr
+    assert not (tmp_path / "x").exists()
+    with pytest.raises(ConfigurationError, match="there is no model"):
+        scan(load_scenario(SCENARIO, changes=["phantom=agr"]))
+    with pytest.raises(ConfigurationError, match="time: -5.0 is not allowed"):
+        scan(load_scenario(SCENARIO), time=-5.0)
+
+
+def test_a_moving_probe_s_sweep_can_be_compensated():
+    """A needle across the frames leans over, by what the probe moved, and does not with it."""
+    changes = [
+        "hand.entry=[0, -0.06, -0.04]", "hand.azimuth_deg=90", "hand.dip_deg=0",
+        "hand.entry_spread=[0, 0, 0]", "hand.angle_spread_deg=0", "station.probe.yaw_deg=0",
+    ]  # fmt: skip
+    pose = RigidTransform(RotationMatrix.MakeXRotation(-np.pi / 2), [0, 0, -0.004])
+    slopes = {}
+    for compensate in (False, True):
+        flag = f"scan_conversion.compensate_motion={str(compensate).lower()}"
+        moving = load_scenario(SCENARIO, changes=[*changes, flag])
+        shown = scan(moving, X_TP=pose, velocity=[0.02, 0, 0])
+        volume = shown.volume
+        places = np.argwhere(volume.intensities > 150)
+        x, y, z = volume.position(places).T
+        keep = (np.abs(x) < 6e-3) & (np.abs(z) < 0.02) & (np.abs(y - 0.036) < 4e-3)
+        slopes[compensate] = np.polyfit(z[keep], x[keep], 1)[0]
+    # 20 mm/s for 303 ms, while the sweep goes over 43 mm of elevation at that depth.
+    assert slopes[False] == pytest.approx(-0.142, abs=0.03)
+    assert slopes[True] == pytest.approx(0, abs=0.02)

@@ -1,0 +1,252 @@
+"""Trackers on recordings: ours, to the last bit, and those that other software wrote."""
+
+import csv
+import json
+import resource
+import time
+
+import nrrd
+import numpy as np
+import pytest
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from recordings import tracked, write_meta_image, write_sequence_nrrd
+from synthetic_volumes import Scene, entry_on_side
+
+from sonoservo.diagrams import MakeNeedleTracker, load_scenario, run, track, track_recording
+from sonoservo.diagrams.app.track import tracker_parameters
+from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.recording.recording import Recording
+from sonoservo.systems.recording.recording_writer import RecordingWriter
+from sonoservo.systems.recording.volume_player import VolumePlayer
+from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
+
+
+@pytest.fixture(scope="module")
+def live(tmp_path_factory):
+    """A short run as in fig. 4, and its recording."""
+    path = tmp_path_factory.mktemp("recorded") / "a.seq.nrrd"
+    changes = ["duration=8", "hand.start=0.5", "hand.pushes.0.speed=0.012"]
+    scenario = load_scenario("chatelain2013_fig4", seed=101, changes=changes)
+    return path, run(scenario, record=path, record_sweeps=True)
+
+
+def test_a_recording_gives_the_estimates_of_the_live_run_exactly(live, tmp_path):
+    path, result = live
+    seen = track_recording(Recording(path), out=tmp_path)
+    assert result.summary["tracking"]["tracked"] > 10
+    columns = [n for n in vars(type(result.log))["__dataclass_fields__"] if n.startswith("volume_")]
+    assert len(columns) > 10
+    for name in set(columns) - {"volume_seen"}:
+        there, here = getattr(result.log, name), getattr(seen.log, name)
+        np.testing.assert_array_equal(here, there, err_msg=name)
+    for name in ("tip_error_mm", "axis_error_deg"):
+        there = result.summary["tracking"][name]["median"]
+        assert seen.summary["tracking"][name]["median"] == pytest.approx(there, abs=0.05)
+
+    assert {each.name for each in tmp_path.iterdir()} == {
+        "estimates.csv",
+        "estimates.json",
+        "summary.json",
+        "log.npz",
+        "planes.png",
+        "tip.png",
+        "errors.png",
+        "report.html",
+    }
+    with (tmp_path / "estimates.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert (
+        len(rows)
+        == len(Recording(path))
+        == len(json.loads((tmp_path / "estimates.json").read_text()))
+    )
+    assert rows[0]["tip_l_mm"] == ""
+    last = np.array([float(rows[-1][f"tip_{axis}_mm"]) for axis in "lps"])
+    volume = Recording(path)[len(rows) - 1]
+    # LPS are the axes of the probe in a file of ours.
+    np.testing.assert_allclose(last, 1e3 * volume.to_probe([seen.estimates[-1].curve.tip])[0])
+
+
+def test_an_interrupted_run_leaves_a_recording(tmp_path):
+    def stop(time, estimate):
+        if time > 0.7:
+            raise KeyboardInterrupt
+
+    path = tmp_path / "a.seq.nrrd"
+    result = run(load_scenario("chatelain2013_fig4", seed=101), record=path, after_volume=stop)
+    assert result.summary["interrupted"]
+    assert [volume.time for volume in Recording(path)] == list(result.log.volume_time[:3])
+    assert {each.name for each in tmp_path.iterdir()} == {
+        "a.seq.nrrd",
+        "a.acquisition.jsonl",
+        "a.truth.jsonl",
+    }
+
+
+def test_sweeps_are_recorded_as_acquired(live):
+    path, _ = live
+    data, header = nrrd.read(str(path.with_name("a.sweeps.seq.nrrd")))
+    recording = Recording(path)
+    motion = recording[35].motion
+    assert data.shape == (*motion.geometry.shape[::-1], len(recording))
+    assert header["Seq_Frame0035_SweepDirection"] == str(motion.direction) == "-1"
+    # Scan conversion of what was recorded gives the volume that was recorded.
+    conversion = ScanConversion(motion.geometry, make_grid(motion.geometry, 0.7e-3))
+    volume = conversion.convert(np.ascontiguousarray(data[..., 35].T), motion.direction)
+    np.testing.assert_array_equal(volume, recording[35].intensities)
+
+
+def test_a_player_takes_the_place_of_the_scanner(live):
+    path, result = live
+    recording = Recording(path)
+    builder = DiagramBuilder()
+    player = builder.AddSystem(VolumePlayer(recording=recording, delay=0.1))
+    tracker = builder.AddSystem(
+        MakeNeedleTracker(period=0.05, seed=recording.settings["tracker_seed"])
+    )
+    builder.Connect(player.GetOutputPort("volume"), tracker.GetInputPort("volume"))
+    simulator = Simulator(builder.Build())
+    simulator.AdvanceTo(player.end + 0.06)
+    context = tracker.GetMyContextFromRoot(simulator.get_context())
+    estimate = tracker.GetOutputPort("estimate").Eval(context)
+    np.testing.assert_array_equal(estimate.curve.tip, result.log.volume_estimate_tip[-1])
+
+
+SCENE = Scene(seed=5, spacing=1.2e-3)
+STEPS = (1.2, 1.2, 1.2)
+ENTRY = entry_on_side()
+K = np.array([1, 0.25, 0.1]) / np.linalg.norm([1, 0.25, 0.1])
+
+
+def needle(time):
+    length = min(5e-3 * (time - 2), 0.03)
+    return (ENTRY, ENTRY + length * K) if length > 0 else None
+
+
+@pytest.fixture(scope="module")
+def volumes():
+    return [SCENE.volume(k, needle) for k in range(36)]
+
+
+def test_files_of_others_track_equally_whoever_wrote_them(tmp_path, volumes):
+    arrays = [volume.intensities for volume in volumes[::2]]
+    times = [volume.time for volume in volumes[::2]]
+    slicer = write_sequence_nrrd(
+        tmp_path / "a.seq.nrrd", arrays, list_first=True, times=times, steps=STEPS
+    )
+    fields = {f"Seq_Frame{k:04d}_Timestamp": repr(t) for k, t in enumerate(times)}
+    itk = write_meta_image(tmp_path / "a.mha", arrays, fields, compressed=True, steps=STEPS)
+    found = [track_recording(Recording(path)).estimates for path in (slicer, itk)]
+    assert sum(map(bool, found[0])) > 5
+    for one, other in zip(*found, strict=True):
+        assert one.mode == other.mode
+        if one:
+            np.testing.assert_allclose(one.curve.tip, other.curve.tip, atol=1e-12)
+
+
+def test_anywhere_finds_a_needle_that_was_always_there(tmp_path, volumes):
+    path = tmp_path / "a.seq.nrrd"
+    with RecordingWriter(path) as writer:
+        for volume in volumes[-6:]:
+            writer.append(volume)
+    assert not any(track_recording(Recording(path)).estimates)
+    anywhere = tracker_parameters(start="anywhere")
+    found = track_recording(Recording(path), parameters=anywhere).estimates
+    assert all(found)
+    assert np.linalg.norm(found[-1].curve.tip - needle(99)[1]) < 2e-3
+    # Without the motion of the sweep, as in others' files, it is found as well.
+    path.with_name("a.acquisition.jsonl").unlink()
+    found = track_recording(Recording(path), parameters=anywhere).estimates
+    assert np.linalg.norm(found[-1].curve.tip - needle(99)[1]) < 2e-3
+    empty = [SCENE.volume(k) for k in range(3)]
+    assert not any(track(empty, parameters=anywhere))
+
+
+def test_an_insertion_is_seen_without_the_sector_s_geometry(tmp_path, volumes):
+    """In others' files the field of view is where the voxels are not zero."""
+    path = tmp_path / "a.seq.nrrd"
+    with RecordingWriter(path) as writer:
+        for volume in volumes[::2]:
+            writer.append(volume)
+    path.with_name("a.acquisition.jsonl").unlink()
+    found = track_recording(Recording(path)).estimates
+    assert np.linalg.norm(found[-1].curve.tip - needle(99)[1]) < 2.5e-3
+
+
+def test_poses_of_plus_carry_the_needle_into_the_tracker_s_frame(tmp_path, volumes):
+    array = volumes[-1].intensities
+    path = write_meta_image(tmp_path / "a.mha", [array] * 3, tracked(3, [1]), steps=STEPS)
+    result = track_recording(
+        Recording(path), parameters=tracker_parameters(start="anywhere"), out=tmp_path / "out"
+    )
+    assert result.summary["skipped"] == 1
+    (first, second) = result.rows
+    for row, moved in ((first, 0), (second, 4)):
+        # As `tracked` turns and moves the file's coordinates; the filter averages in the world.
+        assert row["world_tip_x_mm"] == pytest.approx(-row["tip_p_mm"] + moved, abs=1e-9)
+        assert row["world_tip_y_mm"] == pytest.approx(row["tip_l_mm"] + 5, abs=1e-9)
+
+
+def test_real_time_goes_no_faster(tmp_path):
+    path = write_sequence_nrrd(
+        tmp_path / "a.seq.nrrd", [np.ones((8, 9, 10), np.uint8)] * 4, times=[0, 0.1, 0.2, 0.4]
+    )
+    track_recording(Recording(path))
+    begin = time.perf_counter()
+    track_recording(Recording(path), real_time=True)
+    assert time.perf_counter() - begin >= 0.4
+
+
+def test_an_interruption_keeps_what_was_tracked(tmp_path, volumes):
+    path = tmp_path / "a.seq.nrrd"
+    with RecordingWriter(path) as writer:
+        for volume in volumes[:6]:
+            writer.append(volume)
+
+    def stop(number, estimate):
+        if number == 3:
+            raise KeyboardInterrupt
+
+    result = track_recording(Recording(path), out=tmp_path / "out", after_volume=stop)
+    assert result.summary["interrupted"]
+    assert len(result.rows) == 4
+    assert (tmp_path / "out" / "report.html").is_file()
+
+
+@pytest.mark.parametrize(
+    ("choice", "message"),
+    [
+        ({"tracker": "zhao2021"}, "did you mean 'zhao2012'"),
+        ({"order": 5}, "order: 5 is not allowed"),
+        ({"order": 3, "tracker": "zhao2012"}, "localizer.order: 3"),
+        ({"start": "nowhere"}, "start: 'nowhere'"),
+    ],
+)
+def test_choices_are_checked(choice, message):
+    with pytest.raises(ConfigurationError, match=message):
+        tracker_parameters(**choice)
+
+
+def test_a_thousand_volumes_leave_the_memory_flat(tmp_path):
+    """200 MB of volumes; what is held grows by the estimates only."""
+    shape = (60, 60, 56)
+    noise = np.random.default_rng(0).integers(1, 90, shape).astype(np.uint8)
+    path = tmp_path / "long.seq.nrrd"
+    header = (
+        "NRRD0004\ntype: uint8\ndimension: 4\nspace: LPS\nsizes: 60 60 56 1000\n"
+        "space directions: (1,0,0) (0,1,0) (0,0,1) none\nkinds: domain domain domain list\n"
+        'labels: "" "" "" "time"\nencoding: raw\n'
+        f"axis 3 index values:={' '.join(str(0.2 * k) for k in range(1000))}\n\n"
+    )
+    with path.open("wb") as file:
+        file.write(header.encode())
+        for k in range(1000):
+            file.write(np.roll(noise, k % 7, axis=0).tobytes())
+    used = {}
+
+    def note(number, estimate):
+        used[number] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+    track_recording(Recording(path), after_volume=note)
+    assert used[999] - used[100] < 15e3  # kB

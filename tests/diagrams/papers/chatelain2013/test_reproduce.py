@@ -1,0 +1,107 @@
+"""The reproduction: what is run, and a short version of all of it."""
+
+import json
+
+import numpy as np
+import pytest
+
+from sonoservo.diagrams import load_scenario
+from sonoservo.diagrams.papers.chatelain2013 import reproduce as chatelain2013
+from sonoservo.diagrams.papers.chatelain2013.reproduce import (
+    ABLATIONS,
+    PROTOCOLS,
+    Protocol,
+    bent_insertion,
+    study_cases,
+)
+from sonoservo.diagrams.studies.study import StudyOptions
+from sonoservo.diagrams.studies.study_report import write_study
+from sonoservo.systems.needle.insertion import Insertion
+
+
+def scenario_of(case):
+    return load_scenario(
+        case.settings["scenario"], seed=case.seed, changes=case.settings["changes"]
+    )
+
+
+@pytest.mark.parametrize("seed", range(0, 20, 3))
+def test_bent_needles_end_in_the_image_and_come_from_the_phantom(seed):
+    hand = load_scenario("chatelain2013_fig5", changes=bent_insertion(seed)).hand
+    assert 0.15 <= hand.bend_radius <= 0.4
+    assert 0 <= hand.dip_deg <= 40
+    needle = Insertion(hand, np.random.default_rng(0)).needle(60.0)
+    np.testing.assert_allclose(needle.tip, [-0.023, 0, -0.05], atol=0.5e-3)
+    x, y, z = hand.entry
+    assert -0.12 <= x < -0.06
+    assert abs(y) < 0.08
+    assert -0.075 <= z <= 0
+    assert bent_insertion(seed) == bent_insertion(seed) != bent_insertion(seed + 1)
+
+
+def test_as_many_runs_as_promised(tmp_path):
+    cases = study_cases(StudyOptions(folder=tmp_path))
+    seeds = {name: {c.seed for c in cases if c.experiment == name} for name in PROTOCOLS}
+    assert {name: len(seeds[name]) for name in ("fig4", "fig5", "fig6", "bent")} == {
+        "fig4": 20,
+        "fig5": 20,
+        "fig6": 50,
+        "bent": 20,
+    }
+    assert all(len(seeds[f"fig5, {name}"]) >= 5 for name in ABLATIONS)
+    volumes = {"no needle, probe still": 0, "no needle, probe pressed": 0}
+    for case in cases:
+        if case.experiment in volumes:
+            scenario = scenario_of(case)
+            assert Insertion(scenario.hand, np.random.default_rng(0)).depth(1e3) == 0
+            volumes[case.experiment] += int(scenario.duration * scenario.imaging.volume_rate) - 1
+    assert all(number >= 1000 for number in volumes.values())
+
+
+@pytest.mark.parametrize("name", ABLATIONS)
+def test_each_ablation_changes_the_scenario(name):
+    changed = load_scenario("chatelain2013_fig5", changes=list(ABLATIONS[name]))
+    assert changed.to_yaml() != load_scenario("chatelain2013_fig5").to_yaml()
+
+
+def test_the_whole_study_in_short(tmp_path, monkeypatch):
+    """One quick insertion an experiment, through the same code."""
+    quick = ["duration=7.5", "hand.start=1", "hand.pushes=[{duration: 5.5, speed: 0.014}]"]
+    moved = 'phantom_motion.moves=[{"start": 5.6, "duration": 0.3, "translation": [0.005, 0, 0]}]'
+    monkeypatch.setattr(
+        chatelain2013,
+        "PROTOCOLS",
+        {
+            "fig4": Protocol("chatelain2013_fig4", 1, (1, 5.0), quick),
+            "fig5": Protocol("chatelain2013_fig5", 1, (1, 6.5), quick),
+            "fig6": Protocol("chatelain2013_fig6", 1, (1, 6.6), [*quick, moved]),
+            "bent": Protocol("chatelain2013_fig5", 1, (1, 2.5), ["tracker.order=3"]),
+            "no needle, probe still": Protocol(
+                "chatelain2013_fig4", 1, (1, 2.5), PROTOCOLS["no needle, probe still"].changes
+            ),
+            "fig5, no refits": Protocol(
+                "chatelain2013_fig5", 1, (1, 2.5), [*quick, *ABLATIONS["no refits"]]
+            ),
+            "fig5, no filter": Protocol("chatelain2013_fig5", 1, (1, 5.0), ["no.such.field=1"]),
+        },
+    )
+    options = StudyOptions(folder=tmp_path, quick=True, jobs=1, first_seed=100)
+    study = chatelain2013.reproduce(options)
+    write_study(tmp_path, study, "sonoservo reproduce chatelain2013")
+    data = json.loads((tmp_path / "study.json").read_text())
+    rows = {(row["experiment"], row["quantity"]): row for row in data["rows"]}
+    assert rows["fig4", "tip error, median"]["true"] < 2
+    assert rows["fig4", "false starts, all runs"]["met"]
+    assert rows["fig5", "tip error, median"]["true"] < 2
+    assert rows["fig5", "contact force, mean"]["true"] == pytest.approx(2, abs=0.1)
+    assert rows["fig6", "runs back after every move, of 1"]["target"] == 1
+    assert rows["fig6", "force, largest"]["true"] > 2
+    assert rows["no needle, probe still", "false starts, all runs"]["true"] == 0
+    assert rows["no needle, probe still", "volumes"]["true"] >= 10
+    assert ("fig5, no refits", "axis error, 95 %") in rows
+    (failure,) = data["failures"]
+    assert failure["experiment"] == "fig5, no filter"
+    assert "no: unknown field" in failure["error"]
+    names = {"fig4", "fig5", "fig5_spread", "fig6", "fig6_spread", "errors", "fig5_ablations"}
+    assert {path.stem for path in tmp_path.glob("*.png")} == names
+    assert (tmp_path / "report.html").read_text().count("data:image/png;base64,") == len(names)

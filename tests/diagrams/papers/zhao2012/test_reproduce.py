@@ -1,0 +1,158 @@
+"""The reproduction: the phantom, a short version of every run, and the rows it makes of results."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sonoservo.diagrams.papers.zhao2012 import reproduce as zhao2012
+from sonoservo.diagrams.papers.zhao2012.phantom import DIRECTION, IMAGING, Phantom, StraightNeedle
+from sonoservo.diagrams.papers.zhao2012.runs import ESTIMATORS, QUANTITIES, run_case
+from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
+from sonoservo.diagrams.studies.study_report import Study, write_study
+from sonoservo.systems.ultrasound.transducer import load_transducer
+
+
+@pytest.fixture(scope="module")
+def phantom():
+    return Phantom(StraightNeedle(np.array([-6e-3, 0, -13e-3]), DIRECTION), seed=100)
+
+
+def test_the_sweep_is_the_published_one(phantom):
+    assert phantom.renderer.geometry.shape == (53, 71, 2608)
+    geometry = phantom.renderer.geometry
+    half = np.degrees([geometry.line_pitch * 70 / 2, geometry.frame_pitch * 53 / 2])
+    np.testing.assert_allclose(half, 20, atol=0.1)
+    assert 1540 / 2 / geometry.sample_pitch == pytest.approx(27e6, rel=1e-3)
+    assert load_transducer("zhao2012").elements == 128
+    assert np.linalg.norm(DIRECTION) == pytest.approx(1)
+    assert IMAGING.transmit_frequency == 7.5e6
+
+
+def test_needle_moves_as_it_is_pushed_and_is_as_bright_as_its_scatterers(phantom):
+    """125/mm^3 of amplitude 7.5 in 10/mm^3 of power 4: 22 dB where the beam lies in the needle."""
+    short, long = (phantom.sweep(length, 0.0) for length in (6e-3, 9e-3))
+    tissue = phantom.renderer.on_carrier(phantom._tissue)
+
+    def power(sweep, behind_tip, length):
+        p_W = phantom.needle.tip(length) - behind_tip * DIRECTION
+        k, j, i = np.round(sweep.index(sweep.to_probe(p_W[np.newaxis])[0])).astype(int)
+        near = np.s_[k, j - 1 : j + 2, i - 8 : i + 9]
+        return np.mean((sweep.lines - tissue)[near] ** 2), np.mean(tissue[near] ** 2)
+
+    # Nothing beyond the short needle's tip, where the long one is.
+    assert power(short, -2e-3, 6e-3)[0] < 1e-3 * power(long, 1e-3, 9e-3)[0]
+    stretch = np.arange(1e-3, 5e-3, 0.25e-3)
+    levels = np.mean([power(long, behind, 9e-3) for behind in stretch], axis=0)
+    # The beam, 0.95 mm wide in elevation, spends a part of itself beside the needle.
+    assert 18 < 10 * np.log10(levels[0] / levels[1]) < 24
+
+
+def test_the_tracker_follows_a_needle_in_the_dynamic_run():
+    result = run_case(Case("dynamic, fresh speckle", 100, {"phantom": 100, "volumes": 7}))
+    errors = np.array(result["errors"], dtype=float)
+    assert errors.shape == (7, len(ESTIMATORS), len(QUANTITIES))
+    np.testing.assert_allclose(
+        errors[..., 5], np.linalg.norm(errors[..., 2:5], axis=-1), atol=1e-12
+    )
+    rmse = np.sqrt(np.mean(errors[2:] ** 2, axis=0))
+    final = rmse[ESTIMATORS.index("kalman_velocity")]
+    assert final[5] < 0.3
+    assert final[5] < rmse[0, 5]
+    assert (final[:2] < 2).all()
+    velocities = np.array(result["velocities_mm_s"], dtype=float)[2:]
+    assert np.isfinite(velocities[:, 0]).sum() >= 3
+    assert np.nanmax(np.abs(velocities - DIRECTION)) < 0.3
+    json.dumps({**result, "errors": None})
+
+
+def test_a_resting_needle_is_tracked_too():
+    settings = {"phantom": 100, "volumes": 4, "lengths_mm": [20]}
+    errors = np.array(run_case(Case("static, x", 101, settings))["errors"], dtype=float)
+    assert errors.shape == (1, 4, len(ESTIMATORS), len(QUANTITIES))
+    assert np.abs(errors[0, 2:, 2:, 5]).max() < 0.5
+    assert np.abs(errors[0, 2:, 2:, :2]).max() < 1.0
+    # The same volume, other draws: they differ by the published RANSAC's randomness.
+    assert np.std(errors[0, :, 0, 0]) > 0.1
+
+
+def test_the_velocimeter_s_trial_finds_slow_speeds():
+    settings = {"phantom": 102, "speeds_mm_s": [0.0, 1.0]}
+    found = np.array(run_case(Case("velocimeter", 102, settings))["velocities_mm_s"], dtype=float)
+    assert found.shape == (2, 4)
+    known = np.isfinite(found[:, 0])
+    assert known.any()
+    speed = found[known, :3] @ DIRECTION
+    np.testing.assert_allclose(speed, np.array([0.0, 1.0])[known], atol=0.2)
+
+
+def outcomes(scales):
+    """Runs whose errors have a known size for each estimator: +s and -s, by turns."""
+    made = []
+    for name in ("dynamic, fresh speckle", "static, fresh speckle"):
+        for seed in range(2):
+            one = np.multiply.outer(scales, np.ones(6)) * (-1) ** seed
+            shape = (16,) if name.startswith("dynamic") else (2, 8)
+            errors = np.broadcast_to(one, (*shape, *one.shape)).tolist()
+            settings = {"lengths_mm": [5, 20], "phantom": seed}
+            velocity = [[None] * 3, *[(1.1 * DIRECTION).tolist()] * 15]
+            result = {"errors": errors, "velocities_mm_s": velocity, "seconds": [0.02]}
+            made.append(Outcome(Case(name, seed, settings), result))
+    return made
+
+
+def row(study, experiment, quantity):
+    (found,) = (r for r in study.rows if (r.experiment, r.quantity) == (experiment, quantity))
+    return found
+
+
+def test_rows_are_what_the_errors_say(monkeypatch, tmp_path):
+    monkeypatch.setattr(zhao2012, "run_cases", lambda *_, **__: outcomes([2.0, 1.0, 0.5, 0.4, 0.4]))
+    study = zhao2012.reproduce(StudyOptions(folder=tmp_path))
+    for experiment, published in (("static, fresh speckle", 58), ("dynamic, fresh speckle", 37)):
+        alpha = row(study, experiment, "alpha: RMSE less than with RANSAC")
+        assert (alpha.paper, alpha.true) == (published, pytest.approx(60))
+        assert alpha.met == (published <= 60)
+        sample = row(study, experiment, "alpha: RMSE less than with RANSAC, best sample")
+        assert sample.true == pytest.approx(80)
+        assert row(study, experiment, "x: RMSE less than with our RANSAC").true == pytest.approx(20)
+        assert row(study, experiment, "tip: largest RMSE from 15 mm on").true == pytest.approx(0.4)
+        assert row(study, experiment, "tip: largest RMSE from 15 mm on").met
+    velocity = "velocity at 1 mm/s"
+    assert row(study, velocity, "found").true == 100
+    assert row(study, velocity, "RMSE").true == pytest.approx(0.1)
+    assert row(study, velocity, "bias along the needle").true == pytest.approx(0.1)
+    data = write_study(tmp_path, study, "sonoservo reproduce zhao2012")
+    assert len(data["rows"]) == len(study.rows)
+    assert (tmp_path / "dynamic_fresh_speckle_tip.png").stat().st_size > 10_000
+
+
+def test_failures_stay_and_missing_errors_are_left_out(monkeypatch, tmp_path):
+    made = outcomes([2.0, 1.0, 0.5, 0.4, 0.4])
+    made[0] = replace(made[0], result={}, error="ValueError: a reason")
+    errors = made[1].result["errors"]
+    errors[5][0] = [None] * 6
+    monkeypatch.setattr(zhao2012, "run_cases", lambda *_, **__: made)
+    study = zhao2012.reproduce(StudyOptions(folder=tmp_path))
+    assert isinstance(study, Study)
+    assert study.experiments["dynamic, fresh speckle"]["failed"] == 1
+    alpha = row(study, "static, fresh speckle", "alpha: RMSE less than with RANSAC")
+    assert alpha.true == pytest.approx(60)
+    missing = row(study, "dynamic, fresh speckle", "nothing found, RANSAC, best sample")
+    assert missing.true == pytest.approx(100 / 16)
+    tracker = "nothing found, RANSAC + Kalman + velocity"
+    assert row(study, "dynamic, fresh speckle", tracker).met
+
+
+def test_as_many_runs_as_published(tmp_path):
+    cases = zhao2012._cases(StudyOptions(folder=tmp_path))
+    count = {}
+    for case in cases:
+        count[case.experiment] = count.get(case.experiment, 0) + 1
+    assert all(count[name] == 50 for name in zhao2012._tracking_experiments())
+    assert count["closed loop, zhao2012"] == count["closed loop, chatelain2013"] == 10
+    same = {c.settings["phantom"] for c in cases if c.experiment == "static, same volumes"}
+    fresh = {c.settings["phantom"] for c in cases if c.experiment == "static, fresh speckle"}
+    assert len(same) == 1
+    assert len(fresh) == 50

@@ -1,0 +1,101 @@
+"""Labelled sequences: labels lie where the image shows the needle, and nothing is made twice."""
+
+import hashlib
+import json
+
+import numpy as np
+import pytest
+import SimpleITK
+from pydrake.math import RigidTransform
+
+from sonoservo.diagrams import load_scenario
+from sonoservo.diagrams.studies.dataset import make_dataset, needle_mask
+from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.recording.recording import Recording
+from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.volume import Volume
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    out = tmp_path_factory.mktemp("dataset")
+    scenario = load_scenario("chatelain2013_fig5", seed=100)
+    return out, scenario, make_dataset(scenario, out, count=2, volumes=2, jobs=1)
+
+
+def test_the_manifest_names_every_file_with_its_checksum(made):
+    out, _, manifest = made
+    assert not manifest["failed"]
+    assert manifest == json.loads((out / "manifest.json").read_text())
+    assert [each["seed"] for each in manifest["sequences"]] == [100, 101]
+    for sequence in manifest["sequences"]:
+        folder = out / sequence["folder"]
+        assert {path.name for path in folder.iterdir()} == set(sequence["files"])
+        assert {"volumes.seq.nrrd", "mask_001.seg.nrrd", "labels.json"} <= set(sequence["files"])
+        for name, file in sequence["files"].items():
+            assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == file["sha256"]
+
+
+def test_labels_lie_where_the_image_is_bright(made):
+    out, _, manifest = made
+    drawn = []
+    for sequence in manifest["sequences"]:
+        folder = out / sequence["folder"]
+        labels = json.loads((folder / "labels.json").read_text())
+        drawn.append((labels["imaging"]["gain"], labels["tissue"]["seed"], labels["hand"]["entry"]))
+        for number, volume in enumerate(Recording(folder / "volumes.seq.nrrd")):
+            image = SimpleITK.ReadImage(str(folder / f"mask_{number:03d}.seg.nrrd"))
+            mask = SimpleITK.GetArrayFromImage(image).T.astype(bool)
+            assert mask.shape == volume.intensities.shape
+            seen = volume.intensities[volume.intensities > 0]
+            # The needle's echo comes from its front wall: the brightest voxel within 1 mm counts.
+            assert np.median(volume.intensities[mask]) > np.quantile(seen, 0.9)
+            label = labels["volumes"][number]
+            assert label["time_s"] == volume.time
+            shaft = np.array(label["needle_lps_mm"])
+            np.testing.assert_array_equal(shaft[-1], label["tip_lps_mm"])
+            tip = image.TransformPhysicalPointToIndex(label["tip_lps_mm"])
+            around = tuple(slice(max(i - 1, 0), i + 2) for i in tip)
+            assert mask[around].any()
+            beyond = shaft[-1] + 4 * (shaft[-1] - shaft[-2]) / np.linalg.norm(shaft[-1] - shaft[-2])
+            assert not mask[image.TransformPhysicalPointToIndex(beyond.tolist())]
+    assert len(set(map(str, drawn))) == len(drawn)
+
+
+def test_only_what_is_missing_is_made_again_and_comes_out_the_same(made):
+    out, scenario, manifest = made
+    volumes = [out / each["folder"] / "volumes.seq.nrrd" for each in manifest["sequences"]]
+    volumes[1].write_bytes(b"damaged")
+    kept = volumes[0].stat().st_mtime_ns
+    again = make_dataset(scenario, out, count=2, volumes=2, jobs=1)
+    assert volumes[0].stat().st_mtime_ns == kept
+    for before, after in zip(manifest["sequences"], again["sequences"], strict=True):
+        assert before["files"]["volumes.seq.nrrd"] == after["files"]["volumes.seq.nrrd"]
+        assert before["files"]["labels.json"] == after["files"]["labels.json"]
+
+
+def test_a_mask_is_the_needle_s_tube():
+    volume = Volume(np.ones((40, 30, 20), np.uint8), [0, 0, 0], [1e-3] * 3, RigidTransform(), 0.0)
+    shaft = np.array([[-5e-3, 15e-3, 10e-3], [20e-3, 15e-3, 10e-3], [20e-3, 15e-3, 15e-3]])
+    mask = needle_mask(volume, Needle(shaft, 1.2e-3))
+    wanted = np.zeros_like(mask)
+    wanted[:21, 14:17, 10] = wanted[:21, 15, 9:12] = True
+    wanted[19:22, 15, 10:16] = wanted[20, 14:17, 10:16] = True
+    wanted[21, 15, 10] = wanted[20, 15, 16] = True
+    np.testing.assert_array_equal(mask, wanted)
+    assert not needle_mask(volume, Needle(np.zeros((0, 3)), 1e-3)).any()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"count": 0}, "count: 0"),
+        ({"volumes": 0}, "volumes: 0"),
+        ({"transducers": ["4dc8"]}, "4dc8"),
+    ],
+)
+def test_what_cannot_be_made_is_refused(tmp_path, changes, message):
+    scenario = load_scenario("chatelain2013_fig5", seed=100)
+    with pytest.raises(ConfigurationError, match=message):
+        make_dataset(scenario, tmp_path, **{"count": 1} | changes)
+    assert not list(tmp_path.iterdir())

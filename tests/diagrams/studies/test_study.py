@@ -1,0 +1,181 @@
+"""Many runs: resumed, counted, interrupted."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from sonoservo.diagrams.studies import study
+from sonoservo.diagrams.studies.study import Case, StudyOptions, code_fingerprint, run_cases
+
+
+def square(case):
+    """Note every call; fail where told to."""
+    with open(case.settings["calls"], "a") as calls:
+        calls.write(f"{case.seed}\n")
+    if case.seed == case.settings.get("raises"):
+        raise ValueError("no luck")
+    if case.seed == case.settings.get("dies"):
+        os._exit(1)
+    return {"square": case.seed**2, "nothing": float("nan")}
+
+
+@pytest.fixture
+def calls(tmp_path):
+    path = tmp_path / "calls"
+    path.touch()
+    return path
+
+
+def make_cases(calls, seeds=range(3), **settings):
+    return [Case("squares", seed, {"calls": str(calls), **settings}) for seed in seeds]
+
+
+def seeds_called(calls):
+    return sorted(int(line) for line in calls.read_text().splitlines())
+
+
+def test_results_come_in_the_order_of_the_cases_and_as_json_holds_them(tmp_path, calls):
+    cases = make_cases(calls, [2, 0, 1])
+    outcomes = run_cases(square, cases, tmp_path / "cases", jobs=1)
+    assert [each.case for each in outcomes] == cases
+    assert [each.result for each in outcomes] == [{"square": n, "nothing": None} for n in (4, 0, 1)]
+    assert all(each and each.wall_s > 0 for each in outcomes)
+
+
+def test_what_is_done_is_not_done_again(tmp_path, calls):
+    first = run_cases(square, make_cases(calls), tmp_path / "cases", jobs=1)
+    again = run_cases(square, make_cases(calls, range(5)), tmp_path / "cases", jobs=1)
+    assert seeds_called(calls) == [0, 1, 2, 3, 4]
+    assert again[:3] == first
+
+
+def test_other_settings_other_code_or_a_broken_file_are_done_again(tmp_path, calls, monkeypatch):
+    folder = tmp_path / "cases"
+    (outcome,) = run_cases(square, make_cases(calls, [1]), folder, jobs=1)
+    run_cases(square, make_cases(calls, [1], raises=7), folder, jobs=1)
+    assert seeds_called(calls) == [1, 1]
+    (folder / f"{outcome.case.name}.json").write_text("{")
+    run_cases(square, make_cases(calls, [1]), folder, jobs=1)
+    assert seeds_called(calls) == [1, 1, 1]
+    monkeypatch.setattr(study, "code_fingerprint", lambda: "another")
+    run_cases(square, make_cases(calls, [1]), folder, jobs=1)
+    assert seeds_called(calls) == [1, 1, 1, 1]
+
+
+def test_the_code_counts_but_not_what_shows_results(tmp_path, monkeypatch):
+    for part in ("systems/display", "models", "diagrams"):
+        (tmp_path / part).mkdir(parents=True)
+    monkeypatch.setattr(
+        study, "files", lambda package: tmp_path / package.removeprefix("sonoservo.")
+    )
+
+    def digest_after(path, text):
+        (tmp_path / path).write_text(text)
+        code_fingerprint.cache_clear()
+        return code_fingerprint()
+
+    try:
+        first = digest_after("systems/block.py", "a")
+        assert digest_after("systems/display/view.py", "a") == first
+        assert digest_after("systems/run_plots.py", "a") == first
+        assert digest_after("diagrams/cli.py", "a") == first
+        assert digest_after("systems/block.py", "b") != first
+        assert digest_after("systems/block.py", "a") == first
+        assert digest_after("models/probe.yaml", "a") != first
+    finally:
+        code_fingerprint.cache_clear()
+
+
+def test_a_case_that_raises_is_a_failure_and_not_the_end(tmp_path, calls):
+    outcomes = run_cases(square, make_cases(calls, raises=1), tmp_path / "cases", jobs=1)
+    assert [bool(each) for each in outcomes] == [True, False, True]
+    assert outcomes[1].error == "ValueError: no luck"
+    assert run_cases(square, make_cases(calls, raises=1), tmp_path / "cases", jobs=1) == outcomes
+    assert seeds_called(calls) == [0, 1, 2]
+
+
+def test_processes_compute_with_one_thread_and_one_that_dies_is_a_failure(tmp_path, calls):
+    """In a process of its own: the cases are to be found by their module's name there."""
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import os, sys\n"
+        f"sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        "from pathlib import Path\n"
+        "from test_study import make_cases, square\n"
+        "from sonoservo.diagrams.studies.study import run_cases\n"
+        "def work(case):\n"
+        "    assert os.environ['NUMBA_NUM_THREADS'] == os.environ['OMP_NUM_THREADS'] == '1'\n"
+        "    return square(case)\n"
+        f"cases = make_cases({str(calls)!r}, range(3), dies=1)\n"
+        f"outcomes = run_cases(work, cases, Path({str(tmp_path / 'cases')!r}), jobs=2)\n"
+        "print([each.error or each.result['square'] for each in outcomes])\n"
+    )
+    done = subprocess.run(
+        [sys.executable, script], capture_output=True, text=True, timeout=120, check=True
+    )
+    assert done.stdout.strip() == "[0, 'its process died', 4]"
+
+
+def test_interrupted_it_ends_and_keeps_what_is_done(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import sys, time\n"
+        "from pathlib import Path\n"
+        "from sonoservo.diagrams.studies.study import Case, run_cases\n"
+        "def work(case):\n"
+        "    time.sleep(0.1 if case.seed < 2 else 600)\n"
+        "    return {}\n"
+        "try:\n"
+        "    run_cases(work, [Case('e', k) for k in range(8)], Path(sys.argv[1]), jobs=2)\n"
+        "except KeyboardInterrupt:\n"
+        "    sys.exit(130)\n"
+    )
+    folder = tmp_path / "cases"
+    process = subprocess.Popen(
+        [sys.executable, script, folder],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    )
+    deadline = time.monotonic() + 60
+    while len(list(folder.glob("*.json"))) < 2 and time.monotonic() < deadline:
+        time.sleep(0.1)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: every process receives it
+    # The output ends when the last process that could write to it does.
+    output, _ = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "Traceback" not in output
+    kept = [json.loads(path.read_text()) for path in folder.glob("*.json")]
+    assert sorted(each["case"]["seed"] for each in kept) == [0, 1]
+
+
+def test_cases_are_told_apart_and_named():
+    first, second = Case("fig4", 3), Case("fig4", 3, {"changes": ["a=1"]})
+    assert first == Case("fig4", 3)
+    assert len({first, second, Case("fig4", 3)}) == 2
+    assert first.name != second.name
+    assert first.name.startswith("fig4_seed003_")
+    with pytest.raises(TypeError):
+        Case("fig4", 3, {"object": object()})
+
+
+def test_two_cases_alike_are_refused(tmp_path):
+    with pytest.raises(ValueError, match="alike"):
+        run_cases(square, [Case("e", 0), Case("e", 0)], tmp_path)
+
+
+def test_options(tmp_path):
+    options = StudyOptions(folder=tmp_path, first_seed=100)
+    assert options.seed_range(20, 2) == range(100, 120)
+    assert StudyOptions(folder=tmp_path, quick=True).seed_range(20, 2) == range(2)
+    assert StudyOptions(folder=tmp_path, quick=True, seeds=5).seed_range(20, 2) == range(5)
+    for field, value in (("seeds", 0), ("first_seed", -1), ("jobs", 0)):
+        with pytest.raises(ValueError, match=field):
+            StudyOptions(folder=tmp_path, **{field: value})

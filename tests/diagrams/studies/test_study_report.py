@@ -1,0 +1,95 @@
+"""What a study leaves: JSON, pictures and a page that needs no other file."""
+
+import json
+import re
+
+import pytest
+from matplotlib.figure import Figure
+
+from sonoservo.diagrams.app.terminal import study_table
+from sonoservo.diagrams.studies.study import Case, Outcome
+from sonoservo.diagrams.studies.study_report import Study, StudyFigure, StudyRow, write_study
+
+
+@pytest.fixture
+def study():
+    figure = Figure()
+    figure.subplots().plot([0, 1])
+    return Study(
+        paper="someone2013",
+        title="Someone, Needles & <probes>",
+        rows=[
+            StudyRow(
+                experiment="fig4", quantity="tip error", unit="mm", true=0.61, target=0.7,
+                paper=1.5, estimated=0.4,
+            ),
+            StudyRow(experiment="fig4", quantity="found", true=18, target=20, wanted="at least"),
+            StudyRow(experiment="fig5", quantity="unknown", unit="s"),
+            StudyRow(experiment="fig5", quantity="error", true=float("inf"), target=1.0),
+        ],
+        outcomes=[
+            Outcome(Case("fig4", 0), {"x": 1}, wall_s=2.0),
+            Outcome(Case("fig4", 1), {"x": 2}, wall_s=3.0),
+            Outcome(Case("fig4", 3), error="ValueError: <no> luck"),
+        ],
+        figures=[StudyFigure(name="errors", caption="Errors & co", figure=figure)],
+        compute_ms={"track": {"median": 5.0, "max": float("nan")}},
+        notes=["20 seeds < 100."],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("values", "met"),
+    [
+        ({}, None),
+        ({"true": 1.0}, None),
+        ({"target": 1.0}, False),
+        ({"target": 1.0, "true": 1.0}, True),
+        ({"target": 1.0, "true": 1.1, "estimated": 0.1}, False),
+        ({"target": 1.0, "estimated": 0.9}, True),
+        ({"target": 1.0, "true": 1.1, "wanted": "at least"}, True),
+        ({"target": 1.0, "true": 0.9, "wanted": "at least"}, False),
+    ],
+)
+def test_a_target_is_judged_by_the_truth_and_missed_by_nothing(values, met):
+    assert StudyRow(experiment="e", quantity="q", **values).met is met
+
+
+def test_json(study, tmp_path):
+    returned = write_study(tmp_path, study, "sonoservo reproduce someone2013")
+    data = json.loads((tmp_path / "study.json").read_text())
+    assert data.keys() == returned.keys()
+    assert data["paper"] == "someone2013"
+    assert data["command"] == "sonoservo reproduce someone2013"
+    assert data["version"]
+    assert data["seeds"] == {"fig4": [0, 1, 3]}
+    wanted = {"experiment", "quantity", "unit", "paper", "estimated", "true", "target", "met"}
+    assert all(wanted <= row.keys() for row in data["rows"])
+    assert [row["met"] for row in data["rows"]] == [True, False, None, False]
+    assert data["rows"][-1]["true"] is None
+    assert data["cases"] == {"fig4": {"cases": 3, "failed": 1}}
+    (failure,) = data["failures"]
+    assert (failure["seed"], failure["error"]) == (3, "ValueError: <no> luck")
+    assert data["compute_ms"] == {"track": {"median": 5.0, "max": None}}
+
+
+def test_page_needs_no_other_file(study, tmp_path):
+    write_study(tmp_path, study, "sonoservo reproduce someone2013")
+    assert (tmp_path / "errors.png").read_bytes().startswith(b"\x89PNG")
+    text = (tmp_path / "report.html").read_text()
+    assert re.findall(r"(?:src|href)=\"([^\"]{0,20})", text) == ["data:image/png;base6"]
+    assert "url(" not in text
+    cells = [re.findall(r"<t[hd]>(.*?)</t[hd]>", row) for row in re.findall(r"<tr>.*?</tr>", text)]
+    assert ["fig4", "tip error (mm)", "1.50", "0.400", "0.610", "≤ 0.7", "yes"] in cells
+    assert ["", "found", "", "", "18", "≥ 20", "<b>no</b>"] in cells
+    assert ["", "error", "", "", "∞", "≤ 1", "<b>no</b>"] in cells
+    assert ["fig4", "0-1, 3", "3", "1"] in cells
+    assert "ValueError: &lt;no&gt; luck" in text
+    assert "1 of 3 targets met" in text
+    assert "20 seeds &lt; 100." in text
+
+
+def test_table_in_the_terminal(study):
+    table = study_table(study)
+    assert table.row_count == 4
+    assert "3 runs, 1 failed" in table.caption

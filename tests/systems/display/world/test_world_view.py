@@ -1,0 +1,371 @@
+import base64
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pydrake.common.value import Value
+from pydrake.geometry import Meshcat
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
+
+from sonoservo.systems.display.world.screen import facing, screen_planes
+from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
+from sonoservo.systems.evaluation.replay import save_replay
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.ultrasound.planes import slice_planes
+
+X_WT = RigidTransform(RollPitchYaw(0, 0, 0.4), [0.4, 0.1, 0.25])
+NEEDLE = Needle([[0.0, 0.0, -0.04], [0.06, 0.0, -0.04]], 6e-4)
+OUTSIDE = Needle(np.zeros((0, 3)), 6e-4)
+
+
+def grey(p_P):
+    return 100 + 500 * p_P[..., 0]
+
+
+def estimate(volume, mode=TrackingMode.TRACKING):
+    curve = NeedleCurve([[-0.03, 0.04, 0], [0.01, 0.05, 0.01]]).transformed(volume.X_WP)
+    return NeedleEstimate(mode, volume.time, curve, np.zeros((2, 3)), np.eye(12), volume.time)
+
+
+def searching(time=0.0, volume_time=-np.inf):
+    return NeedleEstimate(TrackingMode.SEARCHING, time, volume_time=volume_time)
+
+
+@pytest.fixture(scope="module")
+def meshcat():
+    return Meshcat()
+
+
+def publish(view, time, X_WP, **values):
+    context = view.CreateDefaultContext()
+    context.SetTime(time)
+    view.GetInputPort("X_WP").FixValue(context, Value(X_WP))
+    view.GetInputPort("X_WT").FixValue(context, Value(X_WT))
+    for name, value in values.items():
+        port = view.GetInputPort(name)
+        port.FixValue(context, [value] if name == "contact_force" else Value[object](value))
+    view.ForcedPublish(context)
+
+
+def transform(meshcat, path):
+    """Last 16 numbers of the packed message are the matrix, by columns."""
+    packed = meshcat._GetPackedTransform(path)
+    numbers = [packed[-9 * i : len(packed) - 9 * (i - 1)] for i in range(16, 0, -1)]
+    assert all(number[0] == 0xCB for number in numbers)  # MessagePack's mark of a double
+    return np.array([np.frombuffer(n[1:], ">f8")[0] for n in numbers]).reshape(4, 4).T
+
+
+def boxes(meshcat, path):
+    """[least, greatest] x, y, z of each picture of a glTF object, by the document alone."""
+    packed = meshcat._GetPackedObject(path).decode(errors="replace")
+    document, _ = json.JSONDecoder().raw_decode(packed[packed.index('{"') :])
+    found = []
+    for primitive in document["meshes"][0]["primitives"]:
+        accessor = document["accessors"][primitive["attributes"]["POSITION"]]
+        ends = np.array([accessor["min"], accessor["max"]])
+        x, y, z = ends[:, 0], -ends[::-1, 2], ends[:, 1]  # glTF's +Y is Drake's +Z
+        found.append(np.stack([x, y, z], axis=1))
+    return found
+
+
+def visible(meshcat, path):
+    return {0xC3: True, 0xC2: False}[meshcat._GetPackedProperty(path, "visible")[-1]]
+
+
+def scales(meshcat, path):
+    packed = meshcat._GetPackedProperty(path, "scale")
+    return [np.frombuffer(packed[-27:][9 * i + 1 : 9 * i + 9], ">f8")[0] for i in range(3)]
+
+
+def scale(meshcat, path):
+    return scales(meshcat, path)[2]
+
+
+def test_only_poses_are_needed(meshcat):
+    view = WorldView(meshcat=meshcat, path="poses")
+    publish(view, 0.0, RigidTransform())
+    assert meshcat.HasPath("/drake/poses/screen/panel")
+    assert not meshcat.HasPath("/drake/poses/needle")
+    assert not meshcat.HasPath("/drake/poses/slices/live")
+
+
+def test_the_needle_is_where_it_is(meshcat):
+    view = WorldView(
+        meshcat=meshcat, path="truth", parameters=WorldViewParameters(needle_length=0.1)
+    )
+    publish(view, 0.0, RigidTransform(), needle=OUTSIDE)
+    assert not visible(meshcat, "truth/needle/inside")
+    publish(view, 1.0, RigidTransform(), needle=NEEDLE)
+    assert visible(meshcat, "truth/needle/inside")
+    X = transform(meshcat, "truth/needle/inside/0")
+    np.testing.assert_allclose(X[:3, 3], X_WT.multiply([0.03, 0.0, -0.04]), atol=1e-12)
+    np.testing.assert_allclose(X[:3, 2], X_WT.rotation().matrix()[:, 0], atol=1e-12)
+    assert scale(meshcat, "truth/needle/inside/0/unit") == pytest.approx(0.06)
+    for number in range(1, 6):
+        assert scale(meshcat, f"truth/needle/inside/{number}/unit") < 1e-5
+    outside = transform(meshcat, "truth/needle/outside/0")
+    np.testing.assert_allclose(outside[:3, 3], X_WT.multiply([-0.02, 0, -0.04]), atol=1e-12)
+    waiting = Needle(np.zeros((0, 3)), 6e-4, [[-0.01, 0, -0.04], [0.5, 0, -0.04]])
+    publish(view, 2.0, RigidTransform(), needle=waiting)
+    assert not visible(meshcat, "truth/needle/inside")
+    outside = transform(meshcat, "truth/needle/outside/0")
+    np.testing.assert_allclose(outside[:3, 3], X_WT.multiply([-0.06, 0, -0.04]), atol=1e-12)
+    assert scale(meshcat, "truth/needle/outside/0/unit") == pytest.approx(0.1)
+    publish(view, 3.0, RigidTransform(), needle=OUTSIDE)
+    assert not visible(meshcat, "truth/needle/outside")
+
+
+def test_a_bent_needle_is_drawn_in_pieces_and_straight_again(meshcat):
+    view = WorldView(meshcat=meshcat, path="bent")
+    corner = [[0, 0, -0.04], [0.03, 0, -0.04], [0.03, 0.03, -0.04]]
+    shaft = np.concatenate([np.linspace(*corner[:2], 20), np.linspace(*corner[1:], 20)])
+    publish(view, 0.0, RigidTransform(), needle=Needle(shaft, 6e-4))
+    for number in range(6):
+        along = 0.01 * (number + 0.5)
+        middle = [along, 0, -0.04] if along < 0.03 else [0.03, along - 0.03, -0.04]
+        X = transform(meshcat, f"bent/needle/inside/{number}")
+        np.testing.assert_allclose(X[:3, 3], X_WT.multiply(middle), atol=1e-9)
+        assert scale(meshcat, f"bent/needle/inside/{number}/unit") == pytest.approx(0.01)
+    publish(view, 1.0, RigidTransform(), needle=NEEDLE)
+    lengths = [scale(meshcat, f"bent/needle/inside/{number}/unit") for number in range(6)]
+    np.testing.assert_allclose(lengths, [0.06, 0, 0, 0, 0, 0], atol=1e-5)
+
+
+def test_the_estimate_shows_its_mode(meshcat, make_volume):
+    volume = make_volume(grey)
+    view = WorldView(meshcat=meshcat, path="modes")
+    for time, mode in enumerate(TrackingMode):
+        found = mode != TrackingMode.SEARCHING
+        shown = estimate(volume, mode) if found else searching(volume_time=0.0)
+        publish(view, time, volume.X_WP, estimate=shown)
+        for other in list(TrackingMode)[: time + 1]:
+            assert visible(meshcat, f"modes/phase/{other}") == (other == mode)
+        for other in TrackingMode:
+            if other != TrackingMode.SEARCHING:
+                assert visible(meshcat, f"modes/estimate/{other}") == (other == mode)
+        assert visible(meshcat, "modes/uncertainty/tip") == found
+        if found:
+            end = transform(meshcat, f"modes/estimate/{mode}/3")
+            length = scale(meshcat, f"modes/estimate/{mode}/3/unit")
+            tip = estimate(volume).curve.tip
+            np.testing.assert_allclose(end @ [0, 0, 0.5 * length, 1], [*tip, 1])
+
+
+def test_the_ellipsoid_at_the_tip_is_the_tip_s_covariance(meshcat, make_volume):
+    volume = make_volume(grey)
+    view = WorldView(meshcat=meshcat, path="uncertain")
+    # Of the four points only the second position is the tip's; R turns its axes out of W's.
+    R = RollPitchYaw(0.3, -0.4, 0.9).ToRotationMatrix().matrix()
+    covariance = np.eye(12)
+    covariance[3:6, 3:6] = R @ np.diag([1e-6, 4e-6, 9e-6]) @ R.T
+    believed = replace(estimate(volume), covariance=covariance)
+    publish(view, 0.0, volume.X_WP, estimate=believed)
+    X = transform(meshcat, "uncertain/uncertainty/tip")
+    np.testing.assert_allclose(X[:3, 3], believed.curve.tip)
+    half_axes = scales(meshcat, "uncertain/uncertainty/tip/unit")
+    # 95 % of chi-square with three degrees of freedom, from a table: 7.815.
+    np.testing.assert_allclose(half_axes, np.sqrt(7.815) * np.array([1e-3, 2e-3, 3e-3]), rtol=1e-4)
+    np.testing.assert_allclose(np.abs(X[:3, :3].T @ R), np.eye(3), atol=1e-9)
+
+
+def test_slices_wait_for_the_tracker(meshcat, make_volume):
+    volume = make_volume(grey, time=0.5)
+    view = WorldView(meshcat=meshcat, path="waiting", parameters=WorldViewParameters(film_frames=9))
+    publish(view, 0.7, volume.X_WP, volume=volume, estimate=searching())
+    assert not meshcat.HasPath("/drake/waiting/slices/live")
+    publish(view, 0.8, volume.X_WP, volume=volume, estimate=estimate(volume))
+    planes = slice_planes(volume, estimate(volume).curve)
+    for path in ("waiting/slices/live", "waiting/slices/0"):
+        for box, plane in zip(boxes(meshcat, path), planes, strict=True):
+            corners = volume.X_WP.multiply(
+                plane.grid(1000, 1000)[[[0], [-1]], [0, -1]].reshape(4, 3).T
+            )
+            expected = [corners.min(axis=1), corners.max(axis=1)]
+            np.testing.assert_allclose(box, expected, atol=1e-4)  # half a pixel
+        assert not meshcat._GetPackedTransform(path)  # it would come before the pictures
+    publish(view, 0.9, volume.X_WP, volume=volume, estimate=estimate(volume))
+    assert not meshcat.HasPath("/drake/waiting/slices/1")  # the same volume is not drawn twice
+
+
+def test_no_volume_yet(meshcat):
+    view = WorldView(meshcat=meshcat, path="early", parameters=WorldViewParameters(film_frames=9))
+    missing = NotFound("no sweep is complete yet")
+    publish(view, 0.0, RigidTransform(), volume=missing, estimate=searching())
+    assert not meshcat.HasPath("/drake/early/slices")
+    assert visible(meshcat, "early/phase/waiting for the first volume")
+    publish(view, 0.1, RigidTransform(), estimate=searching(volume_time=0.1))
+    assert not visible(meshcat, "early/phase/waiting for the first volume")
+    assert visible(meshcat, "early/phase/searching")
+
+
+def test_without_a_browser_or_film_no_slice_is_made(meshcat, make_volume):
+    volume = make_volume(grey)
+    view = WorldView(meshcat=meshcat, path="alone")
+    publish(view, 1.0, volume.X_WP, volume=volume)
+    assert meshcat.HasPath("/drake/alone/sector")
+    assert not meshcat.HasPath("/drake/alone/slices")
+
+
+def test_a_wrong_value_is_refused(meshcat):
+    view = WorldView(meshcat=meshcat, path="wrong")
+    with pytest.raises(TypeError, match="port 'needle' .* received a str; Needle is wanted"):
+        publish(view, 0.0, RigidTransform(), needle="needle")
+
+
+def test_the_force_is_an_arrow_onto_the_phantom_with_its_value(meshcat):
+    view = WorldView(meshcat=meshcat, path="push")
+    X_WP = RigidTransform([0.5, 0.1, 0.2])
+    publish(view, 0.0, X_WP, contact_force=0.0)
+    assert not visible(meshcat, "push/force/arrow")
+    normal = X_WT.rotation().matrix()[:, 2]
+    for time, force in ((1.0, 1.0), (2.0, 2.04)):
+        publish(view, time, X_WP, contact_force=force)
+        assert visible(meshcat, "push/force/arrow")
+        assert scale(meshcat, "push/force/arrow/0/unit") == pytest.approx(0.02 * force)
+        head = transform(meshcat, "push/force/arrow/head")
+        np.testing.assert_allclose(head[:3, 2], normal, atol=1e-12)  # its apex points down
+        assert np.linalg.norm(head[:3, 3] - X_WP.translation()) == pytest.approx(0.045)
+    assert not visible(meshcat, "push/force/value/1.0 N")
+    assert visible(meshcat, "push/force/value/2.0 N")
+    publish(view, 3.0, X_WP, contact_force=-1.0)
+    assert not visible(meshcat, "push/force/arrow")
+    assert not visible(meshcat, "push/force/value/2.0 N")
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.7, np.pi / 2])
+def test_the_screen_holds_the_slices_and_keeps_the_probe_in_its_place(make_volume, turn):
+    volume = make_volume(grey)
+    extent, width, height = volume.upper - volume.origin, 0.2, 0.22
+    direction = [np.cos(turn), 0.1, np.sin(turn)]
+    origins, scales = [], []
+    for tip in ([0.0, 0.05, 0.0], [0.01, 0.04, 0.01]):
+        curve = NeedleCurve([np.subtract(tip, 0.05 * np.array(direction)), tip])
+        slices = slice_planes(volume, curve.transformed(volume.X_WP))
+        pictures = screen_planes(slices, extent, width, height)
+        for plane, picture in zip(slices, pictures, strict=True):
+            scales.append(picture.width / plane.width)
+            assert picture.height / plane.height == pytest.approx(scales[0])
+            np.testing.assert_array_equal(picture.X_PS.rotation().matrix(), np.eye(3))
+            assert picture.X_PS.translation()[2] < -0.002  # in front of the panel
+        centre, half = pictures[0].X_PS.translation(), pictures[0].height / 2
+        assert centre[1] - half >= -height / 2
+        assert centre[1] + half <= pictures[1].X_PS.translation()[1]
+        # The probe's face in the slice's own axes, and where the first picture has it.
+        p_S = slices[0].X_PS.inverse().multiply([0.0, 0.0, 0.0])
+        origins.append(pictures[0].X_PS.multiply(scales[0] * np.array([p_S[0], p_S[1], 0.0])))
+    np.testing.assert_allclose(scales, scales[0])
+    np.testing.assert_allclose(origins[0], origins[1], atol=1e-9)
+
+
+def test_a_panel_is_parallel_to_the_image_of_the_camera():
+    R = facing([0.5, -0.7, 0.9], [0.5, 0.3, 0.9])
+    np.testing.assert_allclose(R.matrix().T, [[1, 0, 0], [0, 0, -1], [0, 1, 0]], atol=1e-12)
+    R = facing([0.0, -1.0, 1.0], [0.0, 0.0, 0.0])
+    np.testing.assert_allclose(R.matrix()[:, 2], [0, 0.5**0.5, -(0.5**0.5)], atol=1e-12)
+    facing([0, 0, 1], [0, 0, 0])  # straight down
+
+
+class Volumes(LeafSystem):
+    """A new volume every 0.25 s."""
+
+    def __init__(self, make_volume):
+        super().__init__()
+        self._make = make_volume
+        index = self.DeclareAbstractState(Value[object](NotFound("none")))
+        self.DeclareStateOutputPort("volume", index)
+        self.DeclareAbstractOutputPort(
+            "X_WP", lambda: Value(RigidTransform()), lambda context, output: None
+        )
+        self.DeclareAbstractOutputPort(
+            "X_WT", lambda: Value(RigidTransform()), lambda context, output: None
+        )
+        self.DeclareAbstractOutputPort(
+            "needle",
+            lambda: Value[object](),
+            lambda context, output: output.set_value(NEEDLE if context.get_time() > 1 else OUTSIDE),
+        )
+        self.DeclarePeriodicUnrestrictedUpdateEvent(0.25, 0.25, self._update)
+
+    def _update(self, context, state):
+        state.get_mutable_abstract_state(0).set_value(self._make(grey, time=context.get_time()))
+
+
+def simulate(meshcat, make_volume, **parameters):
+    builder = DiagramBuilder()
+    source = builder.AddSystem(Volumes(make_volume))
+    view = builder.AddSystem(
+        WorldView(
+            meshcat=meshcat,
+            path="all",
+            parameters=WorldViewParameters(publish_period=1 / 16, **parameters),
+        )
+    )
+    for name in ("volume", "X_WP", "X_WT", "needle"):
+        builder.Connect(source.GetOutputPort(name), view.GetInputPort(name))
+    return Simulator(builder.Build())
+
+
+def shown(animation, path):
+    """Values, in order of time, of the track `visible` of a path in a packed animation."""
+    clips = animation.split(b"\xa4path")
+    (clip,) = (clip for clip in clips if path.encode() + b"\xa4clip" in clip)
+    assert clip.count(b".visible") == clip.count(b"\xa4type") == 1
+    return [value == b"\xc3" for value in re.findall(b"value([\xc2\xc3])", clip)]
+
+
+@pytest.mark.parametrize(
+    ("parameters", "kept"),
+    [
+        ({"film_frames": 100}, 7),
+        ({"film_frames": 3}, 3),
+        ({"film_frames": 100, "film_period": 0.5}, 4),
+        ({}, 0),
+    ],
+)
+def test_a_replay_keeps_its_film(tmp_path, make_volume, parameters, kept):
+    meshcat = Meshcat()
+    meshcat.StartRecording()
+    simulate(meshcat, make_volume, **parameters).AdvanceTo(1.9)
+    names = [meshcat.HasPath(f"/drake/all/slices/{number}") for number in range(8)]
+    assert names == [number < kept for number in range(8)]
+    text = save_replay(meshcat, tmp_path / "replay.html").read_text()
+    messages = [base64.b64decode(each) for each in re.findall(r"base64,([A-Za-z0-9+/=]+)", text)]
+    (animation,) = (each for each in messages if b"set_animation" in each)
+    assert animation.count(b"all/slices/") == kept + (kept > 0)  # the live one is hidden
+    for path in ["needle/inside", *(f"slices/{number}" for number in range(kept))]:
+        assert shown(animation, f"all/{path}")[:2] == [False, True]
+    if kept:
+        assert shown(animation, "all/slices/live") == [False]
+        assert shown(animation, f"all/slices/{kept - 1}") == [False, True]  # to the end
+    pictures = [each for each in messages if b"set_object" in each and b"/slices/" in each]
+    assert len(pictures) == kept + (kept > 0)
+
+
+def test_each_run_begins_anew(make_volume):
+    meshcat = Meshcat()
+    simulator = simulate(meshcat, make_volume, film_frames=100)
+    simulator.AdvanceTo(1.9)
+    simulator.reset_context(simulator.get_system().CreateDefaultContext())
+    simulator.Initialize()
+    assert not meshcat.HasPath("/drake/all/slices")
+    simulator.AdvanceTo(0.6)
+    assert meshcat.HasPath("/drake/all/slices/1")
+    assert not meshcat.HasPath("/drake/all/slices/2")
+
+
+def test_parameters_are_checked():
+    for name, value in (
+        ("pixel", 0),
+        ("film_frames", -1),
+        ("camera", [1.0]),
+        ("screen_size", [1, 0]),
+    ):
+        with pytest.raises(ValueError, match=f"{name}: .* is not allowed"):
+            WorldViewParameters(**{name: value})

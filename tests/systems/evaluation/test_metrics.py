@@ -1,0 +1,130 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sonoservo.systems.evaluation.metrics import MetricsParameters, summarize
+
+
+def test_the_whole_summary_is_json(insertion_log, make_log):
+    for log in (insertion_log, make_log(0, 0), make_log(5, 3), make_log(1, 0, time=np.zeros(1))):
+        json.dumps(summarize(log), allow_nan=False)
+
+
+def test_a_log_without_anything_has_no_figures(make_log):
+    summary = summarize(make_log(4, 2, time=np.arange(4.0)))
+    assert summary["detection"] == {
+        "volume": None,
+        "inserted_mm": None,
+        "visible_mm": None,
+        "false_starts": 0,
+    }
+    assert summary["tracking"]["volumes"] == 0
+    assert summary["tracking"]["tip_error_mm"] == {"median": None, "p95": None, "max": None}
+    assert summary["servo"]["at_rest"]["x_mm"] is None
+    assert summary["force"]["mean_n"] is None
+
+
+def test_detection(insertion_log):
+    summary = summarize(insertion_log)
+    first = int(np.argmax(insertion_log.volume_time >= 4))
+    expected = 5 * (insertion_log.volume_time[first] - 2)
+    assert summary["detection"]["volume"] == first
+    assert summary["detection"]["inserted_mm"] == pytest.approx(expected)
+    assert summary["detection"]["false_starts"] == 0
+
+
+@pytest.mark.parametrize("volume", [2, 9])  # before the needle is there, and while it is
+def test_a_start_away_from_the_needle_is_false(insertion_log, volume):
+    tip, entry = (
+        insertion_log.volume_estimate_tip.copy(),
+        insertion_log.volume_estimate_entry.copy(),
+    )
+    tip[volume], entry[volume] = [0.0, 0.02, -0.04], [0.0, 0.04, -0.04]
+    log = replace(insertion_log, volume_estimate_tip=tip, volume_estimate_entry=entry)
+    detection = summarize(log)["detection"]
+    assert detection["false_starts"] == 1
+    assert detection["volume"] == summarize(insertion_log)["detection"]["volume"]
+    assert summarize(log)["tracking"] == summarize(insertion_log)["tracking"]
+
+
+def test_tracking_errors(insertion_log):
+    tracking = summarize(insertion_log)["tracking"]
+    found = int(np.sum(np.isfinite(insertion_log.volume_estimate_tip[:, 0])))
+    assert tracking["volumes"] == tracking["tracked"] == tracking["estimated"] == found
+    assert tracking["lost"] == tracking["lost_events"] == 0
+    for statistic in ("median", "p95", "max"):
+        assert tracking["tip_error_mm"][statistic] == pytest.approx(0.5)
+        assert tracking["tip_axial_error_mm"][statistic] == pytest.approx(0.3)
+        assert tracking["tip_lateral_error_mm"][statistic] == pytest.approx(0.4)
+        assert tracking["axis_error_deg"][statistic] == pytest.approx(0, abs=1e-6)
+    assert tracking["tip_axial_bias_mm"] == pytest.approx(0.3)
+
+
+def test_failures_stay_in_the_statistics(insertion_log):
+    first = summarize(insertion_log)["detection"]["volume"]
+    mode = insertion_log.volume_estimate_mode.copy()
+    tip = insertion_log.volume_estimate_tip.copy()
+    entry = insertion_log.volume_estimate_entry.copy()
+    mode[first + 1] = "coasting"  # with less than 15 mm inside: not lost
+    mode[first + 10 : first + 13] = "coasting", "lost", "lost"
+    tip[first + 11] += [0, 0.1, 0]  # a wrong estimate counts
+    mode[first + 20] = "searching"  # none at all counts as lost
+    tip[first + 20] = entry[first + 20] = np.nan
+    log = replace(
+        insertion_log,
+        volume_estimate_mode=mode,
+        volume_estimate_tip=tip,
+        volume_estimate_entry=entry,
+    )
+    tracking, before = summarize(log)["tracking"], summarize(insertion_log)["tracking"]
+    assert tracking["volumes"] == before["volumes"]
+    assert tracking["tracked"] == before["tracked"] - 5
+    assert tracking["estimated"] == before["estimated"] - 1
+    assert tracking["lost"] == 4
+    assert tracking["lost_events"] == 2
+    assert tracking["tip_error_mm"]["max"] == pytest.approx(np.hypot(100, 0.5))
+
+
+def test_servo(insertion_log):
+    servo = summarize(insertion_log)["servo"]
+    # The needle stops at 12 s at X = 0, 50 mm from its entry; 3 s of transient are left out.
+    assert servo["at_rest"]["x_mm"] == pytest.approx(0, abs=1e-9)
+    assert servo["at_rest"]["z_mm"] == pytest.approx(0, abs=1e-9)
+    assert servo["at_rest"]["theta_deg"] == pytest.approx(0, abs=1e-9)
+    assert servo["at_rest"]["seconds"] == pytest.approx(20 - 12 - 3, abs=0.5)
+    assert servo["at_rest_estimated"]["x_mm"] == pytest.approx(0.3)
+    # While it moves and is tracked, x runs from where it is found to 0; that it has stopped shows
+    # up to half a window later.
+    tracked = insertion_log.estimate_mode == "tracking"
+    most, least = (
+        1e3 * np.mean(50e-3 - insertion_log.inserted_length[tracked & (insertion_log.time < end)])
+        for end in (12.0, 12.5)
+    )
+    assert least < servo["moving"]["x_mm"] < most
+
+
+def test_a_needle_in_a_moving_phantom_is_not_at_rest(insertion_log):
+    tip = insertion_log.needle_tip + 5e-3 * np.sin(insertion_log.time)[:, np.newaxis]
+    assert summarize(replace(insertion_log, needle_tip=tip))["servo"]["at_rest"]["x_mm"] is None
+
+
+def test_force(insertion_log):
+    force = summarize(insertion_log)["force"]
+    assert force["contact_lost_s"] == pytest.approx(0.5)
+    assert force["max_n"] == 2.0
+    settled = 20 - 3  # from 2 s after the first contact at 1 s
+    assert force["mean_n"] == pytest.approx(2 * (1 - 0.5 / settled))
+    assert force["rms_error_n"] == pytest.approx(2 * np.sqrt(0.5 / settled))
+
+
+def test_computing_time(insertion_log):
+    assert summarize(insertion_log)["compute_ms"] == {"track": {"median": 5.0, "max": 9.0}}
+
+
+def test_parameters_are_checked():
+    with pytest.raises(ValueError, match="rest_speed: 0 is not allowed"):
+        MetricsParameters(rest_speed=0)
+    with pytest.raises(ValueError, match="settling_time: -1 is not allowed"):
+        MetricsParameters(settling_time=-1)

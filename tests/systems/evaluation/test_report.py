@@ -1,0 +1,114 @@
+import base64
+import io
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from PIL import Image
+from pydrake.geometry import Box, Meshcat
+from pydrake.math import RigidTransform
+
+from sonoservo.systems.evaluation.metrics import summarize
+from sonoservo.systems.evaluation.plots import plot_errors, plot_run, png
+from sonoservo.systems.evaluation.replay import save_replay
+from sonoservo.systems.evaluation.report import report_page, write_report
+
+
+class Page(HTMLParser):
+    """The cells of every row of a page, and its links; raises if tags do not match."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.rows, self.links, self._open = [], [], []
+        self.feed(text)
+        assert self._open == []
+
+    def handle_starttag(self, tag, attributes):
+        if tag in ("meta", "img"):
+            return
+        self._open.append(tag)
+        if tag == "tr":
+            self.rows.append([])
+        elif tag in ("th", "td"):
+            self.rows[-1].append("")
+        elif tag == "a":
+            self.links.append(dict(attributes)["href"])
+
+    def handle_endtag(self, tag):
+        assert self._open.pop() == tag
+
+    def handle_data(self, data):
+        if self._open and self._open[-1] in ("th", "td", "small") and "tr" in self._open:
+            self.rows[-1][-1] += data
+
+
+def test_plots_show_the_columns(insertion_log):
+    feature, *_ = plot_run(insertion_log).axes
+    lines = {line.get_label(): line for line in feature.get_lines()}
+    x = lines["x"].get_ydata()
+    inside = insertion_log.inserted_length > 0
+    np.testing.assert_allclose(x[inside], 1e3 * (insertion_log.inserted_length[inside] - 0.05))
+    assert np.isnan(x[~inside]).all()
+    tip, axis, _ = plot_errors(insertion_log).axes
+    assert np.nanmax(tip.get_lines()[0].get_ydata()) == pytest.approx(0.5)
+    assert np.nanmax(axis.get_lines()[0].get_ydata()) == pytest.approx(0, abs=1e-6)
+
+
+@pytest.mark.parametrize("samples", [0, 1, 3])
+def test_plots_of_almost_nothing(make_log, samples):
+    log = make_log(samples, samples, time=np.arange(float(samples)))
+    for figure in (plot_run(log), plot_errors(log)):
+        assert png(figure, dpi=20).startswith(b"\x89PNG")
+
+
+def test_phases_are_shaded(insertion_log):
+    mode = insertion_log.estimate_mode.copy()
+    mode[-64:] = "lost"
+    figure = plot_run(replace(insertion_log, estimate_mode=mode))
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["searching", "lost"]
+
+
+def test_page(insertion_log):
+    picture = png(plot_errors(insertion_log), dpi=20)
+    summary = {"scenario": "fig <5>", "seed": 3, **summarize(insertion_log)}
+    text = report_page(
+        summary,
+        {"Errors & co": picture},
+        command="sonoservo run fig5",
+        paper={"servo.at_rest.x_mm": 1.1, "force.mean_n": 2.0},
+        replay="replay.html",
+    )
+    page = Page(text)
+    assert "<h1>fig &lt;5&gt;</h1>" in text
+    assert "seed 3" in text
+    assert "sonoservo run fig5" in text
+    assert page.links == ["replay.html"]
+    assert ["tip error (mm)", "0.500", "0.500", "0.500"] in page.rows
+    (at_rest,) = (row for row in page.rows if row[0] == "at rest")
+    assert at_rest[1] == "0.000(1.10)"
+    (mean,) = (row for row in page.rows if row[0] == "mean (N)")
+    assert mean[1].endswith("(2.00)")
+    (data,) = re.findall(r"data:image/png;base64,([^\"]+)", text)
+    assert base64.b64decode(data) == picture
+    assert Image.open(io.BytesIO(picture)).size[0] > 100
+
+
+def test_page_without_a_needle(tmp_path, make_log):
+    path = write_report(tmp_path / "report.html", summarize(make_log(0, 0)), {})
+    page = Page(path.read_text())
+    assert ["inserted (mm)", "–"] in page.rows
+    assert page.links == []
+
+
+def test_replay_moves_by_itself(tmp_path):
+    meshcat = Meshcat()
+    meshcat.StartRecording()
+    meshcat.SetObject("box", Box(1, 1, 1))
+    for time in (0.0, 1.0):
+        meshcat.SetTransform("box", RigidTransform([time, 0, 0]), time)
+    text = save_replay(meshcat, tmp_path / "replay.html").read_text()
+    messages = b"".join(map(base64.b64decode, re.findall(r"base64,([A-Za-z0-9+/=]+)", text)))
+    assert b"set_animation" in messages

@@ -1,0 +1,65 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sonoservo.systems.recording as recording
+from sonoservo.systems.evaluation.run_log import FORMAT, column_table, columns, read_log, write_log
+
+
+def test_a_log_survives_its_file(tmp_path, insertion_log):
+    log = read_log(write_log(tmp_path / "log.npz", insertion_log))
+    for name in columns():
+        np.testing.assert_array_equal(getattr(log, name), getattr(insertion_log, name), name)
+    np.testing.assert_array_equal(log.compute["track"], insertion_log.compute["track"])
+    assert not log.time.flags.writeable
+
+
+def test_an_empty_log_survives_its_file(tmp_path, make_log):
+    log = read_log(write_log(tmp_path / "log.npz", make_log(0, 0)))
+    assert log.time.shape == (0,)
+    assert log.X_WP.shape == (0, 4, 4)
+
+
+def test_no_file():
+    with pytest.raises(FileNotFoundError, match="no log at .*absent"):
+        read_log("absent.npz")
+
+
+@pytest.mark.parametrize("kept", [0, 10, 0.5, 0.99])
+def test_a_truncated_file_is_refused(tmp_path, insertion_log, kept):
+    path = write_log(tmp_path / "log.npz", insertion_log)
+    data = path.read_bytes()
+    path.write_bytes(data[: kept if isinstance(kept, int) else int(kept * len(data))])
+    with pytest.raises(ValueError, match="log.npz is not a log, or only a part of one"):
+        read_log(path)
+
+
+def test_a_damaged_file_is_refused(tmp_path, insertion_log):
+    path = write_log(tmp_path / "log.npz", insertion_log)
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    path.write_bytes(data)
+    with pytest.raises(ValueError, match="log.npz is not a log, or only a part of one"):
+        read_log(path)
+
+
+def test_other_files_are_refused(tmp_path):
+    path = tmp_path / "other.npz"
+    np.savez(path, time=np.zeros(3))
+    with pytest.raises(ValueError, match="format None"):
+        read_log(path)
+    np.savez(path, format=FORMAT, time=np.zeros(3))
+    with pytest.raises(ValueError, match=r"lacks X_WP, X_WT, .*volume_time"):
+        read_log(path)
+
+
+def test_arrays_must_agree(insertion_log):
+    with pytest.raises(ValueError, match=r"needle_tip has shape \(3, 3\); \(n, 3\) is wanted"):
+        replace(insertion_log, needle_tip=np.zeros((3, 3)))
+
+
+def test_the_readme_names_every_array():
+    readme = Path(recording.__file__).with_name("README.md").read_text()
+    assert column_table() in readme

@@ -1,0 +1,213 @@
+import numpy as np
+import pytest
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.math import SpatialForce
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder, EventStatus, LeafSystem
+
+from sonoservo.systems.evaluation.metrics import summarize
+from sonoservo.systems.evaluation.run_log import read_log, write_log
+from sonoservo.systems.evaluation.run_logger import RunLogger, visible_length
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals.sweep import SweepGeometry
+
+X_WP = RigidTransform(RollPitchYaw(0.1, 0.2, 0.3), [0.4, 0.5, 0.6])
+X_WT = RigidTransform(RollPitchYaw(0.0, 0.0, 0.5), [0.1, 0.2, 0.3])
+NEEDLE = Needle([[0, 0, 0], [0.03, 0, 0], [0.03, 0.04, 0]], 6e-4)
+CURVE = NeedleCurve([[0.0, 0, 0], [0.02, 0, 0.01]])
+
+
+def estimate(volume_time, mode=TrackingMode.TRACKING):
+    if mode == TrackingMode.SEARCHING:
+        return NeedleEstimate(mode, volume_time, volume_time=volume_time)
+    velocity = [[0, 0, 0], [0.001, 0.002, 0.003]]
+    return NeedleEstimate(mode, volume_time, CURVE, velocity, np.eye(12), volume_time)
+
+
+def connected(logger):
+    """A context in which every port has a value."""
+    context = logger.CreateDefaultContext()
+    for name, value in {
+        "X_WP": Value(X_WP),
+        "X_WT": Value(X_WT),
+        "needle": Value[object](NEEDLE),
+        "estimate": Value[object](estimate(0.5)),
+        "measurement": Value[object](NeedleMeasurement(CURVE, np.eye(6), 0.6, 300, 0.4)),
+        "detection": Value[object](NotFound("nothing moved")),
+        "wrist_force": Value(SpatialForce([1, 2, 3], [4, 5, 6])),
+    }.items():
+        logger.GetInputPort(name).FixValue(context, value)
+    logger.GetInputPort("joint_state").FixValue(context, np.arange(12.0))
+    logger.GetInputPort("contact_force").FixValue(context, [2.5])
+    logger.GetInputPort("planar_velocity").FixValue(context, [0.1, 0.2, 0.3])
+    return context
+
+
+def test_a_sample_and_a_volume():
+    logger = RunLogger()
+    context = connected(logger)
+    context.SetTime(0.7)
+    logger.ForcedPublish(context)
+    log = logger.log(compute={"render": [0.04]})
+    assert log.time == [0.7]
+    np.testing.assert_array_equal(log.X_WP, [X_WP.GetAsMatrix4()])
+    np.testing.assert_array_equal(log.X_WT, [X_WT.GetAsMatrix4()])
+    np.testing.assert_allclose(log.needle_tip, [X_WT.multiply([0.03, 0.04, 0])])
+    np.testing.assert_allclose(log.needle_entry, [X_WT.translation()])
+    np.testing.assert_allclose(log.inserted_length, [0.07])
+    assert log.estimate_mode == ["tracking"]
+    np.testing.assert_array_equal(log.estimate_tip, [CURVE.tip])
+    np.testing.assert_allclose(log.estimate_direction, [CURVE.direction])
+    np.testing.assert_array_equal(log.estimate_velocity, [[0.001, 0.002, 0.003]])
+    np.testing.assert_array_equal(log.joint_state, [np.arange(12)])
+    np.testing.assert_array_equal(log.contact_force, [2.5])
+    np.testing.assert_array_equal(log.wrist_force, [[1, 2, 3, 4, 5, 6]])
+    np.testing.assert_array_equal(log.planar_velocity, [[0.1, 0.2, 0.3]])
+    assert (log.volume_time, log.volume_seen) == ([0.5], [0.7])
+    assert (log.volume_detected, log.volume_detection_reason) == ([False], ["nothing moved"])
+    assert (log.volume_measured_time, log.volume_inlier_count) == ([0.6], [300])
+    np.testing.assert_array_equal(log.volume_measured_tip, [CURVE.tip])
+    assert log.volume_measurement_reason == [""]
+    np.testing.assert_array_equal(log.volume_estimate_entry, [CURVE.entry])
+    np.testing.assert_array_equal(log.compute["render"], [0.04])
+
+
+def test_what_is_not_there_is_missing():
+    logger = RunLogger()
+    logger.ForcedPublish(logger.CreateDefaultContext())  # nothing is connected
+    context = connected(logger)
+    context.SetTime(1.0)
+    logger.GetInputPort("needle").FixValue(context, Value[object](Needle(np.zeros((0, 3)), 1e-3)))
+    searching = estimate(0.9, TrackingMode.SEARCHING)
+    logger.GetInputPort("estimate").FixValue(context, Value[object](searching))
+    nothing = Value[object](NotFound("no line"))
+    logger.GetInputPort("measurement").FixValue(context, nothing)
+    logger.ForcedPublish(context)
+    log = logger.log()
+    assert np.isnan(log.X_WP[0]).all()
+    assert log.estimate_mode.tolist() == ["", "searching"]
+    assert np.isnan(log.inserted_length[0])
+    assert log.inserted_length[1] == 0
+    assert np.isnan(log.needle_tip).all()
+    assert np.isnan(log.estimate_tip).all()
+    assert log.volume_measurement_reason == ["no line"]
+    assert np.isnan(log.volume_measured_tip).all()
+
+
+def test_a_wrong_value_is_refused():
+    logger = RunLogger()
+    context = connected(logger)
+    logger.GetInputPort("needle").FixValue(context, Value[object](CURVE))
+    with pytest.raises(
+        TypeError, match="port 'needle' .* received a NeedleCurve; Needle is wanted"
+    ):
+        logger.ForcedPublish(context)
+
+
+def test_before_the_first_volume_there_is_no_row():
+    logger = RunLogger()
+    context = connected(logger)
+    nothing = NeedleEstimate(TrackingMode.SEARCHING, 0.0)
+    logger.GetInputPort("estimate").FixValue(context, Value[object](nothing))
+    logger.ForcedPublish(context)
+    log = logger.log()
+    assert len(log.time) == 1
+    assert len(log.volume_time) == 0
+
+
+class Tracker(LeafSystem):
+    """Has seen the volume of the time of its every event, 0.1 s before."""
+
+    PERIOD = 0.25
+
+    def __init__(self):
+        super().__init__()
+        index = self.DeclareAbstractState(
+            Value[object](NeedleEstimate(TrackingMode.SEARCHING, 0.0))
+        )
+        self.DeclareStateOutputPort("estimate", index)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(self.PERIOD, 0.2, self._update)
+
+    def _update(self, context, state):
+        state.get_mutable_abstract_state(0).set_value(estimate(context.get_time() - 0.1))
+
+
+def simulate(logger, **stop):
+    builder = DiagramBuilder()
+    tracker = builder.AddSystem(Tracker())
+    builder.AddSystem(logger)
+    builder.Connect(tracker.GetOutputPort("estimate"), logger.GetInputPort("estimate"))
+    return Simulator(builder.Build())
+
+
+def test_in_a_diagram_every_sample_and_volume_is_kept_once():
+    logger = RunLogger(period=1 / 32, volume_period=0.25, volume_offset=0.2 + 1e-6)
+    simulator = simulate(logger)
+    simulator.AdvanceTo(2.0)
+    log = logger.log()
+    np.testing.assert_array_equal(log.time, np.arange(0, 65) / 32)
+    np.testing.assert_allclose(log.volume_time, 0.1 + 0.25 * np.arange(8))
+    np.testing.assert_allclose(log.volume_seen, 0.2 + 0.25 * np.arange(8) + 1e-6)
+    assert log.estimate_mode[6] == "searching"  # 0.1875 s
+    assert log.estimate_mode[7] == "tracking"
+
+
+def test_volumes_are_kept_without_their_beat_too():
+    logger = RunLogger()
+    simulate(logger).AdvanceTo(2.0)
+    np.testing.assert_allclose(logger.log().volume_time, 0.1 + 0.25 * np.arange(8))
+
+
+def test_each_run_begins_anew():
+    logger = RunLogger()
+    simulator = simulate(logger)
+    simulator.AdvanceTo(1.0)
+    simulator.reset_context(simulator.get_system().CreateDefaultContext())
+    simulator.Initialize()
+    simulator.AdvanceTo(0.5)
+    log = logger.log()
+    np.testing.assert_array_equal(log.time, np.arange(0, 17) / 32)
+    np.testing.assert_allclose(log.volume_time, [0.1, 0.35])
+
+
+def test_an_interrupted_run_keeps_its_log(tmp_path):
+    logger = RunLogger()
+    simulator = simulate(logger)
+
+    def interrupt(context):
+        if context.get_time() > 1:
+            raise KeyboardInterrupt
+        return EventStatus.DidNothing()
+
+    simulator.set_monitor(interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        simulator.AdvanceTo(5.0)
+    log = read_log(write_log(tmp_path / "log.npz", logger.log()))
+    assert 0.9 < log.time[-1] <= 1.1
+    assert len(log.volume_time) == 4
+    assert summarize(log)["simulated_s"] == log.time[-1]
+
+
+def test_parameters_are_checked():
+    with pytest.raises(ValueError, match="period: 0 is not allowed"):
+        RunLogger(period=0)
+    with pytest.raises(ValueError, match="volume_period: -1 is not allowed"):
+        RunLogger(volume_period=-1)
+
+
+def test_length_in_view_ends_where_the_sector_ends():
+    geometry = SweepGeometry(0.04, 0.02725, 0.0106, 0.0255, 0.308e-3, 96, 27, 293, 0.0113)
+    half_width = (0.04 + 0.05) * np.tan(0.0106 * 47.5)  # q tan(phi) at the outermost line
+    inside, outside = np.array([0.0, 0.05, 0.0]), np.array([-0.2, 0.05, 0.0])
+    assert visible_length(Needle([outside, inside], 6e-4), geometry) == pytest.approx(
+        half_width, abs=1e-3
+    )
+    assert visible_length(Needle([outside, outside / 1.1], 6e-4), geometry) == 0
+    assert visible_length(Needle(np.zeros((0, 3)), 6e-4), geometry) == 0
+    bent = Needle([[0.0, 0.05, 0.0], [0.01, 0.05, 0.0], [0.01, 0.06, 0.0]], 6e-4)
+    assert visible_length(bent, geometry) == pytest.approx(0.02, abs=1e-3)

@@ -1,0 +1,163 @@
+from dataclasses import dataclass, field
+
+import pytest
+
+from sonoservo.systems.files.typed_yaml import (
+    ConfigurationError,
+    assign,
+    load_typed,
+    read_yaml,
+    suggest,
+)
+from sonoservo.systems.signals.requirements import require_positive
+
+
+@dataclass(kw_only=True)
+class Wheel:
+    radius: float = 0.3
+    spokes: int = 32
+
+    def __post_init__(self):
+        require_positive(radius=self.radius)
+
+
+@dataclass(kw_only=True)
+class Bicycle:
+    name: str = "roadster"
+    front: Wheel = field(default_factory=Wheel)
+    spares: list[Wheel] = field(default_factory=list)
+    gears: list[float] = field(default_factory=lambda: [1.0])
+    bell: bool = True
+    basket: float | None = None
+    min_tread: float = 1e-3
+
+
+@dataclass(kw_only=True)
+class Lock:
+    kind: str = "lock"
+    keys: int = 2
+
+
+@dataclass(kw_only=True)
+class Chain:
+    kind: str = "chain"
+    length: float = 1.0
+
+    def __post_init__(self):
+        require_positive(length=self.length)
+
+
+@dataclass(kw_only=True)
+class Stand:
+    guard: Lock | Chain = field(default_factory=Lock)
+    more: list[Lock | Chain] = field(default_factory=list)
+
+
+def test_loads_over_defaults():
+    bicycle = load_typed(
+        Bicycle, {"front": {"radius": "3e-1"}, "spares": [{"spokes": 36}], "basket": 2}, "x"
+    )
+    assert bicycle == Bicycle(front=Wheel(radius=0.3), spares=[Wheel(spokes=36)], basket=2.0)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ({"front": {"spoke": 3}}, "front.spoke: unknown field; did you mean 'spokes'?"),
+        ({"zzz": 3}, "zzz: unknown field; known: basket, bell"),
+        ({"least_tread": 3}, "x: least_tread: is now called 'min_tread'"),
+        ({"front": 3}, "front: 3 is not allowed; a mapping is wanted"),
+        (
+            {"front": {"radius": "abc"}},
+            "front.radius: 'abc' is not allowed; a finite number",
+        ),
+        ({"front": {"radius": True}}, "front.radius: True is not allowed"),
+        ({"front": {"spokes": 1.5}}, "front.spokes: 1.5 is not allowed; a whole number"),
+        ({"front": {"radius": -1.0}}, "front.radius: -1.0 is not allowed; it must be"),
+        ({"front": {"radius": float("nan")}}, "front.radius: nan is not allowed"),
+        ({"spares": [{}, {"radius": 0}]}, "spares.1.radius: 0.0 is not allowed"),
+        ({"spares": {"radius": 1}}, "a list is wanted"),
+        ({"gears": ["a"]}, "gears.0: 'a' is not allowed"),
+        ({"bell": "yes"}, "bell: 'yes' is not allowed; true or false"),
+        ({"name": [1]}, "name: [1] is not allowed; text"),
+        ({"name": None}, "name: None is not allowed"),
+    ],
+)
+def test_mistakes_are_named_by_their_path(data, message):
+    with pytest.raises(ConfigurationError) as error:
+        load_typed(Bicycle, data, "my bicycle")
+    assert str(error.value).startswith("my bicycle: ")
+    assert message in str(error.value)
+
+
+def test_assignments_reach_nested_fields_and_list_items():
+    data = {"spares": [{"spokes": 1}]}
+    assign(data, "front.radius=0.4")
+    assign(data, "spares.0.spokes=24")
+    assign(data, "gears=[1, 2.5]")
+    assert data == {"spares": [{"spokes": 24}], "front": {"radius": 0.4}, "gears": [1, 2.5]}
+
+
+@pytest.mark.parametrize(
+    "text", ["no equals", "=3", "size.deeper=3", "spares.7.spokes=1", "gears=[1"]
+)
+def test_bad_assignments_are_refused(text):
+    with pytest.raises(ConfigurationError):
+        assign({"size": 1, "spares": []}, text)
+
+
+@pytest.mark.parametrize("content", ["- 1", "", "{a: 1", "\xff\xfe"])
+def test_files_without_a_mapping_are_refused(tmp_path, content):
+    path = tmp_path / "file.yaml"
+    path.write_bytes(content.encode("latin-1"))
+    with pytest.raises(ConfigurationError, match=r"file\.yaml: "):
+        read_yaml(path)
+
+
+def test_missing_file_is_refused(tmp_path):
+    with pytest.raises(ConfigurationError, match="cannot be read"):
+        read_yaml(tmp_path / "none.yaml")
+
+
+def test_suggestion_is_the_nearest_name():
+    assert suggest("chatelain", ["chatelain2013", "zhao2012"]) == "did you mean 'chatelain2013'?"
+
+
+@pytest.mark.parametrize(
+    ("changes", "guard"),
+    [
+        ([], Lock()),
+        (["guard.keys=3"], Lock(keys=3)),
+        (["guard=chain"], Chain()),
+        (["guard=chain", "guard.length=2"], Chain(length=2.0)),
+        (["guard.length=2", "guard.kind=chain"], Chain(length=2.0)),
+        (["guard.keys=3", "guard=chain"], Chain()),
+    ],
+)
+def test_a_kind_chooses_among_dataclasses(changes, guard):
+    data = {}
+    for change in changes:
+        assign(data, change)
+    assert load_typed(Stand, data, "x").guard == guard
+
+
+def test_kinds_may_be_listed():
+    stand = load_typed(Stand, {"more": ["chain", {"keys": 1}, {"kind": "lock"}]}, "x")
+    assert stand.more == [Chain(), Lock(keys=1), Lock()]
+
+
+@pytest.mark.parametrize(
+    ("guard", "message"),
+    [
+        ("chian", "x: guard: unknown kind 'chian'; did you mean 'chain'?"),
+        ({"kind": "dog"}, "x: guard: unknown kind 'dog'; known: chain, lock"),
+        (3, "x: guard: 3 is not allowed; one of lock, chain, or a mapping is wanted"),
+        ({"length": 1}, "x: guard.length: unknown field; known: keys, kind"),
+        ({"kind": "chain", "length": 0}, "x: guard.length: 0.0 is not allowed"),
+        (None, "x: guard: None is not allowed; a value is wanted"),
+    ],
+)
+def test_a_wrong_kind_is_one_clear_line(guard, message):
+    with pytest.raises(ConfigurationError) as error:
+        load_typed(Stand, {"guard": guard}, "x")
+    assert message in str(error.value)

@@ -1,0 +1,51 @@
+import numpy as np
+from pydrake.math import RigidTransform
+from pydrake.systems.analysis import Simulator
+
+from sonoservo.systems.robot.operator_phantom_motion import OperatorPhantomMotion
+from sonoservo.systems.robot.phantom_motion import (
+    Move,
+    PhantomMotionParameters,
+    next_move,
+    phantom_trajectory,
+)
+
+X_WT = RigidTransform([0.5, 0.0, 0.2])
+SPEED = (0.04, 0.04, 0.015, 30.0, 30.0, 30.0)
+
+
+def test_a_flood_of_targets_becomes_moves_that_give_the_same_motion():
+    rng = np.random.default_rng(0)
+    motion = OperatorPhantomMotion(X_WT=X_WT)
+    simulator = Simulator(motion)
+    context = simulator.get_mutable_context()
+    times, seen = np.arange(0, 9, 1 / 100), []
+    for time in times:
+        target = rng.uniform(-0.03, 0.03, 4) if time < 6 else [0.02, -0.01, 0.005, 0.2]
+        motion.GetInputPort("phantom_target").FixValue(context, target)
+        simulator.AdvanceTo(time)
+        seen.append(motion.GetOutputPort("phantom_command").Eval(context).copy())
+    moves = motion.moves(context)
+    assert 3 < len(moves) < 20
+    trajectory = phantom_trajectory(PhantomMotionParameters(moves=moves), X_WT)
+    for time, command in zip(times, seen, strict=True):
+        np.testing.assert_allclose(command[:6], trajectory.value(time).ravel(), atol=1e-12)
+        np.testing.assert_allclose(command[6:], trajectory.EvalDerivative(time).ravel(), atol=1e-12)
+    # From rest to rest the highest speed is half as high again as the mean.
+    assert (np.abs(seen)[:, 6:9].max(axis=0) <= 1.5 * np.array(SPEED[:3]) + 1e-9).all()
+    np.testing.assert_allclose(seen[-1], [0.52, -0.01, 0.205, 0, 0, 0.2, *6 * [0]], atol=1e-8)
+
+
+def test_a_move_under_way_is_finished_first():
+    moves = [Move(start=1.0, duration=0.5, translation=[0.02, 0.0, 0.0])]
+    target = [0.02, 0.02, 0, 0, 0, 0]
+    assert next_move(moves, target, 1.4, speed=SPEED) is None
+    move = next_move(moves, target, 1.5, speed=SPEED)
+    assert (move.start, move.duration, move.translation) == (1.5, 0.5, [0.0, 0.02, 0.0])
+    assert next_move([*moves, move], target, 3.0, speed=SPEED) is None
+
+
+def test_the_slowest_axis_sets_the_duration():
+    assert next_move([], [0.001, 0, 0.015, 0, 0, 0], 0.0, speed=SPEED).duration == 1.0
+    assert next_move([], [0.001, 0, 0, 0, 0, 60], 0.0, speed=SPEED).duration == 2.0
+    assert next_move([], [0.001, 0, 0, 0, 0, 0], 0.0, speed=SPEED).duration == 0.3

@@ -1,0 +1,59 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from pydrake.math import RigidTransform, RollPitchYaw
+from scipy.interpolate import KroghInterpolator
+
+from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+
+points = arrays(float, st.tuples(st.integers(2, 4), st.just(3)), elements=st.floats(-0.2, 0.2))
+
+
+@given(points, st.floats(-0.5, 1.5))
+def test_passes_through_its_points_as_the_one_polynomial_that_does(control_points, u):
+    curve = NeedleCurve(control_points)
+    abscissae = np.linspace(0, 1, curve.order)
+    np.testing.assert_allclose(curve.position(abscissae), control_points, atol=1e-12)
+    expected = KroghInterpolator(abscissae, control_points)(u)
+    np.testing.assert_allclose(curve.position(u), expected, atol=1e-9)
+    powers = u ** np.arange(curve.order)
+    np.testing.assert_allclose(curve.coefficients @ powers, expected, atol=1e-9)
+
+
+@given(points, st.floats(-3, 3), st.floats(-3, 3))
+def test_moves_with_its_frame(control_points, yaw, x):
+    X = RigidTransform(RollPitchYaw(0.3, -0.2, yaw), [x, 1, 2])
+    moved = NeedleCurve(control_points).transformed(X)
+    expected = X.multiply(NeedleCurve(control_points).position([0.3]).T).T
+    np.testing.assert_allclose(moved.position([0.3]), expected, atol=1e-12)
+
+
+def test_tangent_is_the_derivative():
+    curve = NeedleCurve([[0, 0, 0], [0.03, 0.004, 0], [0.06, 0, 0.001]])
+    step = curve.position(0.7 + 1e-6) - curve.position(0.7 - 1e-6)
+    np.testing.assert_allclose(curve.tangent(0.7), step / np.linalg.norm(step), atol=1e-8)
+
+
+def test_direction_runs_from_entry_to_tip():
+    curve = NeedleCurve([[0.1, 0, 0], [0.1, 0, -0.05]])
+    np.testing.assert_allclose(curve.direction, [0, 0, -1])
+    assert curve.chord == pytest.approx(0.05)
+    assert curve.tip[2] == -0.05
+
+
+@pytest.mark.parametrize("count", [0, 1, 5])
+def test_other_orders_are_refused(count):
+    with pytest.raises(ValueError, match="control_points: .* 2 to 4 points"):
+        NeedleCurve(np.zeros((count, 3)))
+
+
+def test_needle_outside_is_falsy_and_a_single_point_refused():
+    assert not Needle(np.zeros((0, 3)), 6e-4)
+    with pytest.raises(ValueError, match="shaft"):
+        Needle(np.zeros((1, 3)), 6e-4)
+    needle = Needle([[0, 0, 0], [0.03, 0, 0], [0.03, 0.04, 0]], 6e-4)
+    assert needle.length == pytest.approx(0.07)
+    np.testing.assert_array_equal(needle.curve.control_points, [[0, 0, 0], [0.03, 0.04, 0]])

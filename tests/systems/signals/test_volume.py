@@ -1,0 +1,83 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pydrake.math import RigidTransform, RollPitchYaw
+from synthetic_volumes import Scene
+
+from sonoservo.systems.signals.sweep import SweepGeometry, SweepMotion
+from sonoservo.systems.signals.volume import Volume
+
+GEOMETRY = SweepGeometry(0.04, 0.027, 0.02, 0.03, 1e-3, 40, 11, 80, 0.01)
+
+
+def make(**changes):
+    arguments = {
+        "intensities": np.zeros((4, 5, 6), np.uint8),
+        "origin": [-0.01, 0, -0.02],
+        "spacing": [1e-3, 2e-3, 3e-3],
+        "X_WP": RigidTransform([1, 2, 3]),
+        "time": 0.5,
+    }
+    return Volume(**(arguments | changes))
+
+
+def test_voxels_lie_where_origin_and_spacing_say():
+    volume = make()
+    np.testing.assert_allclose(volume.position([1, 2, 3]), [-0.009, 0.004, -0.011])
+    np.testing.assert_allclose(volume.upper, volume.position([3, 4, 5]))
+
+
+def test_without_motion_all_of_it_was_seen_from_one_pose():
+    p_P = np.array([[0.01, 0.02, 0.03]])
+    p_W, times = make().to_world(p_P)
+    np.testing.assert_allclose(p_W, p_P + np.array([1, 2, 3]))
+    np.testing.assert_array_equal(times, [0.5])
+    np.testing.assert_allclose(make().to_probe(p_W), p_P)
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_with_motion_each_point_was_seen_from_its_frame(direction):
+    poses = np.array(
+        [
+            RigidTransform(RollPitchYaw(0, 0, 0.01 * k), [0.001 * k, 0, 0]).GetAsMatrix4()
+            for k in range(11)
+        ]
+    )
+    times = 2 + 0.01 * np.arange(11)[::direction]
+    motion = SweepMotion(GEOMETRY, direction, times, poses)
+    p_P = GEOMETRY.position(7, 20, 50, direction)[np.newaxis]
+    p_W, when = make(motion=motion).to_world(p_P)
+    np.testing.assert_allclose(p_W[0], RigidTransform(poses[7]).multiply(p_P[0]), atol=1e-12)
+    assert when[0] == pytest.approx(times[7])
+    assert motion.time == pytest.approx(2.05)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"intensities": np.full((4, 5, 6), np.nan, np.float32)},
+        {"intensities": np.zeros((4, 5), np.uint8)},
+        {"intensities": np.zeros((0, 5, 6), np.uint8)},
+        {"spacing": [1e-3, 0, 1e-3]},
+        {"origin": [0, 0]},
+        {"time": float("nan")},
+    ],
+)
+def test_bad_volumes_are_refused(changes):
+    with pytest.raises(ValueError, match=next(iter(changes))):
+        make(**changes)
+
+
+def test_at_once_everything_was_acquired_in_the_middle_from_one_pose():
+    volume = Scene().volume(1)
+    poses = volume.motion.X_WP.copy()
+    poses[:, 0, 3] += np.linspace(-1e-3, 1e-3, len(poses))
+    moving = replace(volume, motion=replace(volume.motion, X_WP=poses))
+    p_P = np.array([[0.0, 0.05, -0.02], [0.0, 0.05, 0.02]])
+    p_W, times = moving.at_once().to_world(p_P)
+    np.testing.assert_allclose(p_W, moving.X_WP.multiply(p_P.T).T)
+    np.testing.assert_allclose(times, moving.time)
+    assert np.ptp(moving.to_world(p_P)[1]) > 0.05
+    plain = replace(volume, motion=None)
+    assert plain.at_once() is plain

@@ -1,0 +1,169 @@
+import numpy as np
+import pytest
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
+
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.sweep import Sweep
+from sonoservo.systems.ultrasound.imaging import ImagingParameters
+from sonoservo.systems.ultrasound.simulation.scanner import Scanner, ScannerParameters
+from sonoservo.systems.ultrasound.simulation.tissue import Tissue
+from sonoservo.systems.ultrasound.transducer import Transducer
+
+IMAGING = ImagingParameters(sector=0.1, depth=0.05, frames=5, volume_rate=8)
+DOWN = RigidTransform(RotationMatrix(RollPitchYaw(-np.pi / 2, 0, 0)), [0, 0, -0.004])
+NOWHERE = Needle(np.zeros((0, 3)), 0.635e-3)
+NEEDLE = Needle(np.array([[-0.05, 0, -0.03], [0.0, 0, -0.03]]), 0.635e-3)
+
+
+def make_scanner(**changes):
+    arguments = {
+        "transducer": Transducer(),
+        "imaging": IMAGING,
+        "tissue": Tissue(),
+        "parameters": ScannerParameters(),
+        "seed": 7,
+    }
+    return Scanner(**arguments | changes)
+
+
+class World(LeafSystem):
+    """Poses and needle as functions of time."""
+
+    def __init__(self, X_WP, X_WT, needle):
+        super().__init__()
+        for name, value, model in (
+            ("X_WP", X_WP, Value(RigidTransform())),
+            ("X_WT", X_WT, Value(RigidTransform())),
+            ("needle", needle, Value[object]()),
+        ):
+            self.DeclareAbstractOutputPort(
+                name,
+                model.Clone,
+                lambda context, output, value=value: output.set_value(value(context.get_time())),
+            )
+
+
+def run(scanner, *, X_WP=lambda t: DOWN, X_WT=lambda t: RigidTransform(), needle=lambda t: NOWHERE):
+    """Simulator and a function that reads the sweep."""
+    builder = DiagramBuilder()
+    builder.AddSystem(scanner)
+    world = builder.AddSystem(World(X_WP, X_WT, needle))
+    for name in ("X_WP", "X_WT", "needle"):
+        builder.Connect(world.GetOutputPort(name), scanner.GetInputPort(name))
+    simulator = Simulator(builder.Build())
+    context = scanner.GetMyContextFromRoot(simulator.get_context())
+    return simulator, lambda: scanner.GetOutputPort("sweep").Eval(context)
+
+
+def sweep_at(time, **world):
+    simulator, sweep = run(make_scanner(), **world)
+    simulator.AdvanceTo(time)
+    return sweep()
+
+
+def test_a_sweep_appears_when_its_last_frame_ends():
+    scanner = make_scanner()
+    simulator, sweep = run(scanner)
+    period = scanner.geometry.period
+    simulator.AdvanceTo(0.99 * period)
+    assert not sweep()
+    assert sweep() == NotFound("no sweep is complete yet")
+    simulator.AdvanceTo(1.01 * period)
+    assert isinstance(sweep(), Sweep)
+    assert sweep().samples.shape == scanner.geometry.shape
+
+
+def test_sweeps_alternate_and_frames_are_numbered_towards_z():
+    scanner = make_scanner()
+    simulator, sweep = run(scanner)
+    step = scanner.geometry.frame_period
+    for number, direction in enumerate((1, -1, 1)):
+        simulator.AdvanceTo((number + 1.1) * scanner.geometry.period)
+        motion = sweep().motion
+        assert motion.direction == direction
+        acquired = step * (5 * number + np.arange(5))
+        assert motion.times == pytest.approx(acquired[::direction], abs=1e-9)
+
+
+def test_every_frame_has_its_own_pose():
+    """The probe moves; copies are kept, though the input's value changes in place."""
+    scanner = make_scanner()
+
+    def moving(time):
+        return RigidTransform(DOWN.rotation(), [0.1 * time, 0, -0.004])
+
+    simulator, sweep = run(scanner, X_WP=moving)
+    simulator.AdvanceTo(2.1 * scanner.geometry.period)
+    motion = sweep().motion
+    assert motion.X_WP[:, 0, 3] == pytest.approx(0.1 * motion.times)
+
+
+def test_every_frame_has_its_own_needle():
+    """The needle is there from the third frame on."""
+    scanner = make_scanner()
+    start = 1.5 * scanner.geometry.frame_period
+    simulator, sweep = run(scanner, needle=lambda time: NEEDLE if time > start else NOWHERE)
+    simulator.AdvanceTo(1.1 * scanner.geometry.period)
+    brightest = sweep().samples.max(axis=(1, 2))
+    assert (brightest[2:] > 180).all()
+    assert (brightest[:2] < 170).all()
+
+
+def test_speckle_moves_with_the_phantom():
+    """Probe and phantom moved together: the same samples; the probe alone: others."""
+    moved = RigidTransform(RollPitchYaw(0.2, -0.1, 0.7), [0.3, -0.2, 0.5])
+    at_rest = sweep_at(0.13).samples.astype(int)
+    together = sweep_at(0.13, X_WP=lambda t: moved @ DOWN, X_WT=lambda t: moved).samples
+    assert np.abs(together - at_rest).max() <= 1
+    alone = sweep_at(0.13, X_WP=lambda t: RigidTransform([0.002, 0, 0]) @ DOWN).samples
+    assert np.corrcoef(alone.ravel(), at_rest.ravel())[0, 1] < 0.3
+
+
+def test_runs_repeat_and_seeds_change_the_noise_only():
+    def quiet_and_noisy(seed):
+        scanner = make_scanner(seed=seed, parameters=ScannerParameters(noise_db=-30))
+        simulator, sweep = run(scanner)
+        simulator.AdvanceTo(0.13)
+        return sweep().samples
+
+    first, again, other = (quiet_and_noisy(seed).astype(int) for seed in (1, 1, 2))
+    assert (first == again).all()
+    assert (first != other).any()
+    assert np.corrcoef(first.ravel(), other.ravel())[0, 1] > 0.9
+
+
+def test_one_sweep_is_rendered_once_and_is_read_only():
+    scanner = make_scanner()
+    simulator, sweep = run(scanner)
+    simulator.AdvanceTo(1.1 * scanner.geometry.period)
+    first = sweep()
+    simulator.AdvanceTo(1.9 * scanner.geometry.period)  # more frames, the same sweep
+    assert sweep() is first
+    with pytest.raises(ValueError, match="read-only"):
+        first.samples[0, 0, 0] = 0
+
+
+def test_contact_shows_in_the_image():
+    lifted = RigidTransform(DOWN.rotation(), [0, 0, 0.02])
+    coupled = sweep_at(0.13).samples
+    without = sweep_at(0.13, X_WP=lambda t: lifted).samples
+    assert coupled.mean() > 60
+    assert without.mean() < 10
+
+
+def test_wrong_needle_is_named():
+    scanner = make_scanner()
+    simulator, _ = run(scanner, needle=lambda time: "a needle")
+    with pytest.raises(TypeError, match="'needle'.*Needle is wanted"):
+        simulator.AdvanceTo(0.1)
+
+
+def test_output_port_alone():
+    """Without a simulation there is a reason instead of a sweep."""
+    scanner = make_scanner()
+    context = scanner.CreateDefaultContext()
+    assert scanner.GetOutputPort("sweep").Eval(context) == NotFound("no sweep is complete yet")

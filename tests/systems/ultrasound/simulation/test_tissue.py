@@ -1,0 +1,134 @@
+import numpy as np
+import pytest
+
+from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.ultrasound.simulation.tissue import (
+    BLOCKS,
+    Ball,
+    Fibre,
+    RandomFibres,
+    Tissue,
+    load_tissue,
+)
+from sonoservo.systems.ultrasound.simulation.tissue import scatterer_tile as make_tile
+
+
+def test_tile_is_a_uniform_poisson_process():
+    density = 2.5e9
+    tile = make_tile(density, np.random.default_rng(1))
+    expected = density * tile.block_size**3
+    counts = np.diff(tile.starts)
+    assert len(counts) == BLOCKS**3
+    assert counts.mean() == pytest.approx(expected, rel=0.02)
+    assert counts.var() == pytest.approx(expected, rel=0.25)
+    for axis in tile.positions:
+        assert axis.min() >= 0
+        assert axis.max() <= tile.block_size
+        assert axis.mean() == pytest.approx(tile.block_size / 2, rel=0.01)
+
+
+def test_ranks_rise_within_a_block_and_are_uniform():
+    tile = make_tile(2.5e9, np.random.default_rng(1))
+    for start, end in zip(tile.starts[:20], tile.starts[1:21], strict=True):
+        assert (np.diff(tile.ranks[start:end]) >= 0).all()
+    share, _ = np.histogram(tile.ranks, 10, (0, 1))
+    assert share == pytest.approx(len(tile.ranks) / 10, rel=0.05)
+
+
+@pytest.mark.parametrize("density", [1e8, 1e9, 1e11])
+def test_blocks_stay_small(density):
+    """Blocks hold enough scatterers to be worth the visit, and are at most 4 mm large."""
+    tile = make_tile(density, np.random.default_rng(0))
+    assert tile.block_size <= 4e-3
+    assert len(tile.ranks) <= 170 * BLOCKS**3
+
+
+def test_agar_phantom_loads():
+    agar = load_tissue("agar")
+    assert agar.size == Tissue().size
+    assert agar.balls
+    assert agar.fibres
+    half = np.array(agar.size) / 2
+    middle = np.array([0, 0, -half[2]])
+    for point in [ball.centre for ball in agar.balls] + [fibre.start for fibre in agar.fibres]:
+        assert (np.abs(np.array(point) - middle) < half).all()
+
+
+def test_agar_phantom_has_bright_things_beside_a_needles_way_but_not_on_it():
+    """The way of `chatelain2013_fig5`: from 42 mm below the top, dipping by 5 deg."""
+    agar = load_tissue("agar")
+    along, aside = np.meshgrid(np.linspace(-0.12, -0.02, 101), np.linspace(-0.01, 0.01, 21))
+    way = np.stack([along, aside, -0.042 - (along + 0.12) * np.tan(np.deg2rad(5))], axis=-1)
+    points = [np.array(ball.centre) for ball in agar.balls]
+    for fibre in agar.fibres:
+        points += list(np.linspace(fibre.start, fibre.end, 20))
+    distance = np.array([np.linalg.norm(way - point, axis=-1).min() for point in points])
+    assert distance.min() > 6e-3
+    assert (distance < 15e-3).sum() >= 6
+    for x in np.arange(-0.09, -0.01, 0.01):  # of the probe
+        assert sum(abs(point[0] - x) < 0.03 for point in points) >= 3
+
+
+def test_errors_name_the_field(tmp_path):
+    with pytest.raises(ValueError, match="scatterers_per_cell"):
+        Tissue(scatterers_per_cell=0)
+    with pytest.raises(ValueError, match="^scatterers_per_cell: -4"):
+        Tissue(scatterers_per_cell=-4)
+    with pytest.raises(ValueError, match="size"):
+        Tissue(size=[0.1, 0.1])
+    with pytest.raises(ValueError, match=r"^size: .* in m"):
+        Tissue(size=[240, 160, 80])
+    with pytest.raises(ValueError, match=r"^balls\[1\]\.centre: .* z from its top"):
+        Tissue(balls=[Ball(), Ball(centre=[0, 0, 0.04])])
+    with pytest.raises(ValueError, match=r"^fibres\[0\]\.end: "):
+        Tissue(fibres=[Fibre(end=[10.0, 0, -40])])
+    with pytest.raises(ValueError, match="end"):
+        Fibre(start=[0, 0, 0], end=[0, 0, 0])
+    with pytest.raises(ValueError, match="radius"):
+        Ball(radius=0)
+    path = tmp_path / "mine.yaml"
+    path.write_text("balls: [{radius: -1}]\n")
+    with pytest.raises(ConfigurationError, match=r"balls\.0"):
+        load_tissue(str(path))
+
+
+def test_random_fibres_have_the_stated_density_lengths_levels_and_direction():
+    fibres = RandomFibres(
+        per_cubic_centimetre=0.5, shortest=3e-3, longest=9e-3, dimmest_db=15.0,
+        brightest_db=30.0, direction=[0.0, 2.0, 0.0], spread_deg=10.0,
+    )  # fmt: skip
+    size = np.array([0.2, 0.1, 0.1])
+    drawn = fibres.draw(size.tolist(), np.random.default_rng(3))
+    assert len(drawn) == pytest.approx(1000, rel=0.1)
+    start, end = (np.array([getattr(f, name) for f in drawn]) for name in ("start", "end"))
+    lengths = np.linalg.norm(end - start, axis=1)
+    assert lengths.min() >= 3e-3
+    assert lengths.max() <= 9e-3
+    assert lengths.mean() == pytest.approx(6e-3, rel=0.05)
+    middles = 0.5 * (start + end)
+    assert (np.abs(middles[:, :2]) <= size[:2] / 2).all()
+    assert (middles[:, 2] <= 0).all()
+    assert (middles[:, 2] >= -0.1).all()
+    aside = np.arcsin(((end - start) / lengths[:, np.newaxis])[:, [0, 2]])
+    assert np.rad2deg(aside.std()) == pytest.approx(10, rel=0.1)
+    levels = [fibre.level_db for fibre in drawn]
+    assert 15 <= min(levels) < 16
+    assert 29 < max(levels) <= 30
+
+
+def test_there_are_no_random_fibres_unless_asked_for():
+    assert Tissue().random_fibres.draw([0.2, 0.1, 0.1], np.random.default_rng(0)) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"per_cubic_centimetre": -1.0}, "per_cubic_centimetre"),
+        ({"longest": 1e-3}, "longest"),
+        ({"brightest_db": 0.0}, "brightest_db"),
+        ({"direction": [0.0, 0.0, 0.0]}, "direction"),
+    ],
+)
+def test_bad_random_fibres_are_named(changes, message):
+    with pytest.raises(ValueError, match=message):
+        RandomFibres(**changes)
