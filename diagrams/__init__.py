@@ -8,13 +8,13 @@
 from sonoservo.diagrams.app.locate import LocatedNeedle, locate, locate_in
 from sonoservo.diagrams.app.run import RunResult, run
 from sonoservo.diagrams.app.track import TrackedRecording, track_recording, tracker_parameters
-from sonoservo.diagrams.experiment import Experiment, tracker_events
+from sonoservo.diagrams.experiments import make_experiment
+from sonoservo.diagrams.experiments.following import tracker_events
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, NeedleTrackerParameters, track
 from sonoservo.diagrams.probe_controller import MakeProbeController
 from sonoservo.diagrams.scenario import Scenario, list_scenarios, load_scenario
 
 __all__ = [
-    "Experiment",
     "LocatedNeedle",
     "MakeNeedleTracker",
     "MakeProbeController",
@@ -26,6 +26,7 @@ __all__ = [
     "load_scenario",
     "locate",
     "locate_in",
+    "make_experiment",
     "run",
     "track",
     "track_recording",

@@ -17,7 +17,6 @@ from sonoservo.diagrams.app.kept_run import refusing
 from sonoservo.diagrams.app.locate import locate_in_recording
 from sonoservo.diagrams.app.run import run
 from sonoservo.diagrams.app.scan import caption, scan, summarize_scan, write_scan
-from sonoservo.diagrams.app.shape_run import predict_shape
 from sonoservo.diagrams.app.terminal import (
     Progress,
     VolumeProgress,
@@ -29,8 +28,9 @@ from sonoservo.diagrams.app.terminal import (
     summary_table,
 )
 from sonoservo.diagrams.app.track import track_recording, tracker_parameters
-from sonoservo.diagrams.scenario import list_scenarios, load_any_scenario, load_scenario
-from sonoservo.diagrams.shape_scenario import ShapeScenario
+from sonoservo.diagrams.experiments import experiment_class
+from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams.scenario import list_scenarios, load_scenario, require_scenario
 from sonoservo.diagrams.studies.dataset import make_dataset
 from sonoservo.diagrams.studies.study import StudyOptions
 from sonoservo.diagrams.studies.study_report import write_study
@@ -81,7 +81,7 @@ PosesOption = Annotated[
 @app.command("list")
 def list_command(json_path: JsonOption = None) -> None:
     """List the scenarios that come with the package."""
-    rows = {name: load_any_scenario(name).description for name in list_scenarios()}
+    rows = {name: load_scenario(name).description for name in list_scenarios()}
     table = Table("scenario", "what happens")
     for name, description in rows.items():
         table.add_row(name, description)
@@ -108,34 +108,25 @@ def run_command(
     json_path: JsonOption = None,
 ) -> None:
     """Run a scenario; end with a table of figures and a folder of results."""
-    loaded = load_any_scenario(scenario, changes=changes, seed=seed)
-    if isinstance(loaded, ShapeScenario) and (record or record_sweeps):
-        raise ConfigurationError(f"--record: {loaded.name} makes slices, no volumes")
+    loaded = load_scenario(scenario, changes=changes, seed=seed)
     folder = out or Path("out") / f"{loaded.name}_seed{loaded.seed}"
-    makes_volumes = not isinstance(loaded, ShapeScenario)
-    monitor = start_monitor(_console, host) if meshcat and makes_volumes else None
+    has_monitor = "monitor" in experiment_class(loaded.experiment).options
+    monitor = start_monitor(_console, host) if meshcat and has_monitor else None
     display = start_display(_console, host) if meshcat else None
     with Progress(_console, loaded) as progress:
-        if isinstance(loaded, ShapeScenario):
-            summary = predict_shape(
-                loaded, out=folder, meshcat=display, after_slice=progress.show_slice
-            ).summary
-            published = loaded.published_figures
-        else:
-            summary = run(
-                loaded,
-                out=folder,
-                meshcat=display,
-                monitor=monitor,
-                after_volume=progress,
-                record=record,
-                record_sweeps=record_sweeps,
-            ).summary
-            published = loaded.published
-    _console.print(summary_table(summary, published))
+        result = run(
+            loaded,
+            out=folder,
+            meshcat=display,
+            monitor=monitor,
+            record=record,
+            record_sweeps=record_sweeps,
+            after_step=progress,
+        )
+    _console.print(summary_table(result, loaded.published_figures))
     _console.print(f"Results, starting with the report: {folder / 'report.html'}", soft_wrap=True)
-    _write_json(json_path, summary)
-    if summary["interrupted"]:
+    _write_json(json_path, result.summary)
+    if result.summary["interrupted"]:
         raise typer.Exit(130)
 
 
@@ -158,7 +149,7 @@ def drive_command(
     The scenario's own pushes, moves and changes are left out. What you do is kept as scenario.yaml,
     which `sonoservo run` repeats. Finish in the page, or with Ctrl-C.
     """
-    loaded = load_scenario(scenario, changes=changes, seed=seed)
+    loaded = _load_following(scenario, changes, seed)
     with refusing(loaded):
         loaded = replace(loaded, duration=duration)
     folder = out or Path("out") / f"{loaded.name}_driven_seed{loaded.seed}"
@@ -166,12 +157,12 @@ def drive_command(
     display = start_display(_console, host)
     _console.print(DRIVING)
     with Progress(_console, loaded) as progress:
-        summary = drive(loaded, display, monitor=monitor, out=folder, show=progress.show).summary
-    _console.print(summary_table(summary, {}))
+        result = drive(loaded, display, monitor=monitor, out=folder, show=progress.show)
+    _console.print(summary_table(result))
     _console.print(f"Results, starting with the report: {folder / 'report.html'}", soft_wrap=True)
     again = f"sonoservo run {folder / 'scenario.yaml'}"
     _console.print(f"The same again: {again}", soft_wrap=True)
-    _write_json(json_path, summary)
+    _write_json(json_path, result.summary)
 
 
 @app.command("scan")
@@ -188,7 +179,7 @@ def scan_command(
     json_path: JsonOption = None,
 ) -> None:
     """Show what the scanner sees: one sweep, as a picture and as a volume for 3D Slicer."""
-    loaded = load_scenario(scenario, changes=changes, seed=seed)
+    loaded = _load_following(scenario, changes, seed)
     result = scan(loaded, time=time)
     summary = summarize_scan(result, loaded)
     folder = out or Path("out") / f"{loaded.name}_seed{loaded.seed}_scan"
@@ -297,7 +288,7 @@ def dataset_command(
 
     What is done is kept: the same command goes on where it was interrupted.
     """
-    loaded = load_scenario(scenario, changes=changes, seed=seed)
+    loaded = _load_following(scenario, changes, seed)
     manifest = make_dataset(
         loaded,
         out,
@@ -358,6 +349,12 @@ def reproduce_command(
     _console.print(study_table(study))
     _console.print(f"Results, starting with the report: {folder / 'report.html'}", soft_wrap=True)
     _write_json(json_path, data)
+
+
+def _load_following(
+    scenario: str, changes: list[str] | None, seed: int | None
+) -> FollowingScenario:
+    return require_scenario(load_scenario(scenario, changes=changes, seed=seed), FollowingScenario)
 
 
 def _write_json(path: Path | None, data: Any) -> None:

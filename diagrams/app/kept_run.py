@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from pydrake.geometry import Meshcat
 
 from sonoservo.diagrams.scenario import Scenario
-from sonoservo.diagrams.shape_scenario import ShapeScenario
 from sonoservo.systems.evaluation.plots import png
 from sonoservo.systems.evaluation.replay import save_replay
 from sonoservo.systems.evaluation.report import write_report
@@ -24,7 +23,7 @@ _SAVE_EVERY = 10.0
 
 
 @contextmanager
-def refusing(scenario: Scenario | ShapeScenario) -> Iterator[None]:
+def refusing(scenario: Scenario) -> Iterator[None]:
     """Turn what a scenario's blocks refuse into a ConfigurationError that names the scenario."""
     try:
         yield
@@ -51,25 +50,27 @@ class KeptRun:
 
     Attributes
     ----------
+    out
+        Folder of everything, or None.
     interrupted
         Whether the simulation was interrupted.
     """
 
     def __init__(
         self,
-        scenario: Scenario | ShapeScenario,
+        scenario: Scenario,
         write_log: Callable[[Path], Any],
         *,
         out: Path | None = None,
         meshcat: Meshcat | None = None,
     ) -> None:
         self._scenario, self._write_log = scenario, write_log
-        self._out, self._meshcat = out, meshcat
+        self.out, self._meshcat = out, meshcat
         self.interrupted = False
 
     def __enter__(self) -> Self:
-        if self._out is not None:
-            write_atomically(self._out / "scenario.yaml", self._scenario.to_yaml())
+        if self.out is not None:
+            write_atomically(self.out / "scenario.yaml", self._scenario.to_yaml())
         if self._meshcat is not None:
             self._meshcat.StartRecording(set_visualizations_while_recording=True)
         self._saved = time.perf_counter()
@@ -134,25 +135,25 @@ class KeptRun:
         published
             Figures of the publication, by the path of ours in the summary.
         """
-        if self._out is None:
+        if self.out is None:
             return
-        write_json(self._out / "summary.json", summary)
+        write_json(self.out / "summary.json", summary)
         if self._meshcat is not None:
-            save_replay(self._meshcat, self._out / "replay.html")
+            save_replay(self._meshcat, self.out / "replay.html")
         images = {}
         for name, (caption, figure) in plots.items():
             images[caption] = png(figure)
-            write_atomically(self._out / name, images[caption])
+            write_atomically(self.out / name, images[caption])
         write_report(
-            self._out / "report.html",
+            self.out / "report.html",
             summary,
             images,
-            command=f"sonoservo run {self._out / 'scenario.yaml'}",
+            command=f"sonoservo run {self.out / 'scenario.yaml'}",
             paper=published,
             replay="replay.html" if self._meshcat is not None else "",
         )
 
     def _save(self) -> None:
-        if self._out is not None:
-            self._write_log(self._out / "log.npz")
+        if self.out is not None:
+            self._write_log(self.out / "log.npz")
         self._saved = time.perf_counter()

@@ -19,6 +19,33 @@ from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 
+LABELS = {
+    "detection.volume": "insertion detected at volume",
+    "detection.visible_mm": "needle in view at detection, mm",
+    "detection.false_starts": "false starts in the whole run",
+    "tracking.volumes": "volumes since then, with the needle in the tissue",
+    "tracking.tracked": "of these, needle tracked",
+    "tracking.lost_events": "times lost",
+    "tracking.tip_error_mm.median": "tip error, median, mm",
+    "tracking.tip_error_mm.p95": "tip error, 95 %, mm",
+    "tracking.axis_error_deg.median": "axis error, median, deg",
+    "tracking.axis_error_deg.p95": "axis error, 95 %, deg",
+    "servo.at_rest.x_mm": "at rest: mean |X|, true, mm",
+    "servo.at_rest.z_mm": "at rest: mean |Z|, true, mm",
+    "servo.at_rest.theta_deg": "at rest: mean |Theta|, true, deg",
+    "servo.at_rest_estimated.x_mm": "at rest: mean |X|, estimated, mm",
+    "servo.at_rest_estimated.z_mm": "at rest: mean |Z|, estimated, mm",
+    "servo.at_rest_estimated.theta_deg": "at rest: mean |Theta|, estimated, deg",
+    "force.mean_n": "contact force, mean, N",
+    "force.rms_error_n": "contact force, RMS error, N",
+    "force.max_n": "contact force, largest, N",
+    "compute_ms.render.median": "rendering a sweep, median, ms",
+    "compute_ms.convert.median": "scan conversion, median, ms",
+    "compute_ms.track.median": "tracking, median, ms",
+    "real_time_factor": "simulated time / wall time",
+}
+"""Label of each figure of a summary that a table shows, by its dotted path."""
+
 
 @dataclass(kw_only=True)
 class MetricsParameters:
@@ -157,11 +184,11 @@ def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
         "estimated": int(np.sum(judged & np.isfinite(errors.tip))),
         "lost": int(np.sum(lost)),
         "lost_events": int(np.sum(_begins(lost))),
-        "tip_error_mm": _spread(1e3 * errors.tip[judged]),
-        "tip_axial_error_mm": _spread(1e3 * np.abs(errors.axial[judged])),
-        "tip_lateral_error_mm": _spread(1e3 * errors.lateral[judged]),
+        "tip_error_mm": spread(1e3 * errors.tip[judged]),
+        "tip_axial_error_mm": spread(1e3 * np.abs(errors.axial[judged])),
+        "tip_lateral_error_mm": spread(1e3 * errors.lateral[judged]),
         "tip_axial_bias_mm": _number(_mean(1e3 * errors.axial[judged])),
-        "axis_error_deg": _spread(np.degrees(errors.axis[judged])),
+        "axis_error_deg": spread(np.degrees(errors.axis[judged])),
     }
 
 
@@ -260,7 +287,8 @@ def _seconds(counted: Mask, time: Floats) -> float:
     return float(steps[counted].sum())
 
 
-def _spread(values: Floats) -> dict[str, float | None]:
+def spread(values: Floats) -> dict[str, float | None]:
+    """Return the median, the 95th percentile and the maximum of what is finite; None for none."""
     values = values[np.isfinite(values)]
     p95 = np.percentile(values, 95) if len(values) else np.nan
     return {

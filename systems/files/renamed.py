@@ -8,10 +8,12 @@ _RENAMED = {
     "first_deviation": "first_std",
     "first_drift": "first_drift_std",
     "first_speed": "first_speed_std",
+    "kind": "experiment",
     "inlier_distance": "residual_threshold",
     "largest_deviation": "max_std",
     "largest_iterations": "max_trials",
     "least_speed_deviation": "min_speed_std",
+    "published": "published_figures",
 }
 _PREFIXES = {"least_": "min_", "largest_": "max_"}
 _SUFFIXES = {"_deviation": "_std"}

@@ -14,15 +14,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sonoservo.diagrams.experiments.shape_prediction import (
+    ShapePredictionExperiment,
+    estimate_shape,
+)
+from sonoservo.diagrams.experiments.shape_prediction_scenario import ESTIMATORS
 from sonoservo.diagrams.papers.carriere2016.plots import (
     plot_error_against_depth,
     plot_errors,
     plot_particles,
     plot_paths,
 )
-from sonoservo.diagrams.scenario import load_any_scenario
-from sonoservo.diagrams.shape_experiment import ShapeExperiment, estimate_shape
-from sonoservo.diagrams.shape_scenario import ESTIMATORS, ShapeScenario
+from sonoservo.diagrams.scenario import load_scenario
 from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions, run_cases
 from sonoservo.diagrams.studies.study_report import Study, StudyFigure, StudyRow
 from sonoservo.systems.estimation import published_particle_filter, shape_particle_filter
@@ -152,13 +155,11 @@ def run_needle(case: Case) -> dict[str, Any]:
     return result
 
 
-def _experiment(name: str, seed: int, changes: Sequence[str] = ()) -> ShapeExperiment:
-    scenario = load_any_scenario(name, changes=list(changes), seed=seed)
-    assert isinstance(scenario, ShapeScenario)
-    experiment = ShapeExperiment(scenario)
+def _experiment(name: str, seed: int, changes: Sequence[str] = ()) -> ShapePredictionExperiment:
+    experiment = ShapePredictionExperiment(load_scenario(name, changes=list(changes), seed=seed))
     mark = np.random.default_rng([seed, 1]).uniform(-_BEVEL_MARK_DEG, _BEVEL_MARK_DEG)
     plane = np.rad2deg(experiment.insertion.path.plane)
-    scenario.published.bevel_direction_deg = float(plane + mark)
+    experiment.scenario.published.bevel_direction_deg = float(plane + mark)
     return experiment
 
 
@@ -199,7 +200,9 @@ def _errors_by_depth(shapes: Sequence[object], log: ShapeLog) -> dict[str, Float
     return dict(zip(("depth", "error_mm", "bound_mm"), np.array(rows).T, strict=True))
 
 
-def _particles(experiment: ShapeExperiment, found: Sequence[CrossSection]) -> dict[str, Any]:
+def _particles(
+    experiment: ShapePredictionExperiment, found: Sequence[CrossSection]
+) -> dict[str, Any]:
     """R in m and theta_0 in deg of the particles: first, 5 slices after 10 mm, and last."""
     scenario = experiment.scenario
     points = [experiment.X_WP.inverse().multiply(each.position) for each in found]

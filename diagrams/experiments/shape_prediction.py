@@ -1,25 +1,30 @@
-"""Needle shape prediction brought to life: hand, stage, scanner, tracker and estimator."""
+"""Shape prediction: how a bevelled needle will lie is predicted from axial slices."""
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
+from matplotlib.figure import Figure
 from pydrake.common.value import Value
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform
-from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder, System
+from pydrake.systems.framework import System
 
-from sonoservo.diagrams.experiment import connect_by_name
-from sonoservo.diagrams.shape_scenario import ShapeScenario
+from sonoservo.diagrams.experiments.experiment import INSTANT, Experiment
+from sonoservo.diagrams.experiments.shape_prediction_scenario import ShapePredictionScenario
+from sonoservo.diagrams.scenario import Scenario, require_scenario
+from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.systems.display.world.shape_view import ShapeView
 from sonoservo.systems.estimation.least_squares_shape_estimator import LeastSquaresShapeEstimator
 from sonoservo.systems.estimation.particle_shape_estimator import ParticleShapeEstimator
 from sonoservo.systems.estimation.published_shape_estimator import PublishedShapeEstimator
 from sonoservo.systems.estimation.shape_estimator import ShapeEstimator
+from sonoservo.systems.evaluation.log import Row
 from sonoservo.systems.evaluation.shape_log import ShapeLog
+from sonoservo.systems.evaluation.shape_metrics import LABELS, summarize_shape
+from sonoservo.systems.evaluation.shape_plots import plot_shape
 from sonoservo.systems.localization.cross_section_tracker import CrossSectionTracker
 from sonoservo.systems.needle.bevelled_insertion import BevelledInsertion
 from sonoservo.systems.needle.hand import Hand
@@ -34,20 +39,17 @@ from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
 from sonoservo.systems.ultrasound.slice_converter import SliceConverter
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
-_INSTANT = 1e-6
-"""Time in s between an event and what is looked at just before or after it."""
 
-
-class ShapeExperiment:
-    """A scenario of shape prediction as one diagram, and its simulation.
+class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
+    """A hand, a probe that steps along the needle, a tracker and a shape estimator.
 
     .. pydrake_system::
 
         name: (the scenario's)
 
     The subsystems are hand, probe_stepper, scanner, slice_converter, cross_section_tracker,
-    shape_estimator and, with a Meshcat, shape_view. Every one of their inputs is connected to the
-    output that has the same name. W and T are the same but for the tissue's shifts.
+    shape_estimator and, with a Meshcat, shape_view. W and T are the same but for the tissue's
+    shifts. Computing times are those of this thread, whatever else the machine does.
 
     Parameters
     ----------
@@ -62,14 +64,16 @@ class ShapeExperiment:
         If the scenario cannot be carried out; the message names the field.
     """
 
-    def __init__(self, scenario: ShapeScenario, meshcat: Meshcat | None = None) -> None:
-        self.scenario = scenario
-        tissue_seed, insertion_seed, noise_seed, shift_seed, self._estimator_seed = (
-            int(seed) for seed in np.random.SeedSequence(scenario.seed).generate_state(5)
-        )
+    scenario_class = ShapePredictionScenario
+    labels = LABELS
+
+    def __init__(self, scenario: Scenario, meshcat: Meshcat | None = None) -> None:
+        self.scenario = scenario = require_scenario(scenario, ShapePredictionScenario)
+        seeds = draw_seeds(scenario)
+        self._estimator_seed = seeds.tracker
         hand = replace(scenario.hand, depth=scenario.depth, rotations=scenario.rotations)
-        self.insertion = BevelledInsertion(hand, np.random.default_rng(insertion_seed))
-        tissue = replace(load_tissue(scenario.phantom), seed=tissue_seed)
+        self.insertion = BevelledInsertion(hand, np.random.default_rng(seeds.insertion))
+        tissue = replace(load_tissue(scenario.phantom), seed=seeds.tissue)
         half = np.array(tissue.size) / 2
         end = hand.entry[0] + scenario.depth + hand.lead
         require(
@@ -88,11 +92,10 @@ class ShapeExperiment:
             imaging=imaging,
             tissue=tissue,
             parameters=scenario.scanner,
-            seed=noise_seed,
+            seed=seeds.noise,
         )
         geometry = self.scanner.geometry
         events = {"period": scenario.period, "offset": scenario.period + scenario.processing_time}
-        self._first = events["offset"]
         self.slice_converter = SliceConverter(geometry=geometry, spacing=scenario.pixel)
         self.cross_section_tracker = CrossSectionTracker(
             parameters=replace(
@@ -111,7 +114,7 @@ class ShapeExperiment:
                 period=scenario.period,
                 steps=scenario.steps,
                 tissue_shift=scenario.tissue_shift,
-                seed=shift_seed,
+                seed=seeds.station,
             ),
             "scanner": self.scanner,
             "slice_converter": self.slice_converter,
@@ -121,19 +124,24 @@ class ShapeExperiment:
         if meshcat is not None:
             systems["shape_view"] = ShapeView(
                 meshcat=meshcat, tissue_size=tissue.size, depth=scenario.depth,
-                period=scenario.period, offset=self._first + _INSTANT,
+                period=scenario.period, offset=events["offset"] + INSTANT,
             )  # fmt: skip
-        builder = DiagramBuilder()
-        for name, system in systems.items():
-            builder.AddNamedSystem(name, system)
-        connect_by_name(builder, list(systems.values()))
-        self.diagram = builder.Build()
-        self.diagram.set_name(scenario.name)
-        self._simulator = Simulator(self.diagram)
-        self._rows: list[dict[str, Any]] = []
+        super().__init__(
+            scenario,
+            systems,
+            period=events["period"],
+            offset=events["offset"],
+            stages={
+                "slice": (self.slice_converter, "slice"),
+                "image": (self.cross_section_tracker, "cross_section"),
+            },
+            event="estimate",
+            clock=time.thread_time,
+            sees_truth=("scanner", "shape_view"),
+        )
 
     def make_estimator(self, name: str) -> ShapeEstimator:
-        """Make one of the scenario's shape estimators; see `ShapeScenario.estimator`."""
+        """Make one of the scenario's shape estimators; see `ShapePredictionScenario.estimator`."""
         scenario = self.scenario
         events = {"period": scenario.period, "offset": scenario.period + scenario.processing_time}
         plan: dict[str, Any] = {
@@ -156,88 +164,64 @@ class ShapeExperiment:
             )
         return PublishedShapeEstimator(parameters=replace(scenario.published, **plan), **common)
 
-    def run(
-        self,
-        after_slice: Callable[[float, CrossSection | NotFound], None] | None = None,
-        real_time: bool = False,
-    ) -> None:
-        """Simulate the whole scenario.
-
-        Parameters
-        ----------
-        after_slice
-            Called after every slice, with the simulated time in s and the cross-section.
-        real_time
-            Whether to go no faster than real time.
-        """
-        simulator = self._simulator
-        simulator.set_target_realtime_rate(1.0 if real_time else 0.0)
-        simulator.Initialize()
-        for number in range(self.scenario.steps + 1):
-            due = self._first + number * self.scenario.period
-            simulator.AdvanceTo(due - _INSTANT)
-            found = self._look(number, due)
-            if after_slice is not None:
-                after_slice(self.time, found)
-
-    @property
-    def time(self) -> float:
-        """Simulated time so far, in s."""
-        return self._simulator.get_context().get_time()
-
     @property
     def shape(self) -> NeedleShape | NotFound:
         """What the estimator believes now."""
-        return self._evaluate(self.shape_estimator, "shape")
+        return cast(NeedleShape | NotFound, self.evaluate(self.shape_estimator, "shape"))
 
     def true_path(self, depths: Iterable[float]) -> Any:
         """(m, 3) true path in the first slice's P, in m, at depths in m."""
         X_PI = self.X_WP.InvertAndCompose(self.insertion.X_TI)
         return X_PI.multiply(self.insertion.position(np.asarray(depths, dtype=float)).T).T
 
-    def log(self) -> ShapeLog:
-        """Return what has been seen so far."""
-        return ShapeLog.from_rows(self._rows, self.true_path)
-
-    def _look(self, number: int, due: float) -> CrossSection | NotFound:
-        """Track the slice that is due, and note what was found and how long it took.
-
-        The ports are evaluated just before the estimator asks for them; it finds them in the
-        cache. In the instant of the event nothing else happens. The time is that of this thread,
-        whatever else the machine does.
-        """
-        self._evaluate(self.slice_converter, "slice")
-        clock = [time.thread_time()]
-        found = self._evaluate(self.cross_section_tracker, "cross_section")
-        clock.append(time.thread_time())
-        self._simulator.AdvanceTo(due + _INSTANT)
-        clock.append(time.thread_time())
-        shape = self.shape
-        row: dict[str, Any] = {
-            "depth": number * self.scenario.step,
-            "image_s": clock[1] - clock[0],
-            "estimate_s": clock[2] - clock[1],
-        }
-        if isinstance(found, CrossSection):
-            row["measured"] = self.X_WP.inverse().multiply(found.position)
-            row["correlation"] = found.correlation
-            row["cross_section"] = found
-        else:
-            row["reason"] = found.reason
-        if isinstance(shape, NeedleShape):
-            mean, covariance = shape.predict([self.scenario.depth])
-            row["tip"], row["tip_covariance"] = mean[0], covariance[0]
-        self._rows.append(row)
-        return found
+    @property
+    def status(self) -> str:
+        """What became of the newest slice."""
+        return "following" if self._rows and "cross_section" in self._rows[-1] else "not found"
 
     @property
     def cross_sections(self) -> list[CrossSection]:
         """All cross-sections found so far, in order of time."""
         return [row["cross_section"] for row in self._rows if "cross_section" in row]
 
-    def _evaluate(self, system: System, port: str) -> Any:
-        context = system.GetMyContextFromRoot(self._simulator.get_context())
-        return system.GetOutputPort(port).Eval(context)
+    def log(self) -> ShapeLog:
+        """Return what has been seen so far."""
+        return ShapeLog.from_rows(self._rows, self.true_path)
+
+    def results(self) -> dict[str, Any]:
+        """Return `shape`, which the estimator believes at the end."""
+        return {"shape": self.shape}
+
+    def summarize(self, log: ShapeLog) -> dict[str, Any]:
+        """Sum up a log and the shape, see `summarize_shape`."""
+        return {"estimator": self.scenario.estimator, **summarize_shape(log, self.shape)}
+
+    def plots(self, log: ShapeLog) -> dict[str, tuple[str, Figure]]:
+        """Return the plot of the paths, if there are any."""
+        if len(log.depth) < 2:
+            return {}
+        return {"shape.png": ("path, measured, true and predicted", plot_shape(log, self.shape))}
+
+    def _begin(self) -> None:
+        super()._begin()
+        self._rows: list[Row] = []
+
+    def _after_step(self, number: int) -> None:
+        """Note what was found in a slice, and how long it took."""
+        found = self.evaluate(self.cross_section_tracker, "cross_section")
+        row: Row = {"depth": number * self.scenario.step}
+        row |= {f"{name}_s": self.compute[name][-1] for name in ("image", "estimate")}
+        if isinstance(found, CrossSection):
+            row["measured"] = self.X_WP.inverse().multiply(found.position)
+            row["correlation"] = found.correlation
+            row["cross_section"] = found
+        else:
+            row["reason"] = found.reason
+        shape = self.shape
+        if isinstance(shape, NeedleShape):
+            mean, covariance = shape.predict([self.scenario.depth])
+            row["tip"], row["tip_covariance"] = mean[0], covariance[0]
+        self._rows.append(row)
 
 
 def estimate_shape(

@@ -1,26 +1,32 @@
-"""A scenario brought to life: the loop of station, hand, scanner, tracker and controller."""
+"""Following: the robot finds a needle in its volumes, keeps it centred and presses the probe."""
 
-import time
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
-import numpy as np
+from matplotlib.figure import Figure
 from pydrake.geometry import Meshcat
-from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Context, DiagramBuilder, OutputPort, System
+from pydrake.systems.framework import System
 
+from sonoservo.diagrams.experiments.experiment import INSTANT, Experiment
+from sonoservo.diagrams.experiments.following_insertion import (
+    check_entry,
+    check_followed,
+    make_insertion,
+)
+from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
 from sonoservo.diagrams.probe_controller import MakeProbeController
-from sonoservo.diagrams.scenario import Scenario
-from sonoservo.diagrams.scenario_insertion import check_entry, check_followed, make_insertion
+from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.diagrams.station import MakeStation
 from sonoservo.systems.control.controller_schedule import ControllerSchedule
 from sonoservo.systems.control.scheduled_settings import ScheduledSettings
 from sonoservo.systems.display.monitor.scanner_monitor import ScannerMonitor
 from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
+from sonoservo.systems.evaluation.metrics import LABELS, MetricsParameters, summarize
+from sonoservo.systems.evaluation.plots import plot_errors, plot_run
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.run_logger import RunLogger
 from sonoservo.systems.needle.hand import Hand
@@ -39,20 +45,19 @@ from sonoservo.systems.ultrasound.transducer import load_transducer
 if TYPE_CHECKING:
     from sonoservo.systems.display.monitor.monitor import Monitor
 
-_INSTANT = 1e-6
-"""Time in s between an event and what is looked at just before or after it."""
+_OBSERVERS = ("scanner", "run_logger", "world_view", "volume_recorder")
+"""Systems that see the truth, besides the station and the sources that make it."""
 
 
-class Experiment:
-    """A scenario as one diagram, and its simulation.
+class FollowingExperiment(Experiment[FollowingScenario]):
+    """The loop of station, hand, scanner, tracker and controller.
 
     .. pydrake_system::
 
         name: (the scenario's)
 
     The subsystems are station, scanner, scan_converter, needle_tracker, probe_controller,
-    run_logger, the sources and, if wanted, world_view, scanner_monitor and volume_recorder. Every
-    one of their inputs is connected to the output that has the same name.
+    run_logger, the sources and, if wanted, world_view, scanner_monitor and volume_recorder.
 
     Parameters
     ----------
@@ -83,6 +88,10 @@ class Experiment:
         If the scenario cannot be carried out; the message names the field.
     """
 
+    scenario_class = FollowingScenario
+    options = frozenset({"meshcat", "monitor", "record", "record_sweeps", "tracker"})
+    labels = LABELS
+
     def __init__(
         self,
         scenario: Scenario,
@@ -95,7 +104,7 @@ class Experiment:
         record: Path | None = None,
         record_sweeps: bool = False,
     ) -> None:
-        self.scenario = scenario
+        scenario = require_scenario(scenario, FollowingScenario)
         seeds = draw_seeds(scenario)
         transducer = load_transducer(scenario.transducer)
         tissue = replace(load_tissue(scenario.phantom), seed=seeds.tissue)
@@ -111,12 +120,13 @@ class Experiment:
             f"below the {geometry.period:.3f} s of a sweep",
         )
         events = tracker_events(scenario)
-        self._volume_period, self._first_volume = events["period"], events["offset"]
+        period, offset = events["period"], events["offset"]
+        a_moment_later = {"period": period, "offset": offset + 2 * INSTANT}
 
         self.station = MakeStation(
             parameters=scenario.station,
             phantom_size=tissue.size,
-            seed=seeds.wrist,
+            seed=seeds.station,
             meshcat=meshcat,
         )
         self.scanner = Scanner(
@@ -129,20 +139,21 @@ class Experiment:
         self.scan_converter = ScanConverter(geometry=geometry, parameters=scenario.scan_conversion)
         self.needle_tracker = tracker or MakeNeedleTracker(
             parameters=scenario.tracker,
-            period=self._volume_period,
-            offset=self._first_volume,
+            period=period,
+            offset=offset,
             dynamic_range_db=scenario.imaging.dynamic_range_db,
             seed=seeds.tracker,
         )
         self.probe_controller = MakeProbeController(parameters=scenario.controller)
         self.run_logger = RunLogger(
-            volume_period=self._volume_period,
-            volume_offset=self._first_volume + 2 * _INSTANT,
+            volume_period=period,
+            volume_offset=a_moment_later["offset"],
             geometry=geometry,
         )
+        sources = _planned_sources(scenario, insertion) if sources is None else sources
         systems: dict[str, System] = {
             "station": self.station,
-            **(_planned_sources(scenario, insertion) if sources is None else sources),
+            **sources,
             "scanner": self.scanner,
             "scan_converter": self.scan_converter,
             "needle_tracker": self.needle_tracker,
@@ -150,16 +161,12 @@ class Experiment:
             "run_logger": self.run_logger,
         }
         if meshcat is not None:
-            frames = int(scenario.duration / self._volume_period) + 1 if film else 0
+            frames = int(scenario.duration / period) + 1 if film else 0
             systems["world_view"] = WorldView(
                 meshcat=meshcat, parameters=WorldViewParameters(film_frames=frames)
             )
         if monitor is not None:
-            systems["scanner_monitor"] = ScannerMonitor(
-                monitor=monitor,
-                period=self._volume_period,
-                offset=self._first_volume + 2 * _INSTANT,
-            )
+            systems["scanner_monitor"] = ScannerMonitor(monitor=monitor, **a_moment_later)
         self._recorder: VolumeRecorder | None = None
         if record is not None:
             self._recorder = systems["volume_recorder"] = VolumeRecorder(
@@ -169,105 +176,61 @@ class Experiment:
                     "tracker_seed": seeds.tracker,
                 },
                 sweeps=record_sweeps,
-                period=self._volume_period,
-                offset=self._first_volume + 2 * _INSTANT,
                 truth_period=geometry.frame_period,
+                **a_moment_later,
             )
-        builder = DiagramBuilder()
-        for name, system in systems.items():
-            builder.AddNamedSystem(name, system)
-        connect_by_name(builder, list(systems.values()), optional=("measurement", "detection"))
-        self.diagram = builder.Build()
-        self.diagram.set_name(scenario.name)
-        self._simulator = Simulator(self.diagram)
+        super().__init__(
+            scenario,
+            systems,
+            period=period,
+            offset=offset,
+            stages={
+                "render": (self.scanner, "sweep"),
+                "convert": (self.scan_converter, "volume"),
+            },
+            event="track",
+            optional=("measurement", "detection"),
+            sees_truth={"station", *sources, *_OBSERVERS},
+        )
 
-    def run(
-        self,
-        after_volume: Callable[[float, NeedleEstimate], None] | None = None,
-        real_time: bool = False,
-    ) -> None:
-        """Simulate the whole scenario.
+    @property
+    def estimate(self) -> NeedleEstimate:
+        """What the tracker estimates now."""
+        return cast(NeedleEstimate, self.evaluate(self.needle_tracker, "estimate"))
 
-        Parameters
-        ----------
-        after_volume
-            Called after every volume, with the simulated time in s and the estimate.
-        real_time
-            Whether to go no faster than real time.
-        """
-        self.start(real_time=real_time)
-        self.advance(self.scenario.duration, after_volume)
+    @property
+    def status(self) -> str:
+        """Mode of the tracker."""
+        return str(self.estimate.mode)
 
-    def start(self, *, real_time: bool = False) -> None:
-        """Begin at time zero, also anew after a run: then everything is as it was before it.
+    def log(self) -> RunLog:
+        """Return what has been logged so far."""
+        return self.run_logger.log(self.context_of(self.run_logger), compute=self.compute)
 
-        Parameters
-        ----------
-        real_time
-            Whether to go no faster than real time.
-        """
-        simulator = self._simulator
-        # A context of its own: a plant keeps its last contact forces in one that is only reset.
-        simulator.reset_context(self.diagram.CreateDefaultContext())
-        self._compute: dict[str, list[float]] = {"render": [], "convert": [], "track": []}
-        self._due = self._first_volume
-        simulator.set_target_realtime_rate(1.0 if real_time else 0.0)
-        simulator.Initialize()
+    def summarize(self, log: RunLog) -> dict[str, Any]:
+        """Sum up a log, see `summarize`."""
+        return summarize(log, MetricsParameters(force_target=self._force_target()))
 
-    def advance(
-        self, time: float, after_volume: Callable[[float, NeedleEstimate], None] | None = None
-    ) -> None:
-        """Simulate up to a time in s; `start` comes first, and `run` describes the other."""
-        while self._due < time:
-            self._simulator.AdvanceTo(self._due - _INSTANT)
-            self._make_volume(self._due)
-            self._due += self._volume_period
-            if after_volume is not None:
-                after_volume(self.time, self._evaluate(self.needle_tracker, "estimate"))
-        self._simulator.AdvanceTo(max(time, self.time))
+    def plots(self, log: RunLog) -> dict[str, tuple[str, Figure]]:
+        """Return the plots of a run and of its errors."""
+        return {
+            "run.png": ("features, tip, probe, force", plot_run(log, self._force_target())),
+            "errors.png": ("errors", plot_errors(log)),
+        }
 
-    def forgive_delay(self) -> None:
-        """Go on at real time from here, without making up for time that was lost."""
-        self._simulator.ResetStatistics()
+    def _force_target(self) -> float | None:
+        """Force in N that the controller aims at; None if it changes on the way."""
+        happened = self.happened()
+        changed = any(change.force is not None for change in happened.controller_changes)
+        return None if changed else happened.controller.force.force
 
     def close(self) -> None:
         """Give a recording its final name."""
         if self._recorder is not None:
             self._recorder.close()
 
-    def context_of(self, system: System) -> Context:
-        """Return the context of one of the subsystems, as it is now."""
-        return system.GetMyContextFromRoot(self._simulator.get_context())
 
-    @property
-    def time(self) -> float:
-        """Simulated time so far, in s."""
-        return self._simulator.get_context().get_time()
-
-    def log(self) -> RunLog:
-        """Return what has been logged so far."""
-        return self.run_logger.log(compute=self._compute)
-
-    def _make_volume(self, due: float) -> None:
-        """Make the volume and the estimate that are due, and note how long each takes.
-
-        The ports are evaluated just before the tracker asks for them; it finds them in the cache.
-        In the instant of the tracker's event there is at the most one step of the plant besides.
-        """
-        clock = [time.perf_counter()]
-        for system, port in ((self.scanner, "sweep"), (self.scan_converter, "volume")):
-            self._evaluate(system, port)
-            clock.append(time.perf_counter())
-        self._simulator.AdvanceTo(due + _INSTANT)
-        clock.append(time.perf_counter())
-        for name, seconds in zip(self._compute, np.diff(clock), strict=True):
-            self._compute[name].append(float(seconds))
-
-    def _evaluate(self, system: System, port: str) -> Any:
-        return system.GetOutputPort(port).Eval(self.context_of(system))
-
-
-def _planned_sources(scenario: Scenario, insertion: Insertion) -> dict[str, System]:
+def _planned_sources(scenario: FollowingScenario, insertion: Insertion) -> dict[str, System]:
     schedule = ControllerSchedule(scenario.controller.settings, tuple(scenario.controller_changes))
     return {
         "phantom_motion": PhantomMotion(
@@ -286,21 +249,6 @@ def tracker_events(scenario: Scenario) -> dict[str, float]:
     ValueError
         If the scenario's transducer or imaging is not possible.
     """
+    scenario = require_scenario(scenario, FollowingScenario)
     period = sweep_geometry(load_transducer(scenario.transducer), scenario.imaging).period
     return {"period": period, "offset": period + scenario.processing_time}
-
-
-def connect_by_name(
-    builder: DiagramBuilder, systems: list[System], optional: Container[str] = ()
-) -> None:
-    """Connect every input port to the output port that has its name; optional ones if there is."""
-    outputs: dict[str, OutputPort] = {}
-    for system in systems:
-        for index in range(system.num_output_ports()):
-            port = system.get_output_port(index)
-            outputs[port.get_name()] = port
-    for system in systems:
-        for index in range(system.num_input_ports()):
-            port = system.get_input_port(index)
-            if port.get_name() in outputs or port.get_name() not in optional:
-                builder.Connect(outputs[port.get_name()], port)

@@ -1,9 +1,8 @@
-"""What a run of needle shape prediction is made of."""
+"""Scenarios of shape prediction."""
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 
-import yaml
-
+from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.estimation.published_particle_filter import PublishedParticleFilterParameters
 from sonoservo.systems.estimation.shape_least_squares import ShapeLeastSquaresParameters
 from sonoservo.systems.estimation.shape_particle_filter import ShapeParticleFilterParameters
@@ -32,21 +31,13 @@ def _imaging() -> ImagingParameters:
 
 
 @dataclass(kw_only=True)
-class ShapeScenario:
+class ShapePredictionScenario(Scenario):
     """All of a run in which a needle's shape is predicted from axial slices.
-
-    Every field has a default; a file states what differs.
 
     Parameters
     ----------
-    kind
-        "needle_shape": tells such a file from that of a `Scenario`.
-    name
-        Of the scenario; the file's name where it came from a file.
-    description
-        One line for lists and reports.
-    seed
-        Of everything random: tissue, needle, noise, sampling.
+    experiment
+        "shape_prediction".
     depth
         Of the last slice from the first, in m. It replaces the parts' own.
     rotations
@@ -80,14 +71,9 @@ class ShapeScenario:
         Parameters of each.
     processing_time
         From a slice to the estimate that it gives, in s.
-    published_figures
-        Of the publication, shown beside ours: dotted paths into the summary.
     """
 
-    kind: str = "needle_shape"
-    name: str = "unnamed"
-    description: str = ""
-    seed: int = 0
+    experiment: str = "shape_prediction"
     depth: float = 0.14
     rotations: list[float] = field(default_factory=list)
     observe_until: float | None = None
@@ -110,13 +96,9 @@ class ShapeScenario:
         default_factory=PublishedParticleFilterParameters
     )
     processing_time: float = 0.01
-    published_figures: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        require(self.kind == "needle_shape", "kind", self.kind, '"needle_shape"')
-        plain = self.name.strip() and not set(self.name) & set("/\\\0")
-        require(bool(plain) and self.name not in (".", ".."), "name", self.name, "a plain name")
-        require(self.seed >= 0, "seed", self.seed, "a whole number of at least 0")
+        super().__post_init__()
         require_positive(
             depth=self.depth,
             step=self.step,
@@ -165,9 +147,5 @@ class ShapeScenario:
 
     @property
     def duration(self) -> float:
-        """Simulated time in s."""
+        """Simulated time in s; the last estimate is made at its end."""
         return (self.steps + 1) * self.period + self.processing_time
-
-    def to_yaml(self) -> str:
-        """Return all fields as YAML that `load_scenario` reads."""
-        return yaml.safe_dump(asdict(self), sort_keys=False)
