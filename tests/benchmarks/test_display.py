@@ -11,8 +11,7 @@ from meshcat import Visualizer
 from pydrake.geometry import Meshcat, MeshcatParams
 from synthetic_volumes import Scene, entry_on_side
 
-from sonoservo.diagrams import load_scenario
-from sonoservo.diagrams.experiment import Experiment
+from sonoservo.diagrams import load_scenario, make_experiment
 from sonoservo.systems.display.monitor.drawing import MonitorScreen
 from sonoservo.systems.display.monitor.monitor import Monitor
 from sonoservo.systems.signals.needle_curve import NeedleCurve

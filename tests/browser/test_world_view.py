@@ -7,8 +7,7 @@ from pydrake.common.value import Value
 from pydrake.geometry import Meshcat, MeshcatParams
 from pydrake.math import RigidTransform, RotationMatrix
 
-from sonoservo.diagrams import load_scenario
-from sonoservo.diagrams.experiment import Experiment
+from sonoservo.diagrams import load_scenario, make_experiment
 from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
 from sonoservo.systems.evaluation.replay import save_replay
 from sonoservo.systems.signals.needle_estimate import TrackingMode

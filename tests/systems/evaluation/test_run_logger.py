@@ -6,8 +6,9 @@ from pydrake.multibody.math import SpatialForce
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, EventStatus, LeafSystem
 
+from sonoservo.systems.evaluation.log import read_log, write_log
 from sonoservo.systems.evaluation.metrics import summarize
-from sonoservo.systems.evaluation.run_log import read_log, write_log
+from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.run_logger import RunLogger, visible_length
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle import Needle
