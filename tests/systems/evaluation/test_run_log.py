@@ -4,6 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sonoservo.systems import evaluation
 from sonoservo.systems.evaluation.run_log import FORMAT, column_table, columns, read_log, write_log
 
 
