@@ -102,7 +102,7 @@ def run_once(scenario, meshcat=None, monitor=None):
     if meshcat is not None:
         meshcat.DeleteRecording()
         meshcat.StartRecording(set_visualizations_while_recording=True)
-    experiment = Experiment(scenario, meshcat, monitor=monitor)
+    experiment = make_experiment(scenario, meshcat=meshcat, monitor=monitor)
     start = time.perf_counter()
     experiment.run()
     return time.perf_counter() - start

@@ -35,14 +35,14 @@ class Run:
     def __init__(self, meshcat=None, after_volume=lambda number: None):
         self.meshcat = meshcat
         scenario = load_scenario("chatelain2013_fig5", changes=CHANGES)
-        experiment = Experiment(scenario, meshcat)
+        experiment = make_experiment(scenario, meshcat=meshcat)
         if meshcat is not None:
             meshcat.StartRecording(set_visualizations_while_recording=True)
         self.times, self.estimates = [], []
 
-        def note(time, estimate):
-            self.times.append(time)
-            self.estimates.append(estimate)
+        def note(experiment):
+            self.times.append(experiment.time)
+            self.estimates.append(experiment.estimate)
             after_volume(len(self.times))
 
         experiment.run(note)

@@ -3,12 +3,12 @@ import json
 import numpy as np
 import pytest
 
-from sonoservo.diagrams.app.shape_run import predict_shape
-from sonoservo.diagrams.scenario import load_any_scenario, load_scenario
-from sonoservo.diagrams.shape_experiment import ShapeExperiment, estimate_shape
-from sonoservo.diagrams.shape_scenario import ESTIMATORS, ShapeScenario
+from sonoservo.diagrams import load_scenario, make_experiment, run
+from sonoservo.diagrams.experiments.shape_prediction import estimate_shape
+from sonoservo.diagrams.experiments.shape_prediction_scenario import ESTIMATORS
+from sonoservo.systems.evaluation.log import read_log
+from sonoservo.systems.evaluation.shape_log import ShapeLog
 from sonoservo.systems.evaluation.shape_metrics import cross_section_errors, prediction
-from sonoservo.systems.files.typed_yaml import ConfigurationError
 from sonoservo.systems.signals.needle_shape import NeedleShape
 
 SHORT = ["depth=0.04", "rotations=[0.025]", "observe_until=0.025", "step=1e-3"]
@@ -16,7 +16,7 @@ SHORT = ["depth=0.04", "rotations=[0.025]", "observe_until=0.025", "step=1e-3"]
 
 @pytest.fixture(scope="module")
 def experiment():
-    experiment = ShapeExperiment(load_any_scenario("carriere2016_d60", changes=SHORT, seed=103))
+    experiment = make_experiment(load_scenario("carriere2016_d60", changes=SHORT, seed=103))
     experiment.run()
     return experiment
 
@@ -63,17 +63,15 @@ def test_estimators_never_see_the_truth(experiment):
 
 
 def test_a_run_leaves_its_files(tmp_path):
-    scenario = load_any_scenario("carriere2016_patient", seed=104)
-    result = predict_shape(scenario, out=tmp_path)
+    scenario = load_scenario("carriere2016_patient", seed=104)
+    result = run(scenario, out=tmp_path)
     assert result.summary["tracking"]["slices"] == 13
     for name in ("summary.json", "log.npz", "shape.png", "report.html", "scenario.yaml"):
         assert (tmp_path / name).stat().st_size > 0
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert summary["prediction"]["observed_mm"] == pytest.approx(35.0)
-    log = np.load(tmp_path / "log.npz")
-    assert log["measured"].shape == (13, 3)
-    again = load_any_scenario(tmp_path / "scenario.yaml")
-    assert isinstance(again, ShapeScenario)
+    assert read_log(tmp_path / "log.npz", ShapeLog).measured.shape == (13, 3)
+    again = load_scenario(tmp_path / "scenario.yaml")
     assert again == scenario
 
 
@@ -82,20 +80,14 @@ def test_a_needle_that_leaves_the_image_is_said_to_be_lost_and_the_tip_uncertain
     changes += ["hand.greatest_angle_deg=8", "hand.min_radius=0.3", "hand.greatest_radius=0.4"]
     lost = []
     for seed in range(100, 110):
-        scenario = load_any_scenario("carriere2016_patient", changes=changes, seed=seed)
-        result = predict_shape(scenario)
+        scenario = load_scenario("carriere2016_patient", changes=changes, seed=seed)
+        result = run(scenario)
         found = np.isfinite(result.log.correlation)
         if not found[-1]:
             lost.append(seed)
             assert result.log.reason[-1]
-        if isinstance(result.shape, NeedleShape):
-            mean, covariance = result.shape.predict([scenario.depth])
+        if isinstance(result.results["shape"], NeedleShape):
+            mean, covariance = result.results["shape"].predict([scenario.depth])
             error = mean[0] - result.log.true[-1, :2]
             assert error @ np.linalg.solve(covariance[0], error) < 30
     assert len(lost) >= 3
-
-
-def test_scenarios_of_the_two_kinds_are_not_confused():
-    assert isinstance(load_any_scenario("carriere2016_d80"), ShapeScenario)
-    with pytest.raises(ConfigurationError, match="needle shape prediction"):
-        load_scenario("carriere2016_d80")
