@@ -61,12 +61,12 @@ class DrivenExperiment(FollowingExperiment):
     Parameters
     ----------
     scenario
-        Where it takes place. Its pushes, moves of the phantom and changes of the controller are
-        left out; the operator's take their place.
+        Scene of the run. Its pushes, moves of the phantom and changes of the controller are left
+        out; the operator's take their place.
     meshcat
-        In whose page the operator sits.
+        Meshcat whose page the operator uses.
     monitor
-        Where to show the volumes, if anywhere.
+        Monitor that shows the volumes, if any.
     """
 
     def __init__(
@@ -108,7 +108,7 @@ class DrivenExperiment(FollowingExperiment):
         )
 
     def hint(self) -> str:
-        """Return what the operator should know, if anything."""
+        """Return a hint for the operator, or an empty text."""
         held = self._hand.is_held(self.context_of(self._hand))
         return "aim it when it is outside" if held else ""
 
@@ -143,11 +143,11 @@ def drive(
     Parameters
     ----------
     scenario
-        Where it takes place; see `DrivenExperiment`.
+        Scene of the run; see `DrivenExperiment`.
     meshcat
-        In whose page the operator sits.
+        Meshcat whose page the operator uses.
     monitor
-        Where to show the volumes, if anywhere.
+        Monitor that shows the volumes, if any.
     out
         Folder for scenario.yaml (what was driven), scenario_1.yaml and so on (what was saved, given
         up by a restart, or driven earlier into the same folder), summary.json, log.npz, plots and
@@ -157,7 +157,7 @@ def drive(
 
     Returns
     -------
-    The figures and the log, of the last start.
+    Results of the run since its last start.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What every run of a scenario leaves behind, whatever is simulated."""
+"""Files that a run leaves behind, whatever its experiment."""
 
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -32,7 +32,7 @@ def refusing(scenario: Scenario) -> Iterator[None]:
 
 
 class KeptRun:
-    """A run that leaves its scenario from the start, its log whatever happens, results at the end.
+    """A run that writes its scenario at the start, its log in any case, and its results at the end.
 
     As a context manager it surrounds the simulation: the clock runs inside it, and an interruption
     from the keyboard ends the simulation but not the program.
@@ -40,18 +40,18 @@ class KeptRun:
     Parameters
     ----------
     scenario
-        What is run.
+        Scenario that is run.
     write_log
-        Writes what has been logged so far to a path.
+        Function that writes what has been logged so far to a path.
     out
-        Folder of everything; None keeps nothing.
+        Folder of all files; None keeps nothing.
     meshcat
-        Where the run is drawn, if anywhere: it records what becomes the replay.
+        Meshcat that draws the run, if any; it records what becomes the replay.
 
     Attributes
     ----------
     out
-        Folder of everything, or None.
+        Folder of all files, or None.
     interrupted
         Whether the simulation was interrupted.
     """
@@ -98,14 +98,14 @@ class KeptRun:
             self._save()
 
     def summary(self, simulated: float, figures: Mapping[str, Any]) -> dict[str, Any]:
-        """Return what summary.json is to hold.
+        """Return the content of summary.json.
 
         Parameters
         ----------
         simulated
-            Time in s.
+            Simulated time in s.
         figures
-            Of the run.
+            Figures of the run.
         """
         return {
             "scenario": self._scenario.name,
@@ -129,11 +129,11 @@ class KeptRun:
         Parameters
         ----------
         summary
-            As `summary` gave it.
+            Summary as `summary` returned it.
         plots
-            Caption and figure by the name of the file.
+            Caption and figure of each plot, by the name of its file.
         published
-            Figures of the publication, by the path of ours in the summary.
+            Figures of the publication, by their dotted paths into the summary.
         """
         if self.out is None:
             return

@@ -31,7 +31,7 @@ class RunResult:
     labels
         Label of each figure of the summary that a table shows, by its dotted path.
     results
-        What the experiment gives besides, by name: shape prediction gives the last `shape`.
+        Further results of the experiment, by name: shape prediction has the last `shape`.
     """
 
     summary: dict[str, Any]
@@ -56,18 +56,18 @@ def run(
     Parameters
     ----------
     scenario
-        What is to happen.
+        Scenario of any experiment.
     out
         Folder for scenario.yaml, summary.json, log.npz, plots, report.html and, with a Meshcat,
         replay.html; None keeps nothing.
     meshcat, monitor
-        Where to draw the world, and where to show the volumes. The run then goes no faster than
-        real time.
+        Displays of the world and of the volumes, if any. With one of them, the run goes no faster
+        than real time.
     tracker
-        One's own, in place of the scenario's; see `FollowingExperiment`.
+        Tracker of one's own in place of the scenario's; see `FollowingExperiment`.
     record
-        Where to record the volumes as they come, ``NAME.seq.nrrd``, and the truth beside them; None
-        records none. What was recorded before an interruption stays.
+        File to which the volumes are recorded as they come, ``NAME.seq.nrrd``, with the truth
+        beside it; None records nothing. What was recorded before an interruption stays.
     record_sweeps
         Whether to record the sweeps too, as acquired.
     after_step
@@ -111,9 +111,9 @@ def finish(kept: KeptRun, experiment: Experiment[Any]) -> RunResult:
     Parameters
     ----------
     kept
-        The run.
+        Run that has ended.
     experiment
-        What was simulated.
+        Its experiment.
     """
     log = experiment.log()
     summary = kept.summary(experiment.time, experiment.summarize(log))

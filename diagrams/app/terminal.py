@@ -1,4 +1,4 @@
-"""What a person sees in the terminal: progress while it runs, figures when it ends."""
+"""Output in the terminal: progress while a run goes on, figures when it ends."""
 
 import logging
 import math
@@ -96,9 +96,9 @@ class Progress:
     Parameters
     ----------
     console
-        Where to draw.
+        Console to draw in.
     scenario
-        Tells the duration.
+        Scenario of the run.
     """
 
     def __init__(self, console: Console, scenario: Scenario) -> None:

@@ -30,11 +30,11 @@ class Experiment(ABC, Generic[ScenarioT]):
     Parameters
     ----------
     scenario
-        What is to happen.
+        Scenario of this experiment.
     systems
         Subsystems of the diagram, by name.
     period, offset
-        When volumes or slices are due, in s: the events at which a tracker looks for them.
+        Times in s at which volumes or slices are due: those of the tracker's events.
     stages
         Computation of a volume in stages, each timed: name of the stage, and the system and output
         port that are evaluated just before the event.

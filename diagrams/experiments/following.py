@@ -62,23 +62,23 @@ class FollowingExperiment(Experiment[FollowingScenario]):
     Parameters
     ----------
     scenario
-        What is to happen.
+        Scenario of following.
     meshcat
-        Where to draw the world, if anywhere.
+        Meshcat that draws the world, if any.
     sources
-        What moves needle and phantom and sets the controller, by name: systems with the outputs
-        needle, phantom_command, gain and force_target. By default phantom_motion, hand and
-        controller_settings, which do what the scenario says.
+        Systems that move needle and phantom and set the controller, by name; their outputs are
+        needle, phantom_command, gain and force_target. By default they are phantom_motion, hand and
+        controller_settings, which follow the scenario.
     tracker
-        In place of the scenario's: a system with the input volume and the output estimate; the log
-        keeps its outputs measurement and detection too, if it has them. `tracker_events` tells when
-        it should look.
+        System that takes the place of the scenario's tracker, with the input volume and the output
+        estimate. The log keeps its outputs measurement and detection too, if it has them.
+        `tracker_events` tells when it should look for a volume.
     monitor
-        Where to show the volumes, if anywhere.
+        Monitor that shows the volumes, if any.
     film
         Whether to keep the slices for a replay.
     record
-        Where to record the volumes, if anywhere: ``NAME.seq.nrrd``. Call `close` at the end.
+        File to which the volumes are recorded, ``NAME.seq.nrrd``, if any. Call `close` at the end.
     record_sweeps
         Whether to record the sweeps too.
 
@@ -242,7 +242,7 @@ def _planned_sources(scenario: FollowingScenario, insertion: Insertion) -> dict[
 
 
 def tracker_events(scenario: Scenario) -> dict[str, float]:
-    """When a tracker should look for a new volume: the period and the offset of its events, in s.
+    """Return the period and the offset in s of the events at which a tracker looks for a volume.
 
     Raises
     ------

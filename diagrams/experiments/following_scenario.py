@@ -30,7 +30,7 @@ class FollowingScenario(Scenario):
     phantom
         Tissue in the phantom: name of a file in models/phantoms, or a path.
     phantom_motion
-        How the phantom is moved.
+        Motion of the phantom.
     hand
         The needle and how it is pushed.
     transducer
@@ -46,9 +46,9 @@ class FollowingScenario(Scenario):
     controller
         From the estimate to the probe's motion.
     controller_changes
-        What is changed of it on the way, in order of time.
+        Changes of the controller's settings on the way, in order of time.
     processing_time
-        From the end of a sweep to the estimate that it gives, in s.
+        Time from the end of a sweep to the estimate that it gives, in s.
     """
 
     experiment: str = "following"

@@ -54,9 +54,9 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
     Parameters
     ----------
     scenario
-        What is to happen.
+        Scenario of shape prediction.
     meshcat
-        Where to draw, if anywhere.
+        Meshcat that draws the run, if any.
 
     Raises
     ------
@@ -166,7 +166,7 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
 
     @property
     def shape(self) -> NeedleShape | NotFound:
-        """What the estimator believes now."""
+        """Shape that the estimator expects now."""
         return cast(NeedleShape | NotFound, self.evaluate(self.shape_estimator, "shape"))
 
     def true_path(self, depths: Iterable[float]) -> Any:

@@ -39,17 +39,17 @@ class ShapePredictionScenario(Scenario):
     experiment
         "shape_prediction".
     depth
-        Of the last slice from the first, in m. It replaces the parts' own.
+        Depth of the last slice, from the first, in m. It replaces the parts' own.
     rotations
         Depths at which the bevel is turned by 180 deg, in m. They replace the parts' own.
     observe_until
         Depth beyond which the estimator looks at no slice, in m: it then predicts (the paper's D).
         None looks at all. It replaces the parts' own.
     step
-        Between slices, in m. Together with the hand's speed it gives the slices per second, which
-        replace ``imaging.volume_rate``.
+        Distance between slices, in m. Together with the hand's speed it gives the slices per second,
+        which replace ``imaging.volume_rate``.
     pixel
-        Of the slices, in m.
+        Spacing of the slices' pixels, in m.
     face
         z in T of the probe's face, in m; below zero, the tissue surrounds the face.
     tissue_shift
@@ -64,13 +64,13 @@ class ShapePredictionScenario(Scenario):
     hand
         The needle and how it is pushed.
     tracker
-        Of the cross-section.
+        Parameters of the tracker of the cross-section.
     estimator
-        That guides the tracker: "particle_filter", "least_squares" or "published".
+        Estimator that guides the tracker: "particle_filter", "least_squares" or "published".
     particle_filter, least_squares, published
         Parameters of each.
     processing_time
-        From a slice to the estimate that it gives, in s.
+        Time from a slice to the estimate that it gives, in s.
     """
 
     experiment: str = "shape_prediction"
@@ -137,7 +137,7 @@ class ShapePredictionScenario(Scenario):
 
     @property
     def period(self) -> float:
-        """Between slices, in s."""
+        """Time between slices, in s."""
         return self.step / self.hand.speed
 
     @property

@@ -90,15 +90,15 @@ class VolumeRecorder(LeafSystem):
     Parameters
     ----------
     path
-        Of the recording, ``NAME.seq.nrrd``; the truth is ``NAME.truth.jsonl``.
+        Path of the recording, ``NAME.seq.nrrd``; the truth is ``NAME.truth.jsonl``.
     settings
         What a tracker has to know besides the volumes.
     sweeps
         Whether to record sweeps too.
     period, offset
-        When to look for a new volume, in s.
+        Times at which the recorder looks for a new volume, in s.
     truth_period
-        Between samples of the truth, in s.
+        Time between samples of the truth, in s.
 
     Raises
     ------
