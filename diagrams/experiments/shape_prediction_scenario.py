@@ -46,8 +46,8 @@ class ShapePredictionScenario(Scenario):
         Depth beyond which the estimator looks at no slice, in m: it then predicts (the paper's D).
         None looks at all. It replaces the parts' own.
     step
-        Distance between slices, in m. Together with the hand's speed it gives the slices per second,
-        which replace ``imaging.volume_rate``.
+        Distance between slices, in m. With the hand's speed it gives the slices per second, which
+        replace ``imaging.volume_rate``.
     pixel
         Spacing of the slices' pixels, in m.
     face
