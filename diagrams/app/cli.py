@@ -350,7 +350,7 @@ def reproduce_command(
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
     try:
-        study = import_module(f"sonoservo.diagrams.papers.{paper}.reproduce").reproduce(options)
+        study = import_module(f"sonoservo.diagrams.papers.{paper}").reproduce(options)
     except KeyboardInterrupt:
         _console.print(f"Interrupted. What is done is in {folder}; the same command goes on.")
         raise
