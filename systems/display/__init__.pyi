@@ -1,6 +1,5 @@
 from .colours import ink as ink
 from .colours import rgba as rgba
-from .shapes import box_edges as box_edges
 from .shapes import resample as resample
 from .shapes import sector_edges as sector_edges
 from .shapes import segment_pose as segment_pose

@@ -7,6 +7,7 @@ from .beam import transmitted_spectrum as transmitted_spectrum
 from .imaging import ImagingParameters as ImagingParameters
 from .imaging import sweep_geometry as sweep_geometry
 from .planes import Plane as Plane
+from .planes import box_edges as box_edges
 from .planes import sample_plane as sample_plane
 from .planes import slice_planes as slice_planes
 from .radio_frequency import detect_envelope as detect_envelope
