@@ -1,20 +1,11 @@
-"""What all scenarios have in common, and how they are loaded from YAML."""
+"""What the scenarios of all experiments have in common."""
 
 from dataclasses import asdict, dataclass, field
-from importlib.resources import files
-from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import yaml
 
-from sonoservo.diagrams.experiments import experiment_class
-from sonoservo.systems.files.typed_yaml import (
-    ConfigurationError,
-    assign,
-    load_typed,
-    read_yaml,
-    suggest,
-)
+from sonoservo.systems.files.typed_yaml import ConfigurationError
 from sonoservo.systems.signals.requirements import require
 
 
@@ -27,8 +18,8 @@ class Scenario:
     Parameters
     ----------
     experiment
-        Experiment that the scenario describes, by its name in the registry
-        (`sonoservo.diagrams.experiments`). A file that leaves it out describes "following".
+        Name of the experiment in the registry, `EXPERIMENTS`. A file that leaves it out describes
+        "following".
     name
         Name of the scenario; the file's name if it came from a file.
     description
@@ -64,52 +55,6 @@ class Scenario:
 
 
 ScenarioT = TypeVar("ScenarioT", bound=Scenario)
-
-
-def list_scenarios() -> dict[str, Path]:
-    """Return the scenarios that come with the package: name and file."""
-    folder = Path(str(files("sonoservo.diagrams"))) / "scenarios"
-    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
-
-
-def load_scenario(
-    scenario: str | Path, *, changes: list[str] | None = None, seed: int | None = None
-) -> Scenario:
-    """Load a scenario of any experiment.
-
-    Parameters
-    ----------
-    scenario
-        The name of one that comes with the package, or a path to a YAML file.
-    changes
-        ``path.to.field=value`` assignments on top.
-    seed
-        Replaces the scenario's own.
-
-    Returns
-    -------
-    The scenario, of the class that belongs to its experiment.
-
-    Raises
-    ------
-    ConfigurationError
-        If there is no such scenario, or naming the field that is wrong, its value and what is
-        allowed.
-    """
-    known = list_scenarios()
-    path = known.get(str(scenario), Path(scenario))
-    if path.suffix not in (".yaml", ".yml"):
-        raise ConfigurationError(f"unknown scenario {str(scenario)!r}; {suggest(path.name, known)}")
-    data: dict[str, Any] = {"name": path.stem, **read_yaml(path)}
-    for change in changes or []:
-        assign(data, change)
-    if seed is not None:
-        data["seed"] = seed
-    try:
-        schema = experiment_class(data.get("experiment", "following")).scenario_class
-    except ConfigurationError as error:
-        raise ConfigurationError(f"{scenario}: experiment: {error}") from error
-    return load_typed(schema, data, str(scenario))
 
 
 def require_scenario(scenario: Scenario, wanted: type[ScenarioT]) -> ScenarioT:

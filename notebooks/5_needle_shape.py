@@ -14,7 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from sonoservo.diagrams import load_scenario, run
-from sonoservo.systems.evaluation.shape_plots import plot_shape
+from sonoservo.systems.evaluation import plot_shape
 
 COARSE = ["step=0.004"] if "SONOSERVO_QUICK" in os.environ else []
 

@@ -13,8 +13,7 @@ from pydrake.geometry import Meshcat
 
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.evaluation.plots import png
-from sonoservo.systems.evaluation.replay import save_replay
-from sonoservo.systems.evaluation.report import write_report
+from sonoservo.systems.evaluation.report import save_replay, write_report
 from sonoservo.systems.files.typed_yaml import ConfigurationError
 from sonoservo.systems.files.writing import write_atomically, write_json
 

@@ -9,8 +9,8 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.framework import System
 
 from sonoservo.diagrams.app.kept_run import KeptRun, refusing
-from sonoservo.diagrams.experiments import make_experiment
 from sonoservo.diagrams.experiments.experiment import Experiment
+from sonoservo.diagrams.experiments.registry import make_experiment
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.evaluation.log import write_log
 

@@ -15,7 +15,8 @@ from pydrake.math import RigidTransform
 from rich.console import Console
 
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
-from sonoservo.diagrams.scenario import Scenario, load_scenario, require_scenario
+from sonoservo.diagrams.experiments.registry import load_scenario
+from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.diagrams.studies.study import Case, run_cases
 from sonoservo.systems.files.typed_yaml import ConfigurationError
 from sonoservo.systems.files.writing import write_json

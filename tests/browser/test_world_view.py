@@ -9,7 +9,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from sonoservo.diagrams import load_scenario, make_experiment
 from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
-from sonoservo.systems.evaluation.replay import save_replay
+from sonoservo.systems.evaluation.report import save_replay
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.volume import Volume
 

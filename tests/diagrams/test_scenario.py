@@ -2,8 +2,8 @@ import pytest
 import yaml
 
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams.experiments.registry import list_scenarios, load_scenario
 from sonoservo.diagrams.needle_tracker import Zhao2012TrackerParameters
-from sonoservo.diagrams.scenario import list_scenarios, load_scenario
 from sonoservo.systems.files.typed_yaml import ConfigurationError
 
 

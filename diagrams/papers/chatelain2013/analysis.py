@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
-from sonoservo.diagrams.scenario import load_scenario, require_scenario
+from sonoservo.diagrams.experiments.registry import load_scenario
+from sonoservo.diagrams.scenario import require_scenario
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.systems.evaluation.log import read_log
 from sonoservo.systems.evaluation.run_errors import at_times, estimate_errors, features

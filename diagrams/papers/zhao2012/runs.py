@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from sonoservo.diagrams.experiments.following import FollowingExperiment
+from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.diagrams.papers.zhao2012.phantom import DIRECTION, Phantom, StraightNeedle
 from sonoservo.diagrams.papers.zhao2012.tracking import (
     VELOCIMETER,
@@ -16,7 +17,6 @@ from sonoservo.diagrams.papers.zhao2012.tracking import (
     Tracking,
     find_as_published,
 )
-from sonoservo.diagrams.scenario import load_scenario
 from sonoservo.diagrams.studies.study import Case
 from sonoservo.systems.estimation.axis_tip_state import direction_angles
 from sonoservo.systems.localization.speckle_velocimeter import measure_velocity

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.diagrams.experiments.shape_prediction import (
     ShapePredictionExperiment,
     estimate_shape,
@@ -25,7 +26,6 @@ from sonoservo.diagrams.papers.carriere2016.plots import (
     plot_particles,
     plot_paths,
 )
-from sonoservo.diagrams.scenario import load_scenario
 from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions, run_cases
 from sonoservo.diagrams.studies.study_report import Study, StudyFigure, StudyRow
 from sonoservo.systems.estimation import published_particle_filter, shape_particle_filter

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from sonoservo.diagrams.experiments.following import FollowingExperiment
+from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.diagrams.papers.chatelain2013.report import report
-from sonoservo.diagrams.scenario import load_scenario
 from sonoservo.diagrams.studies.study import Case, StudyOptions, run_cases
 from sonoservo.diagrams.studies.study_report import Study
 from sonoservo.systems.evaluation.curve_error import curve_deviations
