@@ -49,14 +49,14 @@ LABELS = {
 
 @dataclass(kw_only=True)
 class MetricsParameters:
-    """What counts as what.
+    """Thresholds of the metrics.
 
     Parameters
     ----------
     rest_speed
         The needle rests while its tip moves more slowly than this in W, in m/s.
     rest_window
-        Over which that speed is measured, so that a hand's tremor does not count, in s.
+        Time over which that speed is measured, so that a hand's tremor does not count, in s.
     rest_time
         At rest counts from this long after the needle came to rest, in s: the probe's transient
         is left out.
@@ -66,9 +66,9 @@ class MetricsParameters:
     start_tolerance
         A tracker that starts further than this from the needle has started falsely, in m.
     force_target
-        In N; None where it changes.
+        Force that the controller aims at, in N; None if it changes.
     contact_threshold
-        Below this there is no contact, in N.
+        Force below which there is no contact, in N.
     settling_time
         The force counts as settled from this long after the first contact, in s.
     """
@@ -119,7 +119,7 @@ def summarize(log: RunLog, parameters: MetricsParameters | None = None) -> dict[
 
 
 def detection(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
-    """When the tracker found the needle.
+    """Sum up when the tracker found the needle.
 
     Returns
     -------
@@ -147,7 +147,7 @@ def detection(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
 
 
 def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
-    """How well the needle was followed, over all volumes from the detection on.
+    """Sum up how well the needle was followed, over all volumes from the detection on.
 
     Only volumes while there is a needle in the tissue are judged; failures stay in. Truth is
     interpolated at the time for which the estimate holds.
@@ -193,7 +193,7 @@ def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
 
 
 def servo(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
-    """Mean absolute feature errors: x and z of the tip, and theta, in P (Chatelain 2013, eq. 23).
+    """Mean absolute errors of the visual features in P (Chatelain 2013, eq. 23).
 
     Returns
     -------
@@ -215,7 +215,7 @@ def servo(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
 
 
 def force(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
-    """Sum up the contact force, in truth.
+    """Sum up the true contact force.
 
     Returns
     -------

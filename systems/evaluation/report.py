@@ -24,12 +24,12 @@ def report_page(
     Parameters
     ----------
     summary
-        What `summary.json` holds: single values head the page, `scenario` names it, and each block
+        Content of `summary.json`: single values head the page, `scenario` names it, and each block
         makes a table.
     figures
         PNG files by caption.
     command
-        That repeats the run.
+        Command that repeats the run.
     paper
         Published figures to set beside ours, by the path of ours: ``{"servo.at_rest.x_mm": 1.1}``.
     replay

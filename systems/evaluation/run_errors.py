@@ -1,4 +1,4 @@
-"""How far a run was from its truth, at every moment."""
+"""Errors of a run at every moment, against ground truth."""
 
 from dataclasses import dataclass
 
@@ -42,9 +42,9 @@ def needle_speed(log: RunLog, window: float) -> Floats:
     Parameters
     ----------
     log
-        Of the run.
+        Log of the run.
     window
-        In s: the mean position in the half of it that follows is compared with that before.
+        Time in s: the mean position in the half of it that follows is compared with that before.
 
     Returns
     -------
@@ -75,7 +75,8 @@ class EstimateErrors:
     tip
         (v,) distance from the true to the estimated tip, in m.
     axial, lateral
-        (v,) its part along the true needle, above zero beyond the true tip, and across it, in m.
+        (v,) parts of that distance along the true needle, above zero beyond the true tip, and
+        across it, in m.
     axis
         (v,) angle between the true and the estimated direction in rad. The estimate's runs from its
         entry to its tip; the true one from the point of the needle that is nearest to that entry,

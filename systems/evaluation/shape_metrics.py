@@ -1,4 +1,4 @@
-"""How well a needle's shape was predicted: Carriere 2016, section V."""
+"""Metrics of a predicted needle shape: Carriere 2016, section V."""
 
 from dataclasses import dataclass
 from typing import Any

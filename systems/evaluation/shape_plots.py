@@ -16,9 +16,9 @@ def plot_shape(log: ShapeLog, shape: object) -> Figure:
     Parameters
     ----------
     log
-        Of the run.
+        Log of the run.
     shape
-        What the estimator believes at the end: a `NeedleShape`, or else nothing is predicted.
+        Shape that the estimator expects at the end: a `NeedleShape`, or else nothing is predicted.
     """
     figure = Figure(figsize=(9, 8), layout="constrained")
     in_plane, across, tip = figure.subplots(

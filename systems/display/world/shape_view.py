@@ -67,15 +67,15 @@ class ShapeView(LeafSystem):
     Parameters
     ----------
     meshcat
-        To draw in.
+        Meshcat to draw in.
     tissue_size
         (3,) extents of the phantom in m.
     depth
-        To which the shape is drawn, in m.
+        Depth down to which the shape is drawn, in m.
     period, offset
-        Of the pictures, in s: a moment after the estimator's events.
+        Times of the pictures, in s: a moment after the estimator's events.
     path
-        Of everything that is drawn; by default the layers are at the top of the scene.
+        Path of all that is drawn; by default the layers are at the top of the scene.
     """
 
     def __init__(
