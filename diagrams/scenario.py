@@ -19,7 +19,7 @@ from sonoservo.systems.files.typed_yaml import (
     read_yaml,
     suggest,
 )
-from sonoservo.systems.needle.insertion import InsertionParameters
+from sonoservo.systems.needle.insertion_parameters import InsertionParameters
 from sonoservo.systems.robot.phantom_motion import PhantomMotionParameters
 from sonoservo.systems.signals.requirements import require, require_positive
 from sonoservo.systems.ultrasound.imaging import ImagingParameters

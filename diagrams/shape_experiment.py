@@ -1,29 +1,28 @@
 """Needle shape prediction brought to life: hand, stage, scanner, tracker and estimator."""
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from pydrake.common.value import Value
+from numpy.typing import NDArray
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, System
 
 from sonoservo.diagrams.experiment import connect_by_name
+from sonoservo.diagrams.shape_predictor import MakeShapePredictor
 from sonoservo.diagrams.shape_scenario import ShapeScenario
 from sonoservo.systems.display.world.shape_view import ShapeView
-from sonoservo.systems.estimation.least_squares_shape_estimator import LeastSquaresShapeEstimator
-from sonoservo.systems.estimation.particle_shape_estimator import ParticleShapeEstimator
-from sonoservo.systems.estimation.published_shape_estimator import PublishedShapeEstimator
 from sonoservo.systems.estimation.shape_estimator import ShapeEstimator
+from sonoservo.systems.estimation.shape_filter import ShapeFilter
+from sonoservo.systems.estimation.shape_filters import SHAPE_FILTERS
 from sonoservo.systems.evaluation.shape_log import ShapeLog
-from sonoservo.systems.localization.cross_section_tracker import CrossSectionTracker
-from sonoservo.systems.needle.bevelled_insertion import BevelledInsertion
 from sonoservo.systems.needle.hand import Hand
-from sonoservo.systems.needle.insertion import OUTER_DIAMETER
+from sonoservo.systems.needle.insertion import Insertion
+from sonoservo.systems.needle.insertion_parameters import OUTER_DIAMETER
 from sonoservo.systems.robot.probe_stepper import ProbeStepper
 from sonoservo.systems.signals.cross_section import CrossSection
 from sonoservo.systems.signals.immutable import NotFound
@@ -33,6 +32,8 @@ from sonoservo.systems.ultrasound.simulation.scanner import Scanner
 from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
 from sonoservo.systems.ultrasound.slice_converter import SliceConverter
 from sonoservo.systems.ultrasound.transducer import load_transducer
+
+Floats = NDArray[np.float64]
 
 _INSTANT = 1e-6
 """Time in s between an event and what is looked at just before or after it."""
@@ -45,8 +46,8 @@ class ShapeExperiment:
 
         name: (the scenario's)
 
-    The subsystems are hand, probe_stepper, scanner, slice_converter, cross_section_tracker,
-    shape_estimator and, with a Meshcat, shape_view. Every one of their inputs is connected to the
+    The subsystems are hand, probe_stepper, scanner, slice_converter, shape_predictor and, with a
+    Meshcat, shape_view. Every one of their inputs is connected to the
     output that has the same name. W and T are the same but for the tissue's shifts.
 
     Parameters
@@ -67,11 +68,12 @@ class ShapeExperiment:
         tissue_seed, insertion_seed, noise_seed, shift_seed, self._estimator_seed = (
             int(seed) for seed in np.random.SeedSequence(scenario.seed).generate_state(5)
         )
-        hand = replace(scenario.hand, depth=scenario.depth, rotations=scenario.rotations)
-        self.insertion = BevelledInsertion(hand, np.random.default_rng(insertion_seed))
+        feed = replace(scenario.feed, depth=scenario.depth)
+        hand = replace(scenario.hand, feed=feed, rotations=scenario.rotations)
+        self.insertion = Insertion(hand, np.random.default_rng(insertion_seed))
         tissue = replace(load_tissue(scenario.phantom), seed=tissue_seed)
         half = np.array(tissue.size) / 2
-        end = hand.entry[0] + scenario.depth + hand.lead
+        end = hand.entry[0] + scenario.depth + feed.lead
         require(
             -half[0] <= hand.entry[0] and end <= half[0],
             "depth",
@@ -94,15 +96,17 @@ class ShapeExperiment:
         events = {"period": scenario.period, "offset": scenario.period + scenario.processing_time}
         self._first = events["offset"]
         self.slice_converter = SliceConverter(geometry=geometry, spacing=scenario.pixel)
-        self.cross_section_tracker = CrossSectionTracker(
-            parameters=replace(
+        self.shape_predictor = MakeShapePredictor(
+            localizer=replace(
                 scenario.tracker,
                 needle_radius=OUTER_DIAMETER[hand.gauge] / 2,
                 decibels_per_level=imaging.dynamic_range_db / 255,
             ),
+            shape_filter=self.make_filter(scenario.estimator),
+            X_WI=self.X_WP,
+            seed=self._estimator_seed,
             **events,
         )
-        self.shape_estimator = self.make_estimator(scenario.estimator)
         systems: dict[str, System] = {
             "hand": Hand(insertion=self.insertion),
             "probe_stepper": ProbeStepper(
@@ -115,8 +119,7 @@ class ShapeExperiment:
             ),
             "scanner": self.scanner,
             "slice_converter": self.slice_converter,
-            "cross_section_tracker": self.cross_section_tracker,
-            "shape_estimator": self.shape_estimator,
+            "shape_predictor": self.shape_predictor,
         }
         if meshcat is not None:
             systems["shape_view"] = ShapeView(
@@ -132,29 +135,24 @@ class ShapeExperiment:
         self._simulator = Simulator(self.diagram)
         self._rows: list[dict[str, Any]] = []
 
-    def make_estimator(self, name: str) -> ShapeEstimator:
-        """Make one of the scenario's shape estimators; see `ShapeScenario.estimator`."""
+    def make_filter(self, name: str) -> ShapeFilter:
+        """Make one of `SHAPE_FILTERS` with the scenario's parameters."""
         scenario = self.scenario
-        events = {"period": scenario.period, "offset": scenario.period + scenario.processing_time}
         plan: dict[str, Any] = {
             "depth": scenario.depth,
             "rotations": scenario.rotations,
             "observe_until": scenario.observe_until,
         }
-        common: dict[str, Any] = {
-            **events,
-            "X_WI": self.X_WP,
-            "seed": self._estimator_seed,
-        }
-        if name == "particle_filter":
-            return ParticleShapeEstimator(
-                parameters=replace(scenario.particle_filter, **plan), **common
-            )
-        if name == "least_squares":
-            return LeastSquaresShapeEstimator(
-                parameters=replace(scenario.least_squares, **plan), **common
-            )
-        return PublishedShapeEstimator(parameters=replace(scenario.published, **plan), **common)
+        return SHAPE_FILTERS[name].make(replace(getattr(scenario, name), **plan))
+
+    def make_estimator(self, name: str) -> ShapeEstimator:
+        """Make a shape estimator like the experiment's own, with any of `SHAPE_FILTERS`."""
+        return ShapeEstimator(
+            shape_filter=self.make_filter(name),
+            X_WI=self.X_WP,
+            period=self.scenario.period,
+            seed=self._estimator_seed,
+        )
 
     def run(
         self,
@@ -188,12 +186,12 @@ class ShapeExperiment:
     @property
     def shape(self) -> NeedleShape | NotFound:
         """What the estimator believes now."""
-        return self._evaluate(self.shape_estimator, "shape")
+        return self._evaluate(self.shape_predictor, "shape")
 
-    def true_path(self, depths: Iterable[float]) -> Any:
-        """(m, 3) true path in the first slice's P, in m, at depths in m."""
-        X_PI = self.X_WP.InvertAndCompose(self.insertion.X_TI)
-        return X_PI.multiply(self.insertion.position(np.asarray(depths, dtype=float)).T).T
+    def true_path(self, depths: Floats) -> Floats:
+        """Return the (m, 3) true path in the first slice's P, in m, at depths in m."""
+        shaft = self.insertion.needle(self.insertion.end).transformed(self.X_WP.inverse()).shaft
+        return np.stack([np.interp(depths, shaft[:, 2], axis) for axis in shaft.T], axis=-1)
 
     def log(self) -> ShapeLog:
         """Return what has been seen so far."""
@@ -208,7 +206,7 @@ class ShapeExperiment:
         """
         self._evaluate(self.slice_converter, "slice")
         clock = [time.thread_time()]
-        found = self._evaluate(self.cross_section_tracker, "cross_section")
+        found = self._evaluate(self.shape_predictor, "cross_section")
         clock.append(time.thread_time())
         self._simulator.AdvanceTo(due + _INSTANT)
         clock.append(time.thread_time())
@@ -238,23 +236,3 @@ class ShapeExperiment:
     def _evaluate(self, system: System, port: str) -> Any:
         context = system.GetMyContextFromRoot(self._simulator.get_context())
         return system.GetOutputPort(port).Eval(context)
-
-
-def estimate_shape(
-    estimator: ShapeEstimator, cross_sections: Iterable[CrossSection]
-) -> list[NeedleShape | NotFound]:
-    """Estimate a needle's shape from recorded cross-sections, without a simulation.
-
-    Returns
-    -------
-    The shape after each cross-section.
-    """
-    # No event is ever due: one is forced for each cross-section.
-    context = estimator.CreateDefaultContext()
-    shapes: list[NeedleShape | NotFound] = []
-    for each in cross_sections:
-        estimator.GetInputPort("cross_section").FixValue(context, Value[object](each))
-        estimator.ExecuteForcedEvents(context)
-        shape: Any = estimator.GetOutputPort("shape").Eval(context)
-        shapes.append(shape)
-    return shapes

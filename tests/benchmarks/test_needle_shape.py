@@ -8,7 +8,8 @@ import pytest
 from skimage.feature import match_template
 
 from sonoservo.diagrams.scenario import load_any_scenario
-from sonoservo.diagrams.shape_experiment import ShapeExperiment, estimate_shape
+from sonoservo.diagrams.shape_experiment import ShapeExperiment
+from sonoservo.diagrams.shape_predictor import estimate_shape
 from sonoservo.systems.localization.cross_section import CrossSectionParameters, find_again
 from sonoservo.systems.localization.normalized_cross_correlation import normalized_cross_correlation
 

@@ -18,7 +18,7 @@ from sonoservo.diagrams.papers.chatelain2013.analysis import (
     volumes,
 )
 from sonoservo.diagrams.scenario import Scenario
-from sonoservo.systems.needle.insertion import InsertionParameters, Push
+from sonoservo.systems.needle.insertion_parameters import InsertionParameters, Push
 from sonoservo.systems.robot.phantom_motion import Move, PhantomMotionParameters
 
 
