@@ -28,7 +28,8 @@ from .scenario_insertion import make_insertion as make_insertion
 from .seeds import Seeds as Seeds
 from .seeds import draw_seeds as draw_seeds
 from .shape_experiment import ShapeExperiment as ShapeExperiment
-from .shape_experiment import estimate_shape as estimate_shape
+from .shape_predictor import MakeShapePredictor as MakeShapePredictor
+from .shape_predictor import estimate_shape as estimate_shape
 from .shape_scenario import ShapeScenario as ShapeScenario
 from .station import MakeStation as MakeStation
 from .station import ProbePlacement as ProbePlacement
