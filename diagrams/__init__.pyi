@@ -19,7 +19,6 @@ from .experiments.registry import list_scenarios as list_scenarios
 from .experiments.registry import load_scenario as load_scenario
 from .experiments.registry import make_experiment as make_experiment
 from .experiments.shape_prediction import ShapePredictionExperiment as ShapePredictionExperiment
-from .experiments.shape_prediction import estimate_shape as estimate_shape
 from .experiments.shape_prediction_scenario import (
     ShapePredictionScenario as ShapePredictionScenario,
 )
@@ -33,6 +32,8 @@ from .scenario import Scenario as Scenario
 from .scenario import require_scenario as require_scenario
 from .seeds import Seeds as Seeds
 from .seeds import draw_seeds as draw_seeds
+from .shape_predictor import MakeShapePredictor as MakeShapePredictor
+from .shape_predictor import estimate_shape as estimate_shape
 from .station import MakeStation as MakeStation
 from .station import ProbePlacement as ProbePlacement
 from .station import StationParameters as StationParameters

@@ -8,5 +8,4 @@ from .registry import list_scenarios as list_scenarios
 from .registry import load_scenario as load_scenario
 from .registry import make_experiment as make_experiment
 from .shape_prediction import ShapePredictionExperiment as ShapePredictionExperiment
-from .shape_prediction import estimate_shape as estimate_shape
 from .shape_prediction_scenario import ShapePredictionScenario as ShapePredictionScenario

@@ -7,7 +7,8 @@ import numpy as np
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.diagrams.station import check_reach
-from sonoservo.systems.needle.insertion import Insertion, Push
+from sonoservo.systems.needle.insertion import Insertion
+from sonoservo.systems.needle.insertion_parameters import Push
 from sonoservo.systems.signals.requirements import require
 
 

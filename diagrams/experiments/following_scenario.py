@@ -7,7 +7,7 @@ from sonoservo.diagrams.probe_controller import ProbeControllerParameters
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.station import StationParameters
 from sonoservo.systems.control.controller_schedule import ControllerChange
-from sonoservo.systems.needle.insertion import InsertionParameters
+from sonoservo.systems.needle.insertion_parameters import InsertionParameters
 from sonoservo.systems.robot.phantom_motion import PhantomMotionParameters
 from sonoservo.systems.signals.requirements import require, require_positive
 from sonoservo.systems.ultrasound.imaging import ImagingParameters

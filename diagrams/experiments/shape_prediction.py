@@ -1,13 +1,12 @@
 """Shape prediction: how a bevelled needle will lie is predicted from axial slices."""
 
 import time
-from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
 from matplotlib.figure import Figure
-from pydrake.common.value import Value
+from numpy.typing import NDArray
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import System
@@ -16,19 +15,18 @@ from sonoservo.diagrams.experiments.experiment import INSTANT, Experiment
 from sonoservo.diagrams.experiments.shape_prediction_scenario import ShapePredictionScenario
 from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.diagrams.seeds import draw_seeds
+from sonoservo.diagrams.shape_predictor import MakeShapePredictor
 from sonoservo.systems.display.world.shape_view import ShapeView
-from sonoservo.systems.estimation.least_squares_shape_estimator import LeastSquaresShapeEstimator
-from sonoservo.systems.estimation.particle_shape_estimator import ParticleShapeEstimator
-from sonoservo.systems.estimation.published_shape_estimator import PublishedShapeEstimator
 from sonoservo.systems.estimation.shape_estimator import ShapeEstimator
+from sonoservo.systems.estimation.shape_filter import ShapeFilter
+from sonoservo.systems.estimation.shape_filters import SHAPE_FILTERS
 from sonoservo.systems.evaluation.log import Row
 from sonoservo.systems.evaluation.shape_log import ShapeLog
 from sonoservo.systems.evaluation.shape_metrics import LABELS, summarize_shape
 from sonoservo.systems.evaluation.shape_plots import plot_shape
-from sonoservo.systems.localization.cross_section_tracker import CrossSectionTracker
-from sonoservo.systems.needle.bevelled_insertion import BevelledInsertion
 from sonoservo.systems.needle.hand import Hand
-from sonoservo.systems.needle.insertion import OUTER_DIAMETER
+from sonoservo.systems.needle.insertion import Insertion
+from sonoservo.systems.needle.insertion_parameters import OUTER_DIAMETER
 from sonoservo.systems.robot.probe_stepper import ProbeStepper
 from sonoservo.systems.signals.cross_section import CrossSection
 from sonoservo.systems.signals.immutable import NotFound
@@ -39,6 +37,8 @@ from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
 from sonoservo.systems.ultrasound.slice_converter import SliceConverter
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
+Floats = NDArray[np.float64]
+
 
 class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
     """A hand, a probe that steps along the needle, a tracker and a shape estimator.
@@ -47,8 +47,8 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
 
         name: (the scenario's)
 
-    The subsystems are hand, probe_stepper, scanner, slice_converter, cross_section_tracker,
-    shape_estimator and, with a Meshcat, shape_view. W and T are the same but for the tissue's
+    The subsystems are hand, probe_stepper, scanner, slice_converter, shape_predictor
+    and, with a Meshcat, shape_view. W and T are the same but for the tissue's
     shifts. Computing times are those of this thread, whatever else the machine does.
 
     Parameters
@@ -71,11 +71,12 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
         self.scenario = scenario = require_scenario(scenario, ShapePredictionScenario)
         seeds = draw_seeds(scenario)
         self._estimator_seed = seeds.tracker
-        hand = replace(scenario.hand, depth=scenario.depth, rotations=scenario.rotations)
-        self.insertion = BevelledInsertion(hand, np.random.default_rng(seeds.insertion))
+        feed = replace(scenario.feed, depth=scenario.depth)
+        hand = replace(scenario.hand, feed=feed, rotations=scenario.rotations)
+        self.insertion = Insertion(hand, np.random.default_rng(seeds.insertion))
         tissue = replace(load_tissue(scenario.phantom), seed=seeds.tissue)
         half = np.array(tissue.size) / 2
-        end = hand.entry[0] + scenario.depth + hand.lead
+        end = hand.entry[0] + scenario.depth + feed.lead
         require(
             -half[0] <= hand.entry[0] and end <= half[0],
             "depth",
@@ -97,15 +98,17 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
         geometry = self.scanner.geometry
         events = {"period": scenario.period, "offset": scenario.period + scenario.processing_time}
         self.slice_converter = SliceConverter(geometry=geometry, spacing=scenario.pixel)
-        self.cross_section_tracker = CrossSectionTracker(
-            parameters=replace(
+        self.shape_predictor = MakeShapePredictor(
+            localizer=replace(
                 scenario.tracker,
                 needle_radius=OUTER_DIAMETER[hand.gauge] / 2,
                 decibels_per_level=imaging.dynamic_range_db / 255,
             ),
+            shape_filter=self.make_filter(scenario.estimator),
+            X_WI=self.X_WP,
+            seed=self._estimator_seed,
             **events,
         )
-        self.shape_estimator = self.make_estimator(scenario.estimator)
         systems: dict[str, System] = {
             "hand": Hand(insertion=self.insertion),
             "probe_stepper": ProbeStepper(
@@ -118,8 +121,7 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
             ),
             "scanner": self.scanner,
             "slice_converter": self.slice_converter,
-            "cross_section_tracker": self.cross_section_tracker,
-            "shape_estimator": self.shape_estimator,
+            "shape_predictor": self.shape_predictor,
         }
         if meshcat is not None:
             systems["shape_view"] = ShapeView(
@@ -133,46 +135,41 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
             offset=events["offset"],
             stages={
                 "slice": (self.slice_converter, "slice"),
-                "image": (self.cross_section_tracker, "cross_section"),
+                "image": (self.shape_predictor, "cross_section"),
             },
             event="estimate",
             clock=time.thread_time,
             sees_truth=("scanner", "shape_view"),
         )
 
-    def make_estimator(self, name: str) -> ShapeEstimator:
-        """Make one of the scenario's shape estimators; see `ShapePredictionScenario.estimator`."""
+    def make_filter(self, name: str) -> ShapeFilter:
+        """Make one of `SHAPE_FILTERS` with the scenario's parameters."""
         scenario = self.scenario
-        events = {"period": scenario.period, "offset": scenario.period + scenario.processing_time}
         plan: dict[str, Any] = {
             "depth": scenario.depth,
             "rotations": scenario.rotations,
             "observe_until": scenario.observe_until,
         }
-        common: dict[str, Any] = {
-            **events,
-            "X_WI": self.X_WP,
-            "seed": self._estimator_seed,
-        }
-        if name == "particle_filter":
-            return ParticleShapeEstimator(
-                parameters=replace(scenario.particle_filter, **plan), **common
-            )
-        if name == "least_squares":
-            return LeastSquaresShapeEstimator(
-                parameters=replace(scenario.least_squares, **plan), **common
-            )
-        return PublishedShapeEstimator(parameters=replace(scenario.published, **plan), **common)
+        return SHAPE_FILTERS[name].make(replace(getattr(scenario, name), **plan))
+
+    def make_estimator(self, name: str) -> ShapeEstimator:
+        """Make a shape estimator like the experiment's own, with any of `SHAPE_FILTERS`."""
+        return ShapeEstimator(
+            shape_filter=self.make_filter(name),
+            X_WI=self.X_WP,
+            period=self.scenario.period,
+            seed=self._estimator_seed,
+        )
 
     @property
     def shape(self) -> NeedleShape | NotFound:
         """Shape that the estimator expects now."""
-        return cast(NeedleShape | NotFound, self.evaluate(self.shape_estimator, "shape"))
+        return cast(NeedleShape | NotFound, self.evaluate(self.shape_predictor, "shape"))
 
-    def true_path(self, depths: Iterable[float]) -> Any:
-        """(m, 3) true path in the first slice's P, in m, at depths in m."""
-        X_PI = self.X_WP.InvertAndCompose(self.insertion.X_TI)
-        return X_PI.multiply(self.insertion.position(np.asarray(depths, dtype=float)).T).T
+    def true_path(self, depths: Floats) -> Floats:
+        """Return the (m, 3) true path in the first slice's P, in m, at depths in m."""
+        shaft = self.insertion.needle(self.insertion.end).transformed(self.X_WP.inverse()).shaft
+        return np.stack([np.interp(depths, shaft[:, 2], axis) for axis in shaft.T], axis=-1)
 
     @property
     def status(self) -> str:
@@ -208,7 +205,7 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
 
     def _after_step(self, number: int) -> None:
         """Note what was found in a slice, and how long it took."""
-        found = self.evaluate(self.cross_section_tracker, "cross_section")
+        found = self.evaluate(self.shape_predictor, "cross_section")
         row: Row = {"depth": number * self.scenario.step}
         row |= {f"{name}_s": self.compute[name][-1] for name in ("image", "estimate")}
         if isinstance(found, CrossSection):
@@ -222,23 +219,3 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
             mean, covariance = shape.predict([self.scenario.depth])
             row["tip"], row["tip_covariance"] = mean[0], covariance[0]
         self._rows.append(row)
-
-
-def estimate_shape(
-    estimator: ShapeEstimator, cross_sections: Iterable[CrossSection]
-) -> list[NeedleShape | NotFound]:
-    """Estimate a needle's shape from recorded cross-sections, without a simulation.
-
-    Returns
-    -------
-    The shape after each cross-section.
-    """
-    # No event is ever due: one is forced for each cross-section.
-    context = estimator.CreateDefaultContext()
-    shapes: list[NeedleShape | NotFound] = []
-    for each in cross_sections:
-        estimator.GetInputPort("cross_section").FixValue(context, Value[object](each))
-        estimator.ExecuteForcedEvents(context)
-        shape: Any = estimator.GetOutputPort("shape").Eval(context)
-        shapes.append(shape)
-    return shapes

@@ -4,17 +4,32 @@ from dataclasses import dataclass, field
 
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.estimation.published_particle_filter import PublishedParticleFilterParameters
+from sonoservo.systems.estimation.shape_filters import SHAPE_FILTERS
 from sonoservo.systems.estimation.shape_least_squares import ShapeLeastSquaresParameters
 from sonoservo.systems.estimation.shape_particle_filter import ShapeParticleFilterParameters
 from sonoservo.systems.files.typed_yaml import suggest
-from sonoservo.systems.localization.cross_section_tracker import CrossSectionTrackerParameters
-from sonoservo.systems.needle.bevelled_insertion import BevelledInsertionParameters
+from sonoservo.systems.localization.cross_section import CrossSectionParameters
+from sonoservo.systems.needle.insertion_parameters import FeedParameters, InsertionParameters
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation.rendering import ScannerParameters
 
-ESTIMATORS = ("particle_filter", "least_squares", "published")
-"""Names of the shape estimators."""
+ESTIMATORS = tuple(SHAPE_FILTERS)
+"""Names of the shape estimators; each is a field of `ShapeScenario` too."""
+
+
+def _hand() -> InsertionParameters:
+    return InsertionParameters(
+        entry=[-0.075, 0.0, -0.030],
+        entry_spread=[0.0, 2e-3, 2e-3],
+        bend_radius=1.6,
+        bend_radius_spread=0.8,
+        bend_roll_deg=90.0,
+        bend_roll_spread_deg=180.0,
+        bend_angle_spread_deg=2.0,
+        start=0.0,
+        feed=FeedParameters(),
+    )
 
 
 def _imaging() -> ImagingParameters:
@@ -46,7 +61,7 @@ class ShapePredictionScenario(Scenario):
         Depth beyond which the estimator looks at no slice, in m: it then predicts (the paper's D).
         None looks at all. It replaces the parts' own.
     step
-        Distance between slices, in m. With the hand's speed it gives the slices per second, which
+        Distance between slices, in m. With the feed's speed it gives the slices per second, which
         replace ``imaging.volume_rate``.
     pixel
         Spacing of the slices' pixels, in m.
@@ -62,11 +77,11 @@ class ShapePredictionScenario(Scenario):
     imaging, scanner
         The scanner's settings; noise and artefacts.
     hand
-        The needle and how it is pushed.
+        The needle and its feed through a template.
     tracker
-        Parameters of the tracker of the cross-section.
+        Settings of the search for cross-sections.
     estimator
-        Estimator that guides the tracker: "particle_filter", "least_squares" or "published".
+        Name of the shape estimator that guides the search, one of `ESTIMATORS`.
     particle_filter, least_squares, published
         Parameters of each.
     processing_time
@@ -85,8 +100,8 @@ class ShapePredictionScenario(Scenario):
     transducer: str = "trus"
     imaging: ImagingParameters = field(default_factory=_imaging)
     scanner: ScannerParameters = field(default_factory=ScannerParameters)
-    hand: BevelledInsertionParameters = field(default_factory=BevelledInsertionParameters)
-    tracker: CrossSectionTrackerParameters = field(default_factory=CrossSectionTrackerParameters)
+    hand: InsertionParameters = field(default_factory=_hand)
+    tracker: CrossSectionParameters = field(default_factory=CrossSectionParameters)
     estimator: str = "particle_filter"
     particle_filter: ShapeParticleFilterParameters = field(
         default_factory=ShapeParticleFilterParameters
@@ -127,18 +142,24 @@ class ShapePredictionScenario(Scenario):
             self.estimator,
             f"one of {', '.join(ESTIMATORS)}; {suggest(self.estimator, ESTIMATORS)}",
         )
-        period = self.step / self.hand.speed
+        require(self.hand.feed is not None, "hand.feed", None, "a template's feed")
         require(
-            self.processing_time < period,
+            self.processing_time < self.period,
             "processing_time",
             self.processing_time,
-            f"below the {period:g} s between slices",
+            f"below the {self.period:g} s between slices",
         )
+
+    @property
+    def feed(self) -> FeedParameters:
+        """Feed of the needle through the template."""
+        assert self.hand.feed is not None
+        return self.hand.feed
 
     @property
     def period(self) -> float:
         """Time between slices, in s."""
-        return self.step / self.hand.speed
+        return self.step / self.feed.speed
 
     @property
     def steps(self) -> int:

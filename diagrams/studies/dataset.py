@@ -20,7 +20,8 @@ from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.diagrams.studies.study import Case, run_cases
 from sonoservo.systems.files.typed_yaml import ConfigurationError
 from sonoservo.systems.files.writing import write_json
-from sonoservo.systems.needle.insertion import Insertion, InsertionParameters, Push
+from sonoservo.systems.needle.insertion import Insertion
+from sonoservo.systems.needle.insertion_parameters import InsertionParameters, Push
 from sonoservo.systems.recording.nrrd import write_mask
 from sonoservo.systems.recording.recording_writer import RecordingWriter
 from sonoservo.systems.signals.needle import Needle

@@ -5,16 +5,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from sonoservo.systems.evaluation.metrics import spread
 from sonoservo.systems.evaluation.shape_log import ShapeLog
+from sonoservo.systems.signals.confidence import SQUARED_DISTANCE_95
 from sonoservo.systems.signals.needle_shape import NeedleShape
 
 Floats = NDArray[np.float64]
-
-WITHIN = float(chi2.ppf(0.95, 2))
-"""Squared Mahalanobis distance within which 95 % of a normal distribution in a plane lie."""
 
 OFF_NEEDLE = 2e-3
 """A cross-section further than this from the needle has drifted off it, in m."""
@@ -103,9 +100,9 @@ def shape_coverage(shape: NeedleShape, path: Floats) -> dict[str, float]:
     bound = possible[order][min(int(np.searchsorted(below, 0.95)), len(order) - 1)]
     area = np.trapezoid(np.abs(apart @ u), path[:, 2])
     return {
-        "tip": float(distance[-1] <= WITHIN),
+        "tip": float(distance[-1] <= SQUARED_DISTANCE_95),
         "shape": float(area <= bound),
-        "points": float(np.mean(distance <= WITHIN)),
+        "points": float(np.mean(distance <= SQUARED_DISTANCE_95)),
     }
 
 

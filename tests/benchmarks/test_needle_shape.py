@@ -8,7 +8,7 @@ import pytest
 from skimage.feature import match_template
 
 from sonoservo.diagrams import load_scenario, make_experiment
-from sonoservo.diagrams.experiments.shape_prediction import estimate_shape
+from sonoservo.diagrams.shape_predictor import estimate_shape
 from sonoservo.systems.localization.cross_section import CrossSectionParameters, find_again
 from sonoservo.systems.localization.normalized_cross_correlation import normalized_cross_correlation
 

@@ -19,7 +19,7 @@ SCENARIOS = {
     "shape_prediction": ("carriere2016_patient", ["depth=0.03", "observe_until=0.02"]),
 }
 BLIND = {"following": {"needle_tracker", "probe_controller"},
-         "shape_prediction": {"cross_section_tracker", "shape_estimator"}}  # fmt: skip
+         "shape_prediction": {"shape_predictor"}}  # fmt: skip
 
 
 @pytest.fixture(params=sorted(EXPERIMENTS))

@@ -18,7 +18,7 @@ from sonoservo.diagrams.papers.chatelain2013.analysis import (
     recovery_times,
     volumes,
 )
-from sonoservo.systems.needle.insertion import InsertionParameters, Push
+from sonoservo.systems.needle.insertion_parameters import InsertionParameters, Push
 from sonoservo.systems.robot.phantom_motion import Move, PhantomMotionParameters
 
 
