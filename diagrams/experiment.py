@@ -97,7 +97,7 @@ class Experiment:
     ) -> None:
         self.scenario = scenario
         seeds = draw_seeds(scenario)
-        transducer = load_transducer(scenario.transducer)
+        transducer = load_transducer(scenario.probe)
         tissue = replace(load_tissue(scenario.phantom), seed=seeds.tissue)
         geometry = sweep_geometry(transducer, scenario.imaging)
         insertion = make_insertion(scenario)
@@ -115,7 +115,8 @@ class Experiment:
 
         self.station = MakeStation(
             parameters=scenario.station,
-            phantom_size=tissue.size,
+            probe=scenario.probe,
+            phantom=scenario.phantom,
             seed=seeds.wrist,
             meshcat=meshcat,
         )
@@ -134,10 +135,13 @@ class Experiment:
             dynamic_range_db=scenario.imaging.dynamic_range_db,
             seed=seeds.tracker,
         )
-        self.probe_controller = MakeProbeController(parameters=scenario.controller)
+        self.probe_controller = MakeProbeController(
+            parameters=scenario.controller, arm=scenario.station.arm, probe=scenario.probe
+        )
         self.run_logger = RunLogger(
             volume_period=self._volume_period,
             volume_offset=self._first_volume + 2 * _INSTANT,
+            joints=self.station.GetOutputPort("joint_state").size() // 2,
             geometry=geometry,
         )
         systems: dict[str, System] = {
@@ -286,7 +290,7 @@ def tracker_events(scenario: Scenario) -> dict[str, float]:
     ValueError
         If the scenario's transducer or imaging is not possible.
     """
-    period = sweep_geometry(load_transducer(scenario.transducer), scenario.imaging).period
+    period = sweep_geometry(load_transducer(scenario.probe), scenario.imaging).period
     return {"period": period, "offset": period + scenario.processing_time}
 
 

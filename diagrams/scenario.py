@@ -1,12 +1,11 @@
 """What a run is made of: one typed dataclass, loaded from YAML."""
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from sonoservo.diagrams.assembly import PHANTOM, PROBE
 from sonoservo.diagrams.needle_tracker import NeedleTrackerParameters, Zhao2012TrackerParameters
 from sonoservo.diagrams.probe_controller import ProbeControllerParameters
 from sonoservo.diagrams.shape_scenario import ShapeScenario
@@ -15,6 +14,7 @@ from sonoservo.systems.control.controller_schedule import ControllerChange
 from sonoservo.systems.files.typed_yaml import (
     ConfigurationError,
     assign,
+    dump_typed,
     load_typed,
     read_yaml,
     suggest,
@@ -42,15 +42,15 @@ class Scenario:
     seed
         Of everything random: tissue, insertion, tremor, noise, sampling.
     station
-        Arm, probe, phantom and their contact.
+        Arm, plant, and where probe and phantom are at the start.
     phantom
-        Tissue in the phantom: name of a file in models/phantoms, or a path.
+        Tissue and contact of the phantom: name of a file in models/phantoms, or a path.
     phantom_motion
         How the phantom is moved.
     hand
         The needle and how it is pushed.
-    transducer
-        Name of a file in models/transducers, or a path.
+    probe
+        Transducer and body of the probe: name of a file in models/probes, or a path.
     imaging
         The scanner's settings.
     scanner
@@ -74,10 +74,10 @@ class Scenario:
     duration: float = 30.0
     seed: int = 0
     station: StationParameters = field(default_factory=StationParameters)
-    phantom: str = "agar"
+    phantom: str = PHANTOM
     phantom_motion: PhantomMotionParameters = field(default_factory=PhantomMotionParameters)
     hand: InsertionParameters = field(default_factory=InsertionParameters)
-    transducer: str = "4dc7_3_40"
+    probe: str = PROBE
     imaging: ImagingParameters = field(default_factory=ImagingParameters)
     scanner: ScannerParameters = field(default_factory=ScannerParameters)
     scan_conversion: ScanConversionParameters = field(default_factory=ScanConversionParameters)
@@ -107,7 +107,7 @@ class Scenario:
 
     def to_yaml(self) -> str:
         """Return all fields as YAML that `load_scenario` reads."""
-        return yaml.safe_dump(asdict(self), sort_keys=False)
+        return dump_typed(self)
 
 
 def list_scenarios() -> dict[str, Path]:

@@ -1,4 +1,4 @@
-"""Needle shape prediction brought to life: hand, stage, scanner, tracker and estimator."""
+"""Needle shape prediction brought to life: hand, stepper, scanner, tracker and estimator."""
 
 import time
 from collections.abc import Callable, Iterable
@@ -84,7 +84,7 @@ class ShapeExperiment:
         self.X_WP = RigidTransform(X_TI.rotation(), [x, y, scenario.face])
         imaging = replace(scenario.imaging, volume_rate=1 / scenario.period, frames=1)
         self.scanner = Scanner(
-            transducer=load_transducer(scenario.transducer),
+            transducer=load_transducer(scenario.probe),
             imaging=imaging,
             tissue=tissue,
             parameters=scenario.scanner,

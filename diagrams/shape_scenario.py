@@ -1,13 +1,11 @@
 """What a run of needle shape prediction is made of."""
 
-from dataclasses import asdict, dataclass, field
-
-import yaml
+from dataclasses import dataclass, field
 
 from sonoservo.systems.estimation.published_particle_filter import PublishedParticleFilterParameters
 from sonoservo.systems.estimation.shape_least_squares import ShapeLeastSquaresParameters
 from sonoservo.systems.estimation.shape_particle_filter import ShapeParticleFilterParameters
-from sonoservo.systems.files.typed_yaml import suggest
+from sonoservo.systems.files.typed_yaml import dump_typed, suggest
 from sonoservo.systems.localization.cross_section_tracker import CrossSectionTrackerParameters
 from sonoservo.systems.needle.bevelled_insertion import BevelledInsertionParameters
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
@@ -66,8 +64,8 @@ class ShapeScenario:
         in m: nobody knows it.
     phantom
         Tissue: name of a file in models/phantoms, or a path.
-    transducer
-        Name of a file in models/transducers, or a path.
+    probe
+        Name of a file in models/probes, or a path.
     imaging, scanner
         The scanner's settings; noise and artefacts.
     hand
@@ -96,7 +94,7 @@ class ShapeScenario:
     face: float = -2e-3
     tissue_shift: float = 0.1e-3
     phantom: str = "beef"
-    transducer: str = "trus"
+    probe: str = "trus"
     imaging: ImagingParameters = field(default_factory=_imaging)
     scanner: ScannerParameters = field(default_factory=ScannerParameters)
     hand: BevelledInsertionParameters = field(default_factory=BevelledInsertionParameters)
@@ -160,7 +158,7 @@ class ShapeScenario:
 
     @property
     def steps(self) -> int:
-        """Number of the stage's steps; there is one slice more."""
+        """Number of the stepper's steps; there is one slice more."""
         return round(self.depth / self.step)
 
     @property
@@ -170,4 +168,4 @@ class ShapeScenario:
 
     def to_yaml(self) -> str:
         """Return all fields as YAML that `load_scenario` reads."""
-        return yaml.safe_dump(asdict(self), sort_keys=False)
+        return dump_typed(self)

@@ -12,6 +12,7 @@ _RENAMED = {
     "largest_deviation": "max_std",
     "largest_iterations": "max_trials",
     "least_speed_deviation": "min_speed_std",
+    "transducer": "probe",
 }
 _PREFIXES = {"least_": "min_", "largest_": "max_"}
 _SUFFIXES = {"_deviation": "_std"}

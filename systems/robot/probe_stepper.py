@@ -1,4 +1,4 @@
-"""Leaf: a stage that steps a probe along its own Z."""
+"""Leaf: a stepper that moves a probe along its own Z."""
 
 import numpy as np
 from pydrake.common.value import Value
@@ -31,7 +31,7 @@ class ProbeStepper(LeafSystem):
     period
         Between steps, in s; the first one is at time ``period``.
     steps
-        Number of steps; the stage then rests.
+        Number of steps; the probe then rests.
     tissue_shift
         Standard deviation of the tissue's shift along X and along Y of P, in m.
     seed

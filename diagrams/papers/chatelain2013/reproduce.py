@@ -190,7 +190,7 @@ def run_case(case: Case, *, logs: Path) -> dict[str, Any]:
     experiment.run()
     log = experiment.log()
     write_log(logs / f"{case.name}.npz", log)
-    geometry = sweep_geometry(load_transducer(scenario.transducer), scenario.imaging)
+    geometry = sweep_geometry(load_transducer(scenario.probe), scenario.imaging)
     target = scenario.controller.force.force
     return {
         "summary": summarize(log, MetricsParameters(force_target=target)),
