@@ -200,9 +200,10 @@ def _check(schema: Any, value: Any, source: str, path: str) -> None:
 
 
 def _path_to(key: str, fields: Mapping[str, Any], path: str) -> str | None:
-    """Return the path of a field that has moved from here into one of these, or None."""
+    """Return the path of a field of one of Drake's schema classes among these, or None."""
     prefix = f"{path}." if path else ""
-    found = (name for name, schema in fields.items() if key in _fields(schema))
+    drakes = {name: type_ for name, type_ in fields.items() if hasattr(type_, "__fields__")}
+    found = (name for name, type_ in drakes.items() if key in _fields(type_))
     return next((f"{prefix}{name}.{key}" for name in found), None)
 
 

@@ -1,8 +1,10 @@
 import pytest
 import yaml
+from pydrake.multibody.plant import MultibodyPlantConfig
 
 from sonoservo.diagrams.needle_tracker import Zhao2012TrackerParameters
 from sonoservo.diagrams.scenario import Scenario, list_scenarios, load_any_scenario, load_scenario
+from sonoservo.diagrams.station import StationParameters
 from sonoservo.systems.files.typed_yaml import ConfigurationError
 
 
@@ -46,6 +48,21 @@ def test_a_file_of_ones_own_and_the_whole_of_it_read_back(tmp_path):
     assert set(yaml.safe_load(scenario.to_yaml())) == set(Scenario.__dataclass_fields__)
 
 
+def test_plant_settings_are_drakes_and_round_trip(tmp_path):
+    changes = ["station.plant.contact_model=point", "station.plant.stiction_tolerance=2e-4"]
+    scenario = load_scenario("chatelain2013_fig5", changes=changes)
+    plant = scenario.station.plant
+    assert isinstance(plant, MultibodyPlantConfig)
+    assert (plant.contact_model, plant.stiction_tolerance) == ("point", 2e-4)
+    assert plant.time_step == StationParameters().plant.time_step == 0.005
+    path = tmp_path / "mine.yaml"
+    path.write_text(scenario.to_yaml())
+    again = load_scenario(path, changes=["name=chatelain2013_fig5"])
+    assert again == scenario
+    plant.contact_model = "hydroelastic"
+    assert again != scenario
+
+
 def test_the_tracker_is_chosen_by_name(tmp_path):
     changes = ["tracker=zhao2012", "tracker.velocimeter.min_correlation=0.4"]
     scenario = load_scenario("chatelain2013_fig5", changes=changes)
@@ -65,7 +82,25 @@ def test_the_tracker_is_chosen_by_name(tmp_path):
         ("chatelain2013_fig5", ["imaging.volume_rate=-3"], "imaging.volume_rate: -3.0"),
         ("chatelain2013_fig5", ["imaging.volume_rate=fast"], "imaging.volume_rate: 'fast'"),
         ("chatelain2013_fig5", ["duration=0"], "duration: 0.0"),
-        ("chatelain2013_fig5", ["station.time_step=10"], "station.time_step: 10.0"),
+        ("chatelain2013_fig5", ["station.plant.time_step=10"], "station.plant.time_step: 10.0"),
+        (
+            "chatelain2013_fig5",
+            ["station.time_step=0.01"],
+            "station.time_step: is now called 'station.plant.time_step'",
+        ),
+        (
+            "chatelain2013_fig5",
+            ["station.contact_model=point"],
+            "station.contact_model: is now called 'station.plant.contact_model'",
+        ),
+        (
+            "chatelain2013_fig5",
+            ["station.plant.time_stp=1"],
+            "station.plant.time_stp: unknown field; did you mean 'time_step'?",
+        ),
+        ("chatelain2013_fig5", ["station.plant.time_step=fast"], "plant.time_step: 'fast'"),
+        ("chatelain2013_fig5", ["transducer=trus"], "transducer: is now called 'probe'"),
+        ("carriere2016_d60", ["transducer=trus"], "transducer: is now called 'probe'"),
         ("chatelain2013_fig5", ["seed=-1"], "seed: -1"),
         ("drive", ["controller_changes=[{force: 0.3}]"], "controller_changes.0.force: 0.3"),
         ("drive", ["controller_changes=[{time: 2}, {time: 1}]"], "must be in order of time"),
@@ -88,6 +123,6 @@ def test_the_tracker_is_chosen_by_name(tmp_path):
 )
 def test_mistakes_are_one_clear_line(name, changes, message):
     with pytest.raises(ConfigurationError) as error:
-        load_scenario(name, changes=changes)
+        load_any_scenario(name, changes=changes)
     assert message in str(error.value)
     assert "\n" not in str(error.value)

@@ -16,8 +16,8 @@ from sonoservo.diagrams.app.drive import DrivenExperiment, drive
 from sonoservo.systems.evaluation.run_log import read_log
 
 CHEAP = [
-    "station.contact_model=point",
-    "station.time_step=0.01",
+    "station.plant.contact_model=point",
+    "station.plant.time_step=0.01",
     "controller.time_step=0.01",
     "station.probe.height=0.004",
 ]
