@@ -76,7 +76,9 @@ def load_typed(schema: type[T], data: Mapping[str, Any], source: str) -> T:
     try:
         loaded = yaml_load_typed(schema=schema, data=text, defaults=schema())
     except (RuntimeError, ValueError, TypeError, AssertionError) as error:
-        raise ConfigurationError(f"{source}: {' '.join(str(error).split())}") from error
+        # What pybind11 says of a wrong type ends with the values; signatures help nobody here.
+        text = " ".join(str(error).rpartition("Invoked with: ")[2].split())
+        raise ConfigurationError(f"{source}: {text}") from error
     return _validated(loaded, source, "")
 
 

@@ -177,8 +177,8 @@ def AddArm(plant: MultibodyPlant, arm: Arm) -> ModelInstanceIndex:
         raise ValueError("directives: no add_model adds a model named 'arm'")
     instance = plant.GetModelInstanceByName("arm")
     if not plant.HasFrameNamed(arm.flange, instance):
-        names = [plant.get_frame(index).name() for index in plant.GetFrameIndices(instance)]
-        raise ValueError(f"flange: the model has no frame {arm.flange!r}; it has {names}")
+        links = (plant.get_body(index).name() for index in plant.GetBodyIndices(instance))
+        raise ValueError(f"flange: no frame {arm.flange!r}; the model's links: {', '.join(links)}")
     driven = {motor.joint().name() for motor in motors(plant, instance)}
     joints = _joints(plant, instance)
     for joint in joints:
