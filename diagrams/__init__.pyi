@@ -12,6 +12,8 @@ from .app.shape_run import predict_shape as predict_shape
 from .app.track import TrackedRecording as TrackedRecording
 from .app.track import track_recording as track_recording
 from .app.track import tracker_parameters as tracker_parameters
+from .assembly import assemble_arm as assemble_arm
+from .assembly import load_probe_body as load_probe_body
 from .experiment import Experiment as Experiment
 from .experiment import tracker_events as tracker_events
 from .needle_tracker import MakeNeedleTracker as MakeNeedleTracker
