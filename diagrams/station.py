@@ -33,16 +33,16 @@ _ALLOWED = {
 
 @dataclass(kw_only=True)
 class ProbePlacement:
-    """Where over the phantom the probe starts, looking straight down.
+    """Start of the probe over the phantom, looking straight down.
 
     Parameters
     ----------
     x, y
-        Over which point of the phantom's top, in T, in m.
+        Point of the phantom's top below the probe, in T, in m.
     yaw_deg
         Angle from X_T to X_P about the vertical, in deg.
     height
-        Of the probe's face above the phantom, in m.
+        Height of the probe's face above the phantom, in m.
     """
 
     x: float = 0.0
@@ -58,7 +58,7 @@ class ProbePlacement:
 
 @dataclass(kw_only=True)
 class StationParameters:
-    """What a station is made of.
+    """Parameters of a station.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class StationParameters:
     phantom_position
         (3,) position in W of the centre of the phantom's top face, in m, while it is at rest.
     probe
-        Where it starts.
+        Start of the probe.
     force_noise, torque_noise
         Standard deviation of the wrist force sensor's samples, in N and N m.
     display_period
@@ -213,11 +213,11 @@ def MakeStation(
     Parameters
     ----------
     parameters
-        What it is made of.
+        Arm, plant and sensors, and where probe and phantom are at the start.
     probe, phantom
         Names of files in models/probes and models/phantoms, or paths.
     seed
-        Of the sensor's noise.
+        Seed of the sensor's noise.
     meshcat
         Where to draw arm, probe and phantom, if anywhere.
 

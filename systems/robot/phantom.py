@@ -1,4 +1,4 @@
-"""The phantom on its moving stage."""
+"""The phantom on its moving stage, in any plant."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -154,7 +154,7 @@ def PhantomMotion(*, trajectory: Trajectory) -> Diagram:
     Parameters
     ----------
     trajectory
-        Of x, y, z in m, roll, pitch, yaw in rad: the pose X_WT.
+        The pose X_WT over time: x, y, z in m, roll, pitch, yaw in rad.
     """
     builder = DiagramBuilder()
     source = builder.AddSystem(TrajectorySource(trajectory, output_derivative_order=1))

@@ -17,18 +17,18 @@ _TOLERANCE = 1e-6
 def probe_pose(
     *, X_WT: RigidTransform, x: float, y: float, yaw: float, height: float
 ) -> RigidTransform:
-    """Pose X_WP of a probe that looks straight down on the phantom's top.
+    """Return the pose X_WP of a probe that looks straight down on the phantom's top.
 
     Parameters
     ----------
     X_WT
         Pose of the phantom.
     x, y
-        Where on the top, in T, in m.
+        Position on the top, in T, in m.
     yaw
         Angle from X_T to X_P about Z_T, in rad; at zero Z_P is Y_T.
     height
-        Of the probe's face above the top, in m.
+        Height of the probe's face above the top, in m.
     """
     R_TP = RotationMatrix.MakeZRotation(yaw) @ RotationMatrix.MakeXRotation(-np.pi / 2)
     return X_WT @ RigidTransform(R_TP, [x, y, height])
@@ -37,7 +37,7 @@ def probe_pose(
 def solve_posture(
     arm: ArmWithProbe, X_WP: RigidTransform, near: NDArray[np.float64] | None = None
 ) -> NDArray[np.float64]:
-    """Joint positions that put the probe at a pose, within the arm's limits.
+    """Return joint positions that put the probe at a pose, within the arm's limits.
 
     Parameters
     ----------

@@ -25,11 +25,11 @@ def test_one_second_of_station_and_controller(benchmark, contact_model):
     station = builder.AddSystem(MakeStation(parameters=parameters))
     controller = builder.AddSystem(MakeProbeController(parameters=ProbeControllerParameters()))
     pose = np.concatenate([parameters.X_WT.translation(), np.zeros(3)])
-    stage = builder.AddSystem(PhantomMotion(trajectory=PiecewisePolynomial(pose)))
+    motion = builder.AddSystem(PhantomMotion(trajectory=PiecewisePolynomial(pose)))
     curve = NeedleCurve(np.array([[0.44, 0, 0.16], [0.5, 0, 0.155]]))
     estimate = NeedleEstimate(TrackingMode.TRACKING, 1e3, curve, np.zeros((2, 3)), np.eye(12))
     tracker = builder.AddSystem(ConstantValueSource(Value[object](estimate)))
-    builder.Connect(stage.get_output_port(), station.GetInputPort("phantom_command"))
+    builder.Connect(motion.get_output_port(), station.GetInputPort("phantom_command"))
     builder.Connect(tracker.get_output_port(), controller.GetInputPort("estimate"))
     builder.Connect(
         controller.GetOutputPort("joint_command"), station.GetInputPort("joint_command")

@@ -69,7 +69,7 @@ class Loop:
         path = PiecewisePolynomial.CubicShapePreserving(
             list(lifts), np.array(poses).T, zero_end_point_derivatives=True
         )
-        stage = builder.AddSystem(PhantomMotion(trajectory=path))
+        motion = builder.AddSystem(PhantomMotion(trajectory=path))
         wires = [
             (self.tracker, "estimate", self.controller, "estimate"),
             (self.controller, "joint_command", self.station, "joint_command"),
@@ -80,7 +80,7 @@ class Loop:
         ]
         for source, output, sink, port in wires:
             builder.Connect(source.GetOutputPort(output), sink.GetInputPort(port))
-        builder.Connect(stage.get_output_port(), self.station.GetInputPort("phantom_command"))
+        builder.Connect(motion.get_output_port(), self.station.GetInputPort("phantom_command"))
         self._force = LogVectorOutput(self.station.GetOutputPort("contact_force"), builder, 0.005)
         self.simulator = Simulator(builder.Build())
 

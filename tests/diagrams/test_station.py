@@ -38,8 +38,8 @@ class Bench:
         rest = np.concatenate([parameters.X_WT.translation(), np.zeros(3)])
         if phantom is None:
             phantom = PiecewisePolynomial.FirstOrderHold([0, 100], np.array([rest, rest]).T)
-        stage = builder.AddSystem(PhantomMotion(trajectory=phantom))
-        for name, source in (("joint_command", arm), ("phantom_command", stage)):
+        motion = builder.AddSystem(PhantomMotion(trajectory=phantom))
+        for name, source in (("joint_command", arm), ("phantom_command", motion)):
             builder.Connect(source.get_output_port(), self.station.GetInputPort(name))
         self.simulator = Simulator(builder.Build())
         self.simulator.Initialize()
