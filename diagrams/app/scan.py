@@ -96,7 +96,7 @@ def _scan(
         time = float(max(np.linspace(0, scenario.duration, 200), key=insertion.depth))
     require_not_negative(time=time)
     renderer = SweepRenderer(
-        transducer=load_transducer(scenario.transducer),
+        transducer=load_transducer(scenario.probe),
         imaging=scenario.imaging,
         tissue=replace(load_tissue(scenario.phantom), seed=seeds.tissue),
         parameters=scenario.scanner,
@@ -158,7 +158,7 @@ def caption(scan: Scan, scenario: FollowingScenario) -> str:
     """Return a line that says what was scanned with what."""
     geometry, imaging = scan.sweep.geometry, scenario.imaging
     return (
-        f"{Path(scenario.transducer).stem} at {1e-6 * imaging.transmit_frequency:.1f} MHz:  "
+        f"{Path(scenario.probe).stem} at {1e-6 * imaging.transmit_frequency:.1f} MHz:  "
         f"{imaging.volume_rate:g} volumes/s,  {geometry.frames} frames x {geometry.lines} lines x "
         f"{geometry.samples} samples,  {1e3 * geometry.depth:.0f} mm deep"
     )
@@ -172,7 +172,7 @@ def summarize_scan(scan: Scan, scenario: FollowingScenario) -> dict[str, Any]:
         "scenario": scenario.name,
         "seed": scenario.seed,
         "time_s": scan.volume.time,
-        "transducer": scenario.transducer,
+        "transducer": scenario.probe,
         "volume_rate_hz": scenario.imaging.volume_rate,
         "frames_lines_samples": list(geometry.shape),
         "voxels": list(scan.volume.intensities.shape),

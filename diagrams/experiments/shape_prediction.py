@@ -89,7 +89,7 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
         self.X_WP = RigidTransform(X_TI.rotation(), [x, y, scenario.face])
         imaging = replace(scenario.imaging, volume_rate=1 / scenario.period, frames=1)
         self.scanner = Scanner(
-            transducer=load_transducer(scenario.transducer),
+            transducer=load_transducer(scenario.probe),
             imaging=imaging,
             tissue=tissue,
             parameters=scenario.scanner,

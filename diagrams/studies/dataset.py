@@ -102,7 +102,7 @@ def make_dataset(
     settings = {
         "scenario": scenario.to_yaml(),
         "volumes": volumes,
-        "transducers": list(transducers) or [scenario.transducer],
+        "transducers": list(transducers) or [scenario.probe],
     }
     seeds = range(scenario.seed, scenario.seed + count)
     cases = [Case("sequence", seed, settings) for seed in seeds]

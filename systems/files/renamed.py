@@ -20,6 +20,7 @@ _RENAMED = {
     "published": "published_figures",
     "min_radius": "bend_radius",
     "speed": "feed.speed",
+    "transducer": "probe",
 }
 _PREFIXES = {"least_": "min_", "largest_": "max_", "greatest_": "max_"}
 _SUFFIXES = {"_deviation": "_std"}
