@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from sonoservo.diagrams.experiment import Experiment
-from sonoservo.diagrams.scenario import load_scenario
+from sonoservo.diagrams.experiments.registry import load_scenario, make_experiment
 from sonoservo.systems.evaluation.run_log import read_log, write_log
 
 
@@ -12,7 +11,7 @@ def test_a_scenario_runs_with_seven_joints_and_logs_them(tmp_path):
         "chatelain2013_fig5",
         changes=["station.arm=lbr_iiwa_14", "duration=2", "station.probe.height=0.006"],
     )
-    experiment = Experiment(scenario)
+    experiment = make_experiment(scenario)
     experiment.run()
     log = experiment.log()
     assert log.joint_state.shape == (len(log.time), 14)
