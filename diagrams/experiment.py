@@ -131,7 +131,6 @@ class Experiment:
             parameters=scenario.tracker,
             period=self._volume_period,
             offset=self._first_volume,
-            dynamic_range_db=scenario.imaging.dynamic_range_db,
             seed=seeds.tracker,
         )
         self.probe_controller = MakeProbeController(parameters=scenario.controller)
@@ -164,10 +163,7 @@ class Experiment:
         if record is not None:
             self._recorder = systems["volume_recorder"] = VolumeRecorder(
                 path=record,
-                settings={
-                    "dynamic_range_db": scenario.imaging.dynamic_range_db,
-                    "tracker_seed": seeds.tracker,
-                },
+                settings={"tracker_seed": seeds.tracker},
                 sweeps=record_sweeps,
                 period=self._volume_period,
                 offset=self._first_volume + 2 * _INSTANT,

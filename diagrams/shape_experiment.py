@@ -95,11 +95,7 @@ class ShapeExperiment:
         self._first = events["offset"]
         self.slice_converter = SliceConverter(geometry=geometry, spacing=scenario.pixel)
         self.cross_section_tracker = CrossSectionTracker(
-            parameters=replace(
-                scenario.tracker,
-                needle_radius=OUTER_DIAMETER[hand.gauge] / 2,
-                decibels_per_level=imaging.dynamic_range_db / 255,
-            ),
+            parameters=replace(scenario.tracker, needle_radius=OUTER_DIAMETER[hand.gauge] / 2),
             **events,
         )
         self.shape_estimator = self.make_estimator(scenario.estimator)

@@ -67,7 +67,7 @@ WindowOption = Annotated[
 ]
 OrderOption = Annotated[int, typer.Option(help="2 for a straight needle, 3 for a bent one.")]
 DynamicRangeOption = Annotated[
-    float | None, typer.Option(help="dB from black to white; 60 unless the recorder noted it.")
+    float | None, typer.Option(help="dB from black to white; 60 unless the file tells it.")
 ]
 RateOption = Annotated[
     float | None, typer.Option(help="Volumes per second, for a file that tells no times.")
@@ -231,14 +231,20 @@ def track_command(
 ) -> None:
     """Track a needle through recorded volumes; end with a folder of results."""
     parameters = tracker_parameters(tracker, order=order, start=start)
-    opened = Recording(recording, depth=depth, window=window, volume_rate=volume_rate, poses=poses)
+    opened = Recording(
+        recording,
+        depth=depth,
+        window=window,
+        dynamic_range_db=dynamic_range_db,
+        volume_rate=volume_rate,
+        poses=poses,
+    )
     folder = out or Path("out") / f"{recording.name.partition('.')[0]}_track"
     monitor = start_monitor(_console, host) if show else None
     with VolumeProgress(_console, recording.name, len(opened)) as progress:
         result = track_recording(
             opened,
             parameters=parameters,
-            dynamic_range_db=dynamic_range_db,
             seed=seed,
             real_time=real_time,
             monitor=monitor,
@@ -267,8 +273,15 @@ def locate_command(
 ) -> None:
     """Find the needle in one volume, in the file's coordinates; exit code 1 if there is none."""
     # Neither times nor poses matter for a single volume.
-    opened = Recording(volume, depth=depth, window=window, volume_rate=1.0, poses="none")
-    found = locate_in_recording(opened, number, order=order, dynamic_range_db=dynamic_range_db)
+    opened = Recording(
+        volume,
+        depth=depth,
+        window=window,
+        dynamic_range_db=dynamic_range_db,
+        volume_rate=1.0,
+        poses="none",
+    )
+    found = locate_in_recording(opened, number, order=order)
     for name, value in found.items():
         shown = np.round(value, 3).tolist() if isinstance(value, list | float) else value
         _console.print(f"{name}: {shown}", soft_wrap=True, highlight=False)

@@ -113,7 +113,11 @@ def _scan(
     poses[:, :3, 3] = (times - time)[:, np.newaxis] * np.array(velocity)
     poses = X_TP.GetAsMatrix4() @ poses
     samples = renderer.render(poses, needles, 1, 0)
-    sweep = Sweep(samples, SweepMotion(geometry, 1, times, X_WT.GetAsMatrix4() @ poses))
+    sweep = Sweep(
+        samples,
+        SweepMotion(geometry, 1, times, X_WT.GetAsMatrix4() @ poses),
+        renderer.decibels_per_level,
+    )
     parameters = scenario.scan_conversion
     conversion = ScanConversion(
         geometry,
@@ -143,7 +147,6 @@ def write_scan(scan: Scan, scenario: Scenario, out: Path) -> list[Path]:
         scan.sweep,
         scan.volume,
         scan.needle,
-        dynamic_range_db=scenario.imaging.dynamic_range_db,
         caption=caption(scan, scenario),
     )
     return [

@@ -156,8 +156,7 @@ def _make_sequence(case: Case, *, out: Path) -> dict[str, Any]:
         renderer.geometry, make_grid(renderer.geometry, scenario.scan_conversion.spacing)
     )
     labels = []
-    settings = {"dynamic_range_db": scenario.imaging.dynamic_range_db}
-    with RecordingWriter(folder / "volumes.seq.nrrd", settings) as writer:
+    with RecordingWriter(folder / "volumes.seq.nrrd") as writer:
         for number in range(case.settings["volumes"]):
             volume = _acquire(renderer, conversion, insertion, X_TP, number)
             needle = needle_as_acquired(volume, insertion)
@@ -312,7 +311,9 @@ def _acquire(
     poses = np.tile(X_TP.GetAsMatrix4(), (geometry.frames, 1, 1))
     needles = [insertion.needle(float(time)) for time in times]
     samples = renderer.render(poses, needles, direction, number)
-    return conversion(Sweep(samples, SweepMotion(geometry, direction, times, poses)))
+    return conversion(
+        Sweep(samples, SweepMotion(geometry, direction, times, poses), renderer.decibels_per_level)
+    )
 
 
 def needle_as_acquired(volume: Volume, insertion: Insertion) -> Needle:

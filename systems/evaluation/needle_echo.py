@@ -67,7 +67,7 @@ def measure_needle_echo(
     axis = shaft[0] + distance[:, np.newaxis] * along
     offsets = np.arange(-_NEAR, _NEAR + _STEP, _STEP)[:, np.newaxis] * normal
     grey, inside = sample(sweep, axis[:, np.newaxis] + offsets)
-    level = np.where(inside, (grey - imaging.tissue_grey) / imaging.grey_per_db, -np.inf)
+    level = np.where(inside, sweep.decibels_per_level * (grey - imaging.tissue_grey), -np.inf)
     crest = level.max(axis=1)
     shown = np.isfinite(crest)
     smooth = uniform_filter1d(np.where(shown, crest, 0), round(1e-3 / _STEP))
@@ -77,7 +77,7 @@ def measure_needle_echo(
     grey, _ = sample(sweep, axis[brightest] + across[:, np.newaxis] * normal)
     peak = crest[brightest]
     bright = np.flatnonzero(
-        (grey - imaging.tissue_grey) / imaging.grey_per_db > peak + _THICKNESS_DB
+        sweep.decibels_per_level * (grey - imaging.tissue_grey) > peak + _THICKNESS_DB
     )
     return NeedleEchoFigures(
         peak_db=float(peak),

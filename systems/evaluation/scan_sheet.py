@@ -48,9 +48,7 @@ class View:
     rows: Floats
 
 
-def scan_sheet(
-    sweep: Sweep, volume: Volume, needle: Needle, *, dynamic_range_db: float, caption: str
-) -> Figure:
+def scan_sheet(sweep: Sweep, volume: Volume, needle: Needle, *, caption: str) -> Figure:
     """Return a figure of a frame in the shape of its sector, and three slices through the sweep.
 
     Slices are interpolated from the samples of the sweep. A dotted line goes around the true
@@ -64,8 +62,6 @@ def scan_sheet(
         The same sweep, converted: how far the slices reach, and from where they were seen.
     needle
         The true needle in W, possibly empty.
-    dynamic_range_db
-        Range of the grey levels from 0 to 255.
     caption
         What the scanner was set to.
     """
@@ -81,9 +77,9 @@ def scan_sheet(
     for each in axes[len(views) :]:
         each.set_visible(False)
     bar = figure.colorbar(image, ax=axes, shrink=0.5, aspect=32, pad=0.02)
-    decibels = np.arange(0, dynamic_range_db + 1e-9, 10)
+    decibels = np.arange(0, 255 * sweep.decibels_per_level + 1e-9, 10)
     bar.set_ticks(
-        255 * (1 - decibels / dynamic_range_db), labels=[f"{0 - d:.0f}" for d in decibels]
+        255 - decibels / sweep.decibels_per_level, labels=[f"{0 - d:.0f}" for d in decibels]
     )
     bar.set_label("echo amplitude, dB", color=_INK)
     bar.ax.tick_params(colors=_INK)

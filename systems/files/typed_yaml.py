@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 import yaml
 from pydrake.common.yaml import yaml_load_typed
 
-from sonoservo.systems.files.renamed import current_name
+from sonoservo.systems.files.renamed import current_name, removed
 
 T = TypeVar("T")
 
@@ -149,6 +149,8 @@ def _check(schema: Any, value: Any, source: str, path: str) -> None:
             if key not in fields:
                 if now := current_name(str(key), fields):
                     raise ConfigurationError(f"{source}: {where}: is now called {now!r}")
+                if instead := removed(str(key)):
+                    raise ConfigurationError(f"{source}: {where}: {instead}")
                 raise ConfigurationError(
                     f"{source}: {where}: unknown field; {suggest(str(key), fields)}"
                 )

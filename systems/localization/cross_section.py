@@ -43,8 +43,6 @@ class CrossSectionParameters:
         that a start on the wrong one does not last.
     needle_radius
         In m; the front wall's echo is this much closer to the probe than the axis.
-    decibels_per_level
-        Of the intensities.
     """
 
     template: list[float] = field(default_factory=lambda: [6e-3, 6e-3])
@@ -54,12 +52,9 @@ class CrossSectionParameters:
     vertex: list[float] = field(default_factory=lambda: [0.6e-3, 0.2e-3])
     search: list[float] = field(default_factory=lambda: [0.8e-3, 1.1e-3])
     needle_radius: float = 0.635e-3
-    decibels_per_level: float = 60 / 255
 
     def __post_init__(self) -> None:
-        require_positive(
-            needle_radius=self.needle_radius, decibels_per_level=self.decibels_per_level
-        )
+        require_positive(needle_radius=self.needle_radius)
         for name in ("template", "vertex", "search"):
             value = getattr(self, name)
             require(len(value) == 2 and min(value) > 0, name, value, "two lengths in m above 0")
@@ -190,7 +185,7 @@ def _at(
     if isinstance(head, NotFound):
         return head
     at = tuple(np.rint(image.index(head)).astype(int))
-    contrast = parameters.decibels_per_level * (float(image.intensities[at]) - mean)
+    contrast = image.decibels_per_level * (float(image.intensities[at]) - mean)
     if contrast < parameters.min_contrast_db:
         return NotFound(
             f"the echo is only {contrast:.0f} dB over the tissue; "

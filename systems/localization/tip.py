@@ -41,8 +41,6 @@ class TipParameters:
         Length of needle whose greatest contrast is the end's level, in m.
     beam_width
         Width of the beam along the needle at half amplitude, in m: it blurs the tip outwards.
-    decibels_per_level
-        dB per unit of a voxel's intensity.
     """
 
     step: float = 0.25e-3
@@ -54,7 +52,6 @@ class TipParameters:
     end_contrast: float = 6.0
     end_length: float = 4e-3
     beam_width: float = 2.4e-3
-    decibels_per_level: float = 60 / 255
 
     def __post_init__(self) -> None:
         require_positive(
@@ -67,7 +64,6 @@ class TipParameters:
             end_contrast=self.end_contrast,
             end_length=self.end_length,
             beam_width=self.beam_width,
-            decibels_per_level=self.decibels_per_level,
         )
 
 
@@ -161,8 +157,8 @@ def axis_profile(
     beside[0, np.all(np.isnan(beside), axis=0)] = 0.0
     return AxisProfile(
         a,
-        maxima[0].clip(0) * parameters.decibels_per_level,
-        np.nanmedian(beside, axis=0) * parameters.decibels_per_level,
+        maxima[0].clip(0) * volume.decibels_per_level,
+        np.nanmedian(beside, axis=0) * volume.decibels_per_level,
         seen,
     )
 

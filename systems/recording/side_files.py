@@ -17,6 +17,7 @@ from pydrake.math import RigidTransform
 from sonoservo.systems.files.typed_yaml import ConfigurationError
 from sonoservo.systems.recording.sequence_writer import SUFFIX, partial_path
 from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.requirements import require_positive
 from sonoservo.systems.signals.sweep import SweepGeometry, SweepMotion
 from sonoservo.systems.signals.volume import Volume
 
@@ -85,6 +86,7 @@ def describe_grid(volume: Volume) -> dict[str, Any]:
     return {
         "origin": volume.origin.tolist(),
         "spacing": volume.spacing.tolist(),
+        "decibels_per_level": volume.decibels_per_level,
         "geometry": asdict(volume.motion.geometry) if volume.motion else None,
     }
 
@@ -114,6 +116,8 @@ class Acquisition:
         X_WP of each.
     motions
         Of each; None if that is not known.
+    decibels_per_level
+        dB per grey level of all volumes; None if the file does not tell it.
     settings
         What else the first line holds.
     """
@@ -123,6 +127,7 @@ class Acquisition:
     times: list[float]
     poses: list[RigidTransform]
     motions: list[SweepMotion | None]
+    decibels_per_level: float | None
     settings: dict[str, Any]
 
 
@@ -144,10 +149,20 @@ def read_acquisition(path: Path) -> Acquisition:
             [float(line["time"]) for line in lines],
             [RigidTransform(np.array(line["X_WP"], float)) for line in lines],
             [_motion(swept, line) for line in lines],
+            _scale(first),
             first,
         )
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         raise ConfigurationError(f"{path}: damaged: {' '.join(str(error).split())}") from error
+
+
+def _scale(first: dict[str, Any]) -> float | None:
+    """Take dB per grey level out of a first line; older files tell the range of 0 to 255."""
+    range_db = first.pop("dynamic_range_db", None)
+    scale = first.pop("decibels_per_level", None if range_db is None else range_db / 255)
+    if scale is not None:
+        require_positive(decibels_per_level=scale)
+    return scale
 
 
 def _motion(geometry: SweepGeometry | None, line: dict[str, Any]) -> SweepMotion | None:

@@ -8,6 +8,7 @@ from pydrake.math import RigidTransform
 
 from sonoservo.systems.signals.immutable import Immutable, read_only
 from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +31,8 @@ class ImageSlice(Immutable):
     apex
         y in P, in m, of the point on x = 0 where the beams come from, above the face; -inf if they
         are parallel.
+    decibels_per_level
+        dB per unit of intensity.
 
     Raises
     ------
@@ -43,6 +46,7 @@ class ImageSlice(Immutable):
     X_WP: RigidTransform
     time: float
     apex: float = -np.inf
+    decibels_per_level: float = DECIBELS_PER_LEVEL
 
     def __post_init__(self) -> None:
         array = read_only(self.intensities, "intensities", (None, None), np.uint8)
@@ -52,6 +56,7 @@ class ImageSlice(Immutable):
         object.__setattr__(self, "spacing", read_only(self.spacing, "spacing", (2,)))
         require_positive(**{f"spacing[{axis}]": s for axis, s in enumerate(self.spacing)})
         require(bool(np.isfinite(self.time)), "time", self.time, "finite")
+        require_positive(decibels_per_level=self.decibels_per_level)
 
     def position(self, index: ArrayLike) -> NDArray[np.float64]:
         """(..., 2) x and y in P, in m, of elements (fractions allowed)."""

@@ -9,6 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 from sonoservo.systems.signals.immutable import Immutable, read_only
 from sonoservo.systems.signals.requirements import require, require_positive
 
+DECIBELS_PER_LEVEL = 60 / 255
+"""dB per grey level of an image that does not say otherwise: 0 to 255 show 60 dB."""
+
 
 @dataclass(frozen=True)
 class SweepGeometry(Immutable):
@@ -252,12 +255,16 @@ class Sweep(Immutable):
         (frames, lines, samples) uint8, log-compressed.
     motion
         When and from where each frame was acquired.
+    decibels_per_level
+        dB per grey level.
     """
 
     samples: NDArray[np.uint8]
     motion: SweepMotion
+    decibels_per_level: float = DECIBELS_PER_LEVEL
 
     def __post_init__(self) -> None:
+        require_positive(decibels_per_level=self.decibels_per_level)
         shape = self.motion.geometry.shape
         object.__setattr__(self, "samples", read_only(self.samples, "samples", shape, np.uint8))
 

@@ -8,7 +8,7 @@ from pydrake.math import RigidTransform
 
 from sonoservo.systems.signals.immutable import Immutable, read_only
 from sonoservo.systems.signals.requirements import require, require_positive
-from sonoservo.systems.signals.sweep import SweepMotion
+from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL, SweepMotion
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +32,8 @@ class Volume(Immutable):
     motion
         When and from where each frame was acquired; None if that is not known, and then the whole
         volume counts as acquired at ``time`` from ``X_WP``.
+    decibels_per_level
+        dB per unit of intensity.
 
     Raises
     ------
@@ -46,6 +48,7 @@ class Volume(Immutable):
     X_WP: RigidTransform
     time: float
     motion: SweepMotion | None = None
+    decibels_per_level: float = DECIBELS_PER_LEVEL
 
     def __post_init__(self) -> None:
         array = np.asarray(self.intensities)
@@ -57,6 +60,7 @@ class Volume(Immutable):
         object.__setattr__(self, "spacing", read_only(self.spacing, "spacing", (3,)))
         require_positive(**{f"spacing[{axis}]": s for axis, s in enumerate(self.spacing)})
         require(bool(np.isfinite(self.time)), "time", self.time, "finite")
+        require_positive(decibels_per_level=self.decibels_per_level)
 
     @property
     def upper(self) -> NDArray[np.float64]:

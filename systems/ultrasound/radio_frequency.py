@@ -72,7 +72,7 @@ def detect_envelope(
         int(min(depth / geometry.sample_pitch, geometry.samples)) for depth in (near, far)
     )
     _detect_peaks(sweep.lines, grey, step, begin, end, table, np.uint32(_DISCARDED_BITS))
-    return Sweep(grey, replace(sweep.motion, geometry=geometry))
+    return Sweep(grey, replace(sweep.motion, geometry=geometry), dynamic_range_db / 255)
 
 
 def detected_geometry(geometry: SweepGeometry, step: int) -> SweepGeometry:

@@ -172,6 +172,7 @@ class ScanConversion:
             X_WP=RigidTransform(motion.X_WP[middle]),
             time=float(motion.times[middle]),
             motion=motion,
+            decibels_per_level=sweep.decibels_per_level,
         )
 
     def convert(self, samples: NDArray[np.uint8], direction: int) -> NDArray[np.uint8]:

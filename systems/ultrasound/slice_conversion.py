@@ -48,4 +48,12 @@ class SliceConversion:
         """Convert the sweep's only frame."""
         picture = map_coordinates(sweep.samples[0], self._index, order=1, prefilter=False)
         X_WP = RigidTransform(sweep.motion.X_WP[0])
-        return ImageSlice(picture, self._origin, self._spacing, X_WP, sweep.motion.time, self._apex)
+        return ImageSlice(
+            picture,
+            self._origin,
+            self._spacing,
+            X_WP,
+            sweep.motion.time,
+            self._apex,
+            sweep.decibels_per_level,
+        )

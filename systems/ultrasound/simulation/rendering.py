@@ -80,6 +80,8 @@ class SweepRenderer:
         Of the sweeps.
     beam
         Widths of the point spread function.
+    decibels_per_level
+        dB per grey level.
     """
 
     def __init__(
@@ -94,6 +96,7 @@ class SweepRenderer:
         require_not_negative(seed=seed)
         self.geometry: SweepGeometry = sweep_geometry(transducer, imaging)
         self.beam: Beam = beam_profile(transducer, imaging, self.geometry)
+        self.decibels_per_level = imaging.decibels_per_level
         self._parameters = parameters
         self._imaging = imaging
         self._seed = seed

@@ -147,4 +147,8 @@ class Scanner(LeafSystem):
             X_TP, [frame.needle for frame in frames], snapshots.direction, snapshots.number
         )
         times = np.array([frame.time for frame in frames])
-        return Sweep(samples, SweepMotion(self.geometry, snapshots.direction, times, X_WP))
+        return Sweep(
+            samples,
+            SweepMotion(self.geometry, snapshots.direction, times, X_WP),
+            self._renderer.decibels_per_level,
+        )

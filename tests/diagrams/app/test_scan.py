@@ -70,8 +70,7 @@ def test_without_a_needle_the_probe_is_where_the_scenario_starts(scenario):
     np.testing.assert_allclose(empty.volume.X_WP.GetAsMatrix4(), start.GetAsMatrix4(), atol=1e-12)
     assert summarize_scan(empty, scenario)["inserted_mm"] == 0
     figure = scan_sheet(
-        empty.sweep, empty.volume, empty.needle, dynamic_range_db=60.0,
-        caption=caption(empty, scenario),
+        empty.sweep, empty.volume, empty.needle, caption=caption(empty, scenario),
     )  # fmt: skip
     assert sum(axes.get_visible() and axes.get_title(loc="left") != "" for axes in figure.axes) == 3
 
@@ -82,16 +81,14 @@ def test_a_needle_beside_the_sector_is_left_out(scenario):
     beside = scan(scenario, time=6.0, X_TP=away)
     assert beside.needle
     figure = scan_sheet(
-        beside.sweep, beside.volume, beside.needle, dynamic_range_db=60.0,
-        caption=caption(beside, scenario),
+        beside.sweep, beside.volume, beside.needle, caption=caption(beside, scenario),
     )  # fmt: skip
     assert not any(axes.texts for axes in figure.axes)
 
 
 def test_the_sheet_reads_in_millimetres_and_decibels(scenario, shown):
     figure = scan_sheet(
-        shown.sweep, shown.volume, shown.needle, dynamic_range_db=60.0,
-        caption=caption(shown, scenario),
+        shown.sweep, shown.volume, shown.needle, caption=caption(shown, scenario),
     )  # fmt: skip
     frame, along, across, elevation, bar = figure.axes
     left, right, bottom, top = frame.images[0].get_extent()

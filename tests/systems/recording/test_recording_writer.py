@@ -4,6 +4,7 @@ import json
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 
 import nrrd
 import numpy as np
@@ -46,7 +47,7 @@ def recorded(tmp_path, volumes):
 
 def assert_equal(volume, other):
     np.testing.assert_array_equal(volume.intensities, other.intensities)
-    for name in ("origin", "spacing", "time"):
+    for name in ("origin", "spacing", "time", "decibels_per_level"):
         np.testing.assert_array_equal(getattr(volume, name), getattr(other, name))
     np.testing.assert_array_equal(volume.X_WP.GetAsMatrix4(), other.X_WP.GetAsMatrix4())
     if other.motion is not None:
@@ -141,12 +142,16 @@ def test_what_cannot_be_recorded_is_refused(tmp_path, volumes):
     writer.append(volumes[0])
     with pytest.raises(ValueError, match="another grid"):
         writer.append(Scene(seed=1, spacing=3e-3).volume(1))
+    with pytest.raises(ValueError, match="another scale"):
+        writer.append(replace(volumes[1], decibels_per_level=0.1))
 
 
 def test_volumes_of_an_unknown_motion(tmp_path):
     path = tmp_path / "a.seq.nrrd"
     array = np.random.default_rng(0).random((4, 5, 6)).astype(np.float32) * 255
-    volume = Volume(array, [0.1, 0.2, 0.3], [1e-3, 2e-3, 3e-3], pose(1), 1 / 3)
+    volume = Volume(
+        array, [0.1, 0.2, 0.3], [1e-3, 2e-3, 3e-3], pose(1), 1 / 3, decibels_per_level=0.1
+    )
     with RecordingWriter(path) as writer:
         writer.append(volume)
     (read,) = Recording(path)
