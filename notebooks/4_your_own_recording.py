@@ -14,8 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from pydrake.math import RigidTransform
 
-from sonoservo.diagrams import load_scenario, run, track, track_recording
-from sonoservo.diagrams.app import locate
+from sonoservo.diagrams import load_scenario, locate, run, track, track_recording
 from sonoservo.systems.display.monitor.monitor import Monitor
 from sonoservo.systems.evaluation.track_plots import picture_planes, plot_planes
 from sonoservo.systems.recording.recording import Recording

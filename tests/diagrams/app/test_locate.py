@@ -9,7 +9,7 @@ from pydrake.math import RollPitchYaw
 from random_scans import random_scan
 from scipy.ndimage import map_coordinates
 
-from sonoservo.diagrams.app import locate
+from sonoservo.diagrams import locate
 from sonoservo.diagrams.app.locate import locate_in, locate_in_recording
 from sonoservo.systems.files.typed_yaml import ConfigurationError
 from sonoservo.systems.recording.nrrd import write_volume

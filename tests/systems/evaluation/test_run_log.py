@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import sonoservo.systems.recording as recording
+from sonoservo.systems import evaluation
 from sonoservo.systems.evaluation.run_log import FORMAT, column_table, columns, read_log, write_log
 
 
@@ -61,5 +61,5 @@ def test_arrays_must_agree(insertion_log):
 
 
 def test_the_readme_names_every_array():
-    readme = Path(recording.__file__).with_name("README.md").read_text()
+    readme = Path(evaluation.__file__).with_name("README.md").read_text()
     assert column_table() in readme

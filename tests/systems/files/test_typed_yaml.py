@@ -65,7 +65,7 @@ def test_loads_over_defaults():
     [
         ({"front": {"spoke": 3}}, "front.spoke: unknown field; did you mean 'spokes'?"),
         ({"zzz": 3}, "zzz: unknown field; known: basket, bell"),
-        ({"least_tread": 3}, "x: least_tread: is now called 'min_tread'"),
+        ({"least_tread": 3}, ": least_tread: is now called 'min_tread'"),
         ({"front": 3}, "front: 3 is not allowed; a mapping is wanted"),
         (
             {"front": {"radius": "abc"}},

@@ -113,7 +113,7 @@ def test_same_seed_same_result():
 
 
 @pytest.mark.parametrize(
-    ("field", "value"), [("failure", 1.0), ("residual_threshold", 0.0), ("refits", -1)]
+    ("field", "value"), [("stop_probability", 1.0), ("residual_threshold", 0.0), ("refits", -1)]
 )
 def test_parameters_are_checked(field, value):
     with pytest.raises(ValueError, match=field):

@@ -213,7 +213,7 @@ def test_leaf_says_what_is_missing(current, previous, track, reason):
         ("kernel", [11, 9]),
         ("search", [9, 15, 15]),
         ("min_correlation", 1.0),
-        ("deviation", [0.1, 0.1, 0.0]),
+        ("displacement_std", [0.1, 0.1, 0.0]),
         ("max_distance", 0.0),
     ],
 )
