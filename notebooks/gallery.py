@@ -16,7 +16,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from sonoservo.diagrams.app.scan import scan
 from sonoservo.diagrams.scenario import load_scenario
 from sonoservo.systems.evaluation.needle_echo import measure_needle_echo
-from sonoservo.systems.ultrasound.planes import Plane, sample_plane
+from sonoservo.systems.signals.planes import Plane, sample_plane
 
 ANGLES = [0, 5, 10, 20, 40]
 DEPTH = 0.045

@@ -11,6 +11,7 @@ from scipy.special import ndtri
 
 from sonoservo.systems.localization.axis import Axis
 from sonoservo.systems.localization.candidates import acquired_from
+from sonoservo.systems.sampling.interpolation import trilinear
 from sonoservo.systems.signals.immutable import Immutable, NotFound, read_only
 from sonoservo.systems.signals.requirements import require_positive
 from sonoservo.systems.signals.volume import Volume
@@ -81,15 +82,7 @@ def _tube_maxima(  # pragma: no cover - compiled
             z = (centres[m, 2] + offsets[q, 2] - origin[2]) / spacing[2]
             if not (0 <= x <= nx - 1 and 0 <= y <= ny - 1 and 0 <= z <= nz - 1):
                 continue
-            i, j, k = min(int(x), nx - 2), min(int(y), ny - 2), min(int(z), nz - 2)
-            x, y, z = x - i, y - j, z - k
-            value = 0.0
-            for di in range(2):
-                for dj in range(2):
-                    for dk in range(2):
-                        weight = (x if di else 1 - x) * (y if dj else 1 - y) * (z if dk else 1 - z)
-                        value += weight * float(intensities[i + di, j + dj, k + dk])
-            maxima[m] = max(maxima[m], value)
+            maxima[m] = max(maxima[m], trilinear(intensities, x, y, z))
     return maxima
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates, uniform_filter1d
+from scipy.ndimage import uniform_filter1d
 
 from sonoservo.systems.localization.line_search import bright_lines
 from sonoservo.systems.localization.tip import best_stretch
@@ -116,9 +116,7 @@ def find_needle_line(
 
 def _sample(volume: Volume, p_P: Floats) -> NDArray[np.float32]:
     """Levels in dB at (..., 3) positions in P; 0 outside the grid."""
-    index = np.moveaxis((p_P - volume.origin) / volume.spacing, -1, 0)
-    grey = map_coordinates(volume.intensities, index, np.float32, order=1, mode="constant")
-    return np.asarray(volume.decibels_per_level * grey)
+    return np.asarray(volume.decibels_per_level * volume.sample(p_P))
 
 
 def _across(ends: Floats) -> tuple[Floats, Floats]:

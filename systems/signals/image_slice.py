@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform
 
+from sonoservo.systems.sampling.interpolation import sample_grid
 from sonoservo.systems.signals.immutable import Immutable, read_only
 from sonoservo.systems.signals.requirements import require, require_positive
 from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL
@@ -65,6 +66,22 @@ class ImageSlice(Immutable):
     def index(self, p_P: ArrayLike) -> NDArray[np.float64]:
         """(..., 2) element (fractions) at x and y in P, in m."""
         return (np.asarray(p_P) - self.origin) / self.spacing
+
+    def sample(self, p_P: ArrayLike, outside: float | None = 0.0) -> NDArray[np.float32]:
+        """Return intensities at x and y in P, by bilinear interpolation.
+
+        Parameters
+        ----------
+        p_P
+            (..., 2) x and y in m.
+        outside
+            Intensity outside the grid; None takes that of the nearest point on its edge.
+
+        Returns
+        -------
+        (...) array.
+        """
+        return sample_grid(self.intensities, p_P, self.origin, self.spacing, outside)
 
     def beam_direction(self, p_P: ArrayLike) -> NDArray[np.float64]:
         """(2,) unit vector along the beam through x and y in P, away from the probe."""

@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sonoservo.systems.sampling.interpolation import sample_grid
 from sonoservo.systems.signals.immutable import Immutable, read_only
 from sonoservo.systems.signals.requirements import require, require_positive
 
@@ -272,3 +273,20 @@ class Sweep(Immutable):
     def geometry(self) -> SweepGeometry:
         """Where the samples lie."""
         return self.motion.geometry
+
+    def sample(self, p_P: ArrayLike, outside: float | None = 0.0) -> NDArray[np.float32]:
+        """Return grey levels at positions in P of a probe at rest, by trilinear interpolation.
+
+        Parameters
+        ----------
+        p_P
+            (..., 3) positions in m.
+        outside
+            Grey level outside the sector; None takes that of the nearest sample on its edge.
+
+        Returns
+        -------
+        (...) array.
+        """
+        index = np.stack(self.geometry.index(p_P, self.motion.direction), axis=-1)
+        return sample_grid(self.samples, index, np.zeros(3), np.ones(3), outside)

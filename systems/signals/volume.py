@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform
 
+from sonoservo.systems.sampling.interpolation import sample_grid
 from sonoservo.systems.signals.immutable import Immutable, read_only
 from sonoservo.systems.signals.requirements import require, require_positive
 from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL, SweepMotion
@@ -74,6 +75,22 @@ class Volume(Immutable):
     def index(self, p_P: ArrayLike) -> NDArray[np.float64]:
         """(..., 3) elements, fractions included, of positions in P, in m."""
         return np.asarray((np.asarray(p_P, dtype=float) - self.origin) / self.spacing)
+
+    def sample(self, p_P: ArrayLike, outside: float | None = 0.0) -> NDArray[np.float32]:
+        """Return intensities at positions in P, by trilinear interpolation.
+
+        Parameters
+        ----------
+        p_P
+            (..., 3) positions in m.
+        outside
+            Intensity outside the grid; None takes that of the nearest point on its edge.
+
+        Returns
+        -------
+        (...) array.
+        """
+        return sample_grid(self.intensities, p_P, self.origin, self.spacing, outside)
 
     def at_once(self) -> "Volume":
         """Return the same as if all of it had been acquired at ``time``, from ``X_WP``."""
