@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
 from sonoservo.diagrams.scenario import Scenario
@@ -22,6 +21,7 @@ from sonoservo.systems.signals.requirements import require_not_negative
 from sonoservo.systems.signals.sweep import Sweep, SweepMotion
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
+from sonoservo.systems.ultrasound.simulation.acquisition import acquire_sweep
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
 from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
 from sonoservo.systems.ultrasound.transducer import load_transducer
@@ -101,10 +101,10 @@ def _scan(
         seed=seeds.noise,
     )
     geometry, station = renderer.geometry, scenario.station
-    frames = np.arange(geometry.frames, dtype=np.float64)
-    times: NDArray[np.float64] = time + geometry.frame_period * (frames - geometry.frames // 2)
+    middle = geometry.frames // 2
+    times = geometry.frame_times(time, since=middle)
     needles = [insertion.needle(float(each)) for each in times]
-    needle = needles[geometry.frames // 2]
+    needle = needles[middle]
     X_WT = station.X_WT
     if X_TP is None:
         x, y = needle.tip[:2] if needle else (None, None)
@@ -112,12 +112,8 @@ def _scan(
     poses = np.tile(np.eye(4), (geometry.frames, 1, 1))
     poses[:, :3, 3] = (times - time)[:, np.newaxis] * np.array(velocity)
     poses = X_TP.GetAsMatrix4() @ poses
-    samples = renderer.render(poses, needles, 1, 0)
-    sweep = Sweep(
-        samples,
-        SweepMotion(geometry, 1, times, X_WT.GetAsMatrix4() @ poses),
-        renderer.decibels_per_level,
-    )
+    motion = SweepMotion(geometry, 1, times, X_WT.GetAsMatrix4() @ poses)
+    sweep = acquire_sweep(renderer, motion, needles, X_TP=poses)
     parameters = scenario.scan_conversion
     conversion = ScanConversion(
         geometry,

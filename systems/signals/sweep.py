@@ -2,9 +2,11 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydrake.math import RigidTransform
 
 from sonoservo.systems.sampling.interpolation import sample_grid
 from sonoservo.systems.signals.immutable import Immutable, read_only
@@ -110,6 +112,23 @@ class SweepGeometry(Immutable):
         """From the motor's axis to the array's centre of curvature, in m."""
         return self.array_radius - self.motor_radius
 
+    def frame_times(
+        self, time: float, direction: int = 1, *, since: int = 0
+    ) -> NDArray[np.float64]:
+        """Return when each frame is acquired, (frames,), in s.
+
+        Parameters
+        ----------
+        time
+            When the sweep begins, in s, or has made ``since`` frames.
+        direction
+            +1 for a sweep towards +Z, -1 towards -Z.
+        since
+            Number of frames that have been made at that time.
+        """
+        order = np.arange(self.frames, dtype=np.float64)[::direction]
+        return np.asarray(time + self.frame_period * (order - since))
+
     def line_angles(self, direction: int) -> NDArray[np.float64]:
         """Angle theta of every line about the motor's axis, (frames, lines), in rad."""
         j = np.arange(self.lines)
@@ -208,6 +227,25 @@ class SweepMotion(Immutable):
         require(self.direction in (1, -1), "direction", self.direction, "+1 or -1")
         object.__setattr__(self, "times", read_only(self.times, "times", (frames,)))
         object.__setattr__(self, "X_WP", read_only(self.X_WP, "X_WP", (frames, 4, 4)))
+
+    @classmethod
+    def at_rest(
+        cls, geometry: SweepGeometry, X_WP: RigidTransform, times: ArrayLike, direction: int = 1
+    ) -> Self:
+        """Return the motion of a sweep of a probe at rest.
+
+        Parameters
+        ----------
+        geometry, direction
+            See the class.
+        X_WP
+            Pose of the probe in the world.
+        times
+            (frames,) time of each frame in s, or one for all; see `SweepGeometry.frame_times`.
+        """
+        frames = geometry.frames
+        poses = np.broadcast_to(X_WP.GetAsMatrix4(), (frames, 4, 4))
+        return cls(geometry, direction, np.broadcast_to(times, frames), poses)
 
     @property
     def time(self) -> float:
