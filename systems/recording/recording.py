@@ -20,6 +20,7 @@ from sonoservo.systems.recording.side_files import (
     side_path,
 )
 from sonoservo.systems.recording.volume_file import SCALE, VolumeFile
+from sonoservo.systems.signals.immutable import seal
 from sonoservo.systems.signals.requirements import require_positive
 from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL
 from sonoservo.systems.signals.volume import Volume
@@ -139,7 +140,7 @@ class Recording:
         if self._window is None:
             first = voxels if number == 0 else self._grid.arrange(self._file.read(self._numbers[0]))
             self._window = choose_window(first)
-        grey = self._window.grey(voxels)
+        grey = seal(self._window.grey(voxels))
         if self._acquisition is not None:
             exact = self._acquisition
             return Volume(

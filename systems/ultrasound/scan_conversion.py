@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform
 
+from sonoservo.systems.signals.immutable import seal
 from sonoservo.systems.signals.requirements import require, require_positive
 from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
 from sonoservo.systems.signals.volume import Volume
@@ -166,7 +167,7 @@ class ScanConversion:
         else:
             intensities = self.convert(sweep.samples, motion.direction)
         return Volume(
-            intensities=intensities,
+            intensities=seal(intensities),
             origin=self.grid.origin,
             spacing=self.grid.spacing,
             X_WP=RigidTransform(motion.X_WP[middle]),

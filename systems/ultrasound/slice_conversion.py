@@ -5,6 +5,7 @@ from pydrake.math import RigidTransform
 from scipy.ndimage import map_coordinates
 
 from sonoservo.systems.signals.image_slice import ImageSlice
+from sonoservo.systems.signals.immutable import seal
 from sonoservo.systems.signals.requirements import require, require_positive
 from sonoservo.systems.signals.sweep import Sweep, SweepGeometry
 
@@ -49,7 +50,7 @@ class SliceConversion:
         picture = map_coordinates(sweep.samples[0], self._index, order=1, prefilter=False)
         X_WP = RigidTransform(sweep.motion.X_WP[0])
         return ImageSlice(
-            picture,
+            seal(picture),
             self._origin,
             self._spacing,
             X_WP,

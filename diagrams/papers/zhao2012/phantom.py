@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 
+from sonoservo.systems.signals.immutable import seal
 from sonoservo.systems.signals.radio_frequency_sweep import RadioFrequencySweep
 from sonoservo.systems.signals.requirements import require_positive
 from sonoservo.systems.signals.sweep import SweepMotion
@@ -120,4 +121,4 @@ class Phantom:
         iq = self._tissue.copy()
         amplitudes = np.full(len(points), self._amplitude, complex)
         self.renderer.add_scatterers(iq, self._at_rest.X_WP, points, amplitudes, 1)
-        return RadioFrequencySweep(self.renderer.on_carrier(iq), self._at_rest.at_once(time))
+        return RadioFrequencySweep(seal(self.renderer.on_carrier(iq)), self._at_rest.at_once(time))

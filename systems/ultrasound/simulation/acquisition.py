@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from sonoservo.systems.signals.immutable import seal
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.sweep import Sweep, SweepMotion
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
@@ -36,4 +37,4 @@ def acquire_sweep(
     """
     poses = motion.X_WP if X_TP is None else X_TP
     samples = renderer.render(poses, needles, motion.direction, number)
-    return Sweep(samples, motion, renderer.decibels_per_level)
+    return Sweep(seal(samples), motion, renderer.decibels_per_level)
