@@ -151,6 +151,7 @@ class Recording:
                 exact.times[k],
                 exact.motions[k],
                 self._decibels_per_level,
+                exact.point_spread,
             )
         return Volume(
             grey,

@@ -10,6 +10,7 @@ from pydrake.math import RigidTransform
 
 from sonoservo.systems.sampling.interpolation import sample_grid
 from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.point_spread import PointSpread
 from sonoservo.systems.signals.requirements import require, require_positive
 
 DECIBELS_PER_LEVEL = 60 / 255
@@ -296,11 +297,14 @@ class Sweep(Immutable):
         When and from where each frame was acquired.
     decibels_per_level
         dB per grey level.
+    point_spread
+        How wide a point's echo is, at every depth; None if that is not known.
     """
 
     samples: NDArray[np.uint8]
     motion: SweepMotion
     decibels_per_level: float = DECIBELS_PER_LEVEL
+    point_spread: PointSpread | None = None
 
     def __post_init__(self) -> None:
         require_positive(decibels_per_level=self.decibels_per_level)

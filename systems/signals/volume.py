@@ -8,6 +8,7 @@ from pydrake.math import RigidTransform
 
 from sonoservo.systems.sampling.interpolation import sample_grid
 from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.point_spread import PointSpread
 from sonoservo.systems.signals.requirements import require, require_positive
 from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL, SweepMotion
 
@@ -35,6 +36,8 @@ class Volume(Immutable):
         volume counts as acquired at ``time`` from ``X_WP``.
     decibels_per_level
         dB per unit of intensity.
+    point_spread
+        How wide a point's echo is, at every depth; None if that is not known.
 
     Raises
     ------
@@ -50,6 +53,7 @@ class Volume(Immutable):
     time: float
     motion: SweepMotion | None = None
     decibels_per_level: float = DECIBELS_PER_LEVEL
+    point_spread: PointSpread | None = None
 
     def __post_init__(self) -> None:
         array = np.asarray(self.intensities)

@@ -174,6 +174,7 @@ class ScanConversion:
             time=float(motion.times[middle]),
             motion=motion,
             decibels_per_level=sweep.decibels_per_level,
+            point_spread=sweep.point_spread,
         )
 
     def convert(self, samples: NDArray[np.uint8], direction: int) -> NDArray[np.uint8]:

@@ -37,4 +37,4 @@ def acquire_sweep(
     """
     poses = motion.X_WP if X_TP is None else X_TP
     samples = renderer.render(poses, needles, motion.direction, number)
-    return Sweep(seal(samples), motion, renderer.decibels_per_level)
+    return Sweep(seal(samples), motion, renderer.decibels_per_level, renderer.point_spread)

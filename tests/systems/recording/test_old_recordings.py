@@ -98,6 +98,7 @@ def test_the_same_numbers_and_the_noted_range(old):
         assert volume.motion.direction == (1, -1)[k]
         assert volume.motion.geometry.samples == 20
         assert volume.decibels_per_level == 50 / 255
+        assert volume.point_spread is None
 
 
 @pytest.mark.parametrize("first", [None, {k: FIRST[k] for k in FIRST if k != "dynamic_range_db"}])

@@ -22,6 +22,7 @@ from sonoservo.systems.recording.volume_player import VolumePlayer
 from sonoservo.systems.recording.volume_recorder import VolumeRecorder
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.point_spread import PointSpread
 from sonoservo.systems.signals.volume import Volume
 
 SCENE = Scene(seed=1, spacing=2e-3)
@@ -140,9 +141,9 @@ def test_what_cannot_be_recorded_is_refused(tmp_path, volumes):
         RecordingWriter(tmp_path / "a.nrrd")
     writer = RecordingWriter(tmp_path / "a.seq.nrrd")
     writer.append(volumes[0])
-    with pytest.raises(ValueError, match="another grid"):
+    with pytest.raises(ValueError, match="differs"):
         writer.append(Scene(seed=1, spacing=3e-3).volume(1))
-    with pytest.raises(ValueError, match="another scale"):
+    with pytest.raises(ValueError, match="differs"):
         writer.append(replace(volumes[1], decibels_per_level=0.1))
 
 
@@ -157,6 +158,18 @@ def test_volumes_of_an_unknown_motion(tmp_path):
     (read,) = Recording(path)
     assert_equal(read, volume)
     assert read.motion is None
+
+
+def test_the_resolution_is_read_back_exactly(tmp_path, volumes):
+    spread = PointSpread([0.0, 0.01 / 3, 0.09], [1e-3 / 3, 2e-3, 3e-3], [4e-3] * 3, [0.4e-3] * 3)
+    path = tmp_path / "a.seq.nrrd"
+    with RecordingWriter(path) as writer:
+        writer.append(replace(volumes[0], point_spread=spread))
+        with pytest.raises(ValueError, match="differs"):
+            writer.append(volumes[1])
+    (read,) = Recording(path)
+    for name in ("depth", "lateral", "elevation", "axial"):
+        np.testing.assert_array_equal(getattr(read.point_spread, name), getattr(spread, name))
 
 
 def test_a_recorder_and_a_player_as_systems(tmp_path, volumes):

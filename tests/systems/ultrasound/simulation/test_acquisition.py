@@ -5,6 +5,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.sweep import SweepMotion
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
+from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
 from sonoservo.systems.ultrasound.simulation.acquisition import acquire_sweep
 from sonoservo.systems.ultrasound.simulation.rendering import ScannerParameters, SweepRenderer
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
@@ -47,6 +48,8 @@ def test_a_sweep_at_rest_is_what_the_renderer_shows(renderer):
     np.testing.assert_array_equal(sweep.motion.X_WP, poses)
     assert sweep.motion.direction == -1
     assert sweep.decibels_per_level == 48 / 255
+    conversion = ScanConversion(geometry, make_grid(geometry, 2e-3))
+    assert conversion(sweep).point_spread is sweep.point_spread is renderer.point_spread
     other = acquire_sweep(renderer, motion, NEEDLES, number=4)
     assert (other.samples != sweep.samples).any()  # other noise
 
