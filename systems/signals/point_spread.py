@@ -1,16 +1,12 @@
 """Resolution of an image: how far the scanner blurs a point, at every depth."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.signals.immutable import Immutable, read_only
 from sonoservo.systems.signals.requirements import require
-
-if TYPE_CHECKING:
-    from sonoservo.systems.signals.sweep import SweepGeometry
 
 Floats = NDArray[np.float64]
 
@@ -51,38 +47,7 @@ class PointSpread(Immutable):
             widths = getattr(self, name)
             require(bool((widths > 0).all()), name, widths, "above 0")
 
-    def covariance(self, p_P: Floats, geometry: "SweepGeometry") -> Floats:
-        """Covariance of the Gaussian that a point's echo resembles, in P.
-
-        Parameters
-        ----------
-        p_P
-            (m, 3) positions of points in P, in m.
-        geometry
-            Of the sweep: it tells where the lines run.
-
-        Returns
-        -------
-        (m, 3, 3) in m^2.
-        """
-        x, y, z = np.asarray(p_P, dtype=float).T
-        y = y + geometry.motor_radius
-        rho, theta = np.hypot(y, z), np.arctan2(z, y)
-        q = rho + geometry.array_radius - geometry.motor_radius
-        depth, phi = np.hypot(q, x) - geometry.array_radius, np.arctan2(x, q)
-        none, one = np.zeros_like(phi), np.ones_like(phi)
-        within, turned = [np.sin(phi), np.cos(phi)], [np.cos(theta), np.sin(theta)]
-        # Rows: along the array, across the frame, along the line.
-        axes = np.array(
-            [
-                [within[1], -within[0] * turned[0], -within[0] * turned[1]],
-                [none, -turned[1] * one, turned[0]],
-                [within[0], within[1] * turned[0], within[1] * turned[1]],
-            ]
-        ).transpose(2, 0, 1)
-        widths = np.stack(
-            [np.interp(depth, self.depth, w) for w in (self.lateral, self.elevation, self.axial)],
-            axis=-1,
-        )
-        scaled = axes * (widths / FWHM_PER_SIGMA)[..., np.newaxis]
-        return np.asarray(scaled.swapaxes(1, 2) @ scaled)
+    def widths(self, depth: Floats) -> Floats:
+        """(m, 3) lateral, elevation and axial width in m at (m,) depths in m."""
+        each = (self.lateral, self.elevation, self.axial)
+        return np.stack([np.interp(depth, self.depth, widths) for widths in each], axis=-1)

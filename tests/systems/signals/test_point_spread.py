@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from sonoservo.systems.signals.blur import blur_covariance
 from sonoservo.systems.signals.point_spread import FWHM_PER_SIGMA, PointSpread
 from sonoservo.systems.signals.sweep import SweepGeometry
 
@@ -9,7 +10,7 @@ SPREAD = PointSpread([0.0, 0.08], [1e-3, 3e-3], [5e-3, 5e-3], [0.4e-3, 0.4e-3])
 
 
 def test_in_the_middle_of_the_sector_the_axes_are_those_of_the_probe():
-    (covariance,) = SPREAD.covariance(np.array([[0.0, 0.04, 0.0]]), GEOMETRY)
+    (covariance,) = blur_covariance(SPREAD, GEOMETRY, np.array([[0.0, 0.04, 0.0]]))
     widths = FWHM_PER_SIGMA * np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(widths, [2e-3, 0.4e-3, 5e-3])
     np.testing.assert_allclose(covariance, np.diag(np.diag(covariance)), atol=1e-18)
@@ -20,7 +21,7 @@ def test_elsewhere_they_follow_line_and_frame(k, j, i):
     """Along a line, from line to line and from frame to frame, differences of positions tell."""
     step = 1e-4
     p_P = GEOMETRY.position(k, j, i, 1)
-    (covariance,) = SPREAD.covariance(p_P[np.newaxis], GEOMETRY)
+    (covariance,) = blur_covariance(SPREAD, GEOMETRY, p_P[np.newaxis])
     along = GEOMETRY.position(k, j, i + step, 1) - p_P
     across = GEOMETRY.position(k + step, j, i, 1) - p_P
     along, across = along / np.linalg.norm(along), across / np.linalg.norm(across)
