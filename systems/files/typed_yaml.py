@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 import yaml
 
-from sonoservo.systems.files.renamed import current_name
+from sonoservo.systems.files.renamed import current_name, removed
 
 T = TypeVar("T")
 
@@ -180,6 +180,8 @@ def _check(schema: Any, value: Any, source: str, path: str) -> None:
                 now = current_name(str(key), fields) or _path_to(str(key), fields, path)
                 if now:
                     raise ConfigurationError(f"{source}: {where}: is now called {now!r}")
+                if instead := removed(str(key)):
+                    raise ConfigurationError(f"{source}: {where}: {instead}")
                 raise ConfigurationError(
                     f"{source}: {where}: unknown field; {suggest(str(key), fields)}"
                 )
