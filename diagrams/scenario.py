@@ -7,10 +7,10 @@ from typing import Any
 
 import yaml
 
-from sonoservo.diagrams.needle_tracker import NeedleTrackerParameters, Zhao2012TrackerParameters
 from sonoservo.diagrams.probe_controller import ProbeControllerParameters
 from sonoservo.diagrams.shape_scenario import ShapeScenario
 from sonoservo.diagrams.station import StationParameters
+from sonoservo.diagrams.trackers import AnyTrackerParameters, Chatelain2013TrackerParameters
 from sonoservo.systems.control.controller_schedule import ControllerChange
 from sonoservo.systems.files.typed_yaml import (
     ConfigurationError,
@@ -58,7 +58,7 @@ class Scenario:
     scan_conversion
         Grid of the volumes.
     tracker
-        From volumes to the estimated needle: "chatelain2013", "zhao2012", or the fields of one.
+        Turns volumes into the estimated needle: the kind of one of the `TRACKERS`, or its fields.
     controller
         From the estimate to the probe's motion.
     controller_changes
@@ -81,9 +81,7 @@ class Scenario:
     imaging: ImagingParameters = field(default_factory=ImagingParameters)
     scanner: ScannerParameters = field(default_factory=ScannerParameters)
     scan_conversion: ScanConversionParameters = field(default_factory=ScanConversionParameters)
-    tracker: NeedleTrackerParameters | Zhao2012TrackerParameters = field(
-        default_factory=NeedleTrackerParameters
-    )
+    tracker: AnyTrackerParameters = field(default_factory=Chatelain2013TrackerParameters)
     controller: ProbeControllerParameters = field(default_factory=ProbeControllerParameters)
     controller_changes: list[ControllerChange] = field(default_factory=list)
     processing_time: float = 0.02

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 from sonoservo.systems.localization.ransac import RansacParameters
 from sonoservo.systems.localization.tip import TipParameters
-from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.requirements import require_positive
 
 
 @dataclass(kw_only=True)
@@ -13,8 +13,6 @@ class NeedleLocalizerParameters:
 
     Parameters
     ----------
-    order
-        n of the curve: 2 straight, 3 bent.
     margin
         Around the predicted curve, beyond three standard deviations, in m.
     margin_growth
@@ -62,7 +60,6 @@ class NeedleLocalizerParameters:
         all of the volume counts as acquired at its middle.
     """
 
-    order: int = 2
     margin: float = 3e-3
     margin_growth: float = 2e-3
     max_radius: float = 20e-3
@@ -89,7 +86,6 @@ class NeedleLocalizerParameters:
     tip: TipParameters = field(default_factory=TipParameters)
 
     def __post_init__(self) -> None:
-        require(self.order in (2, 3), "order", self.order, "2 or 3")
         require_positive(
             margin=self.margin,
             margin_growth=self.margin_growth,
