@@ -50,6 +50,7 @@ class Chain:
 @dataclass(kw_only=True)
 class Stand:
     guard: Lock | Chain = field(default_factory=Lock)
+    tether: Lock | Chain = field(default_factory=Chain)
     more: list[Lock | Chain] = field(default_factory=list)
 
 
