@@ -6,11 +6,9 @@ from typing import Any
 from pydrake.common.value import Value
 from pydrake.systems.framework import Diagram
 
-from sonoservo.diagrams.trackers import (
-    TRACKERS,
-    Chatelain2013TrackerParameters,
-    TrackerParameters,
-)
+from sonoservo.diagrams.trackers.chatelain2013 import Chatelain2013TrackerParameters
+from sonoservo.diagrams.trackers.registry import TRACKERS
+from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.volume import Volume
 

@@ -10,7 +10,8 @@ import yaml
 from sonoservo.diagrams.probe_controller import ProbeControllerParameters
 from sonoservo.diagrams.shape_scenario import ShapeScenario
 from sonoservo.diagrams.station import StationParameters
-from sonoservo.diagrams.trackers import AnyTrackerParameters, Chatelain2013TrackerParameters
+from sonoservo.diagrams.trackers.chatelain2013 import Chatelain2013TrackerParameters
+from sonoservo.diagrams.trackers.registry import AnyTrackerParameters
 from sonoservo.systems.control.controller_schedule import ControllerChange
 from sonoservo.systems.files.typed_yaml import (
     ConfigurationError,

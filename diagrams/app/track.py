@@ -16,7 +16,8 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import DiagramBuilder
 
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
-from sonoservo.diagrams.trackers import TRACKERS, TrackerParameters
+from sonoservo.diagrams.trackers.registry import TRACKERS
+from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
 from sonoservo.systems.estimation.track import TrackParameters
 from sonoservo.systems.evaluation.metrics import summarize
 from sonoservo.systems.evaluation.plots import plot_errors, png

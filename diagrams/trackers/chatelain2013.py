@@ -10,7 +10,7 @@ from sonoservo.diagrams.trackers.tracker_parts import (
     require_order,
 )
 from sonoservo.systems.estimation.control_point_filter import ControlPointFilter
-from sonoservo.systems.estimation.filters import AnyFilter
+from sonoservo.systems.estimation.needle_filter import AnyFilter
 
 
 @dataclass(kw_only=True)

@@ -11,7 +11,7 @@ from sonoservo.diagrams.trackers.tracker_parts import (
 )
 from sonoservo.systems.detection.volume_memory import VolumeMemory
 from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter
-from sonoservo.systems.estimation.filters import AnyFilter
+from sonoservo.systems.estimation.needle_filter import AnyFilter
 from sonoservo.systems.localization.speckle_velocimeter import (
     SpeckleVelocimeter,
     SpeckleVelocimeterParameters,

@@ -1,11 +1,15 @@
-"""Contract of a needle filter: how a needle moves, and how measurements correct it."""
+"""Contract of a needle filter, and the registry of those there are."""
 
-from typing import ClassVar, Protocol, Self, TypeVar
+from functools import reduce
+from operator import or_
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
+from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter
+from sonoservo.systems.estimation.control_point_filter import ControlPointFilter
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
@@ -65,3 +69,13 @@ class NeedleFilter(Protocol[S]):
         velocity: VelocityMeasurement | None,
     ) -> S:
         """Return the state corrected by measurements at its time; either one may be missing."""
+
+
+FILTERS: tuple[type, ...] = (ControlPointFilter, AxisTipFilter)
+"""All needle filters; a new one is a file and an entry here."""
+
+if TYPE_CHECKING:
+    AnyFilter = NeedleFilter[Any]
+else:
+    AnyFilter = reduce(or_, FILTERS)
+    """Type of a field of a YAML file whose ``kind`` chooses the filter."""

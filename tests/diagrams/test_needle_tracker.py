@@ -171,10 +171,10 @@ def test_the_prediction_does_not_depend_on_what_it_serves(parameters):
     assert manager.HasDirectFeedthrough(manager.GetInputPort("volume").get_index(), prediction)
 
 
-def test_explanation_tells_why_an_estimate_is_what_it_is(volumes, estimates):
+def test_explanation_tells_why_an_estimate_is_what_it_is(volumes):
     tracker = MakeNeedleTracker(period=1.0)
     context = tracker.CreateDefaultContext()
-    for volume, estimate in zip(volumes[:16], estimates, strict=False):
+    for volume in volumes[:16]:
         tracker.GetInputPort("volume").FixValue(context, Value[object](volume))
         tracker.ExecuteForcedEvents(context)
         explained, measured = (
@@ -191,7 +191,6 @@ def test_explanation_tells_why_an_estimate_is_what_it_is(volumes, estimates):
         assert explained.attempts[-1].measurement is explained.measurement
         assert explained.innovation is None or explained.innovation < explained.gate
     assert explained.innovation is not None
-    assert estimate.mode == TrackingMode.TRACKING
 
 
 def test_a_tracker_may_take_another_s_filter(volumes):

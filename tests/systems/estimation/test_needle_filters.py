@@ -7,7 +7,7 @@ import pytest
 from filterpy.kalman import predict, update
 from pydrake.math import RigidTransform, RollPitchYaw
 
-from sonoservo.systems.estimation.filters import FILTERS
+from sonoservo.systems.estimation.needle_filter import FILTERS
 from sonoservo.systems.estimation.needle_motion import NeedleMotionParameters, constant_velocity
 from sonoservo.systems.files.typed_yaml import ConfigurationError, load_typed
 from sonoservo.systems.signals.needle_curve import NeedleCurve

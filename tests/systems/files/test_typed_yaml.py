@@ -147,6 +147,11 @@ def test_kinds_may_be_listed():
     assert stand.more == [Chain(), Lock(keys=1), Lock()]
 
 
+def test_without_a_kind_the_default_s_is_chosen():
+    assert load_typed(Stand, {"tether": {"length": 2.0}}, "x").tether == Chain(length=2.0)
+    assert load_typed(Stand, {"tether": {"kind": "lock"}}, "x").tether == Lock()
+
+
 @pytest.mark.parametrize(
     ("guard", "message"),
     [
