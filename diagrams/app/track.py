@@ -89,7 +89,7 @@ def tracker_parameters(
     order
         2 for a straight needle, 3 for a bent one.
     start
-        "search": the needle is found when it is pushed in. "anywhere": it is sought in the whole
+        "search": the needle is found when it is pushed in. "anywhere": it is localized in the whole
         volume from the first volume on, so that no insertion need be seen.
 
     Raises
