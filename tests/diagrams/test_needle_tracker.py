@@ -6,11 +6,8 @@ from pydrake.systems.analysis import Simulator
 from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, track
-from sonoservo.diagrams.trackers import (
-    TRACKERS,
-    Chatelain2013TrackerParameters,
-    Zhao2012TrackerParameters,
-)
+from sonoservo.diagrams.trackers import Chatelain2013TrackerParameters, Zhao2012TrackerParameters
+from sonoservo.diagrams.trackers.registry import TRACKERS
 from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_estimate import TrackingMode
