@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem
 
@@ -12,6 +11,7 @@ from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.localization_explanation import LocalizationExplanation
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.random_streams import random_stream
 from sonoservo.systems.signals.volume import Volume
 
 
@@ -65,8 +65,7 @@ class NeedleLocalizer(LeafSystem):
         if not isinstance(volume, Volume):
             output.set_value(volume)
             return
-        # Keyed by the volume's time, so that a stateless system repeats itself.
-        rng = np.random.default_rng([self._seed, int(abs(volume.time) * 1e9)])
+        rng = random_stream(self._seed, "localization", volume.time)
         output.set_value(explain_localization(volume, prediction, self._parameters, rng))
 
     def _calc_measurement(self, context: Context, output: Value) -> None:
