@@ -3,23 +3,26 @@ from .axis_tip_filter import AxisTipState as AxisTipState
 from .axis_tip_filter import direction_angles as direction_angles
 from .control_point_filter import ControlPointFilter as ControlPointFilter
 from .control_point_filter import ControlPointState as ControlPointState
-from .least_squares_shape_estimator import LeastSquaresShapeEstimator as LeastSquaresShapeEstimator
+from .cross_section_memory import CrossSectionMemory as CrossSectionMemory
 from .needle_filter import NeedleFilter as NeedleFilter
 from .needle_filter import NeedleState as NeedleState
 from .needle_motion import NeedleMotionParameters as NeedleMotionParameters
 from .needle_motion import constant_velocity as constant_velocity
-from .particle_shape_estimator import ParticleShapeEstimator as ParticleShapeEstimator
 from .published_particle_filter import PublishedBelief as PublishedBelief
+from .published_particle_filter import PublishedParticleFilter as PublishedParticleFilter
 from .published_particle_filter import (
     PublishedParticleFilterParameters as PublishedParticleFilterParameters,
 )
-from .published_shape_estimator import PublishedShapeEstimator as PublishedShapeEstimator
 from .shape_estimator import ShapeEstimator as ShapeEstimator
+from .shape_filter import ShapeFilter as ShapeFilter
+from .shape_filter import ShapePaths as ShapePaths
+from .shape_filters import ShapeFilterChoice as ShapeFilterChoice
 from .shape_least_squares import FittedShape as FittedShape
-from .shape_least_squares import ShapeFit as ShapeFit
+from .shape_least_squares import ShapeLeastSquares as ShapeLeastSquares
 from .shape_least_squares import ShapeLeastSquaresParameters as ShapeLeastSquaresParameters
 from .shape_parameters import ShapeEstimatorParameters as ShapeEstimatorParameters
 from .shape_particle_filter import ParticleBelief as ParticleBelief
+from .shape_particle_filter import ShapeParticleFilter as ShapeParticleFilter
 from .shape_particle_filter import ShapeParticleFilterParameters as ShapeParticleFilterParameters
 from .shape_particle_filter import ShapePosterior as ShapePosterior
 from .shape_posterior import MeasurementNoise as MeasurementNoise
