@@ -10,7 +10,14 @@ from typing import Annotated
 
 import typer
 
-from sonoservo.diagrams.app.options import HostOption, JsonOption, console, write_printed
+from sonoservo.diagrams.app.explain_command import explain_command
+from sonoservo.diagrams.app.options import (
+    ExplainOption,
+    HostOption,
+    JsonOption,
+    console,
+    write_printed,
+)
 from sonoservo.diagrams.app.study_commands import dataset_command, reproduce_command
 from sonoservo.diagrams.app.volume_commands import locate_command, track_command
 from sonoservo.systems.files.typed_yaml import ConfigurationError
@@ -54,6 +61,7 @@ def run_command(
     record_sweeps: Annotated[
         bool, typer.Option("--record-sweeps", help="Record the sweeps too, as acquired.")
     ] = False,
+    explain: ExplainOption = False,
     json_path: JsonOption = None,
 ) -> None:
     """Run a scenario; end with a table of figures and a folder of results."""
@@ -79,6 +87,7 @@ def run_command(
             monitor=monitor,
             record=record,
             record_sweeps=record_sweeps,
+            explain=explain,
             after_step=progress,
         )
     console.print(summary_table(result, loaded.published_figures))
@@ -170,7 +179,13 @@ def scan_command(
     write_printed(json_path, summary)
 
 
-for _command in (track_command, locate_command, dataset_command, reproduce_command):
+for _command in (
+    track_command,
+    locate_command,
+    explain_command,
+    dataset_command,
+    reproduce_command,
+):
     app.command(_command.__name__.removesuffix("_command"))(_command)
 
 

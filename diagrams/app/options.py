@@ -33,6 +33,12 @@ DynamicRangeOption = Annotated[
 RateOption = Annotated[
     float | None, typer.Option(help="Volumes per second, for a file that tells no times.")
 ]
+ExplainOption = Annotated[
+    bool,
+    typer.Option(
+        "--explain", help="Keep what the tracker saw around a loss; see `sonoservo explain`."
+    ),
+]
 PosesOption = Annotated[
     str | None,
     typer.Option(help="Transform that is the probe's pose (ProbeToTracker), or none."),

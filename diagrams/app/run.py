@@ -13,6 +13,7 @@ from sonoservo.diagrams.experiments.experiment import Experiment
 from sonoservo.diagrams.experiments.registry import make_experiment
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.evaluation.log import write_log
+from sonoservo.systems.files.typed_yaml import ConfigurationError
 
 if TYPE_CHECKING:
     from sonoservo.systems.display.monitor.monitor import Monitor
@@ -49,6 +50,7 @@ def run(
     tracker: System | None = None,
     record: Path | None = None,
     record_sweeps: bool = False,
+    explain: bool = False,
     after_step: Callable[[Experiment[Any]], None] | None = None,
 ) -> RunResult:
     """Run a scenario of any experiment to its end, or until it is interrupted from the keyboard.
@@ -70,6 +72,9 @@ def run(
         beside it; None records nothing. What was recorded before an interruption stays.
     record_sweeps
         Whether to record the sweeps too, as acquired.
+    explain
+        Whether to keep, in the folder's subfolder ``explanation``, what the tracker looked at
+        around a loss; see `ExplanationRecorder`.
     after_step
         Called after every volume or slice with the experiment, which knows the time and what the
         tracker does.
@@ -77,8 +82,11 @@ def run(
     Raises
     ------
     ConfigurationError
-        If the scenario cannot be carried out, or its experiment does not have an option.
+        If the scenario cannot be carried out, its experiment does not have an option, or there is
+        no folder for what is to be explained.
     """
+    if explain and out is None:
+        raise ConfigurationError("explain: there is no folder to keep explanations in; give out")
     with refusing(scenario):
         experiment = make_experiment(
             scenario,
@@ -87,6 +95,7 @@ def run(
             tracker=tracker,
             record=record,
             record_sweeps=record_sweeps,
+            explain=out if explain else None,
         )
     kept = KeptRun(
         scenario, lambda path: write_log(path, experiment.log()), out=out, meshcat=meshcat

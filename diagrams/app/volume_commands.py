@@ -10,6 +10,7 @@ import typer
 from sonoservo.diagrams.app.options import (
     DepthOption,
     DynamicRangeOption,
+    ExplainOption,
     HostOption,
     JsonOption,
     OrderOption,
@@ -45,6 +46,7 @@ def track_command(
     ] = False,
     host: HostOption = "localhost",
     out: Annotated[Path | None, typer.Option(help="Folder for the results.")] = None,
+    explain: ExplainOption = False,
     json_path: JsonOption = None,
 ) -> None:
     """Track a needle through recorded volumes; end with a folder of results."""
@@ -76,6 +78,7 @@ def track_command(
             real_time=real_time,
             monitor=monitor,
             out=folder,
+            explain=explain,
             command=shlex.join(["sonoservo", *sys.argv[1:]]),
             after_volume=progress,
         )

@@ -25,6 +25,7 @@ from sonoservo.systems.control.controller_schedule import ControllerSchedule
 from sonoservo.systems.control.scheduled_settings import ScheduledSettings
 from sonoservo.systems.display.monitor.scanner_monitor import ScannerMonitor
 from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
+from sonoservo.systems.evaluation.explanation.explanation_recorder import ExplanationRecorder
 from sonoservo.systems.evaluation.metrics import LABELS, MetricsParameters, summarize
 from sonoservo.systems.evaluation.plots import plot_errors, plot_run
 from sonoservo.systems.evaluation.run_log import RunLog
@@ -57,7 +58,8 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         name: (the scenario's)
 
     The subsystems are station, scanner, scan_converter, needle_tracker, probe_controller,
-    run_logger, the sources and, if wanted, world_view, scanner_monitor and volume_recorder.
+    run_logger, the sources and, if wanted, world_view, scanner_monitor, volume_recorder and
+    explanation_recorder.
 
     Parameters
     ----------
@@ -81,6 +83,8 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         File to which the volumes are recorded, ``NAME.seq.nrrd``, if any. Call `close` at the end.
     record_sweeps
         Whether to record the sweeps too.
+    explain
+        Folder of the run in which is kept what the tracker looked at around a loss, if any.
 
     Raises
     ------
@@ -89,7 +93,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
     """
 
     scenario_class = FollowingScenario
-    options = frozenset({"meshcat", "monitor", "record", "record_sweeps", "tracker"})
+    options = frozenset({"meshcat", "monitor", "record", "record_sweeps", "tracker", "explain"})
     labels = LABELS
 
     def __init__(
@@ -103,6 +107,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         film: bool = True,
         record: Path | None = None,
         record_sweeps: bool = False,
+        explain: Path | None = None,
     ) -> None:
         scenario = require_scenario(scenario, FollowingScenario)
         seeds = draw_seeds(scenario)
@@ -178,6 +183,10 @@ class FollowingExperiment(Experiment[FollowingScenario]):
                 sweeps=record_sweeps,
                 truth_period=geometry.frame_period,
                 **a_moment_later,
+            )
+        if explain is not None:
+            systems["explanation_recorder"] = ExplanationRecorder(
+                folder=explain, period=period, offset=a_moment_later["offset"]
             )
         super().__init__(
             scenario,
