@@ -12,6 +12,7 @@ from rich.table import Table
 from sonoservo.systems.evaluation.explanation.explained_volume import ExplainedVolume
 from sonoservo.systems.evaluation.explanation.explanation_files import FOLDER, read_explanations
 from sonoservo.systems.evaluation.explanation.explanation_sheet import plot_explanation
+from sonoservo.systems.evaluation.explanation.occasion import AFTER, BEFORE
 from sonoservo.systems.evaluation.explanation.true_needle import imaged_needle
 from sonoservo.systems.evaluation.log import read_log
 from sonoservo.systems.evaluation.run_errors import estimate_errors
@@ -130,11 +131,15 @@ def read_explained_run(folder: Path) -> ExplainedRun:
 
 def explanation_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Return the rows of an `ExplainedRun` as a table for a terminal."""
-    table = Table("time, s", "mode", "kept as", "tip error, mm", "why it was not confirmed")
-    table.columns[0].justify = table.columns[3].justify = "right"
+    table = Table("time, s", "what happened", "tip error, mm", "why it was not confirmed")
+    table.columns[0].justify = table.columns[2].justify = "right"
+    table.columns[1].no_wrap = True
     for row in rows:
-        before, after, error = row["mode_before"], row["mode_after"], row["tip_error_mm"]
-        mode = f"{before} → {after}" if before and before != after else after
-        cells = f"{row['time_s']:.2f}", mode, row["occasion"]
-        table.add_row(*cells, f"{error:.1f}" if np.isfinite(error) else "", row["reason"])
+        before, happened, error = row["mode_before"], row["mode_after"], row["tip_error_mm"]
+        if before and before != happened:
+            happened = f"{before} → {happened}"
+        elif row["occasion"] not in (BEFORE, AFTER):
+            happened = f"{happened}, {row['occasion']}"
+        error_mm = f"{error:.1f}" if np.isfinite(error) else ""
+        table.add_row(f"{row['time_s']:.2f}", happened, error_mm, row["reason"])
     return table

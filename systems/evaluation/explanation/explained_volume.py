@@ -1,7 +1,7 @@
 """What a tracker looked at in one volume, as it is kept in a file."""
 
-from dataclasses import astuple, dataclass, fields
-from typing import Annotated, Any
+from dataclasses import astuple, dataclass
+from typing import Annotated, Any, get_type_hints
 
 import numpy as np
 from pydrake.math import RigidTransform
@@ -76,6 +76,9 @@ class ExplainedVolume(Log):
     contrast: Annotated[Array, Column("threshold of the level over the background", "dB", ())]
     start: Annotated[Array, Column("abscissa of the needle's visible start", "m", ())]
     tip: Annotated[Array, Column("abscissa of its tip", "m", ())]
+    leaves: Annotated[
+        Array, Column("whether it goes on beyond what was searched or seen", "", (), "?")
+    ]
 
     sliced: Annotated[
         Array, Column("curve in the slices: measured, predicted, estimated, or none", "", (), "U")
@@ -93,8 +96,10 @@ class ExplainedVolume(Log):
         """When and from where each frame was acquired; None if that is not known."""
         if not len(self.frame_times):
             return None
-        described = zip(fields(SweepGeometry), self.geometry, strict=True)
-        geometry = SweepGeometry(**{each.name: each.type(value) for each, value in described})
+        kinds = get_type_hints(SweepGeometry)
+        geometry = SweepGeometry(
+            **{name: kinds[name](value) for name, value in zip(kinds, self.geometry, strict=True)}
+        )
         return SweepMotion(geometry, int(self.direction), self.frame_times, self.frame_X_WP)
 
     def to_probe(self, p_W: Array) -> Array:
@@ -236,4 +241,5 @@ def _search(explanation: LocalizationExplanation) -> dict[str, Any]:
         arrays["contrast"] = np.nan if profile.contrast is None else profile.contrast
     if extent is not None:
         arrays["start"], arrays["tip"] = extent.start, extent.tip
+        arrays["leaves"] = extent.leaves
     return arrays

@@ -13,7 +13,7 @@ from sonoservo.systems.evaluation.explanation.explanation_files import (
     clear_explanations,
     write_explanation,
 )
-from sonoservo.systems.evaluation.explanation.occasion import find_occasion
+from sonoservo.systems.evaluation.explanation.occasion import AFTER, BEFORE, find_occasion
 from sonoservo.systems.signals.immutable import Immutable, NotFound
 from sonoservo.systems.signals.localization_explanation import LocalizationExplanation
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
@@ -139,10 +139,10 @@ class ExplanationRecorder(LeafSystem):
         run.waiting.append(_Look(volume, explanation, before, after))
         if occasion:
             while len(run.waiting) > 1:
-                self._write(run.waiting.popleft(), "before")
+                self._write(run.waiting.popleft(), BEFORE)
             run.following = self._after + 1
         if run.following:
-            self._write(run.waiting.popleft(), occasion or "after")
+            self._write(run.waiting.popleft(), occasion or AFTER)
             run.following -= 1
         elif len(run.waiting) > self._before:
             run.waiting.popleft()

@@ -10,11 +10,16 @@ from pydrake.math import RigidTransform
 from scipy.stats import chi2
 
 from sonoservo.systems.evaluation.explanation.explained_volume import ExplainedVolume
+from sonoservo.systems.evaluation.explanation.occasion import AFTER, BEFORE
 from sonoservo.systems.evaluation.log import Array
 from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_estimate import TrackingMode
 
 TRUE, PREDICTED, MEASURED, ESTIMATED = "#00C08B", "#56B4E9", "#FF7F2A", "#D779A7"
 _QUIET = "0.45"
+_ACROSS = {"beam": "along", "cross": "across"}
+_SIDE = {"beam": "lateral", "cross": "elevation"}
+_OTHER = {"beam": "elevation", "cross": "lateral"}
 _MARGIN = 8.0
 """Distance in mm from what is drawn in a slice to its edge."""
 
@@ -28,9 +33,9 @@ def plot_explanation(
 ) -> Figure:
     """Return a sheet of what a tracker looked at in a volume.
 
-    Above are two orthogonal slices through the needle, with all that was looked at projected onto
-    them; below are the intensity along the axis that was found, and the distances of measurements
-    from their predictions.
+    On the left are two orthogonal slices through the needle, with all that was looked at projected
+    onto them; on the right are the intensity along the axis that was found, and the distances of
+    measurements from their predictions.
 
     Parameters
     ----------
@@ -45,42 +50,60 @@ def plot_explanation(
         Distance from the estimated tip to the true one, in m; NaN if it is not known.
     """
     needle = np.zeros((0, 3)) if needle is None else needle
-    figure = Figure(figsize=(14, 10.5), layout="constrained")
-    grid = figure.add_gridspec(2, 2, height_ratios=[1.5, 1], width_ratios=[1.25, 1])
-    slices = [figure.add_subplot(grid[0, column]) for column in (0, 1)]
+    figure = Figure(figsize=(15, 9.5), layout="constrained")
+    grid = figure.subplots(2, 2, width_ratios=[1.35, 1])
+    slices = list(grid[:, 0])
     for axes, name in zip(slices, ("beam", "cross"), strict=True):
         _draw_slice(axes, explained, name, needle)
-    _draw_profile(figure.add_subplot(grid[1, 0]), explained, needle)
-    _draw_gate(figure.add_subplot(grid[1, 1]), explained, kept or [explained])
-    handles, labels = slices[0].get_legend_handles_labels()
-    if handles:
-        figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False)
+    if len(explained.candidates) and slices[0].collections:
+        weights = slices[0].collections[0]
+        figure.colorbar(
+            weights, ax=slices, location="left", shrink=0.5, aspect=40, label="candidate's weight"
+        )
+    _draw_profile(grid[0, 1], explained, needle)
+    _draw_gate(grid[1, 1], explained, kept or [explained])
+    entries = {
+        label: handle
+        for axes in slices
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    if entries:
+        dark = {"facecolor": "0.3", "labelcolor": "white", "fancybox": False}
+        figure.legend(entries.values(), entries.keys(), loc="outside lower left", ncols=5, **dark)
     figure.suptitle(describe(explained, tip_error), fontsize=12.5)
     return figure
 
 
 def describe(explained: ExplainedVolume, tip_error: float = np.nan) -> str:
-    """Return what became of a volume in words, on two lines; see `plot_explanation`."""
+    """Return what became of a volume in words, on one or two lines; see `plot_explanation`."""
     before, after = str(explained.mode_before), str(explained.mode_after)
-    mode = f"{before} → {after}" if before and before != after else after
-    reason = str(explained.reason) or "the needle was confirmed"
-    facts = [f"kept as: {explained.occasion}"]
+    changed = bool(before) and before != after
+    mode = f"{before} → {after}" if changed else after
+    confirmed = after == TrackingMode.TRACKING
+    nothing = "the needle was confirmed" if confirmed else "the needle is yet to be confirmed"
+    facts = []
+    if not changed and explained.occasion not in (BEFORE, AFTER):
+        facts.append(str(explained.occasion))
     if np.isfinite(tip_error):
         facts.append(f"estimated tip {1e3 * tip_error:.1f} mm from the true one")
     if np.isfinite(explained.innovation):
         facts.append(f"innovation {explained.innovation:.1f}, gate {explained.gate:.1f}")
+    if explained.leaves:
+        facts.append("the needle goes on beyond what was searched, so its tip was not seen")
     if len(explained.attempt_reasons) > 1:
         facts.append(f"{len(explained.attempt_reasons)} searches, the deciding one shown")
-    return f"{float(explained.volume_time):.2f} s, {mode}: {reason}\n" + "; ".join(facts)
+    title = f"{float(explained.volume_time):.2f} s, {mode}: {str(explained.reason) or nothing}"
+    return "\n".join([title, *filter(None, ["; ".join(facts)])])
 
 
 def _draw_slice(axes: Axes, explained: ExplainedVolume, name: str, needle: Array) -> None:
     """Draw the slice "beam" or "cross", and what was looked at."""
     levels, X_PS = getattr(explained, f"{name}_slice"), getattr(explained, f"{name}_X_PS")
     through = str(explained.sliced)
-    where = f"through the {through} needle" if through != "none" else "through the middle"
-    along = "along" if name == "beam" or through == "none" else "across"
-    axes.set_title(f"Slice {along} the beam, {where}", loc="left", fontsize=11)
+    title = f"Slice {_ACROSS[name]} the beam, through the {through} needle"
+    if through == "none":
+        title = f"Slice at {_OTHER[name]} 0"
+    axes.set_title(title, loc="left", fontsize=11)
     if not levels.size:
         axes.text(0.5, 0.5, "it misses the volume", ha="center", transform=axes.transAxes)
         axes.set_axis_off()
@@ -101,11 +124,14 @@ def _draw_slice(axes: Axes, explained: ExplainedVolume, name: str, needle: Array
     extent = (x - half[0], x + half[0], y + half[1], y - half[1])
     axes.imshow(levels, cmap="gray", vmin=0, vmax=255, extent=extent)
     drawn = [_draw_search(axes, explained, show)]
+    if len(explained.profile):
+        fitted = show(explained.profile)
+        axes.plot(*fitted.T, color=MEASURED, linestyle=":", linewidth=1.2, label="fitted axis")
     for points, colour, style, label in (
-        (explained.predicted, PREDICTED, "-.", "predicted"),
         (explained.before, ESTIMATED, ":", "estimate before"),
         (explained.after, ESTIMATED, "-", "estimate after"),
-        (explained.measured, MEASURED, "-", "measured axis"),
+        (explained.predicted, PREDICTED, "-.", "predicted needle"),
+        (explained.measured, MEASURED, "-", "measured needle"),
     ):
         if len(points):
             line = show(_curve(points))
@@ -119,11 +145,9 @@ def _draw_slice(axes: Axes, explained: ExplainedVolume, name: str, needle: Array
         axes.plot(*line.T, color=TRUE, linestyle="--", linewidth=1.5, label="true needle (truth)")
         axes.plot(*line[-1], marker="x", color=TRUE, markersize=8, markeredgewidth=1.8)
         drawn.append(line)
-    _frame(axes, np.concatenate(drawn), extent)
-    with_tip = "distance from its tip" if through != "none" else "elevation"
-    if name == "beam" and through == "none":
-        with_tip = "lateral"
-    axes.set_xlabel(f"{with_tip}, mm")
+    _frame(axes, np.concatenate(drawn) if through != "none" else np.zeros((0, 2)), extent)
+    tip = f"along the {through} needle, mm from its tip"
+    axes.set_xlabel(f"{_SIDE[name]}, mm" if through == "none" else tip)
     axes.set_ylabel("depth, mm" if upright else "across the needle, mm")
 
 
@@ -139,15 +163,14 @@ def _draw_search(axes: Axes, explained: ExplainedVolume, show: object) -> Array:
     if len(explained.candidates):
         at = show(explained.candidates)
         order = np.argsort(explained.weights)
-        points = axes.scatter(
+        axes.scatter(
             *at[order].T, c=explained.weights[order], s=5, cmap="plasma", vmin=0, vmax=1,
             linewidths=0, alpha=0.55, label="candidates",
         )  # fmt: skip
-        axes.figure.colorbar(points, ax=axes, shrink=0.6, aspect=30, label="candidate's weight")
         inliers = at[explained.inliers]
         axes.scatter(
-            *inliers.T, s=7, marker="o", facecolors="none", edgecolors="white",
-            linewidths=0.4, alpha=0.7, label="consensus inliers",
+            *inliers.T, s=5, marker="o", facecolors="none", edgecolors="white",
+            linewidths=0.35, alpha=0.6, label="consensus inliers",
         )  # fmt: skip
     return corners
 
@@ -174,7 +197,11 @@ def _draw_profile(axes: Axes, explained: ExplainedVolume, needle: Array) -> None
         return
     first = explained.profile_a[0]
     a = 1e3 * (explained.profile_a - first)
-    level, background = explained.profile_level, explained.profile_background
+    unseen = ~explained.profile_seen
+    level, background = (
+        np.where(unseen, np.nan, each)
+        for each in (explained.profile_level, explained.profile_background)
+    )
     axes.plot(a, level, color="0.1", linewidth=1.3, label="level")
     axes.plot(a, background, color=_QUIET, linewidth=1.0, label="background")
     if np.isfinite(explained.contrast):
@@ -182,7 +209,6 @@ def _draw_profile(axes: Axes, explained: ExplainedVolume, needle: Array) -> None
             a, background + explained.contrast, color=_QUIET, linestyle="--", linewidth=1.0,
             label=f"threshold: {float(explained.contrast):.0f} dB over it",
         )  # fmt: skip
-    unseen = ~explained.profile_seen
     axes.fill_between(
         a, 0, 1, where=unseen, transform=axes.get_xaxis_transform(), color="0.9", linewidth=0,
         label="unseen" if unseen.any() else None,
@@ -191,18 +217,22 @@ def _draw_profile(axes: Axes, explained: ExplainedVolume, needle: Array) -> None
         start, tip = 1e3 * (np.array([explained.start, explained.tip]) - first)
         axes.axvspan(start, tip, color=MEASURED, alpha=0.12, label="taken for the needle")
         axes.axvline(tip, color=MEASURED, linewidth=1.4, label="tip found")
+    edges = [a[0], a[-1]]
     if len(explained.predicted):
-        at = _nearest(explained.profile, explained.predicted[-1])
-        axes.axvline(a[at], color=PREDICTED, linestyle="-.", linewidth=1.4, label="tip predicted")
+        at = _abscissa(a, 1e3 * explained.profile, 1e3 * explained.predicted[-1])
+        axes.axvline(at, color=PREDICTED, linestyle="-.", linewidth=1.4, label="tip predicted")
+        edges.append(at + 1)
     if len(needle):
-        at = _nearest(explained.to_probe(explained.profile), needle[-1])
-        axes.axvline(a[at], color=TRUE, linestyle="--", linewidth=1.6, label="true tip (truth)")
-    axes.set_xlim(a[0], a[-1])
-    axes.set_ylim(bottom=0)
+        at = _abscissa(a, 1e3 * explained.to_probe(explained.profile), 1e3 * needle[-1])
+        axes.axvline(at, color=TRUE, linestyle="--", linewidth=1.6, label="true tip (truth)")
+        edges.append(at + 1)
+    axes.set_xlim(min(edges), max(edges))
     axes.set_xlabel("distance along the axis, mm")
     axes.set_ylabel("echo, dB")
     axes.grid(alpha=0.3)
-    axes.legend(fontsize=8, ncols=2, loc="best")
+    bottom, top = axes.get_ylim()
+    axes.set_ylim(bottom, top + 0.3 * (top - bottom))
+    axes.legend(fontsize=8, ncols=3, loc="upper center")
 
 
 def _draw_gate(axes: Axes, explained: ExplainedVolume, kept: Sequence[ExplainedVolume]) -> None:
@@ -213,9 +243,11 @@ def _draw_gate(axes: Axes, explained: ExplainedVolume, kept: Sequence[ExplainedV
     times = np.array([float(each.volume_time) for each in near])
     distance = np.array([float(each.innovation) for each in near])
     gate = float(explained.gate)
-    axes.plot(times, distance, "o-", color="0.3", markersize=5, label="innovation")
+    axes.plot(times, distance, "o", color="0.3", markersize=5, label="measurement")
     nothing = times[np.isnan(distance)]
-    axes.plot(nothing, np.zeros(len(nothing)), "|", color="0.3", markersize=9, label="not compared")
+    axes.plot(
+        nothing, np.zeros(len(nothing)), "|", color="0.3", markersize=9, label="none compared"
+    )
     if np.isfinite(gate):
         axes.axhline(gate, color=MEASURED, linestyle="--", linewidth=1.3, label=f"gate {gate:.1f}")
     axes.axvline(now, color=PREDICTED, linewidth=6, alpha=0.3, label="this volume")
@@ -259,6 +291,8 @@ def _frame(axes: Axes, drawn: Array, extent: tuple[float, float, float, float]) 
     axes.set_ylim(bottom, top)
 
 
-def _nearest(points: Array, point: Array) -> int:
-    """Number of the point that is nearest to another."""
-    return int(np.linalg.norm(points - point, axis=1).argmin())
+def _abscissa(a: Array, points: Array, point: Array) -> float:
+    """Abscissa of a point's foot on a line through points, beyond its ends too."""
+    number = int(np.linalg.norm(points - point, axis=1).argmin())
+    tangent = np.gradient(points, a, axis=0)[number]
+    return float(a[number] + (point - points[number]) @ tangent)

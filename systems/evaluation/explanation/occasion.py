@@ -4,6 +4,9 @@ import numpy as np
 
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 
+BEFORE, AFTER = "before", "after"
+"""Occasions of the volumes that are kept because they lie around one."""
+
 
 def find_occasion(
     before: NeedleEstimate | None, after: NeedleEstimate, *, detected: bool, max_jump: float
@@ -26,7 +29,7 @@ def find_occasion(
     if detected:
         return "first detection"
     jump = tip_jump(before, after)
-    return f"the tip jumped by {1e3 * jump:.1f} mm" if jump > max_jump else ""
+    return f"tip jumped {1e3 * jump:.1f} mm" if jump > max_jump else ""
 
 
 def tip_jump(before: NeedleEstimate, after: NeedleEstimate) -> float:
