@@ -1,0 +1,1 @@
+"""Volumes, poses and estimates over sockets, to and from other programs."""
