@@ -76,6 +76,9 @@ class Experiment:
         Where to record the volumes, if anywhere: ``NAME.seq.nrrd``. Call `close` at the end.
     record_sweeps
         Whether to record the sweeps too.
+    observers
+        Systems without outputs that look on, by name, such as senders of a live connection;
+        `observer_events` tells when they should look.
 
     Raises
     ------
@@ -94,6 +97,7 @@ class Experiment:
         film: bool = True,
         record: Path | None = None,
         record_sweeps: bool = False,
+        observers: Mapping[str, System] | None = None,
     ) -> None:
         self.scenario = scenario
         seeds = draw_seeds(scenario)
@@ -164,15 +168,13 @@ class Experiment:
         if record is not None:
             self._recorder = systems["volume_recorder"] = VolumeRecorder(
                 path=record,
-                settings={
-                    "dynamic_range_db": scenario.imaging.dynamic_range_db,
-                    "tracker_seed": seeds.tracker,
-                },
+                settings=recording_settings(scenario),
                 sweeps=record_sweeps,
                 period=self._volume_period,
                 offset=self._first_volume + 2 * _INSTANT,
                 truth_period=geometry.frame_period,
             )
+        systems |= observers or {}
         builder = DiagramBuilder()
         for name, system in systems.items():
             builder.AddNamedSystem(name, system)
@@ -288,6 +290,20 @@ def tracker_events(scenario: Scenario) -> dict[str, float]:
     """
     period = sweep_geometry(load_transducer(scenario.transducer), scenario.imaging).period
     return {"period": period, "offset": period + scenario.processing_time}
+
+
+def observer_events(scenario: Scenario) -> dict[str, float]:
+    """When to look for a new volume and its estimate: period and offset of the events, in s."""
+    events = tracker_events(scenario)
+    return {"period": events["period"], "offset": events["offset"] + 2 * _INSTANT}
+
+
+def recording_settings(scenario: Scenario) -> dict[str, Any]:
+    """Return what a tracker of a scenario's volumes has to know besides them."""
+    return {
+        "dynamic_range_db": scenario.imaging.dynamic_range_db,
+        "tracker_seed": draw_seeds(scenario).tracker,
+    }
 
 
 def connect_by_name(

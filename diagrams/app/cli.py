@@ -14,6 +14,7 @@ from rich.table import Table
 
 from sonoservo.diagrams.app.drive import DRIVING, drive
 from sonoservo.diagrams.app.kept_run import refusing
+from sonoservo.diagrams.app.live import bridge_files, needle_names, serving, track_address
 from sonoservo.diagrams.app.locate import locate_in_recording
 from sonoservo.diagrams.app.run import run
 from sonoservo.diagrams.app.scan import caption, scan, summarize_scan, write_scan
@@ -29,6 +30,7 @@ from sonoservo.diagrams.app.terminal import (
     summary_table,
 )
 from sonoservo.diagrams.app.track import track_recording, tracker_parameters
+from sonoservo.diagrams.app.track_live import LiveLimits
 from sonoservo.diagrams.scenario import list_scenarios, load_any_scenario, load_scenario
 from sonoservo.diagrams.shape_scenario import ShapeScenario
 from sonoservo.diagrams.studies.dataset import make_dataset
@@ -36,6 +38,7 @@ from sonoservo.diagrams.studies.study import StudyOptions
 from sonoservo.diagrams.studies.study_report import write_study
 from sonoservo.systems.files.typed_yaml import ConfigurationError, suggest
 from sonoservo.systems.files.writing import write_json
+from sonoservo.systems.live.protocols import is_address
 from sonoservo.systems.recording.recording import Recording
 
 app = typer.Typer(
@@ -78,6 +81,17 @@ PosesOption = Annotated[
 ]
 
 
+ServeOption = Annotated[
+    str | None,
+    typer.Option(help="Send all of it live: igtl://:18944 lets others on this machine connect."),
+]
+WaitOption = Annotated[int, typer.Option(help="Live: begin when so many others are connected.")]
+VolumesOption = Annotated[int | None, typer.Option(help="Live: end after so many volumes.")]
+PatienceOption = Annotated[
+    float | None, typer.Option(help="Live: end when none has come for so long, in s.")
+]
+
+
 @app.command("list")
 def list_command(json_path: JsonOption = None) -> None:
     """List the scenarios that come with the package."""
@@ -105,12 +119,16 @@ def run_command(
     record_sweeps: Annotated[
         bool, typer.Option("--record-sweeps", help="Record the sweeps too, as acquired.")
     ] = False,
+    serve: ServeOption = None,
+    wait_for: WaitOption = 0,
     json_path: JsonOption = None,
 ) -> None:
     """Run a scenario; end with a table of figures and a folder of results."""
     loaded = load_any_scenario(scenario, changes=changes, seed=seed)
     if isinstance(loaded, ShapeScenario) and (record or record_sweeps):
         raise ConfigurationError(f"--record: {loaded.name} makes slices, no volumes")
+    if isinstance(loaded, ShapeScenario) and serve:
+        raise ConfigurationError(f"--serve: {loaded.name} makes slices, no volumes")
     folder = out or Path("out") / f"{loaded.name}_seed{loaded.seed}"
     makes_volumes = not isinstance(loaded, ShapeScenario)
     monitor = start_monitor(_console, host) if meshcat and makes_volumes else None
@@ -122,15 +140,17 @@ def run_command(
             ).summary
             published = loaded.published_figures
         else:
-            summary = run(
-                loaded,
-                out=folder,
-                meshcat=display,
-                monitor=monitor,
-                after_volume=progress,
-                record=record,
-                record_sweeps=record_sweeps,
-            ).summary
+            with serving(_console, serve, loaded, wait_for) as observers:
+                summary = run(
+                    loaded,
+                    out=folder,
+                    meshcat=display,
+                    monitor=monitor,
+                    after_volume=progress,
+                    record=record,
+                    record_sweeps=record_sweeps,
+                    observers=observers,
+                ).summary
             published = loaded.published
     _console.print(summary_table(summary, published))
     _console.print(f"Results, starting with the report: {folder / 'report.html'}", soft_wrap=True)
@@ -151,6 +171,7 @@ def drive_command(
     duration: Annotated[float, typer.Option(help="Longest simulated time, in s.")] = 600.0,
     out: Annotated[Path | None, typer.Option(help="Folder for the results.")] = None,
     host: HostOption = "localhost",
+    serve: ServeOption = None,
     json_path: JsonOption = None,
 ) -> None:
     """Push the needle, move the phantom and set the controller yourself, in a browser.
@@ -165,8 +186,10 @@ def drive_command(
     monitor = start_monitor(_console, host)
     display = start_display(_console, host)
     _console.print(DRIVING)
-    with Progress(_console, loaded) as progress:
-        summary = drive(loaded, display, monitor=monitor, out=folder, show=progress.show).summary
+    with Progress(_console, loaded) as progress, serving(_console, serve, loaded) as observers:
+        summary = drive(
+            loaded, display, monitor=monitor, observers=observers, out=folder, show=progress.show
+        ).summary
     _console.print(summary_table(summary, {}))
     _console.print(f"Results, starting with the report: {folder / 'report.html'}", soft_wrap=True)
     again = f"sonoservo run {folder / 'scenario.yaml'}"
@@ -204,8 +227,12 @@ def scan_command(
 
 @app.command("track")
 def track_command(
-    recording: Annotated[
-        Path, typer.Argument(help="Recorded volumes: .seq.nrrd, .nrrd, .nhdr, .mha or .mhd.")
+    source: Annotated[
+        str,
+        typer.Argument(
+            help="Recorded volumes: .seq.nrrd, .nrrd, .nhdr, .mha or .mhd; or live ones: "
+            "igtl://host:18944/DEVICE, igtl://:18944 to be connected to."
+        ),
     ],
     tracker: Annotated[str, typer.Option(help="chatelain2013 or zhao2012.")] = "chatelain2013",
     order: OrderOption = 2,
@@ -226,11 +253,45 @@ def track_command(
         bool, typer.Option("--show", help="Show the volumes in a browser, as a scanner does.")
     ] = False,
     host: HostOption = "localhost",
+    serve: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Live: where to send the estimates; the source's own address answers it."
+        ),
+    ] = None,
+    names: Annotated[
+        list[str] | None,
+        typer.Option("--name", help="Live: a device's name: tip=, curve=, status=, covariance=."),
+    ] = None,
+    points: Annotated[
+        bool, typer.Option("--points", help="Live: send control points (POINT), not a line.")
+    ] = False,
+    volumes: VolumesOption = None,
+    patience: PatienceOption = None,
     out: Annotated[Path | None, typer.Option(help="Folder for the results.")] = None,
     json_path: JsonOption = None,
 ) -> None:
-    """Track a needle through recorded volumes; end with a folder of results."""
+    """Track a needle through recorded or live volumes; end with a folder of results."""
     parameters = tracker_parameters(tracker, order=order, start=start)
+    if is_address(source):
+        summary = track_address(
+            _console,
+            source,
+            parameters=parameters,
+            depth=depth,
+            window=window,
+            poses=poses,
+            dynamic_range_db=dynamic_range_db,
+            seed=seed,
+            monitor=start_monitor(_console, host) if show else None,
+            serve=serve or [],
+            names=needle_names(names or [], points=points),
+            limits=LiveLimits(volumes=volumes, patience=patience),
+            out=out,
+        )
+        _write_json(json_path, summary)
+        return
+    recording = Path(source)
     opened = Recording(recording, depth=depth, window=window, volume_rate=volume_rate, poses=poses)
     folder = out or Path("out") / f"{recording.name.partition('.')[0]}_track"
     monitor = start_monitor(_console, host) if show else None
@@ -252,6 +313,38 @@ def track_command(
     if monitor is not None and not result.summary["interrupted"]:
         keep_shown(_console)
     if result.summary["interrupted"]:
+        raise typer.Exit(130)
+
+
+@app.command("bridge")
+def bridge_command(
+    source: Annotated[str, typer.Argument(help="An address to record from, or a recording.")],
+    target: Annotated[str, typer.Argument(help="NAME.seq.nrrd, or an address to play to.")],
+    depth: DepthOption = "P",
+    window: WindowOption = None,
+    poses: PosesOption = None,
+    speed: Annotated[
+        float, typer.Option(help="Of playing; 0 for as fast as the slowest peer takes it.")
+    ] = 1.0,
+    wait_for: WaitOption = 1,
+    volumes: VolumesOption = None,
+    patience: PatienceOption = None,
+    json_path: JsonOption = None,
+) -> None:
+    """Record a live connection, or play a recording as a scanner."""
+    summary = bridge_files(
+        _console,
+        source,
+        target,
+        depth=depth,
+        window=window,
+        poses=poses,
+        speed=speed,
+        wait_for=wait_for,
+        limits=LiveLimits(volumes=volumes, patience=patience),
+    )
+    _write_json(json_path, summary)
+    if summary["interrupted"]:
         raise typer.Exit(130)
 
 

@@ -2,13 +2,14 @@
 
 import itertools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform
+from pydrake.systems.framework import System
 
 from sonoservo.diagrams.app.kept_run import KeptRun, refusing
 from sonoservo.diagrams.app.real_time import RealTime
@@ -66,10 +67,16 @@ class DrivenExperiment:
         In whose page the operator sits.
     monitor
         Where to show the volumes, if anywhere.
+    observers
+        Systems that look on; see `Experiment`.
     """
 
     def __init__(
-        self, scenario: Scenario, meshcat: Meshcat, monitor: "Monitor | None" = None
+        self,
+        scenario: Scenario,
+        meshcat: Meshcat,
+        monitor: "Monitor | None" = None,
+        observers: Mapping[str, System] | None = None,
     ) -> None:
         self.scenario = replace(
             scenario,
@@ -98,6 +105,7 @@ class DrivenExperiment:
             self.scenario,
             meshcat,
             monitor=monitor,
+            observers=observers,
             film=False,
             sources={
                 "operator_panel": panel,
@@ -132,6 +140,7 @@ def drive(
     meshcat: Meshcat,
     *,
     monitor: "Monitor | None" = None,
+    observers: Mapping[str, System] | None = None,
     out: Path | None = None,
     show: Callable[[float, str], None] | None = None,
 ) -> RunResult:
@@ -148,6 +157,8 @@ def drive(
         In whose page the operator sits.
     monitor
         Where to show the volumes, if anywhere.
+    observers
+        Systems that look on; see `Experiment`.
     out
         Folder for scenario.yaml (what was driven), scenario_1.yaml and so on (what was saved, given
         up by a restart, or driven earlier into the same folder), summary.json, log.npz, plots and
@@ -165,7 +176,7 @@ def drive(
         If the scenario cannot be carried out.
     """
     with refusing(scenario):
-        driven = DrivenExperiment(scenario, meshcat, monitor)
+        driven = DrivenExperiment(scenario, meshcat, monitor, observers)
     experiment = driven.experiment
     buttons = RunButtons(meshcat=meshcat, buttons=_BUTTONS)
     sign = _sign(meshcat)

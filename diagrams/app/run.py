@@ -1,6 +1,6 @@
 """One run of a scenario, from the first volume to the files that remain."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -46,6 +46,7 @@ def run(
     after_volume: Callable[[float, NeedleEstimate], None] | None = None,
     record: Path | None = None,
     record_sweeps: bool = False,
+    observers: Mapping[str, System] | None = None,
 ) -> RunResult:
     """Run a scenario to its end, or until it is interrupted from the keyboard.
 
@@ -68,6 +69,8 @@ def run(
         records none. What was recorded before an interruption stays.
     record_sweeps
         Whether to record the sweeps too, as acquired.
+    observers
+        Systems that look on; see `Experiment`. The run then goes no faster than real time.
 
     Returns
     -------
@@ -86,6 +89,7 @@ def run(
             monitor=monitor,
             record=record,
             record_sweeps=record_sweeps,
+            observers=observers,
         )
     kept = KeptRun(
         scenario, lambda path: write_log(path, experiment.log()), out=out, meshcat=meshcat
@@ -98,7 +102,7 @@ def run(
 
     with kept:
         try:
-            experiment.run(note, real_time=bool(meshcat or monitor))
+            experiment.run(note, real_time=bool(meshcat or monitor or observers))
         finally:
             experiment.close()
     return write_results(kept, experiment, scenario)

@@ -249,15 +249,28 @@ def _note(
         done.compute[name].append(stop - start)
     done.times.append(volume.time)
     done.estimates.append(estimate)
-    done.rows.append(_row(recording, number, volume, estimate))
+    posed = recording.posed
+    done.rows.append(estimate_row(number, volume, estimate, recording.X_WL(number), posed=posed))
     if pictured:
         done.pictures.append(picture_planes(volume, estimate.mode, estimate.curve))
 
 
-def _row(
-    recording: Recording, number: int, volume: Volume, estimate: NeedleEstimate
+def estimate_row(
+    number: int, volume: Volume, estimate: NeedleEstimate, X_WL: RigidTransform, *, posed: bool
 ) -> dict[str, Any]:
-    """The estimate in the file's frame L at the time of the volume, and in W where that differs."""
+    """Return an estimate as a row of ``estimates.csv``.
+
+    Parameters
+    ----------
+    number
+        Of the volume.
+    volume, estimate
+        In W, in m.
+    X_WL
+        Pose of the source's own frame L (LPS), in which the row is, at the time of the volume.
+    posed
+        Whether W differs from L; then the row tells the tip in W too.
+    """
     row: dict[str, Any] = {
         "volume": number,
         "time_s": volume.time,
@@ -266,7 +279,7 @@ def _row(
     }
     entry = middle = tip = velocity = w_tip = np.full(3, np.nan)
     if estimate.curve is not None:
-        X_LW = recording.X_WL(number).inverse()
+        X_LW = X_WL.inverse()
         entry, middle, tip = 1e3 * X_LW.multiply(estimate.curve.position([0, 0.5, 1]).T).T
         velocity = 1e3 * (X_LW.rotation() @ estimate.tip_velocity)
         w_tip = 1e3 * estimate.curve.tip
@@ -280,7 +293,7 @@ def _row(
     ):
         for axis, value in zip("lps", vector, strict=True):
             row["_".join(filter(None, (name, axis, unit)))] = float(value)
-    if recording.posed:
+    if posed:
         for axis, value in zip("xyz", w_tip, strict=True):
             row[f"world_tip_{axis}_mm"] = float(value)
     row["reason"] = estimate.reason

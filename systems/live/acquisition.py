@@ -33,6 +33,8 @@ class VolumeAcquisition(Immutable):
 
     Parameters
     ----------
+    time
+        Of the volume in s, exactly; time stamps have steps of 2^-32 s.
     origin, spacing
         (3,) of its grid in P, in m.
     X_WP
@@ -43,6 +45,7 @@ class VolumeAcquisition(Immutable):
         Of the scanner.
     """
 
+    time: float
     origin: NDArray[np.float64]
     spacing: NDArray[np.float64]
     X_WP: RigidTransform
@@ -85,6 +88,7 @@ def read_acquisition_item(item: TextItem) -> VolumeAcquisition:
                 geometry, said["direction"], said["frame_times"], said["frame_X_WP"]
             )
         return VolumeAcquisition(
+            float(said["time"]),
             np.array(said["origin"], float),
             np.array(said["spacing"], float),
             RigidTransform(np.array(said["X_WP"], float)),

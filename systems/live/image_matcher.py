@@ -134,7 +134,8 @@ class ImageMatcher:
 
     def _note(self, item: TextItem) -> None:
         try:
-            self._said[item.time] = read_acquisition_item(item)
+            said = read_acquisition_item(item)
+            self._said[said.time] = said
         except ValueError as error:
             self._report(f"a text is left out: {error}")
         while len(self._said) > _REMEMBERED:
@@ -144,9 +145,11 @@ class ImageMatcher:
         self, image: ImageItem, arrived: float, now: float
     ) -> PosedImage | NotFound | None:
         """Return the image with its pose, why it is left out, or None if it should wait."""
-        said = next((v for t, v in self._said.items() if abs(t - image.time) < _SAME), None)
+        X_WL: RigidTransform | NotFound
+        stamp = image.time
+        said = next((v for v in self._said.values() if abs(v.time - stamp) < _SAME), None)
         if said is not None:
-            X_WL: RigidTransform | NotFound = said.X_WP
+            stamp, X_WL = said.time, said.X_WP
         elif self._posed is False:
             X_WL = RigidTransform()
         elif self._posed is None and not len(self._poses):
@@ -157,14 +160,14 @@ class ImageMatcher:
             X_WL = RigidTransform()
         else:
             self._posed = True
-            if not self._poses.reaches(image.time) and now - arrived < _WAIT:
+            if not self._poses.reaches(stamp) and now - arrived < _WAIT:
                 return None
-            X_WL = self._poses.at(image.time)
+            X_WL = self._poses.at(stamp)
         if isinstance(X_WL, NotFound):
             return X_WL
-        time = self._steady(image.time)
+        time = self._steady(stamp)
         if time is None:
-            return NotFound(f"its time stamp {image.time:.6f} s is not later than the last one's")
+            return NotFound(f"its time stamp {stamp:.6f} s is not later than the last one's")
         return PosedImage(image, X_WL, said, time, arrived)
 
     def _steady(self, stamp: float) -> float | None:

@@ -13,6 +13,9 @@ from sonoservo.systems.signals.requirements import require_not_negative, require
 TIP, NEEDLE, TISSUE = "TrueTipToReference", "TrueNeedle", "TrueTissueToRef"
 """Device names; trackers take none that begins with True."""
 
+_TIP_LENGTH = 1e-3
+"""Length in m over which the direction at the tip is taken."""
+
 
 def truth_items(needle: Needle, X_WT: RigidTransform, time: float) -> list[Item]:
     """Return the truth as messages.
@@ -28,12 +31,12 @@ def truth_items(needle: Needle, X_WT: RigidTransform, time: float) -> list[Item]
     """
     items: list[Item] = [PoseItem(TISSUE, time, RigidTransform(X_WT))]
     if needle:
-        shaft = needle.transformed(X_WT).shaft
-        R = RotationMatrix.MakeFromOneVector(shaft[-1] - shaft[-2], 2)
-        items += [
-            CurveItem(NEEDLE, time, shaft),
-            PoseItem(TIP, time, RigidTransform(R, shaft[-1])),
-        ]
+        moved = needle.transformed(X_WT)
+        along = moved.tip - moved.position(moved.length - min(_TIP_LENGTH, moved.length))
+        items.append(CurveItem(NEEDLE, time, moved.shaft))
+        if along.any():
+            X_WTip = RigidTransform(RotationMatrix.MakeFromOneVector(along, 2), moved.tip)
+            items.append(PoseItem(TIP, time, X_WTip))
     return items
 
 

@@ -69,7 +69,7 @@ class VolumeMaker:
         grey = self._window.grey(voxels)
         said = posed.acquisition
         if said is not None:
-            motion = said.motion if posed.time == image.time else None
+            motion = said.motion if posed.time == said.time else None
             return Volume(grey, said.origin, said.spacing, posed.X_WL, posed.time, motion)
         X_WP = posed.X_WL @ self._moved(image.X_LI) @ self._grid.X_LP
         return Volume(grey, self._grid.origin, self._grid.spacing, X_WP, posed.time)

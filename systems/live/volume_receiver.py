@@ -65,18 +65,14 @@ class VolumeReceiver(LeafSystem):
         self.DeclareForcedUnrestrictedUpdateEvent(self._update)
 
     def _update(self, context: Context, state: State) -> EventStatus:
-        known = context.get_abstract_state(self._volume).get_value()
         taken = self._source.take()
-        now = self._clock()
         if isinstance(taken, Volume):
-            self._since = now
-        elif isinstance(known, Volume) and now - self._since > self._stale_after:
+            self._since = self._clock()
+        else:
+            known = context.get_abstract_state(self._volume).get_value()
+            fresh = self._clock() - self._since <= self._stale_after
+            if fresh or not isinstance(known, Volume):
+                return EventStatus.DidNothing()
             taken = NotFound(f"{taken.reason} for {self._stale_after:g} s")
-        elif (
-            isinstance(known, Volume)
-            or known.reason == taken.reason
-            or now - self._since > self._stale_after
-        ):
-            return EventStatus.DidNothing()
         state.get_mutable_abstract_state(self._volume).set_value(taken)
         return EventStatus.Succeeded()

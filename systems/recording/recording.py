@@ -85,6 +85,8 @@ class Recording:
         except ValueError as error:
             raise ConfigurationError(f"{self.path}: {error}") from error
         self._acquisition = self._read_acquisition()
+        if self._acquisition is not None and window is None:
+            self._window = GreyWindow(0, 255)  # what a recorder of this program writes
         frames = file.frame_fields()
         transform = None if self._acquisition else _choose(self.path, frames, poses)
         self.posed = bool(self._acquisition) or transform is not None
