@@ -29,9 +29,15 @@ class VolumeMaker:
         Where the sound goes in L, as a letter of the body.
     window
         Numbers that become the grey levels 0 and 255; by default `choose_window` of the first.
+
+    Raises
+    ------
+    ValueError
+        If one of them is not allowed.
     """
 
     def __init__(self, *, depth: str = "P", window: tuple[float, float] | None = None) -> None:
+        make_file_grid(np.eye(3), np.zeros(3), (2, 2, 2), depth)
         self._depth = depth
         self._window = GreyWindow(*window) if window else None
         self._grid: FileGrid | None = None
