@@ -5,8 +5,9 @@ from collections.abc import Callable
 
 import numpy as np
 from pydrake.math import RigidTransform, RollPitchYaw
-from sonoservo.systems.live.items import Item
-from sonoservo.systems.live.open_igt_link import decode, make_framer
+
+from sonoservo.systems.live.connection.items import Item
+from sonoservo.systems.live.connection.open_igt_link import decode, make_framer
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.volume import Volume

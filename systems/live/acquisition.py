@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.live.items import TextItem
+from sonoservo.systems.live.connection.items import TextItem
 from sonoservo.systems.recording.side_files import describe_acquisition, describe_grid
 from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.sweep import SweepGeometry, SweepMotion

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 
-from sonoservo.systems.live.items import (
+from sonoservo.systems.live.connection.items import (
     CovarianceItem,
     CurveItem,
     Item,
@@ -70,7 +70,7 @@ def curve_points(curve: NeedleCurve) -> NDArray[np.float64]:
     return curve.position(np.linspace(0, 1, 2 if curve.order == 2 else _POINTS))
 
 
-def estimate_items(estimate: NeedleEstimate, names: NeedleNames, time: float) -> list[Item]:
+def needle_items(estimate: NeedleEstimate, names: NeedleNames, time: float) -> list[Item]:
     """Return what is to be sent about an estimate; of a needle that is not known, its status.
 
     Parameters

@@ -9,7 +9,7 @@ from pydrake.math import RigidTransform
 
 from sonoservo.systems.live import acquisition
 from sonoservo.systems.live.acquisition import VolumeAcquisition, read_acquisition_item
-from sonoservo.systems.live.items import ImageItem, Item, PoseItem, TextItem
+from sonoservo.systems.live.connection.items import ImageItem, Item, PoseItem, TextItem
 from sonoservo.systems.live.pose_history import PoseHistory
 from sonoservo.systems.signals.immutable import Immutable, NotFound
 

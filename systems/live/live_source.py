@@ -7,10 +7,10 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Protocol, Self
 
+from sonoservo.systems.live.connection.items import Item
+from sonoservo.systems.live.connection.link import Link
+from sonoservo.systems.live.connection.protocols import Address
 from sonoservo.systems.live.image_matcher import ImageMatcher, PosedImage
-from sonoservo.systems.live.items import Item
-from sonoservo.systems.live.link import Link
-from sonoservo.systems.live.protocols import Address
 from sonoservo.systems.live.volume_maker import VolumeMaker
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.volume import Volume

@@ -3,7 +3,7 @@
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem
 
-from sonoservo.systems.live.estimate_items import NeedleNames, Outlet, estimate_items
+from sonoservo.systems.live.estimate_items import NeedleNames, Outlet, needle_items
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.ports import evaluate
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
@@ -56,5 +56,5 @@ class NeedleSender(LeafSystem):
         if estimate.volume_time > self._volume_time:
             self._volume_time = estimate.volume_time
             self._outlet.send(
-                estimate_items(estimate, self._names, estimate.volume_time), topic="estimate"
+                needle_items(estimate, self._names, estimate.volume_time), topic="estimate"
             )

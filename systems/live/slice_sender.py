@@ -4,8 +4,8 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem
 
+from sonoservo.systems.live.connection.items import ImageItem, Item
 from sonoservo.systems.live.estimate_items import Outlet
-from sonoservo.systems.live.items import ImageItem, Item
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate

@@ -5,9 +5,9 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, LeafSystem
 
+from sonoservo.systems.live.connection.items import ImageItem, Item, PoseItem
 from sonoservo.systems.live.estimate_items import Outlet
 from sonoservo.systems.live.image_matcher import DEFAULT_POSES
-from sonoservo.systems.live.items import ImageItem, Item, PoseItem
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.ports import evaluate
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive

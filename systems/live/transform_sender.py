@@ -4,8 +4,8 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, LeafSystem
 
+from sonoservo.systems.live.connection.items import PoseItem
 from sonoservo.systems.live.estimate_items import Outlet
-from sonoservo.systems.live.items import PoseItem
 from sonoservo.systems.signals.ports import evaluate
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 

@@ -4,8 +4,8 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.framework import Context, LeafSystem
 
+from sonoservo.systems.live.connection.items import CurveItem, Item, PoseItem
 from sonoservo.systems.live.estimate_items import Outlet
-from sonoservo.systems.live.items import CurveItem, Item, PoseItem
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.ports import evaluate
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive

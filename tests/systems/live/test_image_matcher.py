@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 from live_items import X, make_volume
 from pydrake.math import RigidTransform
+
+from sonoservo.systems.live.connection.items import ImageItem, PoseItem, TextItem
 from sonoservo.systems.live.image_matcher import ImageMatcher
-from sonoservo.systems.live.items import ImageItem, PoseItem, TextItem
 from sonoservo.systems.live.volume_sender import volume_items
 
 

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from pydrake.math import RigidTransform, RotationMatrix
+
 from sonoservo.systems.live.pose_history import PoseHistory, interpolate
 
 

@@ -2,9 +2,10 @@ import numpy as np
 import pytest
 from live_items import X, make_volume
 from pydrake.math import RigidTransform, RotationMatrix
+
 from sonoservo.systems.live.acquisition import read_acquisition_item
+from sonoservo.systems.live.connection.items import ImageItem
 from sonoservo.systems.live.image_matcher import PosedImage
-from sonoservo.systems.live.items import ImageItem
 from sonoservo.systems.live.volume_maker import VolumeMaker
 from sonoservo.systems.live.volume_sender import volume_items
 

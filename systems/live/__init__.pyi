@@ -1,0 +1,17 @@
+from .acquisition import VolumeAcquisition as VolumeAcquisition
+from .estimate_items import NeedleNames as NeedleNames
+from .estimate_items import needle_items as needle_items
+from .estimate_items import tip_pose as tip_pose
+from .image_matcher import ImageMatcher as ImageMatcher
+from .image_matcher import PosedImage as PosedImage
+from .live_source import LiveSource as LiveSource
+from .needle_sender import NeedleSender as NeedleSender
+from .pose_history import PoseHistory as PoseHistory
+from .slice_sender import SliceSender as SliceSender
+from .sweep_sender import SweepSender as SweepSender
+from .transform_sender import TransformSender as TransformSender
+from .truth_sender import TruthSender as TruthSender
+from .volume_maker import VolumeMaker as VolumeMaker
+from .volume_receiver import VolumeReceiver as VolumeReceiver
+from .volume_sender import VolumeSender as VolumeSender
+from .volume_sender import volume_items as volume_items
