@@ -10,12 +10,16 @@ import typer
 from sonoservo.diagrams.app.options import (
     DepthOption,
     DynamicRangeOption,
+    FramesOption,
     HostOption,
     JsonOption,
+    MotorOption,
     OrderOption,
     PatienceOption,
     PosesOption,
     RateOption,
+    ReconstructOption,
+    SpacingOption,
     VolumesOption,
     WaitOption,
     WindowOption,
@@ -51,6 +55,10 @@ def track_command(
         bool, typer.Option("--show", help="Show the volumes in a browser, as a scanner does.")
     ] = False,
     host: HostOption = "localhost",
+    reconstruct: ReconstructOption = False,
+    motor: MotorOption = None,
+    frames: FramesOption = None,
+    spacing: SpacingOption = 0.7,
     serve: Annotated[
         list[str] | None,
         typer.Option(help="Live: where to send estimates; the source's own address answers it."),
@@ -68,8 +76,9 @@ def track_command(
     json_path: JsonOption = None,
 ) -> None:
     """Track a needle through recorded or live volumes; end with a folder of results."""
-    from sonoservo.diagrams.app.live.commands import needle_names, track_address
+    from sonoservo.diagrams.app.live.commands import make_maker, needle_names, track_address
     from sonoservo.diagrams.app.live.track_live import LiveLimits
+    from sonoservo.diagrams.app.reconstruct import ReconstructedRecording
     from sonoservo.diagrams.app.terminal import (
         VolumeProgress,
         keep_shown,
@@ -82,12 +91,19 @@ def track_command(
 
     parameters = tracker_parameters(tracker, order=order, start=start)
     if is_address(source):
+        maker = make_maker(
+            depth=depth,
+            window=window,
+            reconstruct=reconstruct,
+            motor=motor,
+            frames=frames,
+            spacing=1e-3 * spacing,
+        )
         summary = track_address(
             console,
             source,
             parameters=parameters,
-            depth=depth,
-            window=window,
+            maker=maker,
             poses=poses,
             dynamic_range_db=dynamic_range_db,
             seed=seed,
@@ -100,7 +116,15 @@ def track_command(
         write_printed(json_path, summary)
         return
     recording = Path(source)
-    opened = Recording(recording, depth=depth, window=window, volume_rate=volume_rate, poses=poses)
+    opened: Recording | ReconstructedRecording
+    if reconstruct:
+        opened = ReconstructedRecording(
+            recording, poses=poses, window=window, frames=frames, spacing=1e-3 * spacing
+        )
+    else:
+        opened = Recording(
+            recording, depth=depth, window=window, volume_rate=volume_rate, poses=poses
+        )
     folder = out or Path("out") / f"{recording.name.partition('.')[0]}_track"
     monitor = start_monitor(console, host) if show else None
     with VolumeProgress(console, recording.name, len(opened)) as progress:
@@ -130,6 +154,10 @@ def bridge_command(
     depth: DepthOption = "P",
     window: WindowOption = None,
     poses: PosesOption = None,
+    reconstruct: ReconstructOption = False,
+    motor: MotorOption = None,
+    frames: FramesOption = None,
+    spacing: SpacingOption = 0.7,
     speed: Annotated[
         float, typer.Option(help="Of playing; 0 for as fast as the slowest peer takes it.")
     ] = 1.0,
@@ -148,6 +176,10 @@ def bridge_command(
         target,
         depth=depth,
         window=window,
+        reconstruct=reconstruct,
+        motor=motor,
+        frames=frames,
+        spacing=1e-3 * spacing,
         poses=poses,
         speed=speed,
         wait_for=wait_for,

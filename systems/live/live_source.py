@@ -19,10 +19,18 @@ _FRAMES_KEPT = 1024
 
 
 class ImagesToVolumes(Protocol):
-    """What makes volumes of images: each gives a volume, or a `NotFound` with the reason."""
+    """What makes volumes of images.
+
+    Attributes
+    ----------
+    takes_frames
+        Whether the images are 2D frames, of which many make a volume.
+    """
+
+    takes_frames: bool
 
     def __call__(self, posed: PosedImage) -> Volume | NotFound:
-        """Return the volume that an image completes."""
+        """Return the volume that an image completes, or why there is none; empty if none is due."""
         ...
 
     def X_WL(self, posed: PosedImage) -> Any:
@@ -41,8 +49,6 @@ class LiveSource:
         Makes volumes of images; by default `VolumeMaker`, of images with several layers.
     poses
         Name of the device that is the probe's pose; see `ImageMatcher`.
-    frames
-        Whether the images are 2D frames.
     keep
         Number of volumes that wait while one is worked on; older ones are dropped.
     report
@@ -55,17 +61,19 @@ class LiveSource:
         *,
         maker: ImagesToVolumes | None = None,
         poses: str | None = None,
-        frames: bool = False,
         keep: int = 1,
         report: Callable[[str], None] = print,
     ) -> None:
         self._report = report
-        self._maker = maker or VolumeMaker()
+        self._maker: ImagesToVolumes = maker or VolumeMaker()
         self._matcher = ImageMatcher(
-            device=address.device, poses=poses, layers=not frames, report=self._say
+            device=address.device,
+            poses=poses,
+            layers=not self._maker.takes_frames,
+            report=self._say,
         )
         self._images: deque[PosedImage] = deque()
-        self._keep = _FRAMES_KEPT if frames else keep
+        self._keep = _FRAMES_KEPT if self._maker.takes_frames else keep
         self._news = threading.Condition()
         self._said = ""
         self.link = Link(address, self._receive, report)

@@ -36,6 +36,8 @@ class VolumeMaker:
         If one of them is not allowed.
     """
 
+    takes_frames = False
+
     def __init__(self, *, depth: str = "P", window: tuple[float, float] | None = None) -> None:
         make_file_grid(np.eye(3), np.zeros(3), (2, 2, 2), depth)
         self._depth = depth

@@ -12,13 +12,16 @@ from rich.console import Console
 from sonoservo.diagrams.app.live.bridge import QUEUE, play_live, record_live
 from sonoservo.diagrams.app.live.serve import live_senders, opened
 from sonoservo.diagrams.app.live.track_live import LiveLimits, track_live
+from sonoservo.diagrams.app.reconstruct import ReconstructedRecording
 from sonoservo.diagrams.app.terminal import live_table
 from sonoservo.diagrams.app.track import TrackerParameters
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.files.typed_yaml import ConfigurationError, suggest
 from sonoservo.systems.live.connection.protocols import Address, is_address, parse_address
 from sonoservo.systems.live.estimate_items import NeedleNames
-from sonoservo.systems.live.live_source import LiveSource
+from sonoservo.systems.live.frames_to_volumes import FramesToVolumes
+from sonoservo.systems.live.live_source import ImagesToVolumes, LiveSource
+from sonoservo.systems.live.motor_sweep import MotorSweepVolumes, load_motor_sweep
 from sonoservo.systems.live.volume_maker import VolumeMaker
 from sonoservo.systems.recording.recording import Recording
 
@@ -78,8 +81,27 @@ def needle_names(changes: Sequence[str], *, points: bool = False) -> NeedleNames
     return names
 
 
-def make_maker(depth: str, window: tuple[float, float] | None) -> VolumeMaker:
-    """Return what makes volumes of images.
+def make_maker(
+    *,
+    depth: str = "P",
+    window: tuple[float, float] | None = None,
+    reconstruct: bool = False,
+    motor: Path | None = None,
+    frames: int | None = None,
+    spacing: float = 7e-4,
+) -> ImagesToVolumes:
+    """Return what makes volumes of received images.
+
+    Parameters
+    ----------
+    depth, window
+        See `VolumeMaker`.
+    reconstruct
+        Whether the images are 2D frames.
+    motor
+        A file that says how a motor sweeps them; without it, by their poses.
+    frames, spacing
+        See `FramesToVolumes`.
 
     Raises
     ------
@@ -87,6 +109,10 @@ def make_maker(depth: str, window: tuple[float, float] | None) -> VolumeMaker:
         Naming what is not allowed.
     """
     try:
+        if motor is not None:
+            return MotorSweepVolumes(load_motor_sweep(motor), window=window)
+        if reconstruct:
+            return FramesToVolumes(window=window, frames=frames, spacing=spacing)
         return VolumeMaker(depth=depth, window=window)
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
@@ -97,8 +123,7 @@ def track_address(
     address: str,
     *,
     parameters: TrackerParameters,
-    depth: str,
-    window: tuple[float, float] | None,
+    maker: ImagesToVolumes,
     poses: str | None,
     dynamic_range_db: float | None,
     seed: int | None,
@@ -112,7 +137,7 @@ def track_address(
     say = saying(console)
     place = parse_address(address)
     folder = out or Path("out") / f"{_file_name(place)}_track"
-    source = LiveSource(place, maker=make_maker(depth, window), poses=poses, report=say)
+    source = LiveSource(place, maker=maker, poses=poses, report=say)
     with ExitStack() as stack:
         outlets = []
         for each in serve:
@@ -149,6 +174,10 @@ def bridge_files(
     *,
     depth: str,
     window: tuple[float, float] | None,
+    reconstruct: bool,
+    motor: Path | None,
+    frames: int | None,
+    spacing: float,
     poses: str | None,
     speed: float,
     wait_for: int,
@@ -168,13 +197,26 @@ def bridge_files(
     say = saying(console)
     try:
         if is_address(target):
-            recording = Recording(source, depth=depth, window=window, poses=poses)
+            recording: Recording | ReconstructedRecording
+            if reconstruct:
+                recording = ReconstructedRecording(
+                    Path(source), poses=poses, window=window, frames=frames, spacing=spacing
+                )
+            else:
+                recording = Recording(source, depth=depth, window=window, poses=poses)
             with opened(target, say, wait_for=wait_for) as link:
                 summary = play_live(recording, link, speed=speed)
             say(f"{summary['volumes']} volumes sent")
             return summary
         place = parse_address(source)
-        maker = make_maker(depth, window)
+        maker = make_maker(
+            depth=depth,
+            window=window,
+            reconstruct=reconstruct,
+            motor=motor,
+            frames=frames,
+            spacing=spacing,
+        )
         with LiveSource(place, maker=maker, poses=poses, keep=QUEUE, report=say) as live:
             if place.listens:
                 say(f"Waiting for a scanner on port {live.link.port}; Ctrl-C ends")

@@ -128,6 +128,8 @@ def _decode_image(name: str, time: float, content: memoryview) -> list[Item]:
     if voxels.ndim != 3 or voxels.size == 0:
         raise ValueError(f"{voxels.shape[::-1]} numbers; one number a voxel is wanted")
     matrix = np.asarray(message.ijk_to_world_matrix, float)
+    if voxels.shape[0] == 1 and not matrix[:3, 2].any():  # a 2D frame needs no third direction
+        matrix[:3, 2] = np.cross(matrix[:3, 0], matrix[:3, 1])
     if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3])) < 1e-12:
         raise ValueError("its matrix is no grid in space")
     X_LI = np.eye(4)
