@@ -15,6 +15,7 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import DiagramBuilder
 
+from sonoservo.diagrams.app.reconstruct import ReconstructedRecording
 from sonoservo.diagrams.needle_tracker import (
     MakeNeedleTracker,
     NeedleTrackerParameters,
@@ -125,7 +126,7 @@ def tracker_parameters(
 
 
 def track_recording(
-    recording: Recording,
+    recording: Recording | ReconstructedRecording,
     *,
     parameters: TrackerParameters | None = None,
     dynamic_range_db: float | None = None,
@@ -238,7 +239,7 @@ def track_recording(
 
 def _note(
     done: _Progress,
-    recording: Recording,
+    recording: Recording | ReconstructedRecording,
     number: int,
     volume: Volume,
     estimate: NeedleEstimate,
@@ -301,7 +302,7 @@ def estimate_row(
 
 
 def _summarize(
-    recording: Recording,
+    recording: Recording | ReconstructedRecording,
     done: _Progress,
     log: RunLog,
     truth: Truth | None,

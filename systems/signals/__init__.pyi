@@ -13,6 +13,7 @@ from .needle_shape import NeedleShape as NeedleShape
 from .needle_shape import path_statistics as path_statistics
 from .ports import evaluate as evaluate
 from .radio_frequency_sweep import RadioFrequencySweep as RadioFrequencySweep
+from .reconstructed_volume import ReconstructedVolume as ReconstructedVolume
 from .requirements import require as require
 from .requirements import require_not_negative as require_not_negative
 from .requirements import require_positive as require_positive

@@ -4,6 +4,8 @@ from .beam import beam_profile as beam_profile
 from .beam import elevation_width as elevation_width
 from .beam import lateral_width as lateral_width
 from .beam import transmitted_spectrum as transmitted_spectrum
+from .frame_reconstruction import PosedFrame as PosedFrame
+from .frame_reconstruction import reconstruct as reconstruct
 from .imaging import ImagingParameters as ImagingParameters
 from .imaging import sweep_geometry as sweep_geometry
 from .planes import Plane as Plane

@@ -194,8 +194,7 @@ def _fill_between(  # type: ignore[no-untyped-def]
                 x, y, z = low[0] + spacing * a, low[1] + spacing * b, low[2] + spacing * c
                 d0 = to_near[2, 0] * x + to_near[2, 1] * y + to_near[2, 2] * z + to_near[2, 3]
                 d1 = to_far[2, 0] * x + to_far[2, 1] * y + to_far[2, 2] * z + to_far[2, 3]
-                # On the second plane a voxel belongs to the next pair.
-                if d0 * d1 > 0 or abs(d0) + abs(d1) > max_gap or (d1 == 0 and d0 != 0):
+                if d0 * d1 > 0 or abs(d0) + abs(d1) > max_gap:
                     continue
                 part = abs(d0) / max(abs(d0) + abs(d1), 1e-30)
                 here = _look_up(near, to_near, x, y, z)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from sonoservo.diagrams.app.live.track_live import LiveLimits, live_volumes
+from sonoservo.diagrams.app.reconstruct import ReconstructedRecording
 from sonoservo.systems.live.connection.link import Link
 from sonoservo.systems.live.live_source import LiveSource
 from sonoservo.systems.live.volume_sender import IMAGE, volume_items
@@ -78,7 +79,7 @@ def record_live(
 
 
 def play_live(
-    recording: Recording,
+    recording: Recording | ReconstructedRecording,
     link: Link,
     *,
     speed: float = 1.0,
