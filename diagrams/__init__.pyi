@@ -7,13 +7,21 @@ from .app.run import RunResult as RunResult
 from .app.run import run as run
 from .app.scan import Scan as Scan
 from .app.scan import scan as scan
-from .app.shape_run import ShapeResult as ShapeResult
-from .app.shape_run import predict_shape as predict_shape
 from .app.track import TrackedRecording as TrackedRecording
 from .app.track import track_recording as track_recording
 from .app.track import tracker_parameters as tracker_parameters
-from .experiment import Experiment as Experiment
-from .experiment import tracker_events as tracker_events
+from .experiments.experiment import Experiment as Experiment
+from .experiments.following import FollowingExperiment as FollowingExperiment
+from .experiments.following import tracker_events as tracker_events
+from .experiments.following_insertion import make_insertion as make_insertion
+from .experiments.following_scenario import FollowingScenario as FollowingScenario
+from .experiments.registry import list_scenarios as list_scenarios
+from .experiments.registry import load_scenario as load_scenario
+from .experiments.registry import make_experiment as make_experiment
+from .experiments.shape_prediction import ShapePredictionExperiment as ShapePredictionExperiment
+from .experiments.shape_prediction_scenario import (
+    ShapePredictionScenario as ShapePredictionScenario,
+)
 from .needle_tracker import MakeNeedleTracker as MakeNeedleTracker
 from .needle_tracker import NeedleTrackerParameters as NeedleTrackerParameters
 from .needle_tracker import Zhao2012TrackerParameters as Zhao2012TrackerParameters
@@ -21,17 +29,14 @@ from .needle_tracker import track as track
 from .probe_controller import MakeProbeController as MakeProbeController
 from .probe_controller import ProbeControllerParameters as ProbeControllerParameters
 from .scenario import Scenario as Scenario
-from .scenario import list_scenarios as list_scenarios
-from .scenario import load_any_scenario as load_any_scenario
-from .scenario import load_scenario as load_scenario
-from .scenario_insertion import make_insertion as make_insertion
+from .scenario import require_scenario as require_scenario
 from .seeds import Seeds as Seeds
 from .seeds import draw_seeds as draw_seeds
-from .shape_experiment import ShapeExperiment as ShapeExperiment
-from .shape_experiment import estimate_shape as estimate_shape
-from .shape_scenario import ShapeScenario as ShapeScenario
+from .shape_predictor import MakeShapePredictor as MakeShapePredictor
+from .shape_predictor import estimate_shape as estimate_shape
 from .station import MakeStation as MakeStation
 from .station import ProbePlacement as ProbePlacement
 from .station import StationParameters as StationParameters
 from .station import check_reach as check_reach
 from .station import start_posture as start_posture
+from .wiring import connect_by_name as connect_by_name

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
-from sonoservo.diagrams.scenario import Scenario
-from sonoservo.diagrams.scenario_insertion import make_insertion
+from sonoservo.diagrams.experiments.following_insertion import make_insertion
+from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.systems.evaluation.plots import png
 from sonoservo.systems.evaluation.scan_sheet import scan_sheet
@@ -76,6 +77,7 @@ def scan(
     ConfigurationError
         If the scenario cannot be carried out.
     """
+    scenario = require_scenario(scenario, FollowingScenario)
     try:
         return _scan(scenario, time, X_TP, velocity)
     except (ValueError, FileNotFoundError) as error:
@@ -83,7 +85,7 @@ def scan(
 
 
 def _scan(
-    scenario: Scenario,
+    scenario: FollowingScenario,
     time: float | None,
     X_TP: RigidTransform | None,
     velocity: Sequence[float],
@@ -123,7 +125,7 @@ def _scan(
     return Scan(sweep, conversion(sweep), needle.transformed(X_WT))
 
 
-def write_scan(scan: Scan, scenario: Scenario, out: Path) -> list[Path]:
+def write_scan(scan: Scan, scenario: FollowingScenario, out: Path) -> list[Path]:
     """Write scan.png, a sheet of pictures, and scan.nrrd, the volume.
 
     Parameters
@@ -152,7 +154,7 @@ def write_scan(scan: Scan, scenario: Scenario, out: Path) -> list[Path]:
     ]
 
 
-def caption(scan: Scan, scenario: Scenario) -> str:
+def caption(scan: Scan, scenario: FollowingScenario) -> str:
     """Return a line that says what was scanned with what."""
     geometry, imaging = scan.sweep.geometry, scenario.imaging
     return (
@@ -162,7 +164,7 @@ def caption(scan: Scan, scenario: Scenario) -> str:
     )
 
 
-def summarize_scan(scan: Scan, scenario: Scenario) -> dict[str, Any]:
+def summarize_scan(scan: Scan, scenario: FollowingScenario) -> dict[str, Any]:
     """Return the figures that are printed: settings, needle and levels."""
     geometry = scan.sweep.geometry
     needle = scan.needle

@@ -23,10 +23,11 @@ from sonoservo.diagrams.needle_tracker import (
 )
 from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilterParameters
 from sonoservo.systems.estimation.needle_kalman_filter import NeedleKalmanFilterParameters
+from sonoservo.systems.evaluation.log import write_log
 from sonoservo.systems.evaluation.metrics import summarize
 from sonoservo.systems.evaluation.plots import plot_errors, png
 from sonoservo.systems.evaluation.report import write_report
-from sonoservo.systems.evaluation.run_log import RunLog, write_log
+from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.run_logger import RunLogger
 from sonoservo.systems.evaluation.track_plots import (
     VolumePictures,
@@ -230,7 +231,10 @@ def track_recording(
         interrupted = True
     wall = time.perf_counter() - started
 
-    log = logger.log(compute={name: np.array(each) for name, each in done.compute.items()})
+    log = logger.log(
+        logger.GetMyContextFromRoot(context),
+        compute={name: np.array(each) for name, each in done.compute.items()},
+    )
     summary = _summarize(recording, done, log, truth, interrupted, wall)
     if out is not None:
         _write(out, done, summary, log, truth, command)

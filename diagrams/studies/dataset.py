@@ -14,11 +14,14 @@ from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 from rich.console import Console
 
-from sonoservo.diagrams.scenario import Scenario, load_scenario
+from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams.experiments.registry import load_scenario
+from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.diagrams.studies.study import Case, run_cases
 from sonoservo.systems.files.typed_yaml import ConfigurationError
 from sonoservo.systems.files.writing import write_json
-from sonoservo.systems.needle.insertion import Insertion, InsertionParameters, Push
+from sonoservo.systems.needle.insertion import Insertion
+from sonoservo.systems.needle.insertion_parameters import InsertionParameters, Push
 from sonoservo.systems.recording.nrrd import write_mask
 from sonoservo.systems.recording.recording_writer import RecordingWriter
 from sonoservo.systems.signals.needle import Needle
@@ -87,6 +90,7 @@ def make_dataset(
     ConfigurationError
         If a number or a transducer is not allowed.
     """
+    scenario = require_scenario(scenario, FollowingScenario)
     for name, value in (("count", count), ("volumes", volumes)):
         if value < 1:
             raise ConfigurationError(f"{name}: {value} is not allowed; it must be at least 1")
@@ -145,7 +149,7 @@ def _make_sequence(case: Case, *, out: Path) -> dict[str, Any]:
         old.unlink()
     scenario_file = folder / "scenario.yaml"
     scenario_file.write_text(case.settings["scenario"], encoding="utf-8")
-    scenario = load_scenario(scenario_file, seed=case.seed)
+    scenario = require_scenario(load_scenario(scenario_file, seed=case.seed), FollowingScenario)
     scenario_file.unlink()
     rng = np.random.default_rng([case.seed, 3])
     drawn = _draw_scanner(scenario, list(case.settings["transducers"]), rng)
@@ -182,7 +186,7 @@ def _make_sequence(case: Case, *, out: Path) -> dict[str, Any]:
 
 
 def _draw_scanner(
-    scenario: Scenario, transducers: list[str], rng: np.random.Generator
+    scenario: FollowingScenario, transducers: list[str], rng: np.random.Generator
 ) -> dict[str, Any]:
     """Draw transducer, settings and tissue; with the renderer that they make."""
     name = transducers[rng.integers(len(transducers))]
@@ -251,7 +255,7 @@ def _draw_tissue(tissue: Tissue, rng: np.random.Generator) -> Tissue:
 
 
 def _draw_insertion(
-    scenario: Scenario, geometry: SweepGeometry, volumes: int, rng: np.random.Generator
+    scenario: FollowingScenario, geometry: SweepGeometry, volumes: int, rng: np.random.Generator
 ) -> tuple[RigidTransform, InsertionParameters]:
     """Draw where the probe stands, X_TP, and a needle that comes into its view from the side."""
     station = scenario.station

@@ -6,25 +6,28 @@ from .axis_tip_state import direction_angles as direction_angles
 from .axis_tip_state import predict_axis_tip as predict_axis_tip
 from .axis_tip_state import start_axis_tip as start_axis_tip
 from .axis_tip_state import update_axis_tip as update_axis_tip
-from .least_squares_shape_estimator import LeastSquaresShapeEstimator as LeastSquaresShapeEstimator
+from .cross_section_memory import CrossSectionMemory as CrossSectionMemory
 from .needle_kalman_filter import NeedleKalmanFilter as NeedleKalmanFilter
 from .needle_kalman_filter import NeedleKalmanFilterParameters as NeedleKalmanFilterParameters
 from .needle_kalman_filter import innovation_distance as innovation_distance
 from .needle_kalman_filter import restart_track as restart_track
 from .needle_kalman_filter import start_track as start_track
 from .needle_kalman_filter import update_track as update_track
-from .particle_shape_estimator import ParticleShapeEstimator as ParticleShapeEstimator
 from .published_particle_filter import PublishedBelief as PublishedBelief
+from .published_particle_filter import PublishedParticleFilter as PublishedParticleFilter
 from .published_particle_filter import (
     PublishedParticleFilterParameters as PublishedParticleFilterParameters,
 )
-from .published_shape_estimator import PublishedShapeEstimator as PublishedShapeEstimator
 from .shape_estimator import ShapeEstimator as ShapeEstimator
+from .shape_filter import ShapeFilter as ShapeFilter
+from .shape_filter import ShapePaths as ShapePaths
+from .shape_filters import ShapeFilterChoice as ShapeFilterChoice
 from .shape_least_squares import FittedShape as FittedShape
-from .shape_least_squares import ShapeFit as ShapeFit
+from .shape_least_squares import ShapeLeastSquares as ShapeLeastSquares
 from .shape_least_squares import ShapeLeastSquaresParameters as ShapeLeastSquaresParameters
 from .shape_parameters import ShapeEstimatorParameters as ShapeEstimatorParameters
 from .shape_particle_filter import ParticleBelief as ParticleBelief
+from .shape_particle_filter import ShapeParticleFilter as ShapeParticleFilter
 from .shape_particle_filter import ShapeParticleFilterParameters as ShapeParticleFilterParameters
 from .shape_particle_filter import ShapePosterior as ShapePosterior
 from .shape_posterior import MeasurementNoise as MeasurementNoise

@@ -4,16 +4,24 @@ from collections.abc import Container
 
 _RENAMED = {
     "angle_deviation_deg": "angle_std_deg",
+    "depth": "feed.depth",
     "failure": "stop_probability",
     "first_deviation": "first_std",
     "first_drift": "first_drift_std",
     "first_speed": "first_speed_std",
+    "kind": "experiment",
     "inlier_distance": "residual_threshold",
     "largest_deviation": "max_std",
+    "greatest_angle_deg": "bend_angle_spread_deg",
+    "greatest_radius": "bend_radius_spread",
     "largest_iterations": "max_trials",
+    "lead": "feed.lead",
     "least_speed_deviation": "min_speed_std",
+    "published": "published_figures",
+    "min_radius": "bend_radius",
+    "speed": "feed.speed",
 }
-_PREFIXES = {"least_": "min_", "largest_": "max_"}
+_PREFIXES = {"least_": "min_", "largest_": "max_", "greatest_": "max_"}
 _SUFFIXES = {"_deviation": "_std"}
 
 
@@ -34,4 +42,4 @@ def current_name(name: str, known: Container[str]) -> str | None:
     for old, new in _SUFFIXES.items():
         if name.endswith(old):
             candidates.append(name.removesuffix(old) + new)
-    return next((each for each in candidates if each in known), None)
+    return next((each for each in candidates if each.partition(".")[0] in known), None)

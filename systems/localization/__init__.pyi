@@ -5,8 +5,7 @@ from .axis_fit import fit_axis as fit_axis
 from .candidates import Candidates as Candidates
 from .candidates import select_candidates as select_candidates
 from .cross_section import CrossSectionParameters as CrossSectionParameters
-from .cross_section_tracker import CrossSectionTracker as CrossSectionTracker
-from .cross_section_tracker import CrossSectionTrackerParameters as CrossSectionTrackerParameters
+from .cross_section_localizer import CrossSectionLocalizer as CrossSectionLocalizer
 from .line_search import bright_lines as bright_lines
 from .localize import seek_needle as seek_needle
 from .localizer_parameters import NeedleLocalizerParameters as NeedleLocalizerParameters

@@ -1,4 +1,5 @@
 from .cross_section import CrossSection as CrossSection
+from .cross_section_track import CrossSectionTrack as CrossSectionTrack
 from .image_slice import ImageSlice as ImageSlice
 from .immutable import Immutable as Immutable
 from .immutable import NotFound as NotFound

@@ -1,14 +1,15 @@
 import pytest
 import yaml
 
+from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams.experiments.registry import list_scenarios, load_scenario
 from sonoservo.diagrams.needle_tracker import Zhao2012TrackerParameters
-from sonoservo.diagrams.scenario import Scenario, list_scenarios, load_any_scenario, load_scenario
 from sonoservo.systems.files.typed_yaml import ConfigurationError
 
 
 @pytest.mark.parametrize("name", list_scenarios())
 def test_every_scenario_loads_and_says_what_it_is(name):
-    scenario = load_any_scenario(name)
+    scenario = load_scenario(name)
     assert scenario.name == name
     assert 20 < len(scenario.description) <= 100
 
@@ -43,7 +44,7 @@ def test_a_file_of_ones_own_and_the_whole_of_it_read_back(tmp_path):
     assert scenario.imaging.volume_rate == 2.0
     path.write_text(scenario.to_yaml())
     assert load_scenario(path) == scenario
-    assert set(yaml.safe_load(scenario.to_yaml())) == set(Scenario.__dataclass_fields__)
+    assert set(yaml.safe_load(scenario.to_yaml())) == set(FollowingScenario.__dataclass_fields__)
 
 
 def test_the_tracker_is_chosen_by_name(tmp_path):
@@ -67,6 +68,13 @@ def test_the_tracker_is_chosen_by_name(tmp_path):
         ("chatelain2013_fig5", ["duration=0"], "duration: 0.0"),
         ("chatelain2013_fig5", ["station.time_step=10"], "station.time_step: 10.0"),
         ("chatelain2013_fig5", ["seed=-1"], "seed: -1"),
+        (
+            "drive",
+            ["experiment=drive"],
+            "drive: experiment: 'drive' is not allowed; known: following",
+        ),
+        ("drive", ["kind=needle_shape"], "kind: is now called 'experiment'"),
+        ("drive", ["published={}"], "published: is now called 'published_figures'"),
         ("drive", ["controller_changes=[{force: 0.3}]"], "controller_changes.0.force: 0.3"),
         ("drive", ["controller_changes=[{time: 2}, {time: 1}]"], "must be in order of time"),
         ("drive", ["hand.pushes=[{turning_deg: 1e4}]"], "hand.pushes.0.turning_deg: 10000.0"),

@@ -6,8 +6,9 @@ from contextlib import contextmanager
 
 from pydrake.systems.framework import System
 
-from sonoservo.diagrams.experiment import observer_events, recording_settings
-from sonoservo.diagrams.scenario import Scenario
+from sonoservo.diagrams.experiments.following import observer_events, recording_settings
+from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.systems.live.connection.link import Link
 from sonoservo.systems.live.connection.protocols import parse_address
 from sonoservo.systems.live.estimate_items import NeedleNames
@@ -28,7 +29,7 @@ _POLL = 0.05
 def live_senders(
     link: Link, scenario: Scenario, names: NeedleNames | None = None
 ) -> dict[str, System]:
-    """Return the systems that send all that a scenario makes: observers of an `Experiment`.
+    """Return the systems that send all that a scenario makes: observers of a `FollowingExperiment`.
 
     They send the volumes, the frames as acquired, the two slices through the needle, the probe's
     pose, the estimate and the truth; each at the rate at which it arises.
@@ -41,7 +42,13 @@ def live_senders(
         That is run.
     names
         Of the estimate's devices.
+
+    Raises
+    ------
+    ConfigurationError
+        If the scenario makes no volumes.
     """
+    scenario = require_scenario(scenario, FollowingScenario)
     period, offset = observer_events(scenario).values()
     frames = sweep_geometry(load_transducer(scenario.transducer), scenario.imaging).frame_period
     return {

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from sonoservo.diagrams.experiment import Experiment
+from sonoservo.diagrams.experiments.following import FollowingExperiment
+from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.diagrams.papers.zhao2012.phantom import DIRECTION, Phantom, StraightNeedle
 from sonoservo.diagrams.papers.zhao2012.tracking import (
     VELOCIMETER,
@@ -16,10 +17,8 @@ from sonoservo.diagrams.papers.zhao2012.tracking import (
     Tracking,
     find_as_published,
 )
-from sonoservo.diagrams.scenario import load_scenario
 from sonoservo.diagrams.studies.study import Case
 from sonoservo.systems.estimation.axis_tip_state import direction_angles
-from sonoservo.systems.evaluation.metrics import MetricsParameters, summarize
 from sonoservo.systems.localization.speckle_velocimeter import measure_velocity
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_curve import NeedleCurve
@@ -170,12 +169,11 @@ def run_velocimeter(case: Case) -> Mapping[str, Any]:
 
 def run_closed_loop(case: Case) -> Mapping[str, Any]:
     """Run a scenario with one of the trackers."""
-    experiment = Experiment(
+    experiment = FollowingExperiment(
         load_scenario(case.settings["scenario"], seed=case.seed, changes=case.settings["changes"])
     )
     experiment.run()
-    target = experiment.scenario.controller.force.force
-    return summarize(experiment.log(), MetricsParameters(force_target=target))
+    return experiment.summarize(experiment.log())
 
 
 RUNS = {

@@ -6,6 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from sonoservo.diagrams.app.cli import app
+from sonoservo.systems.files.typed_yaml import ConfigurationError
 
 runner = CliRunner()
 
@@ -41,7 +42,8 @@ def test_list_names_every_scenario(tmp_path):
         (["carriere2016_d60", "--set", "rotations=[0.2]"], "rotations: [0.2]"),
         (["carriere2016_d60", "--set", "estimator=particle"], "did you mean 'particle_filter'"),
         (["carriere2016_d60", "--set", "depth=0.3"], "stays in the phantom"),
-        (["carriere2016_d60", "--set", "kind=needle"], "kind: 'needle'"),
+        (["carriere2016_d60", "--set", "experiment=needle"], "experiment: 'needle'"),
+        (["carriere2016_d60", "--record", "a.seq.nrrd"], "record: not possible"),
     ],
 )
 def test_a_mistake_is_one_line_and_exit_code_2(arguments, message, tmp_path):
@@ -50,6 +52,15 @@ def test_a_mistake_is_one_line_and_exit_code_2(arguments, message, tmp_path):
     assert message in result.stderr
     assert len(result.stderr.strip().splitlines()) == 1
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "command", [["scan"], ["drive"], ["dataset", "--count", "1", "--out", "never"]]
+)
+def test_what_needs_a_robot_refuses_other_scenarios(command):
+    result = runner.invoke(app, [command[0], "carriere2016_d60", *command[1:]])
+    assert isinstance(result.exception, ConfigurationError)
+    assert "one of 'following' is wanted here" in str(result.exception)
 
 
 def test_a_short_run_leaves_its_files_and_its_summary(tmp_path):

@@ -9,7 +9,7 @@ from PIL import Image
 from pydrake.math import RigidTransform, RotationMatrix
 
 from sonoservo.diagrams.app.scan import caption, scan, summarize_scan
-from sonoservo.diagrams.scenario import load_scenario
+from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.systems.evaluation.scan_sheet import sample, scan_sheet
 from sonoservo.systems.files.typed_yaml import ConfigurationError
 

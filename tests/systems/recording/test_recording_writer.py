@@ -197,6 +197,46 @@ def test_a_recorder_and_a_player_as_systems(tmp_path, volumes):
     assert_equal(port.Eval(playing), volumes[0])
 
 
+def recording_of(recorder, volumes, context=None):
+    """Simulate a run in which each of the volumes comes."""
+    simulator = Simulator(recorder, context or recorder.CreateDefaultContext())
+    for k, volume in enumerate(volumes):
+        recorder.GetInputPort("volume").FixValue(
+            simulator.get_mutable_context(), Value[object](volume)
+        )
+        simulator.AdvanceTo(0.2 * (k + 1))
+    return simulator
+
+
+def test_a_run_that_starts_anew_records_anew(tmp_path, volumes):
+    path = tmp_path / "a.seq.nrrd"
+    recorder = VolumeRecorder(path=path, period=0.1)
+    recording_of(recorder, volumes)  # never closed
+    recording_of(recorder, volumes[:2])
+    recorder.close()
+    assert [each.time for each in Recording(path)] == [each.time for each in volumes[:2]]
+    simulator = recording_of(recorder, volumes[:3])  # the same times again
+    recorder.close()
+    assert [each.time for each in Recording(path)] == [each.time for each in volumes[:3]]
+    simulator.get_mutable_context().SetTime(0.0)
+    recording_of(recorder, volumes[1:], simulator.get_mutable_context())
+    recorder.close()
+    assert [each.time for each in Recording(path)] == [each.time for each in volumes[1:]]
+    assert {each.name for each in tmp_path.iterdir()} == {"a.seq.nrrd", "a.acquisition.jsonl"}
+
+
+def test_runs_that_take_turns_do_not_mix_their_volumes(tmp_path, volumes):
+    path = tmp_path / "a.seq.nrrd"
+    recorder = VolumeRecorder(path=path, period=0.1)
+    first = recording_of(recorder, volumes[:2])
+    recording_of(recorder, volumes[1:])
+    recorder.GetInputPort("volume").FixValue(first.get_mutable_context(), Value[object](volumes[2]))
+    with pytest.raises(RuntimeError, match="this recording is closed"):
+        first.AdvanceTo(1.0)
+    recorder.close()
+    assert [each.time for each in Recording(path)] == [each.time for each in volumes[1:]]
+
+
 def test_damaged_side_files_are_one_line(recorded):
     side = recorded.with_name("a.acquisition.jsonl")
     lines = side.read_text().splitlines()

@@ -1,17 +1,18 @@
-"""The insertion that a scenario describes, and whether phantom and arm allow it."""
+"""The insertion of a scenario of following, and whether phantom and arm allow it."""
 
 from dataclasses import replace
 
 import numpy as np
 
-from sonoservo.diagrams.scenario import Scenario
+from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.diagrams.station import check_reach
-from sonoservo.systems.needle.insertion import Insertion, Push
+from sonoservo.systems.needle.insertion import Insertion
+from sonoservo.systems.needle.insertion_parameters import Push
 from sonoservo.systems.signals.requirements import require
 
 
-def make_insertion(scenario: Scenario, pushes: list[Push] | None = None) -> Insertion:
+def make_insertion(scenario: FollowingScenario, pushes: list[Push] | None = None) -> Insertion:
     """Return the insertion of a scenario's needle.
 
     Parameters
@@ -25,7 +26,7 @@ def make_insertion(scenario: Scenario, pushes: list[Push] | None = None) -> Inse
     return Insertion(hand, np.random.default_rng(draw_seeds(scenario).insertion))
 
 
-def check_entry(scenario: Scenario, size: list[float]) -> None:
+def check_entry(scenario: FollowingScenario, size: list[float]) -> None:
     """Refuse a needle that enters beside the phantom.
 
     Parameters
@@ -56,7 +57,7 @@ def check_entry(scenario: Scenario, size: list[float]) -> None:
         )
 
 
-def check_followed(scenario: Scenario, insertion: Insertion) -> None:
+def check_followed(scenario: FollowingScenario, insertion: Insertion) -> None:
     """Refuse a needle that the arm cannot follow to where it goes deepest.
 
     Parameters

@@ -1,21 +1,35 @@
-"""What a run of needle shape prediction is made of."""
+"""Scenarios of shape prediction."""
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 
-import yaml
-
+from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.estimation.published_particle_filter import PublishedParticleFilterParameters
+from sonoservo.systems.estimation.shape_filters import SHAPE_FILTERS
 from sonoservo.systems.estimation.shape_least_squares import ShapeLeastSquaresParameters
 from sonoservo.systems.estimation.shape_particle_filter import ShapeParticleFilterParameters
 from sonoservo.systems.files.typed_yaml import suggest
-from sonoservo.systems.localization.cross_section_tracker import CrossSectionTrackerParameters
-from sonoservo.systems.needle.bevelled_insertion import BevelledInsertionParameters
+from sonoservo.systems.localization.cross_section import CrossSectionParameters
+from sonoservo.systems.needle.insertion_parameters import FeedParameters, InsertionParameters
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation.rendering import ScannerParameters
 
-ESTIMATORS = ("particle_filter", "least_squares", "published")
-"""Names of the shape estimators."""
+ESTIMATORS = tuple(SHAPE_FILTERS)
+"""Names of the shape estimators; each is a field of `ShapeScenario` too."""
+
+
+def _hand() -> InsertionParameters:
+    return InsertionParameters(
+        entry=[-0.075, 0.0, -0.030],
+        entry_spread=[0.0, 2e-3, 2e-3],
+        bend_radius=1.6,
+        bend_radius_spread=0.8,
+        bend_roll_deg=90.0,
+        bend_roll_spread_deg=180.0,
+        bend_angle_spread_deg=2.0,
+        start=0.0,
+        feed=FeedParameters(),
+    )
 
 
 def _imaging() -> ImagingParameters:
@@ -32,33 +46,25 @@ def _imaging() -> ImagingParameters:
 
 
 @dataclass(kw_only=True)
-class ShapeScenario:
+class ShapePredictionScenario(Scenario):
     """All of a run in which a needle's shape is predicted from axial slices.
-
-    Every field has a default; a file states what differs.
 
     Parameters
     ----------
-    kind
-        "needle_shape": tells such a file from that of a `Scenario`.
-    name
-        Of the scenario; the file's name where it came from a file.
-    description
-        One line for lists and reports.
-    seed
-        Of everything random: tissue, needle, noise, sampling.
+    experiment
+        "shape_prediction".
     depth
-        Of the last slice from the first, in m. It replaces the parts' own.
+        Depth of the last slice, from the first, in m. It replaces the parts' own.
     rotations
         Depths at which the bevel is turned by 180 deg, in m. They replace the parts' own.
     observe_until
         Depth beyond which the estimator looks at no slice, in m: it then predicts (the paper's D).
         None looks at all. It replaces the parts' own.
     step
-        Between slices, in m. Together with the hand's speed it gives the slices per second, which
+        Distance between slices, in m. With the feed's speed it gives the slices per second, which
         replace ``imaging.volume_rate``.
     pixel
-        Of the slices, in m.
+        Spacing of the slices' pixels, in m.
     face
         z in T of the probe's face, in m; below zero, the tissue surrounds the face.
     tissue_shift
@@ -71,23 +77,18 @@ class ShapeScenario:
     imaging, scanner
         The scanner's settings; noise and artefacts.
     hand
-        The needle and how it is pushed.
+        The needle and its feed through a template.
     tracker
-        Of the cross-section.
+        Settings of the search for cross-sections.
     estimator
-        That guides the tracker: "particle_filter", "least_squares" or "published".
+        Name of the shape estimator that guides the search, one of `ESTIMATORS`.
     particle_filter, least_squares, published
         Parameters of each.
     processing_time
-        From a slice to the estimate that it gives, in s.
-    published_figures
-        Of the publication, shown beside ours: dotted paths into the summary.
+        Time from a slice to the estimate that it gives, in s.
     """
 
-    kind: str = "needle_shape"
-    name: str = "unnamed"
-    description: str = ""
-    seed: int = 0
+    experiment: str = "shape_prediction"
     depth: float = 0.14
     rotations: list[float] = field(default_factory=list)
     observe_until: float | None = None
@@ -99,8 +100,8 @@ class ShapeScenario:
     transducer: str = "trus"
     imaging: ImagingParameters = field(default_factory=_imaging)
     scanner: ScannerParameters = field(default_factory=ScannerParameters)
-    hand: BevelledInsertionParameters = field(default_factory=BevelledInsertionParameters)
-    tracker: CrossSectionTrackerParameters = field(default_factory=CrossSectionTrackerParameters)
+    hand: InsertionParameters = field(default_factory=_hand)
+    tracker: CrossSectionParameters = field(default_factory=CrossSectionParameters)
     estimator: str = "particle_filter"
     particle_filter: ShapeParticleFilterParameters = field(
         default_factory=ShapeParticleFilterParameters
@@ -110,13 +111,9 @@ class ShapeScenario:
         default_factory=PublishedParticleFilterParameters
     )
     processing_time: float = 0.01
-    published_figures: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        require(self.kind == "needle_shape", "kind", self.kind, '"needle_shape"')
-        plain = self.name.strip() and not set(self.name) & set("/\\\0")
-        require(bool(plain) and self.name not in (".", ".."), "name", self.name, "a plain name")
-        require(self.seed >= 0, "seed", self.seed, "a whole number of at least 0")
+        super().__post_init__()
         require_positive(
             depth=self.depth,
             step=self.step,
@@ -145,18 +142,24 @@ class ShapeScenario:
             self.estimator,
             f"one of {', '.join(ESTIMATORS)}; {suggest(self.estimator, ESTIMATORS)}",
         )
-        period = self.step / self.hand.speed
+        require(self.hand.feed is not None, "hand.feed", None, "a template's feed")
         require(
-            self.processing_time < period,
+            self.processing_time < self.period,
             "processing_time",
             self.processing_time,
-            f"below the {period:g} s between slices",
+            f"below the {self.period:g} s between slices",
         )
 
     @property
+    def feed(self) -> FeedParameters:
+        """Feed of the needle through the template."""
+        assert self.hand.feed is not None
+        return self.hand.feed
+
+    @property
     def period(self) -> float:
-        """Between slices, in s."""
-        return self.step / self.hand.speed
+        """Time between slices, in s."""
+        return self.step / self.feed.speed
 
     @property
     def steps(self) -> int:
@@ -165,9 +168,5 @@ class ShapeScenario:
 
     @property
     def duration(self) -> float:
-        """Simulated time in s."""
+        """Simulated time in s; the last estimate is made at its end."""
         return (self.steps + 1) * self.period + self.processing_time
-
-    def to_yaml(self) -> str:
-        """Return all fields as YAML that `load_scenario` reads."""
-        return yaml.safe_dump(asdict(self), sort_keys=False)
