@@ -10,10 +10,15 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 from live_items import FakeOutlet, wait_until
+from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import Gain
 from synthetic_volumes import Scene, entry_on_side
 
-from sonoservo.diagrams import load_scenario, run, track_recording
+from sonoservo.diagrams import MakeNeedleTracker, load_scenario, run, track_recording
+from sonoservo.diagrams.app.drive import DrivenExperiment
 from sonoservo.diagrams.app.live.bridge import play_live, record_live
 from sonoservo.diagrams.app.live.commands import make_maker, needle_names
 from sonoservo.diagrams.app.live.serve import live_senders, opened
@@ -26,10 +31,13 @@ from sonoservo.systems.live.connection.protocols import parse_address
 from sonoservo.systems.live.image_matcher import ImageMatcher
 from sonoservo.systems.live.live_source import LiveSource
 from sonoservo.systems.live.motor_sweep import MotorSweepParameters, MotorSweepVolumes
+from sonoservo.systems.live.needle_sender import NeedleSender
+from sonoservo.systems.live.volume_receiver import VolumeReceiver
 from sonoservo.systems.live.volume_sender import volume_items
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.recording.recording_writer import RecordingWriter
 from sonoservo.systems.recording.side_files import ACQUISITION, side_path
+from sonoservo.systems.signals.immutable import NotFound
 
 COUNT = 10
 ENTRY = entry_on_side()
@@ -223,6 +231,48 @@ def test_frames_of_a_run_are_its_volumes(served):
     for volume, image in zip(volumes, images, strict=True):
         np.testing.assert_array_equal(volume.intensities, image.voxels)
         assert volume.time == image.time
+
+
+def test_driving_is_sent_too():
+    scenario = load_scenario("drive", seed=103)
+    outlet = FakeOutlet()
+    driven = DrivenExperiment(scenario, Meshcat(), observers=live_senders(outlet, scenario))
+    driven.start()
+    driven.advance(0.4)
+    topics = [topic for topic, _ in outlet.sent]
+    assert {"volume", "frames", "slices", "estimate", "truth", ""} == set(topics)
+    driven.start()  # the operator begins anew
+    driven.advance(0.4)
+    assert [topic for topic, _ in outlet.sent].count("volume") == 2 * topics.count("volume")
+
+
+def test_observers_have_no_outputs():
+    scenario = load_scenario("chatelain2013_fig4")
+    with pytest.raises(ConfigurationError, match=r"observers\.gain: '1 outputs' is not allowed"):
+        run(scenario, observers={"gain": Gain(1.0, 1)})
+
+
+def test_receiver_tracker_and_sender_are_a_diagram(recording):
+    """Volumes come in at a simulator's steps, and estimates go out."""
+
+    class Source:
+        def __init__(self):
+            self.volumes = [recording[k] for k in range(4)]
+
+        def take(self, timeout=0.0):
+            return self.volumes.pop(0) if self.volumes else NotFound("nothing")
+
+    outlet, source = FakeOutlet(), Source()
+    builder = DiagramBuilder()
+    receiver = builder.AddSystem(VolumeReceiver(source=source))
+    tracker = builder.AddSystem(MakeNeedleTracker(parameters=anywhere(), period=0.1, offset=0.05))
+    sender = builder.AddSystem(NeedleSender(outlet=outlet, period=0.1, offset=0.09))
+    builder.Connect(receiver.GetOutputPort("volume"), tracker.GetInputPort("volume"))
+    builder.Connect(tracker.GetOutputPort("estimate"), sender.GetInputPort("estimate"))
+    simulator = Simulator(builder.Build())
+    simulator.AdvanceTo(1.0)
+    assert not source.volumes
+    assert outlet.sent[-1][1][0].time == pytest.approx(recording.times[3])
 
 
 def test_a_client_sees_a_run_as_it_goes():
