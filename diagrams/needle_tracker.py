@@ -65,7 +65,6 @@ class NeedleTrackerParameters:
         for name in ("localizer", "kalman_filter"):
             order = getattr(self, name).order
             require(order in (2, self.order), f"{name}.order", order, "left out: order sets it")
-        _require_default_scale(self)
 
 
 @dataclass(kw_only=True)
@@ -99,21 +98,6 @@ class Zhao2012TrackerParameters:
         require_not_negative(look_back=self.look_back)
         order = self.localizer.order
         require(order == 2, "localizer.order", order, "2: the needle is straight")
-        _require_default_scale(self)
-
-
-def _require_default_scale(parameters: NeedleTrackerParameters | Zhao2012TrackerParameters) -> None:
-    """Refuse a scale of grey levels in a part: the volumes' own takes its place."""
-    for name, part in (
-        ("detector", parameters.detector),
-        ("localizer.tip", parameters.localizer.tip),
-    ):
-        require(
-            part.decibels_per_level == type(part)().decibels_per_level,
-            f"{name}.decibels_per_level",
-            part.decibels_per_level,
-            "left out: imaging.dynamic_range_db sets it",
-        )
 
 
 def MakeNeedleTracker(
@@ -121,7 +105,6 @@ def MakeNeedleTracker(
     parameters: NeedleTrackerParameters | Zhao2012TrackerParameters | None = None,
     period: float,
     offset: float = 0.0,
-    dynamic_range_db: float = 60.0,
     seed: int = 0,
     speckle_port: bool = False,
 ) -> Diagram:
@@ -147,9 +130,6 @@ def MakeNeedleTracker(
         Which tracker, and its parts; their class is the choice.
     period, offset
         Of the events at which it looks for a new volume, in s.
-    dynamic_range_db
-        Range of echo amplitudes that the intensities 0 to 255 of the volumes show; it takes the
-        place of the parts' own ``decibels_per_level``.
     seed
         Of every random choice.
     speckle_port
@@ -157,7 +137,6 @@ def MakeNeedleTracker(
         otherwise it looks at the volumes.
     """
     parameters = parameters or NeedleTrackerParameters()
-    scale = {"decibels_per_level": dynamic_range_db / 255}
     events = {"period": period, "offset": offset}
     builder = DiagramBuilder()
     memory = builder.AddNamedSystem(
@@ -168,11 +147,9 @@ def MakeNeedleTracker(
     )
     detector = builder.AddNamedSystem(
         "insertion_detector",
-        InsertionDetector(parameters=replace(parameters.detector, **scale), seed=seed),
+        InsertionDetector(parameters=parameters.detector, seed=seed),
     )
-    localizer_parameters = replace(
-        parameters.localizer, tip=replace(parameters.localizer.tip, **scale)
-    )
+    localizer_parameters = parameters.localizer
     kalman_filter: NeedleKalmanFilter
     if isinstance(parameters, Zhao2012TrackerParameters):
         kalman_filter = AxisTipFilter(parameters=parameters.axis_tip_filter, **events)
@@ -237,7 +214,6 @@ def track(
     volumes: Iterable[Volume],
     *,
     parameters: NeedleTrackerParameters | Zhao2012TrackerParameters | None = None,
-    dynamic_range_db: float = 60.0,
     seed: int = 0,
 ) -> Iterator[NeedleEstimate]:
     """Track a needle through volumes in order of time, without a simulation.
@@ -250,8 +226,6 @@ def track(
         From any source.
     parameters
         Of the tracker.
-    dynamic_range_db
-        See `MakeNeedleTracker`.
     seed
         Of every random choice.
 
@@ -260,9 +234,7 @@ def track(
     The estimate after each volume.
     """
     # No event is ever due: one is forced for each volume.
-    tracker = MakeNeedleTracker(
-        parameters=parameters, period=1.0, dynamic_range_db=dynamic_range_db, seed=seed
-    )
+    tracker = MakeNeedleTracker(parameters=parameters, period=1.0, seed=seed)
     context = tracker.CreateDefaultContext()
     for volume in volumes:
         tracker.GetInputPort("volume").FixValue(context, Value[object](volume))

@@ -9,6 +9,7 @@ import numpy as np
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.live.volume_maker import grey_scale
 from sonoservo.systems.recording.tracked_frames import TrackedFrames
 from sonoservo.systems.signals.reconstructed_volume import ReconstructedVolume
 from sonoservo.systems.ultrasound.frame_reconstruction import (
@@ -29,6 +30,8 @@ class ReconstructedRecording:
         Of the file.
     poses, window
         See `TrackedFrames`.
+    dynamic_range_db
+        dB from black to white; 60 by default.
     frames
         Number of frames of each volume; by default a volume ends where the probe turns round.
     spacing
@@ -46,11 +49,16 @@ class ReconstructedRecording:
         *,
         poses: str | None = None,
         window: tuple[float, float] | None = None,
+        dynamic_range_db: float | None = None,
         frames: int | None = None,
         spacing: float = 7e-4,
     ) -> None:
         self.path = path
         self._spacing = spacing
+        try:
+            self._scale = grey_scale(dynamic_range_db)
+        except ValueError as error:
+            raise ConfigurationError(f"{path}: {error}") from error
         self._frames = TrackedFrames(path, poses=poses, window=window)
         self._sweeps = self._split(frames)
         self.times = np.array([self._frames.times[s[len(s) // 2]] for s in self._sweeps])
@@ -97,6 +105,6 @@ class ReconstructedRecording:
             for k in self._sweeps[number]
         ]
         try:
-            return reconstruct(frames, spacing=self._spacing)
+            return reconstruct(frames, spacing=self._spacing, decibels_per_level=self._scale)
         except ValueError as error:
             raise ConfigurationError(f"{self.path}: {error}") from error

@@ -94,6 +94,7 @@ def track_command(
         maker = make_maker(
             depth=depth,
             window=window,
+            dynamic_range_db=dynamic_range_db,
             reconstruct=reconstruct,
             motor=motor,
             frames=frames,
@@ -105,7 +106,6 @@ def track_command(
             parameters=parameters,
             maker=maker,
             poses=poses,
-            dynamic_range_db=dynamic_range_db,
             seed=seed,
             monitor=start_monitor(console, host) if show else None,
             serve=serve or [],
@@ -119,11 +119,21 @@ def track_command(
     opened: Recording | ReconstructedRecording
     if reconstruct:
         opened = ReconstructedRecording(
-            recording, poses=poses, window=window, frames=frames, spacing=1e-3 * spacing
+            recording,
+            poses=poses,
+            window=window,
+            dynamic_range_db=dynamic_range_db,
+            frames=frames,
+            spacing=1e-3 * spacing,
         )
     else:
         opened = Recording(
-            recording, depth=depth, window=window, volume_rate=volume_rate, poses=poses
+            recording,
+            depth=depth,
+            window=window,
+            dynamic_range_db=dynamic_range_db,
+            volume_rate=volume_rate,
+            poses=poses,
         )
     folder = out or Path("out") / f"{recording.name.partition('.')[0]}_track"
     monitor = start_monitor(console, host) if show else None
@@ -131,7 +141,6 @@ def track_command(
         result = track_recording(
             opened,
             parameters=parameters,
-            dynamic_range_db=dynamic_range_db,
             seed=seed,
             real_time=real_time,
             monitor=monitor,
@@ -153,6 +162,7 @@ def bridge_command(
     target: Annotated[str, typer.Argument(help="NAME.seq.nrrd, or an address to play to.")],
     depth: DepthOption = "P",
     window: WindowOption = None,
+    dynamic_range_db: DynamicRangeOption = None,
     poses: PosesOption = None,
     reconstruct: ReconstructOption = False,
     motor: MotorOption = None,
@@ -176,6 +186,7 @@ def bridge_command(
         target,
         depth=depth,
         window=window,
+        dynamic_range_db=dynamic_range_db,
         reconstruct=reconstruct,
         motor=motor,
         frames=frames,
@@ -206,8 +217,15 @@ def locate_command(
     from sonoservo.systems.recording.recording import Recording
 
     # Neither times nor poses matter for a single volume.
-    opened = Recording(volume, depth=depth, window=window, volume_rate=1.0, poses="none")
-    found = locate_in_recording(opened, number, order=order, dynamic_range_db=dynamic_range_db)
+    opened = Recording(
+        volume,
+        depth=depth,
+        window=window,
+        dynamic_range_db=dynamic_range_db,
+        volume_rate=1.0,
+        poses="none",
+    )
+    found = locate_in_recording(opened, number, order=order)
     for name, value in found.items():
         shown = np.round(value, 3).tolist() if isinstance(value, list | float) else value
         console.print(f"{name}: {shown}", soft_wrap=True, highlight=False)

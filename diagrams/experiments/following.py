@@ -110,7 +110,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
     ) -> None:
         scenario = require_scenario(scenario, FollowingScenario)
         seeds = draw_seeds(scenario)
-        transducer = load_transducer(scenario.transducer)
+        transducer = load_transducer(scenario.probe)
         tissue = replace(load_tissue(scenario.phantom), seed=seeds.tissue)
         geometry = sweep_geometry(transducer, scenario.imaging)
         insertion = make_insertion(scenario)
@@ -133,7 +133,8 @@ class FollowingExperiment(Experiment[FollowingScenario]):
 
         self.station = MakeStation(
             parameters=scenario.station,
-            phantom_size=tissue.size,
+            probe=scenario.probe,
+            phantom=scenario.phantom,
             seed=seeds.station,
             meshcat=meshcat,
         )
@@ -149,13 +150,15 @@ class FollowingExperiment(Experiment[FollowingScenario]):
             parameters=scenario.tracker,
             period=period,
             offset=offset,
-            dynamic_range_db=scenario.imaging.dynamic_range_db,
             seed=seeds.tracker,
         )
-        self.probe_controller = MakeProbeController(parameters=scenario.controller)
+        self.probe_controller = MakeProbeController(
+            parameters=scenario.controller, arm=scenario.station.arm, probe=scenario.probe
+        )
         self.run_logger = RunLogger(
             volume_period=period,
             volume_offset=a_moment_later["offset"],
+            joints=self.station.GetOutputPort("joint_state").size() // 2,
             geometry=geometry,
         )
         sources = _planned_sources(scenario, insertion) if sources is None else sources
@@ -255,7 +258,7 @@ def tracker_events(scenario: Scenario) -> dict[str, float]:
         If the scenario's transducer or imaging is not possible.
     """
     scenario = require_scenario(scenario, FollowingScenario)
-    period = sweep_geometry(load_transducer(scenario.transducer), scenario.imaging).period
+    period = sweep_geometry(load_transducer(scenario.probe), scenario.imaging).period
     return {"period": period, "offset": period + scenario.processing_time}
 
 
@@ -267,7 +270,4 @@ def observer_events(scenario: Scenario) -> dict[str, float]:
 
 def recording_settings(scenario: FollowingScenario) -> dict[str, Any]:
     """Return what a tracker of a scenario's volumes has to know besides them."""
-    return {
-        "dynamic_range_db": scenario.imaging.dynamic_range_db,
-        "tracker_seed": draw_seeds(scenario).tracker,
-    }
+    return {"tracker_seed": draw_seeds(scenario).tracker}

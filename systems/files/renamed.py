@@ -1,4 +1,4 @@
-"""Former names of fields, so that an old file is told the new one."""
+"""Former names of fields, and fields that are no more, so that an old file gets a clear error."""
 
 from collections.abc import Container
 
@@ -20,6 +20,10 @@ _RENAMED = {
     "published": "published_figures",
     "min_radius": "bend_radius",
     "speed": "feed.speed",
+    "transducer": "probe",
+}
+_REMOVED = {
+    "decibels_per_level": "must be left out: imaging.dynamic_range_db sets it",
 }
 _PREFIXES = {"least_": "min_", "largest_": "max_", "greatest_": "max_"}
 _SUFFIXES = {"_deviation": "_std"}
@@ -43,3 +47,8 @@ def current_name(name: str, known: Container[str]) -> str | None:
         if name.endswith(old):
             candidates.append(name.removesuffix(old) + new)
     return next((each for each in candidates if each.partition(".")[0] in known), None)
+
+
+def removed(name: str) -> str | None:
+    """Return what took the place of a field that is no more, or None."""
+    return _REMOVED.get(name)

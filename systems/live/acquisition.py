@@ -17,13 +17,14 @@ from pydrake.math import RigidTransform
 from sonoservo.systems.live.connection.items import TextItem
 from sonoservo.systems.recording.side_files import describe_acquisition, describe_grid
 from sonoservo.systems.signals.immutable import Immutable
-from sonoservo.systems.signals.sweep import SweepGeometry, SweepMotion
+from sonoservo.systems.signals.point_spread import PointSpread
+from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL, SweepGeometry, SweepMotion
 from sonoservo.systems.signals.volume import Volume
 
 NAME = "Acquisition"
 
 _MAX_TEXT = 60000
-_GRID = ("origin", "spacing", "geometry")
+_GRID = ("origin", "spacing", "decibels_per_level", "point_spread", "geometry")
 _VOLUME = ("time", "X_WP", "direction", "frame_times", "frame_X_WP")
 
 
@@ -41,6 +42,10 @@ class VolumeAcquisition(Immutable):
         Pose of the probe.
     motion
         When and from where each frame was acquired; None if that is not known.
+    decibels_per_level
+        dB per grey level.
+    point_spread
+        How wide a point's echo is; None if that is not known.
     settings
         Of the scanner.
     """
@@ -50,6 +55,8 @@ class VolumeAcquisition(Immutable):
     spacing: NDArray[np.float64]
     X_WP: RigidTransform
     motion: SweepMotion | None
+    decibels_per_level: float
+    point_spread: PointSpread | None
     settings: Mapping[str, Any]
 
 
@@ -81,7 +88,7 @@ def read_acquisition_item(item: TextItem) -> VolumeAcquisition:
     """
     try:
         said = json.loads(item.text)
-        motion = None
+        motion, spread = None, said.get("point_spread")
         if said.get("geometry") and "frame_X_WP" in said:
             geometry = SweepGeometry(**said["geometry"])
             motion = SweepMotion(
@@ -93,6 +100,8 @@ def read_acquisition_item(item: TextItem) -> VolumeAcquisition:
             np.array(said["spacing"], float),
             RigidTransform(np.array(said["X_WP"], float)),
             motion,
+            float(said.get("decibels_per_level", DECIBELS_PER_LEVEL)),
+            PointSpread(**spread) if spread else None,
             {k: v for k, v in said.items() if k not in _GRID + _VOLUME},
         )
     except (LookupError, TypeError, AttributeError, ValueError, RuntimeError) as error:

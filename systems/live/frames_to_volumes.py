@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.live.image_matcher import PosedImage
+from sonoservo.systems.live.volume_maker import grey_scale
 from sonoservo.systems.recording.grey_levels import GreyWindow, choose_window
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.volume import Volume
@@ -52,6 +53,8 @@ class FramesToVolumes:
     ----------
     window
         See `GreyFrames`.
+    dynamic_range_db
+        dB from black to white; 60 by default.
     frames
         Number of frames of each volume; by default a volume ends where the probe turns round.
     spacing
@@ -69,9 +72,11 @@ class FramesToVolumes:
         self,
         *,
         window: tuple[float, float] | None = None,
+        dynamic_range_db: float | None = None,
         frames: int | None = None,
         spacing: float = 7e-4,
     ) -> None:
+        self._scale = grey_scale(dynamic_range_db)
         self._grey = GreyFrames(window)
         self._splitter = SweepSplitter(frames=frames)
         self._spacing = spacing
@@ -81,7 +86,9 @@ class FramesToVolumes:
         try:
             X_WI = posed.X_WL.GetAsMatrix4() @ posed.image.X_LI
             sweep = self._splitter.add(PosedFrame(self._grey(posed), X_WI, posed.time))
-            return reconstruct(sweep, spacing=self._spacing) if sweep else NotFound("")
+            if not sweep:
+                return NotFound("")
+            return reconstruct(sweep, spacing=self._spacing, decibels_per_level=self._scale)
         except ValueError as error:
             return NotFound(f"{posed.image.name}: {error}")
 

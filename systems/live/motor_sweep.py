@@ -10,10 +10,11 @@ from pydrake.math import RigidTransform
 from sonoservo.systems.files.typed_yaml import load_typed, read_yaml
 from sonoservo.systems.live.frames_to_volumes import GreyFrames
 from sonoservo.systems.live.image_matcher import PosedImage
-from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.immutable import NotFound, seal
 from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.signals.sweep import Sweep, SweepMotion
 from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.ultrasound.beam import beam_profile, point_spread
 from sonoservo.systems.ultrasound.frame_reconstruction import PosedFrame, reconstruct
 from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
 from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
@@ -27,8 +28,8 @@ class MotorSweepParameters:
 
     Parameters
     ----------
-    transducer
-        Name of a file in models/transducers, or a path.
+    probe
+        Name of a file in models/probes, or a path.
     imaging
         The scanner's settings; they say how many frames a sweep has, and how long each takes.
     scan_conversion
@@ -39,7 +40,7 @@ class MotorSweepParameters:
         Whether every other sweep goes towards -Z; otherwise the motor flies back in no time.
     """
 
-    transducer: str = "4dc7_3_40"
+    probe: str = "4dc7_3_40"
     imaging: ImagingParameters = field(default_factory=ImagingParameters)
     scan_conversion: ScanConversionParameters = field(default_factory=ScanConversionParameters)
     start: float = 0.0
@@ -86,7 +87,11 @@ class MotorSweepVolumes:
         self, parameters: MotorSweepParameters, *, window: tuple[float, float] | None = None
     ) -> None:
         self._start, self._both_ways = parameters.start, parameters.both_ways
-        self.geometry = sweep_geometry(load_transducer(parameters.transducer), parameters.imaging)
+        transducer = load_transducer(parameters.probe)
+        self.geometry = sweep_geometry(transducer, parameters.imaging)
+        beam = beam_profile(transducer, parameters.imaging, self.geometry)
+        self._spread = point_spread(beam, self.geometry)
+        self._scale = parameters.imaging.decibels_per_level
         spacing = parameters.scan_conversion.spacing
         self._spacing = min(spacing)
         self._conversion = ScanConversion(
@@ -129,7 +134,8 @@ class MotorSweepVolumes:
             samples = np.array([np.rint(each).astype(np.uint8).T for each in pixels])
             poses = np.array([frame.X_WL.GetAsMatrix4() for frame in frames])
             times = np.array([frame.time for frame in frames])
-            return self._conversion(Sweep(samples, SweepMotion(geometry, direction, times, poses)))
+            motion = SweepMotion(geometry, direction, times, poses)
+            return self._conversion(Sweep(seal(samples), motion, self._scale, self._spread))
         angles = geometry.line_angles(direction).mean(axis=1)
         pictures = [
             PosedFrame(
@@ -139,7 +145,9 @@ class MotorSweepVolumes:
             )
             for each, frame, angle in zip(pixels, frames, angles, strict=True)
         ]
-        return reconstruct(pictures[::direction], spacing=self._spacing)
+        return reconstruct(
+            pictures[::direction], spacing=self._spacing, decibels_per_level=self._scale
+        )
 
     def _turned(self, angle: float) -> NDArray[np.float64]:
         """Return (4, 4) from the plane Z = 0 of P to the frame's plane at a motor angle in rad."""

@@ -7,7 +7,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from sonoservo.systems.signals.immutable import NotFound
 
-_CAPACITY = 4096
+_CAPACITY = 1024
 _JUMP = 1.0
 """Time in s: what lies further back is a clock that was set anew, not a message that was late."""
 

@@ -9,10 +9,10 @@ from sonoservo.systems.live.estimate_items import Outlet
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
+from sonoservo.systems.signals.planes import sample_plane, slice_planes
 from sonoservo.systems.signals.ports import evaluate
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.ultrasound.planes import sample_plane, slice_planes
 
 SLICES = ("SliceA_Probe", "SliceB_Probe")
 """Device names: the slice across the beam that contains the needle's depth, and the other one."""

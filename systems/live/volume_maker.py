@@ -9,12 +9,28 @@ from pydrake.math import RigidTransform, RotationMatrix
 from sonoservo.systems.live.image_matcher import PosedImage
 from sonoservo.systems.recording.file_grid import FileGrid, make_file_grid
 from sonoservo.systems.recording.grey_levels import GreyWindow, choose_window
-from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.immutable import NotFound, seal
+from sonoservo.systems.signals.requirements import require_positive
+from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL
 from sonoservo.systems.signals.volume import Volume
 
 _RIGHT_ANGLE = 1e-3
 _SAME_GRID = 1e-7
 """Difference in m that comes from single precision."""
+
+
+def grey_scale(dynamic_range_db: float | None) -> float:
+    """Return dB per grey level of images that show so many dB from black to white; 60 by default.
+
+    Raises
+    ------
+    ValueError
+        If that is not above 0.
+    """
+    if dynamic_range_db is None:
+        return DECIBELS_PER_LEVEL
+    require_positive(dynamic_range_db=dynamic_range_db)
+    return dynamic_range_db / 255
 
 
 class VolumeMaker:
@@ -29,6 +45,8 @@ class VolumeMaker:
         Where the sound goes in L, as a letter of the body.
     window
         Numbers that become the grey levels 0 and 255; by default `choose_window` of the first.
+    dynamic_range_db
+        dB from black to white; by default what a scanner of this package says, or else 60.
 
     Raises
     ------
@@ -38,7 +56,14 @@ class VolumeMaker:
 
     takes_frames = False
 
-    def __init__(self, *, depth: str = "P", window: tuple[float, float] | None = None) -> None:
+    def __init__(
+        self,
+        *,
+        depth: str = "P",
+        window: tuple[float, float] | None = None,
+        dynamic_range_db: float | None = None,
+    ) -> None:
+        self._scale = None if dynamic_range_db is None else grey_scale(dynamic_range_db)
         make_file_grid(np.eye(3), np.zeros(3), (2, 2, 2), depth)
         self._depth = depth
         self._window = GreyWindow(*window) if window else None
@@ -74,13 +99,29 @@ class VolumeMaker:
             raise ValueError("a volume holds values that are not finite")
         if self._window is None:
             self._window = choose_window(voxels)
-        grey = self._window.grey(voxels)
+        grey = seal(self._window.grey(voxels))
         said = posed.acquisition
         if said is not None:
             motion = said.motion if posed.time == said.time else None
-            return Volume(grey, said.origin, said.spacing, posed.X_WL, posed.time, motion)
+            return Volume(
+                grey,
+                said.origin,
+                said.spacing,
+                posed.X_WL,
+                posed.time,
+                motion,
+                self._scale or said.decibels_per_level,
+                said.point_spread,
+            )
         X_WP = posed.X_WL @ self._moved(image.X_LI) @ self._grid.X_LP
-        return Volume(grey, self._grid.origin, self._grid.spacing, X_WP, posed.time)
+        return Volume(
+            grey,
+            self._grid.origin,
+            self._grid.spacing,
+            X_WP,
+            posed.time,
+            decibels_per_level=self._scale or DECIBELS_PER_LEVEL,
+        )
 
     def _start(self, shape: tuple[int, ...], X_LI: NDArray[np.float64]) -> None:
         directions = 1e3 * X_LI[:3, :3]

@@ -246,7 +246,7 @@ def seek_needle(
     The measurement in W, or a `NotFound` that says why there is none, and the evidence for it in
     dB m (`NeedleLine`).
     """
-    line = find_needle_line(volume, rng, decibels_per_level=parameters.tip.decibels_per_level)
+    line = find_needle_line(volume, rng)
     if isinstance(line, NotFound):
         return line, 0.0
     entry, tip = volume.to_world(line.ends)[0]

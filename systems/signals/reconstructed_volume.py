@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sonoservo.systems.signals.immutable import read_only
+from sonoservo.systems.signals.immutable import own, read_only
 from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.signals.volume import Volume
 
@@ -38,9 +38,7 @@ class ReconstructedVolume(Volume):
         super().__post_init__()
         shape = self.intensities.shape
         require(self.frames.shape == shape, "frames", self.frames.shape, f"of shape {shape}")
-        numbers = self.frames.view()
-        numbers.flags.writeable = False
-        object.__setattr__(self, "frames", numbers)
+        object.__setattr__(self, "frames", own(self.frames))
         times = read_only(self.frame_times, "frame_times", (None,))
         poses = read_only(self.frame_poses, "frame_poses", (len(times), 4, 4))
         object.__setattr__(self, "frame_times", times)

@@ -8,9 +8,10 @@ from numba import njit
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 
-from sonoservo.systems.signals.immutable import Immutable
+from sonoservo.systems.signals.immutable import Immutable, seal
 from sonoservo.systems.signals.reconstructed_volume import ReconstructedVolume
 from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL
 
 _MAX_VOXELS = 1 << 26
 _SLACK = 1e-9
@@ -109,7 +110,11 @@ class SweepSplitter:
 
 
 def reconstruct(
-    frames: Sequence[PosedFrame], *, spacing: float = 7e-4, max_gap: float = 3e-3
+    frames: Sequence[PosedFrame],
+    *,
+    spacing: float = 7e-4,
+    max_gap: float = 3e-3,
+    decibels_per_level: float = DECIBELS_PER_LEVEL,
 ) -> ReconstructedVolume:
     """Make a volume of the frames of one sweep.
 
@@ -126,6 +131,8 @@ def reconstruct(
         Of the voxels, in m.
     max_gap
         Widest distance between two frames, at the voxel, that is filled, in m.
+    decibels_per_level
+        dB per grey level of the frames.
 
     Raises
     ------
@@ -172,12 +179,13 @@ def reconstruct(
     if frames[0].pixels.dtype == np.uint8:
         grey = np.rint(total).astype(np.uint8)
     return ReconstructedVolume(
-        grey,
+        seal(grey),
         low,
         np.full(3, spacing),
         middle.X_WF,
         middle.time,
-        frames=number,
+        decibels_per_level=decibels_per_level,
+        frames=seal(number),
         frame_times=np.array([frame.time for frame in frames]),
         frame_poses=np.array([frame.X_WF.GetAsMatrix4() for frame in frames]),
     )

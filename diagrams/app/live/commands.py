@@ -85,6 +85,7 @@ def make_maker(
     *,
     depth: str = "P",
     window: tuple[float, float] | None = None,
+    dynamic_range_db: float | None = None,
     reconstruct: bool = False,
     motor: Path | None = None,
     frames: int | None = None,
@@ -94,8 +95,8 @@ def make_maker(
 
     Parameters
     ----------
-    depth, window
-        See `VolumeMaker`.
+    depth, window, dynamic_range_db
+        See `VolumeMaker`; a motor's imaging tells its own dynamic range.
     reconstruct
         Whether the images are 2D frames.
     motor
@@ -112,8 +113,10 @@ def make_maker(
         if motor is not None:
             return MotorSweepVolumes(load_motor_sweep(motor), window=window)
         if reconstruct:
-            return FramesToVolumes(window=window, frames=frames, spacing=spacing)
-        return VolumeMaker(depth=depth, window=window)
+            return FramesToVolumes(
+                window=window, dynamic_range_db=dynamic_range_db, frames=frames, spacing=spacing
+            )
+        return VolumeMaker(depth=depth, window=window, dynamic_range_db=dynamic_range_db)
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
 
@@ -125,7 +128,6 @@ def track_address(
     parameters: TrackerParameters,
     maker: ImagesToVolumes,
     poses: str | None,
-    dynamic_range_db: float | None,
     seed: int | None,
     monitor: "Monitor | None",
     serve: Sequence[str],
@@ -150,7 +152,6 @@ def track_address(
             summary = track_live(
                 source,
                 parameters=parameters,
-                dynamic_range_db=dynamic_range_db,
                 seed=seed,
                 outlets=outlets,
                 names=names,
@@ -174,6 +175,7 @@ def bridge_files(
     *,
     depth: str,
     window: tuple[float, float] | None,
+    dynamic_range_db: float | None,
     reconstruct: bool,
     motor: Path | None,
     frames: int | None,
@@ -200,10 +202,21 @@ def bridge_files(
             recording: Recording | ReconstructedRecording
             if reconstruct:
                 recording = ReconstructedRecording(
-                    Path(source), poses=poses, window=window, frames=frames, spacing=spacing
+                    Path(source),
+                    poses=poses,
+                    window=window,
+                    dynamic_range_db=dynamic_range_db,
+                    frames=frames,
+                    spacing=spacing,
                 )
             else:
-                recording = Recording(source, depth=depth, window=window, poses=poses)
+                recording = Recording(
+                    source,
+                    depth=depth,
+                    window=window,
+                    dynamic_range_db=dynamic_range_db,
+                    poses=poses,
+                )
             with opened(target, say, wait_for=wait_for) as link:
                 summary = play_live(recording, link, speed=speed)
             say(f"{summary['volumes']} volumes sent")
@@ -212,6 +225,7 @@ def bridge_files(
         maker = make_maker(
             depth=depth,
             window=window,
+            dynamic_range_db=dynamic_range_db,
             reconstruct=reconstruct,
             motor=motor,
             frames=frames,

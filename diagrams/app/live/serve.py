@@ -50,7 +50,7 @@ def live_senders(
     """
     scenario = require_scenario(scenario, FollowingScenario)
     period, offset = observer_events(scenario).values()
-    frames = sweep_geometry(load_transducer(scenario.transducer), scenario.imaging).frame_period
+    frames = sweep_geometry(load_transducer(scenario.probe), scenario.imaging).frame_period
     return {
         "sweep_sender": SweepSender(outlet=link, period=period, offset=offset),
         "volume_sender": VolumeSender(

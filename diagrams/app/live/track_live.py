@@ -69,7 +69,6 @@ def track_live(
     source: LiveSource,
     *,
     parameters: TrackerParameters | None = None,
-    dynamic_range_db: float | None = None,
     seed: int | None = None,
     outlets: Sequence[Link] = (),
     names: NeedleNames | None = None,
@@ -87,8 +86,8 @@ def track_live(
         Of the volumes.
     parameters
         Which tracker, and its parts.
-    dynamic_range_db, seed
-        See `track_recording`; by default what the scanner says.
+    seed
+        Seed of every random choice; by default what a scanner of this package says, or else 0.
     outlets
         Where the estimates are sent to.
     names
@@ -127,7 +126,6 @@ def track_live(
                 tracker = MakeNeedleTracker(
                     parameters=parameters,
                     period=1.0,
-                    dynamic_range_db=dynamic_range_db or float(noted.get("dynamic_range_db", 60)),
                     seed=int(noted.get("tracker_seed", 0)) if seed is None else seed,
                 )
                 context = tracker.CreateDefaultContext()

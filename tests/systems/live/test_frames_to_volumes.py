@@ -122,7 +122,7 @@ def test_pictures_are_placed_by_the_angle_of_the_motor(parameters):
 
 def test_motor_is_read_from_a_file(tmp_path):
     path = tmp_path / "motor.yaml"
-    path.write_text("transducer: 4dc7_3_40\nstart: 1.5\nboth_ways: false\n")
+    path.write_text("probe: 4dc7_3_40\nstart: 1.5\nboth_ways: false\n")
     assert load_motor_sweep(path).start == 1.5
     path.write_text("start: now\n")
     with pytest.raises(ConfigurationError, match=r"motor\.yaml.*start"):

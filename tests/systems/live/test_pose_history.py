@@ -56,7 +56,7 @@ def test_memory_is_bounded():
     history = PoseHistory()
     for k in range(10_000):
         history.add(0.01 * k, pose(k))
-    assert len(history) <= 4096
+    assert len(history) <= 1024
     assert history.at(99.99).translation()[0] == pytest.approx(9999)
 
 

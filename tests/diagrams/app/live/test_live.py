@@ -54,7 +54,7 @@ def recording(tmp_path_factory):
     """A needle that is pushed in, seen from a probe that moves."""
     path = tmp_path_factory.mktemp("played") / "a.seq.nrrd"
     scene = Scene(seed=5, spacing=1.2e-3)
-    with RecordingWriter(path, {"dynamic_range_db": 60.0, "tracker_seed": 101}) as writer:
+    with RecordingWriter(path, {"tracker_seed": 101}) as writer:
         for number in range(1, COUNT + 1):
             X_WP = RigidTransform(RollPitchYaw(0, 0, 0.01 * number), [5e-4 * number, 0, 0])
             writer.append(scene.volume(number, needle, X_WP))
@@ -217,7 +217,7 @@ def test_run_sends_all_that_it_makes_under_names_that_fit(served):
 def test_frames_of_a_run_are_its_volumes(served):
     scenario, items = served
     parameters = MotorSweepParameters(
-        transducer=scenario.transducer,
+        probe=scenario.probe,
         imaging=scenario.imaging,
         scan_conversion=scenario.scan_conversion,
     )
