@@ -8,13 +8,14 @@ from numpy.typing import ArrayLike
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.files.typed_yaml import ConfigurationError
-from sonoservo.systems.localization.localize import seek_needle
 from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
-from sonoservo.systems.localization.whole_volume import MIN_EVIDENCE
+from sonoservo.systems.localization.needle_line import MIN_EVIDENCE
+from sonoservo.systems.localization.pipeline import explain_localization
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.signals.immutable import Immutable, NotFound
 from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.requirements import require_positive
+from sonoservo.systems.signals.needle_prediction import NeedlePrediction
+from sonoservo.systems.signals.requirements import require, require_positive
 from sonoservo.systems.signals.volume import Volume
 
 
@@ -52,7 +53,7 @@ def locate(
     dynamic_range_db: float = 60.0,
     seed: int = 0,
 ) -> LocatedNeedle | NotFound:
-    """Find the needle in an array.
+    """Locate the needle in an array.
 
     Parameters
     ----------
@@ -87,16 +88,20 @@ def locate(
 
 
 def locate_in(volume: Volume, *, order: int = 2, seed: int = 0) -> LocatedNeedle | NotFound:
-    """Find the needle in a `Volume`; in W. See `locate`."""
-    parameters = NeedleLocalizerParameters(order=order)
-    found, evidence = seek_needle(volume, parameters, np.random.default_rng(seed))
+    """Locate the needle in a `Volume`; in W. See `locate`."""
+    require(order in (2, 3), "order", order, "2 or 3")
+    anywhere = NeedlePrediction(order, volume.time, everywhere=True)
+    explained = explain_localization(
+        volume, anywhere, NeedleLocalizerParameters(), np.random.default_rng(seed)
+    )
+    found = explained.measurement
     if isinstance(found, NotFound):
         return found
-    return LocatedNeedle(found.curve, found.inlier_count, found.inlier_ratio, evidence)
+    return LocatedNeedle(found.curve, found.inlier_count, found.inlier_ratio, explained.evidence)
 
 
 def locate_in_recording(recording: Recording, number: int = 0, *, order: int = 2) -> dict[str, Any]:
-    """Find the needle in a volume of a file, and describe it in the file's coordinates.
+    """Locate the needle in a volume of a file, and describe it in the file's coordinates.
 
     Parameters
     ----------

@@ -16,13 +16,10 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import DiagramBuilder
 
 from sonoservo.diagrams.app.reconstruct import ReconstructedRecording
-from sonoservo.diagrams.needle_tracker import (
-    MakeNeedleTracker,
-    NeedleTrackerParameters,
-    Zhao2012TrackerParameters,
-)
-from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilterParameters
-from sonoservo.systems.estimation.needle_kalman_filter import NeedleKalmanFilterParameters
+from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
+from sonoservo.diagrams.trackers.registry import TRACKERS
+from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
+from sonoservo.systems.estimation.track import TrackParameters
 from sonoservo.systems.evaluation.log import write_log
 from sonoservo.systems.evaluation.metrics import summarize
 from sonoservo.systems.evaluation.plots import plot_errors, png
@@ -37,7 +34,6 @@ from sonoservo.systems.evaluation.track_plots import (
 )
 from sonoservo.systems.files.typed_yaml import ConfigurationError, suggest
 from sonoservo.systems.files.writing import write_atomically, write_json
-from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.recording.side_files import TRUTH, Truth, read_truth, side_path
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
@@ -45,10 +41,6 @@ from sonoservo.systems.signals.volume import Volume
 
 if TYPE_CHECKING:
     from sonoservo.systems.display.monitor.monitor import Monitor
-
-TrackerParameters = NeedleTrackerParameters | Zhao2012TrackerParameters
-
-_TRACKERS = ("chatelain2013", "zhao2012")
 
 _PICTURES = 6
 """Volumes of a recording that the report shows."""
@@ -95,11 +87,11 @@ def tracker_parameters(
     Parameters
     ----------
     tracker
-        "chatelain2013" or "zhao2012".
+        Kind of one of the `TRACKERS`.
     order
         2 for a straight needle, 3 for a bent one.
     start
-        "search": the needle is found when it is pushed in. "anywhere": it is sought in the whole
+        "search": the needle is found when it is pushed in. "anywhere": it is localized in the whole
         volume from the first volume on, so that no insertion need be seen.
 
     Raises
@@ -107,21 +99,14 @@ def tracker_parameters(
     ConfigurationError
         Naming what is not allowed.
     """
+    trackers = {each.kind: each for each in TRACKERS}
     starts = ("search", "anywhere")
-    if tracker not in _TRACKERS:
-        raise ConfigurationError(f"unknown tracker {tracker!r}; {suggest(tracker, _TRACKERS)}")
+    if tracker not in trackers:
+        raise ConfigurationError(f"unknown tracker {tracker!r}; {suggest(tracker, trackers)}")
     if start not in starts:
         raise ConfigurationError(f"start: {start!r}; {suggest(start, starts)}")
-    anywhere = start == "anywhere"
     try:
-        if tracker == "zhao2012":
-            return Zhao2012TrackerParameters(
-                localizer=NeedleLocalizerParameters(order=order),
-                axis_tip_filter=AxisTipFilterParameters(anywhere=anywhere),
-            )
-        return NeedleTrackerParameters(
-            order=order, kalman_filter=NeedleKalmanFilterParameters(anywhere=anywhere)
-        )
+        return trackers[tracker](order=order, track=TrackParameters(anywhere=start == "anywhere"))
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
 

@@ -40,7 +40,7 @@ def track_command(
     order: OrderOption = 2,
     start: Annotated[
         str,
-        typer.Option(help="search: find it when pushed in; anywhere: seek it in whole volumes."),
+        typer.Option(help="search: wait until it is pushed in; anywhere: look in whole volumes."),
     ] = "search",
     depth: DepthOption = "P",
     window: WindowOption = None,

@@ -12,6 +12,7 @@ from sonoservo.systems.detection.volume_difference import top_differences
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.insertion_detection import InsertionDetection
 from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.random_streams import random_stream
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 from sonoservo.systems.signals.volume import Volume
 
@@ -227,10 +228,5 @@ class InsertionDetector(LeafSystem):
         elif not isinstance(previous, Volume):
             output.set_value(previous)
         else:
-            output.set_value(
-                detect_insertion(volume, previous, self._parameters, self._rng(volume))
-            )
-
-    def _rng(self, volume: Volume) -> np.random.Generator:
-        # Keyed by the volume's time, so that a stateless system repeats itself.
-        return np.random.default_rng([self._seed, int(abs(volume.time) * 1e9)])
+            rng = random_stream(self._seed, "detection", volume.time)
+            output.set_value(detect_insertion(volume, previous, self._parameters, rng))

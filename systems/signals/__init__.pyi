@@ -7,11 +7,17 @@ from .immutable import NotFound as NotFound
 from .immutable import read_only as read_only
 from .immutable import seal as seal
 from .insertion_detection import InsertionDetection as InsertionDetection
+from .localization_explanation import AxisProfile as AxisProfile
+from .localization_explanation import LocalizationAttempt as LocalizationAttempt
+from .localization_explanation import LocalizationExplanation as LocalizationExplanation
+from .localization_explanation import NeedleExtent as NeedleExtent
+from .localization_explanation import SearchRegion as SearchRegion
 from .needle import Needle as Needle
 from .needle_curve import NeedleCurve as NeedleCurve
 from .needle_estimate import NeedleEstimate as NeedleEstimate
 from .needle_estimate import TrackingMode as TrackingMode
 from .needle_measurement import NeedleMeasurement as NeedleMeasurement
+from .needle_prediction import NeedlePrediction as NeedlePrediction
 from .needle_shape import NeedleShape as NeedleShape
 from .needle_shape import path_statistics as path_statistics
 from .planes import Plane as Plane
@@ -21,6 +27,7 @@ from .planes import slice_planes as slice_planes
 from .point_spread import PointSpread as PointSpread
 from .ports import evaluate as evaluate
 from .radio_frequency_sweep import RadioFrequencySweep as RadioFrequencySweep
+from .random_streams import random_stream as random_stream
 from .reconstructed_volume import ReconstructedVolume as ReconstructedVolume
 from .requirements import require as require
 from .requirements import require_not_negative as require_not_negative

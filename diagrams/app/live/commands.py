@@ -14,8 +14,8 @@ from sonoservo.diagrams.app.live.serve import live_senders, opened
 from sonoservo.diagrams.app.live.track_live import LiveLimits, track_live
 from sonoservo.diagrams.app.reconstruct import ReconstructedRecording
 from sonoservo.diagrams.app.terminal import live_table
-from sonoservo.diagrams.app.track import TrackerParameters
 from sonoservo.diagrams.scenario import Scenario
+from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
 from sonoservo.systems.files.typed_yaml import ConfigurationError, suggest
 from sonoservo.systems.live.connection.protocols import Address, is_address, parse_address
 from sonoservo.systems.live.estimate_items import NeedleNames

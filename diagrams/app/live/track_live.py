@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydrake.common.value import Value
 
-from sonoservo.diagrams.app.track import TrackerParameters, estimate_row
+from sonoservo.diagrams.app.track import estimate_row
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
+from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
 from sonoservo.systems.files.writing import write_json
 from sonoservo.systems.live.connection.link import Link
 from sonoservo.systems.live.estimate_items import NeedleNames, needle_items

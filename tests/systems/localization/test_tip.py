@@ -8,7 +8,13 @@ from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.systems.localization.axis import axis_through
 from sonoservo.systems.localization.candidates import acquired_from, select_candidates
-from sonoservo.systems.localization.tip import AxisProfile, TipParameters, axis_profile, find_extent
+from sonoservo.systems.localization.tip import (
+    TipParameters,
+    axis_profile,
+    find_extent,
+    most_evident_stretch,
+)
+from sonoservo.systems.signals.localization_explanation import AxisProfile
 from sonoservo.systems.signals.point_spread import PointSpread
 
 SIGMA = 0.8e-3
@@ -26,7 +32,7 @@ def profile(tip, level=12.0, gaps=(), start=0.0, noise=0.0, sigma=SIGMA, seen=0.
     for begin, end in gaps:
         shaft[(a > begin) & (a < end)] = 0
     shaft = shaft + noise * np.random.default_rng(3).normal(size=len(a))
-    return AxisProfile(a, 20 + shaft, np.full(len(a), 20.0), a < seen)
+    return AxisProfile(a, np.outer(a, [1, 0, 0]), 20 + shaft, np.full(len(a), 20.0), a < seen)
 
 
 @pytest.mark.parametrize("tip", [0.008, 0.02, 0.05])
@@ -70,6 +76,21 @@ def test_nothing_stands_out():
     assert not find_extent(profile(0.03, level=-40.0), PARAMETERS)
 
 
+def test_most_evident_stretch_is_the_best_of_all():
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        contrast, seen = rng.normal(3, 4, 30), rng.random(30) > 0.1
+        options = {"step": 0.5, "neutral": 3.0, "max_evidence": 5.0}
+        first, last, evidence = most_evident_stretch(contrast, seen, **options)
+        each = np.where(seen, np.clip(contrast - 3, -3, 5), -3)
+        sums = {(i, j): each[i : j + 1].sum() for i in range(30) for j in range(i, 30)}
+        assert evidence == pytest.approx(0.5 * max(sums.values()))
+        assert sums[first, last] == pytest.approx(max(sums.values()))
+    first, last, evidence = most_evident_stretch(np.zeros(9), np.ones(9, bool), **options)
+    assert last < first
+    assert evidence == 0
+
+
 @pytest.mark.parametrize("order", [2, 3])
 def test_profile_follows_the_axis_in_any_pose(order):
     X_WP = RigidTransform(RollPitchYaw(2.0, 0.3, -0.5), [0.4, 0.1, 0.2])
@@ -79,6 +100,7 @@ def test_profile_follows_the_axis_in_any_pose(order):
     axis = axis_through(np.linspace(*ends, order))
     along = axis_profile(volume, axis, -0.005, 0.04, PARAMETERS)
     extent = find_extent(along, PARAMETERS)
+    np.testing.assert_allclose(along.p_W, axis.position(along.a))
     assert extent.start == pytest.approx(0, abs=2e-3)
     assert extent.tip == pytest.approx(np.linalg.norm(ends[1] - ends[0]), abs=1.5e-3)
 

@@ -1,4 +1,4 @@
-"""Seeks a needle in one volume of which nothing else is known."""
+"""The line that looks most like a needle, in a volume of which nothing else is known."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from sonoservo.systems.localization.line_search import bright_lines
-from sonoservo.systems.localization.tip import best_stretch
+from sonoservo.systems.localization.tip import most_evident_stretch
 from sonoservo.systems.signals.immutable import Immutable, NotFound, read_only
 from sonoservo.systems.signals.volume import Volume
 
@@ -34,8 +34,11 @@ _AMPLITUDE = 0.35
 _ASIDE = 0.7e-3
 """Distance from the line at which a cross-section counts half, in m."""
 
-_CONTRAST, _LEAST, _MOST = 4.0, -4.0, 6.0
-"""dB over the background that speak neither for nor against a needle, and bounds of what does."""
+_CONTRAST = 4.0
+"""Contrast that speaks neither for nor against a needle, in dB over the background."""
+
+_MAX_EVIDENCE = 6.0
+"""Largest evidence of one sample along a line, in dB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +68,7 @@ class NeedleLine(Immutable):
         return float(np.linalg.norm(self.ends[1] - self.ends[0]))
 
 
-def find_needle_line(
+def localize_line(
     volume: Volume,
     rng: np.random.Generator,
     *,
@@ -73,7 +76,7 @@ def find_needle_line(
     min_evidence: float = MIN_EVIDENCE,
     max_entry_gap: float = 8e-3,
 ) -> NeedleLine | NotFound:
-    """Find the line in a volume that looks most like a needle.
+    """Localize the line in a volume that looks most like a needle.
 
     The longest bright lines are refined: of every cross-section the centre of what is brightest
     counts, and the line is fitted to the centres, robustly. A needle stands out along its length
@@ -168,8 +171,9 @@ def _stretch(volume: Volume, ends: Floats) -> NeedleLine | None:
     ring[np.isnan(ring).all(axis=1), 0] = 0.0
     seen = core.max(axis=1) > 0
     contrast = uniform_filter1d(core.mean(axis=1) - np.nanmedian(ring, axis=1), 3)
-    evidence = np.where(seen, np.clip(contrast - _CONTRAST, _LEAST, _MOST), _LEAST)
-    first, last = best_stretch(evidence)
+    first, last, evidence = most_evident_stretch(
+        contrast, seen, step=_STEP, neutral=_CONTRAST, max_evidence=_MAX_EVIDENCE
+    )
     if last - first < 8:
         return None
     unseen = np.concatenate([[-1], np.flatnonzero(~seen), [len(a)]])
@@ -178,5 +182,4 @@ def _stretch(volume: Volume, ends: Floats) -> NeedleLine | None:
     stretch = points[[first, last]]
     if beyond < before:
         stretch, before = stretch[::-1], beyond
-    total = float(evidence[first : last + 1].sum()) * _STEP
-    return NeedleLine(stretch, total, float(before))
+    return NeedleLine(stretch, evidence, float(before))
