@@ -25,8 +25,6 @@ from .experiments.shape_prediction_scenario import (
     ShapePredictionScenario as ShapePredictionScenario,
 )
 from .needle_tracker import MakeNeedleTracker as MakeNeedleTracker
-from .needle_tracker import NeedleTrackerParameters as NeedleTrackerParameters
-from .needle_tracker import Zhao2012TrackerParameters as Zhao2012TrackerParameters
 from .needle_tracker import track as track
 from .probe_controller import MakeProbeController as MakeProbeController
 from .probe_controller import ProbeControllerParameters as ProbeControllerParameters
@@ -41,4 +39,6 @@ from .station import ProbePlacement as ProbePlacement
 from .station import StationParameters as StationParameters
 from .station import check_reach as check_reach
 from .station import start_posture as start_posture
+from .trackers.chatelain2013 import Chatelain2013TrackerParameters as Chatelain2013TrackerParameters
+from .trackers.zhao2012 import Zhao2012TrackerParameters as Zhao2012TrackerParameters
 from .wiring import connect_by_name as connect_by_name

@@ -15,12 +15,8 @@ import numpy as np
 
 from sonoservo.diagrams import load_scenario, run, scan
 from sonoservo.systems.display.monitor import monitor_views
-from sonoservo.systems.ultrasound import (
-    elevation_width,
-    lateral_width,
-    load_transducer,
-    sample_plane,
-)
+from sonoservo.systems.signals import sample_plane
+from sonoservo.systems.ultrasound import elevation_width, lateral_width, load_transducer
 
 QUICK = ["duration=7", "hand.start=1", "hand.pushes.0.speed=0.016"]
 
@@ -100,12 +96,12 @@ for row, (name, shown) in zip(axes, scans.items(), strict=True):
     row[0].set_ylabel(f"{name}: depth (mm)")
 
 # %% [markdown]
-# In the loop: name the file as the scenario's probe, and tell the tracker how wide its beam
-# is along the needle at the needle's depth: by about half of that the needle's end is blurred.
+# In the loop: name the file as the scenario's probe. The volumes carry how wide the beam is at
+# every depth, so the tracker knows by how much the needle's end is blurred.
 
 # %%
 beam_width = lateral_width(0.05, load_transducer(file), imaging)
-changes = [f"probe={file}", f"tracker.localizer.tip.beam_width={beam_width:.5f}"]
+changes = [f"probe={file}"]
 changes += QUICK if "SONOSERVO_QUICK" in os.environ else ["duration=20"]
 result = run(load_scenario("chatelain2013_fig5", changes=changes))
 print(f"beam {1e3 * beam_width:.2f} mm wide at 50 mm")

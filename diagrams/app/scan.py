@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
 from sonoservo.diagrams.experiments.following_insertion import make_insertion
@@ -23,6 +22,7 @@ from sonoservo.systems.signals.requirements import require_not_negative
 from sonoservo.systems.signals.sweep import Sweep, SweepMotion
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
+from sonoservo.systems.ultrasound.simulation.acquisition import acquire_sweep
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
 from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
 from sonoservo.systems.ultrasound.transducer import load_transducer
@@ -103,10 +103,10 @@ def _scan(
         seed=seeds.noise,
     )
     geometry, station = renderer.geometry, scenario.station
-    frames = np.arange(geometry.frames, dtype=np.float64)
-    times: NDArray[np.float64] = time + geometry.frame_period * (frames - geometry.frames // 2)
+    middle = geometry.frames // 2
+    times = geometry.frame_times(time, since=middle)
     needles = [insertion.needle(float(each)) for each in times]
-    needle = needles[geometry.frames // 2]
+    needle = needles[middle]
     X_WT = station.X_WT
     if X_TP is None:
         x, y = needle.tip[:2] if needle else (None, None)
@@ -114,8 +114,8 @@ def _scan(
     poses = np.tile(np.eye(4), (geometry.frames, 1, 1))
     poses[:, :3, 3] = (times - time)[:, np.newaxis] * np.array(velocity)
     poses = X_TP.GetAsMatrix4() @ poses
-    samples = renderer.render(poses, needles, 1, 0)
-    sweep = Sweep(samples, SweepMotion(geometry, 1, times, X_WT.GetAsMatrix4() @ poses))
+    motion = SweepMotion(geometry, 1, times, X_WT.GetAsMatrix4() @ poses)
+    sweep = acquire_sweep(renderer, motion, needles, X_TP=poses)
     parameters = scenario.scan_conversion
     conversion = ScanConversion(
         geometry,
@@ -145,7 +145,6 @@ def write_scan(scan: Scan, scenario: FollowingScenario, out: Path) -> list[Path]
         scan.sweep,
         scan.volume,
         scan.needle,
-        dynamic_range_db=scenario.imaging.dynamic_range_db,
         caption=caption(scan, scenario),
     )
     return [

@@ -142,7 +142,6 @@ class FollowingExperiment(Experiment[FollowingScenario]):
             parameters=scenario.tracker,
             period=period,
             offset=offset,
-            dynamic_range_db=scenario.imaging.dynamic_range_db,
             seed=seeds.tracker,
         )
         self.probe_controller = MakeProbeController(
@@ -175,10 +174,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         if record is not None:
             self._recorder = systems["volume_recorder"] = VolumeRecorder(
                 path=record,
-                settings={
-                    "dynamic_range_db": scenario.imaging.dynamic_range_db,
-                    "tracker_seed": seeds.tracker,
-                },
+                settings={"tracker_seed": seeds.tracker},
                 sweeps=record_sweeps,
                 truth_period=geometry.frame_period,
                 **a_moment_later,

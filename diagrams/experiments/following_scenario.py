@@ -3,10 +3,11 @@
 from dataclasses import dataclass, field
 
 from sonoservo.diagrams.assembly import PHANTOM, PROBE
-from sonoservo.diagrams.needle_tracker import NeedleTrackerParameters, Zhao2012TrackerParameters
 from sonoservo.diagrams.probe_controller import ProbeControllerParameters
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.station import StationParameters
+from sonoservo.diagrams.trackers.chatelain2013 import Chatelain2013TrackerParameters
+from sonoservo.diagrams.trackers.registry import AnyTrackerParameters
 from sonoservo.systems.control.controller_schedule import ControllerChange
 from sonoservo.systems.needle.insertion_parameters import InsertionParameters
 from sonoservo.systems.robot.phantom_motion import PhantomMotionParameters
@@ -43,7 +44,7 @@ class FollowingScenario(Scenario):
     scan_conversion
         Grid of the volumes.
     tracker
-        From volumes to the estimated needle: "chatelain2013", "zhao2012", or the fields of one.
+        Turns volumes into the estimated needle: the kind of one of the `TRACKERS`, or its fields.
     controller
         From the estimate to the probe's motion.
     controller_changes
@@ -62,9 +63,7 @@ class FollowingScenario(Scenario):
     imaging: ImagingParameters = field(default_factory=ImagingParameters)
     scanner: ScannerParameters = field(default_factory=ScannerParameters)
     scan_conversion: ScanConversionParameters = field(default_factory=ScanConversionParameters)
-    tracker: NeedleTrackerParameters | Zhao2012TrackerParameters = field(
-        default_factory=NeedleTrackerParameters
-    )
+    tracker: AnyTrackerParameters = field(default_factory=Chatelain2013TrackerParameters)
     controller: ProbeControllerParameters = field(default_factory=ProbeControllerParameters)
     controller_changes: list[ControllerChange] = field(default_factory=list)
     processing_time: float = 0.02

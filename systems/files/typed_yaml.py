@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 import yaml
 
-from sonoservo.systems.files.renamed import current_name
+from sonoservo.systems.files.renamed import current_name, moved_fields, removed
 
 T = TypeVar("T")
 
@@ -54,7 +54,8 @@ def load_typed(schema: type[T], data: Mapping[str, Any], source: str) -> T:
     """Make a fully defaulted dataclass from a mapping.
 
     Where a field may be one of several dataclasses, each with a field ``kind`` whose default is its
-    name, ``kind`` chooses, by default the first; its name alone stands for all its defaults.
+    name, ``kind`` chooses, by default that of the field's default; its name alone stands for all
+    its defaults.
 
     Parameters
     ----------
@@ -144,7 +145,7 @@ def _index(items: list[Any], key: str, path: str) -> int:
     return int(key)
 
 
-def _check(schema: Any, value: Any, source: str, path: str) -> None:
+def _check(schema: Any, value: Any, source: str, path: str, default: Any = None) -> None:
     """Raise ConfigurationError where ``value`` does not fit ``schema``."""
 
     def fail(wanted: str) -> typing.NoReturn:
@@ -164,7 +165,7 @@ def _check(schema: Any, value: Any, source: str, path: str) -> None:
             mapping = {"kind": value} if isinstance(value, str) else value
             if not isinstance(mapping, Mapping):
                 fail(f"one of {', '.join(kinds)}, or a mapping")
-            kind = mapping.get("kind", next(iter(kinds)))
+            kind = _kind(mapping, kinds, default)
             if kind not in kinds:
                 hint = suggest(str(kind), kinds)
                 raise ConfigurationError(f"{source}: {path}: unknown kind {kind!r}; {hint}")
@@ -174,16 +175,22 @@ def _check(schema: Any, value: Any, source: str, path: str) -> None:
             return
         if not isinstance(value, Mapping):
             fail("a mapping")
+        defaults: Any = typing.cast(Any, schema)()
         for key, item in value.items():
             where = f"{path}.{key}" if path else str(key)
             if key not in fields:
+                if moved := moved_fields(where, item):
+                    old, new = next(iter(moved.items()))
+                    raise ConfigurationError(f"{source}: {old}: is now {new!r}")
                 now = current_name(str(key), fields) or _path_to(str(key), fields, path)
                 if now:
                     raise ConfigurationError(f"{source}: {where}: is now called {now!r}")
+                if instead := removed(str(key)):
+                    raise ConfigurationError(f"{source}: {where}: {instead}")
                 raise ConfigurationError(
                     f"{source}: {where}: unknown field; {suggest(str(key), fields)}"
                 )
-            _check(fields[key], item, source, where)
+            _check(fields[key], item, source, where, getattr(defaults, key))
     elif typing.get_origin(schema) is list:
         if not isinstance(value, list):
             fail("a list")
@@ -250,18 +257,26 @@ _Dumper.add_representer(
 )
 
 
-def _tagged(schema: Any, value: Any) -> Any:
+def _kind(mapping: Mapping[str, Any], kinds: Mapping[str, Any], default: Any) -> Any:
+    """Kind that a mapping chooses: its own, or else that of the field's default."""
+    return mapping.get("kind", getattr(default, "kind", next(iter(kinds))))
+
+
+def _tagged(schema: Any, value: Any, default: Any = None) -> Any:
     """Return checked data with the chosen dataclasses named, as `yaml_load_typed` wants them."""
     kinds = _kinds(schema)
     if kinds and value is not None:
         mapping = {"kind": value} if isinstance(value, str) else value
-        chosen = kinds[mapping.get("kind", next(iter(kinds)))]
+        chosen = kinds[_kind(mapping, kinds, default)]
         tagged = _Tagged(_tagged(chosen, mapping))
         tagged.tag = chosen.__name__
         return tagged
     if isinstance(value, Mapping) and dataclasses.is_dataclass(schema):
         fields = {field.name: field.type for field in dataclasses.fields(schema)}
-        return {key: _tagged(fields[key], item) for key, item in value.items()}
+        defaults: Any = typing.cast(Any, schema)()
+        return {
+            key: _tagged(fields[key], item, getattr(defaults, key)) for key, item in value.items()
+        }
     if isinstance(value, list) and typing.get_origin(schema) is list:
         return [_tagged(typing.get_args(schema)[0], item) for item in value]
     return value

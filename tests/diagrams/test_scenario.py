@@ -4,8 +4,9 @@ from pydrake.multibody.plant import MultibodyPlantConfig
 
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.experiments.registry import list_scenarios, load_scenario
-from sonoservo.diagrams.needle_tracker import Zhao2012TrackerParameters
 from sonoservo.diagrams.station import StationParameters
+from sonoservo.diagrams.trackers import Zhao2012TrackerParameters
+from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter
 from sonoservo.systems.files.typed_yaml import ConfigurationError
 
 
@@ -69,9 +70,18 @@ def test_the_tracker_is_chosen_by_name(tmp_path):
     scenario = load_scenario("chatelain2013_fig5", changes=changes)
     assert isinstance(scenario.tracker, Zhao2012TrackerParameters)
     assert scenario.tracker.velocimeter.min_correlation == 0.4
+    assert scenario.tracker.filter == AxisTipFilter()
     path = tmp_path / "mine.yaml"
     path.write_text(scenario.to_yaml())
     assert load_scenario(path).tracker == scenario.tracker
+
+
+def test_a_filter_is_chosen_by_name_or_by_its_tracker():
+    changes = ["tracker=zhao2012", "tracker.filter.turning=1e-4"]
+    scenario = load_scenario("chatelain2013_fig5", changes=changes)
+    assert scenario.tracker.filter == AxisTipFilter(turning=1e-4)
+    scenario = load_scenario("chatelain2013_fig5", changes=["tracker.filter=axis_tip"])
+    assert scenario.tracker.filter == AxisTipFilter()
 
 
 @pytest.mark.parametrize(
@@ -120,8 +130,23 @@ def test_the_tracker_is_chosen_by_name(tmp_path):
             ["tracker.kind=zhao"],
             "tracker: unknown kind 'zhao'; did you mean 'zhao2012'?",
         ),
-        ("chatelain2013_fig5", ["tracker=zhao2012", "tracker.order=3"], "tracker.order: unknown"),
-        ("chatelain2013_fig5", ["tracker.localizer.order=3"], "left out: order sets it"),
+        ("chatelain2013_fig5", ["tracker=zhao2012", "tracker.order=3"], "must be 2 (straight)"),
+        ("chatelain2013_fig5", ["tracker.localizer.order=3"], "is now 'tracker.order'"),
+        (
+            "chatelain2013_fig5",
+            ["tracker.kalman_filter.filtering=false"],
+            "tracker.kalman_filter.filtering: is now 'tracker.track.filtering'",
+        ),
+        (
+            "chatelain2013_fig5",
+            ["tracker=zhao2012", "tracker.axis_tip_filter.first_drift=1e-3"],
+            "tracker.axis_tip_filter.first_drift: is now 'tracker.filter.first_drift_std'",
+        ),
+        (
+            "chatelain2013_fig5",
+            ["tracker.filter.kind=axis_tips"],
+            "tracker.filter: unknown kind 'axis_tips'; did you mean 'axis_tip'?",
+        ),
         (
             "chatelain2013_fig5",
             ["tracker.localizer.tip.decibels_per_level=0.1"],

@@ -23,7 +23,7 @@ from sonoservo.systems.ultrasound.imaging import sweep_geometry
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
 ABLATIONS: Mapping[str, Sequence[str]] = {
-    "no filter": ["tracker.kalman_filter.filtering=false"],
+    "no filter": ["tracker.track.filtering=false"],
     "no volume of interest": ["tracker.localizer.volume_of_interest=false"],
     "no angle gate": ["tracker.localizer.angle_gate=false"],
     "no refits": ["tracker.localizer.ransac.refits=0"],
@@ -31,7 +31,7 @@ ABLATIONS: Mapping[str, Sequence[str]] = {
     "no feed-forward": ["controller.visual_servo.feed_forward=false"],
     "no feed-forward, filter in probe's frame": [
         "controller.visual_servo.feed_forward=false",
-        "tracker.kalman_filter.probe_frame=true",
+        "tracker.track.probe_frame=true",
     ],
 }
 """What is switched off, and how. A velocity in the probe's frame is none to feed forward, so the

@@ -15,10 +15,10 @@ from sonoservo.diagrams.papers.zhao2012.tracking import (
     VELOCIMETER,
     BMode,
     Tracking,
-    find_as_published,
+    localize_as_published,
 )
 from sonoservo.diagrams.studies.study import Case
-from sonoservo.systems.estimation.axis_tip_state import direction_angles
+from sonoservo.systems.estimation.axis_tip_filter import direction_angles
 from sonoservo.systems.localization.speckle_velocimeter import measure_velocity
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_curve import NeedleCurve
@@ -92,7 +92,7 @@ class _Estimators:
         self.seconds.append(time.perf_counter() - began)
         curves: list[NeedleCurve | None] = []
         for refits in (0, 1):
-            found = find_as_published(volume, DIRECTION, refits, self._rng)
+            found = localize_as_published(volume, DIRECTION, refits, self._rng)
             curves.append(None if isinstance(found, NotFound) else found.curve)
         measured, velocity = tracked.measurement, tracked.velocity
         curves.append(None if isinstance(measured, NotFound) else measured.curve)

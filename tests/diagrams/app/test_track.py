@@ -219,7 +219,7 @@ def test_an_interruption_keeps_what_was_tracked(tmp_path, volumes):
     [
         ({"tracker": "zhao2021"}, "did you mean 'zhao2012'"),
         ({"order": 5}, "order: 5 is not allowed"),
-        ({"order": 3, "tracker": "zhao2012"}, "localizer.order: 3"),
+        ({"order": 3, "tracker": "zhao2012"}, "order: 3"),
         ({"start": "nowhere"}, "start: 'nowhere'"),
     ],
 )

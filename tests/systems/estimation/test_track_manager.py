@@ -1,34 +1,23 @@
-import dataclasses
+"""The leaf that manages a track, with each of the filters."""
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform, RotationMatrix
-from scipy.linalg import expm
 
-from sonoservo.systems.estimation.needle_kalman_filter import (
-    NeedleKalmanFilter,
-    NeedleKalmanFilterParameters,
-    innovation_distance,
-    restart_track,
-    start_track,
-    update_track,
-)
-from sonoservo.systems.estimation.track import (
-    NeedleMotionParameters,
-    NeedleTrack,
-    constant_velocity,
-)
+from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter
+from sonoservo.systems.estimation.control_point_filter import ControlPointFilter
+from sonoservo.systems.estimation.track import TrackParameters
+from sonoservo.systems.estimation.track_manager import TrackManager
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.insertion_detection import InsertionDetection
+from sonoservo.systems.signals.localization_explanation import LocalizationExplanation
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 from sonoservo.systems.signals.volume import Volume
 
-PARAMETERS = NeedleKalmanFilterParameters()
 R = np.diag([1, 0.2, 0.3, 0.5, 0.2, 0.4]) * 1e-6
 
 
@@ -47,127 +36,35 @@ def volume(time, X_WP=None):
     return Volume(np.zeros((2, 2, 2), np.uint8), np.zeros(3), np.ones(3), X_WP, time)
 
 
-@given(st.floats(1e-3, 2.0))
-def test_prediction_is_the_integral_of_white_acceleration(dt):
-    """Van Loan 1978: A and Q from one matrix exponential."""
-    density = np.diag([2.0, 0.5])
-    n = 4
-    M = np.zeros((2 * n, 2 * n))
-    M[:2, 2:4] = np.eye(2)
-    M[2:4, 6:8] = density
-    M[n:, n:] = -M[:n, :n].T
-    exponential = expm(M * dt)
-    A, Q = constant_velocity(dt, density)
-    np.testing.assert_allclose(A, exponential[:n, :n], atol=1e-12)
-    np.testing.assert_allclose(Q, exponential[:n, n:] @ A.T, rtol=1e-9, atol=1e-12)
-
-
-def test_update_is_equations_12_to_14():
-    rng = np.random.default_rng(0)
-    B = rng.normal(size=(12, 12)) * 1e-3
-    prior = restart_track(measurement(), PARAMETERS)
-    prior = dataclasses.replace(prior, covariance=B @ B.T)
-    z = measurement(0.031, y=1e-4)
-    C = np.hstack([np.eye(6), np.zeros((6, 6))])
-    K = prior.covariance @ C.T @ np.linalg.inv(C @ prior.covariance @ C.T + R)
-    y = z.curve.control_points.ravel() - C @ prior.mean
-    posterior = update_track(prior, z)
-    np.testing.assert_allclose(posterior.mean, prior.mean + K @ y, atol=1e-12)
-    np.testing.assert_allclose(
-        posterior.covariance, (np.eye(12) - K @ C) @ prior.covariance, atol=1e-14
-    )
-    S = C @ prior.covariance @ C.T + R
-    assert innovation_distance(prior, z) == pytest.approx(y @ np.linalg.inv(S) @ y)
-
-
-@pytest.mark.parametrize("order", [2, 3])
-def test_insertion_moves_the_tip_and_leaves_the_entry(order):
-    curve = NeedleCurve(np.outer(np.linspace(0, 0.03, order), [1, 0, 0]))
-    S = NeedleMotionParameters(insertion=1.0, body=0.0, bending=0.0).density(curve)
-    expected = np.zeros((3 * order, 3 * order))
-    u = np.linspace(0, 1, order)
-    expected[::3, ::3] = np.outer(u, u)
-    np.testing.assert_array_equal(S, expected)
-
-
-def test_innovations_are_consistent():
-    """Simulated with the filter's own model, the mean squared Mahalanobis distance is 3 n."""
-    rng = np.random.default_rng(4)
-    motion = NeedleMotionParameters()
-    parameters = NeedleKalmanFilterParameters(motion=motion)
-    distances = []
-    for _ in range(30):
-        track = restart_track(measurement(), parameters)
-        truth = rng.multivariate_normal(track.mean, track.covariance)
-        for step in range(1, 25):
-            A, Q = constant_velocity(0.3, motion.density(track.curve))
-            truth = A @ truth + rng.multivariate_normal(np.zeros(12), Q)
-            points = truth[:6] + rng.multivariate_normal(np.zeros(6), R)
-            z = NeedleMeasurement(NeedleCurve(points.reshape(2, 3)), R, 0.3 * step, 1, 1)
-            predicted = track.predicted(z.time)
-            distances.append(innovation_distance(predicted, z))
-            track = update_track(predicted, z)
-    assert np.mean(distances) == pytest.approx(6, rel=0.1)
-
-
-def test_velocity_converges():
-    track = restart_track(measurement(0.02), PARAMETERS)
-    for k in range(1, 30):
-        z = measurement(0.02 + 5e-3 * 0.3 * k, 0.3 * k)
-        track = update_track(track.predicted(z.time), z)
-    np.testing.assert_allclose(track.velocity[1], [5e-3, 0, 0], atol=2e-4)
-    np.testing.assert_allclose(track.velocity[0], 0, atol=3e-4)
-
-
-def test_prediction_never_goes_back():
-    track = restart_track(measurement(time=1.0), PARAMETERS)
-    assert track.predicted(0.5) is track
-
-
-def test_detections_that_advance_start_a_track():
-    track = NeedleTrack(TrackingMode.SEARCHING, 0.0, PARAMETERS.motion)
-    for x in (2e-3, 2.5e-3, 2e-3, 3.2e-3):
-        track = start_track(track, detection(x, 1.0), PARAMETERS)
-        assert not track
-    started = start_track(track, detection(5e-3, 1.5), PARAMETERS)
-    np.testing.assert_allclose(started.curve.control_points, [[2e-3, 0, 0], [5e-3, 0, 0]])
-    elsewhere = start_track(track, detection(30e-3, 1.5), PARAMETERS)
-    assert not elsewhere
-
-
-def test_a_needle_that_is_withdrawn_starts_no_track():
-    track = NeedleTrack(TrackingMode.SEARCHING, 0.0, PARAMETERS.motion)
-    for x in (12e-3, 9e-3, 6e-3, 3e-3):
-        track = start_track(track, detection(x, 1.0), PARAMETERS)
-        assert not track
-    started = start_track(track, detection(6e-3, 1.5), PARAMETERS)
-    np.testing.assert_allclose(started.curve.control_points, [[3e-3, 0, 0], [6e-3, 0, 0]])
-
-
 class Bench:
-    """The filter with its inputs in hand."""
+    """The manager with its inputs in hand."""
 
-    def __init__(self, **parameters):
-        self.filter = NeedleKalmanFilter(
-            parameters=NeedleKalmanFilterParameters(**parameters), period=0.1
+    def __init__(self, needle_filter=None, **parameters):
+        self.manager = TrackManager(
+            needle_filter=needle_filter or ControlPointFilter(),
+            parameters=TrackParameters(**parameters),
+            period=0.1,
         )
-        self.context = self.filter.CreateDefaultContext()
+        self.context = self.manager.CreateDefaultContext()
         self.fix("detection", NotFound("nothing moved"))
         self.fix("measurement", NotFound("nothing seen"))
 
     def fix(self, port, value):
-        self.filter.GetInputPort(port).FixValue(self.context, Value[object](value))
+        self.manager.GetInputPort(port).FixValue(self.context, Value[object](value))
 
     def step(self, time, X_WP=None, **values):
         self.fix("volume", volume(time, X_WP))
-        for port in ("detection", "measurement"):
+        for port in ("detection", "measurement", *values):
             self.fix(port, values.get(port, NotFound(f"no {port}")))
-        self.filter.ExecuteForcedEvents(self.context)
+        self.manager.ExecuteForcedEvents(self.context)
         return self.estimate
+
+    def output(self, port):
+        return self.manager.GetOutputPort(port).Eval(self.context)
 
     @property
     def estimate(self) -> NeedleEstimate:
-        return self.filter.GetOutputPort("estimate").Eval(self.context)
+        return self.output("estimate")
 
     def track_from(self, time=0.0):
         """Detect and confirm a needle whose tip is at 30 mm."""
@@ -176,8 +73,49 @@ class Bench:
         return self.step(time + 0.6, measurement=measurement(time=time + 0.6))
 
 
-def test_outputs_do_not_depend_on_inputs():
-    assert not NeedleKalmanFilter(period=1.0).HasAnyDirectFeedthrough()
+def test_a_prediction_does_not_depend_on_the_measurement_it_serves():
+    """Of the inputs only the volume reaches the prediction, so there is no algebraic loop."""
+    manager = TrackManager(needle_filter=ControlPointFilter(), period=1.0)
+    through = {
+        (manager.get_input_port(i).get_name(), manager.get_output_port(o).get_name())
+        for i in range(manager.num_input_ports())
+        for o in range(manager.num_output_ports())
+        if manager.HasDirectFeedthrough(i, o)
+    }
+    assert through == {("volume", "prediction"), ("explanation", "explanation")}
+
+
+def test_prediction_is_the_same_before_and_after_the_update_it_serves():
+    bench = Bench()
+    bench.track_from()
+    bench.fix("volume", volume(0.9))
+    before = bench.output("prediction")
+    assert before.time == 0.9
+    np.testing.assert_array_equal(before.entry, bench.estimate.curve.entry)
+    bench.step(0.9, measurement=measurement(0.032, 0.88))
+    after = bench.output("prediction")
+    assert after.time == before.time
+    np.testing.assert_array_equal(after.curve.control_points, before.curve.control_points)
+    np.testing.assert_array_equal(after.covariance, before.covariance)
+    bench.fix("volume", volume(1.2))
+    assert bench.output("prediction").time == 1.2
+    bench.fix("volume", NotFound("dropped"))
+    assert bench.output("prediction").reason == "dropped"
+
+
+def test_explanation_tells_how_far_the_measurement_lies_from_the_prediction():
+    bench = Bench()
+    assert bench.output("explanation").reason == "no localizer is connected that explains itself"
+    bench.track_from()
+    found = measurement(0.03, 0.9, y=0.02)
+    explanation = LocalizationExplanation(0.9, NotFound(""), (), found)
+    bench.fix("explanation", explanation)
+    assert bench.output("explanation").innovation is None
+    estimate = bench.step(0.9, measurement=found)
+    explained = bench.output("explanation")
+    assert explained.measurement is found
+    assert explained.innovation > explained.gate > 4
+    assert f"{explained.innovation:.1f} deviations" in estimate.reason
 
 
 def test_detection_then_confirmation():
@@ -198,7 +136,7 @@ def test_unconfirmed_detection_is_forgotten():
     bench.step(0.3, detection=detection(6e-3, 0.3))
     for k in range(3):
         bench.step(0.6 + 0.3 * k)
-    assert not bench.filter.GetOutputPort("prediction").Eval(bench.context)
+    assert not bench.output("prediction")
     assert not bench.step(2.0, measurement=measurement(time=2.0))
 
 
@@ -292,7 +230,7 @@ def test_repeated_and_missing_volumes_change_nothing():
     for value in (volume(0.6), volume(0.1), NotFound("dropped")):
         bench.fix("volume", value)
         bench.fix("measurement", measurement(0.05, 0.9))
-        bench.filter.ExecuteForcedEvents(bench.context)
+        bench.manager.ExecuteForcedEvents(bench.context)
         assert bench.estimate.time == before.time
         np.testing.assert_array_equal(bench.estimate.curve.tip, before.curve.tip)
 
@@ -300,17 +238,38 @@ def test_repeated_and_missing_volumes_change_nothing():
 def test_log_shows_what_was_used():
     bench = Bench()
     bench.track_from()
-    used = bench.filter.GetOutputPort("last_measurement").Eval(bench.context)
+    used = bench.manager.GetOutputPort("last_measurement").Eval(bench.context)
     assert used.time == 0.6
     bench.fix("measurement", measurement(0.05, 9.0))
-    assert bench.filter.GetOutputPort("last_measurement").Eval(bench.context) is used
-    assert not bench.filter.GetOutputPort("last_detection").Eval(bench.context)
+    assert bench.manager.GetOutputPort("last_measurement").Eval(bench.context) is used
+    assert not bench.manager.GetOutputPort("last_detection").Eval(bench.context)
 
 
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [("gate", 1.0), ("order", 4), ("volumes_to_lose", 0), ("first_speed_std", -1.0)],
-)
-def test_parameters_are_checked(field, value):
-    with pytest.raises(ValueError, match=field):
-        NeedleKalmanFilterParameters(**{field: value})
+def test_starts_where_it_is_told():
+    bench = Bench(AxisTipFilter())
+    start = measurement(time=0.3)
+    bench.manager.start_at(bench.context, start)
+    assert bench.estimate.mode == TrackingMode.TRACKING
+    assert bench.estimate.volume_time == 0.3
+    np.testing.assert_allclose(bench.estimate.curve.control_points, start.curve.control_points)
+
+
+def test_goes_on_with_the_velocity_alone():
+    """The velocity is one of two measurements: while it coasts, a track may still be told it."""
+    tips = {}
+    for moved in (False, True):
+        bench = Bench(AxisTipFilter())
+        bench.manager.start_at(bench.context, measurement())
+        told = VelocityMeasurement(np.array([2e-3, 0, 0]), 1e-7 * np.eye(3), 0.9)
+        speed = {"velocity": told if moved else NotFound("the speckle has changed")}
+        for n in (1, 2):
+            estimate = bench.step(float(n), measurement=NotFound("dark"), **speed)
+        assert estimate.mode == TrackingMode.COASTING
+        assert estimate.reason == "dark"
+        tips[moved] = estimate.curve.tip[0]
+    assert tips[True] > tips[False] + 2e-3
+
+
+def test_a_filter_must_take_the_order():
+    with pytest.raises(ValueError, match="order: 3"):
+        TrackManager(needle_filter=AxisTipFilter(), order=3, period=1.0)

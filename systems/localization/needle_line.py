@@ -1,13 +1,13 @@
-"""Seeks a needle in one volume of which nothing else is known."""
+"""The line that looks most like a needle, in a volume of which nothing else is known."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates, uniform_filter1d
+from scipy.ndimage import uniform_filter1d
 
 from sonoservo.systems.localization.line_search import bright_lines
-from sonoservo.systems.localization.tip import best_stretch
+from sonoservo.systems.localization.tip import most_evident_stretch
 from sonoservo.systems.signals.immutable import Immutable, NotFound, read_only
 from sonoservo.systems.signals.volume import Volume
 
@@ -34,8 +34,11 @@ _AMPLITUDE = 0.35
 _ASIDE = 0.7e-3
 """Distance from the line at which a cross-section counts half, in m."""
 
-_CONTRAST, _LEAST, _MOST = 4.0, -4.0, 6.0
-"""dB over the background that speak neither for nor against a needle, and bounds of what does."""
+_CONTRAST = 4.0
+"""Contrast that speaks neither for nor against a needle, in dB over the background."""
+
+_MAX_EVIDENCE = 6.0
+"""Largest evidence of one sample along a line, in dB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,16 +68,15 @@ class NeedleLine(Immutable):
         return float(np.linalg.norm(self.ends[1] - self.ends[0]))
 
 
-def find_needle_line(
+def localize_line(
     volume: Volume,
     rng: np.random.Generator,
     *,
-    decibels_per_level: float,
     min_length: float = 17e-3,
     min_evidence: float = MIN_EVIDENCE,
     max_entry_gap: float = 8e-3,
 ) -> NeedleLine | NotFound:
-    """Find the line in a volume that looks most like a needle.
+    """Localize the line in a volume that looks most like a needle.
 
     The longest bright lines are refined: of every cross-section the centre of what is brightest
     counts, and the line is fitted to the centres, robustly. A needle stands out along its length
@@ -87,8 +89,6 @@ def find_needle_line(
         To search.
     rng
         Draws the lines.
-    decibels_per_level
-        dB per unit of a voxel's intensity.
     min_length
         In view, in m.
     min_evidence
@@ -102,10 +102,10 @@ def find_needle_line(
     """
     best: NeedleLine | None = None
     for ends in bright_lines(volume, rng):
-        found = _stretch(volume, ends, decibels_per_level)
+        found = _stretch(volume, ends)
         if found is not None:
             # Between its ends a needle tells best where it lies.
-            found = _stretch(volume, found.ends, decibels_per_level)
+            found = _stretch(volume, found.ends)
         if found is None or found.length < min_length or found.entry_gap > max_entry_gap:
             continue
         if best is None or found.evidence > best.evidence:
@@ -117,11 +117,9 @@ def find_needle_line(
     return best
 
 
-def _sample(volume: Volume, p_P: Floats, decibels_per_level: float) -> NDArray[np.float32]:
+def _sample(volume: Volume, p_P: Floats) -> NDArray[np.float32]:
     """Levels in dB at (..., 3) positions in P; 0 outside the grid."""
-    index = np.moveaxis((p_P - volume.origin) / volume.spacing, -1, 0)
-    grey = map_coordinates(volume.intensities, index, np.float32, order=1, mode="constant")
-    return np.asarray(decibels_per_level * grey)
+    return np.asarray(volume.decibels_per_level * volume.sample(p_P))
 
 
 def _across(ends: Floats) -> tuple[Floats, Floats]:
@@ -130,7 +128,7 @@ def _across(ends: Floats) -> tuple[Floats, Floats]:
     return along, np.linalg.svd(along[np.newaxis])[2][1:]
 
 
-def _refined(volume: Volume, ends: Floats, radius: float, decibels_per_level: float) -> Floats:
+def _refined(volume: Volume, ends: Floats, radius: float) -> Floats:
     """Fit a line to the bright centres of its cross-sections."""
     along, across = _across(ends)
     length = float(np.linalg.norm(ends[1] - ends[0]))
@@ -139,7 +137,7 @@ def _refined(volume: Volume, ends: Floats, radius: float, decibels_per_level: fl
     grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     grid = grid[np.linalg.norm(grid, axis=1) <= radius]
     sections = ends[0] + a[:, np.newaxis, np.newaxis] * along + grid @ across
-    level = _sample(volume, sections, decibels_per_level)
+    level = _sample(volume, sections)
     peak = level.max(axis=1, keepdims=True)
     amplitude = np.clip(10 ** ((level - peak) / 20) - _AMPLITUDE, 0, None)
     centres = amplitude @ grid / amplitude.sum(axis=1, keepdims=True)
@@ -153,12 +151,12 @@ def _refined(volume: Volume, ends: Floats, radius: float, decibels_per_level: fl
     return ends + np.stack([solution[0], solution.sum(axis=0)]) @ across
 
 
-def _stretch(volume: Volume, ends: Floats, decibels_per_level: float) -> NeedleLine | None:
+def _stretch(volume: Volume, ends: Floats) -> NeedleLine | None:
     """Refine a line, and return the stretch of it that looks most like a needle."""
     for radius in _REFINING_RADII:
         if np.linalg.norm(ends[1] - ends[0]) < 8 * _STEP:
             return None
-        ends = _refined(volume, ends, radius, decibels_per_level)
+        ends = _refined(volume, ends, radius)
     along, across = _across(ends)
     reach = float(np.linalg.norm(volume.upper - volume.origin))
     a = np.arange(-reach, reach, _STEP)
@@ -167,14 +165,15 @@ def _stretch(volume: Volume, ends: Floats, decibels_per_level: float) -> NeedleL
     a, points = a[near], points[near]
     if len(a) < 2:
         return None
-    core = _sample(volume, points[:, np.newaxis] + _CORE @ across, decibels_per_level)
-    ring = _sample(volume, points[:, np.newaxis] + _RING @ across, decibels_per_level)
+    core = _sample(volume, points[:, np.newaxis] + _CORE @ across)
+    ring = _sample(volume, points[:, np.newaxis] + _RING @ across)
     ring[ring == 0] = np.nan  # outside the sector
     ring[np.isnan(ring).all(axis=1), 0] = 0.0
     seen = core.max(axis=1) > 0
     contrast = uniform_filter1d(core.mean(axis=1) - np.nanmedian(ring, axis=1), 3)
-    evidence = np.where(seen, np.clip(contrast - _CONTRAST, _LEAST, _MOST), _LEAST)
-    first, last = best_stretch(evidence)
+    first, last, evidence = most_evident_stretch(
+        contrast, seen, step=_STEP, neutral=_CONTRAST, max_evidence=_MAX_EVIDENCE
+    )
     if last - first < 8:
         return None
     unseen = np.concatenate([[-1], np.flatnonzero(~seen), [len(a)]])
@@ -183,5 +182,4 @@ def _stretch(volume: Volume, ends: Floats, decibels_per_level: float) -> NeedleL
     stretch = points[[first, last]]
     if beyond < before:
         stretch, before = stretch[::-1], beyond
-    total = float(evidence[first : last + 1].sum()) * _STEP
-    return NeedleLine(stretch, total, float(before))
+    return NeedleLine(stretch, evidence, float(before))
