@@ -18,7 +18,6 @@ def MakeNeedleTracker(
     parameters: TrackerParameters | None = None,
     period: float,
     offset: float = 0.0,
-    dynamic_range_db: float = 60.0,
     seed: int = 0,
 ) -> Diagram:
     """Make a needle tracker.
@@ -44,9 +43,6 @@ def MakeNeedleTracker(
         Parameters of one of the `TRACKERS`; their class chooses the tracker.
     period, offset
         Period and offset of the events at which it looks for a new volume, in s.
-    dynamic_range_db
-        Range of echo amplitudes that the intensities 0 to 255 of the volumes show; it takes the
-        place of the parts' own ``decibels_per_level``.
     seed
         Seed of every random choice.
     """
@@ -55,7 +51,6 @@ def MakeNeedleTracker(
         parameters=parameters,
         period=period,
         offset=offset,
-        dynamic_range_db=dynamic_range_db,
         seed=seed,
     )
     diagram.set_name("needle_tracker")
@@ -66,7 +61,6 @@ def track(
     volumes: Iterable[Volume],
     *,
     parameters: TrackerParameters | None = None,
-    dynamic_range_db: float = 60.0,
     seed: int = 0,
 ) -> Iterator[NeedleEstimate]:
     """Track a needle through volumes in order of time, without a simulation.
@@ -79,8 +73,6 @@ def track(
         Volumes from any source.
     parameters
         Parameters of the tracker.
-    dynamic_range_db
-        See `MakeNeedleTracker`.
     seed
         Seed of every random choice.
 
@@ -89,9 +81,7 @@ def track(
     The estimate after each volume.
     """
     # No event is ever due: one is forced for each volume.
-    tracker = MakeNeedleTracker(
-        parameters=parameters, period=1.0, dynamic_range_db=dynamic_range_db, seed=seed
-    )
+    tracker = MakeNeedleTracker(parameters=parameters, period=1.0, seed=seed)
     context = tracker.CreateDefaultContext()
     for volume in volumes:
         tracker.GetInputPort("volume").FixValue(context, Value[object](volume))

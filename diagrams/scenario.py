@@ -1,11 +1,9 @@
 """What the scenarios of all experiments have in common."""
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import TypeVar
 
-import yaml
-
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.typed_yaml import ConfigurationError, dump_typed
 from sonoservo.systems.signals.requirements import require
 
 
@@ -51,7 +49,7 @@ class Scenario:
 
     def to_yaml(self) -> str:
         """Return all fields as YAML that `load_scenario` reads."""
-        return yaml.safe_dump(asdict(self), sort_keys=False)
+        return dump_typed(self)
 
 
 ScenarioT = TypeVar("ScenarioT", bound=Scenario)

@@ -114,7 +114,6 @@ def track_recording(
     recording: Recording,
     *,
     parameters: TrackerParameters | None = None,
-    dynamic_range_db: float | None = None,
     seed: int | None = None,
     real_time: bool = False,
     monitor: "Monitor | None" = None,
@@ -133,9 +132,6 @@ def track_recording(
         To track in.
     parameters
         Which tracker, and its parts.
-    dynamic_range_db
-        Range of echo amplitudes that the grey levels show; by default what the recorder noted, or
-        else 60.
     seed
         Of every random choice; by default the recorder's, or else 0.
     real_time
@@ -155,16 +151,11 @@ def track_recording(
     ConfigurationError
         If the recording, or the truth beside it, is damaged.
     """
-    noted = recording.settings
-    if dynamic_range_db is None:
-        dynamic_range_db = float(noted.get("dynamic_range_db", 60.0))
-    seed = int(noted.get("tracker_seed", 0)) if seed is None else seed
+    seed = int(recording.settings.get("tracker_seed", 0)) if seed is None else seed
     truth_path = side_path(recording.path, TRUTH)
     truth = read_truth(truth_path) if truth_path.is_file() else None
 
-    tracker = MakeNeedleTracker(
-        parameters=parameters, period=1.0, dynamic_range_db=dynamic_range_db, seed=seed
-    )
+    tracker = MakeNeedleTracker(parameters=parameters, period=1.0, seed=seed)
     motion = recording[0].motion
     logger = RunLogger(geometry=motion.geometry if motion else None)
     builder = DiagramBuilder()

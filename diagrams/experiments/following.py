@@ -106,7 +106,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
     ) -> None:
         scenario = require_scenario(scenario, FollowingScenario)
         seeds = draw_seeds(scenario)
-        transducer = load_transducer(scenario.transducer)
+        transducer = load_transducer(scenario.probe)
         tissue = replace(load_tissue(scenario.phantom), seed=seeds.tissue)
         geometry = sweep_geometry(transducer, scenario.imaging)
         insertion = make_insertion(scenario)
@@ -125,7 +125,8 @@ class FollowingExperiment(Experiment[FollowingScenario]):
 
         self.station = MakeStation(
             parameters=scenario.station,
-            phantom_size=tissue.size,
+            probe=scenario.probe,
+            phantom=scenario.phantom,
             seed=seeds.station,
             meshcat=meshcat,
         )
@@ -141,13 +142,15 @@ class FollowingExperiment(Experiment[FollowingScenario]):
             parameters=scenario.tracker,
             period=period,
             offset=offset,
-            dynamic_range_db=scenario.imaging.dynamic_range_db,
             seed=seeds.tracker,
         )
-        self.probe_controller = MakeProbeController(parameters=scenario.controller)
+        self.probe_controller = MakeProbeController(
+            parameters=scenario.controller, arm=scenario.station.arm, probe=scenario.probe
+        )
         self.run_logger = RunLogger(
             volume_period=period,
             volume_offset=a_moment_later["offset"],
+            joints=self.station.GetOutputPort("joint_state").size() // 2,
             geometry=geometry,
         )
         sources = _planned_sources(scenario, insertion) if sources is None else sources
@@ -171,10 +174,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         if record is not None:
             self._recorder = systems["volume_recorder"] = VolumeRecorder(
                 path=record,
-                settings={
-                    "dynamic_range_db": scenario.imaging.dynamic_range_db,
-                    "tracker_seed": seeds.tracker,
-                },
+                settings={"tracker_seed": seeds.tracker},
                 sweeps=record_sweeps,
                 truth_period=geometry.frame_period,
                 **a_moment_later,
@@ -250,5 +250,5 @@ def tracker_events(scenario: Scenario) -> dict[str, float]:
         If the scenario's transducer or imaging is not possible.
     """
     scenario = require_scenario(scenario, FollowingScenario)
-    period = sweep_geometry(load_transducer(scenario.transducer), scenario.imaging).period
+    period = sweep_geometry(load_transducer(scenario.probe), scenario.imaging).period
     return {"period": period, "offset": period + scenario.processing_time}

@@ -82,7 +82,7 @@ def check_followed(scenario: FollowingScenario, insertion: Insertion) -> None:
     turn = (np.rad2deg(np.arctan2(direction[1], direction[0])) - start + 90) % 180 - 90
     x, y, _ = needle.tip
     pose = station.probe_pose(x=x, y=y, yaw_deg=start + turn, height=0.0)
-    if not check_reach(station, [pose])[0]:
+    if not check_reach(station, [pose], scenario.probe)[0]:
         raise ValueError(
             f"hand: the arm cannot follow the needle to its deepest point, x {x:.3f}, y {y:.3f} m "
             f"on the phantom, with the probe turned to {start + turn:.0f} deg"

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from sonoservo.diagrams.assembly import PHANTOM, PROBE
 from sonoservo.diagrams.probe_controller import ProbeControllerParameters
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.station import StationParameters
@@ -27,15 +28,15 @@ class FollowingScenario(Scenario):
     duration
         Simulated time in s.
     station
-        Arm, probe, phantom and their contact.
+        Arm, plant, and where probe and phantom are at the start.
     phantom
-        Tissue in the phantom: name of a file in models/phantoms, or a path.
+        Tissue and contact of the phantom: name of a file in models/phantoms, or a path.
     phantom_motion
         Motion of the phantom.
     hand
         The needle and how it is pushed.
-    transducer
-        Name of a file in models/transducers, or a path.
+    probe
+        Transducer and body of the probe: name of a file in models/probes, or a path.
     imaging
         The scanner's settings.
     scanner
@@ -55,10 +56,10 @@ class FollowingScenario(Scenario):
     experiment: str = "following"
     duration: float = 30.0
     station: StationParameters = field(default_factory=StationParameters)
-    phantom: str = "agar"
+    phantom: str = PHANTOM
     phantom_motion: PhantomMotionParameters = field(default_factory=PhantomMotionParameters)
     hand: InsertionParameters = field(default_factory=InsertionParameters)
-    transducer: str = "4dc7_3_40"
+    probe: str = PROBE
     imaging: ImagingParameters = field(default_factory=ImagingParameters)
     scanner: ScannerParameters = field(default_factory=ScannerParameters)
     scan_conversion: ScanConversionParameters = field(default_factory=ScanConversionParameters)

@@ -89,7 +89,7 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
         self.X_WP = RigidTransform(X_TI.rotation(), [x, y, scenario.face])
         imaging = replace(scenario.imaging, volume_rate=1 / scenario.period, frames=1)
         self.scanner = Scanner(
-            transducer=load_transducer(scenario.transducer),
+            transducer=load_transducer(scenario.probe),
             imaging=imaging,
             tissue=tissue,
             parameters=scenario.scanner,
@@ -99,11 +99,7 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
         events = {"period": scenario.period, "offset": scenario.period + scenario.processing_time}
         self.slice_converter = SliceConverter(geometry=geometry, spacing=scenario.pixel)
         self.shape_predictor = MakeShapePredictor(
-            localizer=replace(
-                scenario.tracker,
-                needle_radius=OUTER_DIAMETER[hand.gauge] / 2,
-                decibels_per_level=imaging.dynamic_range_db / 255,
-            ),
+            localizer=replace(scenario.tracker, needle_radius=OUTER_DIAMETER[hand.gauge] / 2),
             shape_filter=self.make_filter(scenario.estimator),
             X_WI=self.X_WP,
             seed=self._estimator_seed,

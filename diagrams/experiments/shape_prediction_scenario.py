@@ -72,8 +72,8 @@ class ShapePredictionScenario(Scenario):
         in m: nobody knows it.
     phantom
         Tissue: name of a file in models/phantoms, or a path.
-    transducer
-        Name of a file in models/transducers, or a path.
+    probe
+        Name of a file in models/probes, or a path.
     imaging, scanner
         The scanner's settings; noise and artefacts.
     hand
@@ -97,7 +97,7 @@ class ShapePredictionScenario(Scenario):
     face: float = -2e-3
     tissue_shift: float = 0.1e-3
     phantom: str = "beef"
-    transducer: str = "trus"
+    probe: str = "trus"
     imaging: ImagingParameters = field(default_factory=_imaging)
     scanner: ScannerParameters = field(default_factory=ScannerParameters)
     hand: InsertionParameters = field(default_factory=_hand)
@@ -163,7 +163,7 @@ class ShapePredictionScenario(Scenario):
 
     @property
     def steps(self) -> int:
-        """Number of the stage's steps; there is one slice more."""
+        """Number of the stepper's steps; there is one slice more."""
         return round(self.depth / self.step)
 
     @property

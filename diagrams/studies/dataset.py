@@ -25,9 +25,10 @@ from sonoservo.systems.needle.insertion_parameters import InsertionParameters, P
 from sonoservo.systems.recording.nrrd import write_mask
 from sonoservo.systems.recording.recording_writer import RecordingWriter
 from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
+from sonoservo.systems.signals.sweep import SweepGeometry, SweepMotion
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
+from sonoservo.systems.ultrasound.simulation.acquisition import acquire_sweep
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
 from sonoservo.systems.ultrasound.simulation.tissue import Ball, Fibre, Tissue, load_tissue
 from sonoservo.systems.ultrasound.transducer import load_transducer
@@ -102,7 +103,7 @@ def make_dataset(
     settings = {
         "scenario": scenario.to_yaml(),
         "volumes": volumes,
-        "transducers": list(transducers) or [scenario.transducer],
+        "transducers": list(transducers) or [scenario.probe],
     }
     seeds = range(scenario.seed, scenario.seed + count)
     cases = [Case("sequence", seed, settings) for seed in seeds]
@@ -160,8 +161,7 @@ def _make_sequence(case: Case, *, out: Path) -> dict[str, Any]:
         renderer.geometry, make_grid(renderer.geometry, scenario.scan_conversion.spacing)
     )
     labels = []
-    settings = {"dynamic_range_db": scenario.imaging.dynamic_range_db}
-    with RecordingWriter(folder / "volumes.seq.nrrd", settings) as writer:
+    with RecordingWriter(folder / "volumes.seq.nrrd") as writer:
         for number in range(case.settings["volumes"]):
             volume = _acquire(renderer, conversion, insertion, X_TP, number)
             needle = needle_as_acquired(volume, insertion)
@@ -310,13 +310,11 @@ def _acquire(
 ) -> Volume:
     """Acquire a volume; the tissue's frame is the world's."""
     geometry, direction = renderer.geometry, 1 - 2 * (number % 2)
-    frames = np.arange(geometry.frames)[::direction]
     begin = _FIRST_VOLUME + number * geometry.period
-    times = np.array(begin + geometry.frame_period * frames, dtype=np.float64)
-    poses = np.tile(X_TP.GetAsMatrix4(), (geometry.frames, 1, 1))
+    times = geometry.frame_times(begin, direction)
     needles = [insertion.needle(float(time)) for time in times]
-    samples = renderer.render(poses, needles, direction, number)
-    return conversion(Sweep(samples, SweepMotion(geometry, direction, times, poses)))
+    motion = SweepMotion.at_rest(geometry, X_TP, times, direction)
+    return conversion(acquire_sweep(renderer, motion, needles, number=number))
 
 
 def needle_as_acquired(volume: Volume, insertion: Insertion) -> Needle:

@@ -38,7 +38,6 @@ def MakeChatelain2013Tracker(
     parameters: Chatelain2013TrackerParameters,
     period: float,
     offset: float = 0.0,
-    dynamic_range_db: float = 60.0,
     seed: int = 0,
 ) -> Diagram:
     """Make the tracker of Chatelain 2013; see `MakeNeedleTracker`."""
@@ -49,7 +48,6 @@ def MakeChatelain2013Tracker(
         needle_filter=parameters.filter,
         period=period,
         offset=offset,
-        dynamic_range_db=dynamic_range_db,
         seed=seed,
     )
     return builder.Build()

@@ -1,6 +1,6 @@
 """Parts that the needle trackers have in common, and their wiring."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 from pydrake.systems.framework import DiagramBuilder
@@ -52,13 +52,6 @@ class TrackerParameters:
         kind = type(self).kind
         require(self.kind == kind, "kind", self.kind, repr(kind))
         require_not_negative(look_back=self.look_back)
-        for name, part in (("detector", self.detector), ("localizer.tip", self.localizer.tip)):
-            require(
-                part.decibels_per_level == type(part)().decibels_per_level,
-                f"{name}.decibels_per_level",
-                part.decibels_per_level,
-                "left out: imaging.dynamic_range_db sets it",
-            )
 
 
 def require_order(order: int, needle_filter: NeedleFilter[Any]) -> None:
@@ -76,7 +69,6 @@ def add_tracker_parts(
     needle_filter: NeedleFilter[Any],
     period: float,
     offset: float,
-    dynamic_range_db: float,
     seed: int,
 ) -> TrackManager:
     """Add memory, detector, localizer and track manager, wired and with a tracker's ports.
@@ -89,17 +81,13 @@ def add_tracker_parts(
         Parameters of the parts.
     needle_filter
         Filter of the track manager.
-    period, offset, dynamic_range_db, seed
+    period, offset, seed
         See `MakeNeedleTracker`.
 
     Returns
     -------
     The track manager, to which more can be connected.
     """
-    scale = {"decibels_per_level": dynamic_range_db / 255}
-    localizer_parameters = replace(
-        parameters.localizer, tip=replace(parameters.localizer.tip, **scale)
-    )
     memory = builder.AddNamedSystem(
         "volume_memory",
         VolumeMemory(
@@ -111,10 +99,10 @@ def add_tracker_parts(
     )
     detector = builder.AddNamedSystem(
         "insertion_detector",
-        InsertionDetector(parameters=replace(parameters.detector, **scale), seed=seed),
+        InsertionDetector(parameters=parameters.detector, seed=seed),
     )
     localizer = builder.AddNamedSystem(
-        "needle_localizer", NeedleLocalizer(parameters=localizer_parameters, seed=seed)
+        "needle_localizer", NeedleLocalizer(parameters=parameters.localizer, seed=seed)
     )
     manager: TrackManager = builder.AddNamedSystem(
         "track_manager",

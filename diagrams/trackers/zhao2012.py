@@ -48,7 +48,6 @@ def MakeZhao2012Tracker(
     parameters: Zhao2012TrackerParameters,
     period: float,
     offset: float = 0.0,
-    dynamic_range_db: float = 60.0,
     seed: int = 0,
     speckle_port: bool = False,
 ) -> Diagram:
@@ -56,7 +55,7 @@ def MakeZhao2012Tracker(
 
     Parameters
     ----------
-    parameters, period, offset, dynamic_range_db, seed
+    parameters, period, offset, seed
         See `MakeNeedleTracker`.
     speckle_port
         Whether the velocimeter has an input port ``speckle`` of its own, for the
@@ -68,7 +67,6 @@ def MakeZhao2012Tracker(
         builder,
         parameters=parameters,
         needle_filter=parameters.filter,
-        dynamic_range_db=dynamic_range_db,
         seed=seed,
         **events,
     )

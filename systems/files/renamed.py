@@ -1,4 +1,4 @@
-"""Former names and places of fields, so that the error about an old file tells the present ones."""
+"""Former names and places of fields, and fields that are no more: for errors about old files."""
 
 from collections.abc import Container, Mapping
 
@@ -20,6 +20,10 @@ _RENAMED = {
     "published": "published_figures",
     "min_radius": "bend_radius",
     "speed": "feed.speed",
+    "transducer": "probe",
+}
+_REMOVED = {
+    "decibels_per_level": "must be left out: imaging.dynamic_range_db sets it",
 }
 _PREFIXES = {"least_": "min_", "largest_": "max_", "greatest_": "max_"}
 _SUFFIXES = {"_deviation": "_std"}
@@ -71,3 +75,8 @@ def moved_fields(path: str, value: object) -> dict[str, str]:
         part = ["filter"] if now in _OF_FILTER else [] if now == "order" else ["track"]
         places[f"{path}.{key}"] = ".".join([*parents, *part, now])
     return places
+
+
+def removed(name: str) -> str | None:
+    """Return what took the place of a field that is no more, or None."""
+    return _REMOVED.get(name)

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 import yaml
 
-from sonoservo.systems.files.renamed import current_name, moved_fields
+from sonoservo.systems.files.renamed import current_name, moved_fields, removed
 
 T = TypeVar("T")
 
@@ -40,7 +40,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
         If the file cannot be read, is not YAML or does not hold a mapping.
     """
     try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+        data = yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"{path}: cannot be read ({error})") from error
     except yaml.YAMLError as error:
@@ -78,8 +78,34 @@ def load_typed(schema: type[T], data: Mapping[str, Any], source: str) -> T:
     try:
         loaded = yaml_load_typed(schema=schema, data=text, defaults=schema())
     except (RuntimeError, ValueError, TypeError, AssertionError) as error:
-        raise ConfigurationError(f"{source}: {error}") from error
+        # What pybind11 says of a wrong type ends with the values; signatures help nobody here.
+        text = " ".join(str(error).rpartition("Invoked with: ")[2].split())
+        raise ConfigurationError(f"{source}: {text}") from error
     return _validated(loaded, source, "")
+
+
+def dump_typed(value: Any) -> str:
+    """Return all fields of a dataclass as YAML that `load_typed` reads.
+
+    Fields may hold Drake's schema classes, such as `MultibodyPlantConfig`.
+    """
+    return yaml.safe_dump(_plain(value), sort_keys=False)
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as YAML's own types."""
+    if fields := _fields(type(value)):
+        return {name: _plain(getattr(value, name)) for name in fields}
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, list) else value
+
+
+def _fields(schema: Any) -> dict[str, Any]:
+    """Return the fields and their types of a dataclass or of one of Drake's schema classes."""
+    if dataclasses.is_dataclass(schema):
+        return {field.name: field.type for field in dataclasses.fields(schema)}
+    return {field.name: field.type for field in getattr(schema, "__fields__", ())}
 
 
 def assign(data: dict[str, Any], assignment: str) -> None:
@@ -134,6 +160,8 @@ def _check(schema: Any, value: Any, source: str, path: str, default: Any = None)
             _check(options[0], value, source, path)
         else:
             kinds = _kinds(schema)
+            if not kinds:
+                return  # one of Drake's own choices, which `yaml_load_typed` checks
             mapping = {"kind": value} if isinstance(value, str) else value
             if not isinstance(mapping, Mapping):
                 fail(f"one of {', '.join(kinds)}, or a mapping")
@@ -142,10 +170,11 @@ def _check(schema: Any, value: Any, source: str, path: str, default: Any = None)
                 hint = suggest(str(kind), kinds)
                 raise ConfigurationError(f"{source}: {path}: unknown kind {kind!r}; {hint}")
             _check(kinds[kind], mapping, source, path)
-    elif dataclasses.is_dataclass(schema):
+    elif fields := _fields(schema):
+        if isinstance(value, _Tagged):
+            return
         if not isinstance(value, Mapping):
             fail("a mapping")
-        fields = {field.name: field.type for field in dataclasses.fields(schema)}
         defaults: Any = typing.cast(Any, schema)()
         for key, item in value.items():
             where = f"{path}.{key}" if path else str(key)
@@ -153,8 +182,11 @@ def _check(schema: Any, value: Any, source: str, path: str, default: Any = None)
                 if moved := moved_fields(where, item):
                     old, new = next(iter(moved.items()))
                     raise ConfigurationError(f"{source}: {old}: is now {new!r}")
-                if now := current_name(str(key), fields):
+                now = current_name(str(key), fields) or _path_to(str(key), fields, path)
+                if now:
                     raise ConfigurationError(f"{source}: {where}: is now called {now!r}")
+                if instead := removed(str(key)):
+                    raise ConfigurationError(f"{source}: {where}: {instead}")
                 raise ConfigurationError(
                     f"{source}: {where}: unknown field; {suggest(str(key), fields)}"
                 )
@@ -177,6 +209,14 @@ def _check(schema: Any, value: Any, source: str, path: str, default: Any = None)
         fail("text")
 
 
+def _path_to(key: str, fields: Mapping[str, Any], path: str) -> str | None:
+    """Return the path of a field of one of Drake's schema classes among these, or None."""
+    prefix = f"{path}." if path else ""
+    drakes = {name: type_ for name, type_ in fields.items() if hasattr(type_, "__fields__")}
+    found = (name for name, type_ in drakes.items() if key in _fields(type_))
+    return next((f"{prefix}{name}.{key}" for name in found), None)
+
+
 def _kinds(schema: Any) -> dict[str, Any]:
     """Dataclasses among which a field's ``kind`` chooses, by name; empty if there is no choice."""
     if typing.get_origin(schema) not in (types.UnionType, typing.Union):
@@ -195,6 +235,21 @@ class _Tagged(dict[str, Any]):
 
 class _Dumper(yaml.SafeDumper):
     pass
+
+
+class _Loader(yaml.SafeLoader):
+    """Keeps the tags of Drake's schemas, such as ``!Rpy``."""
+
+
+def _construct_tagged(loader: yaml.SafeLoader, tag: str, node: yaml.Node) -> _Tagged:
+    if not isinstance(node, yaml.MappingNode):
+        raise yaml.constructor.ConstructorError(None, None, f"!{tag} wants a mapping")
+    tagged = _Tagged({str(k): v for k, v in loader.construct_mapping(node, deep=True).items()})
+    tagged.tag = tag
+    return tagged
+
+
+_Loader.add_multi_constructor("!", _construct_tagged)
 
 
 _Dumper.add_representer(

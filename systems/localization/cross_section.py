@@ -53,8 +53,6 @@ class CrossSectionParameters:
         reverberation is from the next, so a start on the wrong one does not last.
     needle_radius
         Radius in m; the front wall's echo is this much closer to the probe than the axis.
-    decibels_per_level
-        Scale of the intensities, in dB per grey level.
     """
 
     start: list[float] | None = None
@@ -67,16 +65,13 @@ class CrossSectionParameters:
     vertex: list[float] = field(default_factory=lambda: [0.6e-3, 0.2e-3])
     search: list[float] = field(default_factory=lambda: [0.8e-3, 1.1e-3])
     needle_radius: float = 0.635e-3
-    decibels_per_level: float = 60 / 255
 
     def __post_init__(self) -> None:
         if self.start is not None:
             require(len(self.start) == 2, "start", self.start, "two coordinates in m")
         require(1 <= self.start_slices <= 20, "start_slices", self.start_slices, "from 1 to 20")
         require_not_negative(follow_shape_from=self.follow_shape_from)
-        require_positive(
-            needle_radius=self.needle_radius, decibels_per_level=self.decibels_per_level
-        )
+        require_positive(needle_radius=self.needle_radius)
         for name in ("template", "vertex", "search"):
             value = getattr(self, name)
             require(len(value) == 2 and min(value) > 0, name, value, "two lengths in m above 0")
@@ -257,7 +252,7 @@ def _at(
     if isinstance(head, NotFound):
         return head
     at = tuple(np.rint(image.index(head)).astype(int))
-    contrast = parameters.decibels_per_level * (float(image.intensities[at]) - mean)
+    contrast = image.decibels_per_level * (float(image.intensities[at]) - mean)
     if contrast < parameters.min_contrast_db:
         return NotFound(
             f"the echo is only {contrast:.0f} dB over the tissue; "

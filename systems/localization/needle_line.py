@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates, uniform_filter1d
+from scipy.ndimage import uniform_filter1d
 
 from sonoservo.systems.localization.line_search import bright_lines
 from sonoservo.systems.localization.tip import most_evident_stretch
@@ -72,7 +72,6 @@ def localize_line(
     volume: Volume,
     rng: np.random.Generator,
     *,
-    decibels_per_level: float,
     min_length: float = 17e-3,
     min_evidence: float = MIN_EVIDENCE,
     max_entry_gap: float = 8e-3,
@@ -90,8 +89,6 @@ def localize_line(
         To search.
     rng
         Draws the lines.
-    decibels_per_level
-        dB per unit of a voxel's intensity.
     min_length
         In view, in m.
     min_evidence
@@ -105,10 +102,10 @@ def localize_line(
     """
     best: NeedleLine | None = None
     for ends in bright_lines(volume, rng):
-        found = _stretch(volume, ends, decibels_per_level)
+        found = _stretch(volume, ends)
         if found is not None:
             # Between its ends a needle tells best where it lies.
-            found = _stretch(volume, found.ends, decibels_per_level)
+            found = _stretch(volume, found.ends)
         if found is None or found.length < min_length or found.entry_gap > max_entry_gap:
             continue
         if best is None or found.evidence > best.evidence:
@@ -120,11 +117,9 @@ def localize_line(
     return best
 
 
-def _sample(volume: Volume, p_P: Floats, decibels_per_level: float) -> NDArray[np.float32]:
+def _sample(volume: Volume, p_P: Floats) -> NDArray[np.float32]:
     """Levels in dB at (..., 3) positions in P; 0 outside the grid."""
-    index = np.moveaxis((p_P - volume.origin) / volume.spacing, -1, 0)
-    grey = map_coordinates(volume.intensities, index, np.float32, order=1, mode="constant")
-    return np.asarray(decibels_per_level * grey)
+    return np.asarray(volume.decibels_per_level * volume.sample(p_P))
 
 
 def _across(ends: Floats) -> tuple[Floats, Floats]:
@@ -133,7 +128,7 @@ def _across(ends: Floats) -> tuple[Floats, Floats]:
     return along, np.linalg.svd(along[np.newaxis])[2][1:]
 
 
-def _refined(volume: Volume, ends: Floats, radius: float, decibels_per_level: float) -> Floats:
+def _refined(volume: Volume, ends: Floats, radius: float) -> Floats:
     """Fit a line to the bright centres of its cross-sections."""
     along, across = _across(ends)
     length = float(np.linalg.norm(ends[1] - ends[0]))
@@ -142,7 +137,7 @@ def _refined(volume: Volume, ends: Floats, radius: float, decibels_per_level: fl
     grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     grid = grid[np.linalg.norm(grid, axis=1) <= radius]
     sections = ends[0] + a[:, np.newaxis, np.newaxis] * along + grid @ across
-    level = _sample(volume, sections, decibels_per_level)
+    level = _sample(volume, sections)
     peak = level.max(axis=1, keepdims=True)
     amplitude = np.clip(10 ** ((level - peak) / 20) - _AMPLITUDE, 0, None)
     centres = amplitude @ grid / amplitude.sum(axis=1, keepdims=True)
@@ -156,12 +151,12 @@ def _refined(volume: Volume, ends: Floats, radius: float, decibels_per_level: fl
     return ends + np.stack([solution[0], solution.sum(axis=0)]) @ across
 
 
-def _stretch(volume: Volume, ends: Floats, decibels_per_level: float) -> NeedleLine | None:
+def _stretch(volume: Volume, ends: Floats) -> NeedleLine | None:
     """Refine a line, and return the stretch of it that looks most like a needle."""
     for radius in _REFINING_RADII:
         if np.linalg.norm(ends[1] - ends[0]) < 8 * _STEP:
             return None
-        ends = _refined(volume, ends, radius, decibels_per_level)
+        ends = _refined(volume, ends, radius)
     along, across = _across(ends)
     reach = float(np.linalg.norm(volume.upper - volume.origin))
     a = np.arange(-reach, reach, _STEP)
@@ -170,8 +165,8 @@ def _stretch(volume: Volume, ends: Floats, decibels_per_level: float) -> NeedleL
     a, points = a[near], points[near]
     if len(a) < 2:
         return None
-    core = _sample(volume, points[:, np.newaxis] + _CORE @ across, decibels_per_level)
-    ring = _sample(volume, points[:, np.newaxis] + _RING @ across, decibels_per_level)
+    core = _sample(volume, points[:, np.newaxis] + _CORE @ across)
+    ring = _sample(volume, points[:, np.newaxis] + _RING @ across)
     ring[ring == 0] = np.nan  # outside the sector
     ring[np.isnan(ring).all(axis=1), 0] = 0.0
     seen = core.max(axis=1) > 0

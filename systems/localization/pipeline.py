@@ -90,7 +90,7 @@ def explain_localization(
             attempts += _localize_around(volume, region, parameters, rng)
         measurement = _longest(attempts)
     else:
-        line = localize_line(volume, rng, decibels_per_level=parameters.tip.decibels_per_level)
+        line = localize_line(volume, rng)
         if isinstance(line, NotFound):
             measurement = line
         else:

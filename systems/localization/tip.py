@@ -11,10 +11,16 @@ from scipy.special import ndtri
 
 from sonoservo.systems.localization.axis import Axis
 from sonoservo.systems.localization.candidates import acquired_from
+from sonoservo.systems.sampling.interpolation import trilinear
+from sonoservo.systems.signals.blur import blur_covariance
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.localization_explanation import AxisProfile, NeedleExtent
+from sonoservo.systems.signals.point_spread import FWHM_PER_SIGMA
 from sonoservo.systems.signals.requirements import require_positive
 from sonoservo.systems.signals.volume import Volume
+
+_BLUR_POINTS = 9
+"""Of an axis at which the width of the blur is computed; it changes little in between."""
 
 
 @dataclass(kw_only=True)
@@ -41,9 +47,8 @@ class TipParameters:
     end_length
         Length of needle whose greatest contrast is the end's level, in m.
     beam_width
-        Width of the beam along the needle at half amplitude, in m: it blurs the tip outwards.
-    decibels_per_level
-        dB per unit of a voxel's intensity.
+        Width of the beam along the needle at half amplitude, in m: it blurs the tip outwards. Used
+        for volumes only that do not know their point spread.
     """
 
     step: float = 0.25e-3
@@ -55,7 +60,6 @@ class TipParameters:
     end_contrast: float = 6.0
     end_length: float = 4e-3
     beam_width: float = 2.4e-3
-    decibels_per_level: float = 60 / 255
 
     def __post_init__(self) -> None:
         require_positive(
@@ -68,7 +72,6 @@ class TipParameters:
             end_contrast=self.end_contrast,
             end_length=self.end_length,
             beam_width=self.beam_width,
-            decibels_per_level=self.decibels_per_level,
         )
 
 
@@ -86,15 +89,7 @@ def _tube_maxima(  # pragma: no cover - compiled
             z = (centres[m, 2] + offsets[q, 2] - origin[2]) / spacing[2]
             if not (0 <= x <= nx - 1 and 0 <= y <= ny - 1 and 0 <= z <= nz - 1):
                 continue
-            i, j, k = min(int(x), nx - 2), min(int(y), ny - 2), min(int(z), nz - 2)
-            x, y, z = x - i, y - j, z - k
-            value = 0.0
-            for di in range(2):
-                for dj in range(2):
-                    for dk in range(2):
-                        weight = (x if di else 1 - x) * (y if dj else 1 - y) * (z if dk else 1 - z)
-                        value += weight * float(intensities[i + di, j + dj, k + dk])
-            maxima[m] = max(maxima[m], value)
+            maxima[m] = max(maxima[m], trilinear(intensities, x, y, z))
     return maxima
 
 
@@ -140,10 +135,28 @@ def axis_profile(
     return AxisProfile(
         a,
         p_W,
-        maxima[0].clip(0) * parameters.decibels_per_level,
-        np.nanmedian(beside, axis=0) * parameters.decibels_per_level,
+        maxima[0].clip(0) * volume.decibels_per_level,
+        np.nanmedian(beside, axis=0) * volume.decibels_per_level,
         seen,
+        _blur_along(volume, p_P, along),
     )
+
+
+def _blur_along(
+    volume: Volume, p_P: NDArray[np.float64], along: NDArray[np.float64]
+) -> NDArray[np.float64] | None:
+    """Widths of a needle's blurred end, (m,) in m, at points of an axis; None if not known.
+
+    The tube takes the largest value beside the axis too, so what counts is the shadow of the
+    blurred end on the axis: its deviation is sqrt(k^T Sigma k), with Sigma the covariance of the
+    point spread and k the needle's direction.
+    """
+    if volume.point_spread is None or volume.motion is None:
+        return None
+    few = np.linspace(0, len(p_P) - 1, _BLUR_POINTS).astype(int)
+    covariance = blur_covariance(volume.point_spread, volume.motion.geometry, p_P[few])
+    width = FWHM_PER_SIGMA * np.sqrt(covariance @ along @ along)
+    return np.interp(np.arange(len(p_P)), few, width)
 
 
 @njit(cache=True, nogil=True)
@@ -261,5 +274,8 @@ def _tip(
     lost = float(a[end])
     if end + 1 < len(a) and contrast[end + 1] < threshold < contrast[end]:
         lost = float(np.interp(threshold, contrast[[end + 1, end]], a[[end + 1, end]]))
-    sigma = parameters.beam_width / (2 * np.sqrt(2 * np.log(2)))
+    width = parameters.beam_width
+    if profile.beam_width is not None:
+        width = float(np.interp(lost, a, profile.beam_width))
+    sigma = width / FWHM_PER_SIGMA
     return lost + sigma * float(ndtri(10 ** (-max(fallen, 0.1) / 20)))

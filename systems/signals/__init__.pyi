@@ -1,9 +1,11 @@
+from .blur import blur_covariance as blur_covariance
 from .cross_section import CrossSection as CrossSection
 from .cross_section_track import CrossSectionTrack as CrossSectionTrack
 from .image_slice import ImageSlice as ImageSlice
 from .immutable import Immutable as Immutable
 from .immutable import NotFound as NotFound
 from .immutable import read_only as read_only
+from .immutable import seal as seal
 from .insertion_detection import InsertionDetection as InsertionDetection
 from .localization_explanation import AxisProfile as AxisProfile
 from .localization_explanation import LocalizationAttempt as LocalizationAttempt
@@ -18,6 +20,11 @@ from .needle_measurement import NeedleMeasurement as NeedleMeasurement
 from .needle_prediction import NeedlePrediction as NeedlePrediction
 from .needle_shape import NeedleShape as NeedleShape
 from .needle_shape import path_statistics as path_statistics
+from .planes import Plane as Plane
+from .planes import box_edges as box_edges
+from .planes import sample_plane as sample_plane
+from .planes import slice_planes as slice_planes
+from .point_spread import PointSpread as PointSpread
 from .ports import evaluate as evaluate
 from .radio_frequency_sweep import RadioFrequencySweep as RadioFrequencySweep
 from .random_streams import random_stream as random_stream

@@ -60,6 +60,8 @@ class AxisProfile(Immutable):
         (m,) maximum in a tube around the axis, and the same beside it, in dB.
     seen
         (m,) whether the axis lies in the field of view.
+    beam_width
+        (m,) full width at half maximum of the needle's blurred end, in m; None if not known.
     """
 
     a: NDArray[np.float64]
@@ -67,6 +69,7 @@ class AxisProfile(Immutable):
     level: NDArray[np.float64]
     background: NDArray[np.float64]
     seen: NDArray[np.bool_]
+    beam_width: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         m = len(self.a)

@@ -17,7 +17,7 @@ CHANGES = [
     "duration=7.5",
     "hand.start=1",
     "hand.pushes=[{duration: 6, speed: 0.012}]",
-    "station.contact_model=point",
+    "station.plant.contact_model=point",
 ]
 LAYERS = [
     "arm", "probe", "phantom", "needle", "estimate", "uncertainty", "sector", "slices", "screen",

@@ -1,8 +1,10 @@
 import pytest
 import yaml
+from pydrake.multibody.plant import MultibodyPlantConfig
 
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.experiments.registry import list_scenarios, load_scenario
+from sonoservo.diagrams.station import StationParameters
 from sonoservo.diagrams.trackers import Zhao2012TrackerParameters
 from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter
 from sonoservo.systems.files.typed_yaml import ConfigurationError
@@ -48,6 +50,21 @@ def test_a_file_of_ones_own_and_the_whole_of_it_read_back(tmp_path):
     assert set(yaml.safe_load(scenario.to_yaml())) == set(FollowingScenario.__dataclass_fields__)
 
 
+def test_plant_settings_are_drakes_and_round_trip(tmp_path):
+    changes = ["station.plant.contact_model=point", "station.plant.stiction_tolerance=2e-4"]
+    scenario = load_scenario("chatelain2013_fig5", changes=changes)
+    plant = scenario.station.plant
+    assert isinstance(plant, MultibodyPlantConfig)
+    assert (plant.contact_model, plant.stiction_tolerance) == ("point", 2e-4)
+    assert plant.time_step == StationParameters().plant.time_step == 0.005
+    path = tmp_path / "mine.yaml"
+    path.write_text(scenario.to_yaml())
+    again = load_scenario(path, changes=["name=chatelain2013_fig5"])
+    assert again == scenario
+    plant.contact_model = "hydroelastic"
+    assert again != scenario
+
+
 def test_the_tracker_is_chosen_by_name(tmp_path):
     changes = ["tracker=zhao2012", "tracker.velocimeter.min_correlation=0.4"]
     scenario = load_scenario("chatelain2013_fig5", changes=changes)
@@ -76,7 +93,25 @@ def test_a_filter_is_chosen_by_name_or_by_its_tracker():
         ("chatelain2013_fig5", ["imaging.volume_rate=-3"], "imaging.volume_rate: -3.0"),
         ("chatelain2013_fig5", ["imaging.volume_rate=fast"], "imaging.volume_rate: 'fast'"),
         ("chatelain2013_fig5", ["duration=0"], "duration: 0.0"),
-        ("chatelain2013_fig5", ["station.time_step=10"], "station.time_step: 10.0"),
+        ("chatelain2013_fig5", ["station.plant.time_step=10"], "station.plant.time_step: 10.0"),
+        (
+            "chatelain2013_fig5",
+            ["station.time_step=0.01"],
+            "station.time_step: is now called 'station.plant.time_step'",
+        ),
+        (
+            "chatelain2013_fig5",
+            ["station.contact_model=point"],
+            "station.contact_model: is now called 'station.plant.contact_model'",
+        ),
+        (
+            "chatelain2013_fig5",
+            ["station.plant.time_stp=1"],
+            "station.plant.time_stp: unknown field; did you mean 'time_step'?",
+        ),
+        ("chatelain2013_fig5", ["station.plant.time_step=fast"], "plant.time_step: 'fast'"),
+        ("chatelain2013_fig5", ["transducer=trus"], "transducer: is now called 'probe'"),
+        ("carriere2016_d60", ["transducer=trus"], "transducer: is now called 'probe'"),
         ("chatelain2013_fig5", ["seed=-1"], "seed: -1"),
         (
             "drive",

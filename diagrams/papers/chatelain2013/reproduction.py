@@ -189,7 +189,7 @@ def run_case(case: Case, *, logs: Path) -> dict[str, Any]:
     experiment.run()
     log, scenario = experiment.log(), experiment.scenario
     write_log(logs / f"{case.name}.npz", log)
-    geometry = sweep_geometry(load_transducer(scenario.transducer), scenario.imaging)
+    geometry = sweep_geometry(load_transducer(scenario.probe), scenario.imaging)
     return {
         "summary": experiment.summarize(log),
         "curve_deviation": curve_deviations(log, geometry),

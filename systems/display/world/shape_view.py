@@ -25,8 +25,8 @@ from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.needle_shape import NeedleShape
+from sonoservo.systems.signals.planes import Plane, box_edges
 from sonoservo.systems.signals.ports import evaluate
-from sonoservo.systems.ultrasound.planes import Plane, box_edges
 
 _TISSUE = Rgba(0.55, 0.35, 0.30)
 _PREDICTED = MODE_COLOURS[TrackingMode.TRACKING]

@@ -1,3 +1,4 @@
+from .acquisition import acquire_sweep as acquire_sweep
 from .bright_points import NeedleEchoParameters as NeedleEchoParameters
 from .rendering import ScannerParameters as ScannerParameters
 from .rendering import SweepRenderer as SweepRenderer

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.files.model_file import model_file
-from sonoservo.systems.files.typed_yaml import load_typed, read_yaml
+from sonoservo.systems.files.model_file import model_file, read_section
+from sonoservo.systems.files.typed_yaml import load_typed
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 
 
@@ -181,7 +181,7 @@ class Tissue:
 
 
 def load_tissue(name: str) -> Tissue:
-    """Read a phantom's tissue from YAML.
+    """Read the tissue of a phantom from YAML.
 
     Parameters
     ----------
@@ -189,7 +189,8 @@ def load_tissue(name: str) -> Tissue:
         Name of a file in ``models/phantoms`` ("agar"), or a path.
     """
     path = model_file("phantoms", name)
-    return load_typed(Tissue, read_yaml(path), str(path))
+    content = read_section(path, "tissue", ("tissue", "contact"))
+    return load_typed(Tissue, content, f"{path}: tissue")
 
 
 BLOCKS = 8

@@ -17,8 +17,8 @@ from sonoservo.systems.evaluation.log import read_log
 from sonoservo.systems.evaluation.run_log import RunLog
 
 CHEAP = [
-    "station.contact_model=point",
-    "station.time_step=0.01",
+    "station.plant.contact_model=point",
+    "station.plant.time_step=0.01",
     "controller.time_step=0.01",
     "station.probe.height=0.004",
 ]

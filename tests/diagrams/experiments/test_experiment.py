@@ -15,7 +15,7 @@ from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 
 SCENARIOS = {
-    "following": ("chatelain2013_fig5", ["duration=1.5", "station.contact_model=point"]),
+    "following": ("chatelain2013_fig5", ["duration=1.5", "station.plant.contact_model=point"]),
     "shape_prediction": ("carriere2016_patient", ["depth=0.03", "observe_until=0.02"]),
 }
 BLIND = {"following": {"needle_tracker", "probe_controller"},

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pydrake.math import RigidTransform, RollPitchYaw
@@ -13,11 +15,13 @@ from sonoservo.systems.localization.tip import (
     most_evident_stretch,
 )
 from sonoservo.systems.signals.localization_explanation import AxisProfile
+from sonoservo.systems.signals.point_spread import PointSpread
 
 SIGMA = 0.8e-3
 PARAMETERS = TipParameters(beam_width=SIGMA * np.sqrt(8 * np.log(2)))
 STEP = 0.25e-3
 RNG = np.random.default_rng(0)
+SCENE_VOLUME = Scene(seed=2).volume(0)
 
 
 def profile(tip, level=12.0, gaps=(), start=0.0, noise=0.0, sigma=SIGMA, seen=0.08):
@@ -144,3 +148,27 @@ def test_acquired_from_inverts_a_moving_probe():
     )
     p_W = RNG.uniform([-0.02, 0.02, -0.01], [0.02, 0.06, 0.01], (50, 3))
     np.testing.assert_allclose(volume.to_world(acquired_from(volume, p_W))[0], p_W, atol=2e-5)
+
+
+@pytest.mark.parametrize("dip_deg", [0, 30])
+def test_the_blur_along_the_needle_is_the_volume_s_own(dip_deg):
+    """Lateral where the needle lies across the beam, less where it dips; else the parameter's."""
+    volume = SCENE_VOLUME
+    dip = np.deg2rad(dip_deg)
+    k = np.array([np.cos(dip), np.sin(dip), 0])
+    ends = volume.to_world(np.array([0, 0.045, 0]) + np.outer([-0.01, 0.01], k))[0]
+    axis = axis_through(ends)
+    assert axis_profile(volume, axis, 0.0, 0.02, PARAMETERS).beam_width is None
+    spread = PointSpread([0.0, 0.09], [2e-3, 2e-3], [6e-3, 6e-3], [0.5e-3, 0.5e-3])
+    known = replace(volume, point_spread=spread)
+    width = axis_profile(known, axis, 0.0, 0.02, PARAMETERS).beam_width
+    middle = width[len(width) // 2]
+    assert middle == pytest.approx(np.hypot(2e-3 * k[0], 0.5e-3 * k[1]), rel=0.02)
+
+
+@pytest.mark.parametrize("sigma", [0.5e-3, 0.8e-3, 1.2e-3])
+def test_a_known_blur_is_undone_whatever_the_parameter_says(sigma):
+    blurred = profile(0.03, 20.0, sigma=sigma)
+    width = np.full(len(blurred.a), sigma * np.sqrt(8 * np.log(2)))
+    extent = find_extent(replace(blurred, beam_width=width), TipParameters(beam_width=9e-3))
+    assert extent.tip == pytest.approx(0.03, abs=0.5 * sigma)

@@ -1,10 +1,8 @@
 """Slices through a volume."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 
@@ -133,45 +131,15 @@ def sample_plane(volume: Volume, plane: Plane, spacing: float) -> NDArray[np.uin
         max(1, int(np.ceil(size / spacing - 1e-9))) for size in (plane.height, plane.width)
     )
     p_P = plane.grid(rows, columns)
-    first = volume.index(p_P[0, 0])
-    down, right = (
-        size / count * plane.X_PS.rotation().matrix()[:, axis] / volume.spacing
-        for size, count, axis in ((plane.height, rows, 1), (plane.width, columns, 0))
-    )
-    picture = np.empty((rows, columns, 2), np.uint8)
-    _interpolate(volume.intensities, first, down, right, picture)
+    picture = np.zeros((rows, columns, 2), np.uint8)
     if volume.motion is not None:
-        picture[..., 1] = np.where(volume.motion.geometry.contains(p_P), 255, 0)
+        grey = volume.sample(p_P, outside=None)
+        inside = volume.motion.geometry.contains(p_P)
+    else:
+        grey = volume.sample(p_P, outside=np.nan)
+        inside = np.isfinite(grey)
+        grey[~inside] = 0
+    np.rint(grey, out=grey)
+    picture[..., 0] = np.clip(grey, 0, 255, out=grey)
+    picture[..., 1] = np.where(inside, 255, 0)
     return picture
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _interpolate(
-    intensities: NDArray[Any], first: Vector, down: Vector, right: Vector, picture: NDArray[Any]
-) -> None:
-    """Fill in grey levels by trilinear interpolation, and 255 where they are in the grid.
-
-    Outside the grid its nearest value is taken. `first` is the index of the first pixel, `down` and
-    `right` what is added from row to row and from column to column.
-    """
-    last = np.array(intensities.shape) - 1
-    low = np.zeros(3, np.int64)
-    part = np.zeros(3)
-    for row in range(picture.shape[0]):
-        for column in range(picture.shape[1]):
-            inside = True
-            for axis in range(3):
-                at = first[axis] + row * down[axis] + column * right[axis]
-                inside &= -1e-9 <= at <= last[axis] + 1e-9
-                at = min(max(at, 0.0), float(last[axis]))
-                low[axis] = min(int(at), last[axis] - 1)
-                part[axis] = at - low[axis]
-            grey = 0.0
-            for corner in range(8):
-                i, j, k = corner & 1, corner >> 1 & 1, corner >> 2
-                weight = part[0] if i else 1 - part[0]
-                weight *= part[1] if j else 1 - part[1]
-                weight *= part[2] if k else 1 - part[2]
-                grey += weight * intensities[low[0] + i, low[1] + j, low[2] + k]
-            picture[row, column, 0] = min(max(round(grey), 0), 255)
-            picture[row, column, 1] = 255 if inside else 0
