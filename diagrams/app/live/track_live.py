@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydrake.common.value import Value
 
-from sonoservo.diagrams.app.track import estimate_row
+from sonoservo.diagrams.app.estimates_table import estimate_row
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
 from sonoservo.systems.files.writing import write_json
