@@ -35,9 +35,9 @@ def list_command(json_path: JsonOption = None) -> None:
     """List the scenarios that come with the package."""
     from rich.table import Table
 
-    from sonoservo.diagrams.experiments.registry import list_scenarios, load_scenario
+    from sonoservo.diagrams.experiments.registry import describe_scenarios
 
-    rows = {name: load_scenario(name).description for name in list_scenarios()}
+    rows = describe_scenarios()
     table = Table("scenario", "what happens")
     for name, description in rows.items():
         table.add_row(name, description)
