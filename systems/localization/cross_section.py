@@ -87,7 +87,7 @@ class CrossSectionParameters:
             0 <= self.min_correlation < 1,
             "min_correlation",
             self.min_correlation,
-            "from 0, below 1",
+            "at least 0 and below 1",
         )
 
 
