@@ -105,7 +105,7 @@ def test_prediction_is_the_same_before_and_after_the_update_it_serves():
 
 def test_explanation_tells_how_far_the_measurement_lies_from_the_prediction():
     bench = Bench()
-    assert bench.output("explanation").reason == "no localizer is connected that explains itself"
+    assert bench.output("explanation").reason == "no explanation of a localizer is connected"
     bench.track_from()
     found = measurement(0.03, 0.9, y=0.02)
     explanation = LocalizationExplanation(0.9, NotFound(""), (), found)
