@@ -1,4 +1,4 @@
-"""Tracked 2D frames in a file, as PLUS records them: ``.mha``, ``.igs.mha``."""
+"""Reader of tracked 2D frames as PLUS records them: ``.mha``, ``.igs.mha``."""
 
 from pathlib import Path
 
@@ -15,31 +15,33 @@ _PREFERRED = "ImageToReferenceTransform"
 
 
 class TrackedFrames:
-    """2D frames, each with its pose and time; one at a time is in memory.
+    """2D frames with poses and times, read on demand, one at a time.
 
     Parameters
     ----------
     path
-        Of the file.
+        Path of the file.
     poses
-        Name of the transform that is the frames' pose; by default ``ImageToReference``, or the
-        only one there is. One that begins with ``Image`` maps pixels, others mm in the frame.
+        Name of the transform that is the frames' pose; by default ``ImageToReference``, or the only
+        transform in the file. A transform whose name begins with ``Image`` maps pixels; others map
+        mm in the frame.
     window
-        Numbers that become the grey levels 0 and 255; by default `choose_window` of the first.
+        Numbers that become the grey levels 0 and 255; by default `choose_window` of the first
+        frame.
 
     Attributes
     ----------
     times
-        (n,) of the frames, in s.
+        (n,) times of the frames, in s.
     X_WI
-        (n, 4, 4) from pixels (i, j, 0, 1) to W, in m; W is the reference's frame.
+        (n, 4, 4) transforms from pixels (i, j, 0, 1) to W, in m; W is the reference frame.
     skipped
-        Number of frames left out because the file calls them or their pose invalid.
+        Number of frames skipped because the file marks them or their pose as invalid.
 
     Raises
     ------
     ConfigurationError
-        Naming the file and the fault.
+        If the file is not valid; the message names the file and the fault.
     """
 
     def __init__(
@@ -52,14 +54,16 @@ class TrackedFrames:
         self.path = Path(path)
         if not self.path.is_file() or self.path.suffix.lower() not in _SUFFIXES:
             raise ConfigurationError(
-                f"{self.path}: no file of 2D frames; {', '.join(_SUFFIXES)} are read"
+                f"{self.path}: not a file of 2D frames; give a file of type {', '.join(_SUFFIXES)}"
             )
         self._file = open_meta_image(self.path, frames=True)
         fields = self._file.frame_fields()
         wanted = _PREFERRED if poses is None and _PREFERRED in fields else poses
         name = choose_transform(self.path, fields, wanted)
         if name is None:
-            raise ConfigurationError(f"{self.path}: its frames have no poses; no volume")
+            raise ConfigurationError(
+                f"{self.path}: its frames have no poses, which reconstruction needs"
+            )
         statuses = [fields.get("ImageStatus", {}), fields.get(f"{name}Status", {})]
         self._numbers = [
             k
@@ -68,7 +72,9 @@ class TrackedFrames:
         ]
         self.skipped = self._file.count - len(self._numbers)
         if len(self._numbers) < 2:
-            raise ConfigurationError(f"{self.path}: it has no two frames with a valid pose")
+            raise ConfigurationError(
+                f"{self.path}: {len(self._numbers)} frames have a valid pose; at least 2 are needed"
+            )
         self.X_WI = np.array([self._matrix(name, fields[name][k]) for k in self._numbers])
         self.times = self._read_times(fields.get("Timestamp", {}))
         try:
@@ -86,7 +92,7 @@ class TrackedFrames:
         Raises
         ------
         ConfigurationError
-            If the file is damaged there.
+            If the file is damaged at that frame.
         """
         pixels = self._file.read(self._numbers[number])[..., 0]
         if pixels.dtype.kind == "f" and not np.isfinite(pixels).all():
@@ -105,7 +111,7 @@ class TrackedFrames:
         sizes = np.linalg.norm([across, depth], axis=1)
         sound = np.isfinite(matrix).all() and (sizes > 1e-6).all()
         if not sound or abs(across @ depth) > 1e-3 * sizes.prod():
-            raise ConfigurationError(f"{self.path}: {name}: {text!r} is no pose of a picture")
+            raise ConfigurationError(f"{self.path}: {name}: {text!r} is not a pose of a picture")
         matrix[:3] *= 1e-3
         return matrix
 

@@ -188,7 +188,7 @@ def test_what_is_recorded_is_tracked_and_its_needle_located(tmp_path):
     [
         ("a.seq.nrrd", b"", "it is empty"),
         ("a.seq.nrrd", None, "it is a folder"),
-        ("a.mha", b"NRRD0005\n", "no MetaImage file"),
+        ("a.mha", b"NRRD0005\n", "not a MetaImage file"),
     ],
 )
 def test_a_bad_recording_is_one_line_and_leaves_nothing(tmp_path, command, name, content, message):

@@ -42,7 +42,7 @@ def test_pose_of_a_probe_uses_the_spacing_of_the_header(tmp_path, frames):
         (b"Frame0001_Timestamp = 10.05", b"Frame0001_Timestamp = 10.00", "not later than"),
         (b"Frame0001_Timestamp = 10.05", b"Frame0001_Timestamp = x", "Timestamp"),
         (b"DimSize = 40 50 6", b"DimSize = 40 50 900000", "truncated"),
-        (b"DimSize = 40 50 6", b"DimSize = 40 1 300", "no 2D frames"),
+        (b"DimSize = 40 50 6", b"DimSize = 40 1 300", "not 2D frames"),
     ],
 )
 def test_damaged_file_is_refused(tmp_path, frames, before, after, message):
@@ -62,7 +62,7 @@ def test_pose_that_is_none_is_refused(tmp_path, frames):
         for line in lines
     ]
     path.write_bytes(b"\n".join(lines))
-    with pytest.raises(ConfigurationError, match="no pose of a picture"):
+    with pytest.raises(ConfigurationError, match="not a pose of a picture"):
         TrackedFrames(path)
 
 
