@@ -67,7 +67,7 @@ def test_loads_over_defaults():
         ({"front": {"spoke": 3}}, "front.spoke: unknown field; did you mean 'spokes'?"),
         ({"zzz": 3}, "zzz: unknown field; known: basket, bell"),
         ({"least_tread": 3}, ": least_tread: is now called 'min_tread'"),
-        ({"front": 3}, "front: 3 is not allowed; a mapping is wanted"),
+        ({"front": 3}, "front: 3 is not allowed; expected a mapping"),
         (
             {"front": {"radius": "abc"}},
             "front.radius: 'abc' is not allowed; a finite number",
@@ -77,7 +77,7 @@ def test_loads_over_defaults():
         ({"front": {"radius": -1.0}}, "front.radius: -1.0 is not allowed; it must be"),
         ({"front": {"radius": float("nan")}}, "front.radius: nan is not allowed"),
         ({"spares": [{}, {"radius": 0}]}, "spares.1.radius: 0.0 is not allowed"),
-        ({"spares": {"radius": 1}}, "a list is wanted"),
+        ({"spares": {"radius": 1}}, "expected a list"),
         ({"gears": ["a"]}, "gears.0: 'a' is not allowed"),
         ({"bell": "yes"}, "bell: 'yes' is not allowed; true or false"),
         ({"name": [1]}, "name: [1] is not allowed; text"),
@@ -157,10 +157,10 @@ def test_without_a_kind_the_default_s_is_chosen():
     [
         ("chian", "x: guard: unknown kind 'chian'; did you mean 'chain'?"),
         ({"kind": "dog"}, "x: guard: unknown kind 'dog'; known: chain, lock"),
-        (3, "x: guard: 3 is not allowed; one of lock, chain, or a mapping is wanted"),
+        (3, "x: guard: 3 is not allowed; expected one of lock, chain, or a mapping"),
         ({"length": 1}, "x: guard.length: unknown field; known: keys, kind"),
         ({"kind": "chain", "length": 0}, "x: guard.length: 0.0 is not allowed"),
-        (None, "x: guard: None is not allowed; a value is wanted"),
+        (None, "x: guard: None is not allowed; expected a value"),
     ],
 )
 def test_a_wrong_kind_is_one_clear_line(guard, message):
