@@ -20,14 +20,14 @@ from sonoservo.systems.ultrasound.simulation.bright_points import (
     reverberations,
 )
 from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import (
-    SIDE_LOBE_WIDTH,
     render_needles,
     render_points,
 )
 from sonoservo.systems.ultrasound.simulation.kernels.echo import FADE, render_tissue
 from sonoservo.systems.ultrasound.simulation.kernels.image_formation import form_image, modulate
 from sonoservo.systems.ultrasound.simulation.kernels.line_blur import line_kernel
-from sonoservo.systems.ultrasound.simulation.kernels.projection import FRACTIONS, DepthTables, Rays
+from sonoservo.systems.ultrasound.simulation.kernels.projection import FRACTIONS, DepthTables
+from sonoservo.systems.ultrasound.simulation.rays import frame_poses, line_rays, projection_rays
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue, scatterer_tile
 from sonoservo.systems.ultrasound.transducer import Transducer
 
@@ -139,7 +139,10 @@ class SweepRenderer:
         self._needle_pulses = lru_cache(maxsize=8)(self._needle_pulse)
         loss_db = 2 * tissue.attenuation * 1e-6 * imaging.transmit_frequency * 1e2 * depths
         self._noise = (10 ** ((parameters.noise_db + loss_db) / 20)).astype(np.float32)
-        self._lines = {direction: self._line_rays(direction) for direction in (1, -1)}
+        self._lines = {each: line_rays(self.geometry, each) for each in (1, -1)}
+        self._rays = {
+            each: projection_rays(self.geometry, self.beam, each, self._lead) for each in (1, -1)
+        }
         # A sweep's worth of memory is taken once: the tissue's echoes, both ways, and the needle's.
         self._tissue = {direction: self._empty() for direction in (1, -1)}
         self._tissue_poses = {1: b"", -1: b""}
@@ -225,7 +228,7 @@ class SweepRenderer:
             (n, 3) positions in T, in m, and (n,) amplitudes over the tissue's root mean square,
             where the lens focuses.
         """
-        X_FT, rays = self._frame_poses(X_TP), self._rays(direction)
+        X_FT, rays = frame_poses(self.geometry, X_TP), self._rays[direction]
         render_points(iq, X_FT, points, amplitudes, rays, self._tables, self._point_pulse)
 
     def render(
@@ -265,8 +268,8 @@ class SweepRenderer:
     def _render_tissue(
         self, iq: NDArray[np.complex64], X_TP: NDArray[np.float64], direction: int
     ) -> None:
-        X_FT = self._frame_poses(X_TP)
-        rays = self._rays(direction)
+        X_FT = frame_poses(self.geometry, X_TP)
+        rays = self._rays[direction]
         tile, tables = self._tile, self._tables
         render_tissue(iq, X_FT, self._box, tile, rays, tables, self._tissue_pulse, self._kernel)
         if len(self._inclusions[0]):
@@ -289,51 +292,16 @@ class SweepRenderer:
         radius = needles[0].radius
         render_needles(
             iq,
-            self._frame_poses(X_TP),
+            frame_poses(self.geometry, X_TP),
             np.concatenate([needle.shaft for needle in needles]),
             np.concatenate([[0], np.cumsum([len(needle.shaft) for needle in needles])]),
             radius,
             *self._needle_echo,
-            self._rays(direction),
+            self._rays[direction],
             self._tables,
             self._needle_pulses(radius),
         )
         return iq
-
-    def _rays(self, direction: int) -> Rays:
-        geometry = self.geometry
-        steps = geometry.frames * geometry.lines - 1
-        return Rays(
-            array_radius=np.float32(geometry.array_radius),
-            centre_offset=np.float32(geometry.array_radius - geometry.motor_radius),
-            lines_per_radian=np.float32(1 / geometry.line_pitch),
-            middle_line=np.float32((geometry.lines - 1) / 2),
-            twist=np.float32(direction * geometry.frame_pitch * geometry.frames / steps),
-            samples_per_metre=np.float32(1 / geometry.sample_pitch),
-            turns_per_metre=np.float32(2 / self.beam.wavelength),
-            lead=self._lead,
-            side_lobes=np.float32(self.beam.side_lobes / SIDE_LOBE_WIDTH),
-        )
-
-    def _frame_poses(self, X_TP: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(frames, 3, 4) pose of the tissue in each frame's F."""
-        geometry = self.geometry
-        require(X_TP.shape == (geometry.frames, 4, 4), "X_TP", X_TP.shape, "(frames, 4, 4)")
-        theta = geometry.line_angles(1).mean(axis=1)
-        X_FP = np.zeros((geometry.frames, 4, 4))
-        X_FP[:, 0, 0] = X_FP[:, 3, 3] = 1
-        X_FP[:, 1, 1] = X_FP[:, 2, 2] = np.cos(theta)
-        X_FP[:, 1, 2] = np.sin(theta)
-        X_FP[:, 2, 1] = -np.sin(theta)
-        X_FP[:, :, 3] += X_FP[:, :, 1] * geometry.motor_radius
-        return np.ascontiguousarray((X_FP @ np.linalg.inv(X_TP))[:, :3])
-
-    def _line_rays(self, direction: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """(frames, lines, 3) origin on the face and unit direction of every line, in P."""
-        frames, lines, _ = np.ogrid[: self.geometry.frames, : self.geometry.lines, :1]
-        start = self.geometry.position(frames, lines, 0, direction)[:, :, 0]
-        along = self.geometry.position(frames, lines, 1, direction)[:, :, 0] - start
-        return start, along / self.geometry.sample_pitch
 
     def _needle_pulse(self, radius: float) -> NDArray[np.float32]:
         """Pulse with the reverberations within a needle of this radius."""

@@ -6,6 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from sonoservo.diagrams.app.cli import app
+from sonoservo.diagrams.experiments.registry import list_scenarios, load_scenario
 from sonoservo.systems.files.typed_yaml import ConfigurationError
 
 runner = CliRunner()
@@ -26,7 +27,9 @@ def test_list_names_every_scenario(tmp_path):
     result = runner.invoke(app, ["list", "--json", str(tmp_path / "list.json")])
     assert result.exit_code == 0
     assert "chatelain2013_fig5" in result.stdout
-    assert "chatelain2013_fig5" in json.loads((tmp_path / "list.json").read_text())
+    rows = json.loads((tmp_path / "list.json").read_text())
+    assert rows == {name: load_scenario(name).description for name in list_scenarios()}
+    assert all(rows.values())
 
 
 @pytest.mark.parametrize(
@@ -208,7 +211,7 @@ def test_a_recording_cannot_have_another_suffix(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_help_loads_nothing_that_takes_long():
+def test_help_and_list_load_nothing_that_takes_long():
     code = """
 import sys
 from contextlib import suppress
@@ -217,9 +220,9 @@ with suppress(SystemExit):
     main()
 print([name for name in ("numpy", "scipy", "numba", "pydrake") if name in sys.modules])
 """
-    for arguments in (["--help"], ["run", "--help"]):
+    for arguments in (["--help"], ["run", "--help"], ["list"]):
         result = subprocess.run(
             [sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=True
         )
-        assert "Usage:" in result.stdout
+        assert ("scenario" if arguments == ["list"] else "Usage:") in result.stdout
         assert result.stdout.strip().splitlines()[-1] == "[]"
