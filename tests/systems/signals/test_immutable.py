@@ -93,5 +93,7 @@ def test_a_wrong_value_on_a_wire_is_caught_where_it_enters():
     context = reader.CreateDefaultContext()
     reader.GetInputPort("curve").FixValue(context, Value[object](3))
     assert evaluate(reader, context, "curve", int) == 3
-    with pytest.raises(TypeError, match="'curve' of 'reader' received a int; NeedleCurve or Not"):
+    with pytest.raises(
+        TypeError, match="'curve' of 'reader' received a value of type int; expected NeedleCurve"
+    ):
         evaluate(reader, context, "curve", (NeedleCurve, NotFound))
