@@ -70,7 +70,7 @@ def _in_line_with_the_flange() -> Transform:
 
 @dataclass(kw_only=True)
 class ProbeBody:
-    """The body of a probe and how the arm holds it.
+    """Body of a probe, and its mount on the arm.
 
     Parameters
     ----------

@@ -115,7 +115,7 @@ def test_explanation_tells_how_far_the_measurement_lies_from_the_prediction():
     explained = bench.output("explanation")
     assert explained.measurement is found
     assert explained.innovation > explained.gate > 4
-    assert f"{explained.innovation:.1f} deviations" in estimate.reason
+    assert f"{explained.innovation:.1f} standard deviations" in estimate.reason
 
 
 def test_detection_then_confirmation():
