@@ -1,4 +1,4 @@
-"""From 2D frames with poses to a volume: freehand sweeps, and those of a motor."""
+"""Reconstruction of volumes from posed 2D frames of freehand or motorised sweeps."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,16 +19,16 @@ _SLACK = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class PosedFrame(Immutable):
-    """A 2D picture and where it was taken.
+    """A 2D picture with its pose and time.
 
     Parameters
     ----------
     pixels
         (ni, nj) uint8 or float32 grey levels; j runs away from the probe.
     X_WI
-        (4, 4) from pixels (i, j, 0, 1) to positions in W, in m.
+        (4, 4) transform from pixels (i, j, 0, 1) to positions in W, in m.
     time
-        In s.
+        Time of the acquisition, in s.
     """
 
     pixels: NDArray[np.uint8] | NDArray[np.float32]
@@ -37,13 +37,13 @@ class PosedFrame(Immutable):
 
     @property
     def far_end(self) -> NDArray[np.float64]:
-        """(3,) position in W of the middle of its deepest row of pixels, in m."""
+        """Middle of the deepest row of pixels, (3,), in W, in m."""
         ni, nj = self.pixels.shape
         return (self.X_WI @ [0.5 * (ni - 1), nj - 1, 0, 1])[:3]
 
     @property
     def X_WF(self) -> RigidTransform:
-        """Pose of its frame F: origin at the middle of its first row, X across, Y along depth."""
+        """Pose of frame F: origin at the middle of the first row, X across, Y along depth."""
         across, depth = self.X_WI[:3, 0], self.X_WI[:3, 1]
         x = across / np.linalg.norm(across)
         y = depth - (depth @ x) * x
@@ -54,19 +54,20 @@ class PosedFrame(Immutable):
 
 
 class SweepSplitter:
-    """Tells where a probe that is swept to and fro turns round.
+    """Splits the frames of a probe that is swept back and forth into sweeps.
 
-    The distance from where a sweep began grows until the probe turns. It counts as turned when it
-    has come back by ``hysteresis``; frames of a probe at rest are no sweep.
+    The distance from the start of a sweep grows until the probe turns back. The sweep is complete
+    when the probe has come back by ``hysteresis``. Frames of a probe at rest form no sweep.
 
     Parameters
     ----------
     hysteresis
-        In m.
+        Distance by which the probe must come back to end a sweep, in m. A sweep must be at least
+        this long.
     frames
-        Number of frames of every sweep; by default a sweep ends where the probe turns.
+        Number of frames of every sweep; by default, a sweep ends where the probe turns back.
     max_frames
-        A sweep that is longer ends there.
+        Maximum number of frames of a sweep; a longer one is split.
     """
 
     def __init__(
@@ -79,7 +80,7 @@ class SweepSplitter:
         self._furthest, self._furthest_at = 0.0, 0
 
     def add(self, frame: PosedFrame) -> list[PosedFrame]:
-        """Take a frame; return the sweep that it completes, or an empty list."""
+        """Add a frame; return the sweep that it completes, or an empty list."""
         frames = self._frames
         frames.append(frame)
         distance = float(np.linalg.norm(frame.far_end - frames[0].far_end))
@@ -96,12 +97,12 @@ class SweepSplitter:
         return self._cut(len(frames) - 1) if len(frames) > self._max else []
 
     def rest(self) -> list[PosedFrame]:
-        """Return the sweep that was not completed; empty if it is none."""
+        """Return the frames of the incomplete last sweep; empty if they form no sweep."""
         moved = self._furthest >= self._hysteresis or self._count is not None
         return self._frames if moved and len(self._frames) > 1 else []
 
     def _cut(self, end: int, start: int | None = None) -> list[PosedFrame]:
-        """Return the frames before ``end``, and begin a sweep with those from ``start`` on."""
+        """Return the frames before ``end``, and start a new sweep with those from ``start`` on."""
         done, left = self._frames[:end], self._frames[end if start is None else start :]
         self._frames, self._furthest, self._furthest_at = [], 0.0, 0
         for frame in left:
@@ -116,28 +117,30 @@ def reconstruct(
     max_gap: float = 3e-3,
     decibels_per_level: float = DECIBELS_PER_LEVEL,
 ) -> ReconstructedVolume:
-    """Make a volume of the frames of one sweep.
+    """Reconstruct a volume from the frames of one sweep.
 
-    A voxel between two frames that follow each other is looked up in both, at its feet on their
-    planes, and gets what lies between, in proportion to its distances. So there are no holes
-    between frames; where two are further apart than ``max_gap``, and where none has passed, a hole
-    is left, and marked. Voxels that several pairs saw get the mean. P is the middle frame's F.
+    A voxel between two successive frames is interpolated between its perpendicular projections onto
+    both frames, in proportion to its distances from them. This leaves no holes between frames.
+    Voxels remain marked as holes if the frames around them are further apart than ``max_gap``, or
+    if no frame passed them. Voxels between several pairs of frames get the mean. P is the middle
+    frame's F.
 
     Parameters
     ----------
     frames
-        In order of time; all of one size.
+        Frames of one size, in order of time.
     spacing
-        Of the voxels, in m.
+        Distance between the voxels, in m.
     max_gap
-        Widest distance between two frames, at the voxel, that is filled, in m.
+        Largest distance between two frames, at the voxel, that is filled, in m.
     decibels_per_level
         dB per grey level of the frames.
 
     Raises
     ------
     ValueError
-        If the frames make no volume.
+        If there are fewer than two frames, their sizes differ, a parameter is out of range or the
+        volume is too large.
     """
     require_positive(spacing=spacing, max_gap=max_gap)
     require(len(frames) >= 2, "frames", len(frames), "at least 2")
@@ -150,7 +153,7 @@ def reconstruct(
     corners = np.array([[i, j, 0, 1] for i in (0, ni - 1) for j in (0, nj - 1)])
     p_P = (X_PI @ corners.T)[:, :3].transpose(0, 2, 1)
     low, high = p_P.min(axis=(0, 1)), p_P.max(axis=(0, 1))
-    # At least two voxels each way, also across frames that hardly move.
+    # At least two voxels along each axis, even if the frames hardly move.
     shape = np.maximum(np.floor((high - low) / spacing + 1e-6).astype(int) + 1, 2)
     require(
         int(shape.prod()) <= _MAX_VOXELS,
@@ -195,7 +198,7 @@ def reconstruct(
 def _fill_between(  # type: ignore[no-untyped-def]
     total, seen, number, first, stop, low, spacing, max_gap, near, far, to_near, to_far, k
 ):
-    """Add to the voxels of a box that lie between two frames what these show of them."""
+    """Add the interpolated grey levels of two frames to the voxels between them."""
     for a in range(first[0], stop[0]):
         for b in range(first[1], stop[1]):
             for c in range(first[2], stop[2]):
@@ -216,7 +219,7 @@ def _fill_between(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _look_up(pixels, to_frame, x, y, z):  # type: ignore[no-untyped-def]
-    """Grey level at the foot of a point on a frame, bilinear; -1 outside."""
+    """Return the bilinear grey level at a point's projection onto a frame; -1 outside."""
     i = to_frame[0, 0] * x + to_frame[0, 1] * y + to_frame[0, 2] * z + to_frame[0, 3]
     j = to_frame[1, 0] * x + to_frame[1, 1] * y + to_frame[1, 2] * z + to_frame[1, 3]
     ni, nj = pixels.shape

@@ -11,7 +11,7 @@ from sonoservo.systems.ultrasound.simulation.kernels.projection import Rays
 
 
 def projection_rays(geometry: SweepGeometry, beam: Beam, direction: int, lead: int) -> Rays:
-    """Return what the kernels need to project a scatterer onto the lines of a sweep.
+    """Return the quantities with which the kernels project scatterers onto the lines of a sweep.
 
     Parameters
     ----------
@@ -20,7 +20,7 @@ def projection_rays(geometry: SweepGeometry, beam: Beam, direction: int, lead: i
     direction
         +1 for a sweep towards +Z, -1 towards -Z.
     lead
-        Samples of the pulse before its centre.
+        Number of samples from the beginning of a pulse to the one before its middle.
     """
     steps = geometry.frames * geometry.lines - 1
     return Rays(

@@ -67,5 +67,5 @@ def test_pose_that_is_none_is_refused(tmp_path, frames):
 
 
 def test_other_files_are_refused(tmp_path):
-    with pytest.raises(ConfigurationError, match="no file of 2D frames; .mha, .mhd are read"):
+    with pytest.raises(ConfigurationError, match="not a file of 2D frames; give a file of type"):
         TrackedFrames(tmp_path / "none.nrrd")
