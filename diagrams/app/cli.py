@@ -10,7 +10,16 @@ from typing import Annotated
 
 import typer
 
-from sonoservo.diagrams.app.options import HostOption, JsonOption, console, write_printed
+from sonoservo.diagrams.app.options import (
+    ChangesOption,
+    HostOption,
+    JsonOption,
+    OutOption,
+    ScenarioArgument,
+    SeedOption,
+    console,
+    write_printed,
+)
 from sonoservo.diagrams.app.study_commands import dataset_command, reproduce_command
 from sonoservo.diagrams.app.volume_commands import locate_command, track_command
 from sonoservo.systems.files.typed_yaml import ConfigurationError
@@ -40,12 +49,10 @@ def list_command(json_path: JsonOption = None) -> None:
 
 @app.command("run")
 def run_command(
-    scenario: Annotated[str, typer.Argument(help="A name from `sonoservo list`, or a YAML file.")],
-    changes: Annotated[
-        list[str] | None, typer.Option("--set", help="Change a field: path.to.field=value.")
-    ] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder for the results.")] = None,
+    scenario: ScenarioArgument,
+    changes: ChangesOption = None,
+    seed: SeedOption = None,
+    out: OutOption = None,
     meshcat: Annotated[bool, typer.Option(help="Show the run in a browser, at real time.")] = True,
     host: HostOption = "localhost",
     record: Annotated[
@@ -90,15 +97,11 @@ def run_command(
 
 @app.command("drive")
 def drive_command(
-    scenario: Annotated[
-        str, typer.Argument(help="A name from `sonoservo list`, or a YAML file.")
-    ] = "drive",
-    changes: Annotated[
-        list[str] | None, typer.Option("--set", help="Change a field: path.to.field=value.")
-    ] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
+    scenario: ScenarioArgument = "drive",
+    changes: ChangesOption = None,
+    seed: SeedOption = None,
     duration: Annotated[float, typer.Option(help="Longest simulated time, in s.")] = 600.0,
-    out: Annotated[Path | None, typer.Option(help="Folder for the results.")] = None,
+    out: OutOption = None,
     host: HostOption = "localhost",
     json_path: JsonOption = None,
 ) -> None:
@@ -138,15 +141,13 @@ def drive_command(
 
 @app.command("scan")
 def scan_command(
-    scenario: Annotated[str, typer.Argument(help="A name from `sonoservo list`, or a YAML file.")],
+    scenario: ScenarioArgument,
     time: Annotated[
         float | None, typer.Option(help="When, in s; by default when the needle is deepest.")
     ] = None,
-    changes: Annotated[
-        list[str] | None, typer.Option("--set", help="Change a field: path.to.field=value.")
-    ] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder for the results.")] = None,
+    changes: ChangesOption = None,
+    seed: SeedOption = None,
+    out: OutOption = None,
     json_path: JsonOption = None,
 ) -> None:
     """Show what the scanner sees: one sweep, as a picture and as a volume for 3D Slicer."""

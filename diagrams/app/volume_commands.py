@@ -13,6 +13,7 @@ from sonoservo.diagrams.app.options import (
     HostOption,
     JsonOption,
     OrderOption,
+    OutOption,
     PosesOption,
     RateOption,
     WindowOption,
@@ -25,7 +26,9 @@ def track_command(
     recording: Annotated[
         Path, typer.Argument(help="Recorded volumes: .seq.nrrd, .nrrd, .nhdr, .mha or .mhd.")
     ],
-    tracker: Annotated[str, typer.Option(help="chatelain2013 or zhao2012.")] = "chatelain2013",
+    tracker: Annotated[
+        str, typer.Option(help="Name of a tracker, such as chatelain2013 or zhao2012.")
+    ] = "chatelain2013",
     order: OrderOption = 2,
     start: Annotated[
         str,
@@ -44,7 +47,7 @@ def track_command(
         bool, typer.Option("--show", help="Show the volumes in a browser, as a scanner does.")
     ] = False,
     host: HostOption = "localhost",
-    out: Annotated[Path | None, typer.Option(help="Folder for the results.")] = None,
+    out: OutOption = None,
     json_path: JsonOption = None,
 ) -> None:
     """Track a needle through recorded volumes; end with a folder of results."""
