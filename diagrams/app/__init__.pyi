@@ -5,6 +5,7 @@ from .locate import LocatedNeedle as LocatedNeedle
 from .locate import locate_in as locate_in
 from .locate import locate_in_recording as locate_in_recording
 from .real_time import RealTime as RealTime
+from .reconstruct import ReconstructedRecording as ReconstructedRecording
 from .run import RunResult as RunResult
 from .scan import Scan as Scan
 from .scan import caption as caption

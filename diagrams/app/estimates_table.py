@@ -6,16 +6,28 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from pydrake.math import RigidTransform
 
-from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.volume import Volume
 
 
 def estimate_row(
-    recording: Recording, number: int, volume: Volume, estimate: NeedleEstimate
+    number: int, volume: Volume, estimate: NeedleEstimate, X_WL: RigidTransform, *, posed: bool
 ) -> dict[str, Any]:
-    """Return an estimate in the file's frame L at the volume's time, and in W if that differs."""
+    """Return an estimate as a row of ``estimates.csv``.
+
+    Parameters
+    ----------
+    number
+        Number of the volume.
+    volume, estimate
+        Volume and the estimate after it, in W, in m.
+    X_WL
+        Pose of the source's own frame L (LPS), in which the row is, at the time of the volume.
+    posed
+        Whether W differs from L; then the row tells the tip in W too.
+    """
     row: dict[str, Any] = {
         "volume": number,
         "time_s": volume.time,
@@ -24,7 +36,7 @@ def estimate_row(
     }
     entry = middle = tip = velocity = w_tip = np.full(3, np.nan)
     if estimate.curve is not None:
-        X_LW = recording.X_WL(number).inverse()
+        X_LW = X_WL.inverse()
         entry, middle, tip = 1e3 * X_LW.multiply(estimate.curve.position([0, 0.5, 1]).T).T
         velocity = 1e3 * (X_LW.rotation() @ estimate.tip_velocity)
         w_tip = 1e3 * estimate.curve.tip
@@ -38,7 +50,7 @@ def estimate_row(
     ):
         for axis, value in zip("lps", vector, strict=True):
             row["_".join(filter(None, (name, axis, unit)))] = float(value)
-    if recording.posed:
+    if posed:
         for axis, value in zip("xyz", w_tip, strict=True):
             row[f"world_tip_{axis}_mm"] = float(value)
     row["reason"] = estimate.reason

@@ -44,6 +44,25 @@ PosesOption = Annotated[
     str | None,
     typer.Option(help="Transform that is the probe's pose (ProbeToTracker), or none."),
 ]
+ServeOption = Annotated[
+    str | None,
+    typer.Option(help="Send all of it live: igtl://:18944 lets programs on this machine connect."),
+]
+WaitOption = Annotated[int, typer.Option(help="Live: begin when so many peers are connected.")]
+ReconstructOption = Annotated[
+    bool, typer.Option("--reconstruct", help="Make volumes of tracked 2D frames (PLUS: .igs.mha).")
+]
+MotorOption = Annotated[
+    Path | None, typer.Option(help="Live 2D frames of a motorised probe: a YAML of its sweep.")
+]
+FramesOption = Annotated[
+    int | None, typer.Option(help="Frames of each volume; by default one sweep to or fro.")
+]
+SpacingOption = Annotated[float, typer.Option(help="Of reconstructed voxels, in mm.")]
+VolumesOption = Annotated[int | None, typer.Option(help="Live: end after so many volumes.")]
+PatienceOption = Annotated[
+    float | None, typer.Option(help="Live: end when none has come for so long, in s.")
+]
 
 
 def write_printed(path: Path | None, data: Any) -> None:

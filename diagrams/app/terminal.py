@@ -197,6 +197,30 @@ def mode_table(summary: Mapping[str, Any]) -> Table:
     return table
 
 
+_LIVE_ROWS = {
+    "volumes": "volumes",
+    "dropped": "dropped, because newer ones had come",
+    "left_out": "left out, without a pose or out of order",
+    "compute_ms.track.median": "tracking, median, ms",
+    "latency_ms.total.median": "from the last byte to the estimate sent, median, ms",
+    "latency_ms.total.p99": "from the last byte to the estimate sent, 99 %, ms",
+    "latency_ms.besides_tracking.median": "of which besides tracking, median, ms",
+    "latency_ms.besides_tracking.p99": "of which besides tracking, 99 %, ms",
+}
+
+
+def live_table(summary: Mapping[str, Any]) -> Table:
+    """Return the figures of live tracking, for a terminal."""
+    table = Table(title=str(summary["scenario"]))
+    table.add_column("quantity")
+    table.add_column("this stream", justify="right")
+    for path, label in _LIVE_ROWS.items():
+        table.add_row(label, format_figure(look_up(summary, path)))
+    for mode, count in summary["modes"].items():
+        table.add_row(f"volumes after which it was {mode}", str(count))
+    return table
+
+
 def start_display(console: Console, host: str = "localhost") -> Meshcat:
     """Start a Meshcat on the first free port from 7000 on, and say where it is to be seen.
 

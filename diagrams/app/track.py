@@ -14,6 +14,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import DiagramBuilder
 
 from sonoservo.diagrams.app.estimates_table import estimate_row, estimates_csv
+from sonoservo.diagrams.app.reconstruct import ReconstructedRecording
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
 from sonoservo.diagrams.trackers.registry import TRACKERS
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
@@ -110,7 +111,7 @@ def tracker_parameters(
 
 
 def track_recording(
-    recording: Recording,
+    recording: Recording | ReconstructedRecording,
     *,
     parameters: TrackerParameters | None = None,
     seed: int | None = None,
@@ -218,7 +219,7 @@ def track_recording(
 
 def _note(
     done: _Progress,
-    recording: Recording,
+    recording: Recording | ReconstructedRecording,
     number: int,
     volume: Volume,
     estimate: NeedleEstimate,
@@ -229,13 +230,14 @@ def _note(
         done.compute[name].append(stop - start)
     done.times.append(volume.time)
     done.estimates.append(estimate)
-    done.rows.append(estimate_row(recording, number, volume, estimate))
+    posed = recording.posed
+    done.rows.append(estimate_row(number, volume, estimate, recording.X_WL(number), posed=posed))
     if pictured:
         done.pictures.append(picture_planes(volume, estimate.mode, estimate.curve))
 
 
 def _summarize(
-    recording: Recording,
+    recording: Recording | ReconstructedRecording,
     done: _Progress,
     log: RunLog,
     truth: Truth | None,

@@ -1,4 +1,4 @@
-"""Former names and places of fields, so that the error about an old file tells the present ones."""
+"""Former names and places of fields, and fields that are no more: for errors about old files."""
 
 from collections.abc import Container, Mapping
 
@@ -54,11 +54,6 @@ def current_name(name: str, known: Container[str]) -> str | None:
     return next((each for each in candidates if each.partition(".")[0] in known), None)
 
 
-def removed(name: str) -> str | None:
-    """Return what took the place of a field that is no more, or None."""
-    return _REMOVED.get(name)
-
-
 def moved_fields(path: str, value: object) -> dict[str, str]:
     """Return former and present paths of fields that moved; empty if none is known to have moved.
 
@@ -80,3 +75,8 @@ def moved_fields(path: str, value: object) -> dict[str, str]:
         part = ["filter"] if now in _OF_FILTER else [] if now == "order" else ["track"]
         places[f"{path}.{key}"] = ".".join([*parents, *part, now])
     return places
+
+
+def removed(name: str) -> str | None:
+    """Return what took the place of a field that is no more, or None."""
+    return _REMOVED.get(name)

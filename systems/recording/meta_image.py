@@ -35,11 +35,17 @@ _BIG_ENDIAN = ("BinaryDataByteOrderMSB", "ElementByteOrderMSB")
 """Names by which each is known; the first one that is there counts."""
 
 
-def open_meta_image(path: Path) -> VolumeFile:
+def open_meta_image(path: Path, *, frames: bool = False) -> VolumeFile:
     """Open a MetaImage file with one volume, or with a sequence of them along a fourth axis.
 
-    PLUS also keeps tracked 2D frames in such files, one after the other along the third axis: they
-    are refused.
+    PLUS also keeps tracked 2D frames in such files, one after the other along the third axis.
+
+    Parameters
+    ----------
+    path
+        Of the file.
+    frames
+        Whether 2D frames are wanted; they are refused otherwise, and volumes are then.
 
     Raises
     ------
@@ -66,7 +72,7 @@ def open_meta_image(path: Path) -> VolumeFile:
     steps = _numbers(path, fields, ("ElementSpacing", "ElementSize"), np.ones(n), n)
     origin = _numbers(path, fields, _ORIGIN, np.zeros(n), n)
     directions = matrix[:3, :3].T * steps[:3]
-    check_layout(path, (nx, ny, nz), count, directions)
+    check_layout(path, (nx, ny, nz), count, directions, frames=frames)
     dtype = np.dtype((">" if _flag(fields, _BIG_ENDIAN, False) else "<") + _TYPES[kind])
     voxels = nx * ny * nz
     data = _open_data(path, fields, offset, voxels * count * dtype.itemsize)

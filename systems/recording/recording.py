@@ -92,8 +92,10 @@ class Recording:
         except ValueError as error:
             raise ConfigurationError(f"{self.path}: {error}") from error
         self._acquisition = self._read_acquisition()
+        if self._acquisition is not None and window is None:
+            self._window = GreyWindow(0, 255)  # what a recorder of this program writes
         frames = file.frame_fields()
-        transform = None if self._acquisition else _choose(self.path, frames, poses)
+        transform = None if self._acquisition else choose_transform(self.path, frames, poses)
         self.posed = bool(self._acquisition) or transform is not None
         self.settings: dict[str, Any] = self._acquisition.settings if self._acquisition else {}
         self._decibels_per_level = self._scale(dynamic_range_db)
@@ -229,11 +231,8 @@ class Recording:
             )
 
     def _pose(self, name: str, text: str) -> RigidTransform:
-        """Pose of L in W from a transform as PLUS writes it: rows of a 4 x 4 matrix, in mm."""
-        try:
-            matrix = np.array(text.split(), float).reshape(4, 4)
-        except ValueError as error:
-            raise ConfigurationError(f"{self.path}: {name}: {text!r} is no matrix") from error
+        """Pose of L in W from a transform as PLUS writes it."""
+        matrix = read_matrix(self.path, name, text)
         if name.startswith("Image"):  # its coordinates are voxels, not mm
             header = np.eye(4)
             header[:3, :3], header[:3, 3] = self._file.directions, self._file.origin
@@ -266,7 +265,17 @@ def _open(path: Path) -> VolumeFile:
     return _FORMATS[path.suffix.lower()](path)
 
 
-def _choose(path: Path, frames: dict[str, dict[int, str]], poses: str | None) -> str | None:
+def read_matrix(path: Path, name: str, text: str) -> NDArray[np.float64]:
+    """Return the (4, 4) matrix of a transform as PLUS writes it: rows, in mm."""
+    try:
+        return np.array(text.split(), float).reshape(4, 4)
+    except ValueError as error:
+        raise ConfigurationError(f"{path}: {name}: {text!r} is no matrix") from error
+
+
+def choose_transform(
+    path: Path, frames: dict[str, dict[int, str]], poses: str | None
+) -> str | None:
     """Name of the transform that tells the probe's pose; None if there is none."""
     names = sorted(name for name in frames if name.endswith("Transform"))
     if poses == "none" or (poses is None and not names):

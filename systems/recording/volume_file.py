@@ -76,8 +76,10 @@ def one_line(error: Exception) -> str:
     return " ".join(str(error).replace("\0", " ").split()) or type(error).__name__
 
 
-def check_layout(path: Path, shape: tuple[int, ...], count: int, directions: Any) -> None:
-    """Refuse what is no grid of volumes.
+def check_layout(
+    path: Path, shape: tuple[int, ...], count: int, directions: Any, *, frames: bool = False
+) -> None:
+    """Refuse what is no grid of volumes, or, if ``frames``, no sequence of 2D frames.
 
     Raises
     ------
@@ -86,10 +88,11 @@ def check_layout(path: Path, shape: tuple[int, ...], count: int, directions: Any
     """
     if count < 1 or min(shape) < 1:
         raise ConfigurationError(f"{path}: {count} volumes of {_times(shape)} voxels: it is empty")
-    if min(shape) < 2:
+    if frames and (shape[2] != 1 or min(shape[:2]) < 2):
+        raise ConfigurationError(f"{path}: {_times(shape)} voxels are no 2D frames")
+    if not frames and min(shape) < 2:
         raise ConfigurationError(
-            f"{path}: {_times(shape)} voxels are 2D frames; tracking wants volumes, so reconstruct "
-            "them first (PLUS: VolumeReconstructor)"
+            f"{path}: {_times(shape)} voxels are 2D frames; --reconstruct makes volumes of them"
         )
     steps = np.linalg.norm(directions, axis=0)
     if not np.isfinite(directions).all() or (steps <= 0).any():
