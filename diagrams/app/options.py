@@ -10,11 +10,18 @@ from sonoservo.systems.files.writing import write_json
 
 console = Console()
 
+ScenarioArgument = Annotated[
+    str, typer.Argument(help="A name from `sonoservo list`, or a YAML file.")
+]
+ChangesOption = Annotated[
+    list[str] | None, typer.Option("--set", help="Change a field: path.to.field=value.")
+]
+SeedOption = Annotated[int | None, typer.Option(help="Seed of everything random.")]
+OutOption = Annotated[Path | None, typer.Option(help="Folder for the results.")]
+JobsOption = Annotated[int, typer.Option(help="Processes; -1 means one for each core.")]
 JsonOption = Annotated[
     Path | None, typer.Option("--json", help="Also write what is printed to this file.")
 ]
-
-
 HostOption = Annotated[
     str, typer.Option(help="Address that the page is served on; * for all of this machine's.")
 ]

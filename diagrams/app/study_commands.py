@@ -6,24 +6,30 @@ from typing import Annotated
 
 import typer
 
-from sonoservo.diagrams.app.options import JsonOption, console, write_printed
+from sonoservo.diagrams.app.options import (
+    ChangesOption,
+    JobsOption,
+    JsonOption,
+    OutOption,
+    ScenarioArgument,
+    console,
+    write_printed,
+)
 from sonoservo.diagrams.papers.registry import PAPERS, reproduce, require_paper
 from sonoservo.systems.files.typed_yaml import ConfigurationError
 
 
 def dataset_command(
-    scenario: Annotated[str, typer.Argument(help="A name from `sonoservo list`, or a YAML file.")],
+    scenario: ScenarioArgument,
     count: Annotated[int, typer.Option(help="Number of sequences.")],
     out: Annotated[Path, typer.Option(help="Folder for the sequences and manifest.json.")],
     volumes: Annotated[int, typer.Option(help="In each sequence.")] = 10,
     transducers: Annotated[
         list[str] | None, typer.Option("--transducer", help="One to choose from; again for more.")
     ] = None,
-    changes: Annotated[
-        list[str] | None, typer.Option("--set", help="Change a field: path.to.field=value.")
-    ] = None,
+    changes: ChangesOption = None,
     seed: Annotated[int | None, typer.Option(help="Of the first sequence.")] = None,
-    jobs: Annotated[int, typer.Option(help="Processes; -1 means one for each core.")] = -1,
+    jobs: JobsOption = -1,
     json_path: JsonOption = None,
 ) -> None:
     """Make labelled sequences of needles, tissues and probes drawn at random.
@@ -58,8 +64,8 @@ def reproduce_command(
     quick: Annotated[bool, typer.Option("--quick", help="A few short runs, in minutes.")] = False,
     seeds: Annotated[int | None, typer.Option(help="Number of seeds of each experiment.")] = None,
     first_seed: Annotated[int, typer.Option(help="The first of them.")] = 0,
-    out: Annotated[Path | None, typer.Option(help="Folder for the results.")] = None,
-    jobs: Annotated[int, typer.Option(help="Processes; -1 means one for each core.")] = -1,
+    out: OutOption = None,
+    jobs: JobsOption = -1,
     json_path: JsonOption = None,
 ) -> None:
     """Repeat a paper's experiments over many seeds, beside its figures and the truth.

@@ -15,6 +15,7 @@ from sonoservo.diagrams.app.options import (
     JsonOption,
     MotorOption,
     OrderOption,
+    OutOption,
     PatienceOption,
     PosesOption,
     RateOption,
@@ -36,7 +37,9 @@ def track_command(
             "igtl://host:18944/DEVICE, or igtl://:18944 for a scanner that connects to us."
         ),
     ],
-    tracker: Annotated[str, typer.Option(help="chatelain2013 or zhao2012.")] = "chatelain2013",
+    tracker: Annotated[
+        str, typer.Option(help="Name of a tracker, such as chatelain2013 or zhao2012.")
+    ] = "chatelain2013",
     order: OrderOption = 2,
     start: Annotated[
         str,
@@ -72,7 +75,7 @@ def track_command(
     ] = False,
     volumes: VolumesOption = None,
     patience: PatienceOption = None,
-    out: Annotated[Path | None, typer.Option(help="Folder for the results.")] = None,
+    out: OutOption = None,
     json_path: JsonOption = None,
 ) -> None:
     """Track a needle through recorded or live volumes; end with a folder of results."""
