@@ -51,6 +51,7 @@ def run(
     record: Path | None = None,
     record_sweeps: bool = False,
     explain: bool = False,
+    observers: Mapping[str, System] | None = None,
     after_step: Callable[[Experiment[Any]], None] | None = None,
 ) -> RunResult:
     """Run a scenario of any experiment to its end, or until it is interrupted from the keyboard.
@@ -75,6 +76,9 @@ def run(
     explain
         Whether to keep, in the folder's subfolder ``explanation``, what the tracker looked at
         around a loss; see `ExplanationRecorder`.
+    observers
+        Systems that look on; see `FollowingExperiment`. With them, too, the run goes no faster than
+        real time.
     after_step
         Called after every volume or slice with the experiment, which knows the time and what the
         tracker does.
@@ -96,6 +100,7 @@ def run(
             record=record,
             record_sweeps=record_sweeps,
             explain=out if explain else None,
+            observers=observers,
         )
     kept = KeptRun(
         scenario, lambda path: write_log(path, experiment.log()), out=out, meshcat=meshcat
@@ -108,7 +113,7 @@ def run(
 
     with kept:
         try:
-            experiment.run(note, real_time=bool(meshcat or monitor))
+            experiment.run(note, real_time=bool(meshcat or monitor or observers))
         finally:
             experiment.close()
     return finish(kept, experiment)

@@ -1,4 +1,4 @@
-"""A sweep of a motorised probe over tissue and needle, rendered frame by frame."""
+"""Renderer of sweeps of a motorised probe over tissue and needle."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -20,31 +20,31 @@ from sonoservo.systems.ultrasound.simulation.bright_points import (
     reverberations,
 )
 from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import (
-    SIDE_LOBE_WIDTH,
     render_needles,
     render_points,
 )
 from sonoservo.systems.ultrasound.simulation.kernels.echo import FADE, render_tissue
 from sonoservo.systems.ultrasound.simulation.kernels.image_formation import form_image, modulate
 from sonoservo.systems.ultrasound.simulation.kernels.line_blur import line_kernel
-from sonoservo.systems.ultrasound.simulation.kernels.projection import FRACTIONS, DepthTables, Rays
+from sonoservo.systems.ultrasound.simulation.kernels.projection import FRACTIONS, DepthTables
+from sonoservo.systems.ultrasound.simulation.rays import frame_poses, line_rays, projection_rays
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue, scatterer_tile
 from sonoservo.systems.ultrasound.transducer import Transducer
 
 
 @dataclass(kw_only=True)
 class ScannerParameters:
-    """What the image shows besides the tissue.
+    """Parameters of the needle's echo, the gel and the electronic noise.
 
     Parameters
     ----------
     needle
-        How a needle echoes.
+        Parameters of the needle's echo.
     gel_thickness
         Widest gap between face and tissue that the gel bridges, along a line, in m.
     noise_db
-        Electronic noise at the face, over the tissue's root mean square. It grows with depth by
-        the attenuation that the time-gain compensation undoes.
+        Electronic noise at the face, relative to the tissue's root mean square. It grows with depth
+        by the attenuation that the time-gain compensation undoes.
     """
 
     needle: NeedleEchoParameters = field(default_factory=NeedleEchoParameters)
@@ -58,33 +58,33 @@ class ScannerParameters:
 class SweepRenderer:
     """Renders sweeps of one transducer over one tissue.
 
-    What it models: the probe's, the tissue's and the needle's motion within a sweep, to the phase
-    of every scatterer; the beam's width in all directions as it changes with depth; side lobes,
-    reverberation and shadow of the needle; loss of contact, attenuation as noise, and log
-    compression. What it does not: refraction, multiple scattering, what the beam loses at the ends
-    of the array, and, along the array, wave fronts that are not centred on the array's own centre.
+    It models the motion of probe, tissue and needle within a sweep, down to the phase of every
+    scatterer; the depth-dependent width of the beam in all directions; side lobes, reverberation
+    and shadow of the needle; loss of contact; attenuation, as noise; and log compression. It does
+    not model refraction, multiple scattering, the loss of beam at the ends of the array or, along
+    the array, wave fronts that are not centred on the array's own centre.
 
     Parameters
     ----------
     transducer, imaging
-        The probe and the scanner's settings.
+        Hardware of the probe, and settings of the scanner.
     tissue
-        What is scanned.
+        Tissue to scan.
     parameters
-        Needle, gel and noise.
+        Parameters of needle, gel and noise.
     seed
-        Of the electronic noise and of the needle's surface.
+        Seed of the electronic noise and of the needle's surface.
 
     Attributes
     ----------
     geometry
-        Of the sweeps.
+        Geometry of the sweeps.
     beam
         Widths of the point spread function.
     point_spread
-        The same, as its sweeps carry them.
+        The same widths, in the form that sweeps carry.
     decibels_per_level
-        dB per grey level.
+        Scale of the image, in dB per grey level.
     """
 
     def __init__(
@@ -110,7 +110,7 @@ class SweepRenderer:
         samples = np.arange(self.geometry.samples)
         depths = self.geometry.sample_pitch * samples
         cell = self.beam.resolution_cell
-        # Where the levels of bright points hold, relative to the tissue.
+        # Sample at which the levels of bright points hold, relative to the tissue.
         reference = int(np.abs(depths - transducer.lens_focus).argmin())
         radii = np.maximum(self.geometry.array_radius + depths, self.geometry.sample_pitch)
         line_sigma = self.beam.lateral / (self.geometry.line_pitch * radii)
@@ -139,14 +139,17 @@ class SweepRenderer:
         self._needle_pulses = lru_cache(maxsize=8)(self._needle_pulse)
         loss_db = 2 * tissue.attenuation * 1e-6 * imaging.transmit_frequency * 1e2 * depths
         self._noise = (10 ** ((parameters.noise_db + loss_db) / 20)).astype(np.float32)
-        self._lines = {direction: self._line_rays(direction) for direction in (1, -1)}
-        # A sweep's worth of memory is taken once: the tissue's echoes, both ways, and the needle's.
+        self._lines = {each: line_rays(self.geometry, each) for each in (1, -1)}
+        self._rays = {
+            each: projection_rays(self.geometry, self.beam, each, self._lead) for each in (1, -1)
+        }
+        # Sweep-sized memory is allocated once: tissue echoes in both directions, and needle echoes.
         self._tissue = {direction: self._empty() for direction in (1, -1)}
         self._tissue_poses = {1: b"", -1: b""}
         self._with_needle = self._empty()
 
     def tissue_echo(self, X_TP: NDArray[np.float64], direction: int) -> NDArray[np.complex64]:
-        """Echoes of tissue and inclusions, without needle or noise.
+        """Return the echoes of tissue and inclusions, without needle or noise.
 
         Parameters
         ----------
@@ -167,24 +170,24 @@ class SweepRenderer:
     def echo(
         self, X_TP: NDArray[np.float64], needles: Sequence[Needle], direction: int
     ) -> NDArray[np.complex64]:
-        """Echoes with the needle and its shadow, without noise; otherwise as `tissue_echo`.
+        """Return the echoes with the needle and its shadow, without noise, as `tissue_echo` does.
 
         Parameters
         ----------
         X_TP, direction
             See `tissue_echo`.
         needles
-            The needle in T at each frame's time, possibly empty.
+            Needle in T at each frame's time, possibly empty.
         """
         return self._render_echo(X_TP, needles, direction).copy()
 
     def radio_frequency_lines(
         self, X_TP: NDArray[np.float64], needles: Sequence[Needle], direction: int
     ) -> NDArray[np.float32]:
-        """Radio-frequency lines, (frames, lines, samples): `echo` on its carrier, without noise.
+        """Return radio-frequency lines, (frames, lines, samples): `echo` on its carrier.
 
-        The real part of echo exp(+2i k r), k = 2 pi / wavelength, r from the face; the sample
-        pitch must resolve it.
+        They are the real part of echo exp(+2i k r) with k = 2 pi / wavelength and the distance r
+        from the face, without noise. The sample pitch must resolve the carrier.
 
         Raises
         ------
@@ -198,7 +201,7 @@ class SweepRenderer:
         return self.on_carrier(self._render_echo(X_TP, needles, direction))
 
     def on_carrier(self, iq: NDArray[np.complex64]) -> NDArray[np.float32]:
-        """Radio-frequency lines of echoes: see `radio_frequency_lines`."""
+        """Return the radio-frequency lines of echoes; see `radio_frequency_lines`."""
         step = 4 * np.pi / self.beam.wavelength * self.geometry.sample_pitch
         phase = step * np.arange(self.geometry.samples)
         lines = np.empty(iq.shape, np.float32)
@@ -222,10 +225,10 @@ class SweepRenderer:
         X_TP, direction
             See `tissue_echo`.
         points, amplitudes
-            (n, 3) positions in T, in m, and (n,) amplitudes over the tissue's root mean square,
-            where the lens focuses.
+            (n, 3) positions in T, in m, and (n,) amplitudes relative to the tissue's root mean
+            square at the lens's focus.
         """
-        X_FT, rays = self._frame_poses(X_TP), self._rays(direction)
+        X_FT, rays = frame_poses(self.geometry, X_TP), self._rays[direction]
         render_points(iq, X_FT, points, amplitudes, rays, self._tables, self._point_pulse)
 
     def render(
@@ -235,14 +238,14 @@ class SweepRenderer:
         direction: int,
         number: int,
     ) -> NDArray[np.uint8]:
-        """Grey levels of a sweep, (frames, lines, samples).
+        """Return the grey levels of a sweep, (frames, lines, samples).
 
         Parameters
         ----------
         X_TP, needles, direction
             See `echo`.
         number
-            Of the sweep; it selects the noise.
+            Number of the sweep, which selects the noise.
         """
         grey = np.empty(self.geometry.shape, np.uint8)
         form_image(
@@ -265,8 +268,8 @@ class SweepRenderer:
     def _render_tissue(
         self, iq: NDArray[np.complex64], X_TP: NDArray[np.float64], direction: int
     ) -> None:
-        X_FT = self._frame_poses(X_TP)
-        rays = self._rays(direction)
+        X_FT = frame_poses(self.geometry, X_TP)
+        rays = self._rays[direction]
         tile, tables = self._tile, self._tables
         render_tissue(iq, X_FT, self._box, tile, rays, tables, self._tissue_pulse, self._kernel)
         if len(self._inclusions[0]):
@@ -275,8 +278,8 @@ class SweepRenderer:
     def _render_echo(
         self, X_TP: NDArray[np.float64], needles: Sequence[Needle], direction: int
     ) -> NDArray[np.complex64]:
-        """See `echo`; the next call overwrites the result."""
-        # Rounded to 10 nm, 0.0003 rad of phase, so that a probe at rest finds its echoes again.
+        """Return the echoes as `echo` does, in memory that the next call overwrites."""
+        # Rounded to 10 nm, or 0.0003 rad of phase, so that a probe at rest reuses its echoes.
         X_TP = np.round(X_TP, 8)
         tissue = self._tissue[direction]
         if self._tissue_poses[direction] != X_TP.tobytes():
@@ -289,61 +292,26 @@ class SweepRenderer:
         radius = needles[0].radius
         render_needles(
             iq,
-            self._frame_poses(X_TP),
+            frame_poses(self.geometry, X_TP),
             np.concatenate([needle.shaft for needle in needles]),
             np.concatenate([[0], np.cumsum([len(needle.shaft) for needle in needles])]),
             radius,
             *self._needle_echo,
-            self._rays(direction),
+            self._rays[direction],
             self._tables,
             self._needle_pulses(radius),
         )
         return iq
 
-    def _rays(self, direction: int) -> Rays:
-        geometry = self.geometry
-        steps = geometry.frames * geometry.lines - 1
-        return Rays(
-            array_radius=np.float32(geometry.array_radius),
-            centre_offset=np.float32(geometry.array_radius - geometry.motor_radius),
-            lines_per_radian=np.float32(1 / geometry.line_pitch),
-            middle_line=np.float32((geometry.lines - 1) / 2),
-            twist=np.float32(direction * geometry.frame_pitch * geometry.frames / steps),
-            samples_per_metre=np.float32(1 / geometry.sample_pitch),
-            turns_per_metre=np.float32(2 / self.beam.wavelength),
-            lead=self._lead,
-            side_lobes=np.float32(self.beam.side_lobes / SIDE_LOBE_WIDTH),
-        )
-
-    def _frame_poses(self, X_TP: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(frames, 3, 4) pose of the tissue in each frame's F."""
-        geometry = self.geometry
-        require(X_TP.shape == (geometry.frames, 4, 4), "X_TP", X_TP.shape, "(frames, 4, 4)")
-        theta = geometry.line_angles(1).mean(axis=1)
-        X_FP = np.zeros((geometry.frames, 4, 4))
-        X_FP[:, 0, 0] = X_FP[:, 3, 3] = 1
-        X_FP[:, 1, 1] = X_FP[:, 2, 2] = np.cos(theta)
-        X_FP[:, 1, 2] = np.sin(theta)
-        X_FP[:, 2, 1] = -np.sin(theta)
-        X_FP[:, :, 3] += X_FP[:, :, 1] * geometry.motor_radius
-        return np.ascontiguousarray((X_FP @ np.linalg.inv(X_TP))[:, :3])
-
-    def _line_rays(self, direction: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """(frames, lines, 3) origin on the face and unit direction of every line, in P."""
-        frames, lines, _ = np.ogrid[: self.geometry.frames, : self.geometry.lines, :1]
-        start = self.geometry.position(frames, lines, 0, direction)[:, :, 0]
-        along = self.geometry.position(frames, lines, 1, direction)[:, :, 0] - start
-        return start, along / self.geometry.sample_pitch
-
     def _needle_pulse(self, radius: float) -> NDArray[np.float32]:
-        """Pulse with the reverberations within a needle of this radius."""
+        """Return the pulse with the reverberations inside a needle of this radius."""
         levels, distance = reverberations(
             self._parameters.needle, radius, self.geometry.sound_speed
         )
         return self._pulse_table(levels, distance)
 
     def _pulse_table(self, levels: Sequence[float], distance: float) -> NDArray[np.float32]:
-        """Echoes of given amplitudes at multiples of a distance: (2, FRACTIONS + 1, taps)."""
+        """Return a (2, FRACTIONS + 1, taps) pulse with echoes at multiples of a distance."""
         pitch = self.geometry.sample_pitch
         taps = self._taps + int(np.ceil((len(levels) - 1) * distance / pitch))
         fraction = np.arange(FRACTIONS + 1)[:, np.newaxis] / FRACTIONS
