@@ -30,14 +30,14 @@ LONG = 15
 """Length in mm from which on the absolute errors have targets."""
 
 NOTES = (
-    "'RANSAC' is the published method. Among the brightest voxels of the whole volume, it finds the "
-    "line through two of them with the most others nearby, optimizes it on those, and places the "
-    "tip where the intensity along the line falls. Its best sample alone is shown too. 'Our RANSAC' "
-    "is the one in the tracker: it searches near the prediction and refits three times. The Kalman "
-    "filter uses our RANSAC.",
-    "Fresh speckle: each run has a phantom of its own. Same volumes: all runs share one phantom and "
-    "differ only in RANSAC's draws, as probably in the paper. A needle at rest is shown 8 times, "
-    "unchanged.",
+    "'RANSAC' is the published method. Among the brightest voxels of the whole volume, it finds "
+    "the line through two of them with the most others nearby, optimizes it on those, and places "
+    "the tip where the intensity along the line falls. Its best sample alone is shown too. 'Our "
+    "RANSAC' is the one in the tracker: it searches near the prediction and refits three times. "
+    "The Kalman filter uses our RANSAC.",
+    "Fresh speckle: each run has a phantom of its own. Same volumes: all runs share one phantom "
+    "and differ only in RANSAC's draws, as probably in the paper. A needle at rest is shown 8 "
+    "times, unchanged.",
     "Errors count from the third volume on; before, the paper's filter returns RANSAC's result. A "
     "reduction compares the means, over lengths or volumes, of the root mean square over runs.",
     "The paper does not publish the noise of the filter, the thresholds, the definition of the "

@@ -32,7 +32,7 @@ ESTIMATORS = ("ransac_sample", "ransac", "ours", "kalman", "kalman_velocity")
 in the tracker; the same with the Kalman filter; and with the velocity of the speckle as well."""
 
 QUANTITIES = ("alpha", "beta", "x", "y", "z", "tip")
-"""Errors: angles in deg; along the array, in elevation, in depth, and distance of the tip, in mm."""
+"""Errors: angles in deg; tip along the array, in elevation, in depth, and its distance in mm."""
 
 VOLUMES = 16
 """Number of volumes of the published insertion."""
