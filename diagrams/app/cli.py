@@ -11,8 +11,12 @@ from typing import Annotated
 import typer
 
 from sonoservo.diagrams.app.options import (
+    ChangesOption,
     HostOption,
     JsonOption,
+    OutOption,
+    ScenarioArgument,
+    SeedOption,
     ServeOption,
     WaitOption,
     console,
@@ -47,15 +51,10 @@ def list_command(json_path: JsonOption = None) -> None:
 
 @app.command("run")
 def run_command(
-    scenario: Annotated[
-        str, typer.Argument(help="Name from `sonoservo list`, or path of a YAML file.")
-    ],
-    changes: Annotated[
-        list[str] | None,
-        typer.Option("--set", help="Change a field: path.to.field=value; repeatable."),
-    ] = None,
-    seed: Annotated[int | None, typer.Option(help="Random seed of the run.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder for the results.")] = None,
+    scenario: ScenarioArgument,
+    changes: ChangesOption = None,
+    seed: SeedOption = None,
+    out: OutOption = None,
     meshcat: Annotated[bool, typer.Option(help="Show the run in a browser, in real time.")] = True,
     host: HostOption = "localhost",
     record: Annotated[
@@ -107,16 +106,11 @@ def run_command(
 
 @app.command("drive")
 def drive_command(
-    scenario: Annotated[
-        str, typer.Argument(help="Name from `sonoservo list`, or path of a YAML file.")
-    ] = "drive",
-    changes: Annotated[
-        list[str] | None,
-        typer.Option("--set", help="Change a field: path.to.field=value; repeatable."),
-    ] = None,
-    seed: Annotated[int | None, typer.Option(help="Random seed of the run.")] = None,
+    scenario: ScenarioArgument = "drive",
+    changes: ChangesOption = None,
+    seed: SeedOption = None,
     duration: Annotated[float, typer.Option(help="Maximum simulated time, in s.")] = 600.0,
-    out: Annotated[Path | None, typer.Option(help="Folder for the results.")] = None,
+    out: OutOption = None,
     host: HostOption = "localhost",
     serve: ServeOption = None,
     json_path: JsonOption = None,
@@ -169,19 +163,14 @@ def drive_command(
 
 @app.command("scan")
 def scan_command(
-    scenario: Annotated[
-        str, typer.Argument(help="Name from `sonoservo list`, or path of a YAML file.")
-    ],
+    scenario: ScenarioArgument,
     time: Annotated[
         float | None,
         typer.Option(help="Time of the sweep, in s; by default, when the needle is deepest."),
     ] = None,
-    changes: Annotated[
-        list[str] | None,
-        typer.Option("--set", help="Change a field: path.to.field=value; repeatable."),
-    ] = None,
-    seed: Annotated[int | None, typer.Option(help="Random seed of the run.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder for the results.")] = None,
+    changes: ChangesOption = None,
+    seed: SeedOption = None,
+    out: OutOption = None,
     json_path: JsonOption = None,
 ) -> None:
     """Acquire one sweep; write it as a picture and as a volume for 3D Slicer."""

@@ -10,11 +10,18 @@ from sonoservo.systems.files.writing import write_json
 
 console = Console()
 
+ScenarioArgument = Annotated[
+    str, typer.Argument(help="Name from `sonoservo list`, or path of a YAML file.")
+]
+ChangesOption = Annotated[
+    list[str] | None, typer.Option("--set", help="Change a field: path.to.field=value; repeatable.")
+]
+SeedOption = Annotated[int | None, typer.Option(help="Random seed of the run.")]
+OutOption = Annotated[Path | None, typer.Option(help="Folder for the results.")]
+JobsOption = Annotated[int, typer.Option(help="Number of processes; -1 for one per core.")]
 JsonOption = Annotated[
     Path | None, typer.Option("--json", help="Also write the printed figures to this file.")
 ]
-
-
 HostOption = Annotated[
     str, typer.Option(help="Address to serve the page on; * for all addresses of this machine.")
 ]

@@ -6,27 +6,30 @@ from typing import Annotated
 
 import typer
 
-from sonoservo.diagrams.app.options import JsonOption, console, write_printed
+from sonoservo.diagrams.app.options import (
+    ChangesOption,
+    JobsOption,
+    JsonOption,
+    OutOption,
+    ScenarioArgument,
+    console,
+    write_printed,
+)
 from sonoservo.diagrams.papers.registry import PAPERS, reproduce, require_paper
 from sonoservo.systems.files.typed_yaml import ConfigurationError
 
 
 def dataset_command(
-    scenario: Annotated[
-        str, typer.Argument(help="Name from `sonoservo list`, or path of a YAML file.")
-    ],
+    scenario: ScenarioArgument,
     count: Annotated[int, typer.Option(help="Number of sequences.")],
     out: Annotated[Path, typer.Option(help="Folder for the sequences and manifest.json.")],
     volumes: Annotated[int, typer.Option(help="Number of volumes in each sequence.")] = 10,
     transducers: Annotated[
         list[str] | None, typer.Option("--transducer", help="Probe to draw from; repeatable.")
     ] = None,
-    changes: Annotated[
-        list[str] | None,
-        typer.Option("--set", help="Change a field: path.to.field=value; repeatable."),
-    ] = None,
+    changes: ChangesOption = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the first sequence.")] = None,
-    jobs: Annotated[int, typer.Option(help="Number of processes; -1 for one per core.")] = -1,
+    jobs: JobsOption = -1,
     json_path: JsonOption = None,
 ) -> None:
     """Make labelled sequences of needles, tissues and probes drawn at random.
@@ -63,8 +66,8 @@ def reproduce_command(
     ] = False,
     seeds: Annotated[int | None, typer.Option(help="Number of seeds per experiment.")] = None,
     first_seed: Annotated[int, typer.Option(help="First seed.")] = 0,
-    out: Annotated[Path | None, typer.Option(help="Folder for the results.")] = None,
-    jobs: Annotated[int, typer.Option(help="Number of processes; -1 for one per core.")] = -1,
+    out: OutOption = None,
+    jobs: JobsOption = -1,
     json_path: JsonOption = None,
 ) -> None:
     """Repeat a paper's experiments over many seeds, and compare with its figures and the truth.

@@ -88,6 +88,16 @@ def format_figure(value: Any) -> str:
     return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
+def _make_bar(console: Console) -> RichProgress:
+    return RichProgress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.fields[state]}"),
+        TimeRemainingColumn(),
+        console=console,
+    )
+
+
 class Progress:
     """Progress bar of a run, with the tracker's status.
 
@@ -105,13 +115,7 @@ class Progress:
         self._console = console
         self._duration = scenario.duration
         self._name = scenario.name
-        self._bar = RichProgress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TextColumn("{task.fields[state]}"),
-            TimeRemainingColumn(),
-            console=console,
-        )
+        self._bar = _make_bar(console)
         self._task = self._bar.add_task(
             "starting (the first run compiles kernels for half a minute) ...",
             total=scenario.duration,
@@ -160,13 +164,7 @@ class VolumeProgress:
     """
 
     def __init__(self, console: Console, name: str, count: int) -> None:
-        self._bar = RichProgress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TextColumn("{task.fields[state]}"),
-            TimeRemainingColumn(),
-            console=console,
-        )
+        self._bar = _make_bar(console)
         self._count = count
         self._task = self._bar.add_task(name, total=count, state="")
 

@@ -162,7 +162,8 @@ def track_recording(
     for name, system in (("needle_tracker", tracker), ("run_logger", logger)):
         builder.AddNamedSystem(name, system)
     for port in ("estimate", "measurement", "detection"):
-        builder.Connect(tracker.GetOutputPort(port), logger.GetInputPort(port))
+        if tracker.HasOutputPort(port):
+            builder.Connect(tracker.GetOutputPort(port), logger.GetInputPort(port))
     builder.ExportInput(tracker.GetInputPort("volume"), "volume")
     for port in ("X_WP", "X_WT", "needle", "contact_force"):
         builder.ExportInput(logger.GetInputPort(port), port)

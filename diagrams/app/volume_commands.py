@@ -15,6 +15,7 @@ from sonoservo.diagrams.app.options import (
     JsonOption,
     MotorOption,
     OrderOption,
+    OutOption,
     PatienceOption,
     PosesOption,
     RateOption,
@@ -37,7 +38,7 @@ def track_command(
         ),
     ],
     tracker: Annotated[
-        str, typer.Option(help="Tracker: chatelain2013 or zhao2012.")
+        str, typer.Option(help="Name of a tracker, such as chatelain2013 or zhao2012.")
     ] = "chatelain2013",
     order: OrderOption = 2,
     start: Annotated[
@@ -76,7 +77,7 @@ def track_command(
     ] = False,
     volumes: VolumesOption = None,
     patience: PatienceOption = None,
-    out: Annotated[Path | None, typer.Option(help="Folder for the results.")] = None,
+    out: OutOption = None,
     json_path: JsonOption = None,
 ) -> None:
     """Track a needle through recorded or live volumes, and write a folder of results."""

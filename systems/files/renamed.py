@@ -1,4 +1,4 @@
-"""Former names and places of fields, and fields that are no more: for errors about old files."""
+"""Former names and places of fields, and removed fields, for errors about old files."""
 
 from collections.abc import Container, Mapping
 
@@ -29,18 +29,18 @@ _PREFIXES = {"least_": "min_", "largest_": "max_", "greatest_": "max_"}
 _SUFFIXES = {"_deviation": "_std"}
 
 _DIVIDED = ("kalman_filter", "axis_tip_filter")
-"""Parts of a tracker of which some fields went to its ``filter`` and most to its ``track``."""
+"""Former parts of a tracker; some of their fields are now in ``filter`` and most in ``track``."""
 
 _OF_FILTER = ("motion", "turning", "first_speed_std", "first_drift_std", "velocity_gate")
 
 
 def current_name(name: str, known: Container[str]) -> str | None:
-    """Return the present name of a field that had another one before, or None.
+    """Return the present name of a field that was renamed, or None.
 
     Parameters
     ----------
     name
-        As it was found in a file.
+        Name of the field as found in a file.
     known
         Present names of the fields.
     """
@@ -60,9 +60,9 @@ def moved_fields(path: str, value: object) -> dict[str, str]:
     Parameters
     ----------
     path
-        Path of a field that is not known any more, as it was found in a file.
+        Path of a field that no longer exists, as found in a file.
     value
-        Value of the field; a mapping's own fields may have gone to different places.
+        Value of the field. The fields of a mapping may have moved to different places.
     """
     *parents, name = path.split(".")
     if name == "order" and parents[-1:] == ["localizer"]:
@@ -78,5 +78,5 @@ def moved_fields(path: str, value: object) -> dict[str, str]:
 
 
 def removed(name: str) -> str | None:
-    """Return what took the place of a field that is no more, or None."""
+    """Return a hint on the replacement of a field that was removed, or None."""
     return _REMOVED.get(name)

@@ -1,4 +1,4 @@
-"""A volume made of 2D frames, each with its own pose and time."""
+"""Volume reconstructed from 2D frames, each with its own pose and time."""
 
 from dataclasses import dataclass
 
@@ -12,17 +12,19 @@ from sonoservo.systems.signals.volume import Volume
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ReconstructedVolume(Volume):
-    """A volume whose voxels lie where the frames saw them, in a frame P that does not move.
+    """Volume with voxels at the positions seen by the frames, in a frame P that does not move.
+
+    The other parameters are those of `Volume`.
 
     Parameters
     ----------
     frames
-        (nx, ny, nz) float32 number of the frame that each voxel was seen in, with fractions between
-        two frames; NaN where no frame has passed, or the gap between two was too wide.
+        (nx, ny, nz) float32 number of the frame in which each voxel was seen, fractional between
+        two frames. It is NaN for voxels that no frame has passed, and in gaps that are too wide.
     frame_times
-        (n,) time of each frame in s.
+        (n,) times of the frames in s.
     frame_poses
-        (n, 4, 4) pose of each frame in W, in m: X along its rows of pixels, Y along its depth.
+        (n, 4, 4) poses of the frames in W, in m: X along the rows of pixels, Y along the depth.
 
     Raises
     ------
@@ -46,11 +48,11 @@ class ReconstructedVolume(Volume):
 
     @property
     def holes(self) -> NDArray[np.bool_]:
-        """(nx, ny, nz) whether no frame has passed there."""
+        """(nx, ny, nz) flags of the voxels without a frame."""
         return np.isnan(self.frames)
 
     def frame_at(self, p_P: ArrayLike) -> NDArray[np.float64]:
-        """Return (m,) numbers of the frames, with fractions, that saw positions in P; or NaN."""
+        """Return the (m,) fractional numbers of the frames that saw positions in P, or NaN."""
         last = np.array(self.frames.shape) - 1
         index = np.round(np.reshape(self.index(p_P), (-1, 3)))
         inside = ((index >= 0) & (index <= last)).all(axis=1)
@@ -58,9 +60,9 @@ class ReconstructedVolume(Volume):
         return np.where(inside, self.frames[i, j, k], np.nan)
 
     def to_world(self, p_P: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Positions in W, in m, and times, in s, at which positions in P were acquired.
+        """Return positions in W, in m, and times, in s, at which positions in P were acquired.
 
-        Where no frame has passed the time is the volume's.
+        The time is the volume's for positions that no frame has passed.
         """
         p_P = np.reshape(np.asarray(p_P, dtype=float), (-1, 3))
         frame = self.frame_at(p_P)

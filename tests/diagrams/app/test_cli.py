@@ -3,6 +3,7 @@ import subprocess
 import sys
 
 import pytest
+from commands import sonoservo
 from typer.testing import CliRunner
 
 from sonoservo.diagrams.app.cli import app
@@ -10,17 +11,6 @@ from sonoservo.diagrams.experiments.registry import list_scenarios, load_scenari
 from sonoservo.systems.files.typed_yaml import ConfigurationError
 
 runner = CliRunner()
-
-
-def sonoservo(*arguments):
-    """The command as a person runs it: a process of its own."""
-    return subprocess.run(
-        [sys.executable, "-c", "from sonoservo.diagrams.app.cli import main; main()", *arguments],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
 
 
 def test_list_names_every_scenario(tmp_path):

@@ -1,10 +1,9 @@
 import json
-import subprocess
-import sys
 
 import nrrd
 import numpy as np
 import pytest
+from commands import sonoservo
 from PIL import Image
 from pydrake.math import RigidTransform, RotationMatrix
 
@@ -14,16 +13,6 @@ from sonoservo.systems.evaluation.scan_sheet import scan_sheet
 from sonoservo.systems.files.typed_yaml import ConfigurationError
 
 SCENARIO = "chatelain2013_fig5"
-
-
-def sonoservo(*arguments):
-    return subprocess.run(
-        [sys.executable, "-c", "from sonoservo.diagrams.app.cli import main; main()", *arguments],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
 
 
 @pytest.fixture(scope="module")
