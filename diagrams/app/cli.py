@@ -1,6 +1,6 @@
 """The command line of ``sonoservo``, and its commands on one scenario.
 
-A command imports what it needs when it is called, so that help comes at once.
+A command imports what it needs only when it is called, so that help appears at once.
 """
 
 import sys
@@ -12,6 +12,7 @@ import typer
 
 from sonoservo.diagrams.app.options import (
     ChangesOption,
+    ExplainOption,
     HostOption,
     JsonOption,
     OutOption,
@@ -36,13 +37,13 @@ app = typer.Typer(
 
 @app.command("list")
 def list_command(json_path: JsonOption = None) -> None:
-    """List the scenarios that come with the package."""
+    """List the built-in scenarios."""
     from rich.table import Table
 
     from sonoservo.diagrams.experiments.registry import describe_scenarios
 
     rows = describe_scenarios()
-    table = Table("scenario", "what happens")
+    table = Table("scenario", "description")
     for name, description in rows.items():
         table.add_row(name, description)
     console.print(table)
@@ -55,19 +56,20 @@ def run_command(
     changes: ChangesOption = None,
     seed: SeedOption = None,
     out: OutOption = None,
-    meshcat: Annotated[bool, typer.Option(help="Show the run in a browser, at real time.")] = True,
+    meshcat: Annotated[bool, typer.Option(help="Show the run in a browser, in real time.")] = True,
     host: HostOption = "localhost",
     record: Annotated[
-        Path | None, typer.Option(help="Record the volumes, with the truth: FILE.seq.nrrd.")
+        Path | None, typer.Option(help="Record the volumes and the truth to NAME.seq.nrrd.")
     ] = None,
     record_sweeps: Annotated[
-        bool, typer.Option("--record-sweeps", help="Record the sweeps too, as acquired.")
+        bool, typer.Option("--record-sweeps", help="Also record the sweeps as acquired.")
     ] = False,
+    explain: ExplainOption = False,
     serve: ServeOption = None,
     wait_for: WaitOption = 0,
     json_path: JsonOption = None,
 ) -> None:
-    """Run a scenario; end with a table of figures and a folder of results."""
+    """Run a scenario, print its figures and write a folder of results."""
     from sonoservo.diagrams.app.live.commands import serving
     from sonoservo.diagrams.app.run import run
     from sonoservo.diagrams.app.terminal import (
@@ -94,11 +96,12 @@ def run_command(
             monitor=monitor,
             record=record,
             record_sweeps=record_sweeps,
+            explain=explain,
             observers=observers,
             after_step=progress,
         )
     console.print(summary_table(result, loaded.published_figures))
-    console.print(f"Results, starting with the report: {folder / 'report.html'}", soft_wrap=True)
+    console.print(f"Report: {folder / 'report.html'}", soft_wrap=True)
     write_printed(json_path, result.summary)
     if result.summary["interrupted"]:
         raise typer.Exit(130)
@@ -109,7 +112,7 @@ def drive_command(
     scenario: ScenarioArgument = "drive",
     changes: ChangesOption = None,
     seed: SeedOption = None,
-    duration: Annotated[float, typer.Option(help="Longest simulated time, in s.")] = 600.0,
+    duration: Annotated[float, typer.Option(help="Maximum simulated time, in s.")] = 600.0,
     out: OutOption = None,
     host: HostOption = "localhost",
     serve: ServeOption = None,
@@ -117,8 +120,9 @@ def drive_command(
 ) -> None:
     """Push the needle, move the phantom and set the controller yourself, in a browser.
 
-    The scenario's own pushes, moves and changes are left out. What you do is kept as scenario.yaml,
-    which `sonoservo run` repeats. Finish in the page, or with Ctrl-C.
+    The scenario's own pushes, moves and changes are ignored. Your actions are saved as
+    scenario.yaml in the output folder; `sonoservo run` repeats them. Finish in the page or with
+    Ctrl-C.
     """
     from sonoservo.diagrams.app.drive import DRIVING, drive
     from sonoservo.diagrams.app.kept_run import refusing
@@ -154,9 +158,9 @@ def drive_command(
             show=progress.show,
         )
     console.print(summary_table(result))
-    console.print(f"Results, starting with the report: {folder / 'report.html'}", soft_wrap=True)
+    console.print(f"Report: {folder / 'report.html'}", soft_wrap=True)
     again = f"sonoservo run {folder / 'scenario.yaml'}"
-    console.print(f"The same again: {again}", soft_wrap=True)
+    console.print(f"To repeat this run: {again}", soft_wrap=True)
     write_printed(json_path, result.summary)
 
 
@@ -164,14 +168,15 @@ def drive_command(
 def scan_command(
     scenario: ScenarioArgument,
     time: Annotated[
-        float | None, typer.Option(help="When, in s; by default when the needle is deepest.")
+        float | None,
+        typer.Option(help="Time of the sweep, in s; by default, when the needle is deepest."),
     ] = None,
     changes: ChangesOption = None,
     seed: SeedOption = None,
     out: OutOption = None,
     json_path: JsonOption = None,
 ) -> None:
-    """Show what the scanner sees: one sweep, as a picture and as a volume for 3D Slicer."""
+    """Acquire one sweep; write it as a picture and as a volume for 3D Slicer."""
     from sonoservo.diagrams.app.scan import caption, scan, summarize_scan, write_scan
     from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
     from sonoservo.diagrams.experiments.registry import load_scenario
@@ -192,6 +197,41 @@ def scan_command(
     write_printed(json_path, summary)
 
 
+@app.command("explain")
+def explain_command(
+    folder: Annotated[Path, typer.Argument(help="Folder of a run made with --explain.")],
+    time: Annotated[
+        float | None, typer.Option(help="Draw the kept volume nearest to this time, in s.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Picture, FILE.png; by default in the run's folder.")
+    ] = None,
+    json_path: JsonOption = None,
+) -> None:
+    """Show why an estimate was wrong: what the tracker looked at, beside the truth.
+
+    Without --time the volumes that were kept are listed.
+    """
+    from sonoservo.diagrams.app.explain import explanation_table, read_explained_run
+    from sonoservo.systems.evaluation.explanation.explanation_sheet import describe
+    from sonoservo.systems.evaluation.plots import png
+    from sonoservo.systems.files.writing import write_atomically
+
+    explained_run = read_explained_run(folder)
+    if time is None:
+        rows = explained_run.rows()
+        console.print(explanation_table(rows))
+        console.print(f"Draw one of them: sonoservo explain {folder} --time T", soft_wrap=True)
+        write_printed(json_path, rows)
+        return
+    explained = explained_run.nearest(time)
+    path = out or folder / f"explanation_{float(explained.volume_time):.2f}s.png"
+    write_atomically(path, png(explained_run.sheet(explained)))
+    console.print(describe(explained, explained_run.tip_error(explained)), soft_wrap=True)
+    console.print(f"Drawn: {path}", soft_wrap=True)
+    write_printed(json_path, explained_run.row(explained))
+
+
 for _command in (
     track_command,
     bridge_command,
@@ -203,7 +243,7 @@ for _command in (
 
 
 def main() -> None:
-    """Run the command line; a user's mistake is one line and exit code 2."""
+    """Run the command line; a user's mistake gives one line of text and exit code 2."""
     try:
         app()
     except (ConfigurationError, OSError) as error:

@@ -1,4 +1,4 @@
-"""A tracker on recorded volumes: the needle in each, and the files that remain."""
+"""Tracking in recorded volumes, and its output files."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -19,6 +19,8 @@ from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
 from sonoservo.diagrams.trackers.registry import TRACKERS
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
 from sonoservo.systems.estimation.track import TrackParameters
+from sonoservo.systems.evaluation.explanation.explanation_files import clear_explanations
+from sonoservo.systems.evaluation.explanation.explanation_recorder import ExplanationRecorder
 from sonoservo.systems.evaluation.log import write_log
 from sonoservo.systems.evaluation.metrics import summarize
 from sonoservo.systems.evaluation.plots import plot_errors, png
@@ -42,23 +44,23 @@ if TYPE_CHECKING:
     from sonoservo.systems.display.monitor.monitor import Monitor
 
 _PICTURES = 6
-"""Volumes of a recording that the report shows."""
+"""Number of volumes of a recording that the report shows."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrackedRecording:
-    """What a tracker made of a recording.
+    """Results of tracking in a recording.
 
     Parameters
     ----------
     estimates
-        After each volume, in W.
+        Estimate after each volume, in W.
     rows
-        The same in the file's own coordinates, LPS in mm: what ``estimates.csv`` holds.
+        Rows of ``estimates.csv``: the estimates in the file's own coordinates, LPS in mm.
     summary
         Figures, as in summary.json.
     log
-        As of a run; the truth in it is what lay beside the recording.
+        Log like that of a run; its truth is the one beside the recording, if there is one.
     """
 
     estimates: list[NeedleEstimate]
@@ -69,7 +71,7 @@ class TrackedRecording:
 
 @dataclass
 class _Progress:
-    """What has come out so far."""
+    """Results so far."""
 
     times: list[float] = field(default_factory=list)
     estimates: list[NeedleEstimate] = field(default_factory=list)
@@ -88,15 +90,15 @@ def tracker_parameters(
     tracker
         Kind of one of the `TRACKERS`.
     order
-        2 for a straight needle, 3 for a bent one.
+        Order of the curve: 2 for a straight needle, 3 for a bent one.
     start
-        "search": the needle is found when it is pushed in. "anywhere": it is localized in the whole
-        volume from the first volume on, so that no insertion need be seen.
+        "search" to find the needle when it is pushed in; "anywhere" to localize it in the whole
+        volume from the first volume on, without seeing the insertion.
 
     Raises
     ------
     ConfigurationError
-        Naming what is not allowed.
+        If a value is not allowed; the message names it.
     """
     trackers = {each.kind: each for each in TRACKERS}
     starts = ("search", "anywhere")
@@ -118,39 +120,46 @@ def track_recording(
     real_time: bool = False,
     monitor: "Monitor | None" = None,
     out: Path | None = None,
+    explain: bool = False,
     command: str = "",
     after_volume: Callable[[int, NeedleEstimate], None] | None = None,
 ) -> TrackedRecording:
     """Track a needle through a recording, to its end or until interrupted from the keyboard.
 
-    A recording that `run` made gives the estimates that the run had, to the last bit, with the
-    run's tracker. Truth that lies beside a recording is compared with, never tracked with.
+    With the run's tracker, a recording made by `run` gives bit for bit the estimates of that run.
+    Ground truth beside a recording is used for comparison only, never for tracking.
 
     Parameters
     ----------
     recording
-        To track in.
+        Recording to track in.
     parameters
-        Which tracker, and its parts.
+        Parameters of the tracker, whose class selects it.
     seed
-        Of every random choice; by default the recorder's, or else 0.
+        Seed of every random choice; by default the recorder's, or else 0.
     real_time
-        Whether to go no faster than the volumes were acquired.
+        Whether to limit the pace to that of the acquisition.
     monitor
-        Where to show the volumes.
+        Monitor that shows the volumes, if any.
     out
         Folder for estimates.csv, estimates.json, summary.json, log.npz, plots and report.html; None
-        keeps nothing.
+        writes nothing.
+    explain
+        Whether to keep, in the folder's subfolder ``explanation``, what the tracker looked at
+        around a loss; see `ExplanationRecorder`.
     command
-        That repeats this, for the report.
+        Command that repeats the tracking, for the report.
     after_volume
-        Called after every volume, with its number and the estimate.
+        Function called after every volume with its number and the estimate.
 
     Raises
     ------
     ConfigurationError
-        If the recording, or the truth beside it, is damaged.
+        If the recording, or the truth beside it, is damaged, or there is no folder for what is to
+        be explained.
     """
+    if explain and out is None:
+        raise ConfigurationError("explain: there is no folder to keep explanations in; give out")
     seed = int(recording.settings.get("tracker_seed", 0)) if seed is None else seed
     truth_path = side_path(recording.path, TRUTH)
     truth = read_truth(truth_path) if truth_path.is_file() else None
@@ -165,6 +174,15 @@ def track_recording(
         if tracker.HasOutputPort(port):
             builder.Connect(tracker.GetOutputPort(port), logger.GetInputPort(port))
     builder.ExportInput(tracker.GetInputPort("volume"), "volume")
+    if out is not None:
+        clear_explanations(out)
+    if explain and out is not None:
+        if not tracker.HasOutputPort("explanation"):
+            raise ConfigurationError("explain: this tracker has no output 'explanation'")
+        recorder = builder.AddNamedSystem("explanation_recorder", ExplanationRecorder(folder=out))
+        for port in ("estimate", "explanation", "detection"):
+            builder.Connect(tracker.GetOutputPort(port), recorder.GetInputPort(port))
+        builder.ConnectInput("volume", recorder.GetInputPort("volume"))
     for port in ("X_WP", "X_WT", "needle", "contact_force"):
         builder.ExportInput(logger.GetInputPort(port), port)
     diagram = builder.Build()

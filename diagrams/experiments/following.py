@@ -1,4 +1,4 @@
-"""Following: the robot finds a needle in its volumes, keeps it centred and presses the probe."""
+"""Following: the robot finds a needle in volumes, keeps it centred and presses the probe."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -25,6 +25,7 @@ from sonoservo.systems.control.controller_schedule import ControllerSchedule
 from sonoservo.systems.control.scheduled_settings import ScheduledSettings
 from sonoservo.systems.display.monitor.scanner_monitor import ScannerMonitor
 from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
+from sonoservo.systems.evaluation.explanation.explanation_recorder import ExplanationRecorder
 from sonoservo.systems.evaluation.metrics import LABELS, MetricsParameters, summarize
 from sonoservo.systems.evaluation.plots import plot_errors, plot_run
 from sonoservo.systems.evaluation.run_log import RunLog
@@ -46,18 +47,19 @@ if TYPE_CHECKING:
     from sonoservo.systems.display.monitor.monitor import Monitor
 
 _OBSERVERS = ("scanner", "run_logger", "world_view", "volume_recorder")
-"""Systems that see the truth, besides the station and the sources that make it."""
+"""Systems that see the truth, apart from the station and the sources that produce it."""
 
 
 class FollowingExperiment(Experiment[FollowingScenario]):
-    """The loop of station, hand, scanner, tracker and controller.
+    """Closed loop of station, hand, scanner, tracker and controller.
 
     .. pydrake_system::
 
         name: (the scenario's)
 
     The subsystems are station, scanner, scan_converter, needle_tracker, probe_controller,
-    run_logger, the sources and, if wanted, world_view, scanner_monitor and volume_recorder.
+    run_logger, the sources, the observers and, on request, world_view, scanner_monitor,
+    volume_recorder and explanation_recorder.
 
     Parameters
     ----------
@@ -70,9 +72,9 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         needle, phantom_command, gain and force_target. By default they are phantom_motion, hand and
         controller_settings, which follow the scenario.
     tracker
-        System that takes the place of the scenario's tracker, with the input volume and the output
-        estimate. The log keeps its outputs measurement and detection too, if it has them.
-        `tracker_events` tells when it should look for a volume.
+        System that replaces the scenario's tracker, with the input volume and the output estimate.
+        If it has outputs measurement and detection, they are logged too. `tracker_events` returns
+        the times at which it should look for a volume.
     monitor
         Monitor that shows the volumes, if any.
     film
@@ -80,10 +82,12 @@ class FollowingExperiment(Experiment[FollowingScenario]):
     record
         File to which the volumes are recorded, ``NAME.seq.nrrd``, if any. Call `close` at the end.
     record_sweeps
-        Whether to record the sweeps too.
+        Whether to also record the sweeps.
+    explain
+        Folder of the run that keeps what the tracker looked at around a loss, if any.
     observers
-        Systems without outputs that look on, by name, such as senders of a live connection.
-        `observer_events` tells when they should look for a volume.
+        Observing systems without outputs, by name, such as senders of a live connection.
+        `observer_events` returns the times at which they should look for a volume.
 
     Raises
     ------
@@ -92,7 +96,9 @@ class FollowingExperiment(Experiment[FollowingScenario]):
     """
 
     scenario_class = FollowingScenario
-    options = frozenset({"meshcat", "monitor", "observers", "record", "record_sweeps", "tracker"})
+    options = frozenset(
+        {"explain", "meshcat", "monitor", "observers", "record", "record_sweeps", "tracker"}
+    )
     labels = LABELS
 
     def __init__(
@@ -106,6 +112,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         film: bool = True,
         record: Path | None = None,
         record_sweeps: bool = False,
+        explain: Path | None = None,
         observers: Mapping[str, System] | None = None,
     ) -> None:
         scenario = require_scenario(scenario, FollowingScenario)
@@ -187,6 +194,10 @@ class FollowingExperiment(Experiment[FollowingScenario]):
                 truth_period=geometry.frame_period,
                 **a_moment_later,
             )
+        if explain is not None:
+            systems["explanation_recorder"] = ExplanationRecorder(
+                folder=explain, period=period, offset=a_moment_later["offset"]
+            )
         super().__init__(
             scenario,
             {**systems, **observers},
@@ -203,7 +214,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
 
     @property
     def estimate(self) -> NeedleEstimate:
-        """What the tracker estimates now."""
+        """Present estimate of the tracker."""
         return cast(NeedleEstimate, self.evaluate(self.needle_tracker, "estimate"))
 
     @property
@@ -212,11 +223,11 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         return str(self.estimate.mode)
 
     def log(self) -> RunLog:
-        """Return what has been logged so far."""
+        """Return the log so far."""
         return self.run_logger.log(self.context_of(self.run_logger), compute=self.compute)
 
     def summarize(self, log: RunLog) -> dict[str, Any]:
-        """Sum up a log, see `summarize`."""
+        """Summarise a log; see `summarize`."""
         return summarize(log, MetricsParameters(force_target=self._force_target()))
 
     def plots(self, log: RunLog) -> dict[str, tuple[str, Figure]]:
@@ -227,7 +238,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         }
 
     def _force_target(self) -> float | None:
-        """Force in N that the controller aims at; None if it changes on the way."""
+        """Return the controller's target force in N; None if it changes during the run."""
         happened = self.happened()
         changed = any(change.force is not None for change in happened.controller_changes)
         return None if changed else happened.controller.force.force
@@ -263,11 +274,11 @@ def tracker_events(scenario: Scenario) -> dict[str, float]:
 
 
 def observer_events(scenario: Scenario) -> dict[str, float]:
-    """Return when to look for a new volume and its estimate: period and offset, in s."""
+    """Return the period and offset in s at which to look for a new volume and its estimate."""
     events = tracker_events(scenario)
     return {"period": events["period"], "offset": events["offset"] + 2 * INSTANT}
 
 
 def recording_settings(scenario: FollowingScenario) -> dict[str, Any]:
-    """Return what a tracker of a scenario's volumes has to know besides them."""
+    """Return the settings that a tracker of a scenario's recorded volumes needs."""
     return {"tracker_seed": draw_seeds(scenario).tracker}
