@@ -143,8 +143,7 @@ class Scanner(LeafSystem):
         frames = snapshots.frames[:: snapshots.direction]
         X_WP = np.array([frame.X_WP.GetAsMatrix4() for frame in frames])
         X_TP = np.array([f.X_WT.InvertAndCompose(f.X_WP).GetAsMatrix4() for f in frames])
-        samples = self._renderer.render(
-            X_TP, [frame.needle for frame in frames], snapshots.direction, snapshots.number
-        )
         times = np.array([frame.time for frame in frames])
+        needles = [frame.needle for frame in frames]
+        samples = self._renderer.render(X_TP, needles, snapshots.direction, snapshots.number, times)
         return Sweep(samples, SweepMotion(self.geometry, snapshots.direction, times, X_WP))

@@ -10,16 +10,11 @@ from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.ultrasound.beam import FWHM_PER_SIGMA, transmitted_spectrum
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation import rendering
-from sonoservo.systems.ultrasound.simulation.bright_points import NeedleEchoParameters
 from sonoservo.systems.ultrasound.simulation.kernels.image_formation import compress, coupling
+from sonoservo.systems.ultrasound.simulation.needle_echo import NeedleEchoParameters
 from sonoservo.systems.ultrasound.simulation.rendering import ScannerParameters, SweepRenderer
-from sonoservo.systems.ultrasound.simulation.tissue import (
-    BLOCKS,
-    Ball,
-    Fibre,
-    ScattererTile,
-    Tissue,
-)
+from sonoservo.systems.ultrasound.simulation.scatterer_tile import BLOCKS, ScattererTile
+from sonoservo.systems.ultrasound.simulation.tissue import Ball, Fibre, Tissue
 from sonoservo.systems.ultrasound.transducer import Transducer
 
 NOWHERE = Needle(np.zeros((0, 3)), 0.635e-3)

@@ -1,0 +1,61 @@
+"""Frames of a sweep as the kernels see them: their poses, and the rays in each."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.signals.requirements import require
+from sonoservo.systems.signals.sweep import SweepGeometry
+from sonoservo.systems.ultrasound.beam import Beam
+from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import SIDE_LOBE_WIDTH
+from sonoservo.systems.ultrasound.simulation.kernels.projection import Rays
+
+
+def frame_rays(geometry: SweepGeometry, beam: Beam, direction: int, lead: int) -> Rays:
+    """Lines of every frame in F.
+
+    Parameters
+    ----------
+    geometry
+        Of the sweep; lengths are those in the tissue.
+    beam
+        Point spread function.
+    direction
+        +1 for a sweep towards +Z, -1 towards -Z.
+    lead
+        See `Rays`.
+    """
+    steps = geometry.frames * geometry.lines - 1
+    return Rays(
+        array_radius=np.float32(geometry.array_radius),
+        centre_offset=np.float32(geometry.array_radius - geometry.motor_radius),
+        lines_per_radian=np.float32(1 / geometry.line_pitch),
+        middle_line=np.float32((geometry.lines - 1) / 2),
+        twist=np.float32(direction * geometry.frame_pitch * geometry.frames / steps),
+        samples_per_metre=np.float32(1 / geometry.sample_pitch),
+        turns_per_metre=np.float32(2 / beam.wavelength),
+        lead=lead,
+        side_lobes=np.float32(beam.side_lobes / SIDE_LOBE_WIDTH),
+    )
+
+
+def frame_poses(geometry: SweepGeometry, X_TP: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(frames, 3, 4) pose of the tissue in each frame's F, from (frames, 4, 4) of P in T."""
+    require(X_TP.shape == (geometry.frames, 4, 4), "X_TP", X_TP.shape, "(frames, 4, 4)")
+    theta = geometry.line_angles(1).mean(axis=1)
+    X_FP = np.zeros((geometry.frames, 4, 4))
+    X_FP[:, 0, 0] = X_FP[:, 3, 3] = 1
+    X_FP[:, 1, 1] = X_FP[:, 2, 2] = np.cos(theta)
+    X_FP[:, 1, 2] = np.sin(theta)
+    X_FP[:, 2, 1] = -np.sin(theta)
+    X_FP[:, :, 3] += X_FP[:, :, 1] * geometry.motor_radius
+    return np.ascontiguousarray((X_FP @ np.linalg.inv(X_TP))[:, :3])
+
+
+def line_rays(
+    geometry: SweepGeometry, direction: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(frames, lines, 3) origin on the face and unit direction of every line, in P."""
+    frames, lines, _ = np.ogrid[: geometry.frames, : geometry.lines, :1]
+    start = geometry.position(frames, lines, 0, direction)[:, :, 0]
+    along = geometry.position(frames, lines, 1, direction)[:, :, 0] - start
+    return start, along / geometry.sample_pitch

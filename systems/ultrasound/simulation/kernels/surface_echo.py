@@ -1,0 +1,296 @@
+"""Echoes of smooth surfaces, with their shadow, their reverberation and their ring-down."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from sonoservo.systems.sampling.options import OPTIONS
+from sonoservo.systems.ultrasound.simulation.kernels.medium import (
+    apparent_position,
+    arrival_direction,
+)
+from sonoservo.systems.ultrasound.simulation.kernels.projection import (
+    FRACTIONS,
+    line_coordinates,
+    phasor,
+)
+
+_FURTHEST = 3.0**2 / 2
+_FAINTEST = 0.01
+_NYQUIST_POWER = 8
+_OWN_SHADOW = 2.5e-3
+
+
+class Pieces(NamedTuple):
+    """Pieces of surfaces."""
+
+    points: NDArray[np.float64]
+    """(n, 3) in T, in m."""
+    normals: NDArray[np.float64]
+    """(n, 3) outward, in T."""
+    surfaces: NDArray[np.int64]
+    """(n,) surface that each belongs to."""
+    specular: NDArray[np.float64]
+    """(n,) amplitudes, all in phase."""
+    diffuse: NDArray[np.complex128]
+    """(n,) amplitudes, in phases that the surface fixes."""
+    blocked: NDArray[np.float64]
+    """(n,) area in m^2 that lets no sound through, both ways."""
+    steps: NDArray[np.float64]
+    """(n,) distance to the next piece in m."""
+    one_sided: NDArray[np.bool_]
+    """(surfaces,) whether only the outer side reflects."""
+    reverberation: NDArray[np.float64]
+    """(surfaces,) amplitude of each echo by way of the face, relative to the one before."""
+    pulses: NDArray[np.int64]
+    """(surfaces,) which pulse each sends back."""
+
+
+@njit(**OPTIONS)
+def _in_frame(i, X_FT, pieces, growth, medium, frame, rays):  # type: ignore[no-untyped-def]
+    """Apparent position in F of a piece, and the cosine of the sound's angle to its normal."""
+    surface = pieces.surfaces[i]
+    nx = pieces.normals[i, 0]
+    ny = pieces.normals[i, 1]
+    nz = pieces.normals[i, 2]
+    x = pieces.points[i, 0] + growth[surface] * nx
+    y = pieces.points[i, 1] + growth[surface] * ny
+    z = pieces.points[i, 2] + growth[surface] * nz
+    px = X_FT[0, 0] * x + X_FT[0, 1] * y + X_FT[0, 2] * z + X_FT[0, 3]
+    py = X_FT[1, 0] * x + X_FT[1, 1] * y + X_FT[1, 2] * z + X_FT[1, 3]
+    pz = X_FT[2, 0] * x + X_FT[2, 1] * y + X_FT[2, 2] * z + X_FT[2, 3]
+    if medium is None:
+        q = py + rays.centre_offset
+        r = np.sqrt(px * px + q * q)
+        ux = px / r
+        uy = q / r
+        uz = 0.0
+    else:
+        px, py, pz = apparent_position(px, py, pz, medium, frame)
+        ux, uy, uz = arrival_direction(px, py, pz, medium, frame)
+    fx = X_FT[0, 0] * nx + X_FT[0, 1] * ny + X_FT[0, 2] * nz
+    fy = X_FT[1, 0] * nx + X_FT[1, 1] * ny + X_FT[1, 2] * nz
+    fz = X_FT[2, 0] * nx + X_FT[2, 1] * ny + X_FT[2, 2] * nz
+    return px, py, pz, fx * ux + fy * uy + fz * uz
+
+
+@njit(**OPTIONS)
+def _add_piece(  # type: ignore[no-untyped-def]
+    layer, loss, x, y, z, times, specular, diffuse, blocked, step, sine, rays, tables, pulse
+):
+    """Add one piece's echo, or its echo after ``times`` ways to the face and back.
+
+    Parameters
+    ----------
+    layer
+        (2, lines, samples + 2 taps) float32, added to.
+    loss
+        (lines, samples) float32: share of the amplitude that each sample takes from those behind
+        it, added to; (0, 0) for none.
+    x, y, z
+        Apparent position in F.
+    times
+        1 for the first echo, 2 for the one that went twice, ...
+    specular, diffuse, blocked, step
+        See `Pieces`.
+    sine
+        Of the sound's angle to the normal.
+    rays, tables, pulse
+        See `bright_echo`.
+    """
+    lines = layer.shape[1]
+    taps = pulse.shape[2]
+    pad = (layer.shape[2] - tables.bright.size) // 2
+    samples = layer.shape[2] - 2 * pad
+    line, e, r = line_coordinates(x, y, z, rays)
+    depth = r - rays.array_radius
+    at = np.int64(depth * rays.samples_per_metre + 0.5)
+    if at < 0 or at >= samples:
+        return
+    precision_e = tables.elevation_precision[at]
+    u = precision_e * e * e
+    if u > _FURTHEST:
+        return
+    path = times * (depth + 0.5 * tables.curvature[at] * e * e)
+    sample = path * rays.samples_per_metre
+    k = np.int64(sample)
+    if sample < 0 or k >= samples:
+        return
+    # In phase from piece to piece, the echoes make the angle's law by themselves, as long as the
+    # pieces are dense enough for the angle; beyond, mirrored sound is long gone.
+    turns = 2 * times * rays.turns_per_metre * step * sine / 0.8
+    squared = turns * turns
+    smooth = np.exp(-(squared ** (_NYQUIST_POWER // 2)))
+    fraction = np.int64((sample - k) * FRACTIONS + 0.5)
+    c, s = phasor(np.float32(path * rays.turns_per_metre))
+    bright = tables.bright[at]
+    real = specular * smooth + diffuse.real
+    re = np.float32(bright * (real * c + diffuse.imag * s))
+    im = np.float32(bright * (diffuse.imag * c - real * s))
+    sigma = tables.line_sigma[at]
+    precision = 0.5 / (sigma * sigma)
+    reach = np.sqrt((_FURTHEST - u) / precision)
+    first = np.int64(max(np.ceil(line - reach), 0.0))
+    last = np.int64(min(np.floor(line + reach), lines - 1.0))
+    share = blocked * np.sqrt(precision_e * precision) / np.pi
+    share *= rays.lines_per_radian / max(r, 1e-3)
+    start = k - rays.lead + pad
+    audible = re * re + im * im > 1e-8
+    for j in range(first, last + 1):
+        main = np.float32(np.exp(-u - precision * (j - line) * (j - line)))
+        if audible:
+            a = main * re
+            b = main * im
+            for tap in range(taps):
+                layer[0, j, start + tap] += (
+                    a * pulse[0, fraction, tap] - b * pulse[1, fraction, tap]
+                )
+            for tap in range(taps):
+                layer[1, j, start + tap] += (
+                    a * pulse[1, fraction, tap] + b * pulse[0, fraction, tap]
+                )
+        if loss.size > 0:
+            loss[j, k] += np.float32(share) * main
+
+
+@njit(**OPTIONS)
+def _cast_shadows(transmission, layer, loss, margin, pad):  # type: ignore[no-untyped-def]
+    """Weaken a frame's transmission, (lines, samples), and its layer behind what takes sound.
+
+    A surface does not shade its own echo: what it takes counts in the layer only ``margin``
+    samples behind.
+    """
+    lines, samples = loss.shape
+    for j in range(lines):
+        taken = np.float32(0)
+        late = np.float32(0)
+        for i in range(samples):
+            through = transmission[j, i] * max(np.float32(1) - late, np.float32(0))
+            layer[0, j, i + pad] *= through
+            layer[1, j, i + pad] *= through
+            transmission[j, i] *= max(np.float32(1) - taken, np.float32(0))
+            taken += loss[j, i]
+            if i >= margin:
+                late += loss[j, i - margin]
+
+
+@njit(parallel=True, **OPTIONS)
+def render_surfaces(  # type: ignore[no-untyped-def]
+    iq, transmission, X_FT, pieces, growth, rays, tables, pulses, taps, medium
+):
+    """Add surfaces to every frame, and weaken what lies behind them.
+
+    Parameters
+    ----------
+    iq
+        (frames, lines, samples) complex64, changed.
+    transmission
+        (frames, lines, samples) float32, changed: factor on echoes from each sample.
+    X_FT
+        (frames, 3, 4) pose of the tissue in each F.
+    pieces
+        See `Pieces`.
+    growth
+        (frames, surfaces) way in m by which each surface lies further out.
+    rays, tables
+        Of the frames.
+    pulses, taps
+        (kinds, 2, FRACTIONS + 1, longest) float32 pulses, and (kinds,) how long each is.
+    medium
+        See `Medium`, or None.
+    """
+    frames, lines, samples = iq.shape
+    pad = pulses.shape[3]
+    furthest = rays.array_radius + samples / rays.samples_per_metre
+    slab = np.sqrt(_FURTHEST / tables.elevation_precision.min())
+    slab += abs(rays.twist) * rays.middle_line * furthest
+    if medium is not None:
+        slab += 5e-3
+    margin = np.int64(_OWN_SHADOW * rays.samples_per_metre)
+    for frame in prange(frames):
+        X = X_FT[frame]
+        seen = np.empty(len(pieces.points), np.int64)
+        count = 0
+        for i in range(len(pieces.points)):
+            z = X[2, 0] * pieces.points[i, 0] + X[2, 1] * pieces.points[i, 1]
+            z += X[2, 2] * pieces.points[i, 2] + X[2, 3]
+            if abs(z) < slab:
+                seen[count] = i
+                count += 1
+        if count > 0:
+            layer = np.zeros((2, lines, samples + 2 * pad), np.float32)
+            loss = np.zeros((lines, samples), np.float32)
+            no_loss = np.empty((0, 0), np.float32)
+            for number in range(count):
+                i = seen[number]
+                surface = pieces.surfaces[i]
+                x, y, z, cosine = _in_frame(i, X, pieces, growth[frame], medium, frame, rays)
+                if cosine > 0 and pieces.one_sided[surface]:
+                    continue
+                kind = pieces.pulses[surface]
+                sine = np.sqrt(max(1 - cosine * cosine, 0.0))
+                _add_piece(
+                    layer,
+                    loss,
+                    x,
+                    y,
+                    z,
+                    1.0,
+                    pieces.specular[i],
+                    pieces.diffuse[i] * abs(cosine),
+                    pieces.blocked[i] * abs(cosine),
+                    pieces.steps[i],
+                    sine,
+                    rays,
+                    tables,
+                    pulses[kind, :, :, : taps[kind]],
+                )
+            _cast_shadows(transmission[frame], layer, loss, margin, pad)
+            for number in range(count):
+                i = seen[number]
+                surface = pieces.surfaces[i]
+                level = pieces.reverberation[surface]
+                if level == 0:
+                    continue
+                x, y, z, cosine = _in_frame(i, X, pieces, growth[frame], medium, frame, rays)
+                if cosine > 0 and pieces.one_sided[surface]:
+                    continue
+                sine = np.sqrt(max(1 - cosine * cosine, 0.0))
+                kind = pieces.pulses[surface]
+                again = level
+                times = 2.0
+                while again > _FAINTEST:
+                    _add_piece(
+                        layer,
+                        no_loss,
+                        x,
+                        y,
+                        z,
+                        times,
+                        pieces.specular[i] * again,
+                        0j,
+                        0.0,
+                        pieces.steps[i],
+                        sine,
+                        rays,
+                        tables,
+                        pulses[kind, :, :, : taps[kind]],
+                    )
+                    again *= level
+                    times += 1
+            _join(iq[frame], transmission[frame], layer, pad)
+        else:
+            _join(iq[frame], transmission[frame], np.zeros((2, 0, 0), np.float32), pad)
+
+
+@njit(**OPTIONS)
+def _join(iq, transmission, layer, pad):  # type: ignore[no-untyped-def]
+    """Weaken a frame's echoes and add its layer, if it has lines."""
+    for j in range(iq.shape[0]):
+        for i in range(iq.shape[1]):
+            iq[j, i] *= transmission[j, i]
+        if layer.shape[1] > 0:
+            for i in range(iq.shape[1]):
+                iq[j, i] += complex(layer[0, j, i + pad], layer[1, j, i + pad])
