@@ -53,7 +53,7 @@ class PulseTables:
     def ring_down(
         self, level_db: float, length: float, depth: float, rng: np.random.Generator
     ) -> NDArray[np.float32]:
-        """An echo and the noise-like reverberation behind it.
+        """Noise-like reverberation behind an echo.
 
         Parameters
         ----------
@@ -70,7 +70,7 @@ class PulseTables:
         overlap = np.sqrt(np.pi) * self._beam.axial / _RING_DOWN_STEP
         levels = rng.normal(size=(len(distances), 2)) @ [1, 1j] / np.sqrt(2 * overlap)
         levels = levels * 10 ** (level_db / 20 - distances / length)
-        return self.tabulate([1.0, *levels], [0.0, *distances])
+        return self.tabulate([*levels], [*distances])
 
 
 def stacked(tables: Sequence[NDArray[np.float32]]) -> tuple[NDArray[np.float32], NDArray[np.int64]]:

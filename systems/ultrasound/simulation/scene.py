@@ -18,7 +18,7 @@ from sonoservo.systems.ultrasound.simulation.structures.structure import Tube
 from sonoservo.systems.ultrasound.simulation.structures.surface import Surface, SurfaceEcho
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 
-_DENSITY = 0.8
+_DENSITY = 1.0
 _MAX_PIECES = 3_000_000
 _NODE = 1e-3
 _NO_FAT = -1e9

@@ -213,6 +213,8 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
         widest *= _BENT
         thickness += _BENT_ASIDE
         turned = np.empty((3, 3))
+        widest_slope = np.tan(min(widest, 1.5))
+        straight = np.ascontiguousarray(X_FT[:, :3])
     first, last = _frame_blocks(X_FT, box, block_size, depth, widest, thickness, rays)
     largest = 0
     for block in range(starts.size - 1):
@@ -235,9 +237,11 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                 x = X_FT[0, 0] * px + X_FT[0, 1] * py + X_FT[0, 2] * pz + X_FT[0, 3]
                 y = X_FT[1, 0] * px + X_FT[1, 1] * py + X_FT[1, 2] * pz + X_FT[1, 3]
                 if medium is not None:
+                    if abs(x) - (y + rays.centre_offset) * widest_slope > 2 * radius:
+                        continue
                     # Within a block, what bends the lines does so linearly.
                     x, y, z = linear_view(x, y, z, medium, frame, turned)
-                    A = turned @ X_FT[:, :3]
+                    A = turned @ straight
                     R = A.astype(np.float32)
                 q = y + rays.centre_offset
                 if abs(x) * edge_cosine - q * edge_sine > radius:

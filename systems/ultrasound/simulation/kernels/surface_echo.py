@@ -45,7 +45,7 @@ class Pieces(NamedTuple):
     reverberation: NDArray[np.float64]
     """(surfaces,) amplitude of each echo by way of the face, relative to the one before."""
     pulses: NDArray[np.int64]
-    """(surfaces,) which pulse each sends back."""
+    """(surfaces,) which pulse follows the echo of each; 0 for none."""
 
 
 @njit(**OPTIONS)
@@ -197,7 +197,8 @@ def render_surfaces(  # type: ignore[no-untyped-def]
     rays, tables
         Of the frames.
     pulses, taps
-        (kinds, 2, FRACTIONS + 1, longest) float32 pulses, and (kinds,) how long each is.
+        (kinds, 2, FRACTIONS + 1, longest) float32 pulses, and (kinds,) how long each is. The first
+        one is the echo, the others follow it.
     medium
         See `Medium`, or None.
     """
@@ -229,7 +230,6 @@ def render_surfaces(  # type: ignore[no-untyped-def]
                 x, y, z, cosine = _in_frame(i, X, pieces, growth[frame], medium, frame, rays)
                 if cosine > 0 and pieces.one_sided[surface]:
                     continue
-                kind = pieces.pulses[surface]
                 sine = np.sqrt(max(1 - cosine * cosine, 0.0))
                 _add_piece(
                     layer,
@@ -245,22 +245,24 @@ def render_surfaces(  # type: ignore[no-untyped-def]
                     sine,
                     rays,
                     tables,
-                    pulses[kind, :, :, : taps[kind]],
+                    pulses[0, :, :, : taps[0]],
                 )
             _cast_shadows(transmission[frame], layer, loss, margin, pad)
             for number in range(count):
                 i = seen[number]
                 surface = pieces.surfaces[i]
                 level = pieces.reverberation[surface]
-                if level == 0:
+                kind = pieces.pulses[surface]
+                if level == 0 and kind == 0:
                     continue
                 x, y, z, cosine = _in_frame(i, X, pieces, growth[frame], medium, frame, rays)
                 if cosine > 0 and pieces.one_sided[surface]:
                     continue
                 sine = np.sqrt(max(1 - cosine * cosine, 0.0))
-                kind = pieces.pulses[surface]
-                again = level
-                times = 2.0
+                # What comes after the first echo is not in the surface's own shadow.
+                diffuse = pieces.diffuse[i] * abs(cosine) if kind > 0 else 0j
+                times = 1.0 if kind > 0 else 2.0
+                again = 1.0 if kind > 0 else level
                 while again > _FAINTEST:
                     _add_piece(
                         layer,
@@ -270,7 +272,7 @@ def render_surfaces(  # type: ignore[no-untyped-def]
                         z,
                         times,
                         pieces.specular[i] * again,
-                        0j,
+                        diffuse,
                         0.0,
                         pieces.steps[i],
                         sine,
@@ -278,6 +280,8 @@ def render_surfaces(  # type: ignore[no-untyped-def]
                         tables,
                         pulses[kind, :, :, : taps[kind]],
                     )
+                    if kind > 0:
+                        break
                     again *= level
                     times += 1
             _join(iq[frame], transmission[frame], layer, pad)

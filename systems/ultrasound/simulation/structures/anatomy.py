@@ -183,7 +183,7 @@ def anatomy_grid(label_map: LabelMap, parameters: AnatomyParameters) -> AnatomyG
         int(np.prod(shape)) <= _MAX_CUBES,
         "spacing",
         parameters.spacing,
-        f"so that the map has at most {_MAX_CUBES:,} cubes; it is {(1e3 * extent).round()} mm large",
+        f"so that there are at most {_MAX_CUBES:,} cubes; the map is {_in_mm(extent)} mm large",
     )
     require(float(extent.max()) <= 2, "anatomy", extent.tolist(), "at most 2 m large")
     size = shape * parameters.spacing
@@ -228,6 +228,10 @@ def _pose_in_tissue(
     low, high = corners.min(axis=0), corners.max(axis=0)
     X[:3, 3] -= [*((low + high) / 2)[:2], high[2]]
     return X, high - low
+
+
+def _in_mm(extent: NDArray[np.float64]) -> str:
+    return " x ".join(f"{1e3 * each:.0f}" for each in extent)
 
 
 def _corners(shape: Sequence[int]) -> NDArray[np.float64]:

@@ -43,8 +43,8 @@ class Fascia(Structure):
     dip_deg: float = 0.0
     wave_height: float = 0.2e-3
     wave_length: float = 0.02
-    level_db: float = 24.0
-    diffuse_db: float = -14.0
+    level_db: float = 28.0
+    diffuse_db: float = -12.0
     shadow: float = 0.05
 
     def __post_init__(self) -> None:

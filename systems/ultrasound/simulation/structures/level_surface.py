@@ -42,17 +42,8 @@ def level_surface(
     field, inside = field[part], inside[part]
     cells = np.argwhere(_crossed(inside))
     corners = np.array([field[tuple((cells + s).T)] for s in np.ndindex(2, 2, 2)], dtype=np.float64)
-    slope = np.stack(
-        [
-            sum(
-                (2 * s[axis] - 1) * corner
-                for s, corner in zip(np.ndindex(2, 2, 2), corners, strict=False)
-            )
-            / 4
-            for axis in range(3)
-        ],
-        axis=-1,
-    )
+    signs = 2 * np.array(list(np.ndindex(2, 2, 2))) - 1
+    slope = corners.T @ signs / 4
     middle = corners.mean(axis=0)
     steepness = np.maximum(np.linalg.norm(slope, axis=1), 1e-9)
     normals = -slope / steepness[:, np.newaxis]

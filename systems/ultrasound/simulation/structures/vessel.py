@@ -51,8 +51,8 @@ class Vessel(Structure):
     )
     radius: float = 3e-3
     lumen_db: float = -35.0
-    level_db: float = 24.0
-    diffuse_db: float = -14.0
+    level_db: float = 36.0
+    diffuse_db: float = -16.0
     shadow: float = 0.0
     pulsation: float = 0.05
     heart_rate: float = 1.2
