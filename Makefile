@@ -12,10 +12,10 @@ SHELL := /bin/bash
 help:
 	@echo "make run    simulate $(SCENARIO): the robot finds a needle and follows it"
 	@echo "make test   run the tests            make bench  run the benchmarks"
-	@echo "make lint   ruff and mypy            make clean  remove what was built"
+	@echo "make lint   ruff, mypy, imports      make clean  remove what was built"
 	@echo "make notebooks   write the .ipynb    make pictures   take the README's screens"
 
-$(VENV)/.run: pyproject.toml
+$(VENV)/.run: pyproject.toml setup.py
 	@echo "Setting up $(VENV): sonoservo and what it needs (a minute or two, once) ..."
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v <= (3, 13) else "sonoservo needs Python 3.11 to 3.13; this is %d.%d" % v)'
 	@$(PYTHON) -m venv $(VENV) || { echo "Could not make $(VENV): on Debian or Ubuntu, install the package python3-venv."; exit 1; }
@@ -47,12 +47,14 @@ pictures: $(VENV)/.dev
 	@$(BIN)/python notebooks/screenshots.py
 	@cd notebooks && $(abspath $(BIN))/python gallery.py
 
-# mypy finds packages by folder: the links give it the name that pyproject.toml maps to this folder.
+# mypy and import-linter find packages by folder: the links give them the name that pyproject.toml
+# maps to this folder.
 lint: $(VENV)/.dev
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check .
 	@mkdir -p build/typing/sonoservo
 	@ln -sfn $(CURDIR)/systems $(CURDIR)/diagrams $(CURDIR)/models build/typing/sonoservo/
 	@MYPYPATH=build/typing $(BIN)/mypy -p sonoservo
+	@PYTHONPATH=build/typing $(BIN)/lint-imports --no-logo --no-cache
 
 clean:
 	rm -rf $(VENV) out build *.egg-info .pytest_cache .mypy_cache .ruff_cache .benchmarks

@@ -1,34 +1,15 @@
-"""How blocks are wired: station, tracker, controller, experiment; scenarios, command line.
+"""How blocks are wired: station, tracker, controller, experiment; scenarios.
+
+What a person runs is handed out here too:
 
 >>> from sonoservo.diagrams import load_scenario, run
 >>> result = run(load_scenario("chatelain2013_fig5", seed=1))
 >>> result.summary["servo"]["at_rest"]
+
+The rooms in it are `studies`, `papers` and `app`. It imports `systems` and `models`, and from
+none of its own rooms.
 """
 
-from sonoservo.diagrams.app.locate import LocatedNeedle, locate, locate_in
-from sonoservo.diagrams.app.run import RunResult, run
-from sonoservo.diagrams.app.track import TrackedRecording, track_recording, tracker_parameters
-from sonoservo.diagrams.experiment import Experiment, tracker_events
-from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, NeedleTrackerParameters, track
-from sonoservo.diagrams.probe_controller import MakeProbeController
-from sonoservo.diagrams.scenario import Scenario, list_scenarios, load_scenario
+from lazy_loader import attach_stub
 
-__all__ = [
-    "Experiment",
-    "LocatedNeedle",
-    "MakeNeedleTracker",
-    "MakeProbeController",
-    "NeedleTrackerParameters",
-    "RunResult",
-    "Scenario",
-    "TrackedRecording",
-    "list_scenarios",
-    "load_scenario",
-    "locate",
-    "locate_in",
-    "run",
-    "track",
-    "track_recording",
-    "tracker_events",
-    "tracker_parameters",
-]
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

@@ -14,10 +14,9 @@ import matplotlib.pyplot as plt
 from rich.console import Console
 
 from sonoservo.diagrams import Experiment, load_scenario, run
-from sonoservo.diagrams.app.terminal import summary_table
-from sonoservo.systems.display.monitor.monitor import Monitor
-from sonoservo.systems.evaluation.plots import plot_run
-from sonoservo.systems.evaluation.run_errors import estimate_errors
+from sonoservo.diagrams.app import summary_table
+from sonoservo.systems.display.monitor import Monitor
+from sonoservo.systems.evaluation import estimate_errors, plot_run
 
 QUICK = ["duration=7", "hand.start=1", "hand.pushes.0.speed=0.016"]
 scenario = load_scenario(

@@ -15,9 +15,8 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import LeafSystem
 
 from sonoservo.diagrams import load_scenario, locate_in, run, tracker_events
-from sonoservo.systems.evaluation.run_errors import estimate_errors, features
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.evaluation import estimate_errors, features
+from sonoservo.systems.signals import NeedleEstimate, TrackingMode, Volume
 
 QUICK = ["duration=7", "hand.start=1", "hand.pushes.0.speed=0.016"]
 scenario = load_scenario(

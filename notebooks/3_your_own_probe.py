@@ -13,12 +13,14 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from sonoservo.diagrams import load_scenario, run
-from sonoservo.diagrams.app.scan import scan
-from sonoservo.systems.display.monitor.views import monitor_views
-from sonoservo.systems.ultrasound.beam import elevation_width, lateral_width
-from sonoservo.systems.ultrasound.planes import sample_plane
-from sonoservo.systems.ultrasound.transducer import load_transducer
+from sonoservo.diagrams import load_scenario, run, scan
+from sonoservo.systems.display.monitor import monitor_views
+from sonoservo.systems.ultrasound import (
+    elevation_width,
+    lateral_width,
+    load_transducer,
+    sample_plane,
+)
 
 QUICK = ["duration=7", "hand.start=1", "hand.pushes.0.speed=0.016"]
 

@@ -15,10 +15,10 @@ import numpy as np
 from pydrake.math import RigidTransform
 
 from sonoservo.diagrams import load_scenario, locate, run, track, track_recording
-from sonoservo.systems.display.monitor.monitor import Monitor
-from sonoservo.systems.evaluation.track_plots import picture_planes, plot_planes
-from sonoservo.systems.recording.recording import Recording
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.display.monitor import Monitor
+from sonoservo.systems.evaluation import picture_planes, plot_planes
+from sonoservo.systems.recording import Recording
+from sonoservo.systems.signals import Volume
 
 QUICK = ["duration=8", "hand.start=1", "hand.pushes.0.speed=0.012"]
 LONG = ["duration=20", "hand.pushes.0.speed=0.005"]

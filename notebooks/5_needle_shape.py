@@ -13,9 +13,8 @@ import os
 import matplotlib.pyplot as plt
 import numpy as np
 
-from sonoservo.diagrams.app.shape_run import predict_shape
-from sonoservo.diagrams.scenario import load_any_scenario
-from sonoservo.systems.evaluation.shape_plots import plot_shape
+from sonoservo.diagrams import load_any_scenario, predict_shape
+from sonoservo.systems.evaluation import plot_shape
 
 COARSE = ["step=0.004"] if "SONOSERVO_QUICK" in os.environ else []
 

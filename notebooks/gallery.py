@@ -13,10 +13,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 
-from sonoservo.diagrams.app.scan import scan
-from sonoservo.diagrams.scenario import load_scenario
-from sonoservo.systems.evaluation.needle_echo import measure_needle_echo
-from sonoservo.systems.ultrasound.planes import Plane, sample_plane
+from sonoservo.diagrams import load_scenario, scan
+from sonoservo.systems.evaluation import measure_needle_echo
+from sonoservo.systems.ultrasound import Plane, sample_plane
 
 ANGLES = [0, 5, 10, 20, 40]
 DEPTH = 0.045

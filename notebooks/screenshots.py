@@ -9,7 +9,7 @@ from playwright.sync_api import Browser, Error, Page, sync_playwright
 from pydrake.geometry import Meshcat, MeshcatParams
 
 from sonoservo.diagrams import load_scenario, run
-from sonoservo.systems.display.monitor.monitor import Monitor
+from sonoservo.systems.display.monitor import Monitor
 
 HERE = Path(__file__).parent
 NO_CHROMIUM = "no Chromium: install it with your package manager, or `playwright install chromium`"

@@ -1,1 +1,5 @@
-"""Reproductions of published experiments."""
+"""Reproductions of published experiments, one room for each paper.
+
+Each hands out `reproduce`, which makes a study. They import `studies`, `diagrams` and
+`systems`, but not `app`.
+"""

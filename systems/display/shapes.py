@@ -46,12 +46,6 @@ def sector_edges(geometry: SweepGeometry, points: int = 17) -> list[NDArray[np.f
     return edges
 
 
-def box_edges(low: ArrayLike, high: ArrayLike) -> list[NDArray[np.float64]]:
-    """Return the twelve edges of a box, (2, 3) ends each, given its least and greatest corner."""
-    corners = np.where((np.arange(8)[:, np.newaxis] >> np.arange(3)) & 1, high, low)
-    return [corners[[i, i | bit]] for i in range(8) for bit in (1, 2, 4) if not i & bit]
-
-
 def tubes(polylines: list[NDArray[np.float64]], radius: float) -> TriangleSurfaceMesh:
     """Return triangular tubes around polylines, as one mesh: WebGL draws lines hair-thin."""
     vertices: list[Any] = []

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
-from pydrake.common.yaml import yaml_load_typed
 
 from sonoservo.systems.files.renamed import current_name
 
@@ -71,6 +70,8 @@ def load_typed(schema: type[T], data: Mapping[str, Any], source: str) -> T:
     ConfigurationError
         Naming the field by its path, its value and what is allowed.
     """
+    from pydrake.common.yaml import yaml_load_typed  # half a second that help need not take
+
     _check(schema, data, source, "")
     text = yaml.dump(_tagged(schema, dict(data)), Dumper=_Dumper)
     try:

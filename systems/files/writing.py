@@ -8,8 +8,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 
 def write_atomically(path: str | Path, data: bytes | str) -> Path:
     """Write a file so that a reader sees the old one or the new one, never a part.
@@ -57,7 +55,7 @@ def _plain(data: Any) -> Any:
     """The same in Python's own types, null in place of what is not finite."""
     if isinstance(data, Mapping):
         return {str(key): _plain(value) for key, value in data.items()}
-    if isinstance(data, np.ndarray | np.generic):
+    if hasattr(data, "tolist"):  # NumPy's, which need not be imported for it
         return _plain(data.tolist())
     if isinstance(data, list | tuple):
         return [_plain(value) for value in data]

@@ -1,1 +1,9 @@
-"""The simulated robot's own parts: wrist force sensor, moving base of the phantom, stepper."""
+"""The simulated robot and what it touches.
+
+It holds the arm with its probe, the phantom on its moving base, their contact, the wrist force
+sensor and a probe's stepper. It imports `signals` and `models`.
+"""
+
+from lazy_loader import attach_stub
+
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

@@ -1,1 +1,4 @@
-"""Compiled kernels that sample images at points."""
+"""Compiled kernels that sample images and volumes at points.
+
+This room imports no other.
+"""

@@ -1,1 +1,10 @@
-"""From the world to volumes: transducer, tissue, echoes, scanner, scan conversion."""
+"""From echoes to volumes, as a scanner's console does it.
+
+It holds transducers, beams, imaging settings, scan conversion and planes through a volume; the
+room `simulation` in it holds the simulated scanner. It imports `signals`, `sampling` and
+`files`.
+"""
+
+from lazy_loader import attach_stub
+
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

@@ -5,10 +5,9 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 
-from sonoservo.systems.display.shapes import box_edges
 from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.requirements import require_positive
@@ -55,6 +54,12 @@ class Plane(Immutable):
             + x[np.newaxis, :, np.newaxis] * R[:, 0]
             + y[:, np.newaxis, np.newaxis] * R[:, 1]
         )
+
+
+def box_edges(low: ArrayLike, high: ArrayLike) -> list[NDArray[np.float64]]:
+    """Return the twelve edges of a box, (2, 3) ends each, given its least and greatest corner."""
+    corners = np.where((np.arange(8)[:, np.newaxis] >> np.arange(3)) & 1, high, low)
+    return [corners[[i, i | bit]] for i in range(8) for bit in (1, 2, 4) if not i & bit]
 
 
 def slice_planes(volume: Volume, curve: NeedleCurve | None = None) -> list[Plane]:

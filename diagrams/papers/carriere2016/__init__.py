@@ -1,1 +1,5 @@
-"""Carriere et al. (AIM 2016) reproduced."""
+"""Carriere et al. (AIM 2016) reproduced: the shape of needles, predicted."""
+
+from lazy_loader import attach_stub
+
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

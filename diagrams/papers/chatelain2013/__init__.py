@@ -1,1 +1,5 @@
-"""Chatelain, Krupa and Marchal (ICRA 2013) reproduced."""
+"""Chatelain, Krupa and Marchal (ICRA 2013) reproduced: needles found and followed."""
+
+from lazy_loader import attach_stub
+
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

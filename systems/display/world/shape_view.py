@@ -10,7 +10,7 @@ from pydrake.systems.framework import Context, LeafSystem
 from scipy.ndimage import binary_fill_holes
 
 from sonoservo.systems.display.colours import FORCE, MODE_COLOURS, STEEL, rgba
-from sonoservo.systems.display.shapes import box_edges, tubes
+from sonoservo.systems.display.shapes import tubes
 from sonoservo.systems.display.textured_quads import encode_webp, gltf_textured_quads
 from sonoservo.systems.display.world.film import Film
 from sonoservo.systems.display.world.legend import Entry, draw_legend
@@ -25,7 +25,7 @@ from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.needle_shape import NeedleShape
 from sonoservo.systems.signals.ports import evaluate
-from sonoservo.systems.ultrasound.planes import Plane
+from sonoservo.systems.ultrasound.planes import Plane, box_edges
 
 _TISSUE = Rgba(0.55, 0.35, 0.30)
 _PREDICTED = MODE_COLOURS[TrackingMode.TRACKING]

@@ -1,1 +1,9 @@
-"""What stands in for a real scanner: tissue, echoes, scanner."""
+"""What stands in for a real scanner: tissue, echoes, sweeps.
+
+The renderer computes the sweep that a scanner would acquire of tissue and needle; the scanner
+emits it. This room imports `ultrasound` and what `ultrasound` imports.
+"""
+
+from lazy_loader import attach_stub
+
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.ultrasound.simulation.structures.anatomy import AnatomyGrid
+from sonoservo.systems.ultrasound.simulation.anatomy.anatomy_grid import AnatomyGrid
 from sonoservo.systems.ultrasound.simulation.structures.structure import Tube
 from sonoservo.systems.ultrasound.simulation.structures.vessel import distance_to_segment
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue

@@ -10,16 +10,16 @@ from numpy.typing import ArrayLike
 from sonoservo.systems.files.model_file import model_file
 from sonoservo.systems.files.typed_yaml import load_typed, read_yaml
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
-from sonoservo.systems.ultrasound.simulation.structures.anatomy_source import (
+from sonoservo.systems.ultrasound.simulation.anatomy.anatomies import (
     LabelMapAnatomy,
     LiverAnatomy,
 )
+from sonoservo.systems.ultrasound.simulation.anatomy.label_map import is_label_map
 from sonoservo.systems.ultrasound.simulation.structures.bone import Bone
 from sonoservo.systems.ultrasound.simulation.structures.calcification import Calcification
 from sonoservo.systems.ultrasound.simulation.structures.fascia import Fascia
 from sonoservo.systems.ultrasound.simulation.structures.fat_layer import FatLayer
 from sonoservo.systems.ultrasound.simulation.structures.gas import Gas
-from sonoservo.systems.ultrasound.simulation.structures.label_map import is_label_map
 from sonoservo.systems.ultrasound.simulation.structures.n_wires import NWires
 from sonoservo.systems.ultrasound.simulation.structures.resting_needle import RestingNeedle
 from sonoservo.systems.ultrasound.simulation.structures.vessel import Vessel

@@ -181,3 +181,20 @@ def test_a_recording_cannot_have_another_suffix(tmp_path):
     assert result.returncode == 2
     assert "must end in .seq.nrrd" in result.stderr
     assert not list(tmp_path.iterdir())
+
+
+def test_help_loads_nothing_that_takes_long():
+    code = """
+import sys
+from contextlib import suppress
+from sonoservo.diagrams.app.cli import main
+with suppress(SystemExit):
+    main()
+print([name for name in ("numpy", "scipy", "numba", "pydrake") if name in sys.modules])
+"""
+    for arguments in (["--help"], ["run", "--help"]):
+        result = subprocess.run(
+            [sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=True
+        )
+        assert "Usage:" in result.stdout
+        assert result.stdout.strip().splitlines()[-1] == "[]"

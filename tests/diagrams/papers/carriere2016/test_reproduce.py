@@ -4,8 +4,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sonoservo.diagrams.papers.carriere2016 import reproduce as carriere2016
-from sonoservo.diagrams.papers.carriere2016.reproduce import SETS, reproduce, run_needle, set_rows
+from sonoservo.diagrams.papers.carriere2016 import reproduction as carriere2016
+from sonoservo.diagrams.papers.carriere2016.reproduction import (
+    SETS,
+    reproduce,
+    run_needle,
+    set_rows,
+)
 from sonoservo.diagrams.shape_scenario import ESTIMATORS
 from sonoservo.diagrams.studies.study import Case, StudyOptions
 from sonoservo.diagrams.studies.study_report import write_study

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sonoservo.diagrams import load_scenario
-from sonoservo.diagrams.papers.chatelain2013 import reproduce as chatelain2013
-from sonoservo.diagrams.papers.chatelain2013.reproduce import (
+from sonoservo.diagrams.papers.chatelain2013 import reproduction as chatelain2013
+from sonoservo.diagrams.papers.chatelain2013.reproduction import (
     ABLATIONS,
     PROTOCOLS,
     Protocol,

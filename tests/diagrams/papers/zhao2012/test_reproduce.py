@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sonoservo.diagrams.papers.zhao2012 import reproduce as zhao2012
+from sonoservo.diagrams.papers.zhao2012 import reproduction as zhao2012
 from sonoservo.diagrams.papers.zhao2012.phantom import DIRECTION, IMAGING, Phantom, StraightNeedle
 from sonoservo.diagrams.papers.zhao2012.runs import ESTIMATORS, QUANTITIES, run_case
 from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions

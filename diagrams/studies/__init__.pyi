@@ -1,0 +1,11 @@
+from .dataset import make_dataset as make_dataset
+from .study import Case as Case
+from .study import Outcome as Outcome
+from .study import StudyOptions as StudyOptions
+from .study import code_fingerprint as code_fingerprint
+from .study import run_cases as run_cases
+from .study_report import Study as Study
+from .study_report import StudyFigure as StudyFigure
+from .study_report import StudyRow as StudyRow
+from .study_report import study_page as study_page
+from .study_report import write_study as write_study

@@ -1,0 +1,12 @@
+from .colours import ink as ink
+from .colours import rgba as rgba
+from .shapes import resample as resample
+from .shapes import sector_edges as sector_edges
+from .shapes import segment_pose as segment_pose
+from .shapes import tubes as tubes
+from .textured_quads import draw_picture as draw_picture
+from .textured_quads import encode_png as encode_png
+from .textured_quads import encode_webp as encode_webp
+from .textured_quads import gltf_mesh as gltf_mesh
+from .textured_quads import gltf_textured_quads as gltf_textured_quads
+from .textured_quads import text_image as text_image

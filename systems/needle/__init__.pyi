@@ -1,0 +1,12 @@
+from .bevelled_insertion import BevelledInsertion as BevelledInsertion
+from .bevelled_insertion import BevelledInsertionParameters as BevelledInsertionParameters
+from .bicycle_model import BicyclePath as BicyclePath
+from .bicycle_model import bicycle_step as bicycle_step
+from .hand import Hand as Hand
+from .hand import NeedleMotion as NeedleMotion
+from .insertion import Insertion as Insertion
+from .insertion import InsertionParameters as InsertionParameters
+from .insertion import Push as Push
+from .operator_hand import OperatorHand as OperatorHand
+from .operator_hand import OperatorHandParameters as OperatorHandParameters
+from .operator_hand import OperatorInsertion as OperatorInsertion

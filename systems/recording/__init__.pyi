@@ -1,0 +1,17 @@
+from .file_grid import FileGrid as FileGrid
+from .grey_levels import GreyWindow as GreyWindow
+from .grey_levels import choose_window as choose_window
+from .nrrd import write_mask as write_mask
+from .nrrd import write_volume as write_volume
+from .recording import Recording as Recording
+from .recording_writer import RecordingWriter as RecordingWriter
+from .recording_writer import SweepWriter as SweepWriter
+from .sequence_writer import SequenceWriter as SequenceWriter
+from .side_files import Acquisition as Acquisition
+from .side_files import LinesWriter as LinesWriter
+from .side_files import Truth as Truth
+from .side_files import read_acquisition as read_acquisition
+from .side_files import read_truth as read_truth
+from .side_files import side_path as side_path
+from .volume_player import VolumePlayer as VolumePlayer
+from .volume_recorder import VolumeRecorder as VolumeRecorder

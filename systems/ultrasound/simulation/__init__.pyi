@@ -1,0 +1,9 @@
+from .needle_echo import NeedleEchoParameters as NeedleEchoParameters
+from .rendering import ScannerParameters as ScannerParameters
+from .rendering import SweepRenderer as SweepRenderer
+from .scanner import Scanner as Scanner
+from .tissue import Ball as Ball
+from .tissue import Fibre as Fibre
+from .tissue import RandomFibres as RandomFibres
+from .tissue import Tissue as Tissue
+from .tissue import load_tissue as load_tissue

@@ -1,0 +1,71 @@
+"""A renderer in a tissue large enough for its whole sweep, and poses of its frames."""
+
+import numpy as np
+
+from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.ultrasound.imaging import ImagingParameters
+from sonoservo.systems.ultrasound.simulation.needle_echo import NeedleEchoParameters
+from sonoservo.systems.ultrasound.simulation.rendering import ScannerParameters, SweepRenderer
+from sonoservo.systems.ultrasound.simulation.tissue import Tissue
+from sonoservo.systems.ultrasound.transducer import Transducer
+
+NOWHERE = Needle(np.zeros((0, 3)), 0.635e-3)
+DEEP = Tissue(size=[0.6, 0.6, 0.4])
+"""Large enough to hold the whole sweep wherever the probe is."""
+
+
+def make_renderer(tissue=DEEP, needle=None, transducer=None, **imaging):
+    settings = {"depth": 0.09, "focus_depth": 0.06, "volume_rate": 2.0, "frames": 27}
+    return SweepRenderer(
+        transducer=transducer or Transducer(),
+        imaging=ImagingParameters(**settings | imaging),
+        tissue=tissue,
+        parameters=ScannerParameters(needle=needle or NeedleEchoParameters()),
+        seed=0,
+    )
+
+
+def about(axis, angle, point):
+    """Pose (4, 4) of a rotation about an axis through a point."""
+    X = np.eye(4)
+    i, j = [(1, 2), (2, 0), (0, 1)][axis]
+    X[i, i] = X[j, j] = np.cos(angle)
+    X[i, j], X[j, i] = -np.sin(angle), np.sin(angle)
+    X[:3, 3] = np.array(point) - X[:3, :3] @ point
+    return X
+
+
+def shift(*xyz):
+    X = np.eye(4)
+    X[:3, 3] = xyz
+    return X
+
+
+# The probe looks down: X_P along X_T, depth Y_P along -Z_T; its face 100 mm below the top.
+DOWN = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, -0.1], [0, 0, 0, 1.0]])
+
+
+def still(renderer, X=DOWN):
+    return np.repeat(X[np.newaxis], renderer.geometry.frames, axis=0)
+
+
+def upright(renderer, motion, places):
+    """Poses for which every frame's plane is upright, at places of its own, moved in that plane."""
+    geometry = renderer.geometry
+    axis = [0, -geometry.motor_radius, 0]
+    poses = []
+    for theta, place in zip(geometry.line_angles(1).mean(axis=1), places, strict=True):
+        poses.append(DOWN @ shift(*place) @ motion @ about(0, -theta, axis))
+    return np.array(poses)
+
+
+def correlation(a, b):
+    return abs(np.vdot(a, b)) / np.sqrt(np.vdot(a, a).real * np.vdot(b, b).real)
+
+
+def needle_through(point, azimuth, rise, half_length=0.04):
+    """A needle through a point of T, with its middle there; angles in rad."""
+    direction = np.array(
+        [np.cos(rise) * np.cos(azimuth), np.cos(rise) * np.sin(azimuth), np.sin(rise)]
+    )
+    return Needle(np.array(point) + np.outer([-half_length, half_length], direction), 0.635e-3)

@@ -1,0 +1,193 @@
+"""The needle's echo: angle law, thickness, floor, reverberation, shadow, tip."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from pymust_referee import middle_line
+from renderers import DEEP, DOWN, NOWHERE, make_renderer, needle_through, still
+
+from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.ultrasound.beam import FWHM_PER_SIGMA
+from sonoservo.systems.ultrasound.imaging import ImagingParameters
+from sonoservo.systems.ultrasound.simulation.needle_echo import NeedleEchoParameters
+from sonoservo.systems.ultrasound.simulation.tissue import Fibre
+from sonoservo.systems.ultrasound.transducer import Transducer
+
+
+def needle_echo(renderer, needle):
+    """The needle's share of the echoes, for a needle without a shadow."""
+    poses = still(renderer)
+    frames = renderer.geometry.frames
+    return renderer.echo(poses, [needle] * frames, 1) - renderer.echo(poses, [NOWHERE] * frames, 1)
+
+
+def specular_level(renderer, azimuth, rise):
+    """Peak level in dB of the middle lines of the middle frame, 60 mm deep; lines 0.05 mm fine."""
+    echo = needle_echo(renderer, needle_through([0, 0, -0.16], azimuth, rise))
+    geometry = renderer.geometry
+    lines = np.abs(echo[geometry.frames // 2, geometry.lines // 2 - 1 : geometry.lines // 2 + 1])
+    i = round(0.06 / geometry.sample_pitch)
+    return 20 * np.log10(lines[:, i - 40 : i + 40].max(axis=1)).mean()
+
+
+BARE = {"tip_db": -200.0, "shadow": 0.0, "reverberation_db": -200.0}
+
+
+def test_needle_mirrors_sound_as_a_smooth_rod_does():
+    """Angle law sigma_s / sigma_l exp(-(2k sin a)^2 sigma_s^2 / 2), near 0 dB at normal incidence.
+
+    1 / sigma_s^2 = cos^2 a / sigma_l^2 + sin^2 a / sigma_a^2: the part of the rod in the cell.
+    """
+    needle = NeedleEchoParameters(**BARE, diffuse_db=-200.0)
+    renderer = make_renderer(needle=needle, sector=0.2, sample_pitch=0.05e-3)
+    beam = renderer.beam
+    lateral = beam.lateral[round(0.06 / renderer.geometry.sample_pitch)]
+    k = 4 * np.pi / beam.wavelength
+    normal = specular_level(renderer, 0.0, 0.0)
+    assert normal == pytest.approx(needle.specular_db, abs=0.5)
+    for degrees in (2, 4, 6):
+        a = np.deg2rad(degrees)
+        s = 1 / np.sqrt(np.cos(a) ** 2 / lateral**2 + np.sin(a) ** 2 / beam.axial**2)
+        law = s / lateral * np.exp(-((k * np.sin(a) * s) ** 2) / 2)
+        level = np.mean([specular_level(renderer, 0.0, rise) for rise in (a, -a)])
+        assert level - normal == pytest.approx(20 * np.log10(law), abs=1.0)
+    # Turned about the vertical it stays normal to the beam.
+    assert specular_level(renderer, np.deg2rad(90), 0.0) - normal == pytest.approx(0, abs=1.5)
+
+
+def check_angle_law(degrees):
+    """Echo of a smooth rod 60 mm deep over its tilt, against PyMUST's of points along it."""
+    needle = NeedleEchoParameters(**BARE, diffuse_db=-200.0)
+    renderer = make_renderer(needle=needle, sector=0.2, sample_pitch=0.05e-3)
+    imaging = ImagingParameters(focus_depth=0.06)
+    s = np.arange(-8e-3, 8e-3, imaging.wavelength / 4)
+    # Faded ends echo nothing of their own.
+    ends = np.sin(np.pi / 2 * np.clip((8e-3 - np.abs(s)) / 2e-3, 0, 1)) ** 2
+    ours, theirs = [], []
+    for a in np.deg2rad([0, *degrees]):
+        ours.append(np.mean([specular_level(renderer, 0.0, rise) for rise in (a, -a)]))
+        points = np.stack([s * np.cos(a), 0.06 + s * np.sin(a), np.zeros(len(s))], axis=1)
+        envelope = middle_line(Transducer(), imaging, points, ends, 0.06)
+        theirs.append(20 * np.log10(envelope.max()))
+    relative = np.array(theirs[1:]) - theirs[0]
+    assert (relative > -24).all()
+    assert np.array(ours[1:]) - ours[0] == pytest.approx(relative, abs=3)
+
+
+def test_needles_angle_law_matches_pymust():
+    check_angle_law([4, 7])
+
+
+@pytest.mark.slow
+def test_needles_angle_law_matches_pymust_to_8_deg():
+    check_angle_law(range(1, 9))
+
+
+def test_the_beam_makes_the_needle_look_thick():
+    """At -20 dB it is 4 mm thick across the frames, 60 mm deep: 1.82 widths at -6 dB."""
+    needle = NeedleEchoParameters(**BARE, diffuse_db=-200.0)
+    renderer = make_renderer(needle=needle, sector=0.05, depth=0.07, sample_pitch=0.05e-3)
+    geometry = renderer.geometry
+    offsets = np.arange(-4e-3, 4e-3, 0.2e-3)
+    levels = []
+    for offset in offsets:
+        echo = needle_echo(renderer, needle_through([0, offset, -0.16], 0.0, 0.0))
+        levels.append(np.abs(echo[geometry.frames // 2, geometry.lines // 2]).max())
+    levels = np.array(levels) / max(levels)
+    middle = len(offsets) // 2
+    near = np.interp(0.1, levels[: middle + 1], offsets[: middle + 1])
+    far = np.interp(-0.1, -levels[middle:], offsets[middle:])
+    assert far - near == pytest.approx(4e-3, rel=0.2)
+    i = round(0.06 / geometry.sample_pitch)
+    assert far - near == pytest.approx(1.82 * FWHM_PER_SIGMA * renderer.beam.elevation[i], rel=0.1)
+
+
+def test_needle_has_a_diffuse_floor():
+    needle = NeedleEchoParameters(**BARE)
+    renderer = make_renderer(needle=needle, sector=0.2, sample_pitch=0.1e-3)
+    powers = [
+        10 ** (specular_level(renderer, azimuth, np.deg2rad(rise)) / 10)
+        for azimuth in (0.0, 0.3)
+        for rise in (12, 15, -12, -15)
+    ]
+    floor = 10 * np.log10(np.mean(powers)) - needle.specular_db
+    assert floor == pytest.approx(needle.diffuse_db, abs=4)
+
+
+def test_reverberations_follow_the_needle_at_its_inner_diameter():
+    needle = NeedleEchoParameters(**BARE | {"reverberation_db": -8.0}, diffuse_db=-200.0)
+    renderer = make_renderer(needle=needle, sector=0.2, sample_pitch=0.05e-3)
+    echo = np.abs(needle_echo(renderer, needle_through([0, 0, -0.16], 0.0, 0.0)))
+    line = echo[13, renderer.geometry.lines // 2]
+    peaks = np.flatnonzero((line[1:-1] > line[:-2]) & (line[1:-1] > line[2:])) + 1
+    peaks = peaks[line[peaks] > line.max() * 10 ** (-30 / 20)][:4]
+    # The front wall is one radius above the axis; sound is slower in the water inside.
+    first = 0.06 - 0.635e-3
+    assert peaks[0] * renderer.geometry.sample_pitch == pytest.approx(first, abs=0.1e-3)
+    inner = 2 * 0.635e-3 * needle.inner_diameter_ratio
+    assert np.diff(peaks) * renderer.geometry.sample_pitch == pytest.approx(
+        inner * 1540 / 1480, abs=0.06e-3
+    )
+    assert 20 * np.diff(np.log10(line[peaks])) == pytest.approx(-8, abs=1)
+
+
+def test_needle_casts_a_shadow():
+    renderer = make_renderer(needle=NeedleEchoParameters(shadow=0.4), sector=0.2)
+    frames, lines = renderer.geometry.frames, renderer.geometry.lines
+    needle = needle_through([0, 0, -0.14], 0.0, 0.0)
+    without = np.abs(renderer.echo(still(renderer), [NOWHERE] * frames, 1))
+    shadowed = np.abs(renderer.echo(still(renderer), [needle] * frames, 1))
+    behind = round(0.06 / renderer.geometry.sample_pitch)
+    ratio = shadowed[..., behind:] / without[..., behind:]
+    assert np.median(ratio[13, lines // 2]) == pytest.approx(0.6, abs=0.02)
+    assert np.median(ratio[0]) == pytest.approx(1, abs=1e-3)  # far to the side
+    before = round(0.03 / renderer.geometry.sample_pitch)
+    assert np.allclose(shadowed[..., :before], without[..., :before])
+
+
+def test_needles_tip_shows_where_it_is():
+    renderer = make_renderer(sector=0.4)
+    tip = np.array([0.003, 0, -0.155])
+    needle = Needle(np.array([tip - [0.05, 0, 0], tip]), 0.635e-3)
+    grey = renderer.render(still(renderer), [needle] * 27, 1, 0)
+    geometry = renderer.geometry
+    k, j, i = (round(float(v)) for v in geometry.index((np.linalg.inv(DOWN) @ [*tip, 1])[:3], 1))
+    window = grey[k, :, i - 4 : i + 3].max(axis=1).astype(int)
+    assert window[j - 3 : j + 1].min() > 150
+    assert window[j + 6 :].max() < 150
+
+
+def test_a_needles_wall_runs_out_along_its_bevel():
+    """Half of it is left in the middle of a bevel of 5 deg, 14.5 mm long."""
+    needle = NeedleEchoParameters(**BARE, diffuse_db=-200.0, bevel_deg=5.0)
+    renderer = make_renderer(needle=needle, sector=0.2)
+    length = 2 * 0.635e-3 / np.tan(np.deg2rad(5))
+
+    def level(beyond):
+        """Amplitude below the middle of the probe, with the tip so far beyond it."""
+        tip = np.array([beyond, 0, -0.16])
+        echo = needle_echo(renderer, Needle(np.array([tip - [0.08, 0, 0], tip]), 0.635e-3))
+        middle = renderer.geometry.lines // 2
+        return np.abs(echo[13, middle - 1 : middle + 1]).max(axis=1).mean()
+
+    assert level(length / 2) == pytest.approx(level(0.04) / 2, rel=0.05)
+    assert level(length + 0.002) == pytest.approx(level(0.04), rel=0.05)
+    assert level(-0.002) < 0.05 * level(0.04)
+
+
+def test_a_blunt_needles_tip_is_a_point_of_the_wanted_level():
+    needle = NeedleEchoParameters(
+        **BARE | {"tip_db": 26.0}, specular_db=-200.0, diffuse_db=0.0, bevel_deg=90.0
+    )
+    renderer = make_renderer(needle=needle, sector=0.4, sample_pitch=0.05e-3)
+    tip = np.array([0.0, 0, -0.16])
+    echo = np.abs(needle_echo(renderer, Needle(np.array([tip - [0.05, 0, 0], tip]), 0.635e-3)))
+    assert 20 * np.log10(echo.max()) == pytest.approx(26, abs=1.2)
+
+
+def test_a_fibre_is_as_bright_as_a_needle():
+    fibre = Fibre(start=[-0.01, 0, -0.16], end=[0.01, 0, -0.16], level_db=38.0)
+    renderer = make_renderer(dataclasses.replace(DEEP, fibres=[fibre]), sector=0.2)
+    echo = np.abs(renderer.tissue_echo(still(renderer), 1))
+    assert 20 * np.log10(echo.max()) == pytest.approx(38, abs=3)

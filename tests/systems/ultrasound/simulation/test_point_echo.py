@@ -1,0 +1,102 @@
+"""Echoes of single points, against the geometry and the point spread function."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from renderers import DEEP, DOWN, about, correlation, make_renderer, shift, still
+
+from sonoservo.systems.ultrasound.simulation import rendering
+from sonoservo.systems.ultrasound.simulation.scatterer_tile import BLOCKS, ScattererTile
+from sonoservo.systems.ultrasound.simulation.tissue import Ball, Tissue
+from sonoservo.systems.ultrasound.transducer import Transducer
+
+
+def peak_index(amplitude):
+    """Frame, line and sample of a Gaussian's peak: logarithms of three neighbours per axis."""
+    at = np.unravel_index(amplitude.argmax(), amplitude.shape)
+    peak = []
+    for axis, i in enumerate(at):
+        near = [slice(n, n + 1) for n in at]
+        near[axis] = slice(i - 1, i + 2)
+        below, here, above = np.log(amplitude[tuple(near)].ravel())
+        peak.append(i + (above - below) / (2 * (2 * here - below - above)))
+    return peak
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_a_point_appears_where_the_geometry_says(direction):
+    rng = np.random.default_rng(2)
+    for _ in range(3):
+        p_P = rng.uniform([-0.02, 0.04, -0.01], [0.02, 0.07, 0.01])
+        p_T = (DOWN @ [*p_P, 1])[:3]
+        # Eight scatterers within a micrometre, far above the tissue.
+        ball = Ball(centre=list(p_T), radius=1e-6, level_db=150)
+        renderer = make_renderer(dataclasses.replace(DEEP, balls=[ball]))
+        peak = peak_index(np.abs(renderer.tissue_echo(still(renderer), direction)))
+        assert peak == pytest.approx(renderer.geometry.index(p_P, direction), abs=0.1)
+
+
+def exact_echo(renderer, p_P, direction):
+    """Point spread function of a point, written out line by line without approximations."""
+    geometry, beam = renderer.geometry, renderer.beam
+    x, y, z = p_P[0], p_P[1] + geometry.motor_radius, p_P[2]
+    theta = geometry.line_angles(direction)[:, :, np.newaxis]
+    rho = y * np.cos(theta) + z * np.sin(theta)
+    elevation = z * np.cos(theta) - y * np.sin(theta)
+    q = rho + geometry.array_radius - geometry.motor_radius
+    depth = np.hypot(q, x) - geometry.array_radius
+    axis = geometry.line_pitch * (np.arange(geometry.lines) - (geometry.lines - 1) / 2)
+    lateral = (np.arctan2(x, q) - axis[np.newaxis, :, np.newaxis]) * np.hypot(q, x)
+    depths = geometry.sample_pitch * np.arange(geometry.samples)
+    sigma_l = np.interp(depth, depths, beam.lateral)
+    sigma_e = np.interp(depth, depths, beam.elevation)
+    path = depth + np.interp(depth, depths, beam.curvature) * elevation**2 / 2
+    weight = np.exp(-(lateral**2) / (2 * sigma_l**2) - elevation**2 / (2 * sigma_e**2))
+    pulse = np.exp(-((depths - path) ** 2) / (2 * beam.axial**2))
+    return weight * pulse * np.exp(-4j * np.pi * path / beam.wavelength)
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_scatterers_echo_as_the_point_spread_function_says(monkeypatch, direction):
+    """One scatterer in a tile of 32 mm, in a slice of tissue that holds a column of its copies."""
+    place = np.array([1.1e-3, 2.3e-3, 0.7e-3], np.float32)
+    starts = np.append(0, np.ones(BLOCKS**3, int))
+    tile = ScattererTile(4e-3, place[:, np.newaxis], np.zeros(1, np.float32), starts)
+    monkeypatch.setattr(rendering, "scatterer_tile", lambda density, rng: tile)
+    renderer = make_renderer(Tissue(size=[0.030, 0.030, 0.12]))
+    X_TP = still(renderer, about(2, 0.3, [0, 0, 0]) @ shift(0.006, 0.004, 0.08) @ DOWN)
+    echo = renderer.tissue_echo(X_TP, direction)
+    exact = np.zeros(echo.shape, complex)
+    for copy in range(1, 4):
+        p_T = place - [0, 0, 0.032 * copy]
+        exact += exact_echo(renderer, (np.linalg.inv(X_TP[0]) @ [*p_T, 1])[:3], direction)
+    assert correlation(exact, echo) > 0.99
+
+
+@pytest.mark.parametrize("level", [0.0, 0.0316])
+def test_bright_points_have_side_lobes(level):
+    """A second Gaussian, three times as wide, in quadrature with the beam's.
+
+    Through it a rod's points, three times as many, echo with the wanted level.
+    """
+    ball = Ball(centre=[0, 0, -0.16], radius=1e-6, level_db=190)
+    renderer = make_renderer(
+        dataclasses.replace(DEEP, balls=[ball]),
+        transducer=Transducer(side_lobe_level=level),
+        sector=0.2,
+    )
+    echo = np.abs(renderer.tissue_echo(still(renderer), 1))
+    geometry = renderer.geometry
+    k, i = geometry.frames // 2, round(0.06 / geometry.sample_pitch)
+    lines = np.arange(geometry.lines) - (geometry.lines - 1) / 2
+    u = (lines * geometry.line_pitch * 0.1 / renderer.beam.lateral[i]) ** 2 / 2
+    shape = np.hypot(np.exp(-u), level / 3 * np.exp(-u / 9))
+    near = np.abs(lines) < 3
+    assert echo[k, near, i] / echo[k, near, i].max() == pytest.approx(
+        shape[near] / shape.max(), rel=0.03, abs=1e-3
+    )
+    side = echo[k, np.abs(lines) == 3.5, i].mean() / echo[k, near, i].max()
+    expected = shape[np.abs(lines) == 3.5].mean() / shape.max()
+    assert side == pytest.approx(expected, rel=0.1, abs=1e-5)
+    assert (side > 0.0012) == (level > 0)

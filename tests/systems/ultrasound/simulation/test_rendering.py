@@ -1,0 +1,72 @@
+"""Contact, the phantom's bounds and grey levels of a rendered sweep."""
+
+import numpy as np
+import pytest
+from renderers import DOWN, NOWHERE, make_renderer, needle_through, still
+
+from sonoservo.systems.ultrasound.imaging import ImagingParameters
+from sonoservo.systems.ultrasound.simulation.rendering import ScannerParameters, SweepRenderer
+from sonoservo.systems.ultrasound.simulation.tissue import Tissue
+from sonoservo.systems.ultrasound.transducer import Transducer
+
+
+@pytest.mark.parametrize(("gap", "coupled"), [(-0.004, True), (0.002, True), (0.005, False)])
+def test_gel_bridges_gaps_up_to_its_thickness(gap, coupled):
+    renderer = make_renderer(Tissue(), sector=0.05)
+    pose = DOWN.copy()
+    pose[2, 3] = gap
+    grey = renderer.render(still(renderer, pose), [NOWHERE] * 27, 1, 0)
+    middle = grey[13, :, 100:200]
+    assert (middle.mean() > 60) == coupled
+    assert (middle.max() < 30) == (not coupled)
+    in_the_gel = grey[13, :, 3 : max(int(gap / 0.308e-3) - 3, 3)]
+    assert in_the_gel.max(initial=0) < 30
+
+
+def test_outer_lines_of_a_dome_lose_contact_first():
+    renderer = make_renderer(Tissue())
+    pose = DOWN.copy()
+    pose[2, 3] = -0.5e-3  # barely pressed: gel bridges 3 mm, the dome falls away by 5 mm
+    grey = renderer.render(still(renderer, pose), [NOWHERE] * 27, 1, 0)
+    level = grey[13, :, 60:200].mean(axis=1)
+    assert level[48] > 60
+    assert level[0] < 10
+    assert level[-1] < 10
+
+
+def test_nothing_echoes_outside_the_phantom():
+    renderer = make_renderer(Tissue(size=[0.24, 0.16, 0.05]), sector=0.3)
+    pose = DOWN.copy()
+    pose[2, 3] = -0.004
+    echo = np.abs(renderer.tissue_echo(still(renderer, pose), 1))
+    geometry = renderer.geometry
+    y = geometry.position(*np.ogrid[: geometry.frames, : geometry.lines, : geometry.samples], 1)
+    depth = y[..., 1] - 0.004 + 0.008  # below the top
+    assert echo[depth > 0.054].max() == 0
+    assert echo[(depth > 0.01) & (depth < 0.045)].mean() == pytest.approx(0.87, abs=0.05)
+
+
+def test_default_grey_levels_leave_room_for_the_needle():
+    """Tissue between 70 and 95; a needle across the beam from 215 up, hardly ever saturating."""
+    renderer = make_renderer(focus_depth=0.025)
+    for depth in (0.03, 0.05, 0.07):
+        needle = needle_through([0, 0, -0.1 - depth], 0.3, 0.0)
+        grey = renderer.render(still(renderer), [needle] * 27, 1, 0)
+        assert 70 < grey[:5].mean() < 95
+        assert grey.max() >= 215
+        assert (grey == 255).sum() < 30
+
+
+def test_noise_grows_with_depth_as_sound_is_attenuated():
+    tissue = Tissue(size=[0.001, 0.001, 0.001], attenuation=0.5)  # nothing to see
+    renderer = SweepRenderer(
+        transducer=Transducer(),
+        imaging=ImagingParameters(gain=1.0),
+        tissue=tissue,
+        parameters=ScannerParameters(noise_db=-40.0, gel_thickness=1.0),
+        seed=0,
+    )
+    grey = renderer.render(still(renderer), [NOWHERE] * 27, 1, 0).astype(float)
+    levels = grey.mean(axis=(0, 1)) / 4.25
+    # Both ways 0.5 dB/(cm MHz) x 3.3 MHz.
+    assert levels[260] - levels[130] == pytest.approx(2 * 0.5 * 3.3 * 130 * 0.0308, abs=0.3)
