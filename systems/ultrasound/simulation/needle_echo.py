@@ -204,17 +204,18 @@ def needle_view(
     specular = np.ones((len(needles), nodes))
     diffuse = np.ones((len(needles), nodes))
     tips = np.ones(len(needles))
-    from_tip = _NODE * np.arange(nodes)
+    from_tip: NDArray[np.float64] = _NODE * np.arange(nodes, dtype=np.float64)
     for frame, (needle, X, time) in enumerate(zip(needles, X_FT, times, strict=True)):
         if not needle:
             continue
-        points = needle.position(np.maximum(needle.length - from_tip, 0)) @ X[:, :3].T + X[:, 3]
-        rays = [*points, 0, centre_offset, 0]
+        points = needle.position(np.maximum(needle.length - from_tip, 0))
+        points = points @ X[:, :3].T + X[:, 3]
+        rays: NDArray[np.float64] = np.add(points, (0.0, centre_offset, 0.0))
         rays[:, 2] = 0
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         axis = needle.shaft[-1] - needle.shaft[-2]
         axes = frame_along(axis) @ X[:, :3].T
-        along = np.gradient(points, axis=0)
+        along: NDArray[np.float64] = np.asarray(np.gradient(points, axis=0))
         along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
         along[from_tip >= needle.length - _NODE] = -axes[0]
         fade = 10 ** (fading.level_db(from_tip, float(time)) / 20)

@@ -110,6 +110,6 @@ def _paint(
     if (high <= low).any():
         return
     part = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
-    indices = np.stack(np.indices(high - low), axis=-1) + low
+    indices = np.moveaxis(np.indices(tuple(high - low)), 0, -1) + low
     middles = origin + (indices + 0.5) * spacing
     labels[part][distance_to_segment(middles, start, end) < radius] = label

@@ -43,7 +43,8 @@ def scatterer_regions(
         content[:, :, bottoms > -fat.thickness] = 0
     ends = [(number, *pair) for number, tube in enumerate(tubes) for pair in _pairs(tube.path)]
     members: list[list[int]] = [[]]
-    middles = (first + 0.5 + np.stack(np.indices(content.shape), axis=-1)) * block_size
+    blocks = first + np.moveaxis(np.indices(content.shape), 0, -1)
+    middles = (blocks + 0.5).astype(np.float64) * block_size
     for segment, (number, start, end) in enumerate(ends):
         tube = tubes[number]
         reach = tube.radius * (1 + tube.pulsation) + np.sqrt(3) / 2 * block_size

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import affine_transform, gaussian_filter
+from scipy.ndimage import affine_transform, find_objects, gaussian_filter
 
 from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
@@ -18,6 +18,7 @@ from sonoservo.systems.ultrasound.simulation.structures.structure import (
 from sonoservo.systems.ultrasound.simulation.structures.surface import Surface, SurfaceEcho
 
 _SMOOTHING = 0.7
+_MARGIN = 4
 _MAX_CUBES = 30_000_000
 _TOPS = {
     "S": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
@@ -194,27 +195,53 @@ def anatomy_grid(label_map: LabelMap, parameters: AnatomyParameters) -> AnatomyG
     cubes[:3, 3] = origin + parameters.spacing / 2
     to_voxel = np.linalg.inv(X_TV) @ cubes
     numbers = np.zeros(shape, np.uint8)
-    best = np.full(shape, 0.25, np.float32)
+    best = np.zeros(shape, np.float32)
+    plain = np.ones(shape, np.float32)
+    boxes = find_objects(label_map.labels)
     surfaces: list[tuple[Surface, SurfaceEcho]] = []
     for number, each in enumerate(properties):
-        indicator = (label_map.labels == each.label).astype(np.float32)
-        if not indicator.any():
+        if each.label == 0:
             continue
-        share = affine_transform(
-            gaussian_filter(indicator, _SMOOTHING, mode="nearest"),
-            to_voxel[:3, :3],
-            to_voxel[:3, 3],
-            output_shape=tuple(shape),
-            order=1,
-            mode="nearest",
-        )
-        here = share > best
-        numbers[here] = number
-        best[here] = share[here]
+        first, share = _share(label_map, each.label, boxes[each.label - 1], to_voxel, shape)
+        part = tuple(slice(low, low + n) for low, n in zip(first, share.shape, strict=True))
+        plain[part] -= share
+        here = share > best[part]
+        numbers[part][here] = number
+        best[part][here] = share[here]
         if each.echo is not None:
-            middle = origin + parameters.spacing / 2
+            middle = origin + parameters.spacing * (first + 0.5)
             surfaces.append((level_surface(share, middle, parameters.spacing), each.echo))
+    numbers[plain > best] = 0
     return AnatomyGrid(numbers, origin, parameters.spacing, properties, tuple(surfaces))
+
+
+def _share(
+    label_map: LabelMap,
+    label: int,
+    box: tuple[slice, ...],
+    to_voxel: NDArray[np.float64],
+    shape: NDArray[np.int64],
+) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """Index of the first cube that a label reaches, and its smoothed share of those cubes."""
+    labels = label_map.labels
+    low = np.maximum([each.start - _MARGIN for each in box], 0)
+    high = np.minimum([each.stop + _MARGIN for each in box], labels.shape)
+    inside = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+    smooth = gaussian_filter((labels[inside] == label).astype(np.float32), _SMOOTHING)
+    ends = np.stack(np.meshgrid(*zip(low, high - 1, strict=True), indexing="ij"), axis=-1)
+    inverse = np.linalg.inv(to_voxel)
+    corners = ends.reshape(-1, 3) @ inverse[:3, :3].T + inverse[:3, 3]
+    first = np.clip(np.floor(corners.min(axis=0)).astype(int), 0, shape - 1)
+    last = np.clip(np.ceil(corners.max(axis=0)).astype(int) + 1, first + 1, shape)
+    share = affine_transform(
+        smooth,
+        to_voxel[:3, :3],
+        to_voxel[:3, :3] @ first + to_voxel[:3, 3] - low,
+        output_shape=tuple(last - first),
+        order=1,
+        mode="nearest",
+    )
+    return first, share
 
 
 def _pose_in_tissue(

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import nrrd
 import numpy as np
@@ -175,7 +176,7 @@ def _signs(space: str) -> tuple[int, int, int]:
 
 
 def _label_map(
-    data: NDArray[np.generic],
+    data: NDArray[Any],
     axes: NDArray[np.float64],
     origin: NDArray[np.float64],
     signs: NDArray[np.int64],

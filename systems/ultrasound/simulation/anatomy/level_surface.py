@@ -31,7 +31,7 @@ def level_surface(
         (3,) position of the first sample, and distance between samples, in m.
     """
     inside = field > 0.5
-    box = find_objects(inside)
+    box = find_objects(inside.astype(np.uint8))
     if not box or box[0] is None:
         return Surface(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
     first = np.array([max(each.start - 2, 0) for each in box[0]])

@@ -43,7 +43,7 @@ class Gas(Structure):
     level_db: float = 44.0
     diffuse_db: float = -10.0
     shadow: float = 0.97
-    ring_down_db: float = -22.0
+    ring_down_db: float = -34.0
     ring_down_length: float = 0.04
 
     def __post_init__(self) -> None:

@@ -61,4 +61,4 @@ class NWires(Structure):
 
     def rods(self) -> list[Rod]:
         """The three wires."""
-        return [Rod(*wire, self.level_db, self.diffuse_db) for wire in self.ends()]
+        return [Rod(start, end, self.level_db, self.diffuse_db) for start, end in self.ends()]
