@@ -14,7 +14,7 @@ from sonoservo.systems.ultrasound.simulation.structures.surface import frame_alo
 
 _WATER_SOUND_SPEED = 1480.0
 _LONGEST_NEEDLE = 0.3
-_NODE = 1e-3
+_NODE = 2e-3
 _FACES = {"plain": 0, "bevel": 1, "diamond": 3, "blunt": 0}
 _TIP_FLOOR = 10 ** (-15 / 20)
 _WAVES = 12
@@ -200,7 +200,8 @@ def needle_view(
     times
         (frames,) in s.
     """
-    nodes = int(_LONGEST_NEEDLE / _NODE)
+    longest = max(needle.length for needle in needles if needle)
+    nodes = int(np.ceil(longest / _NODE)) + 2
     specular = np.ones((len(needles), nodes))
     diffuse = np.ones((len(needles), nodes))
     tips = np.ones(len(needles))

@@ -11,7 +11,7 @@ from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.ultrasound.beam import Beam
 from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import render_needles
-from sonoservo.systems.ultrasound.simulation.kernels.medium import Medium, apparent_points
+from sonoservo.systems.ultrasound.simulation.kernels.medium import View, apparent_points
 from sonoservo.systems.ultrasound.simulation.kernels.projection import DepthTables, Rays
 from sonoservo.systems.ultrasound.simulation.needle_echo import (
     NeedleEchoParameters,
@@ -32,7 +32,8 @@ class FrameViews(NamedTuple):
     """(frames, 3, 4) pose of the tissue in each F."""
     rays: Rays
     tables: DepthTables
-    medium: Medium | None
+    bent: View | None
+    """Where points appear; None if that is where they are."""
     transmission: NDArray[np.float32] | None
     """(frames, lines, samples) factor on echoes from behind structures."""
     times: NDArray[np.float64]
@@ -99,9 +100,9 @@ class NeedleRenderer:
                 parameters, self._fading, self._beam, needles, X_FT, offset, views.times
             )
         shafts = [needle.shaft for needle in needles]
-        if views.medium is not None:
+        if views.bent is not None:
             shafts = [
-                _apparent(needle, X, views.medium, frame)
+                _apparent(needle, X, views.bent, frame)
                 for frame, (needle, X) in enumerate(zip(needles, X_FT, strict=True))
             ]
         radius = needles[0].radius
@@ -126,7 +127,7 @@ class NeedleRenderer:
 
 
 def _apparent(
-    needle: Needle, X_FT: NDArray[np.float64], medium: Medium, frame: int
+    needle: Needle, X_FT: NDArray[np.float64], view: View, frame: int
 ) -> NDArray[np.float64]:
     """Points along a needle in T, (m, 3) in m, where a frame shows them."""
     if not needle:
@@ -134,5 +135,5 @@ def _apparent(
     count = max(int(np.ceil(needle.length / _BENT_STEP)), 1) + 1
     points = needle.position(np.linspace(0, needle.length, count))
     R, p = X_FT[:, :3], X_FT[:, 3]
-    seen = apparent_points(points @ R.T + p, medium, frame)
+    seen = apparent_points(points @ R.T + p, view, frame)
     return (seen - p) @ R

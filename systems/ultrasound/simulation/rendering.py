@@ -258,8 +258,8 @@ class SweepRenderer:
             where the lens focuses.
         """
         X_FT, rays = frame_poses(self._acoustic, X_TP), self._rays[direction]
-        medium = self._scene.view(X_FT, float(rays.twist))[0]
-        render_points(iq, X_FT, points, amplitudes, rays, self._tables, self._point_pulse, medium)
+        view = self._scene.view(X_FT, float(rays.twist))[0]
+        render_points(iq, X_FT, points, amplitudes, rays, self._tables, self._point_pulse, view)
 
     def render(
         self,
@@ -306,7 +306,7 @@ class SweepRenderer:
         """Render all but the needle; return what the needle's echo needs besides."""
         X_FT, rays = frame_poses(self._acoustic, X_TP), self._rays[direction]
         scene, tables = self._scene, self._tables
-        medium, gains, nodes_per_metre = scene.view(X_FT, float(rays.twist))
+        view, gains, nodes_per_metre = scene.view(X_FT, float(rays.twist))
         render_tissue(
             iq,
             X_FT,
@@ -318,10 +318,10 @@ class SweepRenderer:
             self._kernel,
             scene.regions,
             scene.radii(times),
-            medium,
+            view,
         )
         if len(self._inclusions[0]):
-            render_points(iq, X_FT, *self._inclusions, rays, tables, self._point_pulse, medium)
+            render_points(iq, X_FT, *self._inclusions, rays, tables, self._point_pulse, view)
         transmission = None
         if scene.pieces is not None:
             transmission = np.ones(self.geometry.shape, np.float32)
@@ -338,9 +338,10 @@ class SweepRenderer:
                 tables,
                 scene.pulses,
                 scene.taps,
-                medium,
+                view,
+                gains is not None,
             )
-        views = FrameViews(X_FT, rays, tables, medium, transmission, times)
+        views = FrameViews(X_FT, rays, tables, view, transmission, times)
         for needle, renderer in self._resting:
             renderer.add(iq, [needle] * len(iq), views)
         return views

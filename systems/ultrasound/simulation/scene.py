@@ -8,7 +8,12 @@ from numpy.typing import NDArray
 from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.ultrasound.beam import Beam
-from sonoservo.systems.ultrasound.simulation.kernels.medium import Medium, integrate_paths
+from sonoservo.systems.ultrasound.simulation.kernels.medium import (
+    Medium,
+    View,
+    integrate_paths,
+    tabulate_views,
+)
 from sonoservo.systems.ultrasound.simulation.kernels.regions import Regions
 from sonoservo.systems.ultrasound.simulation.kernels.surface_echo import Pieces
 from sonoservo.systems.ultrasound.simulation.path_labels import PathLabels, path_labels
@@ -18,10 +23,12 @@ from sonoservo.systems.ultrasound.simulation.structures.structure import Tube
 from sonoservo.systems.ultrasound.simulation.structures.surface import Surface, SurfaceEcho
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 
-_DENSITY = 1.0
+_DENSITY = 1.4
 _MAX_PIECES = 3_000_000
 _NODE = 1e-3
 _NO_FAT = -1e9
+_VIEW_ANGLE = 0.1
+_VIEW_DEPTH = 4e-3
 
 
 @dataclass(frozen=True)
@@ -132,7 +139,7 @@ class Scene:
 
     def view(
         self, X_FT: NDArray[np.float64], twist: float
-    ) -> tuple[Medium | None, NDArray[np.float32] | None, float]:
+    ) -> tuple[View | None, NDArray[np.float32] | None, float]:
         """What the way through the tissue does to every frame's echoes.
 
         Parameters
@@ -167,9 +174,8 @@ class Scene:
             lines_per_radian=1 / geometry.line_pitch,
             nodes_per_metre=1 / _NODE,
         )
-        bends = bool((offsets > _NO_FAT).any())
         if self._paths is None:
-            return (medium if bends else None), None, 1 / _NODE
+            return self._tabulated(medium), None, 1 / _NODE
         nodes = max(int(np.ceil(geometry.depth / _NODE)) + 1, 2)
         gains = np.empty((frames, geometry.lines, nodes), np.float32)
         delays = np.empty_like(gains)
@@ -190,8 +196,28 @@ class Scene:
             twist,
         )
         if paths.delay_rate.any():
-            return medium._replace(delays=delays), gains, 1 / _NODE
-        return (medium if bends else None), gains, 1 / _NODE
+            medium = medium._replace(delays=delays)
+        return self._tabulated(medium), gains, 1 / _NODE
+
+    def _tabulated(self, medium: Medium) -> View | None:
+        """Where points appear, or None if that is where they are."""
+        if not medium.delays.size and not (medium.offsets > _NO_FAT).any():
+            return None
+        geometry = self._geometry
+        half = 1.1 * geometry.line_pitch * geometry.lines / 2 + 0.05
+        angles = 2 * int(np.ceil(half / _VIEW_ANGLE)) + 1
+        nearest = max(geometry.array_radius - 2e-3, 1e-3)
+        depths = int(np.ceil((geometry.depth + 0.008) / _VIEW_DEPTH)) + 1
+        view = View(
+            table=np.empty((len(medium.offsets), angles, depths, 15)),
+            angles_per_radian=1 / _VIEW_ANGLE,
+            middle=float(angles // 2),
+            nearest=nearest,
+            depths_per_metre=1 / _VIEW_DEPTH,
+            centre_offset=medium.centre_offset,
+        )
+        tabulate_views(view.table, medium, view)
+        return view
 
 
 def _pieces(

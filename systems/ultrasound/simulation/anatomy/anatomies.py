@@ -147,7 +147,8 @@ def _veins(
 
 def _plain(parameters: AnatomyParameters) -> dict[str, object]:
     labels = [dict(vars(each)) for each in parameters.labels]
-    return {"top": parameters.top, "spacing": parameters.spacing, "labels": labels}
+    plain = {name: getattr(parameters, name) for name in ("top", "spacing", "surface_spacing")}
+    return {**plain, "labels": labels}
 
 
 def _parameters(text: str) -> AnatomyParameters:

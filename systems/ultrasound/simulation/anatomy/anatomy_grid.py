@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import affine_transform, find_objects, gaussian_filter
 
 from sonoservo.systems.signals.immutable import Immutable
-from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import require, require_not_negative
 from sonoservo.systems.ultrasound.simulation.anatomy.label_map import LabelMap
 from sonoservo.systems.ultrasound.simulation.anatomy.level_surface import level_surface
 from sonoservo.systems.ultrasound.simulation.structures.structure import (
@@ -137,19 +137,23 @@ class AnatomyParameters:
         Side of the patient that the probe is on: A(nterior), P(osterior), L(eft), R(ight),
         S(uperior) or I(nferior). Z of T points there.
     spacing
-        Edge of the cubes that the map is resampled to, in m; surfaces are as fine.
+        Edge of the cubes that the map is resampled to, in m.
+    surface_spacing
+        Distance between the pieces of surfaces, in m.
     labels
         A table with an entry for every label of the map but 0, which is plain tissue.
     """
 
     top: str = "A"
     spacing: float = 0.6e-3
+    surface_spacing: float = 1.2e-3
     labels: list[LabelProperties] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         require(self.top in _TOPS, "top", self.top, f"one of {', '.join(_TOPS)}")
-        require_positive(spacing=self.spacing)
-        require(1e-4 <= self.spacing <= 5e-3, "spacing", self.spacing, "from 1e-4 to 5e-3 m")
+        for name in ("spacing", "surface_spacing"):
+            value = getattr(self, name)
+            require(1e-4 <= value <= 5e-3, name, value, "from 1e-4 to 5e-3 m")
         numbers = [each.label for each in self.labels]
         require(len(set(numbers)) == len(numbers), "labels", numbers, "different from each other")
         require(len(numbers) < 255, "labels", len(numbers), "at most 254 entries")
@@ -210,7 +214,10 @@ def anatomy_grid(label_map: LabelMap, parameters: AnatomyParameters) -> AnatomyG
         best[part][here] = share[here]
         if each.echo is not None:
             middle = origin + parameters.spacing * (first + 0.5)
-            surfaces.append((level_surface(share, middle, parameters.spacing), each.echo))
+            stride = max(round(parameters.surface_spacing / parameters.spacing), 1)
+            coarse = share[::stride, ::stride, ::stride]
+            surface = level_surface(coarse, middle, stride * parameters.spacing)
+            surfaces.append((surface, each.echo))
     numbers[plain > best] = 0
     return AnatomyGrid(numbers, origin, parameters.spacing, properties, tuple(surfaces))
 

@@ -7,7 +7,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from sonoservo.systems.sampling.options import OPTIONS
-from sonoservo.systems.ultrasound.simulation.kernels.medium import apparent_position
+from sonoservo.systems.ultrasound.simulation.kernels.medium import look_up
 from sonoservo.systems.ultrasound.simulation.kernels.projection import (
     FRACTIONS,
     line_coordinates,
@@ -125,7 +125,7 @@ def _add_point(  # type: ignore[no-untyped-def]
 
 @njit(parallel=True, **OPTIONS)
 def render_points(  # type: ignore[no-untyped-def]
-    iq, X_FT, points, amplitudes, rays, tables, pulse, medium
+    iq, X_FT, points, amplitudes, rays, tables, pulse, view
 ):
     """Add inclusions to every frame.
 
@@ -139,8 +139,8 @@ def render_points(  # type: ignore[no-untyped-def]
         (n, 3) positions in T and (n,) complex amplitudes.
     rays, tables, pulse
         See `_add_point`.
-    medium
-        See `Medium`, or None.
+    view
+        See `View`, or None.
     """
     frames, lines, samples = iq.shape
     taps = pulse.shape[2]
@@ -151,11 +151,12 @@ def render_points(  # type: ignore[no-untyped-def]
     for frame in prange(frames):
         layer = np.zeros((2, lines, samples + 2 * taps), np.float32)
         no_shadow = np.empty((0, 0), np.float32)
+        node = np.empty(15)
         seen = False
         for i in range(len(points)):
             x, y, z = _transformed(X_FT[frame], points[i, 0], points[i, 1], points[i, 2])
-            if medium is not None:
-                x, y, z = apparent_position(x, y, z, medium, frame)
+            if view is not None:
+                x, y, z = look_up(x, y, z, view, frame, node)
             if abs(z) > slab:
                 continue
             re = amplitudes[i].real

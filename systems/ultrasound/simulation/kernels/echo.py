@@ -10,7 +10,7 @@ from numba import njit, prange
 
 from sonoservo.systems.sampling.options import OPTIONS
 from sonoservo.systems.ultrasound.simulation.kernels.line_blur import blur_lines
-from sonoservo.systems.ultrasound.simulation.kernels.medium import linear_view
+from sonoservo.systems.ultrasound.simulation.kernels.medium import look_up
 from sonoservo.systems.ultrasound.simulation.kernels.projection import (
     FRACTIONS,
     line_coordinates,
@@ -44,7 +44,7 @@ _E1, _E2, _E3, _E4 = (np.float32(c) for c in (-0.99994248, 0.49904756, -0.161718
 
 @njit(parallel=True, **OPTIONS)
 def render_tissue(  # type: ignore[no-untyped-def]
-    iq, X_FT, box, tile, rays, tables, pulse, kernel, regions, radii, medium
+    iq, X_FT, box, tile, rays, tables, pulse, kernel, regions, radii, view
 ):
     """Render the tissue's echoes in every frame.
 
@@ -60,8 +60,8 @@ def render_tissue(  # type: ignore[no-untyped-def]
         From `line_kernel`.
     regions, radii
         `Regions` or None, and (frames, tubes) radii of their tubes in m.
-    medium
-        `Medium` or None.
+    view
+        `View` or None.
     """
     frames, lines, samples = iq.shape
     pad = len(kernel.ends) // 2 + 1
@@ -78,7 +78,7 @@ def render_tissue(  # type: ignore[no-untyped-def]
             pulse,
             regions,
             radii[frame],
-            medium,
+            view,
             frame,
         )
         blur_lines(iq[frame], accumulator, kernel, taps)
@@ -164,7 +164,7 @@ def _deposit(accumulator, chosen, count, line, sample, cosine, sine, pulse):  # 
 
 @njit(**OPTIONS)
 def deposit_tissue(  # type: ignore[no-untyped-def]
-    accumulator, X_FT, box, tile, rays, tables, pulse, regions, radii, medium, frame
+    accumulator, X_FT, box, tile, rays, tables, pulse, regions, radii, view, frame
 ):
     """Deposit the scatterers that a frame's beam meets.
 
@@ -183,7 +183,7 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
     pulse
         (FRACTIONS + 1, 2 taps) envelope around a scatterer, every value twice; a multiple of
         `LANES` wide.
-    regions, radii, medium, frame
+    regions, radii, view, frame
         See `render_tissue`; the frame's number.
     """
     block_size, positions, ranks, starts = tile
@@ -208,13 +208,15 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
     edge_sine = np.sin(min(half_angle, np.pi / 2))
     A = X_FT
     widest = half_angle
-    if medium is not None:
+    if view is not None:
         # Lines that are bent outwards reach further, and what is slower appears deeper.
         widest *= _BENT
+        straight_reach = thickness
         thickness += _BENT_ASIDE
-        turned = np.empty((3, 3))
+        node = np.empty(15)
         widest_slope = np.tan(min(widest, 1.5))
-        straight = np.ascontiguousarray(X_FT[:, :3])
+        bent = np.empty((3, 3))
+        A = bent
     first, last = _frame_blocks(X_FT, box, block_size, depth, widest, thickness, rays)
     largest = 0
     for block in range(starts.size - 1):
@@ -236,13 +238,21 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                     continue
                 x = X_FT[0, 0] * px + X_FT[0, 1] * py + X_FT[0, 2] * pz + X_FT[0, 3]
                 y = X_FT[1, 0] * px + X_FT[1, 1] * py + X_FT[1, 2] * pz + X_FT[1, 3]
-                if medium is not None:
+                if view is not None:
                     if abs(x) - (y + rays.centre_offset) * widest_slope > 2 * radius:
                         continue
                     # Within a block, what bends the lines does so linearly.
-                    x, y, z = linear_view(x, y, z, medium, frame, turned)
-                    A = turned @ straight
-                    R = A.astype(np.float32)
+                    x, y, z = look_up(x, y, z, view, frame, node)
+                    if abs(z) > straight_reach + support:
+                        continue
+                    for i in range(3):
+                        for j in range(3):
+                            bent[i, j] = (
+                                node[3 + 3 * i] * X_FT[0, j]
+                                + node[4 + 3 * i] * X_FT[1, j]
+                                + node[5 + 3 * i] * X_FT[2, j]
+                            )
+                            R[i, j] = bent[i, j]
                 q = y + rays.centre_offset
                 if abs(x) * edge_cosine - q * edge_sine > radius:
                     continue

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sonoservo.systems.sampling.options import OPTIONS
 
-_STEPS = 4
+_STEPS = 3
 _PROBE = 1e-3
 _LEAST_COSINE = 0.1
 
@@ -34,6 +34,21 @@ class Medium(NamedTuple):
     """(frames, lines, nodes) path in m by which echoes appear deeper; (frames, 0, 0) for none."""
     lines_per_radian: float
     nodes_per_metre: float
+
+
+class View(NamedTuple):
+    """Where points in F appear, for every frame, tabulated over angle and depth."""
+
+    table: NDArray[np.float64]
+    """(frames, angles, depths, 15): apparent less true position, the derivative of the apparent
+    position by the true one, and the direction in which sound arrives."""
+    angles_per_radian: float
+    middle: float
+    """Index of the angle 0."""
+    nearest: float
+    """Distance in m from the array's centre of the first depth."""
+    depths_per_metre: float
+    centre_offset: float
 
 
 @njit(**OPTIONS)
@@ -101,22 +116,6 @@ def apparent_position(x, y, z, medium, frame):  # type: ignore[no-untyped-def]
 
 
 @njit(**OPTIONS)
-def arrival_direction(ax, ay, az, medium, frame):  # type: ignore[no-untyped-def]
-    """Unit direction in F in which sound arrives at what appears at a point in F."""
-    dy = ay + medium.centre_offset
-    r = np.sqrt(ax * ax + dy * dy)
-    ux = ax / r
-    uy = dy / r
-    x0, y0, z0 = true_position(ax - _PROBE * ux, ay - _PROBE * uy, az, medium, frame)
-    x1, y1, z1 = true_position(ax, ay, az, medium, frame)
-    dx = x1 - x0
-    dy = y1 - y0
-    dz = z1 - z0
-    length = np.sqrt(dx * dx + dy * dy + dz * dz)
-    return dx / length, dy / length, dz / length
-
-
-@njit(**OPTIONS)
 def linear_view(x, y, z, medium, frame, slope):  # type: ignore[no-untyped-def]
     """Where a point in F appears, and how what is near it does.
 
@@ -163,13 +162,86 @@ def linear_view(x, y, z, medium, frame, slope):  # type: ignore[no-untyped-def]
     return ax, ay, az
 
 
+@njit(parallel=True, **OPTIONS)
+def tabulate_views(table, medium, view):  # type: ignore[no-untyped-def]
+    """Tabulate `linear_view` over the middle plane of every frame.
+
+    Parameters
+    ----------
+    table
+        (frames, angles, depths, 15) float64, written: see `View`.
+    medium, view
+        See `Medium` and `View`.
+    """
+    for frame in prange(len(table)):
+        slope = np.empty((3, 3))
+        for j in range(table.shape[1]):
+            phi = (j - view.middle) / view.angles_per_radian
+            for k in range(table.shape[2]):
+                r = view.nearest + k / view.depths_per_metre
+                x = r * np.sin(phi)
+                y = r * np.cos(phi) - view.centre_offset
+                node = table[frame, j, k]
+                ax, ay, az = linear_view(x, y, 0.0, medium, frame, slope)
+                node[0] = ax - x
+                node[1] = ay - y
+                node[2] = az
+                for row in range(3):
+                    for column in range(3):
+                        node[3 + 3 * row + column] = slope[row, column]
+                dy = ay + view.centre_offset
+                there = np.sqrt(ax * ax + dy * dy)
+                x0, y0, z0 = true_position(
+                    ax - _PROBE * ax / there, ay - _PROBE * dy / there, az, medium, frame
+                )
+                length = np.sqrt((x - x0) ** 2 + (y - y0) ** 2 + z0 * z0)
+                node[12] = (x - x0) / length
+                node[13] = (y - y0) / length
+                node[14] = -z0 / length
+
+
 @njit(**OPTIONS)
-def apparent_points(points, medium, frame):  # type: ignore[no-untyped-def]
+def look_up(x, y, z, view, frame, node):  # type: ignore[no-untyped-def]
+    """Interpolate a frame's view of a point.
+
+    Parameters
+    ----------
+    x, y, z
+        The point in F, in m.
+    view, frame
+        See `View`; the frame's number.
+    node
+        (15,) written.
+
+    Returns
+    -------
+    Where the point appears in F, in m.
+    """
+    table = view.table
+    dy = y + view.centre_offset
+    r = np.sqrt(x * x + dy * dy)
+    u = np.arctan2(x, dy) * view.angles_per_radian + view.middle
+    v = (r - view.nearest) * view.depths_per_metre
+    u = min(max(u, 0.0), table.shape[1] - 1.001)
+    v = min(max(v, 0.0), table.shape[2] - 1.001)
+    j = np.int64(u)
+    k = np.int64(v)
+    a = u - j
+    b = v - k
+    for i in range(15):
+        node[i] = (1 - a) * (
+            (1 - b) * table[frame, j, k, i] + b * table[frame, j, k + 1, i]
+        ) + a * ((1 - b) * table[frame, j + 1, k, i] + b * table[frame, j + 1, k + 1, i])
+    return x + node[0] + node[5] * z, y + node[1] + node[8] * z, node[2] + node[11] * z
+
+
+@njit(**OPTIONS)
+def apparent_points(points, view, frame):  # type: ignore[no-untyped-def]
     """Where (n, 3) points in F appear in a frame, (n, 3) in F, in m."""
     seen = np.empty_like(points)
-    slope = np.empty((3, 3))
+    node = np.empty(15)
     for i in range(len(points)):
-        seen[i] = linear_view(points[i, 0], points[i, 1], points[i, 2], medium, frame, slope)
+        seen[i] = look_up(points[i, 0], points[i, 1], points[i, 2], view, frame, node)
     return seen
 
 
@@ -210,6 +282,7 @@ def integrate_paths(  # type: ignore[no-untyped-def]
     step = 1 / medium.nodes_per_metre
     for frame in prange(frames):
         X = X_TF[frame]
+        bends = medium.offsets[frame] > -1e6
         for j in range(lines):
             from_middle = j - 0.5 * (lines - 1)
             sine = np.sin(line_pitch * from_middle)
@@ -221,7 +294,10 @@ def integrate_paths(  # type: ignore[no-untyped-def]
                 delays[frame, j, k] = late
                 r = medium.array_radius + (k + 0.5) * step
                 y = r * cosine - medium.centre_offset
-                x, y, z = true_position(r * sine, y, y * twist * from_middle, medium, frame)
+                x = r * sine
+                z = y * twist * from_middle
+                if bends:
+                    x, y, z = true_position(x, y, z, medium, frame)
                 a = np.int64(np.floor(per_metre * (_row(X[0], x, y, z) - origin[0])))
                 b = np.int64(np.floor(per_metre * (_row(X[1], x, y, z) - origin[1])))
                 c = np.int64(np.floor(per_metre * (_row(X[2], x, y, z) - origin[2])))

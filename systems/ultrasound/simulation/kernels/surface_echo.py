@@ -7,10 +7,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from sonoservo.systems.sampling.options import OPTIONS
-from sonoservo.systems.ultrasound.simulation.kernels.medium import (
-    apparent_position,
-    arrival_direction,
-)
+from sonoservo.systems.ultrasound.simulation.kernels.medium import look_up
 from sonoservo.systems.ultrasound.simulation.kernels.projection import (
     FRACTIONS,
     line_coordinates,
@@ -21,6 +18,9 @@ _FURTHEST = 3.0**2 / 2
 _FAINTEST = 0.01
 _NYQUIST_POWER = 8
 _OWN_SHADOW = 2.5e-3
+_BENT_ASIDE = 4e-3
+_FAINT_PIECE = 0.03
+_SHADOW_REACH = 2.0
 
 
 class Pieces(NamedTuple):
@@ -49,7 +49,7 @@ class Pieces(NamedTuple):
 
 
 @njit(**OPTIONS)
-def _in_frame(i, X_FT, pieces, growth, medium, frame, rays):  # type: ignore[no-untyped-def]
+def _in_frame(i, X_FT, pieces, growth, view, frame, node, rays):  # type: ignore[no-untyped-def]
     """Apparent position in F of a piece, and the cosine of the sound's angle to its normal."""
     surface = pieces.surfaces[i]
     nx = pieces.normals[i, 0]
@@ -61,15 +61,17 @@ def _in_frame(i, X_FT, pieces, growth, medium, frame, rays):  # type: ignore[no-
     px = X_FT[0, 0] * x + X_FT[0, 1] * y + X_FT[0, 2] * z + X_FT[0, 3]
     py = X_FT[1, 0] * x + X_FT[1, 1] * y + X_FT[1, 2] * z + X_FT[1, 3]
     pz = X_FT[2, 0] * x + X_FT[2, 1] * y + X_FT[2, 2] * z + X_FT[2, 3]
-    if medium is None:
+    if view is None:
         q = py + rays.centre_offset
         r = np.sqrt(px * px + q * q)
         ux = px / r
         uy = q / r
         uz = 0.0
     else:
-        px, py, pz = apparent_position(px, py, pz, medium, frame)
-        ux, uy, uz = arrival_direction(px, py, pz, medium, frame)
+        px, py, pz = look_up(px, py, pz, view, frame, node)
+        ux = node[12]
+        uy = node[13]
+        uz = node[14]
     fx = X_FT[0, 0] * nx + X_FT[0, 1] * ny + X_FT[0, 2] * nz
     fy = X_FT[1, 0] * nx + X_FT[1, 1] * ny + X_FT[1, 2] * nz
     fz = X_FT[2, 0] * nx + X_FT[2, 1] * ny + X_FT[2, 2] * nz
@@ -78,7 +80,21 @@ def _in_frame(i, X_FT, pieces, growth, medium, frame, rays):  # type: ignore[no-
 
 @njit(**OPTIONS)
 def _add_piece(  # type: ignore[no-untyped-def]
-    layer, loss, x, y, z, times, specular, diffuse, blocked, step, sine, rays, tables, pulse
+    layer,
+    loss,
+    touched,
+    x,
+    y,
+    z,
+    times,
+    specular,
+    diffuse,
+    blocked,
+    step,
+    sine,
+    rays,
+    tables,
+    pulse,
 ):
     """Add one piece's echo, or its echo after ``times`` ways to the face and back.
 
@@ -89,6 +105,8 @@ def _add_piece(  # type: ignore[no-untyped-def]
     loss
         (lines, samples) float32: share of the amplitude that each sample takes from those behind
         it, added to; (0, 0) for none.
+    touched
+        (lines,) set where the layer or the loss is added to.
     x, y, z
         Apparent position in F.
     times
@@ -129,16 +147,24 @@ def _add_piece(  # type: ignore[no-untyped-def]
     real = specular * smooth + diffuse.real
     re = np.float32(bright * (real * c + diffuse.imag * s))
     im = np.float32(bright * (diffuse.imag * c - real * s))
+    # A piece's echo ends where it drowns in the tissue's; its shadow needs less.
+    loudness = np.sqrt(re * re + im * im)
+    furthest = min(np.log(loudness / _FAINT_PIECE + 1e-9), _FURTHEST)
+    if loss.size > 0 and blocked > 0:
+        furthest = max(furthest, _SHADOW_REACH)
+    if u > furthest:
+        return
     sigma = tables.line_sigma[at]
     precision = 0.5 / (sigma * sigma)
-    reach = np.sqrt((_FURTHEST - u) / precision)
+    reach = np.sqrt((furthest - u) / precision)
     first = np.int64(max(np.ceil(line - reach), 0.0))
     last = np.int64(min(np.floor(line + reach), lines - 1.0))
     share = blocked * np.sqrt(precision_e * precision) / np.pi
     share *= rays.lines_per_radian / max(r, 1e-3)
     start = k - rays.lead + pad
-    audible = re * re + im * im > 1e-8
+    audible = loudness > 0.1 * _FAINT_PIECE
     for j in range(first, last + 1):
+        touched[j] = True
         main = np.float32(np.exp(-u - precision * (j - line) * (j - line)))
         if audible:
             a = main * re
@@ -156,7 +182,7 @@ def _add_piece(  # type: ignore[no-untyped-def]
 
 
 @njit(**OPTIONS)
-def _cast_shadows(transmission, layer, loss, margin, pad):  # type: ignore[no-untyped-def]
+def _cast_shadows(transmission, layer, loss, touched, margin, pad):  # type: ignore[no-untyped-def]
     """Weaken a frame's transmission, (lines, samples), and its layer behind what takes sound.
 
     A surface does not shade its own echo: what it takes counts in the layer only ``margin``
@@ -164,6 +190,8 @@ def _cast_shadows(transmission, layer, loss, margin, pad):  # type: ignore[no-un
     """
     lines, samples = loss.shape
     for j in range(lines):
+        if not touched[j]:
+            continue
         taken = np.float32(0)
         late = np.float32(0)
         for i in range(samples):
@@ -178,7 +206,7 @@ def _cast_shadows(transmission, layer, loss, margin, pad):  # type: ignore[no-un
 
 @njit(parallel=True, **OPTIONS)
 def render_surfaces(  # type: ignore[no-untyped-def]
-    iq, transmission, X_FT, pieces, growth, rays, tables, pulses, taps, medium
+    iq, transmission, X_FT, pieces, growth, rays, tables, pulses, taps, view, weakened
 ):
     """Add surfaces to every frame, and weaken what lies behind them.
 
@@ -199,16 +227,18 @@ def render_surfaces(  # type: ignore[no-untyped-def]
     pulses, taps
         (kinds, 2, FRACTIONS + 1, longest) float32 pulses, and (kinds,) how long each is. The first
         one is the echo, the others follow it.
-    medium
-        See `Medium`, or None.
+    view
+        See `View`, or None.
+    weakened
+        Whether the transmission is below 1 anywhere at first.
     """
     frames, lines, samples = iq.shape
     pad = pulses.shape[3]
     furthest = rays.array_radius + samples / rays.samples_per_metre
     slab = np.sqrt(_FURTHEST / tables.elevation_precision.min())
     slab += abs(rays.twist) * rays.middle_line * furthest
-    if medium is not None:
-        slab += 5e-3
+    if view is not None:
+        slab += _BENT_ASIDE
     margin = np.int64(_OWN_SHADOW * rays.samples_per_metre)
     for frame in prange(frames):
         X = X_FT[frame]
@@ -224,16 +254,19 @@ def render_surfaces(  # type: ignore[no-untyped-def]
             layer = np.zeros((2, lines, samples + 2 * pad), np.float32)
             loss = np.zeros((lines, samples), np.float32)
             no_loss = np.empty((0, 0), np.float32)
+            touched = np.zeros(lines, np.bool_)
+            node = np.empty(15)
             for number in range(count):
                 i = seen[number]
                 surface = pieces.surfaces[i]
-                x, y, z, cosine = _in_frame(i, X, pieces, growth[frame], medium, frame, rays)
+                x, y, z, cosine = _in_frame(i, X, pieces, growth[frame], view, frame, node, rays)
                 if cosine > 0 and pieces.one_sided[surface]:
                     continue
                 sine = np.sqrt(max(1 - cosine * cosine, 0.0))
                 _add_piece(
                     layer,
                     loss,
+                    touched,
                     x,
                     y,
                     z,
@@ -247,7 +280,7 @@ def render_surfaces(  # type: ignore[no-untyped-def]
                     tables,
                     pulses[0, :, :, : taps[0]],
                 )
-            _cast_shadows(transmission[frame], layer, loss, margin, pad)
+            _cast_shadows(transmission[frame], layer, loss, touched, margin, pad)
             for number in range(count):
                 i = seen[number]
                 surface = pieces.surfaces[i]
@@ -255,7 +288,7 @@ def render_surfaces(  # type: ignore[no-untyped-def]
                 kind = pieces.pulses[surface]
                 if level == 0 and kind == 0:
                     continue
-                x, y, z, cosine = _in_frame(i, X, pieces, growth[frame], medium, frame, rays)
+                x, y, z, cosine = _in_frame(i, X, pieces, growth[frame], view, frame, node, rays)
                 if cosine > 0 and pieces.one_sided[surface]:
                     continue
                 sine = np.sqrt(max(1 - cosine * cosine, 0.0))
@@ -267,6 +300,7 @@ def render_surfaces(  # type: ignore[no-untyped-def]
                     _add_piece(
                         layer,
                         no_loss,
+                        touched,
                         x,
                         y,
                         z,
@@ -284,17 +318,19 @@ def render_surfaces(  # type: ignore[no-untyped-def]
                         break
                     again *= level
                     times += 1
-            _join(iq[frame], transmission[frame], layer, pad)
-        else:
-            _join(iq[frame], transmission[frame], np.zeros((2, 0, 0), np.float32), pad)
+            _join(iq[frame], transmission[frame], layer, touched, weakened, pad)
+        elif weakened:
+            iq[frame] *= transmission[frame]
 
 
 @njit(**OPTIONS)
-def _join(iq, transmission, layer, pad):  # type: ignore[no-untyped-def]
-    """Weaken a frame's echoes and add its layer, if it has lines."""
+def _join(iq, transmission, layer, touched, weakened, pad):  # type: ignore[no-untyped-def]
+    """Weaken a frame's echoes and add its layer, on the lines that either touches."""
     for j in range(iq.shape[0]):
-        for i in range(iq.shape[1]):
-            iq[j, i] *= transmission[j, i]
-        if layer.shape[1] > 0:
+        if touched[j]:
             for i in range(iq.shape[1]):
-                iq[j, i] += complex(layer[0, j, i + pad], layer[1, j, i + pad])
+                echo = complex(layer[0, j, i + pad], layer[1, j, i + pad])
+                iq[j, i] = iq[j, i] * transmission[j, i] + echo
+        elif weakened:
+            for i in range(iq.shape[1]):
+                iq[j, i] *= transmission[j, i]
