@@ -216,9 +216,9 @@ def needle_view(
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         axis = needle.shaft[-1] - needle.shaft[-2]
         axes = frame_along(axis) @ X[:, :3].T
-        along: NDArray[np.float64] = np.asarray(np.gradient(points, axis=0))
-        along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
-        along[from_tip >= needle.length - _NODE] = -axes[0]
+        along = np.empty_like(points)
+        along[:-1] = (points[:-1] - points[1:]) / _NODE
+        along[np.append(from_tip[1:], np.inf) > needle.length] = axes[0]
         fade = 10 ** (fading.level_db(from_tip, float(time)) / 20)
         specular[frame] = fade
         diffuse[frame] = fade
@@ -274,10 +274,10 @@ def _tip_factor(
 
 
 def rod_amplitudes(
-    level_db: float, diffuse_db: float, beam: Beam, reference: int
+    level_db: float, diffuse_db: float, beam: Beam, reference: int, points_per_wavelength: int = 8
 ) -> tuple[float, float, float]:
     """Spacing in m, specular and diffuse amplitude of the points of a thin rod."""
-    spacing = beam.wavelength / 8
+    spacing = beam.wavelength / points_per_wavelength
     width = beam.lateral[reference]
     # In phase, the points under the beam add up.
     length = np.sqrt(2 * np.pi) * width

@@ -9,7 +9,7 @@ from sonoservo.systems.ultrasound.beam import Beam
 from sonoservo.systems.ultrasound.simulation.kernels.projection import FRACTIONS
 
 _RING_DOWN_STEP = 0.4e-3
-_RING_DOWN_DECADES = 2.0
+_RING_DOWN_DECADES = 1.5
 
 
 class PulseTables:

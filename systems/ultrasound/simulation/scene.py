@@ -25,10 +25,11 @@ from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 
 _DENSITY = 1.4
 _MAX_PIECES = 3_000_000
-_NODE = 1e-3
+_NODE = 2e-3
 _NO_FAT = -1e9
 _VIEW_ANGLE = 0.1
-_VIEW_DEPTH = 4e-3
+_VIEW_DEPTH = 5e-3
+_ASIDE = 0.5e-3
 
 
 @dataclass(frozen=True)
@@ -215,9 +216,10 @@ class Scene:
             nearest=nearest,
             depths_per_metre=1 / _VIEW_DEPTH,
             centre_offset=medium.centre_offset,
+            aside=0.0,
         )
         tabulate_views(view.table, medium, view)
-        return view
+        return view._replace(aside=float(np.abs(view.table[..., 2]).max()) + _ASIDE)
 
 
 def _pieces(

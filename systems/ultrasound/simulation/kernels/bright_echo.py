@@ -148,6 +148,8 @@ def render_points(  # type: ignore[no-untyped-def]
     furthest = rays.array_radius + samples / rays.samples_per_metre
     slab = np.sqrt(_FURTHEST / tables.elevation_precision.min())
     slab += abs(rays.twist) * rays.middle_line * furthest
+    if view is not None:
+        slab += view.aside
     for frame in prange(frames):
         layer = np.zeros((2, lines, samples + 2 * taps), np.float32)
         no_shadow = np.empty((0, 0), np.float32)
@@ -155,10 +157,10 @@ def render_points(  # type: ignore[no-untyped-def]
         seen = False
         for i in range(len(points)):
             x, y, z = _transformed(X_FT[frame], points[i, 0], points[i, 1], points[i, 2])
-            if view is not None:
-                x, y, z = look_up(x, y, z, view, frame, node)
             if abs(z) > slab:
                 continue
+            if view is not None:
+                x, y, z = look_up(x, y, z, view, frame, node)
             re = amplitudes[i].real
             im = amplitudes[i].imag
             seen |= _add_point(layer, no_shadow, x, y, z, 0.0, re, im, 0.0, rays, tables, pulse)

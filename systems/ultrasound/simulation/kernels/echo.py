@@ -37,7 +37,6 @@ _FADE_WIDTH = np.float32(2 * FADE)
 _FRACTIONS = np.float32(FRACTIONS)
 _HALF_DIAGONAL = 3**0.5 / 2
 _BENT = 1.15
-_BENT_ASIDE = 4e-3
 # Minimax polynomial of exp(-v) on [0, 0.6], to 1e-6.
 _E1, _E2, _E3, _E4 = (np.float32(c) for c in (-0.99994248, 0.49904756, -0.16171851, 0.03126755))
 
@@ -212,7 +211,7 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
         # Lines that are bent outwards reach further, and what is slower appears deeper.
         widest *= _BENT
         straight_reach = thickness
-        thickness += _BENT_ASIDE
+        thickness += view.aside
         node = np.empty(15)
         widest_slope = np.tan(min(widest, 1.5))
         bent = np.empty((3, 3))

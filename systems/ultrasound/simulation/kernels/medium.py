@@ -49,6 +49,8 @@ class View(NamedTuple):
     """Distance in m from the array's centre of the first depth."""
     depths_per_metre: float
     centre_offset: float
+    aside: float
+    """Most that anything near a frame's plane appears further from it or nearer, in m."""
 
 
 @njit(**OPTIONS)

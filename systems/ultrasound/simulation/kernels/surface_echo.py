@@ -18,9 +18,9 @@ _FURTHEST = 3.0**2 / 2
 _FAINTEST = 0.01
 _NYQUIST_POWER = 8
 _OWN_SHADOW = 2.5e-3
-_BENT_ASIDE = 4e-3
-_FAINT_PIECE = 0.03
+_FAINT_PIECE = 0.08
 _SHADOW_REACH = 2.0
+_AWAY = 0.02
 
 
 class Pieces(NamedTuple):
@@ -46,6 +46,22 @@ class Pieces(NamedTuple):
     """(surfaces,) amplitude of each echo by way of the face, relative to the one before."""
     pulses: NDArray[np.int64]
     """(surfaces,) which pulse follows the echo of each; 0 for none."""
+
+
+@njit(**OPTIONS)
+def _is_turned_away(i, X_FT, pieces, rays):  # type: ignore[no-untyped-def]
+    """Whether a piece that reflects on one side only surely faces away from the probe."""
+    if not pieces.one_sided[pieces.surfaces[i]]:
+        return False
+    # The array's centre in T, from which sound comes.
+    ahead = 0.0
+    for axis in range(3):
+        centre = 0.0
+        for other in range(3):
+            origin = X_FT[other, 3] + (rays.centre_offset if other == 1 else 0.0)
+            centre -= X_FT[other, axis] * origin
+        ahead += (pieces.points[i, axis] - centre) * pieces.normals[i, axis]
+    return ahead > _AWAY
 
 
 @njit(**OPTIONS)
@@ -238,7 +254,7 @@ def render_surfaces(  # type: ignore[no-untyped-def]
     slab = np.sqrt(_FURTHEST / tables.elevation_precision.min())
     slab += abs(rays.twist) * rays.middle_line * furthest
     if view is not None:
-        slab += _BENT_ASIDE
+        slab += view.aside
     margin = np.int64(_OWN_SHADOW * rays.samples_per_metre)
     for frame in prange(frames):
         X = X_FT[frame]
@@ -247,7 +263,7 @@ def render_surfaces(  # type: ignore[no-untyped-def]
         for i in range(len(pieces.points)):
             z = X[2, 0] * pieces.points[i, 0] + X[2, 1] * pieces.points[i, 1]
             z += X[2, 2] * pieces.points[i, 2] + X[2, 3]
-            if abs(z) < slab:
+            if abs(z) < slab and not _is_turned_away(i, X, pieces, rays):
                 seen[count] = i
                 count += 1
         if count > 0:
