@@ -21,6 +21,7 @@ _OWN_SHADOW = 2.5e-3
 _FAINT_PIECE = 0.08
 _SHADOW_REACH = 2.0
 _AWAY = 0.02
+_OPAQUE = np.float32(0.02)
 
 
 class Pieces(NamedTuple):
@@ -176,7 +177,8 @@ def _add_piece(  # type: ignore[no-untyped-def]
     first = np.int64(max(np.ceil(line - reach), 0.0))
     last = np.int64(min(np.floor(line + reach), lines - 1.0))
     share = blocked * np.sqrt(precision_e * precision) / np.pi
-    share *= rays.lines_per_radian / max(r, 1e-3)
+    # What lies beyond the furthest counts as within.
+    share *= rays.lines_per_radian / max(r, 1e-3) / (1 - np.exp(-furthest))
     start = k - rays.lead + pad
     audible = loudness > 0.1 * _FAINT_PIECE
     for j in range(first, last + 1):
@@ -214,7 +216,9 @@ def _cast_shadows(transmission, layer, loss, touched, margin, pad):  # type: ign
             through = transmission[j, i] * max(np.float32(1) - late, np.float32(0))
             layer[0, j, i + pad] *= through
             layer[1, j, i + pad] *= through
-            transmission[j, i] *= max(np.float32(1) - taken, np.float32(0))
+            through = np.float32(1) - taken
+            # Pieces cover an opaque surface to within a per cent.
+            transmission[j, i] *= through if through > _OPAQUE else np.float32(0)
             taken += loss[j, i]
             if i >= margin:
                 late += loss[j, i - margin]

@@ -3,7 +3,6 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sonoservo.systems.signals.requirements import require, require_positive
 from sonoservo.systems.ultrasound.simulation.structures.structure import (
@@ -14,7 +13,6 @@ from sonoservo.systems.ultrasound.simulation.structures.structure import (
 from sonoservo.systems.ultrasound.simulation.structures.surface import (
     Surface,
     SurfaceEcho,
-    parametric,
 )
 
 
@@ -56,17 +54,15 @@ class Calcification(Structure):
         self, spacing: float, rng: np.random.Generator
     ) -> list[tuple[Surface, SurfaceEcho]]:
         """A sphere that scatters in all directions."""
-
-        def position(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-            height, angle = 2 * u - 1, 2 * np.pi * v
-            ring = np.sqrt(np.maximum(1 - height**2, 0))
-            around = np.stack([ring * np.cos(angle), ring * np.sin(angle), height], axis=-1)
-            return self.centre + self.radius * around
-
-        size = 2 * self.radius
-        sphere = parametric(position, (size, np.pi * size), min(spacing, self.radius / 3))
-        outward = sphere.points - self.centre
-        sphere = Surface(sphere.points, outward / self.radius, sphere.areas)
+        step = min(spacing / 1.5, self.radius / 3)
+        count = int(np.ceil(4 * np.pi * (self.radius / step) ** 2))
+        # A golden spiral spreads points evenly on a sphere.
+        height = 1 - 2 * (np.arange(count) + 0.5) / count
+        angle = np.pi * (1 + np.sqrt(5)) * np.arange(count)
+        ring = np.sqrt(1 - height**2)
+        normals = np.stack([ring * np.cos(angle), ring * np.sin(angle), height], axis=-1)
+        area = 4 * np.pi * self.radius**2 / count
+        sphere = Surface(self.centre + self.radius * normals, normals, np.full(count, area))
         echo = SurfaceEcho(
             level_db=self.level_db,
             diffuse_db=0.0,
