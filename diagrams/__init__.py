@@ -1,4 +1,4 @@
-"""How blocks are wired: station, tracker, controller, experiment; scenarios.
+"""How blocks are wired: station, tracker, controller; experiments and their scenarios.
 
 What a person runs is handed out here too:
 
@@ -6,8 +6,8 @@ What a person runs is handed out here too:
 >>> result = run(load_scenario("chatelain2013_fig5", seed=1))
 >>> result.summary["servo"]["at_rest"]
 
-The rooms in it are `studies`, `papers` and `app`. It imports `systems` and `models`, and from
-none of its own rooms.
+The rooms in it are `trackers`, `experiments`, `studies`, `papers` and `app`. It imports `systems`
+and `models`, and of its own rooms `trackers` only.
 """
 
 from lazy_loader import attach_stub

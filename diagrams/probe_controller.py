@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
+from sonoservo.diagrams.assembly import ARM, PROBE, assemble_arm
 from sonoservo.systems.control.controller_schedule import ControllerSettings
 from sonoservo.systems.control.differential_kinematics import (
     DifferentialKinematics,
@@ -12,7 +13,6 @@ from sonoservo.systems.control.differential_kinematics import (
 from sonoservo.systems.control.force_controller import ForceController
 from sonoservo.systems.control.force_law import ForceControllerParameters
 from sonoservo.systems.control.visual_servo import VisualServo, VisualServoParameters
-from sonoservo.systems.robot.arm import MakeArmPlant
 from sonoservo.systems.signals.requirements import require_positive
 
 
@@ -23,9 +23,9 @@ class ProbeControllerParameters:
     Parameters
     ----------
     time_step
-        Of force law and joint commands, in s.
+        Period of force law and joint commands, in s.
     visual_servo, force, kinematics
-        Of the three blocks.
+        Parameters of the three blocks.
     """
 
     time_step: float = 0.005
@@ -40,11 +40,13 @@ class ProbeControllerParameters:
 
     @property
     def settings(self) -> ControllerSettings:
-        """What may be changed while it works, as it is at first."""
+        """Return the settings that may be changed at run time, as they are at the start."""
         return ControllerSettings(self.visual_servo.gain, self.force.force)
 
 
-def MakeProbeController(*, parameters: ProbeControllerParameters) -> Diagram:
+def MakeProbeController(
+    *, parameters: ProbeControllerParameters, arm: str = ARM, probe: str = PROBE
+) -> Diagram:
     """Make the controller of the probe.
 
     .. pydrake_system::
@@ -72,15 +74,17 @@ def MakeProbeController(*, parameters: ProbeControllerParameters) -> Diagram:
     ----------
     parameters
         How the probe is moved.
+    arm, probe
+        Names of files in models/robots and models/probes, or paths.
     """
-    plant, arm = MakeArmPlant()
+    held = assemble_arm(arm, probe)
     builder = DiagramBuilder()
     servo = builder.AddNamedSystem("visual_servo", VisualServo(parameters=parameters.visual_servo))
     force = builder.AddNamedSystem(
         "force_controller",
         ForceController(
             parameters=parameters.force,
-            mass=arm.probe.default_mass(),
+            mass=held.probe.default_mass(),
             time_step=parameters.time_step,
         ),
     )
@@ -88,8 +92,8 @@ def MakeProbeController(*, parameters: ProbeControllerParameters) -> Diagram:
         "differential_kinematics",
         DifferentialKinematics(
             parameters=parameters.kinematics,
-            plant=plant,
-            probe=arm.probe.body_frame(),
+            plant=held.plant,
+            probe=held.probe.body_frame(),
             time_step=parameters.time_step,
         ),
     )

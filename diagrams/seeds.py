@@ -1,4 +1,4 @@
-"""Where all that is random in a run comes from."""
+"""Seeds of the random parts of a run."""
 
 from dataclasses import dataclass
 
@@ -9,15 +9,27 @@ from sonoservo.diagrams.scenario import Scenario
 
 @dataclass(frozen=True)
 class Seeds:
-    """One for each thing that is random, so that none depends on how the others draw."""
+    """One seed for each random part of a run, so that none depends on how the others draw.
+
+    Parameters
+    ----------
+    tissue, insertion
+        Speckle of the phantom; needle and hand.
+    noise
+        Noise of the scanner.
+    station
+        Noise of the wrist sensor, or the shifts of the tissue.
+    tracker
+        Random choices of tracker or estimator.
+    """
 
     tissue: int
     insertion: int
     noise: int
-    wrist: int
+    station: int
     tracker: int
 
 
 def draw_seeds(scenario: Scenario) -> Seeds:
-    """Return the seeds that a scenario's own stands for."""
+    """Return the seeds that follow from a scenario's own."""
     return Seeds(*(int(each) for each in np.random.SeedSequence(scenario.seed).generate_state(5)))

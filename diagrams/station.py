@@ -8,39 +8,41 @@ from numpy.typing import NDArray
 from pydrake.geometry import Meshcat, MeshcatVisualizer, MeshcatVisualizerParams
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import Parser
-from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlant, MultibodyPlantConfig
-from pydrake.multibody.tree import PdControllerGains
+from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import Gain
 
+from sonoservo.diagrams.assembly import ARM, PHANTOM, PROBE, assemble_arm, load_probe_body
 from sonoservo.models import model_path
-from sonoservo.systems.robot.arm import AddArmWithProbe
+from sonoservo.systems.files.typed_yaml import ConfigurationError, dump_typed
+from sonoservo.systems.robot.arm import AddArmWithProbe, load_arm, set_servo_gains
 from sonoservo.systems.robot.body_pose import BodyPose
 from sonoservo.systems.robot.contact_force import ContactForce
-from sonoservo.systems.robot.phantom import AddPhantom
+from sonoservo.systems.robot.phantom import AddPhantom, load_contact
 from sonoservo.systems.robot.posture import probe_pose, reachable, solve_posture
 from sonoservo.systems.robot.wrist_force_sensor import WristForceSensor
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
 
-_CONTACT_MODELS = ("hydroelastic_with_fallback", "hydroelastic", "point")
-
-# Implicit, so stiffness costs no stability. The stage's axes are ideal: it carries the truth.
-_ARM_GAINS = 3 * [PdControllerGains(p=2e5, d=2e3)] + 3 * [PdControllerGains(p=4e4, d=4e2)]
-_STAGE_GAINS = 6 * [PdControllerGains(p=1e7, d=1e5)]
+_ALLOWED = {
+    "contact_model": ("hydroelastic_with_fallback", "hydroelastic", "point"),
+    "discrete_contact_approximation": ("lagged", "similar", "sap", "tamsi"),
+    "contact_surface_representation": ("polygon", "triangle"),
+}
 
 
 @dataclass(kw_only=True)
 class ProbePlacement:
-    """Where over the phantom the probe starts, looking straight down.
+    """Start of the probe over the phantom, looking straight down.
 
     Parameters
     ----------
     x, y
-        Over which point of the phantom's top, in T, in m.
+        Point of the phantom's top below the probe, in T, in m.
     yaw_deg
         Angle from X_T to X_P about the vertical, in deg.
     height
-        Of the probe's face above the phantom, in m.
+        Height of the probe's face above the phantom, in m.
     """
 
     x: float = 0.0
@@ -56,28 +58,31 @@ class ProbePlacement:
 
 @dataclass(kw_only=True)
 class StationParameters:
-    """What a station is made of.
+    """Parameters of a station.
 
     Parameters
     ----------
-    time_step
-        Of the plant, in s. With the controller's it may be 10 ms for studies: twice as fast, and
-        the force is held as well; or 1 ms to check forces.
-    contact_model
-        As in Drake: hydroelastic_with_fallback, hydroelastic, or point (for the plant alone three
-        times faster, and 1 mm shallower at 2 N).
+    arm
+        Name of a file in models/robots, or a path.
+    plant
+        Drake's settings of the plant. With the controller's, ``time_step`` may be 10 ms for
+        studies: twice as fast, and the force is held as well; or 1 ms to check forces. The
+        ``contact_model`` "point" is three times faster for the plant alone, and 1 mm shallower at
+        2 N.
     phantom_position
         (3,) position in W of the centre of the phantom's top face, in m, while it is at rest.
     probe
-        Where it starts.
+        Start of the probe.
     force_noise, torque_noise
         Standard deviation of the wrist force sensor's samples, in N and N m.
     display_period
         Time between pictures sent to Meshcat, in s of the simulation.
     """
 
-    time_step: float = 0.005
-    contact_model: str = "hydroelastic_with_fallback"
+    arm: str = ARM
+    plant: MultibodyPlantConfig = field(
+        default_factory=lambda: MultibodyPlantConfig(time_step=0.005)
+    )
     phantom_position: list[float] = field(default_factory=lambda: [0.5, 0.0, 0.2])
     probe: ProbePlacement = field(default_factory=ProbePlacement)
     force_noise: float = 0.02
@@ -85,14 +90,20 @@ class StationParameters:
     display_period: float = 3 / 32
 
     def __post_init__(self) -> None:
-        require_positive(time_step=self.time_step, display_period=self.display_period)
-        require(self.time_step <= 0.02, "time_step", self.time_step, "at most 0.02 s")
+        require_positive(display_period=self.display_period)
+        step = self.plant.time_step
+        require(0 < step <= 0.02, "plant.time_step", step, "above 0 and at most 0.02 s")
+        for name, allowed in _ALLOWED.items():
+            value = getattr(self.plant, name)
+            require(value in allowed, f"plant.{name}", value, " or ".join(allowed))
         require_not_negative(force_noise=self.force_noise, torque_noise=self.torque_noise)
         position = self.phantom_position
         finite = len(position) == 3 and bool(np.isfinite(position).all())
         require(finite, "phantom_position", position, "three coordinates in m")
-        allowed = " or ".join(_CONTACT_MODELS)
-        require(self.contact_model in _CONTACT_MODELS, "contact_model", self.contact_model, allowed)
+
+    def __eq__(self, other: object) -> bool:
+        # Drake's settings do not compare.
+        return isinstance(other, StationParameters) and dump_typed(self) == dump_typed(other)
 
     @property
     def X_WT(self) -> RigidTransform:
@@ -118,32 +129,62 @@ class StationParameters:
         )
 
 
-def start_posture(parameters: StationParameters) -> NDArray[np.float64]:
-    """(6,) joint positions of the arm at the start, in rad.
+def start_posture(parameters: StationParameters, probe: str = PROBE) -> NDArray[np.float64]:
+    """Joint positions of the arm at the start.
+
+    Parameters
+    ----------
+    parameters
+        The station.
+    probe
+        Name of a file in models/probes, or a path.
+
+    Returns
+    -------
+    (n,) joint positions in rad.
 
     Raises
     ------
     ValueError
         If the arm cannot reach the start.
     """
-    return solve_posture(parameters.probe_pose())
+    try:
+        return solve_posture(assemble_arm(parameters.arm, probe), parameters.probe_pose())
+    except ConfigurationError:
+        raise
+    except ValueError as error:
+        raise ValueError(
+            f"station.arm: {parameters.arm}: {error}; move the base (X_PC of its add_weld), "
+            "station.phantom_position or station.probe"
+        ) from error
 
 
-def check_reach(parameters: StationParameters, poses: Sequence[RigidTransform]) -> list[bool]:
-    """Whether the arm, from its start, reaches each of the poses X_WP of the probe.
+def check_reach(
+    parameters: StationParameters, poses: Sequence[RigidTransform], probe: str = PROBE
+) -> list[bool]:
+    """Return for each pose X_WP of the probe if the arm, from its start, reaches it.
+
+    Parameters
+    ----------
+    parameters, probe
+        See `start_posture`.
+    poses
+        Poses of the probe.
 
     Raises
     ------
     ValueError
         If the arm cannot reach the start.
     """
-    return reachable(poses, start_posture(parameters))
+    near = start_posture(parameters, probe)
+    return reachable(assemble_arm(parameters.arm, probe), poses, near)
 
 
 def MakeStation(
     *,
     parameters: StationParameters,
-    phantom_size: Sequence[float] = (0.24, 0.16, 0.08),
+    probe: str = PROBE,
+    phantom: str = PHANTOM,
     seed: int = 0,
     meshcat: Meshcat | None = None,
 ) -> Diagram:
@@ -163,20 +204,20 @@ def MakeStation(
         - contact_force
         - query_object
 
-    `joint_command` is the arm's 6 wanted joint positions and 6 velocities, in rad and rad/s;
-    `phantom_command` is x, y, z, roll, pitch, yaw of X_WT and their 6 rates (see `PhantomMotion`).
-    Both must be connected. `X_WP` and `X_WT` are RigidTransforms, `joint_state` has 6 positions
-    and 6 velocities; `wrist_force` is what the sensor reads (see `WristForceSensor`);
-    `contact_force` is the true normal force in N, for logs only.
+    `joint_command` is the wanted positions, then velocities, of the arm's n joints, in rad and
+    rad/s; `phantom_command` is x, y, z, roll, pitch, yaw of X_WT and their 6 rates (see
+    `PhantomMotion`). Both must be connected. `X_WP` and `X_WT` are RigidTransforms, `joint_state`
+    has n positions and n velocities; `wrist_force` is what the sensor reads (see
+    `WristForceSensor`); `contact_force` is the true normal force in N, for logs only.
 
     Parameters
     ----------
     parameters
-        What it is made of.
-    phantom_size
-        (3,) extents of the phantom along X, Y, Z of T, in m.
+        Arm, plant and sensors, and where probe and phantom are at the start.
+    probe, phantom
+        Names of files in models/probes and models/phantoms, or paths.
     seed
-        Of the sensor's noise.
+        Seed of the sensor's noise.
     meshcat
         Where to draw arm, probe and phantom, if anywhere.
 
@@ -185,37 +226,33 @@ def MakeStation(
     ValueError
         If the arm cannot reach the probe's start.
     """
+    start = start_posture(parameters, probe)
     builder = DiagramBuilder()
-    config = MultibodyPlantConfig(
-        time_step=parameters.time_step,
-        contact_model=parameters.contact_model,
-        discrete_contact_approximation="lagged",
+    plant, scene_graph = AddMultibodyPlant(parameters.plant, builder)
+    model = load_arm(parameters.arm)
+    arm = AddArmWithProbe(plant, model, load_probe_body(probe))
+    set_servo_gains(arm, model.servo)
+    placed = AddPhantom(
+        plant, scene_graph, size=load_tissue(phantom).size, contact=load_contact(phantom)
     )
-    plant, scene_graph = AddMultibodyPlant(config, builder)
-    arm = AddArmWithProbe(plant)
-    phantom = AddPhantom(plant, scene_graph, size=phantom_size)
     Parser(plant).AddModels(str(model_path("bench.sdf")))
-    # The names of what is seen, in the page's controls too.
-    plant.RenameModelInstance(arm.model_instance, "arm")
-    plant.RenameModelInstance(arm.probe.model_instance(), "probe")
-    plant.RenameModelInstance(phantom.model_instance, "phantom")
-    _add_joint_servos(plant)
     plant.Finalize()
-    plant.SetDefaultPositions(arm.model_instance, start_posture(parameters))
+    plant.SetDefaultPositions(arm.model_instance, start)
     for axis, value in zip("xyz", parameters.phantom_position, strict=True):
-        plant.GetJointByName(axis, phantom.model_instance).set_default_translation(value)
+        plant.GetJointByName(axis, placed.model_instance).set_default_translation(value)
 
     for name, instance in (
         ("joint_command", arm.model_instance),
-        ("phantom_command", phantom.model_instance),
+        ("phantom_command", placed.model_instance),
     ):
+        port = plant.get_desired_state_input_port(instance)
         # Drake lets a servo with no command go limp; a gain with no input says so instead.
-        command = builder.AddNamedSystem(name, Gain(1.0, 12))
-        builder.Connect(command.get_output_port(), plant.get_desired_state_input_port(instance))
+        command = builder.AddNamedSystem(name, Gain(1.0, port.size()))
+        builder.Connect(command.get_output_port(), port)
         builder.ExportInput(command.get_input_port(), name)
 
     poses = {}
-    for name, body in (("X_WP", arm.probe), ("X_WT", phantom.body)):
+    for name, body in (("X_WP", arm.probe), ("X_WT", placed.body)):
         poses[name] = builder.AddNamedSystem(name, BodyPose(body=body.index()))
         builder.Connect(plant.get_body_poses_output_port(), poses[name].get_input_port())
         builder.ExportOutput(poses[name].get_output_port(), name)
@@ -227,7 +264,7 @@ def MakeStation(
             wrist=arm.wrist,
             force_noise=parameters.force_noise,
             torque_noise=parameters.torque_noise,
-            period=parameters.time_step,
+            period=parameters.plant.time_step,
             seed=seed,
         ),
     )
@@ -256,10 +293,3 @@ def MakeStation(
     station = builder.Build()
     station.set_name("station")
     return station
-
-
-def _add_joint_servos(plant: MultibodyPlant) -> None:
-    """Give the six motors of the arm and those of the stage a stiff, implicit servo."""
-    actuators = plant.GetJointActuatorIndices()
-    for index, gains in zip(actuators, _ARM_GAINS + _STAGE_GAINS, strict=True):
-        plant.get_joint_actuator(index).set_controller_gains(gains)

@@ -1,4 +1,4 @@
-"""What exists: arm, probe, phantom, transducers. The README tells where every value comes from."""
+"""Models of robots, probes and phantoms; the README gives the source of every value."""
 
 from pathlib import Path
 
@@ -9,17 +9,16 @@ def model_path(name: str) -> Path:
     Parameters
     ----------
     name
-        Path below this folder, such as ``viper_s850.urdf``.
+        Path below this folder, such as ``robots/viper_s850.urdf``.
 
     Raises
     ------
     FileNotFoundError
-        If there is none; the message lists those of the same kind.
+        If there is none; the message lists the models of the same kind in its folder.
     """
     folder = Path(__file__).parent
     path = folder / name
     if not path.is_file():
-        kind = Path(name).suffix
-        there = sorted(str(each.relative_to(folder)) for each in folder.rglob(f"*{kind}"))
+        there = sorted(each.name for each in path.parent.glob(f"*{path.suffix}"))
         raise FileNotFoundError(f"there is no model {name!r}; there is: {', '.join(there)}")
     return path

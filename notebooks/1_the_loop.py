@@ -13,7 +13,7 @@ import os
 import matplotlib.pyplot as plt
 from rich.console import Console
 
-from sonoservo.diagrams import Experiment, load_scenario, run
+from sonoservo.diagrams import load_scenario, make_experiment, run
 from sonoservo.diagrams.app import summary_table
 from sonoservo.systems.display.monitor import Monitor
 from sonoservo.systems.evaluation import estimate_errors, plot_run
@@ -31,7 +31,7 @@ print(scenario.imaging)
 # probe (X along the array, Y into the body, Z the sweep), T tissue. Lengths are in m.
 
 # %%
-for system in Experiment(scenario).diagram.GetSystems():
+for system in make_experiment(scenario).diagram.GetSystems():
     inputs, outputs = (
         [port(index).get_name() for index in range(count)]
         for port, count in (
@@ -58,7 +58,7 @@ result = run(scenario, monitor=monitor)
 # stands beside it.
 
 # %%
-Console(width=100).print(summary_table(result.summary, scenario.published))
+Console(width=100).print(summary_table(result, scenario.published_figures))
 
 # %% [markdown]
 # Features that the servo drives to zero, tip, motion of the probe and force. Lines are the truth,

@@ -109,4 +109,4 @@ for name, result in runs.items():
 # %% [markdown]
 # What is between the two: a detector that finds a short needle because it moves, a Kalman filter
 # that says where to look, and a velocity that the servo feeds forward. To write a tracker like
-# that, take `diagrams/needle_tracker.py` apart: each block is a system of its own.
+# that, take `diagrams/trackers` apart: each block is a system of its own.

@@ -15,17 +15,15 @@ import numpy as np
 
 from sonoservo.diagrams import load_scenario, run, scan
 from sonoservo.systems.display.monitor import monitor_views
-from sonoservo.systems.ultrasound import (
-    elevation_width,
-    lateral_width,
-    load_transducer,
-    sample_plane,
-)
+from sonoservo.systems.signals import sample_plane
+from sonoservo.systems.ultrasound import elevation_width, lateral_width, load_transducer
 
 QUICK = ["duration=7", "hand.start=1", "hand.pushes.0.speed=0.016"]
 
 # %% [markdown]
-# Fields that the file leaves out keep the values of the Ultrasonix 4DC7-3/40 (Chatelain 2013).
+# A probe is a transducer and a body. Fields that the file leaves out keep the values of the
+# Ultrasonix 4DC7-3/40 (Chatelain 2013); a body that it leaves out is assumed, with a dome that is
+# curved like the transducer's face.
 # Here: an abdominal probe, flatter and wider. Lengths are in m, frequencies in Hz. A mistake is
 # answered with the field, its value and what is allowed.
 
@@ -33,11 +31,12 @@ QUICK = ["duration=7", "hand.start=1", "hand.pushes.0.speed=0.016"]
 folder = tempfile.TemporaryDirectory()
 file = Path(folder.name) / "abdominal.yaml"
 file.write_text("""
-array_radius: 0.060
-motor_radius: 0.050
-line_pitch_deg: 0.5
-element_pitch: 0.5e-3
-element_width: 0.45e-3
+transducer:
+  array_radius: 0.060
+  motor_radius: 0.050
+  line_pitch_deg: 0.5
+  element_pitch: 0.5e-3
+  element_width: 0.45e-3
 """)
 probes = {"4DC7-3/40": "4dc7_3_40", "abdominal": str(file)}
 
@@ -68,7 +67,7 @@ for axes in (lateral, elevation):
 
 # %%
 scans = {
-    name: scan(load_scenario("chatelain2013_fig4", changes=[f"transducer={probe}"]), time=20.0)
+    name: scan(load_scenario("chatelain2013_fig4", changes=[f"probe={probe}"]), time=20.0)
     for name, probe in probes.items()
 }
 
@@ -97,12 +96,12 @@ for row, (name, shown) in zip(axes, scans.items(), strict=True):
     row[0].set_ylabel(f"{name}: depth (mm)")
 
 # %% [markdown]
-# In the loop: name the file as the scenario's transducer, and tell the tracker how wide its beam
-# is along the needle at the needle's depth: by about half of that the needle's end is blurred.
+# In the loop: name the file as the scenario's probe. The volumes carry how wide the beam is at
+# every depth, so the tracker knows by how much the needle's end is blurred.
 
 # %%
 beam_width = lateral_width(0.05, load_transducer(file), imaging)
-changes = [f"transducer={file}", f"tracker.localizer.tip.beam_width={beam_width:.5f}"]
+changes = [f"probe={file}"]
 changes += QUICK if "SONOSERVO_QUICK" in os.environ else ["duration=20"]
 result = run(load_scenario("chatelain2013_fig5", changes=changes))
 print(f"beam {1e3 * beam_width:.2f} mm wide at 50 mm")

@@ -13,7 +13,7 @@ import os
 import matplotlib.pyplot as plt
 import numpy as np
 
-from sonoservo.diagrams import load_any_scenario, predict_shape
+from sonoservo.diagrams import load_scenario, run
 from sonoservo.systems.evaluation import plot_shape
 
 COARSE = ["step=0.004"] if "SONOSERVO_QUICK" in os.environ else []
@@ -24,9 +24,7 @@ COARSE = ["step=0.004"] if "SONOSERVO_QUICK" in os.environ else []
 
 # %%
 results = {
-    estimator: predict_shape(
-        load_any_scenario("carriere2016_d60", changes=[f"estimator={estimator}", *COARSE])
-    )
+    estimator: run(load_scenario("carriere2016_d60", changes=[f"estimator={estimator}", *COARSE]))
     for estimator in ("particle_filter", "least_squares", "published")
 }
 
@@ -36,7 +34,8 @@ results = {
 
 # %%
 result = results["particle_filter"]
-plot_shape(result.log, result.shape)
+shape = result.results["shape"]
+plot_shape(result.log, shape)
 
 # %% [markdown]
 # `shape` is a weighted set of paths: ask it for positions and for its own uncertainty anywhere.
@@ -44,7 +43,7 @@ plot_shape(result.log, result.shape)
 # %%
 depths = np.linspace(0, 0.14, 8)
 for depth, position, deviation in zip(
-    depths, result.shape.positions(depths), result.shape.std(depths), strict=True
+    depths, shape.positions(depths), shape.std(depths), strict=True
 ):
     print(f"{1e3 * depth:4.0f} mm: {np.round(1e3 * position, 2)} mm, +- {1e3 * deviation:.2f} mm")
 

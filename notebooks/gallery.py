@@ -15,7 +15,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from sonoservo.diagrams import load_scenario, scan
 from sonoservo.systems.evaluation import measure_needle_echo
-from sonoservo.systems.ultrasound import Plane, sample_plane
+from sonoservo.systems.signals import Plane, sample_plane
 
 ANGLES = [0, 5, 10, 20, 40]
 DEPTH = 0.045

@@ -26,7 +26,7 @@ def random_scan(seed, needle=True):
     """A needle of 20 to 80 mm in view, 0 to 30 deg to the probe's face; balls and fibres."""
     rng = np.random.default_rng([seed, 7])
     scenario = load_scenario("chatelain2013_fig5", seed=seed)
-    geometry = sweep_geometry(load_transducer(scenario.transducer), scenario.imaging)
+    geometry = sweep_geometry(load_transducer(scenario.probe), scenario.imaging)
     side = rng.choice([0, geometry.lines - 1])
     inwards = 1 if side == 0 else -1
     while True:

@@ -4,14 +4,15 @@ from typing import Any
 
 import numpy as np
 
-from sonoservo.systems.evaluation.run_log import RunLog, columns
+from sonoservo.systems.evaluation.log import columns
+from sonoservo.systems.evaluation.run_log import RunLog
 
 
 def build_log(samples: int, volumes: int, **known: Any) -> RunLog:
     """A log in which everything is missing but what is given."""
     extents = {"n": samples, "v": volumes, "2j": 12}
     arrays = {}
-    for name, column in columns().items():
+    for name, column in columns(RunLog).items():
         shape = [extents.get(extent, extent) for extent in column.shape]
         fill = {"f8": np.nan, "?": False, "U": ""}[column.dtype]
         arrays[name] = np.full(shape, fill, dtype="U9" if column.dtype == "U" else column.dtype)

@@ -13,10 +13,8 @@ BUILT = [line.strip("/") for line in (ROOT / ".gitignore").read_text().splitline
 MOST_LINES, MOST_LINES_OF_A_TEST, MOST_MODULES = 350, 500, 15
 
 LONGER = {
-    "diagrams/app/track.py": "waits",
     "diagrams/papers/carriere2016/reproduction.py": "waits",
     "diagrams/studies/dataset.py": "waits",
-    "systems/estimation/needle_kalman_filter.py": "waits",
 }
 FULLER = {
     "systems/localization": "one part of the method a module",

@@ -92,7 +92,7 @@ def test_the_wheel_holds_every_file_of_the_packages(wheel):
 def test_the_installed_package_is_typed_and_its_own(installed):
     code = (
         "import sys; from importlib.resources import files; import sonoservo.systems.signals as us;"
-        "from sonoservo.models import model_path; model_path('viper_s850.urdf');"
+        "from sonoservo.models import model_path; model_path('robots/viper_s850.urdf');"
         f"assert us.__file__.startswith({str(installed)!r}), us.__file__;"
         "assert us.Volume.__module__ == 'sonoservo.systems.signals.volume';"
         "assert all(files(f'sonoservo.{name}').joinpath('py.typed').is_file()"

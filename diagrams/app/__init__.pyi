@@ -9,8 +9,6 @@ from .scan import Scan as Scan
 from .scan import caption as caption
 from .scan import summarize_scan as summarize_scan
 from .scan import write_scan as write_scan
-from .shape_run import ShapeResult as ShapeResult
-from .shape_run import predict_shape as predict_shape
 from .terminal import Progress as Progress
 from .terminal import VolumeProgress as VolumeProgress
 from .terminal import format_figure as format_figure

@@ -28,9 +28,9 @@ def list_command(json_path: JsonOption = None) -> None:
     """List the scenarios that come with the package."""
     from rich.table import Table
 
-    from sonoservo.diagrams.scenario import list_scenarios, load_any_scenario
+    from sonoservo.diagrams.experiments.registry import list_scenarios, load_scenario
 
-    rows = {name: load_any_scenario(name).description for name in list_scenarios()}
+    rows = {name: load_scenario(name).description for name in list_scenarios()}
     table = Table("scenario", "what happens")
     for name, description in rows.items():
         table.add_row(name, description)
@@ -58,44 +58,33 @@ def run_command(
 ) -> None:
     """Run a scenario; end with a table of figures and a folder of results."""
     from sonoservo.diagrams.app.run import run
-    from sonoservo.diagrams.app.shape_run import predict_shape
     from sonoservo.diagrams.app.terminal import (
         Progress,
         start_display,
         start_monitor,
         summary_table,
     )
-    from sonoservo.diagrams.scenario import load_any_scenario
-    from sonoservo.diagrams.shape_scenario import ShapeScenario
+    from sonoservo.diagrams.experiments.registry import experiment_class, load_scenario
 
-    loaded = load_any_scenario(scenario, changes=changes, seed=seed)
-    if isinstance(loaded, ShapeScenario) and (record or record_sweeps):
-        raise ConfigurationError(f"--record: {loaded.name} makes slices, no volumes")
+    loaded = load_scenario(scenario, changes=changes, seed=seed)
     folder = out or Path("out") / f"{loaded.name}_seed{loaded.seed}"
-    makes_volumes = not isinstance(loaded, ShapeScenario)
-    monitor = start_monitor(console, host) if meshcat and makes_volumes else None
+    has_monitor = "monitor" in experiment_class(loaded.experiment).options
+    monitor = start_monitor(console, host) if meshcat and has_monitor else None
     display = start_display(console, host) if meshcat else None
     with Progress(console, loaded) as progress:
-        if isinstance(loaded, ShapeScenario):
-            summary = predict_shape(
-                loaded, out=folder, meshcat=display, after_slice=progress.show_slice
-            ).summary
-            published = loaded.published_figures
-        else:
-            summary = run(
-                loaded,
-                out=folder,
-                meshcat=display,
-                monitor=monitor,
-                after_volume=progress,
-                record=record,
-                record_sweeps=record_sweeps,
-            ).summary
-            published = loaded.published
-    console.print(summary_table(summary, published))
+        result = run(
+            loaded,
+            out=folder,
+            meshcat=display,
+            monitor=monitor,
+            record=record,
+            record_sweeps=record_sweeps,
+            after_step=progress,
+        )
+    console.print(summary_table(result, loaded.published_figures))
     console.print(f"Results, starting with the report: {folder / 'report.html'}", soft_wrap=True)
-    write_printed(json_path, summary)
-    if summary["interrupted"]:
+    write_printed(json_path, result.summary)
+    if result.summary["interrupted"]:
         raise typer.Exit(130)
 
 
@@ -126,22 +115,25 @@ def drive_command(
         start_monitor,
         summary_table,
     )
-    from sonoservo.diagrams.scenario import load_scenario
+    from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+    from sonoservo.diagrams.experiments.registry import load_scenario
+    from sonoservo.diagrams.scenario import require_scenario
 
     loaded = load_scenario(scenario, changes=changes, seed=seed)
+    following = require_scenario(loaded, FollowingScenario)
     with refusing(loaded):
-        loaded = replace(loaded, duration=duration)
+        following = replace(following, duration=duration)
     folder = out or Path("out") / f"{loaded.name}_driven_seed{loaded.seed}"
     monitor = start_monitor(console, host)
     display = start_display(console, host)
     console.print(DRIVING)
-    with Progress(console, loaded) as progress:
-        summary = drive(loaded, display, monitor=monitor, out=folder, show=progress.show).summary
-    console.print(summary_table(summary, {}))
+    with Progress(console, following) as progress:
+        result = drive(following, display, monitor=monitor, out=folder, show=progress.show)
+    console.print(summary_table(result))
     console.print(f"Results, starting with the report: {folder / 'report.html'}", soft_wrap=True)
     again = f"sonoservo run {folder / 'scenario.yaml'}"
     console.print(f"The same again: {again}", soft_wrap=True)
-    write_printed(json_path, summary)
+    write_printed(json_path, result.summary)
 
 
 @app.command("scan")
@@ -159,14 +151,17 @@ def scan_command(
 ) -> None:
     """Show what the scanner sees: one sweep, as a picture and as a volume for 3D Slicer."""
     from sonoservo.diagrams.app.scan import caption, scan, summarize_scan, write_scan
-    from sonoservo.diagrams.scenario import load_scenario
+    from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+    from sonoservo.diagrams.experiments.registry import load_scenario
+    from sonoservo.diagrams.scenario import require_scenario
 
     loaded = load_scenario(scenario, changes=changes, seed=seed)
-    result = scan(loaded, time=time)
-    summary = summarize_scan(result, loaded)
+    following = require_scenario(loaded, FollowingScenario)
+    result = scan(following, time=time)
+    summary = summarize_scan(result, following)
     folder = out or Path("out") / f"{loaded.name}_seed{loaded.seed}_scan"
-    paths = write_scan(result, loaded, folder)
-    console.print(caption(result, loaded), soft_wrap=True)
+    paths = write_scan(result, following, folder)
+    console.print(caption(result, following), soft_wrap=True)
     console.print(
         f"At {summary['time_s']:.2f} s, {summary['inserted_mm']:.1f} mm of the needle are in the "
         f"tissue. Written: {', '.join(map(str, paths))}",

@@ -12,16 +12,17 @@ from pydrake.math import RigidTransform
 
 from sonoservo.diagrams.app.kept_run import KeptRun, refusing
 from sonoservo.diagrams.app.real_time import RealTime
-from sonoservo.diagrams.app.run import RunResult, write_results
-from sonoservo.diagrams.experiment import Experiment
-from sonoservo.diagrams.scenario import Scenario
-from sonoservo.diagrams.scenario_insertion import make_insertion
+from sonoservo.diagrams.app.run import RunResult, finish
+from sonoservo.diagrams.experiments.following import FollowingExperiment
+from sonoservo.diagrams.experiments.following_insertion import make_insertion
+from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.systems.control.operator_settings import OperatorSettings
 from sonoservo.systems.display.world.operator_panel import OperatorPanel, operator_controls
 from sonoservo.systems.display.world.run_buttons import RunButtons
 from sonoservo.systems.display.world.sign import Sign
 from sonoservo.systems.display.world.world_view import WorldViewParameters
-from sonoservo.systems.evaluation.run_log import write_log
+from sonoservo.systems.evaluation.log import write_log
 from sonoservo.systems.files.writing import write_atomically
 from sonoservo.systems.needle.operator_hand import OperatorHand
 from sonoservo.systems.robot.operator_phantom_motion import OperatorPhantomMotion
@@ -54,24 +55,25 @@ There, "Open Controls" shows the sliders (below "Scene": fold it away). Keys mov
 """How to drive, for a terminal."""
 
 
-class DrivenExperiment:
-    """An experiment whose needle, phantom and controller an operator drives.
+class DrivenExperiment(FollowingExperiment):
+    """Following, with an operator who drives needle, phantom and controller.
 
     Parameters
     ----------
     scenario
-        Where it takes place. Its pushes, moves of the phantom and changes of the controller are
-        left out; the operator's take their place.
+        Scene of the run. Its pushes, moves of the phantom and changes of the controller are left
+        out; the operator's take their place.
     meshcat
-        In whose page the operator sits.
+        Meshcat whose page the operator uses.
     monitor
-        Where to show the volumes, if anywhere.
+        Monitor that shows the volumes, if any.
     """
 
     def __init__(
         self, scenario: Scenario, meshcat: Meshcat, monitor: "Monitor | None" = None
     ) -> None:
-        self.scenario = replace(
+        scenario = require_scenario(scenario, FollowingScenario)
+        still = replace(
             scenario,
             hand=replace(scenario.hand, start=0.0, pushes=[]),
             phantom_motion=PhantomMotionParameters(),
@@ -89,13 +91,11 @@ class DrivenExperiment:
                 min_force=controller.force.touch_force + 0.1,
             ),
         )
-        self._hand = OperatorHand(
-            make_insertion=lambda pushes: make_insertion(self.scenario, pushes)
-        )
+        self._hand = OperatorHand(make_insertion=lambda pushes: make_insertion(still, pushes))
         self._phantom_motion = OperatorPhantomMotion(X_WT=scenario.station.X_WT)
         self._settings = OperatorSettings(start=start)
-        self.experiment = Experiment(
-            self.scenario,
+        super().__init__(
+            still,
             meshcat,
             monitor=monitor,
             film=False,
@@ -108,19 +108,19 @@ class DrivenExperiment:
         )
 
     def hint(self) -> str:
-        """Return what the operator should know, if anything."""
-        context = self.experiment.context_of(self._hand)
-        return "aim it when it is outside" if self._hand.is_held(context) else ""
+        """Return a hint for the operator, or an empty text."""
+        held = self._hand.is_held(self.context_of(self._hand))
+        return "aim it when it is outside" if held else ""
 
-    def recorded(self) -> Scenario:
+    def happened(self) -> FollowingScenario:
         """Return the scenario that does what the operator has done so far."""
-        context_of = self.experiment.context_of
+        context_of = self.context_of
         pushes = self._hand.insertion(context_of(self._hand)).parameters.pushes
         moves = self._phantom_motion.moves(context_of(self._phantom_motion))
         changes = self._settings.schedule(context_of(self._settings)).changes
         return replace(
             self.scenario,
-            duration=max(self.experiment.time, _STRIDE),
+            duration=max(self.time, _STRIDE),
             hand=replace(self.scenario.hand, pushes=pushes),
             phantom_motion=PhantomMotionParameters(moves=moves),
             controller_changes=list(changes),
@@ -143,11 +143,11 @@ def drive(
     Parameters
     ----------
     scenario
-        Where it takes place; see `DrivenExperiment`.
+        Scene of the run; see `DrivenExperiment`.
     meshcat
-        In whose page the operator sits.
+        Meshcat whose page the operator uses.
     monitor
-        Where to show the volumes, if anywhere.
+        Monitor that shows the volumes, if any.
     out
         Folder for scenario.yaml (what was driven), scenario_1.yaml and so on (what was saved, given
         up by a restart, or driven earlier into the same folder), summary.json, log.npz, plots and
@@ -157,7 +157,7 @@ def drive(
 
     Returns
     -------
-    The figures and the log, of the last start.
+    Results of the run since its last start.
 
     Raises
     ------
@@ -165,15 +165,14 @@ def drive(
         If the scenario cannot be carried out.
     """
     with refusing(scenario):
-        driven = DrivenExperiment(scenario, meshcat, monitor)
-    experiment = driven.experiment
+        experiment = DrivenExperiment(scenario, meshcat, monitor)
     buttons = RunButtons(meshcat=meshcat, buttons=_BUTTONS)
     sign = _sign(meshcat)
     real_time = RealTime()
 
     def save(name: str) -> None:
         if out is not None:
-            write_atomically(out / name, driven.recorded().to_yaml())
+            write_atomically(out / name, experiment.happened().to_yaml())
 
     def save_all(log_path: Path) -> None:
         save("scenario.yaml")
@@ -181,7 +180,7 @@ def drive(
 
     if out is not None and (out / "scenario.yaml").exists():  # of an earlier drive
         (out / "scenario.yaml").rename(out / _next_name(out))
-    kept = KeptRun(driven.scenario, save_all, out=out)
+    kept = KeptRun(experiment.scenario, save_all, out=out)
     with kept:
         start = True
         while start or experiment.time < scenario.duration:
@@ -213,12 +212,12 @@ def drive(
                 if experiment.time >= saved + _SAVE_EVERY:
                     save("scenario.yaml")
                     saved = experiment.time
-            said = ["paused" if paused else _pace(real_time.factor), driven.hint()]
+            said = ["paused" if paused else _pace(real_time.factor), experiment.hint()]
             text = "; ".join(filter(None, said))
             sign.show(text)
             if show is not None:
                 show(experiment.time, text)
-    return write_results(kept, experiment, driven.recorded())
+    return finish(kept, experiment)
 
 
 def _pace(factor: float | None) -> str:

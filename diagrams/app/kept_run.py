@@ -1,4 +1,4 @@
-"""What every run of a scenario leaves behind, whatever is simulated."""
+"""Files that a run leaves behind, whatever its experiment."""
 
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -12,10 +12,8 @@ from matplotlib.figure import Figure
 from pydrake.geometry import Meshcat
 
 from sonoservo.diagrams.scenario import Scenario
-from sonoservo.diagrams.shape_scenario import ShapeScenario
 from sonoservo.systems.evaluation.plots import png
-from sonoservo.systems.evaluation.replay import save_replay
-from sonoservo.systems.evaluation.report import write_report
+from sonoservo.systems.evaluation.report import save_replay, write_report
 from sonoservo.systems.files.typed_yaml import ConfigurationError
 from sonoservo.systems.files.writing import write_atomically, write_json
 
@@ -24,7 +22,7 @@ _SAVE_EVERY = 10.0
 
 
 @contextmanager
-def refusing(scenario: Scenario | ShapeScenario) -> Iterator[None]:
+def refusing(scenario: Scenario) -> Iterator[None]:
     """Turn what a scenario's blocks refuse into a ConfigurationError that names the scenario."""
     try:
         yield
@@ -33,7 +31,7 @@ def refusing(scenario: Scenario | ShapeScenario) -> Iterator[None]:
 
 
 class KeptRun:
-    """A run that leaves its scenario from the start, its log whatever happens, results at the end.
+    """A run that writes its scenario at the start, its log in any case, and its results at the end.
 
     As a context manager it surrounds the simulation: the clock runs inside it, and an interruption
     from the keyboard ends the simulation but not the program.
@@ -41,35 +39,37 @@ class KeptRun:
     Parameters
     ----------
     scenario
-        What is run.
+        Scenario that is run.
     write_log
-        Writes what has been logged so far to a path.
+        Function that writes what has been logged so far to a path.
     out
-        Folder of everything; None keeps nothing.
+        Folder of all files; None keeps nothing.
     meshcat
-        Where the run is drawn, if anywhere: it records what becomes the replay.
+        Meshcat that draws the run, if any; it records what becomes the replay.
 
     Attributes
     ----------
+    out
+        Folder of all files, or None.
     interrupted
         Whether the simulation was interrupted.
     """
 
     def __init__(
         self,
-        scenario: Scenario | ShapeScenario,
+        scenario: Scenario,
         write_log: Callable[[Path], Any],
         *,
         out: Path | None = None,
         meshcat: Meshcat | None = None,
     ) -> None:
         self._scenario, self._write_log = scenario, write_log
-        self._out, self._meshcat = out, meshcat
+        self.out, self._meshcat = out, meshcat
         self.interrupted = False
 
     def __enter__(self) -> Self:
-        if self._out is not None:
-            write_atomically(self._out / "scenario.yaml", self._scenario.to_yaml())
+        if self.out is not None:
+            write_atomically(self.out / "scenario.yaml", self._scenario.to_yaml())
         if self._meshcat is not None:
             self._meshcat.StartRecording(set_visualizations_while_recording=True)
         self._saved = time.perf_counter()
@@ -97,14 +97,14 @@ class KeptRun:
             self._save()
 
     def summary(self, simulated: float, figures: Mapping[str, Any]) -> dict[str, Any]:
-        """Return what summary.json is to hold.
+        """Return the content of summary.json.
 
         Parameters
         ----------
         simulated
-            Time in s.
+            Simulated time in s.
         figures
-            Of the run.
+            Figures of the run.
         """
         return {
             "scenario": self._scenario.name,
@@ -128,31 +128,31 @@ class KeptRun:
         Parameters
         ----------
         summary
-            As `summary` gave it.
+            Summary as `summary` returned it.
         plots
-            Caption and figure by the name of the file.
+            Caption and figure of each plot, by the name of its file.
         published
-            Figures of the publication, by the path of ours in the summary.
+            Figures of the publication, by their dotted paths into the summary.
         """
-        if self._out is None:
+        if self.out is None:
             return
-        write_json(self._out / "summary.json", summary)
+        write_json(self.out / "summary.json", summary)
         if self._meshcat is not None:
-            save_replay(self._meshcat, self._out / "replay.html")
+            save_replay(self._meshcat, self.out / "replay.html")
         images = {}
         for name, (caption, figure) in plots.items():
             images[caption] = png(figure)
-            write_atomically(self._out / name, images[caption])
+            write_atomically(self.out / name, images[caption])
         write_report(
-            self._out / "report.html",
+            self.out / "report.html",
             summary,
             images,
-            command=f"sonoservo run {self._out / 'scenario.yaml'}",
+            command=f"sonoservo run {self.out / 'scenario.yaml'}",
             paper=published,
             replay="replay.html" if self._meshcat is not None else "",
         )
 
     def _save(self) -> None:
-        if self._out is not None:
-            self._write_log(self._out / "log.npz")
+        if self.out is not None:
+            self._write_log(self.out / "log.npz")
         self._saved = time.perf_counter()

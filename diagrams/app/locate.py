@@ -1,6 +1,6 @@
 """The needle in a single volume."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -8,12 +8,14 @@ from numpy.typing import ArrayLike
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.files.typed_yaml import ConfigurationError
-from sonoservo.systems.localization.localize import seek_needle
 from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
-from sonoservo.systems.localization.whole_volume import MIN_EVIDENCE
+from sonoservo.systems.localization.needle_line import MIN_EVIDENCE
+from sonoservo.systems.localization.pipeline import explain_localization
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.signals.immutable import Immutable, NotFound
 from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_prediction import NeedlePrediction
+from sonoservo.systems.signals.requirements import require, require_positive
 from sonoservo.systems.signals.volume import Volume
 
 
@@ -51,7 +53,7 @@ def locate(
     dynamic_range_db: float = 60.0,
     seed: int = 0,
 ) -> LocatedNeedle | NotFound:
-    """Find the needle in an array.
+    """Locate the needle in an array.
 
     Parameters
     ----------
@@ -73,28 +75,33 @@ def locate(
     -------
     The needle in the array's coordinates, or a `NotFound` that says why there is none.
     """
+    require_positive(dynamic_range_db=dynamic_range_db)
     volume = Volume(
-        np.asarray(intensities), np.asarray(origin), np.asarray(spacing), RigidTransform(), 0.0
+        np.asarray(intensities),
+        np.asarray(origin),
+        np.asarray(spacing),
+        RigidTransform(),
+        0.0,
+        decibels_per_level=dynamic_range_db / 255,
     )
-    return locate_in(volume, order=order, dynamic_range_db=dynamic_range_db, seed=seed)
+    return locate_in(volume, order=order, seed=seed)
 
 
-def locate_in(
-    volume: Volume, *, order: int = 2, dynamic_range_db: float = 60.0, seed: int = 0
-) -> LocatedNeedle | NotFound:
-    """Find the needle in a `Volume`; in W. See `locate`."""
-    parameters = NeedleLocalizerParameters(order=order)
-    tip = replace(parameters.tip, decibels_per_level=dynamic_range_db / 255)
-    found, evidence = seek_needle(volume, replace(parameters, tip=tip), np.random.default_rng(seed))
+def locate_in(volume: Volume, *, order: int = 2, seed: int = 0) -> LocatedNeedle | NotFound:
+    """Locate the needle in a `Volume`; in W. See `locate`."""
+    require(order in (2, 3), "order", order, "2 or 3")
+    anywhere = NeedlePrediction(order, volume.time, everywhere=True)
+    explained = explain_localization(
+        volume, anywhere, NeedleLocalizerParameters(), np.random.default_rng(seed)
+    )
+    found = explained.measurement
     if isinstance(found, NotFound):
         return found
-    return LocatedNeedle(found.curve, found.inlier_count, found.inlier_ratio, evidence)
+    return LocatedNeedle(found.curve, found.inlier_count, found.inlier_ratio, explained.evidence)
 
 
-def locate_in_recording(
-    recording: Recording, number: int = 0, *, order: int = 2, dynamic_range_db: float | None = None
-) -> dict[str, Any]:
-    """Find the needle in a volume of a file, and describe it in the file's coordinates.
+def locate_in_recording(recording: Recording, number: int = 0, *, order: int = 2) -> dict[str, Any]:
+    """Locate the needle in a volume of a file, and describe it in the file's coordinates.
 
     Parameters
     ----------
@@ -104,8 +111,6 @@ def locate_in_recording(
         Of the volume.
     order
         2 for a straight needle, 3 for a bent one.
-    dynamic_range_db
-        Range of echo amplitudes that 0 to 255 show; by default the recorder's, or else 60.
 
     Returns
     -------
@@ -118,9 +123,7 @@ def locate_in_recording(
     """
     if not 0 <= number < len(recording):
         raise ConfigurationError(f"{recording.path}: volume {number}: it has {len(recording)}")
-    if dynamic_range_db is None:
-        dynamic_range_db = float(recording.settings.get("dynamic_range_db", 60.0))
-    found = locate_in(recording[number], order=order, dynamic_range_db=dynamic_range_db)
+    found = locate_in(recording[number], order=order)
     result: dict[str, Any] = {"file": str(recording.path), "volume": number, "found": bool(found)}
     if isinstance(found, NotFound):
         return result | {"reason": found.reason}

@@ -28,7 +28,7 @@ WindowOption = Annotated[
 ]
 OrderOption = Annotated[int, typer.Option(help="2 for a straight needle, 3 for a bent one.")]
 DynamicRangeOption = Annotated[
-    float | None, typer.Option(help="dB from black to white; 60 unless the recorder noted it.")
+    float | None, typer.Option(help="dB from black to white; 60 unless the file tells it.")
 ]
 RateOption = Annotated[
     float | None, typer.Option(help="Volumes per second, for a file that tells no times.")

@@ -1,7 +1,7 @@
-"""One run of a scenario, from the first volume to the files that remain."""
+"""One run of a scenario, from the first step to the files that remain."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,12 +9,10 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.framework import System
 
 from sonoservo.diagrams.app.kept_run import KeptRun, refusing
-from sonoservo.diagrams.experiment import Experiment
+from sonoservo.diagrams.experiments.experiment import Experiment
+from sonoservo.diagrams.experiments.registry import make_experiment
 from sonoservo.diagrams.scenario import Scenario
-from sonoservo.systems.evaluation.metrics import MetricsParameters, summarize
-from sonoservo.systems.evaluation.plots import plot_errors, plot_run
-from sonoservo.systems.evaluation.run_log import RunLog, write_log
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate
+from sonoservo.systems.evaluation.log import write_log
 
 if TYPE_CHECKING:
     from sonoservo.systems.display.monitor.monitor import Monitor
@@ -22,68 +20,71 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RunResult:
-    """What is left of a run.
+    """Results of a run.
 
     Parameters
     ----------
     summary
         Figures, as in summary.json.
     log
-        Everything that was logged.
+        Everything that was logged; its class depends on the experiment.
+    labels
+        Label of each figure of the summary that a table shows, by its dotted path.
+    results
+        Further results of the experiment, by name: shape prediction has the last `shape`.
     """
 
     summary: dict[str, Any]
-    log: RunLog
+    log: Any
+    labels: Mapping[str, str]
+    results: Mapping[str, Any] = field(default_factory=dict)
 
 
 def run(
     scenario: Scenario,
     *,
     out: Path | None = None,
-    tracker: System | None = None,
     meshcat: Meshcat | None = None,
     monitor: "Monitor | None" = None,
-    after_volume: Callable[[float, NeedleEstimate], None] | None = None,
+    tracker: System | None = None,
     record: Path | None = None,
     record_sweeps: bool = False,
+    after_step: Callable[[Experiment[Any]], None] | None = None,
 ) -> RunResult:
-    """Run a scenario to its end, or until it is interrupted from the keyboard.
+    """Run a scenario of any experiment to its end, or until it is interrupted from the keyboard.
 
     Parameters
     ----------
     scenario
-        What is to happen.
+        Scenario of any experiment.
     out
         Folder for scenario.yaml, summary.json, log.npz, plots, report.html and, with a Meshcat,
         replay.html; None keeps nothing.
-    tracker
-        One's own, in place of the scenario's; see `Experiment`.
     meshcat, monitor
-        Where to draw the world, and where to show the volumes. The run then goes no faster than
-        real time.
-    after_volume
-        Called after every volume, with the simulated time in s and the estimate.
+        Displays of the world and of the volumes, if any. With one of them, the run goes no faster
+        than real time.
+    tracker
+        Tracker of one's own in place of the scenario's; see `FollowingExperiment`.
     record
-        Where to record the volumes as they come, ``NAME.seq.nrrd``, and the truth beside them; None
-        records none. What was recorded before an interruption stays.
+        File to which the volumes are recorded as they come, ``NAME.seq.nrrd``, with the truth
+        beside it; None records nothing. What was recorded before an interruption stays.
     record_sweeps
         Whether to record the sweeps too, as acquired.
-
-    Returns
-    -------
-    The figures and the log.
+    after_step
+        Called after every volume or slice with the experiment, which knows the time and what the
+        tracker does.
 
     Raises
     ------
     ConfigurationError
-        If the scenario cannot be carried out.
+        If the scenario cannot be carried out, or its experiment does not have an option.
     """
     with refusing(scenario):
-        experiment = Experiment(
+        experiment = make_experiment(
             scenario,
-            meshcat,
-            tracker=tracker,
+            meshcat=meshcat,
             monitor=monitor,
+            tracker=tracker,
             record=record,
             record_sweeps=record_sweeps,
         )
@@ -91,39 +92,31 @@ def run(
         scenario, lambda path: write_log(path, experiment.log()), out=out, meshcat=meshcat
     )
 
-    def note(simulated: float, estimate: NeedleEstimate) -> None:
+    def note(experiment: Experiment[Any]) -> None:
         kept.go_on()
-        if after_volume is not None:
-            after_volume(simulated, estimate)
+        if after_step is not None:
+            after_step(experiment)
 
     with kept:
         try:
             experiment.run(note, real_time=bool(meshcat or monitor))
         finally:
             experiment.close()
-    return write_results(kept, experiment, scenario)
+    return finish(kept, experiment)
 
 
-def write_results(kept: KeptRun, experiment: Experiment, scenario: Scenario) -> RunResult:
+def finish(kept: KeptRun, experiment: Experiment[Any]) -> RunResult:
     """Sum up a run that has ended, and write what is to be kept of it.
 
     Parameters
     ----------
     kept
-        The run.
+        Run that has ended.
     experiment
-        What was simulated.
-    scenario
-        What happened.
+        Its experiment.
     """
     log = experiment.log()
-    changed = any(change.force is not None for change in scenario.controller_changes)
-    target = None if changed else scenario.controller.force.force
-    figures = summarize(log, MetricsParameters(force_target=target))
-    summary = kept.summary(experiment.time, figures)
-    plots = {
-        "run.png": ("features, tip, probe, force", plot_run(log, target)),
-        "errors.png": ("errors", plot_errors(log)),
-    }
-    kept.write(summary, plots, scenario.published)
-    return RunResult(summary, log)
+    summary = kept.summary(experiment.time, experiment.summarize(log))
+    if kept.out is not None:
+        kept.write(summary, experiment.plots(log), experiment.happened().published_figures)
+    return RunResult(summary, log, experiment.labels, experiment.results())

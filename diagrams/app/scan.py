@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
-from sonoservo.diagrams.scenario import Scenario
-from sonoservo.diagrams.scenario_insertion import make_insertion
+from sonoservo.diagrams.experiments.following_insertion import make_insertion
+from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.systems.evaluation.plots import png
 from sonoservo.systems.evaluation.scan_sheet import scan_sheet
@@ -22,6 +22,7 @@ from sonoservo.systems.signals.requirements import require_not_negative
 from sonoservo.systems.signals.sweep import Sweep, SweepMotion
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
+from sonoservo.systems.ultrasound.simulation.acquisition import acquire_sweep
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
 from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
 from sonoservo.systems.ultrasound.transducer import load_transducer
@@ -76,6 +77,7 @@ def scan(
     ConfigurationError
         If the scenario cannot be carried out.
     """
+    scenario = require_scenario(scenario, FollowingScenario)
     try:
         return _scan(scenario, time, X_TP, velocity)
     except (ValueError, FileNotFoundError) as error:
@@ -83,7 +85,7 @@ def scan(
 
 
 def _scan(
-    scenario: Scenario,
+    scenario: FollowingScenario,
     time: float | None,
     X_TP: RigidTransform | None,
     velocity: Sequence[float],
@@ -93,18 +95,19 @@ def _scan(
     if time is None:
         time = float(max(np.linspace(0, scenario.duration, 200), key=insertion.depth))
     require_not_negative(time=time)
+    tissue = load_tissue(scenario.phantom).placed(insertion.entry, insertion.direction)
     renderer = SweepRenderer(
-        transducer=load_transducer(scenario.transducer),
+        transducer=load_transducer(scenario.probe),
         imaging=scenario.imaging,
-        tissue=replace(load_tissue(scenario.phantom), seed=seeds.tissue),
+        tissue=replace(tissue, seed=seeds.tissue),
         parameters=scenario.scanner,
         seed=seeds.noise,
     )
     geometry, station = renderer.geometry, scenario.station
-    frames = np.arange(geometry.frames, dtype=np.float64)
-    times: NDArray[np.float64] = time + geometry.frame_period * (frames - geometry.frames // 2)
+    middle = geometry.frames // 2
+    times = geometry.frame_times(time, since=middle)
     needles = [insertion.needle(float(each)) for each in times]
-    needle = needles[geometry.frames // 2]
+    needle = needles[middle]
     X_WT = station.X_WT
     if X_TP is None:
         x, y = needle.tip[:2] if needle else (None, None)
@@ -112,8 +115,8 @@ def _scan(
     poses = np.tile(np.eye(4), (geometry.frames, 1, 1))
     poses[:, :3, 3] = (times - time)[:, np.newaxis] * np.array(velocity)
     poses = X_TP.GetAsMatrix4() @ poses
-    samples = renderer.render(poses, needles, 1, 0)
-    sweep = Sweep(samples, SweepMotion(geometry, 1, times, X_WT.GetAsMatrix4() @ poses))
+    motion = SweepMotion(geometry, 1, times, X_WT.GetAsMatrix4() @ poses)
+    sweep = acquire_sweep(renderer, motion, needles, X_TP=poses)
     parameters = scenario.scan_conversion
     conversion = ScanConversion(
         geometry,
@@ -123,7 +126,7 @@ def _scan(
     return Scan(sweep, conversion(sweep), needle.transformed(X_WT))
 
 
-def write_scan(scan: Scan, scenario: Scenario, out: Path) -> list[Path]:
+def write_scan(scan: Scan, scenario: FollowingScenario, out: Path) -> list[Path]:
     """Write scan.png, a sheet of pictures, and scan.nrrd, the volume.
 
     Parameters
@@ -143,7 +146,6 @@ def write_scan(scan: Scan, scenario: Scenario, out: Path) -> list[Path]:
         scan.sweep,
         scan.volume,
         scan.needle,
-        dynamic_range_db=scenario.imaging.dynamic_range_db,
         caption=caption(scan, scenario),
     )
     return [
@@ -152,17 +154,17 @@ def write_scan(scan: Scan, scenario: Scenario, out: Path) -> list[Path]:
     ]
 
 
-def caption(scan: Scan, scenario: Scenario) -> str:
+def caption(scan: Scan, scenario: FollowingScenario) -> str:
     """Return a line that says what was scanned with what."""
     geometry, imaging = scan.sweep.geometry, scenario.imaging
     return (
-        f"{Path(scenario.transducer).stem} at {1e-6 * imaging.transmit_frequency:.1f} MHz:  "
+        f"{Path(scenario.probe).stem} at {1e-6 * imaging.transmit_frequency:.1f} MHz:  "
         f"{imaging.volume_rate:g} volumes/s,  {geometry.frames} frames x {geometry.lines} lines x "
         f"{geometry.samples} samples,  {1e3 * geometry.depth:.0f} mm deep"
     )
 
 
-def summarize_scan(scan: Scan, scenario: Scenario) -> dict[str, Any]:
+def summarize_scan(scan: Scan, scenario: FollowingScenario) -> dict[str, Any]:
     """Return the figures that are printed: settings, needle and levels."""
     geometry = scan.sweep.geometry
     needle = scan.needle
@@ -170,7 +172,7 @@ def summarize_scan(scan: Scan, scenario: Scenario) -> dict[str, Any]:
         "scenario": scenario.name,
         "seed": scenario.seed,
         "time_s": scan.volume.time,
-        "transducer": scenario.transducer,
+        "transducer": scenario.probe,
         "volume_rate_hz": scenario.imaging.volume_rate,
         "frames_lines_samples": list(geometry.shape),
         "voxels": list(scan.volume.intensities.shape),

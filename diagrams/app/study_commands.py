@@ -33,7 +33,7 @@ def dataset_command(
 
     What is done is kept: the same command goes on where it was interrupted.
     """
-    from sonoservo.diagrams.scenario import load_scenario
+    from sonoservo.diagrams.experiments.registry import load_scenario
     from sonoservo.diagrams.studies.dataset import make_dataset
 
     loaded = load_scenario(scenario, changes=changes, seed=seed)

@@ -1,4 +1,4 @@
-"""What a person sees in the terminal: progress while it runs, figures when it ends."""
+"""Output in the terminal: progress while a run goes on, figures when it ends."""
 
 import logging
 import math
@@ -14,61 +14,16 @@ from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as RichProgress
 from rich.table import Table
 
+from sonoservo.diagrams.app.run import RunResult
+from sonoservo.diagrams.experiments.experiment import Experiment
 from sonoservo.diagrams.scenario import Scenario
-from sonoservo.diagrams.shape_scenario import ShapeScenario
 from sonoservo.diagrams.studies.study_report import Study, target_text
+from sonoservo.systems.evaluation.metrics import LABELS
 from sonoservo.systems.files.typed_yaml import ConfigurationError
-from sonoservo.systems.signals.cross_section import CrossSection
-from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 
 if TYPE_CHECKING:
     from sonoservo.systems.display.monitor.monitor import Monitor
-
-_ROWS = {
-    "detection.volume": "insertion detected at volume",
-    "detection.visible_mm": "needle in view at detection, mm",
-    "detection.false_starts": "false starts in the whole run",
-    "tracking.volumes": "volumes since then, with the needle in the tissue",
-    "tracking.tracked": "of these, needle tracked",
-    "tracking.lost_events": "times lost",
-    "tracking.tip_error_mm.median": "tip error, median, mm",
-    "tracking.tip_error_mm.p95": "tip error, 95 %, mm",
-    "tracking.axis_error_deg.median": "axis error, median, deg",
-    "tracking.axis_error_deg.p95": "axis error, 95 %, deg",
-    "servo.at_rest.x_mm": "at rest: mean |X|, true, mm",
-    "servo.at_rest.z_mm": "at rest: mean |Z|, true, mm",
-    "servo.at_rest.theta_deg": "at rest: mean |Theta|, true, deg",
-    "servo.at_rest_estimated.x_mm": "at rest: mean |X|, estimated, mm",
-    "servo.at_rest_estimated.z_mm": "at rest: mean |Z|, estimated, mm",
-    "servo.at_rest_estimated.theta_deg": "at rest: mean |Theta|, estimated, deg",
-    "force.mean_n": "contact force, mean, N",
-    "force.rms_error_n": "contact force, RMS error, N",
-    "force.max_n": "contact force, largest, N",
-    "compute_ms.render.median": "rendering a sweep, median, ms",
-    "compute_ms.convert.median": "scan conversion, median, ms",
-    "compute_ms.track.median": "tracking, median, ms",
-    "real_time_factor": "simulated time / wall time",
-}
-
-_SHAPE_ROWS = {
-    "tracking.slices": "slices",
-    "tracking.found": "of these, cross-section found",
-    "tracking.error_mm.median": "cross-section's error, median, mm",
-    "tracking.error_mm.p95": "cross-section's error, 95 %, mm",
-    "prediction.observed_mm": "depth of the last slice used, mm",
-    "prediction.tip_error_measured_mm": "predicted tip against the measured one, mm",
-    "prediction.tip_error_true_mm": "predicted tip against the true one, mm",
-    "prediction.tip_std_mm": "standard deviation that the estimate states, mm",
-    "prediction.shape_error_measured_mm2": "predicted shape against the measured one, mm²",
-    "prediction.shape_error_true_mm2": "predicted shape against the true one, mm²",
-    "prediction.max_error_true_mm": "largest distance from the true shape, mm",
-    "compute_ms.image.median": "finding the cross-section, median, ms",
-    "compute_ms.estimate.median": "estimating the shape, median, ms",
-    "compute_ms.total.median": "both, median, ms",
-    "compute_ms.total.max": "both, largest, ms",
-    "real_time_factor": "simulated time / wall time",
-}
 
 
 def look_up(summary: Mapping[str, Any], path: str) -> Any:
@@ -79,23 +34,23 @@ def look_up(summary: Mapping[str, Any], path: str) -> Any:
     return node
 
 
-def summary_table(summary: Mapping[str, Any], published: Mapping[str, float]) -> Table:
+def summary_table(result: RunResult, published: Mapping[str, float] | None = None) -> Table:
     """Return the figures of a run beside the published ones, for a terminal.
 
     Parameters
     ----------
-    summary
-        Of the run.
+    result
+        Results of the run.
     published
-        Dotted paths into the summary, and the published figures.
+        Published figures by their dotted paths into the summary.
     """
+    summary = result.summary
     table = Table(title=f"{summary['scenario']}, seed {summary['seed']}")
     table.add_column("quantity")
     table.add_column("this run", justify="right")
     if published:
         table.add_column("paper", justify="right")
-    rows = _SHAPE_ROWS if "prediction" in summary else _ROWS
-    for path, label in rows.items():
+    for path, label in result.labels.items():
         cells = [label, format_figure(look_up(summary, path))]
         if published:
             cells.append(format_figure(published[path]) if path in published else "")
@@ -136,17 +91,17 @@ def format_figure(value: Any) -> str:
 class Progress:
     """A bar that shows how far a run has come and what the tracker does.
 
-    Call it after every volume with the simulated time in s and the estimate.
+    Call it after every step with the experiment.
 
     Parameters
     ----------
     console
-        Where to draw.
+        Console to draw in.
     scenario
-        Tells the duration.
+        Scenario of the run.
     """
 
-    def __init__(self, console: Console, scenario: Scenario | ShapeScenario) -> None:
+    def __init__(self, console: Console, scenario: Scenario) -> None:
         self._console = console
         self._duration = scenario.duration
         self._name = scenario.name
@@ -175,13 +130,9 @@ class Progress:
     ) -> None:
         self._bar.stop()
 
-    def __call__(self, time: float, estimate: NeedleEstimate) -> None:
+    def __call__(self, experiment: Experiment[Any]) -> None:
         """Move the bar."""
-        self.show(time, estimate.mode)
-
-    def show_slice(self, time: float, found: CrossSection | NotFound) -> None:
-        """Move the bar after a slice; takes the place of the call."""
-        self.show(time, "following" if found else "not found")
+        self.show(experiment.time, experiment.status)
 
     def show(self, time: float, state: str) -> None:
         """Move the bar to a simulated time in s, and say what goes on."""
@@ -241,7 +192,7 @@ def mode_table(summary: Mapping[str, Any]) -> Table:
     table.add_row("skipped, because the file calls them invalid", str(summary["skipped"]))
     for mode, count in summary["modes"].items():
         table.add_row(f"volumes after which it was {mode}", str(count))
-    for path, label in _ROWS.items():
+    for path, label in LABELS.items():
         figure = look_up(summary, path)
         if figure is not None:
             table.add_row(label, format_figure(figure))

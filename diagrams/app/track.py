@@ -15,17 +15,15 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import DiagramBuilder
 
-from sonoservo.diagrams.needle_tracker import (
-    MakeNeedleTracker,
-    NeedleTrackerParameters,
-    Zhao2012TrackerParameters,
-)
-from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilterParameters
-from sonoservo.systems.estimation.needle_kalman_filter import NeedleKalmanFilterParameters
+from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
+from sonoservo.diagrams.trackers.registry import TRACKERS
+from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
+from sonoservo.systems.estimation.track import TrackParameters
+from sonoservo.systems.evaluation.log import write_log
 from sonoservo.systems.evaluation.metrics import summarize
 from sonoservo.systems.evaluation.plots import plot_errors, png
 from sonoservo.systems.evaluation.report import write_report
-from sonoservo.systems.evaluation.run_log import RunLog, write_log
+from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.run_logger import RunLogger
 from sonoservo.systems.evaluation.track_plots import (
     VolumePictures,
@@ -35,7 +33,6 @@ from sonoservo.systems.evaluation.track_plots import (
 )
 from sonoservo.systems.files.typed_yaml import ConfigurationError, suggest
 from sonoservo.systems.files.writing import write_atomically, write_json
-from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.recording.side_files import TRUTH, Truth, read_truth, side_path
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
@@ -43,10 +40,6 @@ from sonoservo.systems.signals.volume import Volume
 
 if TYPE_CHECKING:
     from sonoservo.systems.display.monitor.monitor import Monitor
-
-TrackerParameters = NeedleTrackerParameters | Zhao2012TrackerParameters
-
-_TRACKERS = ("chatelain2013", "zhao2012")
 
 _PICTURES = 6
 """Volumes of a recording that the report shows."""
@@ -93,11 +86,11 @@ def tracker_parameters(
     Parameters
     ----------
     tracker
-        "chatelain2013" or "zhao2012".
+        Kind of one of the `TRACKERS`.
     order
         2 for a straight needle, 3 for a bent one.
     start
-        "search": the needle is found when it is pushed in. "anywhere": it is sought in the whole
+        "search": the needle is found when it is pushed in. "anywhere": it is localized in the whole
         volume from the first volume on, so that no insertion need be seen.
 
     Raises
@@ -105,21 +98,14 @@ def tracker_parameters(
     ConfigurationError
         Naming what is not allowed.
     """
+    trackers = {each.kind: each for each in TRACKERS}
     starts = ("search", "anywhere")
-    if tracker not in _TRACKERS:
-        raise ConfigurationError(f"unknown tracker {tracker!r}; {suggest(tracker, _TRACKERS)}")
+    if tracker not in trackers:
+        raise ConfigurationError(f"unknown tracker {tracker!r}; {suggest(tracker, trackers)}")
     if start not in starts:
         raise ConfigurationError(f"start: {start!r}; {suggest(start, starts)}")
-    anywhere = start == "anywhere"
     try:
-        if tracker == "zhao2012":
-            return Zhao2012TrackerParameters(
-                localizer=NeedleLocalizerParameters(order=order),
-                axis_tip_filter=AxisTipFilterParameters(anywhere=anywhere),
-            )
-        return NeedleTrackerParameters(
-            order=order, kalman_filter=NeedleKalmanFilterParameters(anywhere=anywhere)
-        )
+        return trackers[tracker](order=order, track=TrackParameters(anywhere=start == "anywhere"))
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
 
@@ -128,7 +114,6 @@ def track_recording(
     recording: Recording,
     *,
     parameters: TrackerParameters | None = None,
-    dynamic_range_db: float | None = None,
     seed: int | None = None,
     real_time: bool = False,
     monitor: "Monitor | None" = None,
@@ -147,9 +132,6 @@ def track_recording(
         To track in.
     parameters
         Which tracker, and its parts.
-    dynamic_range_db
-        Range of echo amplitudes that the grey levels show; by default what the recorder noted, or
-        else 60.
     seed
         Of every random choice; by default the recorder's, or else 0.
     real_time
@@ -169,16 +151,11 @@ def track_recording(
     ConfigurationError
         If the recording, or the truth beside it, is damaged.
     """
-    noted = recording.settings
-    if dynamic_range_db is None:
-        dynamic_range_db = float(noted.get("dynamic_range_db", 60.0))
-    seed = int(noted.get("tracker_seed", 0)) if seed is None else seed
+    seed = int(recording.settings.get("tracker_seed", 0)) if seed is None else seed
     truth_path = side_path(recording.path, TRUTH)
     truth = read_truth(truth_path) if truth_path.is_file() else None
 
-    tracker = MakeNeedleTracker(
-        parameters=parameters, period=1.0, dynamic_range_db=dynamic_range_db, seed=seed
-    )
+    tracker = MakeNeedleTracker(parameters=parameters, period=1.0, seed=seed)
     motion = recording[0].motion
     logger = RunLogger(geometry=motion.geometry if motion else None)
     builder = DiagramBuilder()
@@ -229,7 +206,10 @@ def track_recording(
         interrupted = True
     wall = time.perf_counter() - started
 
-    log = logger.log(compute={name: np.array(each) for name, each in done.compute.items()})
+    log = logger.log(
+        logger.GetMyContextFromRoot(context),
+        compute={name: np.array(each) for name, each in done.compute.items()},
+    )
     summary = _summarize(recording, done, log, truth, interrupted, wall)
     if out is not None:
         _write(out, done, summary, log, truth, command)

@@ -29,7 +29,7 @@ def track_command(
     order: OrderOption = 2,
     start: Annotated[
         str,
-        typer.Option(help="search: find it when pushed in; anywhere: seek it in whole volumes."),
+        typer.Option(help="search: wait until it is pushed in; anywhere: look in whole volumes."),
     ] = "search",
     depth: DepthOption = "P",
     window: WindowOption = None,
@@ -58,14 +58,20 @@ def track_command(
     from sonoservo.systems.recording.recording import Recording
 
     parameters = tracker_parameters(tracker, order=order, start=start)
-    opened = Recording(recording, depth=depth, window=window, volume_rate=volume_rate, poses=poses)
+    opened = Recording(
+        recording,
+        depth=depth,
+        window=window,
+        dynamic_range_db=dynamic_range_db,
+        volume_rate=volume_rate,
+        poses=poses,
+    )
     folder = out or Path("out") / f"{recording.name.partition('.')[0]}_track"
     monitor = start_monitor(console, host) if show else None
     with VolumeProgress(console, recording.name, len(opened)) as progress:
         result = track_recording(
             opened,
             parameters=parameters,
-            dynamic_range_db=dynamic_range_db,
             seed=seed,
             real_time=real_time,
             monitor=monitor,
@@ -98,8 +104,15 @@ def locate_command(
     from sonoservo.systems.recording.recording import Recording
 
     # Neither times nor poses matter for a single volume.
-    opened = Recording(volume, depth=depth, window=window, volume_rate=1.0, poses="none")
-    found = locate_in_recording(opened, number, order=order, dynamic_range_db=dynamic_range_db)
+    opened = Recording(
+        volume,
+        depth=depth,
+        window=window,
+        dynamic_range_db=dynamic_range_db,
+        volume_rate=1.0,
+        poses="none",
+    )
+    found = locate_in_recording(opened, number, order=order)
     for name, value in found.items():
         shown = np.round(value, 3).tolist() if isinstance(value, list | float) else value
         console.print(f"{name}: {shown}", soft_wrap=True, highlight=False)

@@ -14,17 +14,21 @@ from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 from rich.console import Console
 
-from sonoservo.diagrams.scenario import Scenario, load_scenario
+from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams.experiments.registry import load_scenario
+from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.diagrams.studies.study import Case, run_cases
 from sonoservo.systems.files.typed_yaml import ConfigurationError
 from sonoservo.systems.files.writing import write_json
-from sonoservo.systems.needle.insertion import Insertion, InsertionParameters, Push
+from sonoservo.systems.needle.insertion import Insertion
+from sonoservo.systems.needle.insertion_parameters import InsertionParameters, Push
 from sonoservo.systems.recording.nrrd import write_mask
 from sonoservo.systems.recording.recording_writer import RecordingWriter
 from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
+from sonoservo.systems.signals.sweep import SweepGeometry, SweepMotion
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
+from sonoservo.systems.ultrasound.simulation.acquisition import acquire_sweep
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
 from sonoservo.systems.ultrasound.simulation.tissue import Ball, Fibre, Tissue, load_tissue
 from sonoservo.systems.ultrasound.transducer import load_transducer
@@ -87,6 +91,7 @@ def make_dataset(
     ConfigurationError
         If a number or a transducer is not allowed.
     """
+    scenario = require_scenario(scenario, FollowingScenario)
     for name, value in (("count", count), ("volumes", volumes)):
         if value < 1:
             raise ConfigurationError(f"{name}: {value} is not allowed; it must be at least 1")
@@ -98,7 +103,7 @@ def make_dataset(
     settings = {
         "scenario": scenario.to_yaml(),
         "volumes": volumes,
-        "transducers": list(transducers) or [scenario.transducer],
+        "transducers": list(transducers) or [scenario.probe],
     }
     seeds = range(scenario.seed, scenario.seed + count)
     cases = [Case("sequence", seed, settings) for seed in seeds]
@@ -145,7 +150,7 @@ def _make_sequence(case: Case, *, out: Path) -> dict[str, Any]:
         old.unlink()
     scenario_file = folder / "scenario.yaml"
     scenario_file.write_text(case.settings["scenario"], encoding="utf-8")
-    scenario = load_scenario(scenario_file, seed=case.seed)
+    scenario = require_scenario(load_scenario(scenario_file, seed=case.seed), FollowingScenario)
     scenario_file.unlink()
     rng = np.random.default_rng([case.seed, 3])
     drawn = _draw_scanner(scenario, list(case.settings["transducers"]), rng)
@@ -156,8 +161,7 @@ def _make_sequence(case: Case, *, out: Path) -> dict[str, Any]:
         renderer.geometry, make_grid(renderer.geometry, scenario.scan_conversion.spacing)
     )
     labels = []
-    settings = {"dynamic_range_db": scenario.imaging.dynamic_range_db}
-    with RecordingWriter(folder / "volumes.seq.nrrd", settings) as writer:
+    with RecordingWriter(folder / "volumes.seq.nrrd") as writer:
         for number in range(case.settings["volumes"]):
             volume = _acquire(renderer, conversion, insertion, X_TP, number)
             needle = needle_as_acquired(volume, insertion)
@@ -182,7 +186,7 @@ def _make_sequence(case: Case, *, out: Path) -> dict[str, Any]:
 
 
 def _draw_scanner(
-    scenario: Scenario, transducers: list[str], rng: np.random.Generator
+    scenario: FollowingScenario, transducers: list[str], rng: np.random.Generator
 ) -> dict[str, Any]:
     """Draw transducer, settings and tissue; with the renderer that they make."""
     name = transducers[rng.integers(len(transducers))]
@@ -251,7 +255,7 @@ def _draw_tissue(tissue: Tissue, rng: np.random.Generator) -> Tissue:
 
 
 def _draw_insertion(
-    scenario: Scenario, geometry: SweepGeometry, volumes: int, rng: np.random.Generator
+    scenario: FollowingScenario, geometry: SweepGeometry, volumes: int, rng: np.random.Generator
 ) -> tuple[RigidTransform, InsertionParameters]:
     """Draw where the probe stands, X_TP, and a needle that comes into its view from the side."""
     station = scenario.station
@@ -306,13 +310,11 @@ def _acquire(
 ) -> Volume:
     """Acquire a volume; the tissue's frame is the world's."""
     geometry, direction = renderer.geometry, 1 - 2 * (number % 2)
-    frames = np.arange(geometry.frames)[::direction]
     begin = _FIRST_VOLUME + number * geometry.period
-    times = np.array(begin + geometry.frame_period * frames, dtype=np.float64)
-    poses = np.tile(X_TP.GetAsMatrix4(), (geometry.frames, 1, 1))
+    times = geometry.frame_times(begin, direction)
     needles = [insertion.needle(float(time)) for time in times]
-    samples = renderer.render(poses, needles, direction, number)
-    return conversion(Sweep(samples, SweepMotion(geometry, direction, times, poses)))
+    motion = SweepMotion.at_rest(geometry, X_TP, times, direction)
+    return conversion(acquire_sweep(renderer, motion, needles, number=number))
 
 
 def needle_as_acquired(volume: Volume, insertion: Insertion) -> Needle:

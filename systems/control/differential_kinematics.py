@@ -5,42 +5,54 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.common.value import Value
 from pydrake.multibody.inverse_kinematics import (
     DifferentialInverseKinematicsParameters,
     DoDifferentialInverseKinematics,
 )
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Frame, JacobianWrtVariable
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues, EventStatus, LeafSystem
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    DiscreteValues,
+    EventStatus,
+    LeafSystem,
+    ValueProducer,
+)
 
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 
 
 @dataclass(kw_only=True)
 class DifferentialKinematicsParameters:
-    """How the probe's velocity becomes the joints'.
+    """Conversion of the probe's velocity into the joints' velocities.
 
     Parameters
     ----------
     axis
         (3,) direction in W that the probe's Y axis is kept along.
     axis_gain
-        How fast a deviation from it is taken back, in 1/s.
+        Rate at which a deviation from it is taken back, in 1/s.
+    posture_gain
+        Rate at which an arm with more than six joints returns to its home posture, as far as the
+        probe's motion leaves it free to, in 1/s.
     """
 
     axis: list[float] = field(default_factory=lambda: [0.0, 0.0, -1.0])
     axis_gain: float = 1.0
+    posture_gain: float = 0.5
 
     def __post_init__(self) -> None:
         length = float(np.linalg.norm(self.axis))
         require(len(self.axis) == 3 and length > 0, "axis", self.axis, "3 numbers, not all 0")
-        require_not_negative(axis_gain=self.axis_gain)
+        require_not_negative(axis_gain=self.axis_gain, posture_gain=self.posture_gain)
 
 
 def probe_twist(
     planar_velocity: NDArray[np.float64], approach_velocity: float, tilt: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """(6,) spatial velocity of P in P, rotation first, in rad/s and m/s.
+    """Return the spatial velocity of P in P: (6,), rotation first, in rad/s and m/s.
 
     Parameters
     ----------
@@ -72,18 +84,23 @@ class DifferentialKinematics(LeafSystem):
     slower where a limit of a joint's position or velocity demands it, never in another direction.
     They are integrated from where the joints are at the start (`joint_state`, read only then).
     Velocities are those of P, in P: `planar_velocity` (v_x, v_z, omega_y), `approach_velocity` v_y,
-    in m/s and rad/s; `joint_command` is 6 positions and 6 velocities, in rad and rad/s.
+    in m/s and rad/s; `joint_command` is n positions and n velocities, in rad and rad/s.
+
+    With more than six joints, many joint velocities move P alike. Of these the smallest is taken,
+    plus the part of the way home that does not move P: with the pseudo-inverse J^+ and the home
+    posture q_h, v = J^+ V + (I - J^+ J) k (q_h - q).
 
     Parameters
     ----------
     parameters
-        What the axis is kept along.
+        The axis to keep, and the gains.
     plant
-        The arm alone, finalized, with limits of its joints' positions and velocities.
+        The arm alone, finalized, with limits of its joints' positions and velocities. Its default
+        positions are the home posture.
     probe
         Frame P in the plant.
     time_step
-        In s.
+        Period of the commands, in s.
     """
 
     def __init__(
@@ -97,22 +114,34 @@ class DifferentialKinematics(LeafSystem):
         require_positive(time_step=time_step)
         super().__init__()
         self._plant = plant
-        self._plant_context = plant.CreateDefaultContext()
         self._probe = probe
         self._axis = np.array(parameters.axis) / np.linalg.norm(parameters.axis)
         self._axis_gain = parameters.axis_gain
         self._time_step = time_step
         n = plant.num_positions()
+        self._home, self._posture_gain = plant.GetDefaultPositions(), parameters.posture_gain
         self._limits = DifferentialInverseKinematicsParameters(n, n)
         self._limits.set_time_step(time_step)
         q_limits = (plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits())
         v_limits = (plant.GetVelocityLowerLimits(), plant.GetVelocityUpperLimits())
         self._limits.set_joint_position_limits(q_limits)
         self._limits.set_joint_velocity_limits(v_limits)
+        if n > 6:
+            self._limits.set_nominal_joint_position(self._home)
+            self._limits.set_joint_centering_gain(self._posture_gain * np.eye(n))
         self._lower, self._upper = np.concatenate([q_limits, v_limits], axis=1)
         self.DeclareVectorInputPort("planar_velocity", 3)
         self.DeclareVectorInputPort("approach_velocity", 1)
         self.DeclareVectorInputPort("joint_state", 2 * n)
+        # Each context of this system has a scratch context of the plant of its own.
+        self._scratch = self.DeclareCacheEntry(
+            "plant_context",
+            ValueProducer(
+                allocate=lambda: Value[object](plant.CreateDefaultContext()),
+                calc=ValueProducer.NoopCalc,
+            ),
+            prerequisites_of_calc={self.nothing_ticket()},
+        )
         # Joint positions and velocities, and the time for which they hold.
         self.DeclareDiscreteState(2 * n + 1)
         self.DeclareVectorOutputPort(
@@ -142,7 +171,9 @@ class DifferentialKinematics(LeafSystem):
 
     def _update_joint_command(self, context: Context, discrete_state: DiscreteValues) -> None:
         q, v = self._joint_command(context)
-        plant, plant_context, frame = self._plant, self._plant_context, self._probe
+        plant, frame = self._plant, self._probe
+        scratch = self._scratch.get_mutable_cache_entry_value(context)
+        plant_context = scratch.GetMutableValueOrThrow()
         plant.SetPositions(plant_context, q)
         axis_P = frame.CalcPoseInWorld(plant_context).rotation().matrix().T @ self._axis
         # The shortest rotation from Y_P to the axis.
@@ -166,10 +197,14 @@ class DifferentialKinematics(LeafSystem):
         J: NDArray[np.float64],
     ) -> NDArray[np.floating]:
         """Velocities that solve J v = V, or come as close to V as the limits allow."""
-        # With six joints the optimum is J^-1 V wherever that is within the limits: only the rest
-        # needs a program to be solved, at ten times the cost.
+        # The optimum is known wherever it is within the limits: only the rest needs a program to be
+        # solved, at ten times the cost.
         with contextlib.suppress(np.linalg.LinAlgError):
-            direct = np.linalg.solve(J, V_WP_P)
+            if len(q) == 6:
+                direct = np.linalg.solve(J, V_WP_P)
+            else:
+                homewards = self._posture_gain * (self._home - q)
+                direct = homewards + np.linalg.pinv(J) @ (V_WP_P - J @ homewards)
             reached = np.concatenate([q + self._time_step * direct, direct])
             if ((reached >= self._lower) & (reached <= self._upper)).all():
                 return direct

@@ -12,6 +12,7 @@ from sonoservo.systems.detection.volume_difference import top_differences
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.insertion_detection import InsertionDetection
 from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.random_streams import random_stream
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 from sonoservo.systems.signals.volume import Volume
 
@@ -38,8 +39,6 @@ class InsertionDetectorParameters:
         Displacement of the tissue that is not a change, in m. 0 is the paper's form.
     stillness
         The probe counts as still between two volumes if no voxel moved farther, in m.
-    decibels_per_level
-        dB per unit of a voxel's intensity.
     """
 
     candidate_volume: float = 5e-9
@@ -49,7 +48,6 @@ class InsertionDetectorParameters:
     floor_quantile: float = 0.9
     reach: float = 0.7e-3
     stillness: float = 0.3e-3
-    decibels_per_level: float = 60 / 255
 
     def __post_init__(self) -> None:
         require_positive(
@@ -57,7 +55,6 @@ class InsertionDetectorParameters:
             max_std=self.max_std,
             max_depth=self.max_depth,
             stillness=self.stillness,
-            decibels_per_level=self.decibels_per_level,
         )
         require_not_negative(min_change=self.min_change, reach=self.reach)
         require(
@@ -150,6 +147,8 @@ def detect_insertion(
     ):
         return NotFound("the previous volume lies on another grid")
     motion = max_motion(volume, previous)
+    if volume.decibels_per_level != previous.decibels_per_level:
+        return NotFound("the previous volume has another scale of grey levels")
     if motion > parameters.stillness:
         return NotFound(f"the probe moved {1e3 * motion:.2f} mm between the volumes")
     count = max(4, round(parameters.candidate_volume / float(np.prod(volume.spacing))))
@@ -168,7 +167,7 @@ def detect_insertion(
         reach=round(parameters.reach / float(volume.spacing.mean())),
         both_seen=unlike,
     )
-    change = threshold * parameters.decibels_per_level
+    change = threshold * volume.decibels_per_level
     if len(index) < count or change < parameters.min_change:
         return NotFound(f"nothing changed by more than {change:.1f} dB")
     p_P = volume.position(index)
@@ -229,10 +228,5 @@ class InsertionDetector(LeafSystem):
         elif not isinstance(previous, Volume):
             output.set_value(previous)
         else:
-            output.set_value(
-                detect_insertion(volume, previous, self._parameters, self._rng(volume))
-            )
-
-    def _rng(self, volume: Volume) -> np.random.Generator:
-        # Keyed by the volume's time, so that a stateless system repeats itself.
-        return np.random.default_rng([self._seed, int(abs(volume.time) * 1e9)])
+            rng = random_stream(self._seed, "detection", volume.time)
+            output.set_value(detect_insertion(volume, previous, self._parameters, rng))

@@ -13,7 +13,7 @@ from pydrake.common import MemoryFile
 from pydrake.geometry import InMemoryMesh, Mesh, Meshcat
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.ultrasound.planes import Plane
+from sonoservo.systems.signals.planes import Plane
 
 _FLOAT, _UNSIGNED_SHORT = 5126, 5123
 _LINEAR, _CLAMP_TO_EDGE = 9729, 33071

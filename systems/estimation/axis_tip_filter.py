@@ -1,187 +1,242 @@
-"""Tracks a straight needle's direction, tip and velocity from volume to volume."""
+"""Kalman filter on a straight needle's direction, its tip and the tip's velocity."""
 
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import ClassVar
 
 import numpy as np
+from filterpy.kalman import predict, update
 from numpy.typing import NDArray
-from pydrake.common.value import Value
-from pydrake.systems.framework import Context
+from pydrake.math import RigidTransform
+from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from sonoservo.systems.estimation.axis_tip_state import (
-    AxisTipState,
-    predict_axis_tip,
-    start_axis_tip,
-    update_axis_tip,
-)
-from sonoservo.systems.estimation.needle_kalman_filter import (
-    NeedleKalmanFilter,
-    NeedleKalmanFilterParameters,
-)
-from sonoservo.systems.estimation.track import NeedleTrack
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.needle_estimate import TrackingMode
+from sonoservo.systems.estimation.needle_motion import NeedleMotionParameters, constant_velocity
+from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
-from sonoservo.systems.signals.ports import evaluate
-from sonoservo.systems.signals.requirements import require, require_not_negative
+from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 
 
-@dataclass(kw_only=True)
-class AxisTipFilterParameters(NeedleKalmanFilterParameters):
-    """How the filter starts, what it believes and when it gives up.
+@dataclass(frozen=True, eq=False)
+class AxisTipState(Immutable):
+    """X = (alpha, beta, p_t, v_t) of Zhao 2012, eq. 6, free of the angles' poles.
 
-    The life of a track is that of Chatelain 2013's filter; the paper says nothing about it, nor
-    about the noise.
+    The angles are replaced by a unit vector, and their errors by those along two unit vectors
+    across it: alpha and beta are singular along their pole, and wrap. The entry follows from the
+    needle's length; it rests.
 
     Parameters
     ----------
+    time
+        Time for which the state holds, in s.
+    frame
+        (3, 3) rotation: its rows are two unit vectors across the needle and the needle's direction
+        k from entry to tip, in W.
+    tip, tip_velocity
+        (3,) p_t in m and v_t in m/s, in W.
+    length
+        Distance from the entry to the tip, in m.
+    P
+        (8, 8) covariance of the direction's two deviations in rad, the tip and its velocity.
+    """
+
+    time: float
+    frame: NDArray[np.float64]
+    tip: NDArray[np.float64]
+    tip_velocity: NDArray[np.float64]
+    length: float
+    P: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        for name, shape in (
+            ("frame", (3, 3)), ("tip", (3,)), ("tip_velocity", (3,)), ("P", (8, 8))
+        ):  # fmt: skip
+            object.__setattr__(self, name, read_only(getattr(self, name), name, shape))
+
+    @property
+    def direction(self) -> NDArray[np.float64]:
+        """(3,) unit vector k from entry to tip."""
+        return self.frame[2]
+
+    @property
+    def mean(self) -> NDArray[np.float64]:
+        """(8,) state; the direction does not deviate from itself."""
+        return np.concatenate([np.zeros(2), self.tip, self.tip_velocity])
+
+    @property
+    def curve(self) -> NeedleCurve:
+        """Entry and tip in W."""
+        return NeedleCurve(np.stack([self.tip - self.length * self.direction, self.tip]))
+
+    @property
+    def velocity(self) -> NDArray[np.float64]:
+        """(2, 3) velocities of entry and tip in W, in m/s; the entry rests."""
+        return np.stack([np.zeros(3), self.tip_velocity])
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """(12, 12) covariance of entry, tip and their velocities."""
+        J = np.zeros((12, 8))
+        J[:3, :2] = -self.length * self.frame[:2].T
+        J[:3, 2:5] = J[3:6, 2:5] = J[9:, 5:] = np.eye(3)
+        return J @ self.P @ J.T
+
+    def transformed(self, X: RigidTransform) -> "AxisTipState":
+        """Return the state moved by a rigid transform, its velocity turned along."""
+        R = X.rotation().matrix()
+        T = np.eye(8)
+        T[2:5, 2:5] = T[5:, 5:] = R
+        return replace(
+            self,
+            frame=self.frame @ R.T,
+            tip=X.multiply(self.tip),
+            tip_velocity=R @ self.tip_velocity,
+            P=T @ self.P @ T.T,
+        )
+
+
+def direction_angles(direction: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Angles (..., 2) alpha and beta in rad of (..., 3) directions: for reports only.
+
+    The paper's figure 1 does not define them in words. Here alpha is the azimuth from the first
+    axis towards the second, beta the angle from the third one.
+    """
+    x, y, z = np.moveaxis(np.asarray(direction, dtype=float), -1, 0)
+    return np.stack([np.arctan2(y, x), np.arctan2(np.hypot(x, y), z)], axis=-1)
+
+
+@dataclass(kw_only=True)
+class AxisTipFilter:
+    """Kalman filter on direction, tip and tip velocity of a straight needle (Zhao 2012, eqs. 1-7).
+
+    Measured are the axis with the tip, the tip's velocity, or both. The paper publishes no noise.
+
+    Parameters
+    ----------
+    kind
+        "axis_tip".
+    motion
+        Spectral densities of the tip's acceleration, along the needle and in every direction; a
+        straight needle has no bending.
     turning
         Spectral density of the direction's rate, in rad^2/s.
+    first_speed_std, first_drift_std
+        Standard deviations of the tip's velocity along the needle and in every direction, when a
+        track starts, in m/s.
     velocity_gate
         Probability that a true velocity passes the gate on its innovation.
     """
 
+    orders: ClassVar[tuple[int, ...]] = (2,)
+
+    kind: str = "axis_tip"
+    motion: NeedleMotionParameters = field(default_factory=NeedleMotionParameters)
     turning: float = 2e-4
+    first_speed_std: float = 4e-3
+    first_drift_std: float = 2e-3
     velocity_gate: float = 0.999
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        require(self.order == 2, "order", self.order, "2: the needle is straight")
-        frame = self.probe_frame
-        require(not frame, "probe_frame", frame, "false: this filter works in the world")
+        require(self.kind == "axis_tip", "kind", self.kind, '"axis_tip"')
+        require_positive(first_speed_std=self.first_speed_std, first_drift_std=self.first_drift_std)
         require_not_negative(turning=self.turning)
         gate = self.velocity_gate
         require(0 < gate < 1, "velocity_gate", gate, "between 0 and 1")
 
+    def start(self, measurement: NeedleMeasurement) -> AxisTipState:
+        """Return the state after a first measurement; its velocity is not known."""
+        curve = measurement.curve
+        require(curve.order == 2, "curve.order", curve.order, "2: the needle is straight")
+        k = curve.direction
+        frame = np.vstack([np.linalg.svd(k[np.newaxis])[2][1:], k])
+        frame[0] *= np.sign(np.linalg.det(frame))
+        P = np.zeros((8, 8))
+        P[:5, :5] = _axis_and_tip(frame, measurement)[1]
+        P[5:, 5:] = self.first_drift_std**2 * np.eye(3) + self.first_speed_std**2 * np.outer(k, k)
+        length = float((curve.tip - curve.entry) @ k)
+        return AxisTipState(measurement.time, frame, curve.tip, np.zeros(3), length, P)
 
-@dataclass(frozen=True, eq=False)
-class AxisTipTrack(NeedleTrack):
-    """A track whose state is an `AxisTipState`, for whoever knows control points.
+    def predict(self, state: AxisTipState, time: float) -> AxisTipState:
+        """Return the state at a later time; an earlier time changes nothing.
 
-    Its ``mean`` and ``covariance`` follow from the eight states: the entry is where it was along
-    the needle, and rests.
-
-    Parameters
-    ----------
-    axis_tip
-        The state.
-    turning
-        Spectral density of the direction's rate, in rad^2/s.
-    """
-
-    axis_tip: AxisTipState | None = field(default=None)
-    turning: float = 0.0
-
-    def predicted(self, time: float) -> "AxisTipTrack":
-        """Return the track at a later time; an earlier one changes nothing."""
-        dt = time - self.time
-        if self.axis_tip is None or dt <= 0:
-            return self
-        state = predict_axis_tip(self.axis_tip, dt, self.motion, self.turning)
-        return replace(self.at(state, self.curve.entry), time=time)
-
-    def at(self, state: AxisTipState, entry: NDArray[np.float64]) -> "AxisTipTrack":
-        """Return the track with another state, its entry as far along the needle as a position."""
+        Eqs. 6 and 7, whose right-hand sides belong to the step before.
+        """
+        dt = time - state.time
+        if dt <= 0:
+            return state
         k = state.direction
-        length = float((state.tip - entry) @ k)
-        J = np.zeros((12, 8))
-        J[:3, :2] = -length * state.frame[:2].T
-        J[:3, 2:5] = J[3:6, 2:5] = J[9:, 5:] = np.eye(3)
-        mean = np.concatenate([state.tip - length * k, state.tip, np.zeros(3), state.velocity])
-        covariance = J @ state.covariance @ J.T
-        return replace(self, axis_tip=state, mean=mean, covariance=covariance)
+        density = self.motion.insertion * np.outer(k, k) + self.motion.body * np.eye(3)
+        A, Q = np.eye(8), self.turning * dt * np.eye(8)
+        A[2:, 2:], Q[2:, 2:] = constant_velocity(dt, density)
+        mean, P = predict(state.mean, state.P, A, Q)
+        return _moved(state, replace(state, time=time, tip=mean[2:5], tip_velocity=mean[5:], P=P))
 
-
-class AxisTipFilter(NeedleKalmanFilter):
-    """Filters a straight needle's direction, tip and tip velocity (Zhao 2012, section 2.1).
-
-    .. pydrake_system::
-
-        name: AxisTipFilter
-        input_ports:
-        - volume
-        - detection
-        - measurement
-        - velocity
-        output_ports:
-        - estimate
-        - prediction
-        - last_detection
-        - last_measurement
-
-    The state is X = (alpha, beta, p_t, v_t), see `AxisTipState`; ``velocity`` a
-    `VelocityMeasurement`, or a `NotFound`. Either measurement may be missing. All else is as in
-    `NeedleKalmanFilter`.
-
-    Parameters
-    ----------
-    parameters
-        Of the filter, in SI units.
-    period, offset
-        Of the event, in s.
-    """
-
-    def __init__(
+    def update(
         self,
-        *,
-        parameters: AxisTipFilterParameters | None = None,
-        period: float,
-        offset: float = 0.0,
-    ) -> None:
-        self._axis_tip_parameters = parameters or AxisTipFilterParameters()
-        super().__init__(parameters=self._axis_tip_parameters, period=period, offset=offset)
-        self._velocity_gate = float(chi2.ppf(self._axis_tip_parameters.velocity_gate, 3))
-        self.DeclareAbstractInputPort("velocity", Value[object]())
+        state: AxisTipState,
+        measurement: NeedleMeasurement | None,
+        velocity: VelocityMeasurement | None,
+    ) -> AxisTipState:
+        """Return the state corrected by the measured axis and tip, the velocity, both or neither.
 
-    def start_at(self, context: Context, measurement: NeedleMeasurement) -> None:
-        """Track a needle that was found otherwise, as if the last volume had shown it."""
-        track = replace(self._start(measurement), volume_time=measurement.time)
-        context.SetAbstractState(int(self._track), track)
-
-    def _start(self, measurement: NeedleMeasurement) -> NeedleTrack:
-        p = self._axis_tip_parameters
-        track = AxisTipTrack(
-            TrackingMode.TRACKING,
-            measurement.time,
-            p.motion,
-            since=measurement.time,
-            turning=p.turning,
+        H is the rows of the published I_8 that were measured. A velocity that fails its gate is
+        left out.
+        """
+        z: list[NDArray[np.float64]] = []
+        R = np.zeros((8, 8))
+        if measurement is not None:
+            values, R[:5, :5] = _axis_and_tip(state.frame, measurement)
+            z.append(values)
+        believed = velocity is not None and self._believes(state, velocity)
+        if velocity is not None and believed:
+            z.append(velocity.velocity)
+            R[5:, 5:] = velocity.covariance
+        if not z:
+            return state
+        rows = np.repeat([measurement is not None, believed], [5, 3])
+        mean, P = update(
+            state.mean, state.P, np.concatenate(z), R[np.ix_(rows, rows)], np.eye(8)[rows]
         )
-        state = start_axis_tip(measurement, p.first_speed_std, p.first_drift_std)
-        return track.at(state, measurement.curve.entry)
-
-    def _confirm(
-        self, context: Context, predicted: NeedleTrack, measurement: NeedleMeasurement
-    ) -> NeedleTrack:
-        assert isinstance(predicted, AxisTipTrack)
-        track = self._updated(context, predicted, measurement)
-        return replace(
-            track,
-            mode=TrackingMode.TRACKING,
-            missed=0,
-            since=measurement.time,
-            rejected=None,
-            reason="",
+        # The frame turns along the shortest way, so that P means the same in the new one.
+        turn = np.cross(state.direction, mean[:2] @ state.frame[:2])
+        frame = state.frame @ Rotation.from_rotvec(turn).as_matrix().T
+        updated = replace(
+            state, frame=frame, tip=mean[2:5], tip_velocity=mean[5:], P=0.5 * (P + P.T)
         )
+        return _moved(state, updated)
 
-    def _coast(self, context: Context, predicted: NeedleTrack) -> NeedleTrack:
-        assert isinstance(predicted, AxisTipTrack)
-        return self._updated(context, predicted, None)
+    def _believes(self, state: AxisTipState, measured: VelocityMeasurement) -> bool:
+        innovation = measured.velocity - state.tip_velocity
+        S = state.P[5:, 5:] + measured.covariance
+        return float(innovation @ np.linalg.solve(S, innovation)) <= _gate(self.velocity_gate)
 
-    def _updated(
-        self, context: Context, predicted: AxisTipTrack, measurement: NeedleMeasurement | None
-    ) -> AxisTipTrack:
-        state = predicted.axis_tip
-        assert state is not None
-        velocity = evaluate(self, context, "velocity", (VelocityMeasurement, NotFound))
-        believed = velocity if isinstance(velocity, VelocityMeasurement) else None
-        if believed is not None and not self._passes(state, believed):
-            believed = None
-        state = update_axis_tip(state, measurement, believed)
-        return predicted.at(state, predicted.curve.entry)
 
-    def _passes(self, state: AxisTipState, measured: VelocityMeasurement) -> bool:
-        innovation = measured.velocity - state.velocity
-        S = state.covariance[5:, 5:] + measured.covariance
-        return float(innovation @ np.linalg.solve(S, innovation)) <= self._velocity_gate
+@lru_cache
+def _gate(probability: float) -> float:
+    return float(chi2.ppf(probability, 3))
+
+
+def _moved(before: AxisTipState, after: AxisTipState) -> AxisTipState:
+    """Return the state after a step, its entry as far along the needle as it was before."""
+    return replace(after, length=float((after.tip - before.curve.entry) @ after.direction))
+
+
+def _axis_and_tip(
+    frame: NDArray[np.float64], measurement: NeedleMeasurement
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(5,) deviations of a measured direction and tip, and their (5, 5) covariance."""
+    curve, across = measurement.curve, frame[:2]
+    # An axis has no sense: it is taken as the one that it nearly has already.
+    sense = 1.0 if curve.direction @ frame[2] >= 0 else -1.0
+    k = sense * curve.direction
+    aside = across @ k
+    sine = float(np.linalg.norm(aside))
+    angle = np.arctan2(sine, k @ frame[2])
+    deviation = aside * (angle / sine if sine > 0 else 1.0)
+    J = np.zeros((5, 6))
+    J[:2, 3:] = sense * across / curve.chord
+    J[:2, :3] = -J[:2, 3:]
+    J[2:, 3:] = np.eye(3)
+    return np.concatenate([deviation, curve.tip]), J @ measurement.covariance @ J.T

@@ -1,16 +1,14 @@
-"""The face that all shape estimators have."""
+"""Leaf: estimates the shape of a needle from its cross-sections, with any shape filter."""
 
-from abc import abstractmethod
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
-from sonoservo.systems.estimation.shape_parameters import ShapeEstimatorParameters
+from sonoservo.systems.estimation.shape_filter import ShapeFilter
 from sonoservo.systems.signals.cross_section import CrossSection
 from sonoservo.systems.signals.immutable import Immutable, NotFound
 from sonoservo.systems.signals.needle_shape import NeedleShape
@@ -19,20 +17,20 @@ from sonoservo.systems.signals.ports import evaluate
 
 @dataclass(frozen=True, eq=False)
 class _Memory(Immutable):
-    """What an estimator believes, and since when.
+    """The belief and the measurement that it rests on last.
 
     Parameters
     ----------
     belief
-        Of the estimator.
+        Belief of the filter.
     number
-        Of cross-sections that were used; selects the random numbers.
+        Number of cross-sections used so far; it selects the random numbers.
     time, observed
-        Of the last of them, in s, and its depth in m.
+        Time in s and depth in m of the last of them.
     X_WI
         Pose of the insertion's frame in W; None before it is known.
     reason
-        Why the newest slice was not used.
+        Reason why the newest slice was not used; empty if it was.
     """
 
     belief: Any
@@ -44,7 +42,7 @@ class _Memory(Immutable):
 
 
 class ShapeEstimator(LeafSystem):
-    """Estimates a needle's shape from its cross-sections, one after the other.
+    """Estimates the shape of a needle from its cross-sections, one after the other.
 
     .. pydrake_system::
 
@@ -56,35 +54,36 @@ class ShapeEstimator(LeafSystem):
 
     ``cross_section`` is a `CrossSection`, or a `NotFound` when the slice did not show one.
     ``shape`` is a `NeedleShape` after the last event, or a `NotFound` until there is one. It
-    depends on the state only: the tracker of cross-sections may use it.
+    depends on the state only, so the localizer of cross-sections may use it.
 
     Parameters
     ----------
-    parameters
-        Depth, rotations and prior.
+    shape_filter
+        Filter that holds the belief, one of `SHAPE_FILTERS` or your own.
     X_WI
-        Pose of the insertion's frame in W, from whose plane Z = 0 on depths count: that of the
-        probe at the first slice. None takes the first slice in which the needle is found.
+        Pose in W of the insertion's frame, the probe's at the first slice: depths count from its
+        plane Z = 0. None takes the first slice in which the needle is found.
     period, offset
-        Of the events at which it looks for a new cross-section, in s.
+        Period and offset in s of the events at which it looks for a new cross-section.
     seed
-        Of every random choice.
+        Seed of every random choice.
     """
 
     def __init__(
         self,
         *,
-        parameters: ShapeEstimatorParameters,
+        shape_filter: ShapeFilter,
         X_WI: RigidTransform | None = None,
         period: float,
         offset: float = 0.0,
         seed: int = 0,
     ) -> None:
         super().__init__()
-        self._known = parameters
+        self.set_name("shape_estimator")
+        self._filter = shape_filter
         self._seed = seed
         self.DeclareAbstractInputPort("cross_section", Value[object](NotFound("no slice")))
-        memory = _Memory(self._begin(self._rng(0)), X_WI=X_WI)
+        memory = _Memory(shape_filter.begin(self._rng(0)), X_WI=X_WI)
         self._memory = self.DeclareAbstractState(Value[object](memory))
         self.DeclareAbstractOutputPort(
             "shape",
@@ -94,18 +93,6 @@ class ShapeEstimator(LeafSystem):
         )
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, offset, self._update_memory)
         self.DeclareForcedUnrestrictedUpdateEvent(self._update_memory)
-
-    @abstractmethod
-    def _begin(self, rng: np.random.Generator) -> Any:
-        """Return the belief before any measurement."""
-
-    @abstractmethod
-    def _updated(self, belief: Any, p_I: NDArray[np.float64], rng: np.random.Generator) -> Any:
-        """Return the belief after one more measurement, (3,) in the insertion's frame, in m."""
-
-    @abstractmethod
-    def _represented(self, belief: Any, rng: np.random.Generator) -> dict[str, Any] | NotFound:
-        """Return the paths of a `NeedleShape`: parameters, origins, weights, origin_variance."""
 
     def _rng(self, number: int) -> np.random.Generator:
         return np.random.default_rng([self._seed, number])
@@ -128,9 +115,10 @@ class ShapeEstimator(LeafSystem):
             return memory
         X_WI = memory.X_WI or RigidTransform(found.X_WP)
         p_I = X_WI.inverse().multiply(found.position)
-        if self._known.observe_until is not None and p_I[2] > self._known.observe_until + 1e-9:
+        limit = self._filter.parameters.observe_until
+        if limit is not None and p_I[2] > limit + 1e-9:
             return memory
-        belief = self._updated(memory.belief, p_I, self._rng(memory.number + 1))
+        belief = self._filter.update(memory.belief, p_I, self._rng(memory.number + 1))
         return _Memory(belief, memory.number + 1, found.time, float(p_I[2]), X_WI)
 
     def _calc_shape(self, context: Context, output: Value) -> None:
@@ -138,15 +126,15 @@ class ShapeEstimator(LeafSystem):
         if memory.X_WI is None or memory.number == 0:
             output.set_value(NotFound(memory.reason or "no cross-section yet"))
             return
-        paths = self._represented(memory.belief, self._rng(memory.number))
+        paths = self._filter.represent(memory.belief, self._rng(memory.number))
         if isinstance(paths, NotFound):
             output.set_value(paths)
             return
         output.set_value(
             NeedleShape(
-                **paths,
-                rotations=tuple(self._known.rotations),
-                depth=self._known.depth,
+                **paths._asdict(),
+                rotations=tuple(self._filter.parameters.rotations),
+                depth=self._filter.parameters.depth,
                 observed=memory.observed,
                 X_WI=memory.X_WI,
                 time=memory.time,

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sonoservo.systems.estimation.shape_filter import ShapePaths
 from sonoservo.systems.estimation.shape_parameters import ShapeEstimatorParameters
 from sonoservo.systems.estimation.shape_posterior import MeasurementNoise
 from sonoservo.systems.signals.bicycle_paths import deflections
@@ -19,22 +20,22 @@ from sonoservo.systems.signals.requirements import require
 Floats = NDArray[np.float64]
 
 _STEPS = 5
-_PLANE_DEVIATION = np.pi / np.sqrt(3)
-"""Of an angle that may be any, in rad."""
+_PLANE_STD = np.pi / np.sqrt(3)
+"""Standard deviation in rad of an angle that may be any."""
 
 
 @dataclass(kw_only=True)
 class ShapeLeastSquaresParameters(ShapeEstimatorParameters):
-    """Of the least squares, besides what every shape estimator knows.
+    """Parameters of the least squares, besides those of every shape estimator.
 
     Parameters
     ----------
     samples
-        Paths that stand for the distribution of the shape.
+        Number of paths that stand for the distribution of the shape.
     min_radius
-        No needle bends more than this, in m.
+        Smallest radius in m.
     noise
-        Of the measured cross-sections.
+        Noise of the measured cross-sections.
     """
 
     samples: int = 200
@@ -61,9 +62,9 @@ class FittedShape(Immutable):
     parameters
         (5,) x and y of the origin in m, phi and theta_0 in rad, R in m.
     covariance
-        (5, 5) of these.
+        (5, 5) covariance of these.
     points, weights
-        (m, 3) measured x, y and depth in I, in m, and (m,).
+        (m, 3) measured x, y and depth in I, in m, and (m,) their weights.
     """
 
     parameters: Floats
@@ -72,45 +73,56 @@ class FittedShape(Immutable):
     weights: Floats = field(default_factory=lambda: np.zeros(0))
 
 
-class ShapeFit:
-    """The fit for given parameters of the estimator."""
+class ShapeLeastSquares:
+    """The fit, a `ShapeFilter`.
+
+    Parameters
+    ----------
+    parameters
+        Number of samples, prior and noise.
+    """
 
     def __init__(self, parameters: ShapeLeastSquaresParameters) -> None:
-        self._parameters = parameters
+        self.parameters = parameters
         self._rotations = np.array(parameters.rotations, dtype=float)
         p = parameters
         self._prior_mean = np.array([0.0, 0.0, 0.0, 0.0, p.mean_radius])
         self._prior_precision = np.array(
-            [0.0, 0.0, _PLANE_DEVIATION**-2, p.angle_std**-2, p.radius_std**-2]
+            [0.0, 0.0, _PLANE_STD**-2, p.angle_std**-2, p.radius_std**-2]
         )
 
-    def begin(self) -> FittedShape:
+    def begin(self, rng: np.random.Generator) -> FittedShape:
         """Return the prior; the origin is unknown."""
-        deviation = np.array(
-            [1.0, 1.0, _PLANE_DEVIATION, self._parameters.angle_std,
-             self._parameters.radius_std]
-        )  # fmt: skip
-        return FittedShape(self._prior_mean, np.diag(deviation**2))
+        p = self.parameters
+        std = np.array([1.0, 1.0, _PLANE_STD, p.angle_std, p.radius_std])
+        return FittedShape(self._prior_mean, np.diag(std**2))
 
-    def update(self, fitted: FittedShape, point: Floats, weight: float) -> FittedShape:
+    def update(self, belief: FittedShape, point: Floats, rng: np.random.Generator) -> FittedShape:
         """Fit again with one more measurement.
 
         Parameters
         ----------
-        fitted
-            Before.
-        point, weight
-            (3,) measured x, y and depth in I, in m, and its weight from 0 to 1.
+        belief
+            Fit before the measurement.
+        point
+            (3,) measured x, y and depth in I, in m.
+        rng
+            Source of the paths that predict the measurement.
         """
-        points = np.vstack([fitted.points, point])
+        noise = self.parameters.noise
+        weight = noise.independence
+        if len(belief.points):
+            paths, rotations = self.represent(belief, rng), self.parameters.rotations
+            weight = noise.weight(point, paths, rotations, self._variance(belief))
+        points = np.vstack([belief.points, point])
         order = np.argsort(points[:, 2], kind="stable")
-        points, weights = points[order], np.append(fitted.weights, weight)[order]
-        fits = [self._fit(start, points, weights) for start in self._starts(fitted, points)]
+        points, weights = points[order], np.append(belief.weights, weight)[order]
+        fits = [self._fit(start, points, weights) for start in self._starts(belief, points)]
         _, parameters, covariance = min(fits, key=lambda fit: fit[0])
         return FittedShape(parameters, covariance, points, weights)
 
     def _starts(self, fitted: FittedShape, points: Floats) -> list[Floats]:
-        """Return where to start: the last fit and the straight line, each bent to either side.
+        """Return the starting points: the last fit and the straight line, each bent to either side.
 
         Paths that start in one direction and bend to opposite sides are two minima.
         """
@@ -121,14 +133,14 @@ class ShapeFit:
             x, y, z = points.T
             (slope_x, slope_y), (at_x, at_y) = np.polyfit(z, np.stack([x, y], axis=1), 1)
             plane, angle = np.arctan2(slope_y, slope_x), np.arctan(np.hypot(slope_x, slope_y))
-            starts.append(np.array([at_x, at_y, plane, angle, self._parameters.mean_radius]))
+            starts.append(np.array([at_x, at_y, plane, angle, self.parameters.mean_radius]))
         return starts + [
             start * [1, 1, 1, -1, 1] + np.array([0, 0, np.pi, 0, 0]) for start in starts
         ]
 
     def _fit(self, start: Floats, points: Floats, weights: Floats) -> tuple[float, Floats, Floats]:
-        """Cost, parameters and covariance at the minimum next to a start."""
-        noise = self._parameters.noise
+        """Return cost, parameters and covariance at the minimum next to a start."""
+        noise = self.parameters.noise
         parameters, precision = start.copy(), self._prior_precision
         total = float(weights.sum())
         for _ in range(_STEPS):
@@ -142,7 +154,7 @@ class ShapeFit:
             gradient = jacobian.T @ (weighted * residual) / variance + precision * from_prior
             parameters = parameters + np.linalg.solve(hessian, gradient)
             parameters[3] = np.clip(parameters[3], -1.0, 1.0)
-            parameters[4] = max(parameters[4], self._parameters.min_radius)
+            parameters[4] = max(parameters[4], self.parameters.min_radius)
         residual, jacobian = self._linearized(parameters, points)
         squares = float(np.tile(weights, 2) @ residual**2)
         hessian = (jacobian.T * np.tile(weights, 2)) @ jacobian / noise.variance(squares, total)
@@ -153,7 +165,7 @@ class ShapeFit:
         return cost, parameters, covariance
 
     def _linearized(self, parameters: Floats, points: Floats) -> tuple[Floats, Floats]:
-        """(2m,) residuals, x before y, in m, and (2m, 5) derivatives of the prediction."""
+        """Return (2m,) residuals, x before y, in m, and (2m, 5) derivatives of the prediction."""
         x, y, plane, angle, radius = parameters
         curvature, sine = 1 / radius, np.sin(angle)
         dk, ds = 1e-4, 1e-6
@@ -170,18 +182,22 @@ class ShapeFit:
         )
         return np.concatenate([points[:, 0] - x - c * u, points[:, 1] - y - s * u]), jacobian
 
-    def variance(self, fitted: FittedShape) -> float:
-        """Learned variance of a measurement, in m^2."""
+    def _variance(self, fitted: FittedShape) -> float:
+        """Return the learned variance of a measurement, in m^2."""
         residual, _ = self._linearized(fitted.parameters, fitted.points)
         squares = float(np.tile(fitted.weights, 2) @ residual**2)
-        return self._parameters.noise.variance(squares, float(fitted.weights.sum()))
+        return self.parameters.noise.variance(squares, float(fitted.weights.sum()))
 
-    def sample(self, fitted: FittedShape, rng: np.random.Generator) -> tuple[Floats, Floats]:
-        """(n, 3) R, theta_0, phi and (n, 2) origins of paths drawn from the fit."""
-        draws = rng.standard_normal((self._parameters.samples // 2, 5))
+    def represent(self, belief: FittedShape, rng: np.random.Generator) -> ShapePaths:
+        """Return paths drawn from the fit."""
+        draws = rng.standard_normal((self.parameters.samples // 2, 5))
         # In pairs about the middle, so that their mean is the fit.
-        draws = np.vstack([draws, -draws]) @ np.linalg.cholesky(fitted.covariance).T
-        x, y, plane, angle, radius = (fitted.parameters + draws).T
-        radius = np.maximum(radius, self._parameters.min_radius)
+        draws = np.vstack([draws, -draws]) @ np.linalg.cholesky(belief.covariance).T
+        x, y, plane, angle, radius = (belief.parameters + draws).T
+        radius = np.maximum(radius, self.parameters.min_radius)
         angle = np.clip(angle, -1.0, 1.0)
-        return np.column_stack([radius, angle, plane]), np.column_stack([x, y])
+        return ShapePaths(
+            parameters=np.column_stack([radius, angle, plane]),
+            origins=np.column_stack([x, y]),
+            weights=np.full(len(radius), 1 / len(radius)),
+        )

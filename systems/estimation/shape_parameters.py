@@ -1,4 +1,4 @@
-"""The shape that a needle has and will have, and how sure that is."""
+"""Parameters that every shape estimator has."""
 
 from dataclasses import dataclass, field
 
@@ -13,23 +13,25 @@ Floats = NDArray[np.float64]
 
 @dataclass(kw_only=True)
 class ShapeEstimatorParameters:
-    """What every shape estimator knows before the first slice.
+    """Knowledge of every shape estimator before the first slice.
 
-    Frame I of the insertion: the probe's frame P at the first slice that showed the needle; depths
-    are along its Z.
+    Frame I of the insertion is the probe's frame P at the first slice that showed the needle;
+    depths are along its Z.
 
     Parameters
     ----------
     depth
-        To which the shape is predicted, in m.
+        Depth down to which the shape is predicted, in m.
     rotations
         Depths at which the bevel is turned by 180 deg, in m, in rising order.
     observe_until
-        Depth beyond which slices are not looked at, in m (the paper's D); None looks at all.
+        Depth beyond which slices are not used, in m (the paper's D); None uses all.
     mean_radius, radius_std
-        Of the normal distribution of R, in m. The paper's, 1500 and 600 mm.
+        Mean and standard deviation of the normal distribution of R, in m; the paper has 1500 and
+        600 mm.
     angle_std_deg
-        Of the normal distribution of theta_0 about zero. The paper's 5 is in degrees.
+        Standard deviation of the normal distribution of theta_0 about zero; the paper's 5 is in
+        degrees.
 
     Raises
     ------
@@ -63,5 +65,5 @@ class ShapeEstimatorParameters:
 
     @property
     def angle_std(self) -> float:
-        """Of theta_0, in rad."""
+        """Standard deviation of theta_0, in rad."""
         return float(np.deg2rad(self.angle_std_deg))

@@ -1,10 +1,10 @@
 """A particle filter for the shape of a needle whose parameters do not change.
 
-It takes the place of Carriere 2016, section IV, which chooses the best particle for each point by
-itself and draws all particles towards them: its particles lose their spread whatever the data say.
-Here every particle is weighted by the joint likelihood of all cross-sections; when few particles
-bear most of the weight they are resampled and moved by Metropolis steps that leave the posterior
-unchanged (Chopin 2002, "A sequential particle filter method for static models").
+It takes the place of the filter of Carriere 2016, section IV, which chooses the best particle for
+each point by itself and draws all particles towards them, so that their spread vanishes whatever
+the data say. Here every particle is weighted by the joint likelihood of all cross-sections. When
+few particles bear most of the weight, they are resampled and moved by Metropolis steps that leave
+the posterior unchanged (Chopin 2002, "A sequential particle filter method for static models").
 """
 
 from dataclasses import dataclass, field, replace
@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sonoservo.systems.estimation.shape_filter import ShapePaths
 from sonoservo.systems.estimation.shape_parameters import ShapeEstimatorParameters
 from sonoservo.systems.estimation.shape_posterior import (
     MeasurementNoise,
@@ -27,18 +28,18 @@ Floats = NDArray[np.float64]
 
 @dataclass(kw_only=True)
 class ShapeParticleFilterParameters(ShapeEstimatorParameters):
-    """Of the particle filter, besides what every shape estimator knows.
+    """Parameters of the particle filter, besides those of every shape estimator.
 
     Parameters
     ----------
     particles
-        Their number n.
+        Number of particles n.
     min_radius
-        No needle bends more than this, in m; the normal distribution of R is cut off here.
+        Smallest radius in m; the normal distribution of R is cut off here.
     moves
         Metropolis steps after each resampling.
     noise
-        Of the measured cross-sections.
+        Noise of the measured cross-sections.
     """
 
     particles: int = 500
@@ -67,13 +68,13 @@ class ParticleBelief(Immutable):
     particles
         (n, 3) R in m, theta_0 and phi in rad.
     log_weights
-        (n,) up to a constant.
+        (n,) logarithms of the particles' weights, up to a constant.
     sums
-        (n, 3) see `residual_sums`.
+        (n, 3) sums of residuals, see `residual_sums`.
     points
         (m, 3) measured x, y and depth in I, in m.
     weights
-        (m,) of the measurements.
+        (m,) weights of the measurements.
     """
 
     particles: Floats
@@ -102,7 +103,7 @@ class ShapePosterior:
         self._rotations = np.array(parameters.rotations, dtype=float)
 
     def draw(self, rng: np.random.Generator) -> Floats:
-        """(n, 3) particles of the prior; phi is anywhere."""
+        """Draw (n, 3) particles from the prior; phi is anywhere."""
         p = self._parameters
         radius = rng.normal(p.mean_radius, p.radius_std, p.particles)
         while np.any(low := radius < p.min_radius):
@@ -111,7 +112,7 @@ class ShapePosterior:
         return np.column_stack([radius, angle, rng.uniform(-np.pi, np.pi, p.particles)])
 
     def log_prior(self, particles: Floats) -> Floats:
-        """(n,) up to a constant."""
+        """Return (n,) logarithms of the prior, up to a constant."""
         p = self._parameters
         radius, angle, _ = particles.T
         out = -0.5 * ((radius - p.mean_radius) / p.radius_std) ** 2
@@ -120,7 +121,7 @@ class ShapePosterior:
         return np.where(possible, out, -np.inf)
 
     def sums(self, particles: Floats, points: Floats, weights: Floats) -> Floats:
-        """(n, 3) see `residual_sums`."""
+        """Return (n, 3) sums of residuals, see `residual_sums`."""
         radius, angle, plane = particles.T
         shape = np.column_stack([1 / radius, np.sin(angle)])
         # The kernel wants rising depths; slices may also come from deep to shallow.
@@ -129,61 +130,88 @@ class ShapePosterior:
         return residual_sums(u, plane, points[order, :2], weights[order])
 
     def log_likelihood(self, sums: Floats, total: float) -> Floats:
-        """(n,) up to a constant."""
+        """Return (n,) logarithms of the likelihood, up to a constant."""
         if total <= 0:
             return np.zeros(len(sums))
         squares = about_best_origin(sums, total)
         return self._parameters.noise.log_likelihood(squares, total)
 
 
-def begin(posterior: ShapePosterior, rng: np.random.Generator) -> ParticleBelief:
-    """Particles drawn from the prior, before any measurement."""
-    particles = posterior.draw(rng)
-    n = len(particles)
-    return ParticleBelief(particles, np.zeros(n), np.zeros((n, 3)))
-
-
-def update(
-    belief: ParticleBelief,
-    point: Floats,
-    weight: float,
-    posterior: ShapePosterior,
-    moves: int,
-    rng: np.random.Generator,
-) -> ParticleBelief:
-    """Weight the particles by one more measurement; resample and move them if need be.
+class ShapeParticleFilter:
+    """The particle filter, a `ShapeFilter`.
 
     Parameters
     ----------
-    belief
-        Before.
-    point, weight
-        (3,) measured x, y and depth in I, in m, and its weight from 0 to 1.
-    posterior, moves
-        Of the filter.
-    rng
-        Draws the resampled particles and their moves.
+    parameters
+        Number of particles, prior and noise.
     """
-    new_points, new_weights = point[np.newaxis], np.array([weight])
-    sums = belief.sums + posterior.sums(belief.particles, new_points, new_weights)
-    total = belief.total + weight
-    gained = posterior.log_likelihood(sums, total)
-    gained = gained - posterior.log_likelihood(belief.sums, belief.total)
-    belief = ParticleBelief(
-        belief.particles,
-        belief.log_weights + gained,
-        sums,
-        np.vstack([belief.points, new_points]),
-        np.append(belief.weights, weight),
-    )
-    share = belief.normalized_weights
-    if 1 / np.sum(share**2) >= 0.5 * len(share):
-        return belief
-    return _move(_resample(belief, share, rng), posterior, moves, rng)
+
+    def __init__(self, parameters: ShapeParticleFilterParameters) -> None:
+        self.parameters = parameters
+        self._posterior = ShapePosterior(parameters)
+
+    def begin(self, rng: np.random.Generator) -> ParticleBelief:
+        """Return particles drawn from the prior, before any measurement."""
+        particles = self._posterior.draw(rng)
+        n = len(particles)
+        return ParticleBelief(particles, np.zeros(n), np.zeros((n, 3)))
+
+    def update(
+        self, belief: ParticleBelief, point: Floats, rng: np.random.Generator
+    ) -> ParticleBelief:
+        """Weight the particles by one more measurement; resample and move them if need be.
+
+        Parameters
+        ----------
+        belief
+            Belief before the measurement.
+        point
+            (3,) measured x, y and depth in I, in m.
+        rng
+            Source of the resampled particles and their moves.
+        """
+        noise, posterior = self.parameters.noise, self._posterior
+        weight = noise.independence
+        if len(belief.points):
+            paths, rotations = self.represent(belief, rng), self.parameters.rotations
+            weight = noise.weight(point, paths, rotations, self._variance(belief))
+        new_points, new_weights = point[np.newaxis], np.array([weight])
+        sums = belief.sums + posterior.sums(belief.particles, new_points, new_weights)
+        total = belief.total + weight
+        gained = posterior.log_likelihood(sums, total)
+        gained = gained - posterior.log_likelihood(belief.sums, belief.total)
+        belief = ParticleBelief(
+            belief.particles,
+            belief.log_weights + gained,
+            sums,
+            np.vstack([belief.points, new_points]),
+            np.append(belief.weights, weight),
+        )
+        share = belief.normalized_weights
+        if 1 / np.sum(share**2) >= 0.5 * len(share):
+            return belief
+        return _move(_resample(belief, share, rng), posterior, self.parameters.moves, rng)
+
+    def represent(self, belief: ParticleBelief, rng: np.random.Generator) -> ShapePaths:
+        """Return the particles, each with its origin at its best place."""
+        return ShapePaths(
+            parameters=belief.particles,
+            origins=belief.sums[:, :2] / belief.total,
+            weights=belief.normalized_weights,
+            origin_variance=self._variance(belief) / belief.total,
+        )
+
+    def _variance(self, belief: ParticleBelief) -> float:
+        """Return the learned variance of a measurement, in m^2."""
+        squares = about_best_origin(belief.sums, belief.total)
+        share = belief.normalized_weights
+        usable = share > 0
+        mean = float(share[usable] @ squares[usable])
+        return self.parameters.noise.variance(mean, belief.total)
 
 
 def _resample(belief: ParticleBelief, share: Floats, rng: np.random.Generator) -> ParticleBelief:
-    """Systematic resampling (Kitagawa 1996)."""
+    """Resample systematically (Kitagawa 1996)."""
     n = len(share)
     positions = (rng.random() + np.arange(n)) / n
     chosen = np.minimum(np.searchsorted(np.cumsum(share), positions), n - 1)
@@ -198,7 +226,7 @@ def _resample(belief: ParticleBelief, share: Floats, rng: np.random.Generator) -
 def _move(
     belief: ParticleBelief, posterior: ShapePosterior, moves: int, rng: np.random.Generator
 ) -> ParticleBelief:
-    """Metropolis steps with the particles' own spread.
+    """Take Metropolis steps with the particles' own spread.
 
     (theta_0, phi) and (-theta_0, phi + 180 deg) start in the same direction and bend to opposite
     sides: few slices cannot tell them apart. The spread is measured, and the steps are taken, with
@@ -233,7 +261,7 @@ def _move(
 
 
 def _spread(particles: Floats) -> tuple[Floats, Floats]:
-    """(n,) side of each particle, +-1, and (3, 3) covariance with all turned to side +1."""
+    """Return (n,) the side of each particle, +-1, and (3, 3) covariance with all on side +1."""
     plane = particles[:, 2]
     axis = 0.5 * np.angle(np.mean(np.exp(2j * plane)))
     side = np.where(np.cos(plane - axis) >= 0, 1.0, -1.0)

@@ -1,11 +1,14 @@
-"""How well paths of the bicycle model explain measured cross-sections."""
+"""Likelihood of measured cross-sections given paths of the bicycle model."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from sonoservo.systems.estimation.shape_filter import ShapePaths
+from sonoservo.systems.signals.needle_shape import bicycle_paths, path_statistics
 from sonoservo.systems.signals.requirements import require, require_positive
 
 Floats = NDArray[np.float64]
@@ -25,9 +28,9 @@ class MeasurementNoise:
     confidence
         Number of measurements that the expectation counts for.
     independence
-        Share of what a slice tells that its neighbours have not told: below 1 where errors are
-        correlated from slice to slice, as speckle makes them where slices overlap: 0.6 fits slices
-        every 0.5 mm with a beam 1 mm thick.
+        Share of a slice's information that its neighbours have not given already. It is below 1
+        where errors are correlated from slice to slice, as speckle makes them where slices overlap;
+        0.6 fits slices every 0.5 mm with a beam 1 mm thick.
     outlier
         A measurement further from its prediction than this many standard deviations counts less,
         in inverse proportion (Huber).
@@ -43,7 +46,7 @@ class MeasurementNoise:
         require(0 < self.independence <= 1, "independence", self.independence, "above 0, at most 1")
 
     def log_likelihood(self, squares: Floats, total: float) -> Floats:
-        """Logarithm of the likelihood, up to a constant.
+        """Return the logarithm of the likelihood, up to a constant.
 
         Parameters
         ----------
@@ -56,12 +59,31 @@ class MeasurementNoise:
         return -0.5 * degrees * np.log(self._scale + squares)
 
     def variance(self, squares: float, total: float) -> float:
-        """Learned variance of x and of y, in m^2; see `log_likelihood`."""
+        """Return the learned variance of x and of y, in m^2; see `log_likelihood`."""
         return (self._scale + squares) / (self.confidence + max(2 * total - 2, 0.0))
 
-    def weight(self, innovation: Floats, covariance: Floats) -> float:
-        """Weight of a measurement, (2,) away from its prediction, (2, 2) covariance of that."""
-        distance = float(np.sqrt(innovation @ np.linalg.solve(covariance, innovation)))
+    def weight(
+        self, point: Floats, predicted: ShapePaths, rotations: Sequence[float], variance: float
+    ) -> float:
+        """Return the weight of a measurement, which is less where it was not to be expected.
+
+        Parameters
+        ----------
+        point
+            (3,) measured x, y and depth in I, in m.
+        predicted
+            Paths before the measurement.
+        rotations
+            Depths at which the bevel is turned, in m.
+        variance
+            Variance of x and of y of a measurement, in m^2.
+        """
+        across = bicycle_paths(predicted.parameters, point[2:], rotations)
+        paths = predicted.origins[:, np.newaxis] + across
+        mean, covariance = path_statistics(paths, predicted.weights)
+        innovation = point[:2] - mean[0]
+        spread = covariance[0] + (predicted.origin_variance + variance) * np.eye(2)
+        distance = float(np.sqrt(innovation @ np.linalg.solve(spread, innovation)))
         return self.independence * min(1.0, self.outlier / max(distance, 1e-9))
 
     @property
@@ -71,7 +93,7 @@ class MeasurementNoise:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def residual_sums(u, plane, points, weights):  # type: ignore[no-untyped-def]
-    """Weighted sums of residuals and of their squares.
+    """Return weighted sums of residuals and of their squares.
 
     Parameters
     ----------
@@ -99,6 +121,6 @@ def residual_sums(u, plane, points, weights):  # type: ignore[no-untyped-def]
 
 
 def about_best_origin(sums: Floats, total: float) -> Floats:
-    """(n,) squares in m^2 that are left when each path's origin is at its best place."""
+    """Return (n,) squares in m^2 that are left with each path's origin at its best place."""
     squares = sums[:, 2] - (sums[:, 0] ** 2 + sums[:, 1] ** 2) / total
     return np.where(np.isfinite(squares), np.maximum(squares, 0.0), np.inf)

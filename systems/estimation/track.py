@@ -1,187 +1,338 @@
-"""What a needle tracker knows between two volumes, and how it predicts."""
+"""Life of a track: initiate, confirm, gate, coast, lose, find again, end.
+
+How the needle moves and is corrected in between is up to a `NeedleFilter`.
+"""
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
-from filterpy.kalman import predict
-from numpy.typing import NDArray
 from pydrake.math import RigidTransform
+from scipy.stats import chi2
 
-from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.estimation.needle_filter import NeedleFilter, NeedleState
+from sonoservo.systems.signals.immutable import Immutable, NotFound
 from sonoservo.systems.signals.insertion_detection import InsertionDetection
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
-from sonoservo.systems.signals.requirements import require_not_negative
+from sonoservo.systems.signals.needle_prediction import NeedlePrediction
+from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 
 
 @dataclass(kw_only=True)
-class NeedleMotionParameters:
-    """Spectral densities of the needle's white acceleration, in m^2/s^3.
+class TrackParameters:
+    """When a track starts, believes a measurement, and ends. The papers publish no values.
 
     Parameters
     ----------
-    insertion
-        Along the needle, of the tip; a point at abscissa u has u times the tip's acceleration.
-    body
-        Of the needle as a whole, in every direction: the tissue moves.
-    bending
-        Of each control point by itself, in every direction.
+    first_std
+        Standard deviation of the control points at a detection, in m.
+    min_advance
+        Distance that the tip must advance from the first to the last of detections that follow one
+        another, in m.
+    max_detection_jump
+        Largest distance of the tip between detections that follow one another, in m.
+    gate
+        Probability that a true measurement passes the gate on the innovation.
+    volumes_to_confirm
+        Number of volumes within which a detection must be repeated, and the needle be localized.
+    volumes_to_lose
+        Number of volumes in a row without the needle after which it is localized everywhere.
+    withdrawn_length
+        Predicted length at which a needle that is not found counts as withdrawn, in m.
+    seconds_to_give_up
+        Time without the needle after which a new insertion is awaited, in s.
+    filtering
+        Whether measurements are filtered; off, each one starts the track anew, so that there is
+        neither a velocity to predict with nor a gate on the innovation.
+    probe_frame
+        Whether the needle's state is kept in the frame of the probe, as in Chatelain 2013: it is
+        then carried along as the probe moves, and its velocity is that in the image, which suits
+        the servo without feed-forward only. Off, it is kept in W.
+    anywhere
+        Whether a needle is localized in the whole volume as long as there is none, so that no
+        insertion need be seen.
     """
 
-    insertion: float = 5e-5
-    body: float = 2e-6
-    bending: float = 2e-7
+    first_std: float = 1.0e-3
+    min_advance: float = 2.5e-3
+    max_detection_jump: float = 10e-3
+    gate: float = 0.9999
+    volumes_to_confirm: int = 4
+    volumes_to_lose: int = 4
+    withdrawn_length: float = 6e-3
+    seconds_to_give_up: float = 10.0
+    filtering: bool = True
+    probe_frame: bool = False
+    anywhere: bool = False
 
     def __post_init__(self) -> None:
-        require_not_negative(insertion=self.insertion, body=self.body, bending=self.bending)
-
-    def density(self, curve: NeedleCurve) -> NDArray[np.float64]:
-        """(3n, 3n) spectral density of the stacked control points' acceleration."""
-        n = curve.order
-        u = np.linspace(0, 1, n)
-        k = curve.direction
-        return (
-            self.insertion * np.kron(np.outer(u, u), np.outer(k, k))
-            + self.body * np.kron(np.ones((n, n)), np.eye(3))
-            + self.bending * np.eye(3 * n)
+        require_positive(
+            first_std=self.first_std,
+            min_advance=self.min_advance,
+            max_detection_jump=self.max_detection_jump,
+            gate=self.gate,
+            withdrawn_length=self.withdrawn_length,
+            seconds_to_give_up=self.seconds_to_give_up,
         )
-
-
-def constant_velocity(
-    dt: float, density: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Transition A and noise Q of a constant-velocity model (Chatelain 2013, eqs. 8 and 6).
-
-    Parameters
-    ----------
-    dt
-        Time step in s.
-    density
-        (d, d) spectral density of the white acceleration.
-
-    Returns
-    -------
-    A, Q
-        (2d, 2d) each.
-    """
-    identity = np.eye(len(density))
-    A: NDArray[np.float64] = np.kron(np.array([[1.0, dt], [0.0, 1.0]]), identity)
-    Q: NDArray[np.float64] = np.kron(np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]]), density)
-    return A, Q
+        require(self.gate < 1, "gate", self.gate, "below 1")
+        for name in ("volumes_to_confirm", "volumes_to_lose"):
+            require(getattr(self, name) >= 1, name, getattr(self, name), "1 or more")
 
 
 @dataclass(frozen=True, eq=False)
-class NeedleTrack(Immutable):
-    """The state of a needle tracker; the localizer predicts with it. Falsy without a curve.
+class Track(Immutable):
+    """A needle that is tracked, or awaited. Falsy without a state.
 
     Parameters
     ----------
     mode
-        What the tracker is doing. While it is searching, a curve is a candidate not yet confirmed.
+        Stage of the track's life. While it is searching, a state is a candidate not yet confirmed.
     time
-        The state holds for this time, in s.
-    mean
-        (6n,) stacked control points and their velocities in W (eq. 3), in m and m/s; None while
-        there is no curve.
-    covariance
-        (6n, 6n) P.
-    motion
-        How it may accelerate.
+        Time of the state in s; without one, of the last change.
+    state
+        The filter's; None while there is no needle.
     volume_time
         Time of the newest volume seen, in s.
+    X_WP
+        Pose of the probe with which the needle is thought to move; None if it moves in W.
     missed
-        Volumes in a row that did not confirm the needle.
+        Number of volumes in a row that did not confirm the needle.
     since
         Time of the last confirmation, in s.
     detections
-        First and last of the detections that follow one another; None while there is none.
+        First and last of the detections that follow one another; None if there is none.
     rejected
-        The last measurement that failed the gate since then.
+        Last measurement that failed the gate since the last confirmation.
+    innovation
+        Mahalanobis distance of the last measurement from its prediction; None if none was gated.
     reason
         Why the last volume did not confirm the needle.
-    X_WP
-        Pose of the probe with which the needle is thought to move; None where it moves in W.
     """
 
     mode: TrackingMode
     time: float
-    motion: NeedleMotionParameters
-    mean: NDArray[np.float64] | None = None
-    covariance: NDArray[np.float64] | None = None
+    state: NeedleState | None = None
     volume_time: float = -np.inf
+    X_WP: RigidTransform | None = None
     missed: int = 0
     since: float = -np.inf
     detections: tuple[InsertionDetection, InsertionDetection] | None = None
     rejected: NeedleMeasurement | None = None
+    innovation: float | None = None
     reason: str = ""
-    X_WP: RigidTransform | None = None
-
-    def __post_init__(self) -> None:
-        if self.mean is None or self.covariance is None:
-            return
-        size = len(self.mean)
-        object.__setattr__(self, "mean", read_only(self.mean, "mean", (size,)))
-        object.__setattr__(
-            self, "covariance", read_only(self.covariance, "covariance", (size, size))
-        )
 
     def __bool__(self) -> bool:
-        return self.mean is not None
+        return self.state is not None
 
-    @property
-    def order(self) -> int:
-        """Number n of control points."""
-        assert self.mean is not None
-        return len(self.mean) // 6
-
-    @property
-    def curve(self) -> NeedleCurve:
-        """The control points in W."""
-        assert self.mean is not None
-        return NeedleCurve(self.mean[: 3 * self.order].reshape(-1, 3))
-
-    @property
-    def velocity(self) -> NDArray[np.float64]:
-        """(n, 3) velocities of the control points in W, in m/s."""
-        assert self.mean is not None
-        return self.mean[3 * self.order :].reshape(-1, 3)
-
-    def predicted(self, time: float) -> "NeedleTrack":
-        """Return the track at a later time (eqs. 10 and 11); an earlier one changes nothing."""
-        dt = time - self.time
-        if self.mean is None or dt <= 0:
-            return self
-        A, Q = constant_velocity(dt, self.motion.density(self.curve))
-        mean, covariance = predict(self.mean, self.covariance, A, Q)
-        return replace(self, time=time, mean=mean, covariance=covariance)
-
-    def seen_from(self, X_WP: RigidTransform) -> "NeedleTrack":
+    def seen_from(self, X_WP: RigidTransform) -> "Track":
         """Return the track now that the probe is at ``X_WP``: carried along if it moves with it."""
         if self.X_WP is None:
             return self
+        if self.state is None:
+            return replace(self, X_WP=X_WP)
         X = X_WP.multiply(self.X_WP.inverse())
-        track = replace(self, X_WP=X_WP)
-        if self.mean is None:
-            return track
-        R = np.kron(np.eye(2 * self.order), X.rotation().matrix())
-        mean = R @ self.mean
-        mean[: 3 * self.order] += np.tile(X.translation(), self.order)
-        return replace(track, mean=mean, covariance=R @ self.covariance @ R.T)
+        return replace(self, X_WP=X_WP, state=self.state.transformed(X))
 
     @property
     def estimate(self) -> NeedleEstimate:
-        """What the outside sees."""
-        if not self or self.mode == TrackingMode.SEARCHING:
-            return NeedleEstimate(
-                self.mode, self.time, volume_time=self.volume_time, reason=self.reason
-            )
-        return NeedleEstimate(
-            self.mode,
-            self.time,
-            self.curve,
-            self.velocity,
-            self.covariance,
-            self.volume_time,
-            self.reason,
+        """The estimate for the outside."""
+        nothing = NeedleEstimate(
+            self.mode, self.time, volume_time=self.volume_time, reason=self.reason
         )
+        state = self.state
+        if state is None or self.mode == TrackingMode.SEARCHING:
+            return nothing
+        return replace(
+            nothing, curve=state.curve, velocity=state.velocity, covariance=state.covariance
+        )
+
+
+def innovation_distance(state: NeedleState, measurement: NeedleMeasurement) -> float:
+    """Mahalanobis distance of a measurement from a state predicted to its time."""
+    points = state.curve.control_points.ravel()
+    y = measurement.curve.control_points.ravel() - points
+    S = state.covariance[: len(points), : len(points)] + measurement.covariance
+    return float(np.sqrt(y @ np.linalg.solve(S, y)))
+
+
+@lru_cache
+def gate_distance(gate: float, order: int) -> float:
+    """Mahalanobis distance that a true measurement exceeds with a probability of 1 - gate."""
+    return float(np.sqrt(chi2.ppf(gate, 3 * order)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackLifecycle:
+    """Rules by which a track begins, goes on and ends; nothing but functions of their arguments.
+
+    Parameters
+    ----------
+    order
+        Number n of control points of the needle's curve.
+    parameters
+        Thresholds.
+    needle_filter
+        Starts, predicts and updates the track's state.
+    """
+
+    order: int
+    parameters: TrackParameters
+    needle_filter: NeedleFilter[Any]
+
+    def without_needle(self, time: float, reason: str = "") -> Track:
+        """Return the track at a time in s while there is no needle."""
+        mode = TrackingMode.LOST if self.parameters.anywhere else TrackingMode.SEARCHING
+        return Track(mode, time, reason=reason)
+
+    def confirm(self, state: NeedleState, time: float, innovation: float | None = None) -> Track:
+        """Return a track that a measurement at a time in s confirms."""
+        return Track(TrackingMode.TRACKING, state.time, state, since=time, innovation=innovation)
+
+    def predict(
+        self, track: Track, time: float, X_WP: RigidTransform
+    ) -> NeedlePrediction | NotFound:
+        """Return what is expected of a volume.
+
+        A lost needle is not predicted: where it was last tells which of its ends is the tip, and no
+        more.
+
+        Parameters
+        ----------
+        track
+            After the volume before.
+        time, X_WP
+            Time of the volume in s, and pose of the probe.
+        """
+        lost = track.mode == TrackingMode.LOST
+        last = track.seen_from(X_WP).state
+        if last is None:
+            if lost:
+                return NeedlePrediction(self.order, time, everywhere=True)
+            return NotFound("no needle has been detected")
+        state = last if lost else self.needle_filter.predict(last, time)
+        points = 3 * self.order
+        return NeedlePrediction(
+            self.order,
+            state.time,
+            state.curve,
+            state.velocity,
+            state.covariance[:points, :points],
+            entry=None if track.mode == TrackingMode.SEARCHING else last.curve.entry,
+            missed=track.missed,
+            everywhere=lost,
+        )
+
+    def next(
+        self,
+        track: Track,
+        time: float,
+        *,
+        detection: InsertionDetection | NotFound,
+        measurement: NeedleMeasurement | NotFound,
+        velocity: VelocityMeasurement | NotFound,
+    ) -> Track:
+        """Return the track after a volume.
+
+        Parameters
+        ----------
+        track
+            Before the volume, seen from its pose.
+        time
+            Time of the volume, in s.
+        detection, measurement, velocity
+            Results of detector, localizer and velocimeter for the volume.
+        """
+        speed = velocity if isinstance(velocity, VelocityMeasurement) else None
+        if isinstance(measurement, NotFound):
+            missed = replace(track, innovation=None)
+            return self._miss(missed, time, detection, speed, measurement.reason)
+        fresh = track.mode in (TrackingMode.SEARCHING, TrackingMode.LOST)
+        if fresh or not self.parameters.filtering:
+            return self.confirm(self.needle_filter.start(measurement), measurement.time)
+        state = self.needle_filter.predict(track.state, measurement.time)
+        distance = innovation_distance(state, measurement)
+        if distance <= self.gate:
+            state = self.needle_filter.update(state, measurement, speed)
+            return self.confirm(state, measurement.time, distance)
+        if track.rejected is not None:
+            # Two that agree with each other are right, and the prediction is wrong.
+            before = self.needle_filter.start(track.rejected)
+            before = self.needle_filter.predict(before, measurement.time)
+            if innovation_distance(before, measurement) <= self.gate:
+                state = self.needle_filter.start(measurement)
+                return self.confirm(state, measurement.time, distance)
+        missed = replace(track, rejected=measurement, innovation=distance)
+        reason = f"the measurement lies {distance:.1f} deviations from the prediction"
+        return self._miss(missed, time, detection, speed, reason)
+
+    @property
+    def gate(self) -> float:
+        """Largest Mahalanobis distance of a measurement that is believed."""
+        return gate_distance(self.parameters.gate, self.order)
+
+    def _miss(
+        self,
+        track: Track,
+        time: float,
+        detection: InsertionDetection | NotFound,
+        velocity: VelocityMeasurement | None,
+        reason: str,
+    ) -> Track:
+        """Return the track after a volume that did not confirm it."""
+        p = self.parameters
+        track = replace(track, missed=track.missed + 1)
+        if track.mode == TrackingMode.SEARCHING:
+            return self._await(track, time, detection, reason)
+        if time - track.since > p.seconds_to_give_up:
+            return self.without_needle(time, reason)
+        if track.mode == TrackingMode.LOST:
+            return replace(track, reason=reason)
+        assert track.state is not None
+        state = self.needle_filter.predict(track.state, time)
+        state = self.needle_filter.update(state, None, velocity)
+        length = (state.curve.tip - state.curve.entry) @ track.state.curve.direction
+        if length < p.withdrawn_length:
+            return self.without_needle(time, "the needle was withdrawn")
+        mode = TrackingMode.LOST if track.missed >= p.volumes_to_lose else TrackingMode.COASTING
+        return replace(track, mode=mode, time=state.time, state=state, reason=reason)
+
+    def _await(
+        self, track: Track, time: float, detection: InsertionDetection | NotFound, reason: str
+    ) -> Track:
+        """Return the track after a volume in which no needle was localized yet."""
+        if isinstance(detection, InsertionDetection):
+            return self.initiate(track, detection)
+        if track.detections is None or track.missed >= self.parameters.volumes_to_confirm:
+            return self.without_needle(time, detection.reason)
+        return replace(track, reason=reason if track else detection.reason)
+
+    def initiate(self, track: Track, detection: InsertionDetection) -> Track:
+        """Start a track, not yet confirmed, once detections that follow one another have advanced.
+
+        If the tissue trembles, something bright may seem to change, but it stays where it is. The
+        needle points from the first detection's tip to the last one's.
+        """
+        p = self.parameters
+        first, last = track.detections or (detection, detection)
+        jump = float(np.linalg.norm(detection.p_WTip - last.p_WTip))
+        depths = [np.linalg.norm(each.p_WTip - first.p_WEntry) for each in (first, detection)]
+        if jump > p.max_detection_jump or depths[1] < depths[0]:
+            # Something else moves, or a needle is being withdrawn.
+            first = detection
+        started = Track(
+            TrackingMode.SEARCHING,
+            detection.time,
+            detections=(first, detection),
+            reason="something moved; the needle is not confirmed yet",
+        )
+        advance = detection.p_WTip - first.p_WTip
+        if np.linalg.norm(advance) < p.min_advance:
+            return started
+        points = first.p_WTip + np.outer(np.linspace(0, 1, self.order), advance)
+        covariance = p.first_std**2 * np.eye(points.size)
+        guess = NeedleMeasurement(NeedleCurve(points), covariance, detection.time, 0, 0.0)
+        return replace(started, state=self.needle_filter.start(guess), reason="")

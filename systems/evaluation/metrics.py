@@ -19,17 +19,44 @@ from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 
+LABELS = {
+    "detection.volume": "insertion detected at volume",
+    "detection.visible_mm": "needle in view at detection, mm",
+    "detection.false_starts": "false starts in the whole run",
+    "tracking.volumes": "volumes since then, with the needle in the tissue",
+    "tracking.tracked": "of these, needle tracked",
+    "tracking.lost_events": "times lost",
+    "tracking.tip_error_mm.median": "tip error, median, mm",
+    "tracking.tip_error_mm.p95": "tip error, 95 %, mm",
+    "tracking.axis_error_deg.median": "axis error, median, deg",
+    "tracking.axis_error_deg.p95": "axis error, 95 %, deg",
+    "servo.at_rest.x_mm": "at rest: mean |X|, true, mm",
+    "servo.at_rest.z_mm": "at rest: mean |Z|, true, mm",
+    "servo.at_rest.theta_deg": "at rest: mean |Theta|, true, deg",
+    "servo.at_rest_estimated.x_mm": "at rest: mean |X|, estimated, mm",
+    "servo.at_rest_estimated.z_mm": "at rest: mean |Z|, estimated, mm",
+    "servo.at_rest_estimated.theta_deg": "at rest: mean |Theta|, estimated, deg",
+    "force.mean_n": "contact force, mean, N",
+    "force.rms_error_n": "contact force, RMS error, N",
+    "force.max_n": "contact force, largest, N",
+    "compute_ms.render.median": "rendering a sweep, median, ms",
+    "compute_ms.convert.median": "scan conversion, median, ms",
+    "compute_ms.track.median": "tracking, median, ms",
+    "real_time_factor": "simulated time / wall time",
+}
+"""Label of each figure of a summary that a table shows, by its dotted path."""
+
 
 @dataclass(kw_only=True)
 class MetricsParameters:
-    """What counts as what.
+    """Thresholds of the metrics.
 
     Parameters
     ----------
     rest_speed
         The needle rests while its tip moves more slowly than this in W, in m/s.
     rest_window
-        Over which that speed is measured, so that a hand's tremor does not count, in s.
+        Time over which that speed is measured, so that a hand's tremor does not count, in s.
     rest_time
         At rest counts from this long after the needle came to rest, in s: the probe's transient
         is left out.
@@ -39,9 +66,9 @@ class MetricsParameters:
     start_tolerance
         A tracker that starts further than this from the needle has started falsely, in m.
     force_target
-        In N; None where it changes.
+        Force that the controller aims at, in N; None if it changes.
     contact_threshold
-        Below this there is no contact, in N.
+        Force below which there is no contact, in N.
     settling_time
         The force counts as settled from this long after the first contact, in s.
     """
@@ -92,7 +119,7 @@ def summarize(log: RunLog, parameters: MetricsParameters | None = None) -> dict[
 
 
 def detection(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
-    """When the tracker found the needle.
+    """Sum up when the tracker found the needle.
 
     Returns
     -------
@@ -120,7 +147,7 @@ def detection(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
 
 
 def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
-    """How well the needle was followed, over all volumes from the detection on.
+    """Sum up how well the needle was followed, over all volumes from the detection on.
 
     Only volumes while there is a needle in the tissue are judged; failures stay in. Truth is
     interpolated at the time for which the estimate holds.
@@ -157,16 +184,16 @@ def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
         "estimated": int(np.sum(judged & np.isfinite(errors.tip))),
         "lost": int(np.sum(lost)),
         "lost_events": int(np.sum(_begins(lost))),
-        "tip_error_mm": _spread(1e3 * errors.tip[judged]),
-        "tip_axial_error_mm": _spread(1e3 * np.abs(errors.axial[judged])),
-        "tip_lateral_error_mm": _spread(1e3 * errors.lateral[judged]),
+        "tip_error_mm": spread(1e3 * errors.tip[judged]),
+        "tip_axial_error_mm": spread(1e3 * np.abs(errors.axial[judged])),
+        "tip_lateral_error_mm": spread(1e3 * errors.lateral[judged]),
         "tip_axial_bias_mm": _number(_mean(1e3 * errors.axial[judged])),
-        "axis_error_deg": _spread(np.degrees(errors.axis[judged])),
+        "axis_error_deg": spread(np.degrees(errors.axis[judged])),
     }
 
 
 def servo(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
-    """Mean absolute feature errors: x and z of the tip, and theta, in P (Chatelain 2013, eq. 23).
+    """Mean absolute errors of the visual features in P (Chatelain 2013, eq. 23).
 
     Returns
     -------
@@ -188,7 +215,7 @@ def servo(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
 
 
 def force(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
-    """Sum up the contact force, in truth.
+    """Sum up the true contact force.
 
     Returns
     -------
@@ -260,7 +287,8 @@ def _seconds(counted: Mask, time: Floats) -> float:
     return float(steps[counted].sum())
 
 
-def _spread(values: Floats) -> dict[str, float | None]:
+def spread(values: Floats) -> dict[str, float | None]:
+    """Return the median, the 95th percentile and the maximum of what is finite; None for none."""
     values = values[np.isfinite(values)]
     p95 = np.percentile(values, 95) if len(values) else np.nan
     return {

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from sonoservo.systems.evaluation.scan_sheet import sample
 from sonoservo.systems.signals.sweep import Sweep
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 
@@ -66,18 +65,18 @@ def measure_needle_echo(
     distance = np.arange(0, length, _STEP)
     axis = shaft[0] + distance[:, np.newaxis] * along
     offsets = np.arange(-_NEAR, _NEAR + _STEP, _STEP)[:, np.newaxis] * normal
-    grey, inside = sample(sweep, axis[:, np.newaxis] + offsets)
-    level = np.where(inside, (grey - imaging.tissue_grey) / imaging.grey_per_db, -np.inf)
+    grey = sweep.sample(axis[:, np.newaxis] + offsets, outside=-np.inf)
+    level = sweep.decibels_per_level * (grey - imaging.tissue_grey)
     crest = level.max(axis=1)
     shown = np.isfinite(crest)
     smooth = uniform_filter1d(np.where(shown, crest, 0), round(1e-3 / _STEP))
     smooth[~shown] = np.nan
     brightest = int(crest.argmax())
     across = np.arange(-_FAR, _FAR, _STEP)
-    grey, _ = sample(sweep, axis[brightest] + across[:, np.newaxis] * normal)
+    grey = sweep.sample(axis[brightest] + across[:, np.newaxis] * normal, outside=None)
     peak = crest[brightest]
     bright = np.flatnonzero(
-        (grey - imaging.tissue_grey) / imaging.grey_per_db > peak + _THICKNESS_DB
+        sweep.decibels_per_level * (grey - imaging.tissue_grey) > peak + _THICKNESS_DB
     )
     return NeedleEchoFigures(
         peak_db=float(peak),

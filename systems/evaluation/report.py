@@ -1,9 +1,11 @@
-"""A run on one web page."""
+"""A run on web pages: its report, and its replay."""
 
 import html
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+from pydrake.geometry import Meshcat
 
 from sonoservo.systems.evaluation.web_page import cell_text, web_page, words
 from sonoservo.systems.files.writing import write_atomically
@@ -22,12 +24,12 @@ def report_page(
     Parameters
     ----------
     summary
-        What `summary.json` holds: single values head the page, `scenario` names it, and each block
+        Content of `summary.json`: single values head the page, `scenario` names it, and each block
         makes a table.
     figures
         PNG files by caption.
     command
-        That repeats the run.
+        Command that repeats the run.
     paper
         Published figures to set beside ours, by the path of ours: ``{"servo.at_rest.x_mm": 1.1}``.
     replay
@@ -56,6 +58,21 @@ def write_report(
 ) -> Path:
     """Write `report_page` to a file, atomically."""
     return write_atomically(path, report_page(summary, figures, **details))
+
+
+def save_replay(meshcat: Meshcat, path: str | Path) -> Path:
+    """Write what a Meshcat has recorded as one HTML page, which needs no server.
+
+    Call ``meshcat.StartRecording()`` before the simulator is initialised: what was shown or hidden
+    earlier is not in the recording. The live page, if one is open, plays the recording too.
+
+    Returns
+    -------
+    The path.
+    """
+    meshcat.StopRecording()
+    meshcat.PublishRecording()
+    return write_atomically(path, meshcat.StaticHtml())
 
 
 def _block(name: str, block: Mapping[str, Any], paper: Mapping[str, float]) -> str:

@@ -1,4 +1,4 @@
-"""How far a run was from its truth, at every moment."""
+"""Errors of a run at every moment, against ground truth."""
 
 from dataclasses import dataclass
 
@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 
+from sonoservo.systems.control.visual_features import needle_features
 from sonoservo.systems.evaluation.run_log import RunLog, unit
 
 Floats = NDArray[np.float64]
@@ -14,7 +15,7 @@ Mask = NDArray[np.bool_]
 
 
 def features(X_WP: ArrayLike, p_WTip: ArrayLike, p_WEntry: ArrayLike) -> Floats:
-    """Return the visual features of Chatelain 2013, eq. 23.
+    """Return the visual features of needles in W, see `needle_features`.
 
     Parameters
     ----------
@@ -25,16 +26,14 @@ def features(X_WP: ArrayLike, p_WTip: ArrayLike, p_WEntry: ArrayLike) -> Floats:
 
     Returns
     -------
-    (n, 3) array of x and z of the tip in P in m, and of theta = atan2(k_z, k_x), wrapped to
-    +-pi/2, in rad.
+    (n, 3) array of x and z of the tip in P in m, and of theta in rad; NaN for an unknown needle.
     """
     X_WP, p_WTip = np.asarray(X_WP), np.asarray(p_WTip)
     R_PW = np.swapaxes(X_WP[:, :3, :3], 1, 2)
     tip = np.einsum("nij,nj->ni", R_PW, p_WTip - X_WP[:, :3, 3])
     k = np.einsum("nij,nj->ni", R_PW, p_WTip - np.asarray(p_WEntry))
-    theta = np.arctan2(k[:, 2], k[:, 0])
-    theta = (theta + np.pi / 2) % np.pi - np.pi / 2
-    return np.stack([tip[:, 0], tip[:, 2], theta], axis=1)
+    each = [needle_features(*needle) for needle in zip(tip, k, strict=True)]
+    return np.array(each, dtype=float).reshape(-1, 3)
 
 
 def needle_speed(log: RunLog, window: float) -> Floats:
@@ -43,9 +42,9 @@ def needle_speed(log: RunLog, window: float) -> Floats:
     Parameters
     ----------
     log
-        Of the run.
+        Log of the run.
     window
-        In s: the mean position in the half of it that follows is compared with that before.
+        Time in s: the mean position in the half of it that follows is compared with that before.
 
     Returns
     -------
@@ -76,7 +75,8 @@ class EstimateErrors:
     tip
         (v,) distance from the true to the estimated tip, in m.
     axial, lateral
-        (v,) its part along the true needle, above zero beyond the true tip, and across it, in m.
+        (v,) parts of that distance along the true needle, above zero beyond the true tip, and
+        across it, in m.
     axis
         (v,) angle between the true and the estimated direction in rad. The estimate's runs from its
         entry to its tip; the true one from the point of the needle that is nearest to that entry,

@@ -1,16 +1,18 @@
-"""The leaf that keeps what happened."""
+"""The leaf that logs a run in which the robot follows a needle."""
 
 from collections.abc import Mapping
-from typing import Any, TypeVar
+from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialForce
-from pydrake.systems.framework import Context, LeafSystem
+from pydrake.systems.framework import Context, LeafSystem, ValueProducer
 
-from sonoservo.systems.evaluation.run_log import Array, Column, RunLog, columns
+from sonoservo.systems.evaluation.log import Array, Row, columns, stack_rows
+from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
@@ -20,7 +22,14 @@ from sonoservo.systems.signals.requirements import require_not_negative, require
 from sonoservo.systems.signals.sweep import SweepGeometry
 
 T = TypeVar("T")
-Row = dict[str, Any]
+
+
+@dataclass
+class _Rows:
+    """What has been kept so far."""
+
+    samples: list[Row] = field(default_factory=list)
+    volumes: list[Row] = field(default_factory=list)
 
 
 class RunLogger(LeafSystem):
@@ -49,7 +58,8 @@ class RunLogger(LeafSystem):
     until its next volume. So a row is kept whenever the estimate names a newer volume, and no
     volume is ever computed for the sake of the log.
 
-    The logger remembers one run: it starts anew whenever a simulator is initialised.
+    The log is kept in the context, in a cache entry as Drake's `VectorLogSink` does it, so several
+    contexts do not disturb each other. It starts anew whenever a simulator is initialised.
 
     Parameters
     ----------
@@ -86,42 +96,50 @@ class RunLogger(LeafSystem):
         self.DeclareVectorInputPort("planar_velocity", 3)
         self._joint_state = 2 * joints
         self._geometry = geometry
-        self._start()
-        self.DeclareInitializationPublishEvent(publish=lambda context: self._start())
+        self._rows = self.DeclareCacheEntry(
+            "log",
+            ValueProducer(lambda: Value[object](_Rows()), ValueProducer.NoopCalc),
+            {self.nothing_ticket()},
+        )
+        self.DeclareInitializationPublishEvent(self._start)
         self.DeclarePeriodicPublishEvent(period, 0.0, self._sample)
         if volume_period is not None:
             require_positive(volume_period=volume_period)
             self.DeclarePeriodicPublishEvent(volume_period, volume_offset, self._look)
         self.DeclareForcedPublishEvent(self._sample)
 
-    def log(self, compute: Mapping[str, ArrayLike] | None = None) -> RunLog:
+    def log(self, context: Context, compute: Mapping[str, ArrayLike] | None = None) -> RunLog:
         """Return what has been kept so far; also after a run that was cut short.
 
         Parameters
         ----------
+        context
+            Context of this system in which the run took place.
         compute
             Computing time per volume in s, by what was computed, if it was measured.
         """
-        return RunLog(
-            **{
-                name: self._stack(
-                    name, column, self._samples if column.shape[0] == "n" else self._volumes
-                )
-                for name, column in columns().items()
-            },
-            compute={name: np.asarray(each, float) for name, each in (compute or {}).items()},
-        )
+        kept = self._kept(context)
+        arrays = {
+            name: stack_rows(
+                column,
+                name,
+                kept.samples if column.shape[0] == "n" else kept.volumes,
+                {"2j": self._joint_state},
+            )
+            for name, column in columns(RunLog).items()
+        }
+        times = {name: np.asarray(each, float) for name, each in (compute or {}).items()}
+        return RunLog(**arrays, compute=times)
 
-    def _stack(self, name: str, column: Column, rows: list[Row]) -> Array:
-        if column.dtype == "U":
-            return np.array([row.get(name, "") for row in rows], dtype=str)
-        shape = [each if isinstance(each, int) else self._joint_state for each in column.shape[1:]]
-        missing = np.full(shape, np.nan) if column.dtype == "f8" else np.zeros(shape, column.dtype)
-        return np.array([row.get(name, missing) for row in rows], column.dtype).reshape(-1, *shape)
+    def _kept(self, context: Context) -> _Rows:
+        value = self._rows.get_mutable_cache_entry_value(context).GetMutableValueOrThrow()
+        assert isinstance(value, _Rows)
+        return value
 
-    def _start(self) -> None:
-        self._samples: list[Row] = []
-        self._volumes: list[Row] = []
+    def _start(self, context: Context) -> None:
+        kept = self._kept(context)
+        kept.samples.clear()
+        kept.volumes.clear()
 
     def _value(
         self, context: Context, port: str, expected: type[T] | tuple[type[T], ...]
@@ -134,8 +152,8 @@ class RunLogger(LeafSystem):
         return self._value(context, port, np.ndarray)
 
     def _sample(self, context: Context) -> None:
-        time = context.get_time()
-        if self._samples and self._samples[-1]["time"] >= time:
+        time, samples = context.get_time(), self._kept(context).samples
+        if samples and samples[-1]["time"] >= time:
             return
         row: Row = {"time": time}
         X_WT = self._value(context, "X_WT", RigidTransform)
@@ -170,14 +188,15 @@ class RunLogger(LeafSystem):
             vector = self._vector(context, name)
             if vector is not None:
                 row[name] = vector.copy()
-        self._samples.append(row)
+        samples.append(row)
 
     def _look(self, context: Context) -> None:
         """Keep a row if the estimate was made with a volume newer than the last one kept."""
         estimate = self._value(context, "estimate", NeedleEstimate)
         if estimate is None or not np.isfinite(estimate.volume_time):
             return
-        if self._volumes and self._volumes[-1]["volume_time"] >= estimate.volume_time:
+        volumes = self._kept(context).volumes
+        if volumes and volumes[-1]["volume_time"] >= estimate.volume_time:
             return
         row: Row = {"volume_time": estimate.volume_time, "volume_seen": context.get_time()}
         row |= _describe(estimate, "volume_estimate")
@@ -194,7 +213,7 @@ class RunLogger(LeafSystem):
             row["volume_measured_entry"] = measurement.curve.entry
             row["volume_inlier_count"] = measurement.inlier_count
             row["volume_inlier_ratio"] = measurement.inlier_ratio
-        self._volumes.append(row)
+        volumes.append(row)
 
 
 def visible_length(needle: Needle, geometry: SweepGeometry) -> float:

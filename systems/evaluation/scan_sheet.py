@@ -9,13 +9,12 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
-from scipy.ndimage import map_coordinates
 from scipy.spatial import KDTree
 
 from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.planes import Plane, slice_planes
 from sonoservo.systems.signals.sweep import Sweep
 from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.ultrasound.planes import Plane, slice_planes
 
 Floats = NDArray[np.float64]
 
@@ -48,9 +47,7 @@ class View:
     rows: Floats
 
 
-def scan_sheet(
-    sweep: Sweep, volume: Volume, needle: Needle, *, dynamic_range_db: float, caption: str
-) -> Figure:
+def scan_sheet(sweep: Sweep, volume: Volume, needle: Needle, *, caption: str) -> Figure:
     """Return a figure of a frame in the shape of its sector, and three slices through the sweep.
 
     Slices are interpolated from the samples of the sweep. A dotted line goes around the true
@@ -64,8 +61,6 @@ def scan_sheet(
         The same sweep, converted: how far the slices reach, and from where they were seen.
     needle
         The true needle in W, possibly empty.
-    dynamic_range_db
-        Range of the grey levels from 0 to 255.
     caption
         What the scanner was set to.
     """
@@ -81,9 +76,9 @@ def scan_sheet(
     for each in axes[len(views) :]:
         each.set_visible(False)
     bar = figure.colorbar(image, ax=axes, shrink=0.5, aspect=32, pad=0.02)
-    decibels = np.arange(0, dynamic_range_db + 1e-9, 10)
+    decibels = np.arange(0, 255 * sweep.decibels_per_level + 1e-9, 10)
     bar.set_ticks(
-        255 * (1 - decibels / dynamic_range_db), labels=[f"{0 - d:.0f}" for d in decibels]
+        255 - decibels / sweep.decibels_per_level, labels=[f"{0 - d:.0f}" for d in decibels]
     )
     bar.set_label("echo amplitude, dB", color=_INK)
     bar.ax.tick_params(colors=_INK)
@@ -107,7 +102,8 @@ def show_view(axes: Axes, view: View, sweep: Sweep, shaft: Floats, radius: float
     shaft, radius
         (m, 3) points on the true needle's axis in P, possibly none, and its radius, in m.
     """
-    grey, inside = sample(sweep, view.p_P)
+    grey = sweep.sample(view.p_P, outside=np.nan)
+    inside = np.isfinite(grey)
     spans = [np.flatnonzero(inside.any(axis=axis)) for axis in (1, 0)]
     rows, columns = (slice(span[0], span[-1] + 1) for span in spans)
     view = replace(
@@ -136,22 +132,6 @@ def show_view(axes: Axes, view: View, sweep: Sweep, shaft: Floats, radius: float
     return image
 
 
-def sample(sweep: Sweep, p_P: Floats) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Grey levels at positions in P, by trilinear interpolation, and whether they were swept.
-
-    Parameters
-    ----------
-    sweep
-        Of a probe at rest.
-    p_P
-        (..., 3) positions in m.
-    """
-    index = np.stack(sweep.geometry.index(p_P, sweep.motion.direction))
-    last = np.array(sweep.geometry.shape).reshape(-1, *[1] * (p_P.ndim - 1)) - 1
-    inside = np.all((index >= -1e-6) & (index <= last + 1e-6), axis=0)
-    return map_coordinates(sweep.samples, index, np.float32, order=1, mode="nearest"), inside
-
-
 def _points(shaft: Floats, radius: float) -> Floats:
     """Points along a polyline, a fifth of a radius apart."""
     pieces = [
@@ -166,8 +146,8 @@ def _brightest(sweep: Sweep, shaft: Floats, radius: float) -> Floats | None:
     if not len(shaft):
         return None
     points = _points(shaft, radius)
-    grey, inside = sample(sweep, points)
-    return points[np.where(inside, grey, -1).argmax()] if inside.any() else None
+    grey = sweep.sample(points, outside=-1)
+    return points[grey.argmax()] if grey.max() >= 0 else None
 
 
 def _frame_view(sweep: Sweep, brightest: Floats | None) -> View:

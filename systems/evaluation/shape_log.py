@@ -1,82 +1,44 @@
-"""What is kept of a run of shape prediction, and its file."""
+"""The log of a run in which a needle's shape is predicted."""
 
-import io
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
-from pathlib import Path
-from typing import Any, Self
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Self
 
-import numpy as np
-from numpy.typing import NDArray
-
-from sonoservo.systems.files.writing import write_atomically
-from sonoservo.systems.signals.immutable import Immutable
-
-Floats = NDArray[np.float64]
+from sonoservo.systems.evaluation.log import Array, Column, Log, Row, columns, stack_rows
 
 
-@dataclass(frozen=True, eq=False)
-class ShapeLog(Immutable):
-    """One row for each slice. Positions are in the first slice's probe frame, in m.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ShapeLog(Log):
+    """One row for each slice. Positions are in the first slice's probe frame I.
 
-    What is not there is NaN (a text: empty). Each field is an array of the file `log.npz`.
-
-    Parameters
-    ----------
-    depth
-        (n,) of the slice, in m.
-    measured
-        (n, 3) cross-section of the needle that was found.
-    true
-        (n, 3) truth: where the needle's axis passes the slice, had the tissue kept still.
-    correlation
-        (n,) with the template.
-    reason
-        (n,) why no cross-section was found.
-    tip, tip_covariance
-        (n, 2) predicted x and y of the tip at full depth after this slice, and (n, 2, 2) in m^2.
-    image_s, estimate_s
-        (n,) processor time of the tracker and of the estimator, in s.
+    Each field is an array of the file `log.npz`, under its own name. What is not there is NaN (a
+    text: empty). Truth is where the needle's axis would pass the slice, had the tissue kept still.
     """
 
-    depth: Floats
-    measured: Floats
-    true: Floats
-    correlation: Floats
-    reason: NDArray[np.str_]
-    tip: Floats
-    tip_covariance: Floats
-    image_s: Floats
-    estimate_s: Floats
+    depth: Annotated[Array, Column("depth of the slice", "m", ("n",))]
+    measured: Annotated[Array, Column("cross-section of the needle that was found", "m", ("n", 3))]
+    true: Annotated[Array, Column("truth: the needle's axis in the slice", "m", ("n", 3))]
+    correlation: Annotated[Array, Column("correlation with the template", "", ("n",))]
+    reason: Annotated[Array, Column("why no cross-section was found", "", ("n",), "U")]
+    tip: Annotated[
+        Array, Column("predicted x and y of the tip at full depth after the slice", "m", ("n", 2))
+    ]
+    tip_covariance: Annotated[Array, Column("covariance of `tip`", "m^2", ("n", 2, 2))]
+    image_s: Annotated[Array, Column("processor time of the tracker", "s", ("n",))]
+    estimate_s: Annotated[Array, Column("processor time of the estimator", "s", ("n",))]
 
     @classmethod
-    def from_rows(
-        cls, rows: Sequence[Mapping[str, Any]], true_path: Callable[[Floats], Floats]
-    ) -> Self:
-        """Make a log of rows that may lack what was not there."""
+    def from_rows(cls, rows: Sequence[Row], true_path: Callable[[Array], Array]) -> Self:
+        """Make a log of rows that may lack what was not there.
 
-        def column(name: str, *shape: int) -> Floats:
-            missing = np.full(shape, np.nan)
-            values = [row.get(name, missing) for row in rows]
-            return np.array(values, float).reshape(len(rows), *shape)
-
-        depth = column("depth")
-        return cls(
-            depth=depth,
-            measured=column("measured", 3),
-            true=true_path(depth),
-            correlation=column("correlation"),
-            reason=np.array([row.get("reason", "") for row in rows], dtype=str),
-            tip=column("tip", 2),
-            tip_covariance=column("tip_covariance", 2, 2),
-            image_s=column("image_s"),
-            estimate_s=column("estimate_s"),
-        )
-
-
-def write_shape_log(path: str | Path, log: ShapeLog) -> Path:
-    """Write a log to one `.npz` file, atomically."""
-    buffer = io.BytesIO()
-    arrays = {each.name: getattr(log, each.name) for each in fields(log)}
-    np.savez_compressed(buffer, **arrays)
-    return write_atomically(path, buffer.getvalue())
+        Parameters
+        ----------
+        rows
+            One for each slice, with the names of the arrays but `true`.
+        true_path
+            Returns the (n, 3) true path at (n,) depths.
+        """
+        arrays: dict[str, Any] = {
+            name: stack_rows(column, name, rows) for name, column in columns(cls).items()
+        }
+        return cls(**{**arrays, "true": true_path(arrays["depth"])})

@@ -1,22 +1,40 @@
-"""How well a needle's shape was predicted: Carriere 2016, section V."""
+"""Metrics of a predicted needle shape: Carriere 2016, section V."""
 
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
+from sonoservo.systems.evaluation.metrics import spread
 from sonoservo.systems.evaluation.shape_log import ShapeLog
+from sonoservo.systems.signals.confidence import SQUARED_DISTANCE_95
 from sonoservo.systems.signals.needle_shape import NeedleShape
 
 Floats = NDArray[np.float64]
 
-WITHIN = float(chi2.ppf(0.95, 2))
-"""Squared Mahalanobis distance within which 95 % of a normal distribution in a plane lie."""
-
 OFF_NEEDLE = 2e-3
 """A cross-section further than this from the needle has drifted off it, in m."""
+
+LABELS = {
+    "tracking.slices": "slices",
+    "tracking.found": "of these, cross-section found",
+    "tracking.error_mm.median": "cross-section's error, median, mm",
+    "tracking.error_mm.p95": "cross-section's error, 95 %, mm",
+    "prediction.observed_mm": "depth of the last slice used, mm",
+    "prediction.tip_error_measured_mm": "predicted tip against the measured one, mm",
+    "prediction.tip_error_true_mm": "predicted tip against the true one, mm",
+    "prediction.tip_std_mm": "standard deviation that the estimate states, mm",
+    "prediction.shape_error_measured_mm2": "predicted shape against the measured one, mm²",
+    "prediction.shape_error_true_mm2": "predicted shape against the true one, mm²",
+    "prediction.max_error_true_mm": "largest distance from the true shape, mm",
+    "compute_ms.image.median": "finding the cross-section, median, ms",
+    "compute_ms.estimate.median": "estimating the shape, median, ms",
+    "compute_ms.total.median": "both, median, ms",
+    "compute_ms.total.max": "both, largest, ms",
+    "real_time_factor": "simulated time / wall time",
+}
+"""Label of each figure of a summary that a table shows, by its dotted path."""
 
 
 @dataclass(frozen=True)
@@ -82,9 +100,9 @@ def shape_coverage(shape: NeedleShape, path: Floats) -> dict[str, float]:
     bound = possible[order][min(int(np.searchsorted(below, 0.95)), len(order) - 1)]
     area = np.trapezoid(np.abs(apart @ u), path[:, 2])
     return {
-        "tip": float(distance[-1] <= WITHIN),
+        "tip": float(distance[-1] <= SQUARED_DISTANCE_95),
         "shape": float(area <= bound),
-        "points": float(np.mean(distance <= WITHIN)),
+        "points": float(np.mean(distance <= SQUARED_DISTANCE_95)),
     }
 
 
@@ -118,10 +136,10 @@ def summarize_shape(log: ShapeLog, shape: object) -> dict[str, Any]:
             "slices": len(errors),
             "found": len(found),
             "to_the_end": tracked_to_the_end(log) if len(errors) else False,
-            "error_mm": _quantiles(found),
+            "error_mm": spread(found),
         },
         "prediction": prediction(log, shape) if isinstance(shape, NeedleShape) else {},
-        "compute_ms": {name: _quantiles(each[1:]) for name, each in compute.items()},
+        "compute_ms": {name: spread(each[1:]) for name, each in compute.items()},
     }
     return summary
 
@@ -144,13 +162,3 @@ def prediction(log: ShapeLog, shape: NeedleShape) -> dict[str, Any]:
         figures["shape_error_measured_mm2"] = 1e6 * measured.shape
     figures |= {f"covers_{name}": each for name, each in shape_coverage(shape, log.true).items()}
     return figures
-
-
-def _quantiles(values: Floats) -> dict[str, float | None]:
-    if not len(values):
-        return {"median": None, "p95": None, "max": None}
-    return {
-        "median": float(np.median(values)),
-        "p95": float(np.percentile(values, 95)),
-        "max": float(values.max()),
-    }

@@ -5,6 +5,7 @@ from matplotlib.figure import Figure
 
 from sonoservo.systems.evaluation.shape_log import ShapeLog
 from sonoservo.systems.evaluation.shape_metrics import plane_of
+from sonoservo.systems.signals.confidence import RADIUS_95
 from sonoservo.systems.signals.needle_shape import NeedleShape
 
 _GREY, _BLUE, _RED = "#808080", "#56B4E9", "#D55E00"
@@ -16,9 +17,9 @@ def plot_shape(log: ShapeLog, shape: object) -> Figure:
     Parameters
     ----------
     log
-        Of the run.
+        Log of the run.
     shape
-        What the estimator believes at the end: a `NeedleShape`, or else nothing is predicted.
+        Shape that the estimator expects at the end: a `NeedleShape`, or else nothing is predicted.
     """
     figure = Figure(figsize=(9, 8), layout="constrained")
     in_plane, across, tip = figure.subplots(
@@ -52,9 +53,9 @@ def plot_shape(log: ShapeLog, shape: object) -> Figure:
     in_plane.legend(loc="upper left", frameon=False)
     error = 1e3 * np.linalg.norm(log.tip - log.true[-1, :2], axis=1)
     wide = np.where(np.isfinite(log.tip_covariance), log.tip_covariance, 0.0)
-    deviation = 1e3 * np.sqrt(np.linalg.eigvalsh(wide)[:, -1])
+    std = 1e3 * np.sqrt(np.linalg.eigvalsh(wide)[:, -1])
     tip.plot(depth, error, color=_RED, label="error of the predicted tip")
-    tip.plot(depth, np.where(np.isfinite(error), 2.448 * deviation, np.nan), color=_RED,
+    tip.plot(depth, np.where(np.isfinite(error), RADIUS_95 * std, np.nan), color=_RED,
              linestyle="--", label="95 % bound that the estimate states")  # fmt: skip
     tip.set_yscale("log")
     tip.set_ylabel("mm")

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.signals.planes import sample_plane, slice_planes
 from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.ultrasound.planes import sample_plane, slice_planes
 
 Floats = NDArray[np.float64]
 

@@ -1,12 +1,23 @@
 """Files of models, by name or by path."""
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from sonoservo.models import model_path
+from sonoservo.systems.files.typed_yaml import ConfigurationError, read_yaml, suggest
 
 
 def model_file(folder: str, name: str) -> Path:
-    """Path of a model that ships with the package, by its name, or of one's own, by its path.
+    """Return the path of a model that ships with the package, or of a user's own.
+
+    Parameters
+    ----------
+    folder
+        Folder of `sonoservo.models` that holds models of this kind.
+    name
+        Name of a model there, or path of a user's file, which has a suffix. A file that is not
+        YAML, such as a label map, stands for the YAML file of the same name beside it.
 
     Raises
     ------
@@ -16,4 +27,42 @@ def model_file(folder: str, name: str) -> Path:
     own = Path(name)
     if own.suffix and not own.is_file():
         raise FileNotFoundError(f"{folder.removesuffix('s')}: there is no file {name}")
+    if own.suffix and own.suffix not in (".yaml", ".yml"):
+        own, data = own.with_name(own.name.split(".")[0] + ".yaml"), own
+        if not own.is_file():
+            raise FileNotFoundError(
+                f"{folder.removesuffix('s')}: {data} needs a file {own.name} beside it that says "
+                "what it is made of"
+            )
     return own if own.suffix else model_path(f"{folder}/{name}.yaml")
+
+
+def read_section(path: Path, section: str, sections: Sequence[str]) -> dict[str, Any]:
+    """Read one section of a model's YAML file; a section that is left out is empty.
+
+    Parameters
+    ----------
+    path
+        The file.
+    section
+        Which section to read.
+    sections
+        All sections that such a file may have.
+
+    Raises
+    ------
+    ConfigurationError
+        If the file holds anything else.
+    """
+    data = read_yaml(path)
+    for key in data:
+        if key not in sections:
+            raise ConfigurationError(
+                f"{path}: {key}: unknown section; {suggest(str(key), sections)}"
+            )
+    content = data.get(section)
+    if content is None:
+        return {}
+    if not isinstance(content, dict):
+        raise ConfigurationError(f"{path}: {section}: {content!r} is not allowed; it is a mapping")
+    return content

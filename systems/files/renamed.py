@@ -1,20 +1,37 @@
-"""Former names of fields, so that an old file is told the new one."""
+"""Former names and places of fields, so that the error about an old file tells the present ones."""
 
-from collections.abc import Container
+from collections.abc import Container, Mapping
 
 _RENAMED = {
     "angle_deviation_deg": "angle_std_deg",
+    "depth": "feed.depth",
     "failure": "stop_probability",
     "first_deviation": "first_std",
     "first_drift": "first_drift_std",
     "first_speed": "first_speed_std",
+    "kind": "experiment",
     "inlier_distance": "residual_threshold",
     "largest_deviation": "max_std",
+    "greatest_angle_deg": "bend_angle_spread_deg",
+    "greatest_radius": "bend_radius_spread",
     "largest_iterations": "max_trials",
+    "lead": "feed.lead",
     "least_speed_deviation": "min_speed_std",
+    "published": "published_figures",
+    "min_radius": "bend_radius",
+    "speed": "feed.speed",
+    "transducer": "probe",
 }
-_PREFIXES = {"least_": "min_", "largest_": "max_"}
+_REMOVED = {
+    "decibels_per_level": "must be left out: imaging.dynamic_range_db sets it",
+}
+_PREFIXES = {"least_": "min_", "largest_": "max_", "greatest_": "max_"}
 _SUFFIXES = {"_deviation": "_std"}
+
+_DIVIDED = ("kalman_filter", "axis_tip_filter")
+"""Parts of a tracker of which some fields went to its ``filter`` and most to its ``track``."""
+
+_OF_FILTER = ("motion", "turning", "first_speed_std", "first_drift_std", "velocity_gate")
 
 
 def current_name(name: str, known: Container[str]) -> str | None:
@@ -34,4 +51,32 @@ def current_name(name: str, known: Container[str]) -> str | None:
     for old, new in _SUFFIXES.items():
         if name.endswith(old):
             candidates.append(name.removesuffix(old) + new)
-    return next((each for each in candidates if each in known), None)
+    return next((each for each in candidates if each.partition(".")[0] in known), None)
+
+
+def removed(name: str) -> str | None:
+    """Return what took the place of a field that is no more, or None."""
+    return _REMOVED.get(name)
+
+
+def moved_fields(path: str, value: object) -> dict[str, str]:
+    """Return former and present paths of fields that moved; empty if none is known to have moved.
+
+    Parameters
+    ----------
+    path
+        Path of a field that is not known any more, as it was found in a file.
+    value
+        Value of the field; a mapping's own fields may have gone to different places.
+    """
+    *parents, name = path.split(".")
+    if name == "order" and parents[-1:] == ["localizer"]:
+        return {path: ".".join([*parents[:-1], name])}
+    if name not in _DIVIDED or not isinstance(value, Mapping):
+        return {}
+    places = {}
+    for key in value:
+        now = current_name(key, _OF_FILTER) or key
+        part = ["filter"] if now in _OF_FILTER else [] if now == "order" else ["track"]
+        places[f"{path}.{key}"] = ".".join([*parents, *part, now])
+    return places

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 import yaml
 
-from sonoservo.systems.files.renamed import current_name
+from sonoservo.systems.files.renamed import current_name, moved_fields, removed
 
 T = TypeVar("T")
 
@@ -40,7 +40,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
         If the file cannot be read, is not YAML or does not hold a mapping.
     """
     try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+        data = yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"{path}: cannot be read ({error})") from error
     except yaml.YAMLError as error:
@@ -54,7 +54,8 @@ def load_typed(schema: type[T], data: Mapping[str, Any], source: str) -> T:
     """Make a fully defaulted dataclass from a mapping.
 
     Where a field may be one of several dataclasses, each with a field ``kind`` whose default is its
-    name, ``kind`` chooses, by default the first; its name alone stands for all its defaults.
+    name, ``kind`` chooses, by default that of the field's default; its name alone stands for all
+    its defaults.
 
     Parameters
     ----------
@@ -77,8 +78,34 @@ def load_typed(schema: type[T], data: Mapping[str, Any], source: str) -> T:
     try:
         loaded = yaml_load_typed(schema=schema, data=text, defaults=schema())
     except (RuntimeError, ValueError, TypeError, AssertionError) as error:
-        raise ConfigurationError(f"{source}: {error}") from error
+        # What pybind11 says of a wrong type ends with the values; signatures help nobody here.
+        text = " ".join(str(error).rpartition("Invoked with: ")[2].split())
+        raise ConfigurationError(f"{source}: {text}") from error
     return _validated(loaded, source, "")
+
+
+def dump_typed(value: Any) -> str:
+    """Return all fields of a dataclass as YAML that `load_typed` reads.
+
+    Fields may hold Drake's schema classes, such as `MultibodyPlantConfig`.
+    """
+    return yaml.safe_dump(_plain(value), sort_keys=False)
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as YAML's own types."""
+    if fields := _fields(type(value)):
+        return {name: _plain(getattr(value, name)) for name in fields}
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, list) else value
+
+
+def _fields(schema: Any) -> dict[str, Any]:
+    """Return the fields and their types of a dataclass or of one of Drake's schema classes."""
+    if dataclasses.is_dataclass(schema):
+        return {field.name: field.type for field in dataclasses.fields(schema)}
+    return {field.name: field.type for field in getattr(schema, "__fields__", ())}
 
 
 def assign(data: dict[str, Any], assignment: str) -> None:
@@ -118,7 +145,7 @@ def _index(items: list[Any], key: str, path: str) -> int:
     return int(key)
 
 
-def _check(schema: Any, value: Any, source: str, path: str) -> None:
+def _check(schema: Any, value: Any, source: str, path: str, default: Any = None) -> None:
     """Raise ConfigurationError where ``value`` does not fit ``schema``."""
 
     def fail(wanted: str) -> typing.NoReturn:
@@ -133,27 +160,37 @@ def _check(schema: Any, value: Any, source: str, path: str) -> None:
             _check(options[0], value, source, path)
         else:
             kinds = _kinds(schema)
+            if not kinds:
+                return  # one of Drake's own choices, which `yaml_load_typed` checks
             mapping = {"kind": value} if isinstance(value, str) else value
             if not isinstance(mapping, Mapping):
                 fail(f"one of {', '.join(kinds)}, or a mapping")
-            kind = mapping.get("kind", next(iter(kinds)))
+            kind = _kind(mapping, kinds, default)
             if kind not in kinds:
                 hint = suggest(str(kind), kinds)
                 raise ConfigurationError(f"{source}: {path}: unknown kind {kind!r}; {hint}")
             _check(kinds[kind], mapping, source, path)
-    elif dataclasses.is_dataclass(schema):
+    elif fields := _fields(schema):
+        if isinstance(value, _Tagged):
+            return
         if not isinstance(value, Mapping):
             fail("a mapping")
-        fields = {field.name: field.type for field in dataclasses.fields(schema)}
+        defaults: Any = typing.cast(Any, schema)()
         for key, item in value.items():
             where = f"{path}.{key}" if path else str(key)
             if key not in fields:
-                if now := current_name(str(key), fields):
+                if moved := moved_fields(where, item):
+                    old, new = next(iter(moved.items()))
+                    raise ConfigurationError(f"{source}: {old}: is now {new!r}")
+                now = current_name(str(key), fields) or _path_to(str(key), fields, path)
+                if now:
                     raise ConfigurationError(f"{source}: {where}: is now called {now!r}")
+                if instead := removed(str(key)):
+                    raise ConfigurationError(f"{source}: {where}: {instead}")
                 raise ConfigurationError(
                     f"{source}: {where}: unknown field; {suggest(str(key), fields)}"
                 )
-            _check(fields[key], item, source, where)
+            _check(fields[key], item, source, where, getattr(defaults, key))
     elif typing.get_origin(schema) is list:
         if not isinstance(value, list):
             fail("a list")
@@ -170,6 +207,14 @@ def _check(schema: Any, value: Any, source: str, path: str) -> None:
             fail("true or false")
     elif schema is str and not isinstance(value, str):
         fail("text")
+
+
+def _path_to(key: str, fields: Mapping[str, Any], path: str) -> str | None:
+    """Return the path of a field of one of Drake's schema classes among these, or None."""
+    prefix = f"{path}." if path else ""
+    drakes = {name: type_ for name, type_ in fields.items() if hasattr(type_, "__fields__")}
+    found = (name for name, type_ in drakes.items() if key in _fields(type_))
+    return next((f"{prefix}{name}.{key}" for name in found), None)
 
 
 def _kinds(schema: Any) -> dict[str, Any]:
@@ -192,23 +237,46 @@ class _Dumper(yaml.SafeDumper):
     pass
 
 
+class _Loader(yaml.SafeLoader):
+    """Keeps the tags of Drake's schemas, such as ``!Rpy``."""
+
+
+def _construct_tagged(loader: yaml.SafeLoader, tag: str, node: yaml.Node) -> _Tagged:
+    if not isinstance(node, yaml.MappingNode):
+        raise yaml.constructor.ConstructorError(None, None, f"!{tag} wants a mapping")
+    tagged = _Tagged({str(k): v for k, v in loader.construct_mapping(node, deep=True).items()})
+    tagged.tag = tag
+    return tagged
+
+
+_Loader.add_multi_constructor("!", _construct_tagged)
+
+
 _Dumper.add_representer(
     _Tagged, lambda dumper, value: dumper.represent_mapping(f"!{value.tag}", value)
 )
 
 
-def _tagged(schema: Any, value: Any) -> Any:
+def _kind(mapping: Mapping[str, Any], kinds: Mapping[str, Any], default: Any) -> Any:
+    """Kind that a mapping chooses: its own, or else that of the field's default."""
+    return mapping.get("kind", getattr(default, "kind", next(iter(kinds))))
+
+
+def _tagged(schema: Any, value: Any, default: Any = None) -> Any:
     """Return checked data with the chosen dataclasses named, as `yaml_load_typed` wants them."""
     kinds = _kinds(schema)
     if kinds and value is not None:
         mapping = {"kind": value} if isinstance(value, str) else value
-        chosen = kinds[mapping.get("kind", next(iter(kinds)))]
+        chosen = kinds[_kind(mapping, kinds, default)]
         tagged = _Tagged(_tagged(chosen, mapping))
         tagged.tag = chosen.__name__
         return tagged
     if isinstance(value, Mapping) and dataclasses.is_dataclass(schema):
         fields = {field.name: field.type for field in dataclasses.fields(schema)}
-        return {key: _tagged(fields[key], item) for key, item in value.items()}
+        defaults: Any = typing.cast(Any, schema)()
+        return {
+            key: _tagged(fields[key], item, getattr(defaults, key)) for key, item in value.items()
+        }
     if isinstance(value, list) and typing.get_origin(schema) is list:
         return [_tagged(typing.get_args(schema)[0], item) for item in value]
     return value

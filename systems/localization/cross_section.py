@@ -1,6 +1,7 @@
-"""Where a needle's cross-section is in one slice (Carriere 2016, section II)."""
+"""Localization of a needle's cross-section in one slice (Carriere 2016, section II)."""
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -11,42 +12,52 @@ from sonoservo.systems.localization.normalized_cross_correlation import Match, b
 from sonoservo.systems.signals.cross_section import CrossSection
 from sonoservo.systems.signals.image_slice import ImageSlice
 from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.needle_shape import NeedleShape
+from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 
 Floats = NDArray[np.float64]
 
 DEVIATIONS = ("both", "signed", "brighter")
-"""What a variance image may show of the deviations from the mean."""
+"""Deviations from the mean that a variance image may show."""
 
 
 @dataclass(kw_only=True)
 class CrossSectionParameters:
-    """How a cross-section is sought.
+    """Settings of the search for a cross-section.
 
     Parameters
     ----------
+    start
+        x and y in P of the needle in the first slice, in m, as a person points at it; None finds it
+        without help.
+    start_slices
+        Number of slices that are looked at before the start: a needle stays, a fibre does not.
+    follow_shape_from
+        Observed depth in m from which the region of interest is centred on the predicted shape;
+        before that, on the last cross-section.
     template
         Width w and height h of the template in m; the region of interest is 2w x 2h.
     deviations
-        Which deviations from the mean the variance image (eq. 1) shows: "both" alike, as printed,
-        so that shadows and the dark grains of speckle are as bright as echoes; "signed", with
-        their sign; "brighter", those above the mean.
+        Deviations from the mean that the variance image (eq. 1) shows. "both" shows them alike, as
+        printed: shadows and the dark grains of speckle are then as bright as echoes. "signed" keeps
+        their sign; "brighter" shows those above the mean.
     min_correlation
-        With the last template, below which the needle counts as lost.
+        Correlation with the last template below which the needle counts as lost.
     min_contrast_db
-        Of the needle's echo over the mean of the region of interest, in dB.
+        Smallest level of the needle's echo over the mean of the image, in dB.
     vertex
         Half width and half height in m of the part of the echo to which a paraboloid is fitted.
     search
-        How far the front wall's echo, the brightest, is sought from where the template puts it,
-        across and along the beam, in m. Along it, further than one reverberation from the next, so
-        that a start on the wrong one does not last.
+        Reach of the search for the front wall's echo, the brightest, about the place where the
+        template puts it, across and along the beam, in m. Along the beam it is further than one
+        reverberation is from the next, so a start on the wrong one does not last.
     needle_radius
-        In m; the front wall's echo is this much closer to the probe than the axis.
-    decibels_per_level
-        Of the intensities.
+        Radius in m; the front wall's echo is this much closer to the probe than the axis.
     """
 
+    start: list[float] | None = None
+    start_slices: int = 4
+    follow_shape_from: float = 10e-3
     template: list[float] = field(default_factory=lambda: [6e-3, 6e-3])
     deviations: str = "brighter"
     min_correlation: float = 0.4
@@ -54,12 +65,13 @@ class CrossSectionParameters:
     vertex: list[float] = field(default_factory=lambda: [0.6e-3, 0.2e-3])
     search: list[float] = field(default_factory=lambda: [0.8e-3, 1.1e-3])
     needle_radius: float = 0.635e-3
-    decibels_per_level: float = 60 / 255
 
     def __post_init__(self) -> None:
-        require_positive(
-            needle_radius=self.needle_radius, decibels_per_level=self.decibels_per_level
-        )
+        if self.start is not None:
+            require(len(self.start) == 2, "start", self.start, "two coordinates in m")
+        require(1 <= self.start_slices <= 20, "start_slices", self.start_slices, "from 1 to 20")
+        require_not_negative(follow_shape_from=self.follow_shape_from)
+        require_positive(needle_radius=self.needle_radius)
         for name in ("template", "vertex", "search"):
             value = getattr(self, name)
             require(len(value) == 2 and min(value) > 0, name, value, "two lengths in m above 0")
@@ -80,7 +92,7 @@ class CrossSectionParameters:
 def variance_image(
     intensities: NDArray[np.uint8], mean: float, *, deviations: str = "both"
 ) -> NDArray[np.float32]:
-    """Squared deviation from the mean of the image (eq. 1).
+    """Return the squared deviation from the mean of the image (eq. 1).
 
     The paper divides it by its largest value, which changes no correlation coefficient.
 
@@ -89,7 +101,7 @@ def variance_image(
     intensities
         The image or a part of it.
     mean
-        Of the whole image.
+        Mean of the whole image.
     deviations
         See `CrossSectionParameters`.
     """
@@ -102,15 +114,15 @@ def variance_image(
 
 
 def image_mean(image: ImageSlice) -> float:
-    """Mean intensity within the sector: the zeros outside it tell nothing of the tissue."""
+    """Return the mean intensity within the sector; the zeros outside it are not tissue."""
     total, count = image.intensities.sum(dtype=np.int64), np.count_nonzero(image.intensities)
     return float(total / max(count, 1))
 
 
 def find_needle(image: ImageSlice, parameters: CrossSectionParameters) -> Floats | NotFound:
-    """(2,) x and y in P, in m, of the axis below the brightest echo of an image."""
-    deviation = [0.5 * length for length in parameters.vertex] / image.spacing
-    blurred = gaussian_filter(image.intensities, deviation, output=np.float32)
+    """Return (2,) x and y in P, in m, of the axis below the brightest echo of an image."""
+    sigma = [0.5 * length for length in parameters.vertex] / image.spacing
+    blurred = gaussian_filter(image.intensities, sigma, output=np.float32)
     peak = np.unravel_index(np.argmax(blurred), blurred.shape)
     head = image.position(peak)
     return _axis_of(_vertex(image, head, parameters), image, parameters)
@@ -119,7 +131,7 @@ def find_needle(image: ImageSlice, parameters: CrossSectionParameters) -> Floats
 def start_at(
     image: ImageSlice, centre: Floats, parameters: CrossSectionParameters
 ) -> CrossSection | NotFound:
-    """Make the first cross-section, near a point that a person has given or `find_needle` has.
+    """Make the first cross-section, near a point given by a person or by `find_needle`.
 
     Parameters
     ----------
@@ -128,9 +140,59 @@ def start_at(
     centre
         (2,) x and y in P, in m.
     parameters
-        How it is sought.
+        Settings of the search.
     """
     return _at(image, np.asarray(centre, dtype=float), 1.0, image_mean(image), parameters)
+
+
+def find_first(
+    images: Sequence[ImageSlice], parameters: CrossSectionParameters
+) -> CrossSection | NotFound:
+    """Find the first cross-section, in the newest of the slices so far.
+
+    Parameters
+    ----------
+    images
+        Slices since the last attempt, oldest first.
+    parameters
+        Settings of the search.
+    """
+    image = images[-1]
+    if parameters.start is not None:
+        return start_at(image, np.array(parameters.start), parameters)
+    if len(images) < parameters.start_slices:
+        return NotFound("looking for what stays in the first slices")
+    lasting = np.min([each.intensities for each in images], axis=0)
+    centre = find_needle(replace(image, intensities=lasting), parameters)
+    return centre if isinstance(centre, NotFound) else start_at(image, centre, parameters)
+
+
+def expected_position(
+    image: ImageSlice,
+    last: CrossSection,
+    shape: NeedleShape | NotFound,
+    parameters: CrossSectionParameters,
+) -> Floats:
+    """Return (2,) x and y in P, in m, where the needle is expected in the next slice.
+
+    Parameters
+    ----------
+    image
+        The next slice.
+    last
+        The cross-section found before.
+    shape
+        Predicted shape, if there is one.
+    parameters
+        Settings of the search.
+    """
+    if isinstance(shape, NeedleShape) and shape.observed >= parameters.follow_shape_from:
+        depth = shape.X_WI.inverse().multiply(image.X_WP.translation())[2]
+        p_W = shape.positions([depth])[0]
+    else:
+        p_W = last.position
+    expected: Floats = image.X_WP.inverse().multiply(p_W)[:2]
+    return expected
 
 
 def find_again(
@@ -141,9 +203,9 @@ def find_again(
 ) -> CrossSection | NotFound:
     """Find a cross-section in the next slice.
 
-    Normalized cross-correlation with the last template says which echo it is; the vertex of that
-    echo's front says where. Were the match itself the position, the errors of all the templates
-    would add up to a drift.
+    Normalized cross-correlation with the last template tells which echo is the needle's; the vertex
+    of that echo's front gives the position. If the match itself were the position, the errors of
+    all the templates would add up to a drift.
 
     Parameters
     ----------
@@ -154,7 +216,7 @@ def find_again(
     expected
         (2,) x and y in P, in m: the middle of the region of interest.
     parameters
-        How it is sought.
+        Settings of the search.
     """
     size = np.array(last.template.shape)
     first = np.rint(image.index(expected)).astype(int) - size
@@ -190,7 +252,7 @@ def _at(
     if isinstance(head, NotFound):
         return head
     at = tuple(np.rint(image.index(head)).astype(int))
-    contrast = parameters.decibels_per_level * (float(image.intensities[at]) - mean)
+    contrast = image.decibels_per_level * (float(image.intensities[at]) - mean)
     if contrast < parameters.min_contrast_db:
         return NotFound(
             f"the echo is only {contrast:.0f} dB over the tissue; "
@@ -214,14 +276,14 @@ def _at(
 
 
 def _front_of(axis: Floats, image: ImageSlice, parameters: CrossSectionParameters) -> Floats:
-    """Where the front wall of a needle with this axis echoes."""
+    """Return the place where the front wall of a needle with this axis echoes."""
     return axis - parameters.needle_radius * image.beam_direction(axis)
 
 
 def _axis_of(
     head: Floats | NotFound, image: ImageSlice, parameters: CrossSectionParameters
 ) -> Floats | NotFound:
-    """Where the axis of a needle is whose front wall echoes here."""
+    """Return the axis of a needle whose front wall echoes here."""
     if isinstance(head, NotFound):
         return head
     return head + parameters.needle_radius * image.beam_direction(head)
@@ -230,7 +292,7 @@ def _axis_of(
 def _vertex(
     image: ImageSlice, head: Floats, parameters: CrossSectionParameters
 ) -> Floats | NotFound:
-    """(2,) vertex in P, in m, of the brightest echo near a point.
+    """Return the (2,) vertex in P, in m, of the brightest echo near a point.
 
     The echo of a thin needle is the beam's point spread function, nearly a Gaussian; its logarithm
     is a paraboloid, which least squares fit to all pixels around the brightest.
@@ -251,7 +313,7 @@ def _vertex(
 
 
 def _paraboloid_vertex(values: Floats) -> Floats:
-    """(2,) offset of the vertex from the middle of an array with odd extents, in elements."""
+    """Return (2,) offset of the vertex from the middle of an array of odd extents, in elements."""
     _, a, b, c, d, e = _paraboloid_fit(values.shape) @ values.ravel()
     determinant = 4 * c * e - d * d
     if c >= 0 or determinant <= 0:
@@ -261,7 +323,7 @@ def _paraboloid_vertex(values: Floats) -> Floats:
 
 @lru_cache
 def _paraboloid_fit(shape: tuple[int, int]) -> Floats:
-    """(6, n) matrix that gives the coefficients of 1, i, j, i^2, ij, j^2 by least squares."""
+    """Return the (6, n) matrix that fits the coefficients of 1, i, j, i^2, ij, j^2."""
     rows, columns = ((extent - 1) // 2 for extent in shape)
     i, j = np.meshgrid(
         np.arange(-rows, rows + 1.0), np.arange(-columns, columns + 1.0), indexing="ij"

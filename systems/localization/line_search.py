@@ -1,4 +1,4 @@
-"""Seeks long thin bright lines in a whole volume, for a needle that was lost."""
+"""Long thin bright lines of a whole volume, among which a lost needle is localized."""
 
 from typing import Any
 

@@ -1,68 +1,67 @@
-"""What the needle localizer looks for, and what it believes."""
+"""Parameters of the needle localizer."""
 
 from dataclasses import dataclass, field
 
 from sonoservo.systems.localization.ransac import RansacParameters
 from sonoservo.systems.localization.tip import TipParameters
-from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.requirements import require_positive
 
 
 @dataclass(kw_only=True)
 class NeedleLocalizerParameters:
-    """Where the needle is sought, and what counts as found. The paper publishes no values.
+    """Where the needle is localized, and what counts as found. The paper publishes no values.
 
     Parameters
     ----------
-    order
-        n of the curve: 2 straight, 3 bent.
     margin
-        Around the predicted curve, beyond three standard deviations, in m.
+        Margin around the predicted curve, beyond three standard deviations, in m.
     margin_growth
         Further margin for every volume that did not confirm the needle, in m.
     max_radius
-        Of the volume of interest, in m.
+        Largest radius of the volume of interest, in m.
     max_angle_deg
-        alpha_0 about a certain prediction, in degrees; the prediction's uncertainty is added.
+        Largest angle alpha_0 from a certain prediction, in degrees; the prediction's uncertainty is
+        added.
     cross_section
         Area of the candidates across the needle, in m^2.
     slab
-        Length of needle that shares a threshold, in m.
+        Length of needle over which the candidates share a threshold, in m.
     min_length, min_share
-        That must be visible, in m, and of the predicted length that lies in the field of view.
+        Length of needle that must be visible, in m, and its share of the predicted length that lies
+        in the field of view.
     max_aside
-        Of what moved from the axis of a needle newly found, in m.
+        Largest distance of what moved from the axis of a needle newly found, in m.
     max_entry_gap
-        From where a needle newly found enters the field of view to where it stands out, in m: it
+        Largest gap between the side of the field of view and a needle newly found, in m: a needle
         comes from outside, inclusions do not.
     search_reach
-        Beyond either end of a bright line, for a needle that was lost, in m.
+        Distance to search beyond either end of a bright line, for a needle that was lost, in m.
     min_inlier_ratio
-        Of the candidates between entry and tip.
+        Least share of inliers among the candidates between entry and tip.
     min_evidence
-        How much must stand out from the background along the needle, in dB m; see `NeedleExtent`.
+        Least evidence along the needle, in dB m; see `NeedleExtent`.
     correlation_length
         Length of needle that one beam width blurs into one observation, in m.
     tip_std, entry_std
         Standard deviations along the axis, in m. A volume does not tell where along the axis the
-        entry is; it rests, so it is measured where it was last, not where it is predicted: a
+        entry is. It rests, so it is measured where it was last, not where it is predicted: a
         velocity along the axis would never be contradicted otherwise.
     unseen_tip_std
-        The same where the needle leaves the field of view.
+        Standard deviation of the tip along the axis if the needle leaves the field of view, in m.
     echo_offset
-        From the centre of the needle's echo to its axis, away from the probe, in m: the sound
-        returns from the front wall, but for what goes to and fro inside.
+        Distance from the centre of the needle's echo to its axis, away from the probe, in m: the
+        sound returns from the front wall, but for what goes to and fro inside.
     systematic_std
-        Of every control point in every direction, in m.
+        Standard deviation of every control point in every direction, in m.
     volume_of_interest
         Whether only the surroundings of the prediction are searched; off, all of the volume is.
     angle_gate
         Whether an axis must agree with the predicted direction (eq. 22).
     sweep_time
-        Whether each frame counts as acquired at its own time, from where the probe then was; off,
-        all of the volume counts as acquired at its middle.
+        Whether each frame counts as acquired at its own time, from the probe's pose at that time;
+        off, all of the volume counts as acquired at its middle.
     """
 
-    order: int = 2
     margin: float = 3e-3
     margin_growth: float = 2e-3
     max_radius: float = 20e-3
@@ -89,7 +88,6 @@ class NeedleLocalizerParameters:
     tip: TipParameters = field(default_factory=TipParameters)
 
     def __post_init__(self) -> None:
-        require(self.order in (2, 3), "order", self.order, "2 or 3")
         require_positive(
             margin=self.margin,
             margin_growth=self.margin_growth,

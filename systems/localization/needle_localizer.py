@@ -1,14 +1,17 @@
 """Localizes the needle in one volume, given a prediction."""
 
-import numpy as np
+from typing import Any
+
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem
 
-from sonoservo.systems.estimation.track import NeedleTrack
-from sonoservo.systems.localization.localize import localize
 from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
+from sonoservo.systems.localization.pipeline import explain_localization
 from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.localization_explanation import LocalizationExplanation
+from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.random_streams import random_stream
 from sonoservo.systems.signals.volume import Volume
 
 
@@ -23,18 +26,21 @@ class NeedleLocalizer(LeafSystem):
         - prediction
         output_ports:
         - measurement
+        - explanation
 
     Stateless. Candidate voxels are the brightest ones around the predicted curve (Chatelain 2013,
     eq. 15); a random sample consensus fits the axis (eqs. 16-22); the tip is where the intensity
-    along it drops. ``prediction`` is a `NeedleTrack`, ``measurement`` a `NeedleMeasurement` in W or
-    a `NotFound` that says why there is none.
+    along it drops. ``prediction`` is a `NeedlePrediction` or a `NotFound`, ``measurement`` a
+    `NeedleMeasurement` in W or a `NotFound` that says why there is none. ``explanation``, a
+    `LocalizationExplanation`, has everything that was looked at on the way; it is a `NotFound`
+    without a volume.
 
     Parameters
     ----------
     parameters
         Thresholds, in SI units.
     seed
-        Of the random samples.
+        Seed of the random samples.
     """
 
     def __init__(
@@ -48,13 +54,20 @@ class NeedleLocalizer(LeafSystem):
         self.DeclareAbstractOutputPort(
             "measurement", lambda: Value[object](), self._calc_measurement
         )
+        # Its cache entry serves both outputs: what explains a measurement costs nothing to keep.
+        self.DeclareAbstractOutputPort(
+            "explanation", lambda: Value[object](), self._calc_explanation
+        )
 
-    def _calc_measurement(self, context: Context, output: Value) -> None:
+    def _calc_explanation(self, context: Context, output: Value) -> None:
         volume = evaluate(self, context, "volume", (Volume, NotFound))
-        track = evaluate(self, context, "prediction", NeedleTrack)
+        prediction = evaluate(self, context, "prediction", (NeedlePrediction, NotFound))
         if not isinstance(volume, Volume):
             output.set_value(volume)
             return
-        # Keyed by the volume's time, so that a stateless system repeats itself.
-        rng = np.random.default_rng([self._seed, int(abs(volume.time) * 1e9)])
-        output.set_value(localize(volume, track, self._parameters, rng))
+        rng = random_stream(self._seed, "localization", volume.time)
+        output.set_value(explain_localization(volume, prediction, self._parameters, rng))
+
+    def _calc_measurement(self, context: Context, output: Value) -> None:
+        found: Any = self.GetOutputPort("explanation").Eval(context)
+        output.set_value(found.measurement if isinstance(found, LocalizationExplanation) else found)

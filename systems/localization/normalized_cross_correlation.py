@@ -1,4 +1,4 @@
-"""Normalized cross-correlation: where in a larger array a smaller one is found again."""
+"""Normalized cross-correlation: finds a smaller array again in a larger one."""
 
 from dataclasses import dataclass
 
@@ -10,12 +10,15 @@ from sonoservo.systems.signals.immutable import Immutable, NotFound, read_only
 from sonoservo.systems.signals.requirements import require
 
 _MIN_ENERGY = {np.dtype(np.float32): 1e-6, np.dtype(np.float64): 1e-12}
-"""Of a window that is not constant, as a share of the search region's: rounding reaches there."""
+"""Smallest energy of a window that counts as not constant, as a share of the search region's.
+
+Rounding errors reach up to it.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Match(Immutable):
-    """Where a kernel is found again. Where it is not, a `NotFound` takes its place.
+    """Place where a kernel is found again. If it is not, a `NotFound` takes its place.
 
     Parameters
     ----------
@@ -24,8 +27,8 @@ class Match(Immutable):
     correlation
         Largest correlation coefficient on the grid, from 0 to 1.
     at_border
-        (n,) where the best match is the first or last that the search region holds, so that a
-        better one may lie beyond.
+        (n,) whether the best match is the first or last that the search region holds along each
+        axis; a better one may then lie beyond.
     """
 
     position: NDArray[np.float64]
@@ -37,12 +40,12 @@ class Match(Immutable):
 
 
 def normalized_cross_correlation(search: ArrayLike, kernel: ArrayLike) -> NDArray[np.floating]:
-    """Correlation coefficient of a kernel with every window of a search region.
+    """Return the correlation coefficient of a kernel with every window of a search region.
 
-    Lewis 1995 (Zhao 2012, eq. 8, where the mean of the window must be that of each window): the
-    numerator by a circular Fourier transform, which no window of the result wraps around, the
-    windows' means and energies by running sums. A window that is constant, like everything where
-    the kernel is constant, has the coefficient 0.
+    The method is that of Lewis 1995 (Zhao 2012, eq. 8, in which the mean must be that of each
+    window). A circular Fourier transform, around which no window of the result wraps, gives the
+    numerator; running sums give the means and energies of the windows. The coefficient of a
+    constant window, or with a constant kernel, is 0.
 
     Parameters
     ----------
@@ -87,7 +90,7 @@ def normalized_cross_correlation(search: ArrayLike, kernel: ArrayLike) -> NDArra
 
 
 def _window_sums(arrays: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Sums over every window of a shape, of each of the stacked arrays (Crow 1984)."""
+    """Return the sums over every window of a shape, for each of the stacked arrays (Crow 1984)."""
     for axis, m in enumerate(shape, start=1):
         sums = np.cumsum(arrays, axis=axis)
         ahead = np.take(sums, range(m - 1, sums.shape[axis]), axis)
@@ -99,11 +102,11 @@ def _window_sums(arrays: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray
 
 
 def best_match(search: ArrayLike, kernel: ArrayLike) -> Match | NotFound:
-    """Find where in a search region a kernel correlates best, to a fraction of an element.
+    """Find the place in a search region at which a kernel correlates best, to subelement accuracy.
 
-    The maximum is refined by the paraboloid through its neighbours, whose curvature along each axis
-    is such that the cosine through the three values there (Cespedes et al. 1995) has its maximum
-    right: that is exact for a carrier and, where the peak is wide, the parabola.
+    The maximum is refined by the paraboloid through its neighbours. Its curvature along each axis
+    is chosen so that the cosine through the three values there (Cespedes et al. 1995) has its
+    maximum in the right place. That is exact for a carrier; for a wide peak it is the parabola.
 
     Parameters
     ----------
@@ -112,8 +115,8 @@ def best_match(search: ArrayLike, kernel: ArrayLike) -> Match | NotFound:
 
     Returns
     -------
-    The match, or a `NotFound` where the kernel does not fit into the region, a value is not finite
-    or nothing correlates.
+    The match, or a `NotFound` if the kernel does not fit into the region, a value is not finite or
+    nothing correlates.
     """
     whole, part = np.asarray(search), np.asarray(kernel)
     if whole.ndim != part.ndim or np.any(np.array(part.shape) > whole.shape):
@@ -138,7 +141,7 @@ def best_match(search: ArrayLike, kernel: ArrayLike) -> Match | NotFound:
 
 
 def _peak_offset(around: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Offset of a maximum from the middle of its (3, 3, ...) neighbourhood, (n,) from -1 to 1."""
+    """Return (n,) the offset of a maximum from the middle of its (3, 3, ...) neighbourhood."""
     n = around.ndim
 
     def value(*steps: tuple[int, int]) -> float:
@@ -163,7 +166,7 @@ def _peak_offset(around: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _cosine_peak(before: float, peak: float, after: float) -> float:
-    """Position of the maximum of the cosine through values at -1, 0 and 1, from -0.5 to 0.5."""
+    """Return the place, from -0.5 to 0.5, of the maximum of the cosine through 3 values."""
     cosine = (before + after) / (2 * peak)
     if not -1 < cosine < 1:
         return 0.0

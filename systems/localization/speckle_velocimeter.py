@@ -8,10 +8,10 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem
 from scipy.signal import hilbert
 
-from sonoservo.systems.estimation.track import NeedleTrack
 from sonoservo.systems.localization.candidates import acquired_from
 from sonoservo.systems.localization.normalized_cross_correlation import best_match
 from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.signals.ports import evaluate
 from sonoservo.systems.signals.radio_frequency_sweep import RadioFrequencySweep
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
@@ -182,8 +182,8 @@ class SpeckleVelocimeter(LeafSystem):
         - velocity
 
     Stateless. ``volume`` and ``previous_volume`` are both a `Volume` or both a
-    `RadioFrequencySweep`, ``prediction`` is a `NeedleTrack`; ``velocity`` a `VelocityMeasurement`
-    in W or a `NotFound` that says why there is none.
+    `RadioFrequencySweep`, ``prediction`` is a `NeedlePrediction` or a `NotFound`; ``velocity`` a
+    `VelocityMeasurement` in W or a `NotFound` that says why there is none.
 
     Parameters
     ----------
@@ -201,22 +201,25 @@ class SpeckleVelocimeter(LeafSystem):
     def _calc_velocity(self, context: Context, output: Value) -> None:
         current = self._speckle(context, "volume")
         previous = self._speckle(context, "previous_volume")
-        track = evaluate(self, context, "prediction", NeedleTrack)
+        prediction = evaluate(self, context, "prediction", (NeedlePrediction, NotFound))
         if isinstance(current, NotFound):
             output.set_value(current)
         elif isinstance(previous, NotFound):
             output.set_value(previous)
-        elif not track:
+        elif isinstance(prediction, NotFound) or prediction.curve is None:
             output.set_value(NotFound("no needle is being tracked"))
         elif type(current) is not type(previous):
             output.set_value(NotFound("the previous volume is of another kind"))
         else:
-            tip, velocity = track.curve.tip, track.velocity[-1]
-            before = tip + (previous.time - track.time) * velocity
-            predicted = tip + (current.time - track.time) * velocity
-            direction = track.curve.direction
+            assert prediction.velocity is not None
+            curve, time, velocity = prediction.curve, prediction.time, prediction.velocity[-1]
+            before, predicted = (
+                curve.tip + (each.time - time) * velocity for each in (previous, current)
+            )
             output.set_value(
-                measure_velocity(current, previous, before, predicted, direction, self._parameters)
+                measure_velocity(
+                    current, previous, before, predicted, curve.direction, self._parameters
+                )
             )
 
     def _speckle(self, context: Context, port: str) -> Speckle | NotFound:

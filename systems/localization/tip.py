@@ -11,9 +11,16 @@ from scipy.special import ndtri
 
 from sonoservo.systems.localization.axis import Axis
 from sonoservo.systems.localization.candidates import acquired_from
-from sonoservo.systems.signals.immutable import Immutable, NotFound, read_only
+from sonoservo.systems.sampling.interpolation import trilinear
+from sonoservo.systems.signals.blur import blur_covariance
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.localization_explanation import AxisProfile, NeedleExtent
+from sonoservo.systems.signals.point_spread import FWHM_PER_SIGMA
 from sonoservo.systems.signals.requirements import require_positive
 from sonoservo.systems.signals.volume import Volume
+
+_BLUR_POINTS = 9
+"""Of an axis at which the width of the blur is computed; it changes little in between."""
 
 
 @dataclass(kw_only=True)
@@ -40,9 +47,8 @@ class TipParameters:
     end_length
         Length of needle whose greatest contrast is the end's level, in m.
     beam_width
-        Width of the beam along the needle at half amplitude, in m: it blurs the tip outwards.
-    decibels_per_level
-        dB per unit of a voxel's intensity.
+        Width of the beam along the needle at half amplitude, in m: it blurs the tip outwards. Used
+        for volumes only that do not know their point spread.
     """
 
     step: float = 0.25e-3
@@ -54,7 +60,6 @@ class TipParameters:
     end_contrast: float = 6.0
     end_length: float = 4e-3
     beam_width: float = 2.4e-3
-    decibels_per_level: float = 60 / 255
 
     def __post_init__(self) -> None:
         require_positive(
@@ -67,7 +72,6 @@ class TipParameters:
             end_contrast=self.end_contrast,
             end_length=self.end_length,
             beam_width=self.beam_width,
-            decibels_per_level=self.decibels_per_level,
         )
 
 
@@ -85,40 +89,8 @@ def _tube_maxima(  # pragma: no cover - compiled
             z = (centres[m, 2] + offsets[q, 2] - origin[2]) / spacing[2]
             if not (0 <= x <= nx - 1 and 0 <= y <= ny - 1 and 0 <= z <= nz - 1):
                 continue
-            i, j, k = min(int(x), nx - 2), min(int(y), ny - 2), min(int(z), nz - 2)
-            x, y, z = x - i, y - j, z - k
-            value = 0.0
-            for di in range(2):
-                for dj in range(2):
-                    for dk in range(2):
-                        weight = (x if di else 1 - x) * (y if dj else 1 - y) * (z if dk else 1 - z)
-                        value += weight * float(intensities[i + di, j + dj, k + dk])
-            maxima[m] = max(maxima[m], value)
+            maxima[m] = max(maxima[m], trilinear(intensities, x, y, z))
     return maxima
-
-
-@dataclass(frozen=True, eq=False)
-class AxisProfile(Immutable):
-    """Intensity along an axis.
-
-    Parameters
-    ----------
-    a
-        (m,) abscissae in m, evenly spaced.
-    level, background
-        (m,) maximum in a tube around the axis, and the same beside it, in dB.
-    seen
-        (m,) whether the axis lies in the field of view.
-    """
-
-    a: NDArray[np.float64]
-    level: NDArray[np.float64]
-    background: NDArray[np.float64]
-    seen: NDArray[np.bool_]
-
-    def __post_init__(self) -> None:
-        for name in ("a", "level", "background"):
-            object.__setattr__(self, name, read_only(getattr(self, name), name, (None,)))
 
 
 def axis_profile(
@@ -138,7 +110,8 @@ def axis_profile(
         Of the tube and the background.
     """
     a = np.arange(start, stop + parameters.step, parameters.step)
-    p_P = acquired_from(volume, axis.position(a))
+    p_W = axis.position(a)
+    p_P = acquired_from(volume, p_W)
     # A plane across the needle: the curve bends too little for each point to need its own.
     along = volume.X_WP.rotation().matrix().T @ axis.direction
     across = np.linalg.svd(along[np.newaxis])[2][1:]
@@ -161,35 +134,29 @@ def axis_profile(
     beside[0, np.all(np.isnan(beside), axis=0)] = 0.0
     return AxisProfile(
         a,
-        maxima[0].clip(0) * parameters.decibels_per_level,
-        np.nanmedian(beside, axis=0) * parameters.decibels_per_level,
+        p_W,
+        maxima[0].clip(0) * volume.decibels_per_level,
+        np.nanmedian(beside, axis=0) * volume.decibels_per_level,
         seen,
+        _blur_along(volume, p_P, along),
     )
 
 
-@dataclass(frozen=True)
-class NeedleExtent(Immutable):
-    """From where to where a needle is visible along its axis.
+def _blur_along(
+    volume: Volume, p_P: NDArray[np.float64], along: NDArray[np.float64]
+) -> NDArray[np.float64] | None:
+    """Widths of a needle's blurred end, (m,) in m, at points of an axis; None if not known.
 
-    Parameters
-    ----------
-    start, tip
-        Abscissae in m.
-    entered
-        Abscissa in m where the axis enters the field of view; -inf if it does so before the profile
-        begins.
-    leaves
-        Whether the needle leaves the field of view, so that its tip is not seen.
-    evidence
-        Integral along the stretch of what speaks for a needle, in dB m: about 2 dB times its
-        length. Lines through speckle reach 6 dB mm, a needle of 5 mm 12 to 30 dB mm.
+    The tube takes the largest value beside the axis too, so what counts is the shadow of the
+    blurred end on the axis: its deviation is sqrt(k^T Sigma k), with Sigma the covariance of the
+    point spread and k the needle's direction.
     """
-
-    start: float
-    tip: float
-    entered: float
-    leaves: bool
-    evidence: float
+    if volume.point_spread is None or volume.motion is None:
+        return None
+    few = np.linspace(0, len(p_P) - 1, _BLUR_POINTS).astype(int)
+    covariance = blur_covariance(volume.point_spread, volume.motion.geometry, p_P[few])
+    width = FWHM_PER_SIGMA * np.sqrt(covariance @ along @ along)
+    return np.interp(np.arange(len(p_P)), few, width)
 
 
 @njit(cache=True, nogil=True)
@@ -206,12 +173,48 @@ def best_stretch(evidence: Any) -> Any:  # pragma: no cover - compiled
     return first, last
 
 
+def most_evident_stretch(
+    contrast: NDArray[np.float64],
+    seen: NDArray[np.bool_],
+    *,
+    step: float,
+    neutral: float,
+    max_evidence: float,
+) -> tuple[int, int, float]:
+    """Stretch along an axis over which the evidence for a needle is largest.
+
+    A sample that stands out from the background by more than ``neutral`` speaks for the needle, any
+    other one against it, and an unseen one as much against it as one that does not stand out at
+    all. A gap is bridged if what lies beyond it outweighs it.
+
+    Parameters
+    ----------
+    contrast
+        (m,) levels over the background, in dB, at evenly spaced samples.
+    seen
+        (m,) whether a sample lies in the field of view.
+    step
+        Distance between samples, in m.
+    neutral
+        Contrast that speaks neither for nor against a needle, in dB.
+    max_evidence
+        Largest evidence of one sample, in dB.
+
+    Returns
+    -------
+    Index of the first and of the last sample, the latter below the former if nothing speaks for a
+    needle, and the evidence's integral in dB m.
+    """
+    evidence = np.where(seen, np.clip(contrast - neutral, -neutral, max_evidence), -neutral)
+    first, last = best_stretch(evidence)
+    return first, last, float(evidence[first : last + 1].sum()) * step
+
+
 def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent | NotFound:
     """Find where a needle begins and ends along its axis (Chatelain 2013, end of section II-D).
 
-    Every sample that stands out from the background speaks for the needle, every other one against
-    it; the needle is the stretch with the largest sum. A gap is bridged if what lies beyond it
-    outweighs it: needles fade where no line of sound meets them at a right angle.
+    The needle is the `most_evident_stretch`, which bridges gaps: needles fade where no line of
+    sound meets them at a right angle.
 
     The tip is found from where the needle's blurred end is lost in the background, D dB below the
     end's own level: an edge blurred by a Gaussian beam of deviation sigma has the amplitude
@@ -230,10 +233,13 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
     width = max(1, round(parameters.smoothing / step))
     level = uniform_filter1d(profile.level, width, mode="nearest")
     contrast = level - uniform_filter1d(profile.background, width, mode="nearest")
-    evidence = np.clip(
-        contrast - parameters.contrast, -parameters.contrast, parameters.max_evidence
+    first, last, evidence = most_evident_stretch(
+        contrast,
+        profile.seen,
+        step=step,
+        neutral=parameters.contrast,
+        max_evidence=parameters.max_evidence,
     )
-    first, last = best_stretch(np.where(profile.seen, evidence, -parameters.contrast))
     if last < 0:
         return NotFound("nothing along the axis stands out from the background")
     tip = _tip(profile, contrast, first, last, parameters)
@@ -244,7 +250,7 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
         tip=tip,
         entered=float(profile.a[unseen[-1]]) if len(unseen) else -np.inf,
         leaves=bool(beyond >= len(profile.a) or not profile.seen[beyond]),
-        evidence=float(evidence[first : last + 1].sum()) * step,
+        evidence=evidence,
     )
 
 
@@ -257,12 +263,19 @@ def _tip(
 ) -> float:
     """Abscissa of the tip in m, from where the stretch's end is lost in the background."""
     a, threshold = profile.a, parameters.end_contrast
-    evidence = np.clip(contrast[first : last + 1] - threshold, -threshold, threshold)
-    end = first + max(best_stretch(evidence)[1], 0)
+    stretch = contrast[first : last + 1]
+    seen = np.ones_like(stretch, dtype=bool)
+    found = most_evident_stretch(
+        stretch, seen, step=parameters.step, neutral=threshold, max_evidence=threshold
+    )
+    end = first + max(found[1], 0)
     begin = max(first, int(np.searchsorted(a, a[end] - parameters.end_length)))
     fallen = max(float(contrast[begin : end + 1].max()) - threshold, 0.0)
     lost = float(a[end])
     if end + 1 < len(a) and contrast[end + 1] < threshold < contrast[end]:
         lost = float(np.interp(threshold, contrast[[end + 1, end]], a[[end + 1, end]]))
-    sigma = parameters.beam_width / (2 * np.sqrt(2 * np.log(2)))
+    width = parameters.beam_width
+    if profile.beam_width is not None:
+        width = float(np.interp(lost, a, profile.beam_width))
+    sigma = width / FWHM_PER_SIGMA
     return lost + sigma * float(ndtri(10 ** (-max(fallen, 0.1) / 20)))

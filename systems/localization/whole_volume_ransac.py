@@ -1,4 +1,4 @@
-"""A needle sought in a whole volume without a prediction: thresholding, RANSAC, tip."""
+"""A needle in a whole volume without a prediction, as published: thresholding, RANSAC, tip."""
 
 from dataclasses import dataclass, field
 
@@ -86,13 +86,13 @@ def brightest_voxels(volume: Volume, count: int, rng: np.random.Generator) -> ND
     return np.stack(np.unravel_index(chosen, volume.intensities.shape), axis=1)
 
 
-def find_needle(
+def localize_in_whole_volume(
     volume: Volume,
     towards: NDArray[np.float64],
     parameters: WholeVolumeRansacParameters,
     rng: np.random.Generator,
 ) -> WholeVolumeNeedle | NotFound:
-    """Find the needle in a whole volume as published (Zhao 2012, section 2.2; Uhercik 2010).
+    """Localize the needle in a whole volume as published (Zhao 2012, section 2.2; Uhercik 2010).
 
     Thresholding leaves the brightest voxels; the axis is the line through two of them that has the
     most others nearby, optimized on those; the tip is where the intensity along it decreases and

@@ -1,7 +1,8 @@
 """What a needle is and how it is pushed.
 
-It holds the bicycle model of a bevelled needle, insertions with a straight or a bevelled tip,
-and the hand that follows a plan or an operator. It imports `signals` only.
+It holds the path that a bevelled needle cuts (the bicycle model, in a plane and in space), the
+motion by hand or through a template, the insertion composed of the two, and the hand that follows a
+plan or an operator. It imports `signals` only.
 """
 
 from lazy_loader import attach_stub

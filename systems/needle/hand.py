@@ -1,22 +1,14 @@
-"""A system that stands for the clinician's hand."""
-
-from typing import Protocol
+"""The clinician's hand or a template: a leaf whose output is the needle of an insertion."""
 
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem
 
+from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.signals.needle import Needle
 
 
-class NeedleMotion(Protocol):
-    """An insertion as a function of time: `Insertion`, `BevelledInsertion`."""
-
-    def needle(self, time: float) -> Needle:
-        """Return the part of the needle that is inside the tissue, in T, at a time in s."""
-
-
 class Hand(LeafSystem):
-    """Pushes a needle into the tissue; a function of time alone.
+    """Pushes a needle into the tissue, as a function of time alone.
 
     .. pydrake_system::
 
@@ -29,10 +21,10 @@ class Hand(LeafSystem):
     Parameters
     ----------
     insertion
-        Where and how the needle is pushed.
+        Path and motion of the needle.
     """
 
-    def __init__(self, *, insertion: NeedleMotion) -> None:
+    def __init__(self, *, insertion: Insertion) -> None:
         super().__init__()
         self.set_name("hand")
         self._insertion = insertion

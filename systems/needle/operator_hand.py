@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem, State
 
-from sonoservo.systems.needle.insertion import Insertion, Push
+from sonoservo.systems.needle.insertion import Insertion
+from sonoservo.systems.needle.insertion_parameters import Push
 from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.requirements import require_positive
 

@@ -1,23 +1,35 @@
-"""The path that a bevelled needle cuts while a hand pushes, turns and withdraws it.
+"""The path that a bevelled needle cuts while it is pushed, turned and withdrawn.
 
-The tip bends towards where its bevel is turned, with constant curvature: the bicycle model of
-Webster et al. 2006 in space, of which `BicyclePath` is the case of a bevel turned by 180 deg. With
-the tangent d and two axes u, v that do not twist about it, and the bevel turned by the angle rho,
+The tip bends towards the side to which its bevel is turned: the bicycle model of Webster et al.
+2006 in space. With the tangent d, two axes u and v that do not twist about it, the bevel turned by
+the angle rho, and the curvature kappa = 1 / R,
 
-    d' = (cos(rho) u + sin(rho) v) / R,   u' = -cos(rho) d / R,   v' = -sin(rho) d / R.
+    d' = kappa (cos(rho) u + sin(rho) v),  u' = -kappa cos(rho) d,  v' = -kappa sin(rho) d.
 
-A needle that is withdrawn goes back along its path; pushed in again it cuts a new one from there.
+The path is a chain of arcs on each of which kappa and rho are constant. A bevel turned by 180 deg
+is a change of the sign of kappa: `BicyclePath` is this case in closed form. A needle that is
+withdrawn goes back along its path; pushed in again it cuts a new one from there.
 """
+
+from dataclasses import dataclass, field
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from sonoservo.systems.signals.immutable import Immutable
 
 Floats = NDArray[np.float64]
+Arcs = tuple[Floats, Floats, Floats]
+"""Of each arc, the length in m, the bevel's angle in rad and the curvature in 1/m."""
+
+WANDER_STEP = 0.5e-3
+"""Length of path in m over which a curvature that wanders is constant."""
 
 
 def cut_arcs(depths: Floats, turns: Floats) -> tuple[Floats, Floats]:
-    """Return of which arcs the path consists that is there at the end of a history.
+    """Return the arcs that make up the path at the end of a history.
 
     Parameters
     ----------
@@ -43,18 +55,123 @@ def cut_arcs(depths: Floats, turns: Floats) -> tuple[Floats, Floats]:
     return np.add.reduceat(lengths, first), angles[first]
 
 
-@njit(cache=True, nogil=True)
-def positions(lengths, angles, curvature, distances):  # type: ignore[no-untyped-def]
-    """Positions along a path of arcs.
+def draw_wander(length: float, std: float, scale: float, rng: np.random.Generator) -> Floats:
+    """Draw the curvature along a path, relative to its mean.
 
     Parameters
     ----------
-    lengths, angles
-        (m,) of the arcs, in m and rad, see `cut_arcs`.
-    curvature
-        1 / R in 1/m.
+    length
+        Length of the path in m.
+    std
+        Standard deviation of the relative curvature.
+    scale
+        Standard deviation of the Gaussian that smooths it, in m.
+    rng
+        Source of the random numbers. A longer path begins like a shorter one.
+
+    Returns
+    -------
+    (n,) values, each for one `WANDER_STEP` of the path.
+    """
+    sigma = scale / WANDER_STEP
+    count = len(np.arange(0, length, WANDER_STEP))
+    noise = gaussian_filter1d(rng.normal(size=count + 8 * int(sigma)), sigma)
+    noise *= np.sqrt(2 * np.sqrt(np.pi) * sigma)  # to a variance of 1
+    return 1 + std * noise[4 * int(sigma) :][:count]
+
+
+@dataclass(frozen=True, eq=False)
+class SteeredPath(Immutable):
+    """The path of a bevelled tip from an entry, along the aimed direction, up and beside.
+
+    Parameters
+    ----------
+    radius
+        Radius R of the arcs in m.
+    roll
+        Direction of the bend at the start, from up towards beside, in rad.
+    angle
+        Angle of the first direction to the aimed one, towards the bend, in rad.
+    rotations
+        Depths along the aimed direction at which the bevel is turned by 180 deg, in m, rising.
+    wander
+        (n,) curvature relative to 1 / R on each `WANDER_STEP` of the path; empty if it is constant.
+    """
+
+    radius: float
+    roll: float = 0.0
+    angle: float = 0.0
+    rotations: tuple[float, ...] = ()
+    wander: Floats = field(default_factory=lambda: np.zeros(0))
+
+    def positions(self, distances: Floats, cut: tuple[Floats, Floats] | None = None) -> Floats:
+        """Return positions along the path.
+
+        Parameters
+        ----------
+        distances
+            (k,) lengths along the path from the entry in m, in rising order.
+        cut
+            Lengths in m and angles in rad from `roll` of the arcs that the hand has cut (see
+            `cut_arcs`); None if the hand does not turn the needle.
+
+        Returns
+        -------
+        (k, 3) coordinates in m along the aimed direction, up and beside.
+        """
+        found: Floats = positions(*self._arcs(np.array(self.rotations), cut)[0], distances)
+        return found @ self._first_axes if self.angle else found
+
+    def length_at(self, depth: float) -> float:
+        """Return the length of path down to a depth along the aimed direction, both in m.
+
+        The hand does not turn the needle. The length is infinite if the path does not get there.
+        """
+        if depth <= 0:
+            return 0.0
+        before = [each for each in self.rotations if each < depth]
+        _, reached = self._arcs(np.array([*before, depth]), None)
+        return float(reached[-1])
+
+    @property
+    def direction(self) -> Floats:
+        """(3,) unit vector of the first direction, along the aimed one, up and beside."""
+        return self._first_axes[0]
+
+    @property
+    def _first_axes(self) -> Floats:
+        """(3, 3) rows d, u, v at the entry."""
+        return np.array(_turned(np.eye(3), self.roll, self.angle))
+
+    def _arcs(self, turns: Floats, cut: tuple[Floats, Floats] | None) -> tuple[Arcs, Floats]:
+        """Return the arcs, and the length of path down to each depth where the bevel is turned."""
+        lengths, angles = (np.array([np.inf]), np.zeros(1)) if cut is None else cut
+        angles = self.roll + angles
+        curvatures = np.full(len(lengths), 1 / self.radius)
+        if self.wander.size:
+            ends = np.cumsum(lengths)
+            steps = WANDER_STEP * np.arange(1, len(self.wander))
+            edges = np.union1d(ends, steps[steps < ends[-1]])
+            starts = np.append(0.0, edges[:-1])
+            lengths, angles = edges - starts, angles[np.searchsorted(ends, edges)]
+            curvatures = self.wander[np.searchsorted(steps, starts, side="right")] / self.radius
+        if not turns.size:
+            return (lengths, angles, curvatures), turns
+        axis = np.ascontiguousarray(self._first_axes[:, 0])
+        *arcs, reached = turn_at_depths(lengths, angles, curvatures, turns, axis)
+        return (arcs[0], arcs[1], arcs[2]), reached
+
+
+@njit(cache=True, nogil=True)
+def positions(lengths, angles, curvatures, distances):  # type: ignore[no-untyped-def]
+    """Return positions along a path of arcs.
+
+    Parameters
+    ----------
+    lengths, angles, curvatures
+        (m,) lengths in m, angles of the bevel in rad and curvatures in 1/m of the arcs.
     distances
-        (k,) along the path from the entry in m, in rising order.
+        (k,) distances along the path from the entry in m, in rising order.
 
     Returns
     -------
@@ -66,6 +183,7 @@ def positions(lengths, angles, curvature, distances):  # type: ignore[no-untyped
     start = 0.0
     k = 0
     for i in range(len(lengths)):
+        curvature = curvatures[i]
         cosine, sine = np.cos(angles[i]), np.sin(angles[i])
         d = axes[0].copy()
         normal = cosine * axes[1] + sine * axes[2]
@@ -74,12 +192,89 @@ def positions(lengths, angles, curvature, distances):  # type: ignore[no-untyped
             angle = (distances[k] - start) * curvature
             found[k] = p + (np.sin(angle) * d + (1 - np.cos(angle)) * normal) / curvature
             k += 1
+        if last:
+            break
         angle = lengths[i] * curvature
-        forward, aside = np.sin(angle), 1 - np.cos(angle)
-        p = p + (forward * d + aside * normal) / curvature
-        axes[0] = np.cos(angle) * d + forward * normal
-        bent = -forward * d - aside * normal  # how the normal changes
-        axes[1] += cosine * bent
-        axes[2] += sine * bent
+        p = p + (np.sin(angle) * d + (1 - np.cos(angle)) * normal) / curvature
+        axes = _turned(axes, angles[i], angle)
         start += lengths[i]
     return found
+
+
+@njit(cache=True, nogil=True)
+def turn_at_depths(lengths, angles, curvatures, depths, axis):  # type: ignore[no-untyped-def]
+    """Split arcs at depths, at each of which the bevel is turned by 180 deg.
+
+    Parameters
+    ----------
+    lengths, angles, curvatures
+        (m,) lengths in m, angles of the bevel in rad and curvatures in 1/m of the arcs.
+    depths
+        (r,) depths along an axis in m, in rising order.
+    axis
+        (3,) unit vector of the axis, along the first d, u and v.
+
+    Returns
+    -------
+    (n,) lengths, angles and curvatures of the arcs, and (r,) lengths of path in m down to the
+    depths, infinite where they are not reached.
+    """
+    most = len(lengths) + len(depths)
+    new_lengths, new_angles, new_curvatures = np.empty(most), np.empty(most), np.empty(most)
+    reached = np.full(len(depths), np.inf)
+    axes = np.eye(3)
+    count, k, depth, length, sign = 0, 0, 0.0, 0.0, 1.0
+    for i in range(len(lengths)):
+        left = lengths[i]
+        while True:
+            curvature = sign * curvatures[i]
+            normal = np.cos(angles[i]) * axes[1] + np.sin(angles[i]) * axes[2]
+            forward, aside = np.dot(axes[0], axis), np.dot(normal, axis)
+            to_turn = np.inf
+            if k < len(depths):
+                to_turn = _length_of_rise(forward, aside, curvature, depths[k] - depth)
+            piece = min(left, to_turn)
+            new_lengths[count], new_angles[count] = piece, angles[i]
+            new_curvatures[count] = curvature
+            count += 1
+            if piece == np.inf:
+                break
+            angle = piece * curvature
+            depth += (np.sin(angle) * forward + (1 - np.cos(angle)) * aside) / curvature
+            length += piece
+            axes = _turned(axes, angles[i], angle)
+            if to_turn > left:
+                break
+            reached[k] = length
+            k += 1
+            sign = -sign
+            left -= piece
+    return new_lengths[:count], new_angles[:count], new_curvatures[:count], reached
+
+
+@njit(cache=True, nogil=True)
+def _turned(axes, roll, angle):  # type: ignore[no-untyped-def]
+    """Return rows d, u, v after an arc of an angle, towards the side of the bevel."""
+    cosine, sine = np.cos(roll), np.sin(roll)
+    d = axes[0]
+    normal = cosine * axes[1] + sine * axes[2]
+    forward, aside = np.sin(angle), 1 - np.cos(angle)
+    turned = axes.copy()
+    turned[0] = np.cos(angle) * d + forward * normal
+    bent = -forward * d - aside * normal  # how the normal changes
+    turned[1] += cosine * bent
+    turned[2] += sine * bent
+    return turned
+
+
+@njit(cache=True, nogil=True)
+def _length_of_rise(forward, aside, curvature, rise):  # type: ignore[no-untyped-def]
+    """Return the length of arc that rises by so much along an axis, or infinity.
+
+    With the angle x = kappa s, the tangent's component a and the normal's b, it solves
+    a sin(x) + b (1 - cos(x)) = kappa rise, that is sin(x - phi) = (kappa rise - b) / hypot(a, b).
+    """
+    sine = (curvature * rise - aside) / np.hypot(forward, aside)
+    if forward <= 0 or abs(sine) > 1:
+        return np.inf
+    return max((np.arctan2(aside, forward) + np.arcsin(sine)) / curvature, 0.0)

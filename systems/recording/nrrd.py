@@ -14,6 +14,7 @@ from sonoservo.systems.files.typed_yaml import ConfigurationError
 from sonoservo.systems.files.writing import write_atomically
 from sonoservo.systems.recording.volume_file import (
     MAX_HEADER,
+    SCALE,
     DataSection,
     VolumeFile,
     check_layout,
@@ -56,7 +57,8 @@ def write_volume(path: str | Path, volume: Volume) -> Path:
     The axes of the probe frame P become those of the patient that the format speaks of, as if the
     probe stood upright on the front of a patient who lies on the back: X of P (along the array) is
     L, to the patient's left; Y of P (depth) is P, to the back; Z of P (the sweep) is S, to the
-    head. So a voxel lies at 1000 times its position in P.
+    head. So a voxel lies at 1000 times its position in P. A field of the header tells the dB per
+    grey level.
 
     Parameters
     ----------
@@ -70,7 +72,8 @@ def write_volume(path: str | Path, volume: Volume) -> Path:
     The path.
     """
     buffer = io.BytesIO()
-    nrrd.write(buffer, volume.intensities, _header(volume), compression_level=1, index_order="F")
+    header = _header(volume) | {SCALE: repr(float(volume.decibels_per_level))}
+    nrrd.write(buffer, volume.intensities, header, compression_level=1, index_order="F")
     return write_atomically(path, buffer.getvalue())
 
 

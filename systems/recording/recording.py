@@ -19,7 +19,10 @@ from sonoservo.systems.recording.side_files import (
     read_acquisition,
     side_path,
 )
-from sonoservo.systems.recording.volume_file import VolumeFile
+from sonoservo.systems.recording.volume_file import SCALE, VolumeFile
+from sonoservo.systems.signals.immutable import seal
+from sonoservo.systems.signals.requirements import require_positive
+from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL
 from sonoservo.systems.signals.volume import Volume
 
 _FORMATS = {
@@ -44,6 +47,9 @@ class Recording:
     window
         Numbers that become the grey levels 0 and 255; by default `choose_window` of the first
         volume.
+    dynamic_range_db
+        Range of echo amplitudes that the grey levels 0 to 255 show; by default what the file
+        tells, or else 60.
     volume_rate
         Volumes per second, in Hz, for a sequence that tells no times.
     poses
@@ -73,6 +79,7 @@ class Recording:
         *,
         depth: str = "P",
         window: tuple[float, float] | None = None,
+        dynamic_range_db: float | None = None,
         volume_rate: float | None = None,
         poses: str | None = None,
     ) -> None:
@@ -89,6 +96,7 @@ class Recording:
         transform = None if self._acquisition else _choose(self.path, frames, poses)
         self.posed = bool(self._acquisition) or transform is not None
         self.settings: dict[str, Any] = self._acquisition.settings if self._acquisition else {}
+        self._decibels_per_level = self._scale(dynamic_range_db)
         statuses = [frames.get("ImageStatus", {})]
         if transform is not None:
             statuses.append(frames.get(f"{transform}Status", {}))
@@ -132,11 +140,18 @@ class Recording:
         if self._window is None:
             first = voxels if number == 0 else self._grid.arrange(self._file.read(self._numbers[0]))
             self._window = choose_window(first)
-        grey = self._window.grey(voxels)
+        grey = seal(self._window.grey(voxels))
         if self._acquisition is not None:
             exact = self._acquisition
             return Volume(
-                grey, exact.origin, exact.spacing, exact.poses[k], exact.times[k], exact.motions[k]
+                grey,
+                exact.origin,
+                exact.spacing,
+                exact.poses[k],
+                exact.times[k],
+                exact.motions[k],
+                self._decibels_per_level,
+                exact.point_spread,
             )
         return Volume(
             grey,
@@ -144,6 +159,7 @@ class Recording:
             self._grid.spacing,
             self._X_WL[k] @ self._grid.X_LP,
             float(self.times[number]),
+            decibels_per_level=self._decibels_per_level,
         )
 
     def X_WL(self, number: int) -> RigidTransform:
@@ -164,6 +180,20 @@ class Recording:
         ):
             raise ConfigurationError(f"{path}: it belongs to another recording than {self.path}")
         return exact
+
+    def _scale(self, dynamic_range_db: float | None) -> float:
+        """Return dB per grey level: as wished, as the file tells, or else 60 dB over 255 levels."""
+        noted = self._acquisition.decibels_per_level if self._acquisition else None
+        try:
+            if dynamic_range_db is not None:
+                require_positive(dynamic_range_db=dynamic_range_db)
+                return dynamic_range_db / 255
+            if noted is None:
+                noted = float(self._file.fields.get(SCALE, DECIBELS_PER_LEVEL))
+            require_positive(**{SCALE: noted})
+        except ValueError as error:
+            raise ConfigurationError(f"{self.path}: {error}") from error
+        return noted
 
     def _file_times(
         self, timestamps: dict[int, str], volume_rate: float | None

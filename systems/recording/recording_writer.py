@@ -59,7 +59,7 @@ class RecordingWriter:
         Raises
         ------
         ValueError
-            If it lies on another grid than the first.
+            If its grid, its scale of grey levels or its resolution differs from the first one's.
         """
         grid = describe_grid(volume)
         if self._volumes is None or self._acquisition is None:
@@ -67,7 +67,9 @@ class RecordingWriter:
             self._volumes = SequenceWriter(self.path, _header(volume))
             self._acquisition = LinesWriter(self.path, ACQUISITION, {**grid, **self._settings})
         if grid != self._grid:
-            raise ValueError(f"{self.path}: a volume lies on another grid than the first")
+            raise ValueError(
+                f"{self.path}: grid, scale or resolution of a volume differs from the first one's"
+            )
         self._acquisition.append(describe_acquisition(volume))
         X_mm = volume.X_WP.GetAsMatrix4() * np.array([[1, 1, 1, 1e3]] * 3 + [[1] * 4])
         fields = {

@@ -6,7 +6,7 @@ They are written line by line, in SI units, every number such that it reads back
 
 import json
 import os
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Self
 
@@ -17,6 +17,8 @@ from pydrake.math import RigidTransform
 from sonoservo.systems.files.typed_yaml import ConfigurationError
 from sonoservo.systems.recording.sequence_writer import SUFFIX, partial_path
 from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.point_spread import PointSpread
+from sonoservo.systems.signals.requirements import require_positive
 from sonoservo.systems.signals.sweep import SweepGeometry, SweepMotion
 from sonoservo.systems.signals.volume import Volume
 
@@ -85,8 +87,16 @@ def describe_grid(volume: Volume) -> dict[str, Any]:
     return {
         "origin": volume.origin.tolist(),
         "spacing": volume.spacing.tolist(),
+        "decibels_per_level": volume.decibels_per_level,
+        "point_spread": _describe_spread(volume.point_spread),
         "geometry": asdict(volume.motion.geometry) if volume.motion else None,
     }
+
+
+def _describe_spread(spread: PointSpread | None) -> dict[str, Any] | None:
+    if spread is None:
+        return None
+    return {each.name: getattr(spread, each.name).tolist() for each in fields(spread)}
 
 
 def describe_acquisition(volume: Volume) -> dict[str, Any]:
@@ -114,6 +124,10 @@ class Acquisition:
         X_WP of each.
     motions
         Of each; None if that is not known.
+    decibels_per_level
+        dB per grey level of all volumes; None if the file does not tell it.
+    point_spread
+        Of all volumes; None if the file does not tell it.
     settings
         What else the first line holds.
     """
@@ -123,6 +137,8 @@ class Acquisition:
     times: list[float]
     poses: list[RigidTransform]
     motions: list[SweepMotion | None]
+    decibels_per_level: float | None
+    point_spread: PointSpread | None
     settings: dict[str, Any]
 
 
@@ -136,7 +152,7 @@ def read_acquisition(path: Path) -> Acquisition:
     """
     first, lines = _read_lines(path)
     try:
-        geometry = first.pop("geometry")
+        geometry, spread = first.pop("geometry"), first.pop("point_spread", None)
         swept = SweepGeometry(**geometry) if geometry else None
         return Acquisition(
             np.array(first.pop("origin"), float),
@@ -144,10 +160,21 @@ def read_acquisition(path: Path) -> Acquisition:
             [float(line["time"]) for line in lines],
             [RigidTransform(np.array(line["X_WP"], float)) for line in lines],
             [_motion(swept, line) for line in lines],
+            _scale(first),
+            PointSpread(**spread) if spread else None,
             first,
         )
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         raise ConfigurationError(f"{path}: damaged: {' '.join(str(error).split())}") from error
+
+
+def _scale(first: dict[str, Any]) -> float | None:
+    """Take dB per grey level out of a first line; older files tell the range of 0 to 255."""
+    range_db = first.pop("dynamic_range_db", None)
+    scale = first.pop("decibels_per_level", None if range_db is None else range_db / 255)
+    if scale is not None:
+        require_positive(decibels_per_level=scale)
+    return scale
 
 
 def _motion(geometry: SweepGeometry | None, line: dict[str, Any]) -> SweepMotion | None:

@@ -15,6 +15,9 @@ from sonoservo.systems.files.typed_yaml import ConfigurationError
 MAX_HEADER = 1 << 26
 """Bytes; a header of a long sequence with poses has some hundred for each volume."""
 
+SCALE = "decibels_per_level"
+"""Field of a header that tells the dB per grey level."""
+
 _MOST_DEFLATED = 1032
 """Deflate makes data at most so many times smaller."""
 

@@ -1,12 +1,13 @@
 """A system that records volumes while they come, and the truth beside them."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, LeafSystem
+from pydrake.systems.framework import Context, LeafSystem, ValueProducer
 
 from sonoservo.systems.recording.recording_writer import RecordingWriter, SweepWriter
 from sonoservo.systems.recording.side_files import TRUTH, LinesWriter
@@ -16,6 +17,53 @@ from sonoservo.systems.signals.ports import evaluate
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 from sonoservo.systems.signals.sweep import Sweep
 from sonoservo.systems.signals.volume import Volume
+
+
+class _Recording:
+    """The files of one run, from its start until they are closed.
+
+    Parameters
+    ----------
+    path
+        Path of the recording, ``NAME.seq.nrrd``.
+    settings
+        What a tracker has to know besides the volumes.
+    sweeps
+        Whether to record sweeps too.
+
+    Attributes
+    ----------
+    volume_time
+        Time of the newest volume in s.
+    closed
+        Whether the files have their final names.
+    """
+
+    def __init__(self, path: Path, settings: Mapping[str, Any] | None, sweeps: bool) -> None:
+        self.volumes = RecordingWriter(path, settings)
+        self.sweeps = SweepWriter(path) if sweeps else None
+        self.truth: LinesWriter | None = None
+        self.volume_time = -float("inf")
+        self.closed = False
+
+    def close(self) -> None:
+        self.closed = True
+        self.volumes.close()
+        if self.sweeps is not None:
+            self.sweeps.close()
+        if self.truth is not None:
+            self.truth.close(keep=self.volume_time > -float("inf"))
+
+
+@dataclass
+class _Run:
+    """The recording of the run that a context belongs to, once it has begun."""
+
+    recording: _Recording | None = None
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        """Return none: the copy of a context is a run of its own."""
+        return type(self)()
 
 
 class VolumeRecorder(LeafSystem):
@@ -35,18 +83,22 @@ class VolumeRecorder(LeafSystem):
     `Needle` in T, the pose `X_WT` of T and the contact force in N; without any of the three no file
     of the truth is written. Call `close` at the end: it gives the files their names.
 
+    Which recording a run writes is kept in its context. A run that starts closes the recording of
+    the run before, and takes its place under the same name; what goes on with a run whose recording
+    is closed raises a RuntimeError.
+
     Parameters
     ----------
     path
-        Of the recording, ``NAME.seq.nrrd``; the truth is ``NAME.truth.jsonl``.
+        Path of the recording, ``NAME.seq.nrrd``; the truth is ``NAME.truth.jsonl``.
     settings
         What a tracker has to know besides the volumes.
     sweeps
         Whether to record sweeps too.
     period, offset
-        When to look for a new volume, in s.
+        Times at which the recorder looks for a new volume, in s.
     truth_period
-        Between samples of the truth, in s.
+        Time between samples of the truth, in s.
 
     Raises
     ------
@@ -67,38 +119,59 @@ class VolumeRecorder(LeafSystem):
         super().__init__()
         require_positive(period=period, truth_period=truth_period)
         require_not_negative(offset=offset)
-        self._path = path
-        self._volumes = RecordingWriter(path, settings)
-        self._sweeps = SweepWriter(path) if sweeps else None
-        self._truth: LinesWriter | None = None
-        self._volume_time = -float("inf")
+        RecordingWriter(path)  # refuses a wrong name before anything is simulated
+        self._path, self._settings, self._sweeps = path, settings, sweeps
+        self._newest: _Recording | None = None
+        self._run = self.DeclareCacheEntry(
+            "run",
+            ValueProducer(lambda: Value[object](_Run()), ValueProducer.NoopCalc),
+            {self.nothing_ticket()},
+        )
         for name in ("volume", "sweep", "needle"):
             self.DeclareAbstractInputPort(name, Value[object]())
         self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
         self.DeclareVectorInputPort("contact_force", 1)
+        self.DeclareInitializationPublishEvent(self._start)
         self.DeclarePeriodicPublishEvent(period, offset, self._record)
         self.DeclarePeriodicPublishEvent(truth_period, 0.0, self._note_truth)
         self.DeclareForcedPublishEvent(self._record)
 
     def close(self) -> None:
         """Give the files their final names; without any volume nothing is left."""
-        recorded = self._volume_time > -float("inf")
-        self._volumes.close()
-        if self._sweeps is not None:
-            self._sweeps.close()
-        if self._truth is not None:
-            self._truth.close(keep=recorded)
+        if self._newest is not None:
+            self._newest.close()
+
+    def _run_of(self, context: Context) -> _Run:
+        run = self._run.get_mutable_cache_entry_value(context).GetMutableValueOrThrow()
+        assert isinstance(run, _Run)
+        return run
+
+    def _start(self, context: Context) -> None:
+        self._run_of(context).recording = None
+
+    def _recording(self, context: Context) -> _Recording:
+        """Return the recording of a run; it begins with the first event that needs it."""
+        run = self._run_of(context)
+        if run.recording is None:
+            self.close()
+            run.recording = self._newest = _Recording(self._path, self._settings, self._sweeps)
+        if run.recording.closed:
+            raise RuntimeError(f"{self._path}: this recording is closed; start a new run to record")
+        return run.recording
 
     def _record(self, context: Context) -> None:
         volume = evaluate(self, context, "volume", (Volume, NotFound))
-        if not isinstance(volume, Volume) or volume.time <= self._volume_time:
+        if not isinstance(volume, Volume):
             return
-        self._volume_time = volume.time
-        self._volumes.append(volume)
-        if self._sweeps is not None:
+        recording = self._recording(context)
+        if volume.time <= recording.volume_time:
+            return
+        recording.volume_time = volume.time
+        recording.volumes.append(volume)
+        if recording.sweeps is not None:
             sweep = evaluate(self, context, "sweep", (Sweep, NotFound))
             if isinstance(sweep, Sweep):
-                self._sweeps.append(sweep)
+                recording.sweeps.append(sweep)
 
     def _note_truth(self, context: Context) -> None:
         ports = ("needle", "X_WT", "contact_force")
@@ -107,9 +180,10 @@ class VolumeRecorder(LeafSystem):
         needle = evaluate(self, context, "needle", Needle)
         X_WT = evaluate(self, context, "X_WT", RigidTransform)
         force = float(self.GetInputPort("contact_force").Eval(context)[0])
-        if self._truth is None:
-            self._truth = LinesWriter(self._path, TRUTH, {"needle_radius": needle.radius})
+        recording = self._recording(context)
+        if recording.truth is None:
+            recording.truth = LinesWriter(self._path, TRUTH, {"needle_radius": needle.radius})
         shaft = needle.transformed(X_WT).shaft
-        self._truth.append(
+        recording.truth.append(
             {"time": context.get_time(), "needle": shaft.tolist(), "contact_force": force}
         )

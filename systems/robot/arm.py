@@ -1,53 +1,215 @@
-"""The arm with its probe, in any plant."""
+"""The arm with its probe, described by data, in any plant."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
-from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.multibody.parsing import Parser
+from numpy.typing import NDArray
+from pydrake.multibody.parsing import ModelDirective
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import JointIndex, ModelInstanceIndex, RigidBody
+from pydrake.multibody.tree import (
+    Joint,
+    JointIndex,
+    ModelInstanceIndex,
+    PdControllerGains,
+    RigidBody,
+)
 
-from sonoservo.models import model_path
+from sonoservo.systems.files.model_file import model_file
+from sonoservo.systems.files.typed_yaml import ConfigurationError, load_typed, read_yaml
+from sonoservo.systems.robot.directives import add_directives, resolve_files
+from sonoservo.systems.robot.motors import motors
+from sonoservo.systems.robot.probe_body import AddProbeBody, ProbeBody
+from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+
+
+@dataclass(kw_only=True)
+class JointServo:
+    """Gains of the servos that hold the joints, in the order of the joints.
+
+    Parameters
+    ----------
+    p
+        Stiffnesses in N m/rad.
+    d
+        Dampings in N m s/rad.
+    """
+
+    p: list[float] = field(default_factory=list)
+    d: list[float] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        for number, (p, d) in enumerate(zip(self.p, self.d, strict=False)):
+            require_positive(**{f"p.{number}": p})
+            require_not_negative(**{f"d.{number}": d})
+
+
+@dataclass(kw_only=True)
+class Arm:
+    """An arm as its YAML file describes it; `load_arm` reads one.
+
+    Parameters
+    ----------
+    directives
+        Drake's model directives that add a model named ``arm`` and weld its base to the world. The
+        model's default joint positions are the home posture: the arm stays near it.
+    flange
+        Frame of the model that holds the probe.
+    servo
+        Gains of the joints' servos.
+    max_speed
+        Highest speeds of the joints in rad/s; if empty, those in the model's file.
+    """
+
+    directives: list[ModelDirective] = field(default_factory=list)
+    flange: str = "flange"
+    servo: JointServo = field(default_factory=JointServo)
+    max_speed: list[float] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
 class ArmWithProbe:
-    """Where the arm and its probe are in a plant.
+    """The place of an arm and its probe in a plant.
 
     Parameters
     ----------
+    plant
+        The plant.
     model_instance
-        The arm's six joints.
+        The model that has the arm's joints.
     probe
         The probe's body, whose frame is P.
     wrist
-        The weld of the probe to the flange: its reaction is what a wrist force sensor feels.
+        Index of the weld of the probe to the flange: a wrist force sensor feels its reaction.
     """
 
+    plant: MultibodyPlant
     model_instance: ModelInstanceIndex
     probe: RigidBody
     wrist: JointIndex
 
-
-def AddArmWithProbe(plant: MultibodyPlant) -> ArmWithProbe:
-    """Add the arm, with its base at the origin of W, and the probe in line with its flange."""
-    parser = Parser(plant)
-    (arm,) = parser.AddModels(str(model_path("viper_s850.urdf")))
-    (probe,) = parser.AddModels(str(model_path("probe_4dc7.sdf")))
-    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link", arm))
-    # The probe looks along the flange's axis: Y_P = Z_F, X_P = X_F.
-    wrist = plant.WeldFrames(
-        plant.GetFrameByName("flange", arm),
-        plant.GetFrameByName("wrist_sensor", probe),
-        RigidTransform(RotationMatrix.MakeXRotation(np.pi / 2)),
-    )
-    return ArmWithProbe(arm, plant.GetBodyByName("probe", probe), wrist.index())
+    @property
+    def home(self) -> NDArray[np.float64]:
+        """(n,) joint positions in rad that the arm stays near."""
+        return self.plant.GetDefaultPositions(self.model_instance)
 
 
-def MakeArmPlant() -> tuple[MultibodyPlant, ArmWithProbe]:
-    """Make a plant of the arm and its probe alone, for kinematics."""
+def load_arm(name: str) -> Arm:
+    """Read an arm from YAML and check it.
+
+    Parameters
+    ----------
+    name
+        Name of a file in ``models/robots`` ("viper_s850"), or a path.
+
+    Raises
+    ------
+    ConfigurationError
+        If the file does not describe an arm; the message names the file and the field.
+    FileNotFoundError
+        If there is no such file.
+    """
+    path = model_file("robots", name)
+    arm = load_typed(Arm, read_yaml(path), str(path))
+    resolve_files(arm.directives, path)
     plant = MultibodyPlant(time_step=0)
-    arm = AddArmWithProbe(plant)
+    try:
+        instance = AddArm(plant, arm)
+        plant.Finalize()
+        _check(plant, instance, arm)
+    except ValueError as error:
+        raise ConfigurationError(f"{path}: {error}") from error
+    return arm
+
+
+def _joints(plant: MultibodyPlant, instance: ModelInstanceIndex) -> list[Joint]:
+    joints = [plant.get_joint(index) for index in plant.GetJointIndices(instance)]
+    return [joint for joint in joints if joint.num_velocities() > 0]
+
+
+def _check(plant: MultibodyPlant, instance: ModelInstanceIndex, arm: Arm) -> None:
+    """Raise ValueError if a finalized plant's arm cannot carry a probe."""
+    joints = _joints(plant, instance)
+    base = plant.get_body(plant.GetBodyIndices(instance)[0])
+    if not plant.IsAnchored(base):
+        raise ValueError(f"directives: no add_weld joins {base.name()!r}, the base, to the world")
+    count = len(joints)
+    require(
+        count >= 6 and all(joint.num_positions() == 1 for joint in joints),
+        "directives",
+        [joint.name() for joint in joints],
+        "an arm with at least 6 joints of one axis each",
+    )
+    for field_name, values in (
+        ("servo.p", arm.servo.p),
+        ("servo.d", arm.servo.d),
+        ("max_speed", arm.max_speed or count * [1.0]),
+    ):
+        require(len(values) == count, field_name, values, f"{count} numbers, one for each joint")
+    order = [motor.joint().position_start() for motor in motors(plant, instance)]
+    if order != sorted(order):
+        raise ValueError("directives: the model's transmissions are not in the order of its joints")
+    home, lower, upper = (
+        plant.GetDefaultPositions(),
+        plant.GetPositionLowerLimits(),
+        plant.GetPositionUpperLimits(),
+    )
+    for joint, q, low, high in zip(joints, home, lower, upper, strict=True):
+        require(
+            bool(low <= q <= high),
+            f"default_joint_positions.{joint.name()}",
+            float(q),
+            f"within the joint's limits, {low:g} to {high:g} rad",
+        )
+
+
+def AddArm(plant: MultibodyPlant, arm: Arm) -> ModelInstanceIndex:
+    """Add an arm without a probe to a plant and return its model instance.
+
+    A joint that has no motor in the model's file gets one.
+
+    Raises
+    ------
+    ValueError
+        If the directives do not make an arm.
+    """
+    add_directives(plant, arm.directives)
+    if not plant.HasModelInstanceNamed("arm"):
+        raise ValueError("directives: no add_model adds a model named 'arm'")
+    instance = plant.GetModelInstanceByName("arm")
+    if not plant.HasFrameNamed(arm.flange, instance):
+        links = (plant.get_body(index).name() for index in plant.GetBodyIndices(instance))
+        raise ValueError(f"flange: no frame {arm.flange!r}; the model's links: {', '.join(links)}")
+    driven = {motor.joint().name() for motor in motors(plant, instance)}
+    joints = _joints(plant, instance)
+    for joint in joints:
+        if joint.name() not in driven:
+            plant.AddJointActuator(f"{joint.name()}_motor", joint)
+    for joint, speed in zip(joints, arm.max_speed, strict=False):
+        joint.set_velocity_limits([-speed], [speed])
+    return instance
+
+
+def AddArmWithProbe(plant: MultibodyPlant, arm: Arm, body: ProbeBody) -> ArmWithProbe:
+    """Add an arm and the probe that its flange holds to a plant."""
+    instance = AddArm(plant, arm)
+    probe = AddProbeBody(plant, body)
+    wrist = plant.WeldFrames(
+        plant.GetFrameByName(arm.flange, instance),
+        plant.GetFrameByName("wrist_sensor", probe),
+        body.mount.GetDeterministicValue(),
+    )
+    return ArmWithProbe(plant, instance, plant.GetBodyByName("probe", probe), wrist.index())
+
+
+def set_servo_gains(arm: ArmWithProbe, servo: JointServo) -> None:
+    """Give each of the arm's motors its servo, before the plant is finalized."""
+    for motor, p, d in zip(motors(arm.plant, arm.model_instance), servo.p, servo.d, strict=True):
+        motor.set_controller_gains(PdControllerGains(p=p, d=d))
+
+
+def MakeArmPlant(arm: Arm, body: ProbeBody) -> ArmWithProbe:
+    """Make a plant of an arm and its probe alone, for kinematics."""
+    plant = MultibodyPlant(time_step=0)
+    placed = AddArmWithProbe(plant, arm, body)
     plant.Finalize()
-    return plant, arm
+    return placed

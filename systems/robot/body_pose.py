@@ -7,7 +7,7 @@ from pydrake.systems.framework import Context, LeafSystem
 
 
 class BodyPose(LeafSystem):
-    """Picks the pose of one body of a plant.
+    """Selects the pose of one body of a plant.
 
     .. pydrake_system::
 

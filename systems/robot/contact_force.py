@@ -1,4 +1,4 @@
-"""Leaf: how hard the probe really presses."""
+"""Leaf: the true contact force between probe and phantom."""
 
 import numpy as np
 from pydrake.common.value import Value
@@ -10,12 +10,12 @@ from sonoservo.systems.signals.ports import evaluate
 
 
 def normal_force(contact: ContactResults, X_WT: RigidTransform) -> float:
-    """Force in N that presses the phantom's top down, summed over all contacts.
+    """Return the force in N that presses the phantom's top down, summed over all contacts.
 
     Parameters
     ----------
     contact
-        Of a plant whose only contact is that of probe and phantom.
+        Contacts of a plant in which only probe and phantom touch.
     X_WT
         Pose of the phantom: the force is taken along its Z axis.
     """

@@ -1,4 +1,4 @@
-"""Leaf: a phantom that an operator moves, kept as moves from rest to rest."""
+"""Leaf: motion of a phantom that an operator moves, in moves from rest to rest."""
 
 from dataclasses import dataclass
 
@@ -29,7 +29,7 @@ class OperatorMoves(Immutable):
 
 
 class OperatorPhantomMotion(LeafSystem):
-    """Moves the phantom to where an operator wants it.
+    """Moves the phantom to the target that an operator sets.
 
     .. pydrake_system::
 
@@ -50,7 +50,7 @@ class OperatorPhantomMotion(LeafSystem):
     X_WT
         Pose at rest.
     period
-        Between looks at the target, in s.
+        Time between samples of the target, in s.
     """
 
     def __init__(self, *, X_WT: RigidTransform, period: float = 1 / 16) -> None:

@@ -1,4 +1,4 @@
-"""How the phantom is moved while the robot works on it."""
+"""Motion of the phantom while the robot works on it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -18,7 +18,7 @@ class Move:
     Parameters
     ----------
     start, duration
-        In s.
+        Times in s.
     translation
         (3,) displacement in W, in m.
     rotation_deg
@@ -44,7 +44,7 @@ class PhantomMotionParameters:
     Parameters
     ----------
     moves
-        One after the other, none before the last has ended.
+        Displacements in order of time; each starts when the one before has ended, or later.
     """
 
     moves: list[Move] = field(default_factory=list)
@@ -102,22 +102,22 @@ def next_move(
     speed: ArrayLike,
     min_duration: float = 0.3,
 ) -> Move | None:
-    """Return the move that brings the phantom where it is wanted, if it is time for one.
+    """Return the move that brings the phantom to its target, if it is time for one.
 
     A move under way is not interrupted, so that each goes from rest to rest.
 
     Parameters
     ----------
     moves
-        So far.
+        Moves so far.
     target
         (6,) wanted displacement from the pose at rest: x, y, z in m, roll, pitch, yaw in deg.
     time
-        Now, in s.
+        Present time in s.
     speed
         (6,) highest mean speeds, in m/s and deg/s.
     min_duration
-        Of a move, in s.
+        Shortest duration of a move, in s.
     """
     if moves and time < moves[-1].start + moves[-1].duration:
         return None

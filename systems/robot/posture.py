@@ -8,10 +8,7 @@ from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.inverse_kinematics import InverseKinematics
 from pydrake.solvers import Solve
 
-from sonoservo.systems.robot.arm import MakeArmPlant
-
-ELBOW_UP = np.deg2rad([0.0, -110.0, 190.0, 0.0, 100.0, 180.0])
-"""(6,) joint positions in rad: elbow up, the probe pointing down in front of the arm."""
+from sonoservo.systems.robot.arm import ArmWithProbe
 
 _LEVER = 0.1
 _TOLERANCE = 1e-6
@@ -20,55 +17,59 @@ _TOLERANCE = 1e-6
 def probe_pose(
     *, X_WT: RigidTransform, x: float, y: float, yaw: float, height: float
 ) -> RigidTransform:
-    """Pose X_WP of a probe that looks straight down on the phantom's top.
+    """Return the pose X_WP of a probe that looks straight down on the phantom's top.
 
     Parameters
     ----------
     X_WT
         Pose of the phantom.
     x, y
-        Where on the top, in T, in m.
+        Position on the top, in T, in m.
     yaw
         Angle from X_T to X_P about Z_T, in rad; at zero Z_P is Y_T.
     height
-        Of the probe's face above the top, in m.
+        Height of the probe's face above the top, in m.
     """
     R_TP = RotationMatrix.MakeZRotation(yaw) @ RotationMatrix.MakeXRotation(-np.pi / 2)
     return X_WT @ RigidTransform(R_TP, [x, y, height])
 
 
 def solve_posture(
-    X_WP: RigidTransform, seed: NDArray[np.float64] = ELBOW_UP
+    arm: ArmWithProbe, X_WP: RigidTransform, near: NDArray[np.float64] | None = None
 ) -> NDArray[np.float64]:
-    """Joint positions that put the probe at a pose, within the arm's limits.
+    """Return joint positions that put the probe at a pose, within the arm's limits.
 
     Parameters
     ----------
+    arm
+        The arm and its probe, in a plant of their own.
     X_WP
         Wanted pose of the probe.
-    seed
-        (6,) joint positions to stay near, in rad.
+    near
+        (n,) joint positions to stay near, in rad; by default the arm's home posture. An arm with
+        more than six joints takes the nearest of the postures that reach the pose.
 
     Returns
     -------
-    (6,) joint positions in rad.
+    (n,) joint positions in rad.
 
     Raises
     ------
     ValueError
         If the arm cannot reach the pose.
     """
-    plant, arm = MakeArmPlant()
-    problem = InverseKinematics(plant)
+    near = arm.home if near is None else near
+    world = arm.plant.world_frame()
+    problem = InverseKinematics(arm.plant)
     # Three points say position and orientation, free of the singularity of an angle at zero.
     for point in (np.zeros(3), [_LEVER, 0, 0], [0, _LEVER, 0]):
         p_W = X_WP.multiply(point)
         problem.AddPositionConstraint(
-            arm.probe.body_frame(), point, plant.world_frame(), p_W - _TOLERANCE, p_W + _TOLERANCE
+            arm.probe.body_frame(), point, world, p_W - _TOLERANCE, p_W + _TOLERANCE
         )
     q = problem.q()
-    problem.prog().AddQuadraticErrorCost(np.eye(len(q)), seed, q)
-    problem.prog().SetInitialGuess(q, seed)
+    problem.prog().AddQuadraticErrorCost(np.eye(len(q)), near, q)
+    problem.prog().SetInitialGuess(q, near)
     result = Solve(problem.prog())
     if not result.is_success():
         p = X_WP.translation()
@@ -80,20 +81,22 @@ def solve_posture(
     return result.GetSolution(q)
 
 
-def reachable(poses: Sequence[RigidTransform], seed: NDArray[np.float64] = ELBOW_UP) -> list[bool]:
-    """Whether the arm reaches each of the poses X_WP near a posture.
+def reachable(
+    arm: ArmWithProbe, poses: Sequence[RigidTransform], near: NDArray[np.float64] | None = None
+) -> list[bool]:
+    """Return for each pose X_WP of the probe if the arm reaches it near a posture.
 
     Parameters
     ----------
+    arm, near
+        See `solve_posture`.
     poses
         Poses of the probe.
-    seed
-        (6,) joint positions to stay near, in rad.
     """
 
     def solvable(pose: RigidTransform) -> bool:
         try:
-            solve_posture(pose, seed)
+            solve_posture(arm, pose, near)
         except ValueError:
             return False
         return True

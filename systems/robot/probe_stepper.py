@@ -1,4 +1,4 @@
-"""Leaf: a stage that steps a probe along its own Z."""
+"""Leaf: a stepper that moves a probe along its own Z."""
 
 import numpy as np
 from pydrake.common.value import Value
@@ -27,15 +27,15 @@ class ProbeStepper(LeafSystem):
     X_WP
         Pose at the first slice.
     step
-        Between slices, in m.
+        Distance between slices, in m.
     period
-        Between steps, in s; the first one is at time ``period``.
+        Time between steps, in s; the first one is at time ``period``.
     steps
-        Number of steps; the stage then rests.
+        Number of steps; the probe then rests.
     tissue_shift
         Standard deviation of the tissue's shift along X and along Y of P, in m.
     seed
-        Of the shifts.
+        Seed of the shifts.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class ProbeStepper(LeafSystem):
             )
 
     def _number(self, context: Context) -> int:
-        """Of the slice that is due."""
+        """Return the number of the slice that is due."""
         # An event's time may be a rounding error early.
         return min(int(context.get_time() / self._period + 1e-6), self._steps)
 

@@ -1,4 +1,4 @@
-"""Leaf: what a force sensor between flange and probe reads."""
+"""Leaf: a force sensor between flange and probe."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,9 +32,9 @@ class WristForceSensor(LeafSystem):
     force_noise, torque_noise
         Standard deviation of every sample of a force, in N, and of a torque, in N m.
     period
-        Time between samples in s: within it the noise is one and the same.
+        Time between samples in s; the noise stays the same within it.
     seed
-        Of the noise: equal seeds and times give equal noise.
+        Seed of the noise: equal seeds and times give equal noise.
     """
 
     def __init__(

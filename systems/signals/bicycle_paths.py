@@ -17,14 +17,14 @@ def require_rising(rotations: Sequence[float]) -> None:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def deflections(parameters, depths, rotations):  # type: ignore[no-untyped-def]
-    """Deflections of many paths at once, in closed form.
+    """Return the deflections of many paths at once, in closed form.
 
     Parameters
     ----------
     parameters
-        (n, 2) curvature 1 / R in 1/m, and sin(theta_0), of each path.
+        (n, 2) curvature 1 / R in 1/m and sin(theta_0) of each path.
     depths
-        (m,) depths v in m, in rising order; below zero the first piece is continued backwards.
+        (m,) depths v in m, in rising order; below zero the first arc is continued backwards.
     rotations
         (r,) depths in m at which the curvature changes sign, in rising order.
 
@@ -53,10 +53,10 @@ def deflections(parameters, depths, rotations):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _go(u, sine, cosine, curvature, v):  # type: ignore[no-untyped-def]
-    """Deflection, sine and cosine of theta, a depth v further on an arc.
+    """Return deflection, sine and cosine of theta, a depth v further on an arc.
 
-    sin(theta) grows by v / R, and cos(theta) - cos(theta') = (sin^2 - sin'^2) / -(cos + cos'): so
-    written, an arc of little curvature loses no digits.
+    sin(theta) grows by v / R, and cos(theta) - cos(theta') = (sin^2 - sin'^2) / -(cos + cos').
+    Written like this, an arc of little curvature loses no digits.
     """
     further = sine + curvature * v
     squared = 1 - further * further

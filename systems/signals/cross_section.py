@@ -12,22 +12,22 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class CrossSection(Immutable):
-    """A needle's cross-section in one slice. Where there is none, a `NotFound` takes its place.
+    """A needle's cross-section in one slice. If there is none, a `NotFound` takes its place.
 
     Parameters
     ----------
     position
-        (3,) of the needle's axis in W, in m.
+        (3,) position of the needle's axis in W, in m.
     X_WP
         (4, 4) pose of the probe in W: the slice is the plane Z = 0 of P.
     time
-        Of the slice, in s.
+        Time of the slice, in s.
     correlation
-        With the template, from 0 to 1.
+        Correlation with the template, from 0 to 1.
     centre
         (2,) x and y of the axis in P, in m.
     template
-        (w, h) variance image around the axis, to find it again with.
+        (w, h) variance image around the axis, with which it is found in the next slice.
     """
 
     position: Floats

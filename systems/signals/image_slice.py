@@ -6,8 +6,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform
 
+from sonoservo.systems.sampling.interpolation import sample_grid
 from sonoservo.systems.signals.immutable import Immutable, read_only
 from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +32,8 @@ class ImageSlice(Immutable):
     apex
         y in P, in m, of the point on x = 0 where the beams come from, above the face; -inf if they
         are parallel.
+    decibels_per_level
+        dB per unit of intensity.
 
     Raises
     ------
@@ -43,6 +47,7 @@ class ImageSlice(Immutable):
     X_WP: RigidTransform
     time: float
     apex: float = -np.inf
+    decibels_per_level: float = DECIBELS_PER_LEVEL
 
     def __post_init__(self) -> None:
         array = read_only(self.intensities, "intensities", (None, None), np.uint8)
@@ -52,6 +57,7 @@ class ImageSlice(Immutable):
         object.__setattr__(self, "spacing", read_only(self.spacing, "spacing", (2,)))
         require_positive(**{f"spacing[{axis}]": s for axis, s in enumerate(self.spacing)})
         require(bool(np.isfinite(self.time)), "time", self.time, "finite")
+        require_positive(decibels_per_level=self.decibels_per_level)
 
     def position(self, index: ArrayLike) -> NDArray[np.float64]:
         """(..., 2) x and y in P, in m, of elements (fractions allowed)."""
@@ -60,6 +66,22 @@ class ImageSlice(Immutable):
     def index(self, p_P: ArrayLike) -> NDArray[np.float64]:
         """(..., 2) element (fractions) at x and y in P, in m."""
         return (np.asarray(p_P) - self.origin) / self.spacing
+
+    def sample(self, p_P: ArrayLike, outside: float | None = 0.0) -> NDArray[np.float32]:
+        """Return intensities at x and y in P, by bilinear interpolation.
+
+        Parameters
+        ----------
+        p_P
+            (..., 2) x and y in m.
+        outside
+            Intensity outside the grid; None takes that of the nearest point on its edge.
+
+        Returns
+        -------
+        (...) array.
+        """
+        return sample_grid(self.intensities, p_P, self.origin, self.spacing, outside)
 
     def beam_direction(self, p_P: ArrayLike) -> NDArray[np.float64]:
         """(2,) unit vector along the beam through x and y in P, away from the probe."""

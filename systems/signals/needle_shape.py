@@ -1,5 +1,6 @@
-"""The shape that a needle has and will have, and how sure that is."""
+"""Estimated shape of a needle, from its entry to its full depth, with uncertainty."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class NeedleShape(Immutable):
-    """A weighted set of paths of the bicycle model: what a shape estimator believes.
+    """The belief of a shape estimator: a weighted set of paths of the bicycle model.
 
     Parameters
     ----------
@@ -24,21 +25,21 @@ class NeedleShape(Immutable):
     origins
         (n, 2) x and y in I at depth 0 of each path, in m.
     weights
-        (n,) of the paths; their sum is 1.
+        (n,) weights of the paths; their sum is 1.
     origin_variance
-        Of x and of y that each path has besides, in m^2.
+        Additional variance of x and of y of each path's origin, in m^2.
     rotations
         Depths at which the bevel is turned, in m.
     depth
-        Of the tip when the needle is fully inserted, in m.
+        Depth of the tip when the needle is fully inserted, in m.
     observed
         Depth of the last slice that was used, in m.
     X_WI
         Pose of the insertion's frame in W.
     time
-        Of that slice, in s.
+        Time of that slice, in s.
     reason
-        Why the newest slice was not used; empty where it was.
+        Reason why the newest slice was not used; empty if it was.
     """
 
     parameters: Floats
@@ -59,32 +60,32 @@ class NeedleShape(Immutable):
         require(abs(self.weights.sum() - 1) < 1e-6, "weights", self.weights.sum(), "1 in sum")
 
     def paths(self, depths: ArrayLike) -> Floats:
-        """(n, m, 2) x and y in I, in m, of every path at (m,) rising depths in m."""
+        """Return (n, m, 2) x and y in I, in m, of every path at (m,) rising depths in m."""
         return self.origins[:, np.newaxis] + bicycle_paths(self.parameters, depths, self.rotations)
 
     def predict(self, depths: ArrayLike) -> tuple[Floats, Floats]:
-        """Mean and covariance of the needle's position across the insertion.
+        """Return mean and covariance of the needle's position across the insertion.
 
         Parameters
         ----------
         depths
-            (m,) in m, in rising order.
+            (m,) depths in m, in rising order.
 
         Returns
         -------
         mean, covariance
-            (m, 2) in m, and (m, 2, 2) in m^2, of x and y in I.
+            (m, 2) mean in m and (m, 2, 2) covariance in m^2 of x and y in I.
         """
         mean, covariance = path_statistics(self.paths(depths), self.weights)
         return mean, covariance + self.origin_variance * np.eye(2)
 
     @property
     def tip(self) -> Floats:
-        """(3,) predicted tip of the fully inserted needle in W, in m."""
+        """Predicted (3,) tip of the fully inserted needle in W, in m."""
         return self.positions([self.depth])[0]
 
     def positions(self, depths: ArrayLike) -> Floats:
-        """(m, 3) predicted positions in W, in m, at (m,) rising depths in m."""
+        """Return (m, 3) predicted positions in W, in m, at (m,) rising depths in m."""
         depths = np.asarray(depths, dtype=float)
         mean = np.tensordot(self.weights, self.paths(depths), 1)
         p_I = np.column_stack([mean, depths])
@@ -92,16 +93,14 @@ class NeedleShape(Immutable):
         return p_W
 
     def std(self, depths: ArrayLike) -> Floats:
-        """(m,) largest standard deviation of the position across the insertion, in m."""
+        """Return (m,) the largest standard deviation of the position across the insertion, in m."""
         return np.sqrt(np.linalg.eigvalsh(self.predict(depths)[1])[:, -1])
 
 
-def bicycle_paths(
-    parameters: Floats, depths: ArrayLike, rotations: tuple[float, ...] | list[float]
-) -> Floats:
-    """(n, m, 2) x and y in m, from the origin, of the paths with (n, 3) R, theta_0 and phi.
+def bicycle_paths(parameters: Floats, depths: ArrayLike, rotations: Sequence[float]) -> Floats:
+    """Return (n, m, 2) x and y in m, from the origin, of the paths with (n, 3) R, theta_0 and phi.
 
-    Where a path turns back, its place is NaN.
+    They are NaN beyond the depth at which a path turns back.
     """
     radius, angle, plane = np.asarray(parameters, dtype=float).T
     u = deflections(
@@ -113,7 +112,7 @@ def bicycle_paths(
 
 
 def path_statistics(paths: Floats, weights: Floats) -> tuple[Floats, Floats]:
-    """Mean (m, 2) and covariance (m, 2, 2) of (n, m, 2) paths with (n,) weights."""
+    """Return the mean (m, 2) and covariance (m, 2, 2) of (n, m, 2) paths with (n,) weights."""
     mean = np.tensordot(weights, paths, 1)
     apart = (paths - mean) * np.sqrt(weights)[:, np.newaxis, np.newaxis]
     return mean, np.einsum("nmi,nmj->mij", apart, apart)

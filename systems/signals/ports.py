@@ -1,15 +1,22 @@
 """Typed access to a system's abstract input ports."""
 
-from typing import TypeVar
+from typing import Any, TypeVar, overload
 
 from pydrake.systems.framework import Context, System
 
 T = TypeVar("T")
+U = TypeVar("U")
 
 
+@overload
+def evaluate(system: System, context: Context, port: str, expected: type[T]) -> T: ...
+@overload
 def evaluate(
-    system: System, context: Context, port: str, expected: type[T] | tuple[type[T], ...]
-) -> T:
+    system: System, context: Context, port: str, expected: tuple[type[T], type[U]]
+) -> T | U: ...
+@overload
+def evaluate(system: System, context: Context, port: str, expected: tuple[type[T], ...]) -> T: ...
+def evaluate(system: System, context: Context, port: str, expected: type | tuple[type, ...]) -> Any:
     """Evaluate an abstract input port, and check the type of what comes in.
 
     ``Value[object]`` ports are untyped, so a wrong connection passes ``Connect`` silently; it is

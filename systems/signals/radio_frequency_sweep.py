@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.signals.immutable import Immutable
+from sonoservo.systems.signals.immutable import Immutable, own
 from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.signals.sweep import SweepMotion
 
@@ -28,10 +28,9 @@ class RadioFrequencySweep(Immutable):
     motion: SweepMotion
 
     def __post_init__(self) -> None:
-        lines = np.asarray(self.lines, dtype=np.float32).view()
+        lines = own(np.asarray(self.lines, dtype=np.float32))
         shape = self.motion.geometry.shape
         require(lines.shape == shape, "lines.shape", lines.shape, f"{shape}")
-        lines.flags.writeable = False
         object.__setattr__(self, "lines", lines)
 
     @property

@@ -2,12 +2,19 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydrake.math import RigidTransform
 
+from sonoservo.systems.sampling.interpolation import sample_grid
 from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.point_spread import PointSpread
 from sonoservo.systems.signals.requirements import require, require_positive
+
+DECIBELS_PER_LEVEL = 60 / 255
+"""dB per grey level of an image that does not say otherwise: 0 to 255 show 60 dB."""
 
 
 @dataclass(frozen=True)
@@ -105,6 +112,23 @@ class SweepGeometry(Immutable):
     def _centre_offset(self) -> float:
         """From the motor's axis to the array's centre of curvature, in m."""
         return self.array_radius - self.motor_radius
+
+    def frame_times(
+        self, time: float, direction: int = 1, *, since: int = 0
+    ) -> NDArray[np.float64]:
+        """Return when each frame is acquired, (frames,), in s.
+
+        Parameters
+        ----------
+        time
+            When the sweep begins, in s, or has made ``since`` frames.
+        direction
+            +1 for a sweep towards +Z, -1 towards -Z.
+        since
+            Number of frames that have been made at that time.
+        """
+        order = np.arange(self.frames, dtype=np.float64)[::direction]
+        return np.asarray(time + self.frame_period * (order - since))
 
     def line_angles(self, direction: int) -> NDArray[np.float64]:
         """Angle theta of every line about the motor's axis, (frames, lines), in rad."""
@@ -205,6 +229,25 @@ class SweepMotion(Immutable):
         object.__setattr__(self, "times", read_only(self.times, "times", (frames,)))
         object.__setattr__(self, "X_WP", read_only(self.X_WP, "X_WP", (frames, 4, 4)))
 
+    @classmethod
+    def at_rest(
+        cls, geometry: SweepGeometry, X_WP: RigidTransform, times: ArrayLike, direction: int = 1
+    ) -> Self:
+        """Return the motion of a sweep of a probe at rest.
+
+        Parameters
+        ----------
+        geometry, direction
+            See the class.
+        X_WP
+            Pose of the probe in the world.
+        times
+            (frames,) time of each frame in s, or one for all; see `SweepGeometry.frame_times`.
+        """
+        frames = geometry.frames
+        poses = np.broadcast_to(X_WP.GetAsMatrix4(), (frames, 4, 4))
+        return cls(geometry, direction, np.broadcast_to(times, frames), poses)
+
     @property
     def time(self) -> float:
         """Middle of the sweep, in s."""
@@ -252,12 +295,19 @@ class Sweep(Immutable):
         (frames, lines, samples) uint8, log-compressed.
     motion
         When and from where each frame was acquired.
+    decibels_per_level
+        dB per grey level.
+    point_spread
+        How wide a point's echo is, at every depth; None if that is not known.
     """
 
     samples: NDArray[np.uint8]
     motion: SweepMotion
+    decibels_per_level: float = DECIBELS_PER_LEVEL
+    point_spread: PointSpread | None = None
 
     def __post_init__(self) -> None:
+        require_positive(decibels_per_level=self.decibels_per_level)
         shape = self.motion.geometry.shape
         object.__setattr__(self, "samples", read_only(self.samples, "samples", shape, np.uint8))
 
@@ -265,3 +315,20 @@ class Sweep(Immutable):
     def geometry(self) -> SweepGeometry:
         """Where the samples lie."""
         return self.motion.geometry
+
+    def sample(self, p_P: ArrayLike, outside: float | None = 0.0) -> NDArray[np.float32]:
+        """Return grey levels at positions in P of a probe at rest, by trilinear interpolation.
+
+        Parameters
+        ----------
+        p_P
+            (..., 3) positions in m.
+        outside
+            Grey level outside the sector; None takes that of the nearest sample on its edge.
+
+        Returns
+        -------
+        (...) array.
+        """
+        index = np.stack(self.geometry.index(p_P, self.motion.direction), axis=-1)
+        return sample_grid(self.samples, index, np.zeros(3), np.ones(3), outside)

@@ -6,9 +6,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform
 
+from sonoservo.systems.sampling.interpolation import sample_grid
 from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.point_spread import PointSpread
 from sonoservo.systems.signals.requirements import require, require_positive
-from sonoservo.systems.signals.sweep import SweepMotion
+from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL, SweepMotion
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +34,10 @@ class Volume(Immutable):
     motion
         When and from where each frame was acquired; None if that is not known, and then the whole
         volume counts as acquired at ``time`` from ``X_WP``.
+    decibels_per_level
+        dB per unit of intensity.
+    point_spread
+        How wide a point's echo is, at every depth; None if that is not known.
 
     Raises
     ------
@@ -46,6 +52,8 @@ class Volume(Immutable):
     X_WP: RigidTransform
     time: float
     motion: SweepMotion | None = None
+    decibels_per_level: float = DECIBELS_PER_LEVEL
+    point_spread: PointSpread | None = None
 
     def __post_init__(self) -> None:
         array = np.asarray(self.intensities)
@@ -57,6 +65,7 @@ class Volume(Immutable):
         object.__setattr__(self, "spacing", read_only(self.spacing, "spacing", (3,)))
         require_positive(**{f"spacing[{axis}]": s for axis, s in enumerate(self.spacing)})
         require(bool(np.isfinite(self.time)), "time", self.time, "finite")
+        require_positive(decibels_per_level=self.decibels_per_level)
 
     @property
     def upper(self) -> NDArray[np.float64]:
@@ -70,6 +79,22 @@ class Volume(Immutable):
     def index(self, p_P: ArrayLike) -> NDArray[np.float64]:
         """(..., 3) elements, fractions included, of positions in P, in m."""
         return np.asarray((np.asarray(p_P, dtype=float) - self.origin) / self.spacing)
+
+    def sample(self, p_P: ArrayLike, outside: float | None = 0.0) -> NDArray[np.float32]:
+        """Return intensities at positions in P, by trilinear interpolation.
+
+        Parameters
+        ----------
+        p_P
+            (..., 3) positions in m.
+        outside
+            Intensity outside the grid; None takes that of the nearest point on its edge.
+
+        Returns
+        -------
+        (...) array.
+        """
+        return sample_grid(self.intensities, p_P, self.origin, self.spacing, outside)
 
     def at_once(self) -> "Volume":
         """Return the same as if all of it had been acquired at ``time``, from ``X_WP``."""

@@ -1,8 +1,7 @@
 """From echoes to volumes, as a scanner's console does it.
 
-It holds transducers, beams, imaging settings, scan conversion and planes through a volume; the
-room `simulation` in it holds the simulated scanner. It imports `signals`, `sampling` and
-`files`.
+It holds transducers, beams, imaging settings and scan conversion; the room `simulation` in it
+holds the simulated scanner. It imports `signals`, `sampling` and `files`.
 """
 
 from lazy_loader import attach_stub

@@ -3,13 +3,10 @@ from .beam import axial_width as axial_width
 from .beam import beam_profile as beam_profile
 from .beam import elevation_width as elevation_width
 from .beam import lateral_width as lateral_width
+from .beam import point_spread as point_spread
 from .beam import transmitted_spectrum as transmitted_spectrum
 from .imaging import ImagingParameters as ImagingParameters
 from .imaging import sweep_geometry as sweep_geometry
-from .planes import Plane as Plane
-from .planes import box_edges as box_edges
-from .planes import sample_plane as sample_plane
-from .planes import slice_planes as slice_planes
 from .radio_frequency import detect_envelope as detect_envelope
 from .radio_frequency import detected_geometry as detected_geometry
 from .scan_conversion import CartesianGrid as CartesianGrid

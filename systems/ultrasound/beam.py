@@ -8,12 +8,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from sonoservo.systems.signals.immutable import Immutable
+from sonoservo.systems.signals.point_spread import FWHM_PER_SIGMA, PointSpread
 from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.transducer import Transducer
-
-FWHM_PER_SIGMA = 2 * np.sqrt(2 * np.log(2))
-"""Full width at half maximum of a Gaussian, over its standard deviation."""
 
 _DEPTHS = 48
 _OFFSETS = 64
@@ -213,3 +211,14 @@ def beam_profile(
         curvature=resampled(curvature),
         side_lobes=transducer.side_lobe_level,
     )
+
+
+def point_spread(beam: Beam, geometry: SweepGeometry) -> PointSpread:
+    """Return the widths of a beam as an image carries them, at fewer depths."""
+    samples = geometry.sample_pitch * np.arange(geometry.samples)
+    depth = np.linspace(0, geometry.depth, _DEPTHS)
+    lateral, elevation = (
+        FWHM_PER_SIGMA * np.interp(depth, samples, sigma)
+        for sigma in (beam.lateral, beam.elevation)
+    )
+    return PointSpread(depth, lateral, elevation, np.full(_DEPTHS, FWHM_PER_SIGMA * beam.axial))

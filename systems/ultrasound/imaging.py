@@ -81,6 +81,11 @@ class ImagingParameters:
         return self.sound_speed / self.transmit_frequency
 
     @property
+    def decibels_per_level(self) -> float:
+        """Scale of the image, in dB per grey level."""
+        return self.dynamic_range_db / 255
+
+    @property
     def grey_per_db(self) -> float:
         """Grey levels per dB."""
         return 255 / self.dynamic_range_db

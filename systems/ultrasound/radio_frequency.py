@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numba import njit, prange
 
+from sonoservo.systems.signals.immutable import seal
 from sonoservo.systems.signals.radio_frequency_sweep import RadioFrequencySweep
 from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.signals.sweep import Sweep, SweepGeometry
@@ -72,7 +73,7 @@ def detect_envelope(
         int(min(depth / geometry.sample_pitch, geometry.samples)) for depth in (near, far)
     )
     _detect_peaks(sweep.lines, grey, step, begin, end, table, np.uint32(_DISCARDED_BITS))
-    return Sweep(grey, replace(sweep.motion, geometry=geometry))
+    return Sweep(seal(grey), replace(sweep.motion, geometry=geometry), dynamic_range_db / 255)
 
 
 def detected_geometry(geometry: SweepGeometry, step: int) -> SweepGeometry:

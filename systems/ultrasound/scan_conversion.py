@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform
 
+from sonoservo.systems.signals.immutable import seal
 from sonoservo.systems.signals.requirements import require, require_positive
 from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
 from sonoservo.systems.signals.volume import Volume
@@ -166,12 +167,14 @@ class ScanConversion:
         else:
             intensities = self.convert(sweep.samples, motion.direction)
         return Volume(
-            intensities=intensities,
+            intensities=seal(intensities),
             origin=self.grid.origin,
             spacing=self.grid.spacing,
             X_WP=RigidTransform(motion.X_WP[middle]),
             time=float(motion.times[middle]),
             motion=motion,
+            decibels_per_level=sweep.decibels_per_level,
+            point_spread=sweep.point_spread,
         )
 
     def convert(self, samples: NDArray[np.uint8], direction: int) -> NDArray[np.uint8]:

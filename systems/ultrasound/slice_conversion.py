@@ -5,6 +5,7 @@ from pydrake.math import RigidTransform
 from scipy.ndimage import map_coordinates
 
 from sonoservo.systems.signals.image_slice import ImageSlice
+from sonoservo.systems.signals.immutable import seal
 from sonoservo.systems.signals.requirements import require, require_positive
 from sonoservo.systems.signals.sweep import Sweep, SweepGeometry
 
@@ -48,4 +49,12 @@ class SliceConversion:
         """Convert the sweep's only frame."""
         picture = map_coordinates(sweep.samples[0], self._index, order=1, prefilter=False)
         X_WP = RigidTransform(sweep.motion.X_WP[0])
-        return ImageSlice(picture, self._origin, self._spacing, X_WP, sweep.motion.time, self._apex)
+        return ImageSlice(
+            seal(picture),
+            self._origin,
+            self._spacing,
+            X_WP,
+            sweep.motion.time,
+            self._apex,
+            sweep.decibels_per_level,
+        )

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from sonoservo.systems.files.model_file import model_file
-from sonoservo.systems.files.typed_yaml import load_typed, read_yaml
+from sonoservo.systems.files.model_file import model_file, read_section
+from sonoservo.systems.files.typed_yaml import load_typed
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 
 _LARGEST = {
@@ -136,12 +136,13 @@ class Transducer:
 
 
 def load_transducer(name: str) -> Transducer:
-    """Read a transducer from YAML.
+    """Read the transducer of a probe from YAML.
 
     Parameters
     ----------
     name
-        Name of a file in ``models/transducers`` ("4dc7_3_40", "zhao2012", "trus"), or a path.
+        Name of a file in ``models/probes`` ("4dc7_3_40", "zhao2012", "trus"), or a path.
     """
-    path = model_file("transducers", name)
-    return load_typed(Transducer, read_yaml(path), str(path))
+    path = model_file("probes", name)
+    content = read_section(path, "transducer", ("transducer", "body"))
+    return load_typed(Transducer, content, f"{path}: transducer")

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from pydrake.common.value import Value
+from pydrake.multibody.plant import MultibodyPlantConfig
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantValueSource
@@ -17,16 +18,18 @@ from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMo
 
 @pytest.mark.parametrize("contact_model", ["hydroelastic_with_fallback", "point"])
 def test_one_second_of_station_and_controller(benchmark, contact_model):
-    parameters = StationParameters(contact_model=contact_model)
+    parameters = StationParameters(
+        plant=MultibodyPlantConfig(time_step=0.005, contact_model=contact_model)
+    )
     builder = DiagramBuilder()
     station = builder.AddSystem(MakeStation(parameters=parameters))
     controller = builder.AddSystem(MakeProbeController(parameters=ProbeControllerParameters()))
     pose = np.concatenate([parameters.X_WT.translation(), np.zeros(3)])
-    stage = builder.AddSystem(PhantomMotion(trajectory=PiecewisePolynomial(pose)))
+    motion = builder.AddSystem(PhantomMotion(trajectory=PiecewisePolynomial(pose)))
     curve = NeedleCurve(np.array([[0.44, 0, 0.16], [0.5, 0, 0.155]]))
     estimate = NeedleEstimate(TrackingMode.TRACKING, 1e3, curve, np.zeros((2, 3)), np.eye(12))
     tracker = builder.AddSystem(ConstantValueSource(Value[object](estimate)))
-    builder.Connect(stage.get_output_port(), station.GetInputPort("phantom_command"))
+    builder.Connect(motion.get_output_port(), station.GetInputPort("phantom_command"))
     builder.Connect(tracker.get_output_port(), controller.GetInputPort("estimate"))
     builder.Connect(
         controller.GetOutputPort("joint_command"), station.GetInputPort("joint_command")

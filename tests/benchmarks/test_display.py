@@ -11,8 +11,7 @@ from meshcat import Visualizer
 from pydrake.geometry import Meshcat, MeshcatParams
 from synthetic_volumes import Scene, entry_on_side
 
-from sonoservo.diagrams import load_scenario
-from sonoservo.diagrams.experiment import Experiment
+from sonoservo.diagrams import load_scenario, make_experiment
 from sonoservo.systems.display.monitor.drawing import MonitorScreen
 from sonoservo.systems.display.monitor.monitor import Monitor
 from sonoservo.systems.signals.needle_curve import NeedleCurve
@@ -103,7 +102,7 @@ def run_once(scenario, meshcat=None, monitor=None):
     if meshcat is not None:
         meshcat.DeleteRecording()
         meshcat.StartRecording(set_visualizations_while_recording=True)
-    experiment = Experiment(scenario, meshcat, monitor=monitor)
+    experiment = make_experiment(scenario, meshcat=meshcat, monitor=monitor)
     start = time.perf_counter()
     experiment.run()
     return time.perf_counter() - start

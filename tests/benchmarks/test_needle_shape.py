@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from skimage.feature import match_template
 
-from sonoservo.diagrams.scenario import load_any_scenario
-from sonoservo.diagrams.shape_experiment import ShapeExperiment, estimate_shape
+from sonoservo.diagrams import load_scenario, make_experiment
+from sonoservo.diagrams.shape_predictor import estimate_shape
 from sonoservo.systems.localization.cross_section import CrossSectionParameters, find_again
 from sonoservo.systems.localization.normalized_cross_correlation import normalized_cross_correlation
 
@@ -26,18 +26,11 @@ def best_time(function, repeats=50):
 
 @pytest.fixture(scope="module")
 def experiment():
-    experiment = ShapeExperiment(
-        load_any_scenario("carriere2016_d60", changes=["depth=0.07"], seed=101)
+    experiment = make_experiment(
+        load_scenario("carriere2016_d60", changes=["depth=0.07"], seed=101)
     )
     slices = []
-    look = experiment._look
-
-    def looking(number, due):
-        slices.append(experiment._evaluate(experiment.slice_converter, "slice"))
-        return look(number, due)
-
-    experiment._look = looking
-    experiment.run()
+    experiment.run(lambda each: slices.append(each.evaluate(each.slice_converter, "slice")))
     return experiment, slices
 
 

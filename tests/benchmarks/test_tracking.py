@@ -16,12 +16,12 @@ from sonoservo.systems.detection.insertion_detector import (
     InsertionDetectorParameters,
     detect_insertion,
 )
-from sonoservo.systems.estimation.track import NeedleMotionParameters, NeedleTrack
-from sonoservo.systems.localization.localize import localize
 from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.localization.normalized_cross_correlation import normalized_cross_correlation
+from sonoservo.systems.localization.pipeline import localize
 from sonoservo.systems.localization.ransac import ransac_axis
-from sonoservo.systems.signals.needle_estimate import TrackingMode
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 
 ENTRY = entry_on_side()
 TIP = ENTRY + np.array([0.045, 0.012, 0.005])
@@ -63,15 +63,20 @@ def test_detect_insertion(benchmark, volumes):
 
 
 @pytest.mark.parametrize("order", [2, 3])
-@pytest.mark.parametrize("mode", [TrackingMode.TRACKING, TrackingMode.LOST])
-def test_localize(benchmark, volumes, order, mode):
-    points = np.linspace(ENTRY, TIP, order)
-    mean = np.concatenate([points.ravel(), np.zeros(3 * order)])
-    covariance = np.diag(np.repeat([1e-6, 1e-6], 3 * order))
-    track = NeedleTrack(mode, 0.0, NeedleMotionParameters(), mean, covariance)
-    parameters = NeedleLocalizerParameters(order=order)
+@pytest.mark.parametrize("everywhere", [False, True])
+def test_localize(benchmark, volumes, order, everywhere):
+    prediction = NeedlePrediction(
+        order,
+        0.0,
+        NeedleCurve(np.linspace(ENTRY, TIP, order)),
+        np.zeros((order, 3)),
+        1e-6 * np.eye(3 * order),
+        ENTRY,
+        everywhere=everywhere,
+    )
+    parameters = NeedleLocalizerParameters()
     rng = np.random.default_rng(0)
-    found = benchmark(lambda: localize(volumes[1], track, parameters, rng))
+    found = benchmark(lambda: localize(volumes[1], prediction, parameters, rng))
     assert np.linalg.norm(found.curve.tip - TIP) < 3e-3
     compare(benchmark, "the paper's acquisition, 175 ms a volume", 0.175)
 
@@ -86,7 +91,7 @@ def candidate_sets(request):
         return ransac_axis(points, weights, **options)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sonoservo.systems.localization.localize.ransac_axis", record)
+        patch.setattr("sonoservo.systems.localization.pipeline.ransac_axis", record)
         run(load_scenario(request.param, seed=100))
     return calls
 

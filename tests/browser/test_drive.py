@@ -10,8 +10,8 @@ from sonoservo.diagrams import load_scenario, run
 from sonoservo.diagrams.app.drive import drive
 
 CHEAP = [
-    "station.contact_model=point",
-    "station.time_step=0.01",
+    "station.plant.contact_model=point",
+    "station.plant.time_step=0.01",
     "controller.time_step=0.01",
     "station.probe.height=0.004",
 ]

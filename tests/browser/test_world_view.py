@@ -7,10 +7,9 @@ from pydrake.common.value import Value
 from pydrake.geometry import Meshcat, MeshcatParams
 from pydrake.math import RigidTransform, RotationMatrix
 
-from sonoservo.diagrams import load_scenario
-from sonoservo.diagrams.experiment import Experiment
+from sonoservo.diagrams import load_scenario, make_experiment
 from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
-from sonoservo.systems.evaluation.replay import save_replay
+from sonoservo.systems.evaluation.report import save_replay
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.volume import Volume
 
@@ -18,7 +17,7 @@ CHANGES = [
     "duration=7.5",
     "hand.start=1",
     "hand.pushes=[{duration: 6, speed: 0.012}]",
-    "station.contact_model=point",
+    "station.plant.contact_model=point",
 ]
 LAYERS = [
     "arm", "probe", "phantom", "needle", "estimate", "uncertainty", "sector", "slices", "screen",
@@ -36,14 +35,14 @@ class Run:
     def __init__(self, meshcat=None, after_volume=lambda number: None):
         self.meshcat = meshcat
         scenario = load_scenario("chatelain2013_fig5", changes=CHANGES)
-        experiment = Experiment(scenario, meshcat)
+        experiment = make_experiment(scenario, meshcat=meshcat)
         if meshcat is not None:
             meshcat.StartRecording(set_visualizations_while_recording=True)
         self.times, self.estimates = [], []
 
-        def note(time, estimate):
-            self.times.append(time)
-            self.estimates.append(estimate)
+        def note(experiment):
+            self.times.append(experiment.time)
+            self.estimates.append(experiment.estimate)
             after_volume(len(self.times))
 
         experiment.run(note)

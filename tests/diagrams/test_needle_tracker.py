@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pydrake.common.value import Value
@@ -5,12 +7,10 @@ from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
 from pydrake.systems.analysis import Simulator
 from synthetic_volumes import Scene, entry_on_side
 
-from sonoservo.diagrams.needle_tracker import (
-    MakeNeedleTracker,
-    NeedleTrackerParameters,
-    Zhao2012TrackerParameters,
-    track,
-)
+from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, track
+from sonoservo.diagrams.trackers import Chatelain2013TrackerParameters, Zhao2012TrackerParameters
+from sonoservo.diagrams.trackers.registry import TRACKERS
+from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 
@@ -97,30 +97,31 @@ def test_static_tissue_starts_nothing():
 
 
 def test_bent_needles_have_three_control_points(volumes):
-    found = [e for e in track(volumes[:24], parameters=NeedleTrackerParameters(order=3)) if e]
+    found = [
+        e for e in track(volumes[:24], parameters=Chatelain2013TrackerParameters(order=3)) if e
+    ]
     assert found
     assert all(e.curve.order == 3 for e in found)
     assert np.linalg.norm(found[-1].curve.tip - needle(found[-1].time)[1]) < 3e-3
 
 
 def test_parameters_survive_yaml():
-    text = yaml_dump_typed(NeedleTrackerParameters(order=3))
-    assert yaml_load_typed(schema=NeedleTrackerParameters, data=text).order == 3
+    text = yaml_dump_typed(Chatelain2013TrackerParameters(order=3))
+    assert yaml_load_typed(schema=Chatelain2013TrackerParameters, data=text).order == 3
 
 
 @pytest.mark.parametrize(("field", "value"), [("kind", "x"), ("order", 5), ("look_back", -1.0)])
 def test_parameters_are_checked(field, value):
     with pytest.raises(ValueError, match=field):
-        NeedleTrackerParameters(**{field: value})
+        Chatelain2013TrackerParameters(**{field: value})
 
 
 def test_the_volumes_scale_reaches_detector_and_localizer():
     """Half the range over the same grey levels: every change counts half as many dB."""
     scene = Scene(seed=3)
     volumes = [scene.volume(k) for k in range(12)]
-    reasons = [
-        list(track(volumes, dynamic_range_db=range_db))[-1].reason for range_db in (60.0, 30.0)
-    ]
+    compressed = [replace(volume, decibels_per_level=30 / 255) for volume in volumes]
+    reasons = [list(track(each))[-1].reason for each in (volumes, compressed)]
     full, half = (float(reason.split(" more than ")[1].split()[0]) for reason in reasons)
     assert half == pytest.approx(full / 2, abs=0.1)
 
@@ -143,25 +144,63 @@ def test_zhao_s_tracker_has_the_same_face(volumes, zhao):
     speeds = [e.tip_velocity @ K for e in inserted if 5 < e.time < 6.5]
     assert np.median(speeds) == pytest.approx(SPEED, abs=2e-3)
     assert zhao[-1].mode == TrackingMode.SEARCHING
-    ports = [
-        [tracker.get_output_port(n).get_name() for n in range(tracker.num_output_ports())]
-        for parameters in (NeedleTrackerParameters(), Zhao2012TrackerParameters())
-        for tracker in (MakeNeedleTracker(parameters=parameters, period=1.0),)
-    ]
-    assert ports[0] == ports[1] == ["estimate", "measurement", "detection"]
 
 
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [
-        ("kind", "x"),
-        ("look_back", -1.0),
-        ("localizer", NeedleTrackerParameters(order=3).localizer),
-    ],
-)
+@pytest.mark.parametrize("parameters", TRACKERS)
+def test_every_tracker_has_one_face(parameters):
+    tracker = MakeNeedleTracker(parameters=parameters(), period=1.0)
+    inputs = [tracker.get_input_port(n).get_name() for n in range(tracker.num_input_ports())]
+    outputs = [tracker.get_output_port(n).get_name() for n in range(tracker.num_output_ports())]
+    assert inputs == ["volume"]
+    assert outputs == ["estimate", "measurement", "detection", "explanation"]
+    # All that reaches an output at once is the explanation: the estimate is a state.
+    assert [tracker.HasDirectFeedthrough(n) for n in range(4)] == [False, False, False, True]
+    assert tracker.get_name() == "needle_tracker"
+
+
+@pytest.mark.parametrize("parameters", TRACKERS)
+def test_the_prediction_does_not_depend_on_what_it_serves(parameters):
+    """Localizer and track manager form a loop that is none: the diagram would not build."""
+    tracker = MakeNeedleTracker(parameters=parameters(), period=1.0)
+    manager = tracker.GetSubsystemByName("track_manager")
+    prediction = manager.GetOutputPort("prediction").get_index()
+    for port in ("detection", "measurement", "velocity", "explanation"):
+        assert not manager.HasDirectFeedthrough(manager.GetInputPort(port).get_index(), prediction)
+    assert manager.HasDirectFeedthrough(manager.GetInputPort("volume").get_index(), prediction)
+
+
+def test_explanation_tells_why_an_estimate_is_what_it_is(volumes):
+    tracker = MakeNeedleTracker(period=1.0)
+    context = tracker.CreateDefaultContext()
+    for volume in volumes[:16]:
+        tracker.GetInputPort("volume").FixValue(context, Value[object](volume))
+        tracker.ExecuteForcedEvents(context)
+        explained, measured = (
+            tracker.GetOutputPort(port).Eval(context) for port in ("explanation", "measurement")
+        )
+        assert explained.volume_time == volume.time
+        if not measured:
+            assert explained.measurement.reason == measured.reason
+            continue
+        # Computed anew, and yet the same: it is explained from the prediction that served.
+        np.testing.assert_array_equal(
+            explained.measurement.curve.control_points, measured.curve.control_points
+        )
+        assert explained.attempts[-1].measurement is explained.measurement
+        assert explained.innovation is None or explained.innovation < explained.gate
+    assert explained.innovation is not None
+
+
+def test_a_tracker_may_take_another_s_filter(volumes):
+    parameters = Chatelain2013TrackerParameters(filter=AxisTipFilter())
+    found = [e for e in track(volumes[:20], parameters=parameters) if e]
+    assert np.linalg.norm(found[-1].curve.tip - needle(found[-1].time)[1]) < 3e-3
+    with pytest.raises(ValueError, match="order: 3"):
+        Chatelain2013TrackerParameters(order=3, filter=AxisTipFilter())
+
+
+@pytest.mark.parametrize(("field", "value"), [("kind", "x"), ("look_back", -1.0), ("order", 3)])
 def test_zhao_s_parameters_are_checked(field, value):
-    if field == "localizer":
-        value.order = 3
     with pytest.raises(ValueError, match=field):
         Zhao2012TrackerParameters(**{field: value})
 

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from pydrake.common.value import Value
 from pydrake.common.yaml import yaml_load_typed
+from pydrake.multibody.plant import MultibodyPlantConfig
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import LogVectorOutput
@@ -50,12 +51,16 @@ class PerfectTracker(LeafSystem):
 class Loop:
     """Station, controller and a perfect tracker."""
 
-    def __init__(self, *, tracker, station=None, controller=None, lifts=None):
+    def __init__(self, *, tracker, station=None, controller=None, lifts=None, probe="4dc7_3_40"):
         station = station or StationParameters(probe=ProbePlacement(height=0.008))
         builder = DiagramBuilder()
-        self.station = builder.AddSystem(MakeStation(parameters=station))
+        self.station = builder.AddSystem(MakeStation(parameters=station, probe=probe))
         self.controller = builder.AddSystem(
-            MakeProbeController(parameters=controller or ProbeControllerParameters())
+            MakeProbeController(
+                parameters=controller or ProbeControllerParameters(),
+                arm=station.arm,
+                probe=probe,
+            )
         )
         self.tracker = builder.AddSystem(tracker)
         lifts = lifts or {0.0: 0.0, 1.0: 0.0}
@@ -64,7 +69,7 @@ class Loop:
         path = PiecewisePolynomial.CubicShapePreserving(
             list(lifts), np.array(poses).T, zero_end_point_derivatives=True
         )
-        stage = builder.AddSystem(PhantomMotion(trajectory=path))
+        motion = builder.AddSystem(PhantomMotion(trajectory=path))
         wires = [
             (self.tracker, "estimate", self.controller, "estimate"),
             (self.controller, "joint_command", self.station, "joint_command"),
@@ -75,7 +80,7 @@ class Loop:
         ]
         for source, output, sink, port in wires:
             builder.Connect(source.GetOutputPort(output), sink.GetInputPort(port))
-        builder.Connect(stage.get_output_port(), self.station.GetInputPort("phantom_command"))
+        builder.Connect(motion.get_output_port(), self.station.GetInputPort("phantom_command"))
         self._force = LogVectorOutput(self.station.GetOutputPort("contact_force"), builder, 0.005)
         self.simulator = Simulator(builder.Build())
 
@@ -111,7 +116,9 @@ def no_needle():
 
 @pytest.mark.parametrize("time_step", [0.005, 0.001])
 def test_probe_lands_gently_and_holds_two_newtons(time_step):
-    station = StationParameters(time_step=time_step, probe=ProbePlacement(height=0.008))
+    station = StationParameters(
+        plant=MultibodyPlantConfig(time_step=time_step), probe=ProbePlacement(height=0.008)
+    )
     times, force = Loop(tracker=no_needle(), station=station).run(3.0).force()
     landed = times[np.argmax(force > 0)]
     assert 0.5 < landed < 1.2
@@ -157,6 +164,22 @@ def test_needle_40_degrees_off_is_centred_and_aligned():
     times, force = loop.force()
     np.testing.assert_allclose(force[times > 2.0], 2.0, atol=0.1)
     assert -loop.probe_pose().rotation().matrix()[2, 1] > 1 - 1e-6
+
+
+@pytest.mark.parametrize(
+    ("arm", "probe"),
+    [("lbr_iiwa_14", "4dc7_3_40"), ("viper_s850", "trus"), ("viper_s850", "zhao2012")],
+)
+def test_other_arms_and_probes_press_and_turn_to_the_needle_too(arm, probe):
+    station = StationParameters(arm=arm, probe=ProbePlacement(height=0.008))
+    loop = Loop(tracker=still_needle(), station=station, probe=probe).run(7.0)
+    x, z, theta = loop.features()
+    assert np.abs([x, z]).max() < 1e-3
+    assert np.rad2deg(abs(theta)) < 2
+    times, force = loop.force()
+    assert force.max() < 3.0
+    np.testing.assert_allclose(force[times > 3.0], 2.0, atol=0.1)
+    assert -loop.probe_pose().rotation().matrix()[2, 1] > 1 - 1e-5
 
 
 @pytest.mark.parametrize("feed_forward", [False, True])

@@ -1,14 +1,18 @@
 import pytest
 import yaml
+from pydrake.multibody.plant import MultibodyPlantConfig
 
-from sonoservo.diagrams.needle_tracker import Zhao2012TrackerParameters
-from sonoservo.diagrams.scenario import Scenario, list_scenarios, load_any_scenario, load_scenario
+from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams.experiments.registry import list_scenarios, load_scenario
+from sonoservo.diagrams.station import StationParameters
+from sonoservo.diagrams.trackers import Zhao2012TrackerParameters
+from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter
 from sonoservo.systems.files.typed_yaml import ConfigurationError
 
 
 @pytest.mark.parametrize("name", list_scenarios())
 def test_every_scenario_loads_and_says_what_it_is(name):
-    scenario = load_any_scenario(name)
+    scenario = load_scenario(name)
     assert scenario.name == name
     assert 20 < len(scenario.description) <= 100
 
@@ -43,7 +47,22 @@ def test_a_file_of_ones_own_and_the_whole_of_it_read_back(tmp_path):
     assert scenario.imaging.volume_rate == 2.0
     path.write_text(scenario.to_yaml())
     assert load_scenario(path) == scenario
-    assert set(yaml.safe_load(scenario.to_yaml())) == set(Scenario.__dataclass_fields__)
+    assert set(yaml.safe_load(scenario.to_yaml())) == set(FollowingScenario.__dataclass_fields__)
+
+
+def test_plant_settings_are_drakes_and_round_trip(tmp_path):
+    changes = ["station.plant.contact_model=point", "station.plant.stiction_tolerance=2e-4"]
+    scenario = load_scenario("chatelain2013_fig5", changes=changes)
+    plant = scenario.station.plant
+    assert isinstance(plant, MultibodyPlantConfig)
+    assert (plant.contact_model, plant.stiction_tolerance) == ("point", 2e-4)
+    assert plant.time_step == StationParameters().plant.time_step == 0.005
+    path = tmp_path / "mine.yaml"
+    path.write_text(scenario.to_yaml())
+    again = load_scenario(path, changes=["name=chatelain2013_fig5"])
+    assert again == scenario
+    plant.contact_model = "hydroelastic"
+    assert again != scenario
 
 
 def test_the_tracker_is_chosen_by_name(tmp_path):
@@ -51,9 +70,18 @@ def test_the_tracker_is_chosen_by_name(tmp_path):
     scenario = load_scenario("chatelain2013_fig5", changes=changes)
     assert isinstance(scenario.tracker, Zhao2012TrackerParameters)
     assert scenario.tracker.velocimeter.min_correlation == 0.4
+    assert scenario.tracker.filter == AxisTipFilter()
     path = tmp_path / "mine.yaml"
     path.write_text(scenario.to_yaml())
     assert load_scenario(path).tracker == scenario.tracker
+
+
+def test_a_filter_is_chosen_by_name_or_by_its_tracker():
+    changes = ["tracker=zhao2012", "tracker.filter.turning=1e-4"]
+    scenario = load_scenario("chatelain2013_fig5", changes=changes)
+    assert scenario.tracker.filter == AxisTipFilter(turning=1e-4)
+    scenario = load_scenario("chatelain2013_fig5", changes=["tracker.filter=axis_tip"])
+    assert scenario.tracker.filter == AxisTipFilter()
 
 
 @pytest.mark.parametrize(
@@ -65,8 +93,33 @@ def test_the_tracker_is_chosen_by_name(tmp_path):
         ("chatelain2013_fig5", ["imaging.volume_rate=-3"], "imaging.volume_rate: -3.0"),
         ("chatelain2013_fig5", ["imaging.volume_rate=fast"], "imaging.volume_rate: 'fast'"),
         ("chatelain2013_fig5", ["duration=0"], "duration: 0.0"),
-        ("chatelain2013_fig5", ["station.time_step=10"], "station.time_step: 10.0"),
+        ("chatelain2013_fig5", ["station.plant.time_step=10"], "station.plant.time_step: 10.0"),
+        (
+            "chatelain2013_fig5",
+            ["station.time_step=0.01"],
+            "station.time_step: is now called 'station.plant.time_step'",
+        ),
+        (
+            "chatelain2013_fig5",
+            ["station.contact_model=point"],
+            "station.contact_model: is now called 'station.plant.contact_model'",
+        ),
+        (
+            "chatelain2013_fig5",
+            ["station.plant.time_stp=1"],
+            "station.plant.time_stp: unknown field; did you mean 'time_step'?",
+        ),
+        ("chatelain2013_fig5", ["station.plant.time_step=fast"], "plant.time_step: 'fast'"),
+        ("chatelain2013_fig5", ["transducer=trus"], "transducer: is now called 'probe'"),
+        ("carriere2016_d60", ["transducer=trus"], "transducer: is now called 'probe'"),
         ("chatelain2013_fig5", ["seed=-1"], "seed: -1"),
+        (
+            "drive",
+            ["experiment=drive"],
+            "drive: experiment: 'drive' is not allowed; known: following",
+        ),
+        ("drive", ["kind=needle_shape"], "kind: is now called 'experiment'"),
+        ("drive", ["published={}"], "published: is now called 'published_figures'"),
         ("drive", ["controller_changes=[{force: 0.3}]"], "controller_changes.0.force: 0.3"),
         ("drive", ["controller_changes=[{time: 2}, {time: 1}]"], "must be in order of time"),
         ("drive", ["hand.pushes=[{turning_deg: 1e4}]"], "hand.pushes.0.turning_deg: 10000.0"),
@@ -77,8 +130,23 @@ def test_the_tracker_is_chosen_by_name(tmp_path):
             ["tracker.kind=zhao"],
             "tracker: unknown kind 'zhao'; did you mean 'zhao2012'?",
         ),
-        ("chatelain2013_fig5", ["tracker=zhao2012", "tracker.order=3"], "tracker.order: unknown"),
-        ("chatelain2013_fig5", ["tracker.localizer.order=3"], "left out: order sets it"),
+        ("chatelain2013_fig5", ["tracker=zhao2012", "tracker.order=3"], "must be 2 (straight)"),
+        ("chatelain2013_fig5", ["tracker.localizer.order=3"], "is now 'tracker.order'"),
+        (
+            "chatelain2013_fig5",
+            ["tracker.kalman_filter.filtering=false"],
+            "tracker.kalman_filter.filtering: is now 'tracker.track.filtering'",
+        ),
+        (
+            "chatelain2013_fig5",
+            ["tracker=zhao2012", "tracker.axis_tip_filter.first_drift=1e-3"],
+            "tracker.axis_tip_filter.first_drift: is now 'tracker.filter.first_drift_std'",
+        ),
+        (
+            "chatelain2013_fig5",
+            ["tracker.filter.kind=axis_tips"],
+            "tracker.filter: unknown kind 'axis_tips'; did you mean 'axis_tip'?",
+        ),
         (
             "chatelain2013_fig5",
             ["tracker.localizer.tip.decibels_per_level=0.1"],

@@ -3,11 +3,13 @@ import pytest
 from pydrake.common.yaml import yaml_load_typed
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.plant import MultibodyPlantConfig
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 from pydrake.trajectories import PiecewisePolynomial
 
+from sonoservo.diagrams.assembly import assemble_arm
 from sonoservo.diagrams.station import (
     MakeStation,
     ProbePlacement,
@@ -36,8 +38,8 @@ class Bench:
         rest = np.concatenate([parameters.X_WT.translation(), np.zeros(3)])
         if phantom is None:
             phantom = PiecewisePolynomial.FirstOrderHold([0, 100], np.array([rest, rest]).T)
-        stage = builder.AddSystem(PhantomMotion(trajectory=phantom))
-        for name, source in (("joint_command", arm), ("phantom_command", stage)):
+        motion = builder.AddSystem(PhantomMotion(trajectory=phantom))
+        for name, source in (("joint_command", arm), ("phantom_command", motion)):
             builder.Connect(source.get_output_port(), self.station.GetInputPort(name))
         self.simulator = Simulator(builder.Build())
         self.simulator.Initialize()
@@ -105,8 +107,10 @@ def test_phantom_follows_its_command():
     ("contact_model", "depth"), [("hydroelastic_with_fallback", 4.3e-3), ("point", 3.3e-3)]
 )
 def test_two_newtons_press_the_probe_as_deep_as_calibrated(contact_model, depth):
-    parameters = StationParameters(contact_model=contact_model, **QUIET)
-    q = solve_posture(parameters.probe_pose(height=-depth))
+    parameters = StationParameters(
+        plant=MultibodyPlantConfig(time_step=0.005, contact_model=contact_model), **QUIET
+    )
+    q = solve_posture(assemble_arm(), parameters.probe_pose(height=-depth))
     bench = Bench(parameters, q=q).run(1.0)
     X_WP = bench["X_WP"]
     pressed = pressing_force(bench["wrist_force"], X_WP.rotation(), 0.5)
@@ -131,7 +135,7 @@ def test_a_command_left_unconnected_is_an_error():
 
 
 def test_start_out_of_reach_is_refused():
-    with pytest.raises(ValueError, match=r"cannot reach the probe pose x 1\.500"):
+    with pytest.raises(ValueError, match=r"station\.arm: viper_s850: .* pose x 1\.500"):
         MakeStation(parameters=StationParameters(probe=ProbePlacement(x=1.0)))
 
 
@@ -156,22 +160,30 @@ def test_station_is_drawn():
 
 def test_parameters_load_from_yaml():
     text = """
-    time_step: 0.001
+    arm: lbr_iiwa_14
+    plant: {time_step: 0.001}
     phantom_position: [0.45, 0, 0.25]
     probe: {yaw_deg: -40}
     """
     parameters = yaml_load_typed(schema=StationParameters, data=text, defaults=StationParameters())
-    assert parameters.time_step == 0.001
+    assert parameters.arm == "lbr_iiwa_14"
+    assert parameters.plant.time_step == 0.001
+    assert parameters.plant.discrete_contact_approximation == "lagged"
     assert parameters.probe.yaw_deg == -40
     assert parameters.probe.height == ProbePlacement().height
     assert parameters.X_WT.IsExactlyEqualTo(RigidTransform([0.45, 0, 0.25]))
 
 
+def plant(**settings):
+    return StationParameters(plant=MultibodyPlantConfig(**{"time_step": 0.005, **settings}))
+
+
 @pytest.mark.parametrize(
     ("make", "field"),
     [
-        (lambda: StationParameters(time_step=0.0), "time_step"),
-        (lambda: StationParameters(contact_model="soft"), "contact_model.*hydroelastic or point"),
+        (lambda: plant(time_step=0.0), "plant.time_step"),
+        (lambda: plant(contact_model="soft"), "plant.contact_model.*hydroelastic or point"),
+        (lambda: plant(discrete_contact_approximation="x"), "plant.discrete_contact.*or sap"),
         (lambda: StationParameters(force_noise=-1.0), "force_noise"),
         (lambda: StationParameters(phantom_position=[0.1, 0.1]), "phantom_position"),
         (lambda: ProbePlacement(height=-0.01), "height"),

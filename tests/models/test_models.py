@@ -6,21 +6,44 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
+from sonoservo.diagrams.station import MakeStation, StationParameters, start_posture
 from sonoservo.models import model_path
+from sonoservo.systems.robot.probe_body import dome_semi_axes
+from sonoservo.systems.ultrasound.transducer import load_transducer
 
 FOLDER = model_path("package.xml").parent
-ROBOT_MODELS = sorted(path.name for kind in ("urdf", "sdf") for path in FOLDER.glob(f"*.{kind}"))
-
-# Adept Viper s850, standard DH: a (m), d (m), alpha, offset of theta.
-DH = (
-    (0.075, 0.335, -np.pi / 2, 0),
-    (0.365, 0, 0, 0),
-    (0.090, 0, -np.pi / 2, -np.pi),
-    (0, 0.405, np.pi / 2, 0),
-    (0, 0, -np.pi / 2, 0),
-    (0, 0.080, 0, -np.pi),
+MODELS = sorted(
+    str(path.relative_to(FOLDER)) for kind in ("urdf", "sdf") for path in FOLDER.rglob(f"*.{kind}")
 )
-LIMITS_DEG = ((-170, 170), (-190, 45), (-29, 256), (-190, 190), (-120, 120), (-360, 360))
+ROBOTS, PROBES, PHANTOMS = (
+    sorted(path.stem for path in (FOLDER / folder).glob("*.yaml"))
+    for folder in ("robots", "probes", "phantoms")
+)
+
+# Standard DH: a (m), d (m), alpha, offset of theta.
+DH = {
+    "viper_s850": (
+        (0.075, 0.335, -np.pi / 2, 0),
+        (0.365, 0, 0, 0),
+        (0.090, 0, -np.pi / 2, -np.pi),
+        (0, 0.405, np.pi / 2, 0),
+        (0, 0, -np.pi / 2, 0),
+        (0, 0.080, 0, -np.pi),
+    ),
+    "lbr_iiwa_14": (
+        (0, 0.360, -np.pi / 2, 0),
+        (0, 0, np.pi / 2, 0),
+        (0, 0.420, np.pi / 2, 0),
+        (0, 0, -np.pi / 2, 0),
+        (0, 0.400, -np.pi / 2, 0),
+        (0, 0, np.pi / 2, 0),
+        (0, 0.126, 0, 0),
+    ),
+}
+LIMITS_DEG = {
+    "viper_s850": ((-170, 170), (-190, 45), (-29, 256), (-190, 190), (-120, 120), (-360, 360)),
+    "lbr_iiwa_14": tuple((-limit, limit) for limit in (170, 120, 170, 120, 170, 120, 175)),
+}
 
 
 def dh_transform(a, d, alpha, theta):
@@ -31,16 +54,20 @@ def dh_transform(a, d, alpha, theta):
     )
 
 
-@pytest.fixture(scope="module")
-def arm():
+@pytest.fixture(scope="module", params=sorted(DH))
+def arm(request):
     plant = MultibodyPlant(time_step=0)
-    Parser(plant).AddModels(str(model_path("viper_s850.urdf")))
+    Parser(plant).AddModels(str(model_path(f"robots/{request.param}.urdf")))
     plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link"))
     plant.Finalize()
     return plant
 
 
-@pytest.mark.parametrize("name", ROBOT_MODELS)
+def arm_name(plant):
+    return next(name for name in DH if plant.HasModelInstanceNamed(name))
+
+
+@pytest.mark.parametrize("name", MODELS)
 def test_every_model_parses_and_steps(name):
     builder = DiagramBuilder()
     plant, _ = AddMultibodyPlantSceneGraph(builder, 0.001)
@@ -54,31 +81,58 @@ def test_every_model_parses_and_steps(name):
 
 
 def test_the_models_asked_for_are_there():
-    assert {"viper_s850.urdf", "probe_4dc7.sdf", "agar_phantom.sdf"} <= set(ROBOT_MODELS)
+    assert set(ROBOTS) == set(DH)
+    assert PROBES == ["4dc7_3_40", "trus", "zhao2012"]
+    assert PHANTOMS == ["agar", "beef", "prostate"]
+    assert {"robots/viper_s850.urdf", "probes/4dc7_3_40.sdf", "phantoms/phantom.sdf"} <= set(MODELS)
+
+
+@pytest.mark.parametrize(
+    ("arm", "probe", "phantom"),
+    [
+        *((name, "4dc7_3_40", "agar") for name in ROBOTS),
+        *(("viper_s850", name, "agar") for name in PROBES),
+        *(("viper_s850", "4dc7_3_40", name) for name in PHANTOMS),
+    ],
+)
+def test_every_yaml_makes_a_station_that_steps(arm, probe, phantom):
+    parameters = StationParameters(arm=arm)
+    station = MakeStation(parameters=parameters, probe=probe, phantom=phantom)
+    simulator = Simulator(station)
+    context = simulator.get_mutable_context()
+    q = start_posture(parameters, probe)
+    command = np.concatenate([q, np.zeros_like(q)])
+    station.GetInputPort("joint_command").FixValue(context, command)
+    rest = [*parameters.phantom_position, *np.zeros(9)]
+    station.GetInputPort("phantom_command").FixValue(context, rest)
+    simulator.AdvanceTo(0.05)
+    state = station.GetOutputPort("joint_state").Eval(context)
+    np.testing.assert_allclose(state, command, atol=1e-2)
 
 
 def test_flange_agrees_with_the_dh_table(arm):
+    table = DH[arm_name(arm)]
     context = arm.CreateDefaultContext()
     flange = arm.GetFrameByName("flange")
     rng = np.random.default_rng(1)
-    for q in rng.uniform(-np.pi, np.pi, (200, 6)):
+    for q in rng.uniform(-np.pi, np.pi, (200, len(table))):
         arm.SetPositions(context, q)
         expected = np.linalg.multi_dot(
-            [dh_transform(a, d, alpha, t + x) for (a, d, alpha, t), x in zip(DH, q, strict=True)]
+            [dh_transform(a, d, alpha, t + x) for (a, d, alpha, t), x in zip(table, q, strict=True)]
         )
         got = flange.CalcPoseInWorld(context).GetAsMatrix4()
         np.testing.assert_allclose(got, expected, atol=1e-12)
 
 
 def test_joint_limits_are_the_makers(arm):
-    lower, upper = np.deg2rad(LIMITS_DEG).T
+    lower, upper = np.deg2rad(LIMITS_DEG[arm_name(arm)]).T
     np.testing.assert_allclose(arm.GetPositionLowerLimits(), lower, atol=1e-12)
     np.testing.assert_allclose(arm.GetPositionUpperLimits(), upper, atol=1e-12)
     assert np.isfinite(arm.GetVelocityUpperLimits()).all()
 
 
 def test_every_part_of_the_arm_has_a_physical_inertia(arm):
-    for index in arm.GetBodyIndices(arm.GetModelInstanceByName("viper_s850")):
+    for index in arm.GetBodyIndices(arm.GetModelInstanceByName(arm_name(arm))):
         body = arm.get_body(index)
         assert body.default_spatial_inertia().IsPhysicallyValid(), body.name()
 
@@ -86,7 +140,7 @@ def test_every_part_of_the_arm_has_a_physical_inertia(arm):
 def test_dome_has_the_radii_of_the_transducer():
     plant, scene_graph = MultibodyPlant(time_step=0.001), SceneGraph()
     plant.RegisterAsSourceForSceneGraph(scene_graph)
-    Parser(plant).AddModels(str(model_path("probe_4dc7.sdf")))
+    Parser(plant).AddModels(str(model_path("probes/4dc7_3_40.sdf")))
     plant.Finalize()
     (geometry,) = plant.GetCollisionGeometriesForBody(plant.GetBodyByName("probe"))
     inspector = scene_graph.model_inspector()
@@ -97,10 +151,18 @@ def test_dome_has_the_radii_of_the_transducer():
     np.testing.assert_allclose(apex, 0, atol=1e-12)
     assert dome.a() ** 2 / dome.b() == pytest.approx(0.040, rel=2e-3)
     assert dome.c() ** 2 / dome.b() == pytest.approx(0.02725)
+    transducer = load_transducer("4dc7_3_40")
+    semi_axes = dome_semi_axes(
+        array_radius=transducer.array_radius,
+        motor_radius=transducer.motor_radius,
+        width=0.0,
+        height=0.0,
+    )
+    np.testing.assert_allclose([dome.a(), dome.b(), dome.c()], semi_axes, atol=2e-5)
 
 
 def test_housing_is_a_closed_surface_behind_the_dome():
-    text = model_path("probe_4dc7_housing.obj").read_text().splitlines()
+    text = model_path("probes/4dc7_3_40_housing.obj").read_text().splitlines()
     vertices = np.array([line.split()[1:] for line in text if line.startswith("v ")], dtype=float)
     assert vertices[:, 1].max() < 0
     assert np.abs(vertices).max() < 0.2
@@ -116,5 +178,5 @@ def test_package_url_resolves():
 
 
 def test_unknown_model_names_those_there_are():
-    with pytest.raises(FileNotFoundError, match=r"'viper\.urdf'.*viper_s850\.urdf"):
-        model_path("viper.urdf")
+    with pytest.raises(FileNotFoundError, match=r"'robots/viper\.urdf'.*viper_s850\.urdf"):
+        model_path("robots/viper.urdf")

@@ -7,28 +7,27 @@ other two estimators then get the same cross-sections.
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sonoservo.diagrams.experiments.registry import load_scenario
+from sonoservo.diagrams.experiments.shape_prediction import ShapePredictionExperiment
+from sonoservo.diagrams.experiments.shape_prediction_scenario import ESTIMATORS
 from sonoservo.diagrams.papers.carriere2016.plots import (
     plot_error_against_depth,
     plot_errors,
     plot_particles,
     plot_paths,
 )
-from sonoservo.diagrams.scenario import load_any_scenario
-from sonoservo.diagrams.shape_experiment import ShapeExperiment, estimate_shape
-from sonoservo.diagrams.shape_scenario import ESTIMATORS, ShapeScenario
+from sonoservo.diagrams.shape_predictor import estimate_shape
 from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions, run_cases
 from sonoservo.diagrams.studies.study_report import Study, StudyFigure, StudyRow
-from sonoservo.systems.estimation import published_particle_filter, shape_particle_filter
-from sonoservo.systems.estimation.shape_particle_filter import ShapePosterior
 from sonoservo.systems.evaluation.shape_log import ShapeLog
 from sonoservo.systems.evaluation.shape_metrics import plane_of, prediction, summarize_shape
+from sonoservo.systems.signals.confidence import RADIUS_95
 from sonoservo.systems.signals.cross_section import CrossSection
 from sonoservo.systems.signals.needle_shape import NeedleShape
 
@@ -125,6 +124,8 @@ def run_needle(case: Case) -> dict[str, Any]:
     experiment.run()
     log = experiment.log()
     found = experiment.cross_sections
+    needle_path = experiment.insertion.path
+    assert needle_path is not None
     estimators, paths = {}, {}
     for name in ESTIMATORS:
         shapes = estimate_shape(experiment.make_estimator(name), found)
@@ -143,8 +144,8 @@ def run_needle(case: Case) -> dict[str, Any]:
         "rotations": scenario.rotations,
         "observe_until": scenario.observe_until,
         "truth": {
-            "radius_m": experiment.insertion.path.radius,
-            "angle_deg": np.rad2deg(experiment.insertion.path.angle),
+            "radius_m": needle_path.radius,
+            "angle_deg": np.rad2deg(needle_path.angle),
         },
     }
     if case.settings["keep_particles"]:
@@ -152,13 +153,13 @@ def run_needle(case: Case) -> dict[str, Any]:
     return result
 
 
-def _experiment(name: str, seed: int, changes: Sequence[str] = ()) -> ShapeExperiment:
-    scenario = load_any_scenario(name, changes=list(changes), seed=seed)
-    assert isinstance(scenario, ShapeScenario)
-    experiment = ShapeExperiment(scenario)
+def _experiment(name: str, seed: int, changes: Sequence[str] = ()) -> ShapePredictionExperiment:
+    experiment = ShapePredictionExperiment(load_scenario(name, changes=list(changes), seed=seed))
     mark = np.random.default_rng([seed, 1]).uniform(-_BEVEL_MARK_DEG, _BEVEL_MARK_DEG)
-    plane = np.rad2deg(experiment.insertion.path.plane)
-    scenario.published.bevel_direction_deg = float(plane + mark)
+    assert experiment.insertion.path is not None
+    # The path's roll is measured from up, the plane from X of P, which points beside the needle.
+    plane = np.rad2deg(experiment.insertion.path.roll) - 90
+    experiment.scenario.published.bevel_direction_deg = float(plane + mark)
     return experiment
 
 
@@ -194,33 +195,33 @@ def _errors_by_depth(shapes: Sequence[object], log: ShapeLog) -> dict[str, Float
         if isinstance(shape, NeedleShape) and (not rows or shape.observed > rows[-1][0]):
             mean, covariance = shape.predict(log.depth[-1:])
             error = float(np.linalg.norm(mean[0] - log.true[-1, :2]))
-            bound = 2.448 * float(np.sqrt(np.linalg.eigvalsh(covariance[0])[-1]))
+            bound = RADIUS_95 * float(np.sqrt(np.linalg.eigvalsh(covariance[0])[-1]))
             rows.append((shape.observed, 1e3 * error, 1e3 * bound))
     return dict(zip(("depth", "error_mm", "bound_mm"), np.array(rows).T, strict=True))
 
 
-def _particles(experiment: ShapeExperiment, found: Sequence[CrossSection]) -> dict[str, Any]:
+def _particles(
+    experiment: ShapePredictionExperiment, found: Sequence[CrossSection]
+) -> dict[str, Any]:
     """R in m and theta_0 in deg of the particles: first, 5 slices after 10 mm, and last."""
     scenario = experiment.scenario
     points = [experiment.X_WP.inverse().multiply(each.position) for each in found]
     if scenario.observe_until is not None:
         points = [p_I for p_I in points if p_I[2] <= scenario.observe_until + 1e-9]
     counts = (0, sum(p_I[2] < 10e-3 for p_I in points) + 5, len(points))
-    sound = replace(scenario.particle_filter, rotations=scenario.rotations)
-    printed = replace(scenario.published, rotations=scenario.rotations)
-    posterior, rng = ShapePosterior(sound), np.random.default_rng(scenario.seed)
-    ours = shape_particle_filter.begin(posterior, rng)
-    theirs = published_particle_filter.begin(printed, rng)
-    snapshots: dict[str, list[Floats]] = {"particle_filter": [], "published": []}
+    rng = np.random.default_rng(scenario.seed)
+    filters = {name: experiment.make_filter(name) for name in ("particle_filter", "published")}
+    beliefs = {name: each.begin(rng) for name, each in filters.items()}
+    snapshots: dict[str, list[Floats]] = {name: [] for name in filters}
     for count in range(counts[-1] + 1):
-        if count:
-            weight, p_I = sound.noise.independence, points[count - 1]
-            ours = shape_particle_filter.update(ours, p_I, weight, posterior, sound.moves, rng)
-            theirs = published_particle_filter.update(theirs, p_I, printed, rng)
+        for name, each in filters.items():
+            if count:
+                beliefs[name] = each.update(beliefs[name], points[count - 1], rng)
         if count in counts:
+            ours = beliefs["particle_filter"]
             chosen = rng.choice(len(ours.particles), 500, p=ours.normalized_weights)
             snapshots["particle_filter"].append(ours.particles[chosen, :2] * [1, 180 / np.pi])
-            snapshots["published"].append(theirs.particles * [1, 180 / np.pi])
+            snapshots["published"].append(beliefs["published"].particles * [1, 180 / np.pi])
     return snapshots
 
 

@@ -9,10 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.diagrams.scenario import Scenario, load_scenario
+from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams.experiments.registry import load_scenario
+from sonoservo.diagrams.scenario import require_scenario
 from sonoservo.diagrams.studies.study import Outcome
+from sonoservo.systems.evaluation.log import read_log
 from sonoservo.systems.evaluation.run_errors import at_times, estimate_errors, features
-from sonoservo.systems.evaluation.run_log import RunLog, read_log
+from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 
 Floats = NDArray[np.float64]
@@ -57,7 +60,7 @@ class Run:
     @property
     def log(self) -> RunLog:
         """Read anew each time: a study has more of them than fit in memory."""
-        return read_log(self.logs / f"{self.outcome.case.name}.npz")
+        return read_log(self.logs / f"{self.outcome.case.name}.npz", RunLog)
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -65,12 +68,13 @@ class Run:
         return dict(self.outcome.result["summary"])
 
     @cached_property
-    def scenario(self) -> Scenario:
+    def scenario(self) -> FollowingScenario:
         """What was run."""
         case = self.outcome.case
-        return load_scenario(
+        loaded = load_scenario(
             case.settings["scenario"], seed=case.seed, changes=case.settings["changes"]
         )
+        return require_scenario(loaded, FollowingScenario)
 
     @cached_property
     def volumes(self) -> "Volumes":
@@ -214,7 +218,7 @@ def converged(log: RunLog, straight: bool = True) -> bool:
     return bool(centred(log, straight)[log.time >= log.time[-1] - 1.0].all())
 
 
-def recovery_times(log: RunLog, scenario: Scenario) -> list[float]:
+def recovery_times(log: RunLog, scenario: FollowingScenario) -> list[float]:
     """Time from the end of each move of the phantom until the needle is centred again, in s.
 
     It must stay so for `_STAYS`, and before the next move starts; infinite where it does not.
@@ -234,7 +238,7 @@ def recovery_times(log: RunLog, scenario: Scenario) -> list[float]:
     return times
 
 
-def lag(log: RunLog, scenario: Scenario) -> float:
+def lag(log: RunLog, scenario: FollowingScenario) -> float:
     """Mean |X| of the true tip at the end of the last push, in m; NaN where the run ends before."""
     hand = scenario.hand
     end = hand.start + sum(push.duration for push in hand.pushes)

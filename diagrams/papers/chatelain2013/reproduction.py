@@ -12,19 +12,18 @@ from typing import Any
 
 import numpy as np
 
-from sonoservo.diagrams.experiment import Experiment
+from sonoservo.diagrams.experiments.following import FollowingExperiment
+from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.diagrams.papers.chatelain2013.report import report
-from sonoservo.diagrams.scenario import load_scenario
 from sonoservo.diagrams.studies.study import Case, StudyOptions, run_cases
 from sonoservo.diagrams.studies.study_report import Study
 from sonoservo.systems.evaluation.curve_error import curve_deviations
-from sonoservo.systems.evaluation.metrics import MetricsParameters, summarize
-from sonoservo.systems.evaluation.run_log import write_log
+from sonoservo.systems.evaluation.log import write_log
 from sonoservo.systems.ultrasound.imaging import sweep_geometry
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
 ABLATIONS: Mapping[str, Sequence[str]] = {
-    "no filter": ["tracker.kalman_filter.filtering=false"],
+    "no filter": ["tracker.track.filtering=false"],
     "no volume of interest": ["tracker.localizer.volume_of_interest=false"],
     "no angle gate": ["tracker.localizer.angle_gate=false"],
     "no refits": ["tracker.localizer.ransac.refits=0"],
@@ -32,7 +31,7 @@ ABLATIONS: Mapping[str, Sequence[str]] = {
     "no feed-forward": ["controller.visual_servo.feed_forward=false"],
     "no feed-forward, filter in probe's frame": [
         "controller.visual_servo.feed_forward=false",
-        "tracker.kalman_filter.probe_frame=true",
+        "tracker.track.probe_frame=true",
     ],
 }
 """What is switched off, and how. A velocity in the probe's frame is none to feed forward, so the
@@ -186,13 +185,12 @@ def run_case(case: Case, *, logs: Path) -> dict[str, Any]:
     scenario = load_scenario(
         case.settings["scenario"], seed=case.seed, changes=case.settings["changes"]
     )
-    experiment = Experiment(scenario)
+    experiment = FollowingExperiment(scenario)
     experiment.run()
-    log = experiment.log()
+    log, scenario = experiment.log(), experiment.scenario
     write_log(logs / f"{case.name}.npz", log)
-    geometry = sweep_geometry(load_transducer(scenario.transducer), scenario.imaging)
-    target = scenario.controller.force.force
+    geometry = sweep_geometry(load_transducer(scenario.probe), scenario.imaging)
     return {
-        "summary": summarize(log, MetricsParameters(force_target=target)),
+        "summary": experiment.summarize(log),
         "curve_deviation": curve_deviations(log, geometry),
     }

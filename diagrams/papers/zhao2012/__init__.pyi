@@ -4,5 +4,5 @@ from .reproduction import reproduce as reproduce
 from .tracking import BMode as BMode
 from .tracking import Tracked as Tracked
 from .tracking import Tracking as Tracking
-from .tracking import find_as_published as find_as_published
+from .tracking import localize_as_published as localize_as_published
 from .tracking import tracker_parameters as tracker_parameters

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 
+from sonoservo.systems.signals.immutable import seal
 from sonoservo.systems.signals.radio_frequency_sweep import RadioFrequencySweep
 from sonoservo.systems.signals.requirements import require_positive
 from sonoservo.systems.signals.sweep import SweepMotion
@@ -94,9 +95,8 @@ class Phantom:
             seed=seed,
         )
         self.X_WP = RigidTransform(RotationMatrix.MakeXRotation(-np.pi / 2), [0, 0, FACE_HEIGHT])
-        frames = self.renderer.geometry.frames
-        self._poses = np.repeat(self.X_WP.GetAsMatrix4()[np.newaxis], frames, axis=0)
-        self._tissue = self.renderer.tissue_echo(self._poses, 1)
+        self._at_rest = SweepMotion.at_rest(self.renderer.geometry, self.X_WP, 0.0)
+        self._tissue = self.renderer.tissue_echo(self._at_rest.X_WP, 1)
         rng = np.random.default_rng([seed, 2])
         count = rng.poisson(_NEEDLE_DENSITY * np.pi * _NEEDLE_RADIUS**2 * _LONGEST_NEEDLE)
         radius = _NEEDLE_RADIUS * np.sqrt(rng.random(count))
@@ -120,7 +120,5 @@ class Phantom:
         points += self._across[inside] @ basis
         iq = self._tissue.copy()
         amplitudes = np.full(len(points), self._amplitude, complex)
-        self.renderer.add_scatterers(iq, self._poses, points, amplitudes, 1)
-        geometry = self.renderer.geometry
-        motion = SweepMotion(geometry, 1, np.full(geometry.frames, time), self._poses)
-        return RadioFrequencySweep(self.renderer.on_carrier(iq), motion)
+        self.renderer.add_scatterers(iq, self._at_rest.X_WP, points, amplitudes, 1)
+        return RadioFrequencySweep(seal(self.renderer.on_carrier(iq)), self._at_rest.at_once(time))

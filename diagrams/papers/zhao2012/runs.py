@@ -8,18 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from sonoservo.diagrams.experiment import Experiment
+from sonoservo.diagrams.experiments.following import FollowingExperiment
+from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.diagrams.papers.zhao2012.phantom import DIRECTION, Phantom, StraightNeedle
 from sonoservo.diagrams.papers.zhao2012.tracking import (
     VELOCIMETER,
     BMode,
     Tracking,
-    find_as_published,
+    localize_as_published,
 )
-from sonoservo.diagrams.scenario import load_scenario
 from sonoservo.diagrams.studies.study import Case
-from sonoservo.systems.estimation.axis_tip_state import direction_angles
-from sonoservo.systems.evaluation.metrics import MetricsParameters, summarize
+from sonoservo.systems.estimation.axis_tip_filter import direction_angles
 from sonoservo.systems.localization.speckle_velocimeter import measure_velocity
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_curve import NeedleCurve
@@ -93,7 +92,7 @@ class _Estimators:
         self.seconds.append(time.perf_counter() - began)
         curves: list[NeedleCurve | None] = []
         for refits in (0, 1):
-            found = find_as_published(volume, DIRECTION, refits, self._rng)
+            found = localize_as_published(volume, DIRECTION, refits, self._rng)
             curves.append(None if isinstance(found, NotFound) else found.curve)
         measured, velocity = tracked.measurement, tracked.velocity
         curves.append(None if isinstance(measured, NotFound) else measured.curve)
@@ -170,12 +169,11 @@ def run_velocimeter(case: Case) -> Mapping[str, Any]:
 
 def run_closed_loop(case: Case) -> Mapping[str, Any]:
     """Run a scenario with one of the trackers."""
-    experiment = Experiment(
+    experiment = FollowingExperiment(
         load_scenario(case.settings["scenario"], seed=case.seed, changes=case.settings["changes"])
     )
     experiment.run()
-    target = experiment.scenario.controller.force.force
-    return summarize(experiment.log(), MetricsParameters(force_target=target))
+    return experiment.summarize(experiment.log())
 
 
 RUNS = {

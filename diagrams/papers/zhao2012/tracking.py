@@ -6,16 +6,18 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import Value
 
-from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, Zhao2012TrackerParameters
-from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter, AxisTipFilterParameters
-from sonoservo.systems.estimation.track import NeedleMotionParameters
+from sonoservo.diagrams.trackers.zhao2012 import MakeZhao2012Tracker, Zhao2012TrackerParameters
+from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter
+from sonoservo.systems.estimation.needle_motion import NeedleMotionParameters
+from sonoservo.systems.estimation.track import TrackParameters
+from sonoservo.systems.estimation.track_manager import TrackManager
 from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.localization.ransac import RansacParameters
 from sonoservo.systems.localization.speckle_velocimeter import SpeckleVelocimeterParameters
 from sonoservo.systems.localization.tip import TipParameters
 from sonoservo.systems.localization.whole_volume_ransac import (
     WholeVolumeRansacParameters,
-    find_needle,
+    localize_in_whole_volume,
 )
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
@@ -67,13 +69,13 @@ def tracker_parameters() -> Zhao2012TrackerParameters:
             echo_offset=0.0,
         ),
         velocimeter=VELOCIMETER,
-        axis_tip_filter=AxisTipFilterParameters(
+        filter=AxisTipFilter(
             motion=NeedleMotionParameters(insertion=1e-10, body=1e-10),
             turning=2e-5,
             first_speed_std=1e-3,
             first_drift_std=0.2e-3,
-            withdrawn_length=2e-3,
         ),
+        track=TrackParameters(withdrawn_length=2e-3),
     )
 
 
@@ -105,10 +107,10 @@ class BMode:
         )
 
 
-def find_as_published(
+def localize_as_published(
     volume: Volume, towards: NDArray[np.float64], refits: int, rng: np.random.Generator
 ) -> NeedleMeasurement | NotFound:
-    """Find the needle by RANSAC in the whole volume: see `find_needle`.
+    """Localize the needle by RANSAC in the whole volume: see `localize_in_whole_volume`.
 
     Parameters
     ----------
@@ -123,7 +125,7 @@ def find_as_published(
         Draws samples.
     """
     parameters = WholeVolumeRansacParameters(ransac=replace(_RANSAC, refits=refits), tip=_TIP)
-    found = find_needle(volume, towards, parameters, rng)
+    found = localize_in_whole_volume(volume, towards, parameters, rng)
     if isinstance(found, NotFound):
         return found
     independent = max((found.tip - found.start) / 1e-3, 4.0)
@@ -164,7 +166,7 @@ class Tracking:
         self._towards = towards
         self._with_velocity = with_velocity
         self._rng = np.random.default_rng([seed, 3])
-        self._tracker = MakeNeedleTracker(
+        self._tracker = MakeZhao2012Tracker(
             parameters=tracker_parameters(), period=1.0, seed=seed, speckle_port=True
         )
         self._context = self._tracker.CreateDefaultContext()
@@ -189,12 +191,10 @@ class Tracking:
         return Tracked(estimate, measurement, velocity)
 
     def _start(self, volume: Volume) -> NeedleMeasurement | NotFound:
-        found = find_as_published(volume, self._towards, 3, self._rng)
+        found = localize_as_published(volume, self._towards, 3, self._rng)
         if isinstance(found, NeedleMeasurement):
-            axis_tip_filter = self._tracker.GetSubsystemByName("needle_kalman_filter")
-            assert isinstance(axis_tip_filter, AxisTipFilter)
-            axis_tip_filter.start_at(
-                axis_tip_filter.GetMyMutableContextFromRoot(self._context), found
-            )
+            manager = self._tracker.GetSubsystemByName("track_manager")
+            assert isinstance(manager, TrackManager)
+            manager.start_at(manager.GetMyMutableContextFromRoot(self._context), found)
             self._started = True
         return found

@@ -26,8 +26,8 @@ from sonoservo.systems.display.monitor.views import View, monitor_views
 from sonoservo.systems.display.shapes import sector_edges
 from sonoservo.systems.display.textured_quads import encode_png
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
+from sonoservo.systems.signals.planes import box_edges, sample_plane
 from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.ultrasound.planes import box_edges, sample_plane
 
 Floats = NDArray[np.float64]
 

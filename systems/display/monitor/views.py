@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 
 from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.planes import Plane, slice_planes
 from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.ultrasound.planes import Plane, slice_planes
 
 Floats = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ from pydrake.math import RigidTransform, RotationMatrix
 from sonoservo.systems.display.colours import PANEL, rgba
 from sonoservo.systems.display.textured_quads import gltf_textured_quads
 from sonoservo.systems.display.world.film import Film
+from sonoservo.systems.signals.planes import Plane
 from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.ultrasound.planes import Plane
 
 _THICKNESS = 0.004
 _IN_FRONT = -0.5 * _THICKNESS - 0.002

@@ -18,14 +18,15 @@ from sonoservo.systems.display.world.needle_view import NeedleView
 from sonoservo.systems.display.world.rod import Rod
 from sonoservo.systems.display.world.scene import set_scene
 from sonoservo.systems.display.world.screen import facing
+from sonoservo.systems.signals.confidence import RADIUS_95
 from sonoservo.systems.signals.cross_section import CrossSection
 from sonoservo.systems.signals.image_slice import ImageSlice
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.needle_shape import NeedleShape
+from sonoservo.systems.signals.planes import Plane, box_edges
 from sonoservo.systems.signals.ports import evaluate
-from sonoservo.systems.ultrasound.planes import Plane, box_edges
 
 _TISSUE = Rgba(0.55, 0.35, 0.30)
 _PREDICTED = MODE_COLOURS[TrackingMode.TRACKING]
@@ -39,9 +40,6 @@ _LAYERS = ("tissue", "cross_section", "needle", "predicted", "tube", "slice", "l
 _CAMERA, _TARGET = (0.11, -0.122, 0.03), (0.01, 0.008, -0.028)
 _ROD = 0.75e-3
 """Radius of the predicted needle in m: a little more than the true one's, which it may hide."""
-_DEVIATIONS = 2.448
-"""Standard deviations within which 95 % of a normal distribution in a plane lie."""
-
 _SEGMENTS = 20
 _NEEDLE_LENGTH = 0.2
 """In m: the paper's needles."""
@@ -67,15 +65,15 @@ class ShapeView(LeafSystem):
     Parameters
     ----------
     meshcat
-        To draw in.
+        Meshcat to draw in.
     tissue_size
         (3,) extents of the phantom in m.
     depth
-        To which the shape is drawn, in m.
+        Depth down to which the shape is drawn, in m.
     period, offset
-        Of the pictures, in s: a moment after the estimator's events.
+        Times of the pictures, in s: a moment after the estimator's events.
     path
-        Of everything that is drawn; by default the layers are at the top of the scene.
+        Path of all that is drawn; by default the layers are at the top of the scene.
     """
 
     def __init__(
@@ -144,7 +142,7 @@ class ShapeView(LeafSystem):
             polyline = shape.positions(self._depths)
             middles = 0.5 * (self._depths[1:] + self._depths[:-1])
             self._predicted.show(polyline, time)
-            width = _DEVIATIONS * shape.std(middles) + _ROD
+            width = RADIUS_95 * shape.std(middles) + _ROD
             self._tube.show(polyline, time, radii=np.minimum(width, 0.02))
         found = evaluate(self, context, "cross_section", (CrossSection, NotFound))
         path = f"{self._path}/cross_section"

@@ -22,11 +22,11 @@ from sonoservo.systems.display.world.screen import Screen, facing
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
+from sonoservo.systems.signals.planes import sample_plane, slice_planes
 from sonoservo.systems.signals.ports import evaluate
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.ultrasound.planes import sample_plane, slice_planes
 
 _LAYERS = (
     "needle", "estimate", "uncertainty", "sector", "slices", "screen", "phase", "force", "legend"

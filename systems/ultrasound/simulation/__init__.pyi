@@ -1,3 +1,4 @@
+from .acquisition import acquire_sweep as acquire_sweep
 from .needle_echo import NeedleEchoParameters as NeedleEchoParameters
 from .rendering import ScannerParameters as ScannerParameters
 from .rendering import SweepRenderer as SweepRenderer

@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.point_spread import PointSpread
 from sonoservo.systems.signals.requirements import require, require_not_negative
 from sonoservo.systems.signals.sweep import SweepGeometry
-from sonoservo.systems.ultrasound.beam import Beam, beam_profile
+from sonoservo.systems.ultrasound.beam import Beam, beam_profile, point_spread
 from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
 from sonoservo.systems.ultrasound.simulation.bright_points import inclusion_points
 from sonoservo.systems.ultrasound.simulation.frames import frame_poses, frame_rays, line_rays
@@ -82,6 +83,10 @@ class SweepRenderer:
         Of the sweeps.
     beam
         Widths of the point spread function.
+    point_spread
+        The same, as its sweeps carry them.
+    decibels_per_level
+        dB per grey level.
     """
 
     def __init__(
@@ -95,6 +100,7 @@ class SweepRenderer:
     ) -> None:
         require_not_negative(seed=seed)
         self.geometry: SweepGeometry = sweep_geometry(transducer, imaging)
+        self.decibels_per_level = imaging.decibels_per_level
         self._parameters = parameters
         self._imaging = imaging
         self._seed = seed
@@ -110,6 +116,7 @@ class SweepRenderer:
             imaging = replace(imaging, sound_speed=sound_speed)
         self._acoustic = geometry
         self.beam: Beam = beam_profile(transducer, imaging, geometry)
+        self.point_spread: PointSpread = point_spread(self.beam, self.geometry)
 
         samples = np.arange(geometry.samples)
         depths = geometry.sample_pitch * samples

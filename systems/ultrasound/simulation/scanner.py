@@ -13,6 +13,7 @@ from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.ports import evaluate
 from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
+from sonoservo.systems.ultrasound.simulation.acquisition import acquire_sweep
 from sonoservo.systems.ultrasound.simulation.rendering import ScannerParameters, SweepRenderer
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 from sonoservo.systems.ultrasound.transducer import Transducer
@@ -141,9 +142,9 @@ class Scanner(LeafSystem):
     def _render(self, snapshots: _Snapshots) -> Sweep:
         # Frames are numbered towards +Z, whichever way the motor went.
         frames = snapshots.frames[:: snapshots.direction]
+        times = np.array([frame.time for frame in frames])
         X_WP = np.array([frame.X_WP.GetAsMatrix4() for frame in frames])
         X_TP = np.array([f.X_WT.InvertAndCompose(f.X_WP).GetAsMatrix4() for f in frames])
-        times = np.array([frame.time for frame in frames])
+        motion = SweepMotion(self.geometry, snapshots.direction, times, X_WP)
         needles = [frame.needle for frame in frames]
-        samples = self._renderer.render(X_TP, needles, snapshots.direction, snapshots.number, times)
-        return Sweep(samples, SweepMotion(self.geometry, snapshots.direction, times, X_WP))
+        return acquire_sweep(self._renderer, motion, needles, X_TP=X_TP, number=snapshots.number)

@@ -2,13 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sonoservo.systems.files.model_file import model_file
-from sonoservo.systems.files.typed_yaml import load_typed, read_yaml
+from sonoservo.systems.files.model_file import model_file, read_section
+from sonoservo.systems.files.typed_yaml import load_typed
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 from sonoservo.systems.ultrasound.simulation.anatomy.anatomies import (
     LabelMapAnatomy,
@@ -225,14 +224,14 @@ class Tissue:
 
 
 def load_tissue(name: str) -> Tissue:
-    """Read a phantom's tissue.
+    """Read the tissue of a phantom.
 
     Parameters
     ----------
     name
         Name of a file in ``models/phantoms`` ("agar"), or a path to such a YAML file, or to a label
         map (NRRD or NIfTI) that has a YAML file of the same name beside it, which tells what its
-        labels are: ``anatomy: {labels: [{label: 1, level_db: -6}, ...]}``.
+        labels are: ``tissue: {anatomy: {labels: [{label: 1, level_db: -6}, ...]}}``.
 
     Raises
     ------
@@ -241,16 +240,13 @@ def load_tissue(name: str) -> Tissue:
     ValueError
         If a value, or the label map, is not allowed.
     """
+    path = model_file("phantoms", name)
+    content = read_section(path, "tissue", ("tissue", "contact"))
     if is_label_map(name):
-        path = _beside(Path(name))
-        data = read_yaml(path)
-        anatomy = data.get("anatomy") or {}
+        anatomy = content.get("anatomy") or {}
         require(isinstance(anatomy, dict), "anatomy", anatomy, "a mapping with a table of labels")
-        data["anatomy"] = {"kind": "label_map", **anatomy, "file": name}
-    else:
-        path = model_file("phantoms", name)
-        data = read_yaml(path)
-    tissue = load_typed(Tissue, data, str(path))
+        content["anatomy"] = {"kind": "label_map", **anatomy, "file": name}
+    tissue = load_typed(Tissue, content, f"{path}: tissue")
     if isinstance(tissue.anatomy, LabelMapAnatomy):
         own = path.parent / tissue.anatomy.file
         if own.is_file():
@@ -258,19 +254,3 @@ def load_tissue(name: str) -> Tissue:
     if tissue.anatomy is not None:
         tissue = replace(tissue, size=tissue.anatomy.grid().size)
     return tissue
-
-
-def _beside(label_map: Path) -> Path:
-    """Path of the YAML file beside a label map."""
-    if not label_map.is_file():
-        raise FileNotFoundError(f"phantom: there is no file {label_map}")
-    stem = label_map.name
-    for suffix in (".gz", ".nii", ".nrrd", ".nhdr"):
-        stem = stem.removesuffix(suffix)
-    path = label_map.with_name(f"{stem}.yaml")
-    if not path.is_file():
-        raise FileNotFoundError(
-            f"phantom: {label_map} needs a file {path.name} beside it that tells what its labels "
-            "are, such as: anatomy: {labels: [{label: 1, name: vein, level_db: -35}]}"
-        )
-    return path

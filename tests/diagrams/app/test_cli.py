@@ -6,6 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from sonoservo.diagrams.app.cli import app
+from sonoservo.systems.files.typed_yaml import ConfigurationError
 
 runner = CliRunner()
 
@@ -36,12 +37,15 @@ def test_list_names_every_scenario(tmp_path):
         (["chatelain2013_fig5", "--set", "station.probe.x=3"], "cannot reach"),
         (["chatelain2013_fig5", "--set", "hand.entry=[-0.12, 0.9, -0.04]"], "hand.entry: "),
         (["chatelain2013_fig5", "--set", "phantom=agr"], "there is no model"),
+        (["chatelain2013_fig5", "--set", "station.arm=viper"], "viper_s850.yaml"),
+        (["chatelain2013_fig5", "--set", "station.arm=nowhere.yaml"], "no file nowhere.yaml"),
         (["chatelain2013_fig5", "--set", "imaging.volume_rate=50"], "imaging.volume_rate: 50.0"),
         (["chatelain2013_fig5", "--set", "processing_time=1"], "processing_time: 1.0"),
         (["carriere2016_d60", "--set", "rotations=[0.2]"], "rotations: [0.2]"),
         (["carriere2016_d60", "--set", "estimator=particle"], "did you mean 'particle_filter'"),
         (["carriere2016_d60", "--set", "depth=0.3"], "stays in the phantom"),
-        (["carriere2016_d60", "--set", "kind=needle"], "kind: 'needle'"),
+        (["carriere2016_d60", "--set", "experiment=needle"], "experiment: 'needle'"),
+        (["carriere2016_d60", "--record", "a.seq.nrrd"], "record: not possible"),
     ],
 )
 def test_a_mistake_is_one_line_and_exit_code_2(arguments, message, tmp_path):
@@ -50,6 +54,15 @@ def test_a_mistake_is_one_line_and_exit_code_2(arguments, message, tmp_path):
     assert message in result.stderr
     assert len(result.stderr.strip().splitlines()) == 1
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "command", [["scan"], ["drive"], ["dataset", "--count", "1", "--out", "never"]]
+)
+def test_what_needs_a_robot_refuses_other_scenarios(command):
+    result = runner.invoke(app, [command[0], "carriere2016_d60", *command[1:]])
+    assert isinstance(result.exception, ConfigurationError)
+    assert "one of 'following' is wanted here" in str(result.exception)
 
 
 def test_a_short_run_leaves_its_files_and_its_summary(tmp_path):
@@ -79,6 +92,18 @@ def test_a_short_run_leaves_its_files_and_its_summary(tmp_path):
     assert summary["simulated_s"] == pytest.approx(2.5)
     assert summary["interrupted"] is False
     assert summary["force"]["max_n"] > 1.5
+
+
+def test_a_mistake_in_ones_own_arm_is_one_line_and_exit_code_2(tmp_path):
+    arm = tmp_path / "mine.yaml"
+    arm.write_text("directives: [{add_model: {name: arm, file: mine.urdf}}]")
+    result = sonoservo(
+        "run", "chatelain2013_fig5", "--no-meshcat", "--set", f"station.arm={arm}",
+        "--out", str(tmp_path / "out"),
+    )  # fmt: skip
+    assert result.returncode == 2
+    assert f"{arm}: directives.0.add_model.file: there is no file" in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
 
 
 def test_results_that_cannot_be_written_are_one_line_and_exit_code_2(tmp_path):

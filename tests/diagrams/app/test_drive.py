@@ -13,11 +13,12 @@ from pydrake.geometry import Meshcat, MeshcatParams
 
 from sonoservo.diagrams import load_scenario, run
 from sonoservo.diagrams.app.drive import DrivenExperiment, drive
-from sonoservo.systems.evaluation.run_log import read_log
+from sonoservo.systems.evaluation.log import read_log
+from sonoservo.systems.evaluation.run_log import RunLog
 
 CHEAP = [
-    "station.contact_model=point",
-    "station.time_step=0.01",
+    "station.plant.contact_model=point",
+    "station.plant.time_step=0.01",
     "controller.time_step=0.01",
     "station.probe.height=0.004",
 ]
@@ -104,7 +105,7 @@ def test_it_leaves_what_a_run_leaves(driven):
     names = {path.name for path in folder.iterdir()}
     assert names >= {"scenario.yaml", "summary.json", "log.npz", "run.png", "report.html"}
     assert json.loads((folder / "summary.json").read_text())["force"]["rms_error_n"] is None
-    np.testing.assert_array_equal(read_log(folder / "log.npz").time, result.log.time)
+    np.testing.assert_array_equal(read_log(folder / "log.npz", RunLog).time, result.log.time)
     assert any("aim it when it is outside" in text for *_, text in operator.seen)
 
 
@@ -131,11 +132,11 @@ def test_restart_begins_the_same_again(meshcat):
     driven = DrivenExperiment(cheap(3.0), meshcat)
     logs = []
     for _ in range(2):
-        driven.experiment.start()
+        driven.start()
         for depth in (12, 25):
             meshcat.SetSliderValue(DEPTH, depth)
-            driven.experiment.advance(driven.experiment.time + 1.5)
-        logs.append(driven.experiment.log())
+            driven.advance(driven.time + 1.5)
+        logs.append(driven.log())
     for name in ("time", "needle_points", "X_WP", "contact_force", "volume_inlier_count"):
         np.testing.assert_array_equal(getattr(logs[0], name), getattr(logs[1], name))
     assert logs[0].inserted_length[-1] == pytest.approx(0.025, abs=5e-4)

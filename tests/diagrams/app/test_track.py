@@ -69,12 +69,12 @@ def test_a_recording_gives_the_estimates_of_the_live_run_exactly(live, tmp_path)
 
 
 def test_an_interrupted_run_leaves_a_recording(tmp_path):
-    def stop(time, estimate):
-        if time > 0.7:
+    def stop(experiment):
+        if experiment.time > 0.7:
             raise KeyboardInterrupt
 
     path = tmp_path / "a.seq.nrrd"
-    result = run(load_scenario("chatelain2013_fig4", seed=101), record=path, after_volume=stop)
+    result = run(load_scenario("chatelain2013_fig4", seed=101), record=path, after_step=stop)
     assert result.summary["interrupted"]
     assert [volume.time for volume in Recording(path)] == list(result.log.volume_time[:3])
     assert {each.name for each in tmp_path.iterdir()} == {
@@ -219,7 +219,7 @@ def test_an_interruption_keeps_what_was_tracked(tmp_path, volumes):
     [
         ({"tracker": "zhao2021"}, "did you mean 'zhao2012'"),
         ({"order": 5}, "order: 5 is not allowed"),
-        ({"order": 3, "tracker": "zhao2012"}, "localizer.order: 3"),
+        ({"order": 3, "tracker": "zhao2012"}, "order: 3"),
         ({"start": "nowhere"}, "start: 'nowhere'"),
     ],
 )

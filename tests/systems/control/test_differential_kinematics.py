@@ -8,21 +8,22 @@ from pydrake.multibody.inverse_kinematics import (
 from pydrake.multibody.tree import JacobianWrtVariable
 from pydrake.systems.analysis import Simulator
 
+from sonoservo.diagrams.assembly import assemble_arm
 from sonoservo.systems.control.differential_kinematics import (
     DifferentialKinematics,
     DifferentialKinematicsParameters,
 )
-from sonoservo.systems.robot.arm import MakeArmPlant
-from sonoservo.systems.robot.posture import ELBOW_UP
 
 STEP = 0.005
+ELBOW_UP = assemble_arm().home
 
 
 class Bench:
     """The leaf on its own, with a plant of its own to look at where its command leads."""
 
-    def __init__(self, q, *, planar=(0, 0, 0), approach=0.0, **parameters):
-        self.plant, self.arm = MakeArmPlant()
+    def __init__(self, q, *, planar=(0, 0, 0), approach=0.0, arm="viper_s850", **parameters):
+        self.arm = assemble_arm(arm)
+        self.plant = self.arm.plant
         self.context = self.plant.CreateDefaultContext()
         leaf = DifferentialKinematics(
             parameters=DifferentialKinematicsParameters(**parameters),
@@ -34,7 +35,7 @@ class Bench:
         root = self.simulator.get_mutable_context()
         leaf.GetInputPort("planar_velocity").FixValue(root, planar)
         leaf.GetInputPort("approach_velocity").FixValue(root, [approach])
-        leaf.GetInputPort("joint_state").FixValue(root, np.concatenate([q, np.zeros(6)]))
+        leaf.GetInputPort("joint_state").FixValue(root, np.concatenate([q, np.zeros_like(q)]))
         self.simulator.Initialize()
         self.leaf = leaf
 
@@ -107,7 +108,7 @@ def test_joint_velocity_limits_slow_but_do_not_turn_the_motion():
 
 def test_joint_position_limits_hold():
     q = ELBOW_UP.copy()
-    upper = MakeArmPlant()[0].GetPositionUpperLimits()[5]
+    upper = assemble_arm().plant.GetPositionUpperLimits()[5]
     q[5] = upper - 0.01
     bench = Bench(q, planar=(0, 0, 1.0))
     bench.simulator.AdvanceTo(0.2)
@@ -124,6 +125,70 @@ def test_direct_solution_is_drakes():
     wanted = np.array([0, 0.3, 0, 0.02, 0.01, -0.01])
     result = DoDifferentialInverseKinematics(ELBOW_UP, np.zeros(6), wanted, J, limits)
     np.testing.assert_allclose(bench.command()[6:], result.joint_velocities, atol=1e-7)
+
+
+def test_two_contexts_of_one_system_do_not_disturb_each_other():
+    alone = Bench(ELBOW_UP, planar=(0.02, 0, 0.2))
+    alone.simulator.AdvanceTo(0.1)
+    first = Bench(ELBOW_UP, planar=(0.02, 0, 0.2))
+    second = Simulator(first.leaf, first.leaf.CreateDefaultContext())
+    root = second.get_mutable_context()
+    for port, value in (
+        ("planar_velocity", (-0.03, 0.01, -0.3)),
+        ("approach_velocity", [0.02]),
+        ("joint_state", np.concatenate([ELBOW_UP + 0.2, np.zeros(6)])),
+    ):
+        first.leaf.GetInputPort(port).FixValue(root, value)
+    second.Initialize()
+    for time in np.arange(STEP / 2, 0.1, STEP):
+        first.simulator.AdvanceTo(time)
+        second.AdvanceTo(time)
+    first.simulator.AdvanceTo(0.1)
+    np.testing.assert_array_equal(first.command(), alone.command())
+    contexts = [first.simulator.get_context(), second.get_context()]
+    contexts.append(contexts[0].Clone())
+    scratch = [
+        first.leaf._scratch.get_mutable_cache_entry_value(each).GetMutableValueOrThrow()
+        for each in contexts
+    ]
+    assert len({id(each) for each in scratch}) == 3
+
+
+IIWA = assemble_arm("lbr_iiwa_14").home
+
+
+def test_seven_joints_move_the_probe_as_asked_and_come_home():
+    """Where the probe's motion leaves the elbow free, it returns to the home posture."""
+    arm = assemble_arm("lbr_iiwa_14")
+    context = arm.plant.CreateDefaultContext()
+    null = np.linalg.svd(Bench(IIWA, arm="lbr_iiwa_14").jacobian(IIWA))[2][-1]
+    q = IIWA + 0.2 * null
+    bench = Bench(q, arm="lbr_iiwa_14", axis_gain=0.0, posture_gain=1.0)
+    arm.plant.SetPositions(context, q)
+    before = bench.pose(q)
+    bench.simulator.AdvanceTo(6.0)
+    after = bench.pose(bench.command()[:7])
+    np.testing.assert_allclose(after.GetAsMatrix4(), before.GetAsMatrix4(), atol=2e-3)
+    away = abs(null @ (bench.command()[:7] - IIWA))
+    assert away < 0.2 * np.exp(-6) + 5e-3
+
+
+def test_direct_solution_for_seven_joints_is_drakes():
+    q = IIWA + np.array([0.1, -0.05, 0.2, 0.1, -0.1, 0.05, 0.3])
+    bench = Bench(q, arm="lbr_iiwa_14", planar=(0.02, -0.01, 0.3), axis_gain=0.0)
+    bench.simulator.AdvanceTo(STEP / 2)
+    limits = DifferentialInverseKinematicsParameters(7, 7)
+    limits.set_time_step(STEP)
+    limits.set_nominal_joint_position(IIWA)
+    limits.set_joint_centering_gain(0.5 * np.eye(7))
+    wanted = np.array([0, 0.3, 0, 0.02, 0, -0.01])
+    J = bench.jacobian(q)
+    result = DoDifferentialInverseKinematics(q, np.zeros(7), wanted, J, limits)
+    v = bench.command()[7:]
+    np.testing.assert_allclose(J @ v, wanted, atol=1e-9)
+    null = np.linalg.svd(J)[2][-1]
+    assert null @ v == pytest.approx(0.5 * null @ (IIWA - q), abs=1e-9)
+    np.testing.assert_allclose(v, result.joint_velocities, atol=1e-3)
 
 
 def test_probes_axis_comes_back_to_the_vertical():

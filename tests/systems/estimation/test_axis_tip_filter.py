@@ -6,26 +6,17 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydrake.common.value import Value
 from scipy.spatial.transform import Rotation
 
-from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter, AxisTipFilterParameters
-from sonoservo.systems.estimation.axis_tip_state import (
-    direction_angles,
-    predict_axis_tip,
-    start_axis_tip,
-    update_axis_tip,
-)
-from sonoservo.systems.estimation.track import NeedleMotionParameters
-from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter, direction_angles
+from sonoservo.systems.estimation.needle_motion import NeedleMotionParameters
 from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
-from sonoservo.systems.signals.volume import Volume
 
 MOTION = NeedleMotionParameters(insertion=1e-6, body=2e-7)
 TURNING = 1e-4
+FILTER = AxisTipFilter(motion=MOTION, turning=TURNING, velocity_gate=1 - 1e-12)
 NOISE = np.diag([1, 0.2, 0.3, 0.5, 0.2, 0.4]) * 1e-8
 VELOCITY_NOISE = np.diag([3, 1, 2]) * 1e-7
 
@@ -56,19 +47,18 @@ def insertion(rng, steps=6):
 
 def filtered(rng, R, flip=False):
     state = None
-    for entry, tip, v in insertion(rng):
-        found = measurement(entry, tip, R)
+    for time, (entry, tip, v) in enumerate(insertion(rng)):
+        found = measurement(entry, tip, R, float(time))
         if state is None:
-            state = start_axis_tip(found, 4e-3, 2e-3)
+            state = FILTER.start(found)
             continue
         if flip:
             # The same line with the opposite sense, its tip where it was.
             ends = 2 * tip - entry, tip
             J = np.kron([[-1, 2], [0, 1]], np.eye(3))
             noise = np.kron(np.eye(2), R) @ J @ NOISE @ J.T @ np.kron(np.eye(2), R).T
-            found = dataclasses.replace(measurement(*ends, R), covariance=noise)
-        state = predict_axis_tip(state, 1.0, MOTION, TURNING)
-        state = update_axis_tip(state, found, speed(v, R))
+            found = dataclasses.replace(measurement(*ends, R, float(time)), covariance=noise)
+        state = FILTER.update(FILTER.predict(state, found.time), found, speed(v, R))
     return state
 
 
@@ -80,8 +70,8 @@ def test_no_direction_is_special(R, seed):
     turned = filtered(np.random.default_rng(seed), R)
     np.testing.assert_allclose(turned.direction, R @ plain.direction, atol=1e-9)
     np.testing.assert_allclose(turned.tip, R @ plain.tip, atol=1e-10)
-    np.testing.assert_allclose(turned.velocity, R @ plain.velocity, atol=1e-10)
-    P, Q = plain.covariance[2:5, 2:5], turned.covariance[2:5, 2:5]
+    np.testing.assert_allclose(turned.tip_velocity, R @ plain.tip_velocity, atol=1e-10)
+    P, Q = plain.P[2:5, 2:5], turned.P[2:5, 2:5]
     np.testing.assert_allclose(Q, R @ P @ R.T, atol=1e-13)
     np.testing.assert_allclose(turned.frame @ turned.frame.T, np.eye(3), atol=1e-12)
 
@@ -98,10 +88,9 @@ def test_a_measured_axis_has_no_sense():
 def test_one_step_is_the_textbook_filter_on_the_paper_s_states(rng, with_axis, with_velocity):
     """Eqs. 1 to 7 with alpha and beta, far from their poles and for small errors."""
     first, second = list(insertion(rng, 2))
-    state = start_axis_tip(measurement(*first[:2]), 4e-3, 2e-3)
-    predicted = predict_axis_tip(state, 0.5, MOTION, TURNING)
-    updated = update_axis_tip(
-        predicted,
+    state = FILTER.start(measurement(*first[:2]))
+    updated = FILTER.update(
+        FILTER.predict(state, 0.5),
         measurement(*second[:2]) if with_axis else None,
         speed(second[2]) if with_velocity else None,
     )
@@ -115,7 +104,7 @@ def test_one_step_is_the_textbook_filter_on_the_paper_s_states(rng, with_axis, w
     turn = angles_by(lambda e: direction_angles(state.direction + e @ state.frame[:2]), np.zeros(2))
     T = np.eye(8)
     T[:2, :2] = turn
-    x = np.concatenate([direction_angles(state.direction), state.tip, state.velocity])
+    x = np.concatenate([direction_angles(state.direction), state.tip, state.tip_velocity])
     A = np.eye(8)
     A[2:5, 5:] = 0.5 * np.eye(3)
     density = MOTION.insertion * np.outer(state.direction, state.direction) + MOTION.body * np.eye(
@@ -124,7 +113,7 @@ def test_one_step_is_the_textbook_filter_on_the_paper_s_states(rng, with_axis, w
     Q = np.zeros((8, 8))
     Q[:2, :2] = TURNING * 0.5 * turn @ turn.T
     Q[2:, 2:] = np.kron([[0.5**3 / 3, 0.5**2 / 2], [0.5**2 / 2, 0.5]], density)
-    x, P = A @ x, A @ T @ state.covariance @ T.T @ A.T + Q
+    x, P = A @ x, A @ T @ state.P @ T.T @ A.T + Q
     ends = np.concatenate(second[:2])
     axis_and_tip = lambda e: np.concatenate([direction_angles(e[3:] - e[:3]), e[3:]])  # noqa: E731
     J = angles_by(axis_and_tip, ends)
@@ -136,10 +125,8 @@ def test_one_step_is_the_textbook_filter_on_the_paper_s_states(rng, with_axis, w
     P = (np.eye(8) - K @ H) @ P
     np.testing.assert_allclose(direction_angles(updated.direction), x[:2], atol=2e-4)
     np.testing.assert_allclose(updated.tip, x[2:5], atol=3e-6)
-    np.testing.assert_allclose(updated.velocity, x[5:], atol=3e-5)
-    np.testing.assert_allclose(
-        np.sqrt(np.diag(updated.covariance)[2:]), np.sqrt(np.diag(P)[2:]), rtol=0.05
-    )
+    np.testing.assert_allclose(updated.tip_velocity, x[5:], atol=3e-5)
+    np.testing.assert_allclose(np.sqrt(np.diag(updated.P)[2:]), np.sqrt(np.diag(P)[2:]), rtol=0.05)
 
 
 def test_covariance_says_how_far_it_errs():
@@ -149,9 +136,9 @@ def test_covariance_says_how_far_it_errs():
     for seed in range(300):
         state = filtered(np.random.default_rng(seed), np.eye(3))
         error = np.concatenate(
-            [state.frame[:2] @ k, 0.04 * k - state.tip, 0.004 * k - state.velocity]
+            [state.frame[:2] @ k, 0.04 * k - state.tip, 0.004 * k - state.tip_velocity]
         )
-        squares.append(error @ np.linalg.solve(state.covariance, error))
+        squares.append(error @ np.linalg.solve(state.P, error))
     # The process noise is added to a motion that has none, so it errs by less.
     assert 1.5 < np.mean(squares) < 9
 
@@ -164,92 +151,60 @@ def test_reported_angles(direction, alpha, beta):
     np.testing.assert_allclose(np.degrees(direction_angles(direction)), [alpha, beta], atol=0.05)
 
 
-PARAMETERS = AxisTipFilterParameters(motion=MOTION, turning=TURNING)
-
-
-class Bench:
-    """The leaf with its inputs fixed by hand."""
-
-    def __init__(self):
-        self.leaf = AxisTipFilter(parameters=PARAMETERS, period=1.0)
-        self.context = self.leaf.CreateDefaultContext()
-        self.fix(detection=NotFound("none"))
-
-    def fix(self, **values):
-        for port, value in values.items():
-            self.leaf.GetInputPort(port).FixValue(self.context, Value[object](value))
-
-    def step(self, time, found, velocity):
-        grid = np.zeros((2, 2, 2), np.uint8), np.zeros(3), np.ones(3)
-        self.fix(volume=Volume(*grid, X_WP=None, time=time), measurement=found, velocity=velocity)
-        self.leaf.ExecuteForcedEvents(self.context)
-        return self.leaf.GetOutputPort("estimate").Eval(self.context)
-
-
-START = measurement([0, 0, 0], [0.02, 0, 0])
-STILL = NotFound("not measured")
-
-
 @pytest.fixture
-def bench():
-    bench = Bench()
-    bench.leaf.start_at(bench.context, START)
-    return bench
+def resting():
+    """A needle along X whose tip has rested at 20 mm for five seconds."""
+    needle_filter = AxisTipFilter(motion=MOTION, turning=TURNING)
+    state = needle_filter.start(measurement([0, 0, 0], [0.02, 0, 0]))
+    for n in range(1, 6):
+        found = measurement([0, 0, 0], [0.02, 0, 0], time=float(n))
+        state = needle_filter.predict(state, found.time)
+        state = needle_filter.update(state, found, speed([0, 0, 0]))
+    return needle_filter, state
 
 
-def test_leaf_starts_where_it_is_told(bench):
-    estimate = bench.leaf.GetOutputPort("estimate").Eval(bench.context)
-    assert estimate.mode == TrackingMode.TRACKING
-    np.testing.assert_allclose(estimate.curve.control_points, START.curve.control_points)
+def test_entry_rests_while_the_tip_advances():
+    state = FILTER.start(measurement([0, 0, 0], [0.02, 0, 0]))
     # What the entry and the tip have in common is their covariance too.
-    np.testing.assert_allclose(estimate.covariance[3:6, 3:6], NOISE[3:, 3:], atol=1e-12)
-
-
-def test_leaf_tracks_with_both_and_its_entry_rests(bench):
+    np.testing.assert_allclose(state.covariance[3:6, 3:6], NOISE[3:, 3:], atol=1e-12)
     for n in range(1, 8):
         tip = [0.02 + 0.003 * n, 0, 0]
-        estimate = bench.step(n, measurement([0, 0, 0], tip, time=n), speed([0.003, 0, 0]))
-    assert estimate.mode == TrackingMode.TRACKING
-    np.testing.assert_allclose(estimate.curve.tip, tip, atol=2e-5)
-    np.testing.assert_allclose(estimate.curve.entry, 0, atol=1e-9)
-    np.testing.assert_allclose(estimate.tip_velocity, [0.003, 0, 0], atol=1e-4)
+        found = measurement([0, 0, 0], tip, time=float(n))
+        state = FILTER.update(FILTER.predict(state, n), found, speed([0.003, 0, 0]))
+    np.testing.assert_allclose(state.curve.tip, tip, atol=2e-5)
+    np.testing.assert_allclose(state.curve.entry, 0, atol=1e-9)
+    np.testing.assert_allclose(state.velocity[-1], [0.003, 0, 0], atol=1e-4)
 
 
-def test_leaf_goes_on_with_the_velocity_alone(bench):
-    bench.step(1, measurement([0, 0, 0], [0.02, 0, 0], time=1), speed([0, 0, 0]))
-    without = Bench()
-    without.leaf.start_at(without.context, START)
-    without.step(1, measurement([0, 0, 0], [0.02, 0, 0], time=1), speed([0, 0, 0]))
-    blind = NotFound("RANSAC failed")
-    for n in (2, 3):
-        told = bench.step(n, blind, speed([0.001, 0, 0]))
-        untold = without.step(n, blind, STILL)
-    assert told.mode == untold.mode == TrackingMode.COASTING
-    assert told.reason == "RANSAC failed"
-    assert told.curve.tip[0] > 0.0213
+def test_a_velocity_alone_moves_the_tip(resting):
+    needle_filter, state = resting
+    told = untold = state
+    for n in (6, 7):
+        told, untold = (needle_filter.predict(each, float(n)) for each in (told, untold))
+        told = needle_filter.update(told, None, speed([0.001, 0, 0]))
+        untold = needle_filter.update(untold, None, None)
+    assert told.curve.tip[0] > 0.0208
     assert untold.curve.tip[0] == pytest.approx(0.02, abs=2e-4)
 
 
-def test_leaf_does_not_believe_an_impossible_velocity(bench):
-    for n in range(1, 6):
-        bench.step(n, measurement([0, 0, 0], [0.02, 0, 0], time=n), speed([0, 0, 0]))
-    estimate = bench.step(6, measurement([0, 0, 0], [0.02, 0, 0], time=6), speed([0.5, 0, 0]))
-    assert np.linalg.norm(estimate.tip_velocity) < 1e-3
+def test_an_impossible_velocity_is_not_believed(resting):
+    needle_filter, state = resting
+    state = needle_filter.predict(state, 6.0)
+    found = measurement([0, 0, 0], [0.02, 0, 0], time=6.0)
+    without = needle_filter.update(state, found, None)
+    told = needle_filter.update(state, found, speed([0.5, 0, 0]))
+    np.testing.assert_array_equal(told.velocity, without.velocity)
 
 
-def test_leaf_without_any_measurement_loses_the_needle(bench):
-    for n in range(1, 5):
-        estimate = bench.step(n, NotFound("dark"), STILL)
-    assert estimate.mode == TrackingMode.LOST
-    found = bench.step(5, measurement([0, 0, 0], [0.03, 0, 0], time=5), STILL)
-    assert found.mode == TrackingMode.TRACKING
-    np.testing.assert_allclose(found.curve.tip, [0.03, 0, 0], atol=1e-9)
+def test_a_bent_needle_is_refused():
+    curve = NeedleCurve(np.outer([0, 0.01, 0.02], [1, 0, 0]))
+    with pytest.raises(ValueError, match="straight"):
+        FILTER.start(NeedleMeasurement(curve, np.eye(9), 0.0, 1, 1.0))
 
 
 @pytest.mark.parametrize(
-    ("field", "value"),
-    [("order", 3), ("turning", -1.0), ("velocity_gate", 1.0), ("probe_frame", True)],
+    ("field", "value"), [("turning", -1.0), ("velocity_gate", 1.0), ("first_speed_std", 0.0)]
 )
 def test_impossible_parameters_are_refused(field, value):
     with pytest.raises(ValueError, match=field):
-        dataclasses.replace(PARAMETERS, **{field: value})
+        dataclasses.replace(FILTER, **{field: value})

@@ -4,9 +4,9 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform, RotationMatrix
 from scipy.stats import chi2
 
-from sonoservo.systems.estimation.least_squares_shape_estimator import LeastSquaresShapeEstimator
-from sonoservo.systems.estimation.particle_shape_estimator import ParticleShapeEstimator
-from sonoservo.systems.estimation.published_shape_estimator import PublishedShapeEstimator
+from sonoservo.systems.estimation.shape_estimator import ShapeEstimator
+from sonoservo.systems.estimation.shape_filter import ShapePaths
+from sonoservo.systems.estimation.shape_filters import SHAPE_FILTERS
 from sonoservo.systems.estimation.shape_parameters import ShapeEstimatorParameters
 from sonoservo.systems.estimation.shape_posterior import MeasurementNoise
 from sonoservo.systems.needle.bicycle_model import BicyclePath
@@ -15,22 +15,15 @@ from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_shape import NeedleShape
 
 X_WI = RigidTransform(RotationMatrix.MakeYRotation(1.2), [0.3, -0.1, 0.2])
-SOUND = (ParticleShapeEstimator, LeastSquaresShapeEstimator)
-ALL = (*SOUND, PublishedShapeEstimator)
-PARAMETERS = {
-    ParticleShapeEstimator: "ShapeParticleFilterParameters",
-    LeastSquaresShapeEstimator: "ShapeLeastSquaresParameters",
-    PublishedShapeEstimator: "PublishedParticleFilterParameters",
-}
+SOUND = ("particle_filter", "least_squares")
+ALL = tuple(SHAPE_FILTERS)
 
 
-def parameters_of(leaf, **values):
-    module = __import__(leaf.__module__, fromlist=["_"])
-    if leaf is not PublishedShapeEstimator:
+def make_filter(name, **values):
+    choice = SHAPE_FILTERS[name]
+    if name in SOUND:
         values.setdefault("noise", MeasurementNoise(std=0.1e-3, independence=1.0))
-    else:
-        values.pop("noise", None)
-    return getattr(module, PARAMETERS[leaf])(**values)
+    return choice.make(choice.parameters(**values))
 
 
 def cross_section(p_I, time):
@@ -45,9 +38,9 @@ def cross_section(p_I, time):
     )
 
 
-def estimate(leaf, points, seed=0, **values):
+def estimate(name, points, seed=0, **values):
     """The shapes after each point, by the leaf's own events."""
-    estimator = leaf(parameters=parameters_of(leaf, **values), period=1.0, seed=seed)
+    estimator = ShapeEstimator(shape_filter=make_filter(name, **values), period=1.0, seed=seed)
     context = estimator.CreateDefaultContext()
     shapes = []
     for number, p_I in enumerate(points):
@@ -65,13 +58,13 @@ def measured(path, depths, deviation, seed=0):
     return points
 
 
-@pytest.mark.parametrize("leaf", SOUND)
+@pytest.mark.parametrize("name", SOUND)
 @pytest.mark.parametrize("plane", [0.3, -2.0, 3.1])
-def test_little_noise_gives_the_path_beyond_the_rotation(leaf, plane):
+def test_little_noise_gives_the_path_beyond_the_rotation(name, plane):
     path = BicyclePath(radius=1.2, angle=-0.02, plane=plane, rotations=(0.06,))
     points = measured(path, np.arange(0, 0.0601, 0.5e-3), 5e-6)
     noise = MeasurementNoise(std=5e-6, independence=1.0)
-    shape = estimate(leaf, points, depth=0.14, rotations=[0.06], noise=noise)[-1]
+    shape = estimate(name, points, depth=0.14, rotations=[0.06], noise=noise)[-1]
     depths = np.linspace(0, 0.14, 15)
     mean, _ = shape.predict(depths)
     assert np.linalg.norm(mean - path.position(depths)[:, :2], axis=1).max() < 0.03e-3
@@ -79,8 +72,8 @@ def test_little_noise_gives_the_path_beyond_the_rotation(leaf, plane):
     assert shape.observed == pytest.approx(0.06)
 
 
-@pytest.mark.parametrize("leaf", SOUND)
-def test_error_and_stated_uncertainty_agree(leaf):
+@pytest.mark.parametrize("name", SOUND)
+def test_error_and_stated_uncertainty_agree(name):
     distances, errors, stated = [], [], []
     rng = np.random.default_rng(4)
     for seed in range(25):
@@ -89,7 +82,7 @@ def test_error_and_stated_uncertainty_agree(leaf):
             plane=rng.uniform(-3, 3), rotations=(0.06,),
         )  # fmt: skip
         points = measured(path, np.arange(0, 0.0601, 1e-3), 0.1e-3, seed)
-        shape = estimate(leaf, points, seed, depth=0.14, rotations=[0.06])[-1]
+        shape = estimate(name, points, seed, depth=0.14, rotations=[0.06])[-1]
         mean, covariance = shape.predict([0.14])
         error = mean[0] - path.position(0.14)[:2]
         distances.append(error @ np.linalg.solve(covariance[0], error))
@@ -107,7 +100,7 @@ def test_particle_filter_has_the_posterior_that_quadrature_gives():
     points = measured(path, depths, 0.1e-3, seed=2)
     noise = MeasurementNoise(std=0.1e-3, confidence=1e6, independence=1.0, outlier=100.0)
     found = [
-        estimate(ParticleShapeEstimator, points, seed, depth=0.1, noise=noise, particles=2000)[-1]
+        estimate("particle_filter", points, seed, depth=0.1, noise=noise, particles=2000)[-1]
         for seed in range(3)
     ]
     tips = np.array([shape.predict([0.1])[0][0, 0] for shape in found])
@@ -131,11 +124,11 @@ def test_particle_filter_has_the_posterior_that_quadrature_gives():
     assert spread.mean() == pytest.approx(deviation, rel=0.2)
 
 
-@pytest.mark.parametrize("leaf", SOUND)
-def test_fewer_slices_than_parameters_are_wide_not_wrong(leaf):
+@pytest.mark.parametrize("name", SOUND)
+def test_fewer_slices_than_parameters_are_wide_not_wrong(name):
     path = BicyclePath(radius=0.8, angle=0.05, plane=1.0)
     points = measured(path, np.array([0.0, 1e-3, 2e-3, 3e-3]), 0.1e-3)
-    shapes = estimate(leaf, points, depth=0.1)
+    shapes = estimate(name, points, depth=0.1)
     for shape in shapes:
         mean, covariance = shape.predict([0.1])
         error = mean[0] - path.position(0.1)[:2]
@@ -143,41 +136,41 @@ def test_fewer_slices_than_parameters_are_wide_not_wrong(leaf):
         assert np.sqrt(np.trace(covariance[0])) > 2e-3
     # The more is seen, the narrower.
     depths = np.arange(0, 0.08, 1e-3)
-    shapes = estimate(leaf, measured(path, depths, 0.1e-3), depth=0.1)
+    shapes = estimate(name, measured(path, depths, 0.1e-3), depth=0.1)
     deviation = [shape.std([0.1])[0] for shape in shapes]
     assert deviation[-1] < 0.1 * deviation[10] < 0.1 * deviation[2] * 2
 
 
-@pytest.mark.parametrize("leaf", SOUND)
-def test_echoes_of_something_else_widen_the_uncertainty(leaf):
+@pytest.mark.parametrize("name", SOUND)
+def test_echoes_of_something_else_widen_the_uncertainty(name):
     path = BicyclePath(radius=1.5, angle=0.0, plane=0.0)
     points = measured(path, np.arange(0, 0.05, 0.5e-3), 0.1e-3)
-    clean = estimate(leaf, points, depth=0.1)[-1]
+    clean = estimate(name, points, depth=0.1)[-1]
     points[40:48, 1] += 2e-3
-    hit = estimate(leaf, points, depth=0.1)[-1]
+    hit = estimate(name, points, depth=0.1)[-1]
     error = np.linalg.norm(hit.predict([0.1])[0][0] - path.position(0.1)[:2])
     assert error < 1e-3
     assert hit.std([0.1])[0] > 1.2 * clean.std([0.1])[0]
 
 
-@pytest.mark.parametrize("leaf", ALL)
-def test_slices_without_needle_beyond_the_limit_or_seen_before_change_nothing(leaf):
+@pytest.mark.parametrize("name", ALL)
+def test_slices_without_needle_beyond_the_limit_or_seen_before_change_nothing(name):
     path = BicyclePath(radius=1.0, angle=0.02)
     depths = np.arange(0, 0.03, 0.5e-3)
     points = measured(path, depths, 0.1e-3)
-    expected = estimate(leaf, points, depth=0.1, observe_until=0.02)
+    expected = estimate(name, points, depth=0.1, observe_until=0.02)
     at = int(np.searchsorted(depths, 0.02 + 1e-6))
     assert np.array_equal(expected[at].tip, expected[-1].tip)
     assert expected[-1].observed == pytest.approx(0.02)
     points[at - 5] = np.nan
-    missing = estimate(leaf, points[: at - 4], depth=0.1)
+    missing = estimate(name, points[: at - 4], depth=0.1)
     assert missing[-1].reason == "no echo"
     assert np.array_equal(missing[-1].tip, missing[-2].tip)
 
 
-@pytest.mark.parametrize("leaf", ALL)
-def test_there_is_no_shape_before_the_first_cross_section(leaf):
-    (shape,) = estimate(leaf, [[np.nan] * 3], depth=0.1)
+@pytest.mark.parametrize("name", ALL)
+def test_there_is_no_shape_before_the_first_cross_section(name):
+    (shape,) = estimate(name, [[np.nan] * 3], depth=0.1)
     assert isinstance(shape, NotFound)
     assert shape.reason == "no echo"
 
@@ -185,10 +178,9 @@ def test_there_is_no_shape_before_the_first_cross_section(leaf):
 def test_frame_may_be_given_before_the_needle_is_seen():
     path = BicyclePath(radius=1.2, angle=0.03, rotations=(0.04,))
     points = measured(path, np.arange(5e-3, 0.0401, 0.5e-3), 5e-6)
-    leaf = ParticleShapeEstimator
     noise = MeasurementNoise(std=5e-6, independence=1.0)
-    parameters = parameters_of(leaf, depth=0.1, rotations=[0.04], noise=noise)
-    estimator = leaf(parameters=parameters, X_WI=X_WI, period=1.0)
+    shape_filter = make_filter("particle_filter", depth=0.1, rotations=[0.04], noise=noise)
+    estimator = ShapeEstimator(shape_filter=shape_filter, X_WI=X_WI, period=1.0)
     context = estimator.CreateDefaultContext()
     for number, p_I in enumerate(points):
         value = Value[object](cross_section(p_I, float(number)))
@@ -201,7 +193,7 @@ def test_frame_may_be_given_before_the_needle_is_seen():
 def test_the_printed_filter_waits_for_10_mm_and_loses_its_spread():
     path = BicyclePath(radius=1.5, angle=0.03)
     points = measured(path, np.arange(0, 0.0601, 0.5e-3), 0.1e-3)
-    shapes = estimate(PublishedShapeEstimator, points, depth=0.14, bevel_direction_deg=0.0)
+    shapes = estimate("published", points, depth=0.14, bevel_direction_deg=0.0)
     assert all(isinstance(shape, NotFound) for shape in shapes[:20])
     assert "10 mm" in shapes[10].reason
     first, last = shapes[20], shapes[-1]
@@ -210,6 +202,50 @@ def test_the_printed_filter_waits_for_10_mm_and_loses_its_spread():
     assert last.std([0.14])[0] < 0.01 * first.std([0.14])[0]
     error = np.linalg.norm(last.predict([0.14])[0][0] - path.position(0.14)[:2])
     assert error > 5 * last.std([0.14])[0]
+
+
+class MeanFilter:
+    """A filter of one's own: straight needles along Z at the mean of the points."""
+
+    parameters = ShapeEstimatorParameters(depth=0.1)
+
+    def begin(self, rng):
+        return np.zeros((0, 3))
+
+    def update(self, belief, point, rng):
+        return np.vstack([belief, point])
+
+    def represent(self, belief, rng):
+        return ShapePaths(
+            parameters=np.array([[1e9, 0.0, 0.0]]),
+            origins=belief[:, :2].mean(axis=0)[np.newaxis],
+            weights=np.ones(1),
+        )
+
+
+def test_a_filter_of_ones_own_fits_in():
+    estimator = ShapeEstimator(shape_filter=MeanFilter(), X_WI=X_WI, period=1.0)
+    context = estimator.CreateDefaultContext()
+    for time, x in enumerate((1e-3, 3e-3)):
+        value = Value[object](cross_section(np.array([x, 0, 1e-3 * time]), float(time)))
+        estimator.GetInputPort("cross_section").FixValue(context, value)
+        estimator.ExecuteForcedEvents(context)
+    shape = estimator.GetOutputPort("shape").Eval(context)
+    assert np.allclose(X_WI.inverse().multiply(shape.tip), [2e-3, 0, 0.1])
+
+
+@pytest.mark.parametrize("name", SOUND)
+def test_an_unexpected_measurement_weighs_less(name):
+    shape_filter = make_filter(name, depth=0.1)
+    rng = np.random.default_rng(1)
+    path = BicyclePath(radius=1.5)
+    belief = shape_filter.begin(rng)
+    for point in measured(path, np.arange(0, 0.03, 0.5e-3), 0.1e-3):
+        belief = shape_filter.update(belief, point, rng)
+    off = path.position(0.03) + np.array([0.0, 3e-3, 0.0])
+    belief = shape_filter.update(belief, off, rng)
+    assert np.median(belief.weights) == 1.0
+    assert belief.weights[-1] < 0.2
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,7 @@ from pydrake.math import RigidTransform
 
 from sonoservo.systems.evaluation.metrics import summarize
 from sonoservo.systems.evaluation.plots import plot_errors, plot_run, png
-from sonoservo.systems.evaluation.replay import save_replay
-from sonoservo.systems.evaluation.report import report_page, write_report
+from sonoservo.systems.evaluation.report import report_page, save_replay, write_report
 
 
 class Page(HTMLParser):

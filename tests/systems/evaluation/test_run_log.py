@@ -5,26 +5,28 @@ import numpy as np
 import pytest
 
 from sonoservo.systems import evaluation
-from sonoservo.systems.evaluation.run_log import FORMAT, column_table, columns, read_log, write_log
+from sonoservo.systems.evaluation.log import FORMAT, column_table, columns, read_log, write_log
+from sonoservo.systems.evaluation.run_log import RunLog
+from sonoservo.systems.evaluation.shape_log import ShapeLog
 
 
 def test_a_log_survives_its_file(tmp_path, insertion_log):
-    log = read_log(write_log(tmp_path / "log.npz", insertion_log))
-    for name in columns():
+    log = read_log(write_log(tmp_path / "log.npz", insertion_log), RunLog)
+    for name in columns(RunLog):
         np.testing.assert_array_equal(getattr(log, name), getattr(insertion_log, name), name)
     np.testing.assert_array_equal(log.compute["track"], insertion_log.compute["track"])
     assert not log.time.flags.writeable
 
 
 def test_an_empty_log_survives_its_file(tmp_path, make_log):
-    log = read_log(write_log(tmp_path / "log.npz", make_log(0, 0)))
+    log = read_log(write_log(tmp_path / "log.npz", make_log(0, 0)), RunLog)
     assert log.time.shape == (0,)
     assert log.X_WP.shape == (0, 4, 4)
 
 
 def test_no_file():
     with pytest.raises(FileNotFoundError, match="no log at .*absent"):
-        read_log("absent.npz")
+        read_log("absent.npz", RunLog)
 
 
 @pytest.mark.parametrize("kept", [0, 10, 0.5, 0.99])
@@ -33,7 +35,7 @@ def test_a_truncated_file_is_refused(tmp_path, insertion_log, kept):
     data = path.read_bytes()
     path.write_bytes(data[: kept if isinstance(kept, int) else int(kept * len(data))])
     with pytest.raises(ValueError, match="log.npz is not a log, or only a part of one"):
-        read_log(path)
+        read_log(path, RunLog)
 
 
 def test_a_damaged_file_is_refused(tmp_path, insertion_log):
@@ -42,17 +44,23 @@ def test_a_damaged_file_is_refused(tmp_path, insertion_log):
     data[len(data) // 2] ^= 0xFF
     path.write_bytes(data)
     with pytest.raises(ValueError, match="log.npz is not a log, or only a part of one"):
-        read_log(path)
+        read_log(path, RunLog)
 
 
 def test_other_files_are_refused(tmp_path):
     path = tmp_path / "other.npz"
     np.savez(path, time=np.zeros(3))
     with pytest.raises(ValueError, match="format None"):
-        read_log(path)
+        read_log(path, RunLog)
     np.savez(path, format=FORMAT, time=np.zeros(3))
     with pytest.raises(ValueError, match=r"lacks X_WP, X_WT, .*volume_time"):
-        read_log(path)
+        read_log(path, RunLog)
+
+
+def test_a_log_of_another_kind_is_refused(tmp_path, insertion_log):
+    path = write_log(tmp_path / "log.npz", insertion_log)
+    with pytest.raises(ValueError, match=r"lacks correlation, depth, .*tip_covariance"):
+        read_log(path, ShapeLog)
 
 
 def test_arrays_must_agree(insertion_log):
@@ -62,4 +70,5 @@ def test_arrays_must_agree(insertion_log):
 
 def test_the_readme_names_every_array():
     readme = Path(evaluation.__file__).with_name("README.md").read_text()
-    assert column_table() in readme
+    assert column_table(RunLog) in readme
+    assert column_table(ShapeLog) in readme

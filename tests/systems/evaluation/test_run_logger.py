@@ -6,8 +6,9 @@ from pydrake.multibody.math import SpatialForce
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, EventStatus, LeafSystem
 
+from sonoservo.systems.evaluation.log import read_log, write_log
 from sonoservo.systems.evaluation.metrics import summarize
-from sonoservo.systems.evaluation.run_log import read_log, write_log
+from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.run_logger import RunLogger, visible_length
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle import Needle
@@ -32,6 +33,11 @@ def estimate(volume_time, mode=TrackingMode.TRACKING):
 def connected(logger):
     """A context in which every port has a value."""
     context = logger.CreateDefaultContext()
+    connect(logger, context)
+    return context
+
+
+def connect(logger, context):
     for name, value in {
         "X_WP": Value(X_WP),
         "X_WT": Value(X_WT),
@@ -45,7 +51,6 @@ def connected(logger):
     logger.GetInputPort("joint_state").FixValue(context, np.arange(12.0))
     logger.GetInputPort("contact_force").FixValue(context, [2.5])
     logger.GetInputPort("planar_velocity").FixValue(context, [0.1, 0.2, 0.3])
-    return context
 
 
 def test_a_sample_and_a_volume():
@@ -53,7 +58,7 @@ def test_a_sample_and_a_volume():
     context = connected(logger)
     context.SetTime(0.7)
     logger.ForcedPublish(context)
-    log = logger.log(compute={"render": [0.04]})
+    log = logger.log(context, compute={"render": [0.04]})
     assert log.time == [0.7]
     np.testing.assert_array_equal(log.X_WP, [X_WP.GetAsMatrix4()])
     np.testing.assert_array_equal(log.X_WT, [X_WT.GetAsMatrix4()])
@@ -79,8 +84,9 @@ def test_a_sample_and_a_volume():
 
 def test_what_is_not_there_is_missing():
     logger = RunLogger()
-    logger.ForcedPublish(logger.CreateDefaultContext())  # nothing is connected
-    context = connected(logger)
+    context = logger.CreateDefaultContext()
+    logger.ForcedPublish(context)  # nothing is connected
+    connect(logger, context)
     context.SetTime(1.0)
     logger.GetInputPort("needle").FixValue(context, Value[object](Needle(np.zeros((0, 3)), 1e-3)))
     searching = estimate(0.9, TrackingMode.SEARCHING)
@@ -88,7 +94,7 @@ def test_what_is_not_there_is_missing():
     nothing = Value[object](NotFound("no line"))
     logger.GetInputPort("measurement").FixValue(context, nothing)
     logger.ForcedPublish(context)
-    log = logger.log()
+    log = logger.log(context)
     assert np.isnan(log.X_WP[0]).all()
     assert log.estimate_mode.tolist() == ["", "searching"]
     assert np.isnan(log.inserted_length[0])
@@ -115,7 +121,7 @@ def test_before_the_first_volume_there_is_no_row():
     nothing = NeedleEstimate(TrackingMode.SEARCHING, 0.0)
     logger.GetInputPort("estimate").FixValue(context, Value[object](nothing))
     logger.ForcedPublish(context)
-    log = logger.log()
+    log = logger.log(context)
     assert len(log.time) == 1
     assert len(log.volume_time) == 0
 
@@ -145,11 +151,32 @@ def simulate(logger, **stop):
     return Simulator(builder.Build())
 
 
+def log_of(logger, simulator):
+    return logger.log(logger.GetMyContextFromRoot(simulator.get_context()))
+
+
+def test_two_contexts_of_one_diagram_keep_logs_of_their_own():
+    logger = RunLogger()
+    first = simulate(logger)
+    diagram = first.get_system()
+    second = Simulator(diagram)
+    for time in (0.5, 1.0):  # in turns
+        first.AdvanceTo(time)
+        second.AdvanceTo(2 * time)
+    np.testing.assert_array_equal(log_of(logger, first).time, np.arange(33) / 32)
+    np.testing.assert_array_equal(log_of(logger, second).time, np.arange(65) / 32)
+    assert len(log_of(logger, second).volume_time) == 8
+    copy = Simulator(diagram, first.get_context().Clone())
+    second.Initialize()  # forgets what that run has kept, and nothing else
+    assert len(log_of(logger, second).time) == 1
+    assert len(log_of(logger, first).time) == len(log_of(logger, copy).time) == 33
+
+
 def test_in_a_diagram_every_sample_and_volume_is_kept_once():
     logger = RunLogger(period=1 / 32, volume_period=0.25, volume_offset=0.2 + 1e-6)
     simulator = simulate(logger)
     simulator.AdvanceTo(2.0)
-    log = logger.log()
+    log = log_of(logger, simulator)
     np.testing.assert_array_equal(log.time, np.arange(0, 65) / 32)
     np.testing.assert_allclose(log.volume_time, 0.1 + 0.25 * np.arange(8))
     np.testing.assert_allclose(log.volume_seen, 0.2 + 0.25 * np.arange(8) + 1e-6)
@@ -159,18 +186,25 @@ def test_in_a_diagram_every_sample_and_volume_is_kept_once():
 
 def test_volumes_are_kept_without_their_beat_too():
     logger = RunLogger()
-    simulate(logger).AdvanceTo(2.0)
-    np.testing.assert_allclose(logger.log().volume_time, 0.1 + 0.25 * np.arange(8))
+    simulator = simulate(logger)
+    simulator.AdvanceTo(2.0)
+    log = log_of(logger, simulator)
+    np.testing.assert_allclose(log.volume_time, 0.1 + 0.25 * np.arange(8))
 
 
-def test_each_run_begins_anew():
+@pytest.mark.parametrize("another_context", [False, True])
+def test_each_run_begins_anew(another_context):
     logger = RunLogger()
     simulator = simulate(logger)
     simulator.AdvanceTo(1.0)
-    simulator.reset_context(simulator.get_system().CreateDefaultContext())
+    if another_context:
+        simulator.reset_context(simulator.get_system().CreateDefaultContext())
+    else:
+        simulator.get_mutable_context().SetTime(0.0)
+        simulator.get_system().SetDefaultContext(simulator.get_mutable_context())
     simulator.Initialize()
     simulator.AdvanceTo(0.5)
-    log = logger.log()
+    log = log_of(logger, simulator)
     np.testing.assert_array_equal(log.time, np.arange(0, 17) / 32)
     np.testing.assert_allclose(log.volume_time, [0.1, 0.35])
 
@@ -187,7 +221,7 @@ def test_an_interrupted_run_keeps_its_log(tmp_path):
     simulator.set_monitor(interrupt)
     with pytest.raises(KeyboardInterrupt):
         simulator.AdvanceTo(5.0)
-    log = read_log(write_log(tmp_path / "log.npz", logger.log()))
+    log = read_log(write_log(tmp_path / "log.npz", log_of(logger, simulator)), RunLog)
     assert 0.9 < log.time[-1] <= 1.1
     assert len(log.volume_time) == 4
     assert summarize(log)["simulated_s"] == log.time[-1]

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.evaluation.shape_log import ShapeLog, write_shape_log
+from sonoservo.systems.evaluation.log import read_log, write_log
+from sonoservo.systems.evaluation.shape_log import ShapeLog
 from sonoservo.systems.evaluation.shape_metrics import (
     cross_section_errors,
     plane_of,
@@ -113,6 +114,7 @@ def test_summary_sums_up_and_the_file_holds_the_rows(tmp_path):
     assert figures["tip_error_true_mm"] < 0.02
     assert figures["tip_error_measured_mm"] == pytest.approx(0.1, abs=0.02)
     assert figures["tip_std_mm"] == pytest.approx(0.1, rel=0.05)
-    with np.load(write_shape_log(tmp_path / "log.npz", log)) as file:
-        assert np.array_equal(file["measured"], log.measured, equal_nan=True)
-        assert file["reason"][3] == "no echo"
+    read = read_log(write_log(tmp_path / "log.npz", log), ShapeLog)
+    np.testing.assert_array_equal(read.measured, log.measured)
+    assert read.reason[3] == "no echo"
+    assert summarize_shape(read, None)["tracking"] == summary["tracking"]

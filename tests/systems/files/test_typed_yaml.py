@@ -50,6 +50,7 @@ class Chain:
 @dataclass(kw_only=True)
 class Stand:
     guard: Lock | Chain = field(default_factory=Lock)
+    tether: Lock | Chain = field(default_factory=Chain)
     more: list[Lock | Chain] = field(default_factory=list)
 
 
@@ -144,6 +145,11 @@ def test_a_kind_chooses_among_dataclasses(changes, guard):
 def test_kinds_may_be_listed():
     stand = load_typed(Stand, {"more": ["chain", {"keys": 1}, {"kind": "lock"}]}, "x")
     assert stand.more == [Chain(), Lock(keys=1), Lock()]
+
+
+def test_without_a_kind_the_default_s_is_chosen():
+    assert load_typed(Stand, {"tether": {"length": 2.0}}, "x").tether == Chain(length=2.0)
+    assert load_typed(Stand, {"tether": {"kind": "lock"}}, "x").tether == Lock()
 
 
 @pytest.mark.parametrize(

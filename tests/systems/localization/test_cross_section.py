@@ -7,17 +7,16 @@ from scipy.ndimage import gaussian_filter
 from sonoservo.systems.localization.cross_section import (
     DEVIATIONS,
     CrossSectionParameters,
+    expected_position,
     find_again,
+    find_first,
     find_needle,
     image_mean,
     start_at,
     variance_image,
 )
-from sonoservo.systems.localization.cross_section_tracker import (
-    CrossSectionTracker,
-    CrossSectionTrackerParameters,
-)
-from sonoservo.systems.signals.cross_section import CrossSection
+from sonoservo.systems.localization.cross_section_localizer import CrossSectionLocalizer
+from sonoservo.systems.signals.cross_section_track import CrossSectionTrack
 from sonoservo.systems.signals.image_slice import ImageSlice
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_shape import NeedleShape
@@ -138,48 +137,67 @@ def test_a_needle_that_is_not_there_is_not_found(image, expected, reason):
 )
 def test_bad_parameters_are_named(changes, message):
     with pytest.raises(ValueError, match=message):
-        CrossSectionTrackerParameters(**changes)
+        CrossSectionParameters(**changes)
 
 
-def show(tracker, context, image):
-    tracker.GetInputPort("slice").FixValue(context, Value[object](image))
-    found = tracker.GetOutputPort("cross_section").Eval(context)
-    tracker.ExecuteForcedEvents(context)
-    # After its event, the same slice gives the same cross-section.
-    assert tracker.GetOutputPort("cross_section").Eval(context) is found
-    return found
+def test_the_first_is_found_by_what_stays_or_where_a_person_points():
+    axis, fibre = np.array([0.002, 0.025]), np.array([-0.008, 0.03])
+    images = [
+        picture(axis, seed=number, more=[(fibre, 45)] if number < 2 else [], time=number)
+        for number in range(4)
+    ]
+    assert "stays" in find_first(images[:3], PARAMETERS).reason
+    assert np.allclose(find_first(images, PARAMETERS).centre, axis, atol=0.1e-3)
+    pointed = CrossSectionParameters(start=list(axis + 0.3e-3))
+    assert np.allclose(find_first(images[:1], pointed).centre, axis, atol=0.1e-3)
 
 
-def test_tracker_starts_with_what_lasts_and_follows():
-    tracker = CrossSectionTracker(parameters=CrossSectionTrackerParameters(), period=1.0)
-    context = tracker.CreateDefaultContext()
-    axis = np.array([0.002, 0.025])
-    fibre = np.array([-0.008, 0.03])
-    for number in range(12):
-        more = [(fibre, 45)] if number < 2 else []
-        image = picture(
-            axis, seed=number, level_db=30, more=more, depth=0.5e-3 * number, time=number
-        )
-        found = show(tracker, context, image)
-        if number < 3:
-            assert isinstance(found, NotFound)
-        else:
-            assert np.allclose(found.position, [*axis, 0.5e-3 * number], atol=0.1e-3)
-    assert isinstance(found, CrossSection)
+# A needle that goes 6 mm aside in 40 mm.
+SLANTED = NeedleShape(
+    parameters=[[1e4, np.arctan(0.15), 0.0]], origins=[[0.0, 0.025]], weights=[1.0],
+    origin_variance=0.0, rotations=(), depth=0.1, observed=0.02, X_WI=RigidTransform(),
+    time=0.0,
+)  # fmt: skip
 
 
-def test_tracker_follows_the_predicted_shape_while_the_needle_is_not_seen():
-    parameters = CrossSectionTrackerParameters(start=[0.0, 0.025], follow_shape_from=0.01)
-    tracker = CrossSectionTracker(parameters=parameters, period=1.0)
-    context = tracker.CreateDefaultContext()
-    # A needle that goes 6 mm aside in 40 mm: out of reach of the last region of interest.
-    shape = NeedleShape(
-        parameters=[[1e4, np.arctan(0.15), 0.0]], origins=[[0.0, 0.025]], weights=[1.0],
-        origin_variance=0.0, rotations=(), depth=0.1, observed=0.02, X_WI=RigidTransform(),
-        time=0.0,
-    )  # fmt: skip
-    tracker.GetInputPort("shape").FixValue(context, Value[object](shape))
-    assert show(tracker, context, picture([0.0, 0.025], time=0.0))
-    assert not show(tracker, context, picture(seed=9, depth=0.02, time=1.0))
-    found = show(tracker, context, picture([6e-3, 0.025], seed=2, depth=0.04, time=2.0))
-    assert np.allclose(found.centre, [6e-3, 0.025], atol=0.1e-3)
+def test_it_is_expected_on_the_predicted_shape_once_enough_is_observed():
+    last = start_at(picture([0.0, 0.025]), [0.0, 0.025], PARAMETERS)
+    image = picture(depth=0.04)
+    follows = CrossSectionParameters(follow_shape_from=0.02)
+    assert np.allclose(expected_position(image, last, SLANTED, follows), [6e-3, 0.025], atol=1e-6)
+    waits = CrossSectionParameters(follow_shape_from=0.021)
+    for shape, parameters in ((SLANTED, waits), (NotFound("no shape"), follows)):
+        assert np.allclose(expected_position(image, last, shape, parameters), last.centre)
+
+
+def localize(track, image, shape=None):
+    localizer = CrossSectionLocalizer(parameters=PARAMETERS)
+    context = localizer.CreateDefaultContext()
+    for name, value in (("slice", image), ("cross_section_track", track), ("shape", shape)):
+        if value is not None:
+            localizer.GetInputPort(name).FixValue(context, Value[object](value))
+    return localizer.GetOutputPort("cross_section").Eval(context)
+
+
+def test_localizer_finds_again_what_was_found_and_looks_at_a_slice_once():
+    first = picture([0.0, 0.025], time=0.0)
+    found = start_at(first, [0.0, 0.025], PARAMETERS)
+    track = CrossSectionTrack(found, first.time, found)
+    assert localize(track, first) is found
+    assert localize(track, NotFound("no slice")) is found
+    moved = localize(track, picture([0.5e-3, 0.025], seed=1, time=1.0))
+    assert np.allclose(moved.centre, [0.5e-3, 0.025], atol=0.1e-3)
+    # Out of reach of the last region of interest, but on the predicted shape.
+    far = picture([6e-3, 0.025], seed=2, depth=0.04, time=2.0)
+    assert not localize(track, far)
+    assert np.allclose(localize(track, far, SLANTED).centre, [6e-3, 0.025], atol=0.1e-3)
+
+
+def test_localizer_has_no_state_and_says_what_it_waits_for():
+    localizer = CrossSectionLocalizer(parameters=PARAMETERS)
+    context = localizer.CreateDefaultContext()
+    assert context.is_stateless()
+    assert localize(CrossSectionTrack(), NotFound("no slice")).reason == "no slice yet"
+    assert "stays" in localize(CrossSectionTrack(), picture([0.0, 0.025])).reason
+    with pytest.raises(TypeError, match="cross_section_track"):
+        localize(NotFound("wrong"), picture())

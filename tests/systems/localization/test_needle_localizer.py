@@ -1,217 +1,59 @@
-import dataclasses
-
 import numpy as np
 import pytest
 from pydrake.common.value import Value
-from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from synthetic_volumes import Scene, entry_on_side
 
-from sonoservo.systems.estimation.track import NeedleMotionParameters, NeedleTrack
-from sonoservo.systems.localization.localize import localize
-from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.localization.needle_localizer import NeedleLocalizer
-from sonoservo.systems.localization.ransac import RansacParameters
-from sonoservo.systems.localization.tip import TipParameters
 from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.needle_estimate import TrackingMode
+from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 
-SCENE = Scene(
-    seed=5,
-    spacing=1.0e-3,
-    balls=[([0.005, 0.06, 0.008], 2e-3), ([-0.01, 0.035, -0.004], 1.5e-3)],
-    rods=[([-0.015, 0.07, 0.0], [-0.003, 0.072, 0.008])],
-)
-ENTRY = entry_on_side()
-K = np.array([1, 0.25, 0.1]) / np.linalg.norm([1, 0.25, 0.1])
-# The synthetic needle echoes where it is, not at its front wall, and ends as an edge.
-PARAMETERS = NeedleLocalizerParameters(echo_offset=0.0, tip=TipParameters(beam_width=2.0e-3))
+ENDS = entry_on_side() + np.outer([0, 0.03], [0.96, 0.24, 0.1])
 
 
-def needle(length):
-    return np.array([ENTRY, ENTRY + length * K])
+class Bench:
+    """The leaf with its inputs in hand."""
+
+    def __init__(self):
+        self.localizer = NeedleLocalizer()
+        self.context = self.localizer.CreateDefaultContext()
+        self.fix("prediction", self.prediction())
+
+    def prediction(self):
+        curve = NeedleCurve(ENDS)
+        return NeedlePrediction(2, 0.0, curve, np.zeros((2, 3)), 1e-6 * np.eye(6), curve.entry)
+
+    def fix(self, port, value):
+        self.localizer.GetInputPort(port).FixValue(self.context, Value[object](value))
+
+    def output(self, port):
+        return self.localizer.GetOutputPort(port).Eval(self.context)
 
 
-def track(ends, order=2, mode=TrackingMode.TRACKING, deviation=1e-3, time=0.0):
-    points = np.linspace(*ends, order)
-    mean = np.concatenate([points.ravel(), np.zeros(3 * order)])
-    covariance = np.diag(np.repeat([deviation**2, 1e-6], 3 * order))
-    return NeedleTrack(mode, time, NeedleMotionParameters(), mean, covariance)
+def test_measures_and_explains():
+    bench = Bench()
+    bench.fix("volume", Scene(seed=5, spacing=1e-3).volume(1, lambda time: ENDS))
+    found = bench.output("measurement")
+    assert isinstance(found, NeedleMeasurement)
+    assert bench.output("explanation").measurement is found
+    assert bench.output("explanation").attempts
 
 
-def run(volume, guess, seed=0, **changes):
-    parameters = dataclasses.replace(PARAMETERS, **changes)
-    return localize(volume, guess, parameters, np.random.default_rng(seed))
+def test_says_what_is_missing():
+    bench = Bench()
+    for port in ("measurement", "explanation"):
+        bench.fix("volume", NotFound("no sweep"))
+        assert bench.output(port).reason == "no sweep"
+    bench.fix("volume", Scene(seed=5, spacing=1e-3).volume(1))
+    bench.fix("prediction", NotFound("nothing is expected"))
+    assert bench.output("measurement").reason == "nothing is expected"
+    assert bench.output("explanation").attempts == ()
 
 
-@pytest.mark.parametrize("order", [2, 3])
-@pytest.mark.parametrize("length", [0.012, 0.04])
-def test_measures_axis_and_tip(order, length):
-    X_WP = RigidTransform(RollPitchYaw(2.0, 0.3, -0.5), [0.4, 0.1, 0.2])
-    ends = X_WP.multiply(needle(length).T).T
-    volume = SCENE.volume(1, lambda time: ends, X_WP)
-    rng = np.random.default_rng(1)
-    for seed in range(5):
-        guess = track(ends + rng.normal(size=(2, 3)) * 1e-3, order)
-        found = run(volume, guess, seed, order=order)
-        assert isinstance(found, NeedleMeasurement)
-        k = X_WP.rotation().matrix() @ K
-        angle = np.degrees(np.arccos(found.curve.direction @ k))
-        assert angle < (4 if length < 0.02 else 0.8)
-        error = found.curve.tip - ends[1]
-        assert abs(error @ k) < 1.5e-3
-        assert np.linalg.norm(error - error @ k * k) < 0.8e-3
-        # Interior points are uniform in chord, and the covariance is one.
-        chord = np.linalg.norm(np.diff(found.curve.control_points, axis=0), axis=1)
-        assert np.ptp(chord) < 0.02 * chord.sum()
-        assert np.linalg.eigvalsh(found.covariance).min() > 0
-        assert found.inlier_ratio > 0.3
-
-
-def test_same_seed_same_measurement():
-    volume = SCENE.volume(1, lambda time: needle(0.03))
-    first, second = (run(volume, track(needle(0.03)), seed=4) for _ in range(2))
-    np.testing.assert_array_equal(first.curve.control_points, second.curve.control_points)
-
-
-def test_tip_that_leaves_the_field_of_view_is_uncertain():
-    far = np.array([ENTRY, ENTRY + np.array([0.12, 0.01, 0])])
-    volume = SCENE.volume(1, lambda time: far)
-    seen = run(volume, track(np.array([ENTRY, ENTRY + np.array([0.08, 0.006, 0])])))
-    k = (far[1] - far[0]) / np.linalg.norm(far[1] - far[0])
-    assert k @ seen.covariance[-3:, -3:] @ k > (5e-3) ** 2
-
-
-def test_entry_outside_the_field_of_view():
-    ends = np.array([ENTRY - 0.03 * K, ENTRY + 0.03 * K])
-    volume = SCENE.volume(1, lambda time: ends)
-    found = run(volume, track(ends))
-    assert np.linalg.norm(found.curve.tip - ends[1]) < 1.5e-3
-    assert np.linalg.norm(found.curve.entry - ends[0]) < 2.5e-3
-
-
-def test_no_needle_where_one_is_expected():
-    volume = SCENE.volume(1)
-    for seed in range(5):
-        assert not run(volume, track(needle(0.03)), seed)
-
-
-def test_withdrawn_needle():
-    assert not run(SCENE.volume(1, lambda time: needle(1.5e-3)), track(needle(0.01)))
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_a_needle_of_which_only_the_end_moved_is_followed_to_where_it_enters(seed):
-    ends = needle(0.05)
-    end = np.array([ends[1] - 0.012 * K, ends[1]])
-    guess = track(end, mode=TrackingMode.SEARCHING)
-    found = run(SCENE.volume(1, lambda time: ends), guess, seed)
-    assert np.linalg.norm(found.curve.entry - ENTRY) < PARAMETERS.max_entry_gap
-    assert np.linalg.norm(found.curve.tip - ends[1]) < 2e-3
-    # The same the wrong way round comes from inside.
-    assert not run(SCENE.volume(1, lambda time: ends), track(end[::-1], mode=guess.mode), seed)
-
-
-def test_prediction_outside_the_volume():
-    found = run(SCENE.volume(1), track(needle(0.03) + 1.0))
-    assert found.reason == "the predicted needle lies outside the field of view"
-
-
-def test_no_track():
-    empty = NeedleTrack(TrackingMode.SEARCHING, 0.0, NeedleMotionParameters())
-    assert not run(SCENE.volume(1), empty)
-
-
-def test_without_a_volume_of_interest_the_needle_is_found_wherever_it_is_predicted():
-    volume = SCENE.volume(1, lambda time: needle(0.03))
-    aside = track(needle(0.03) + np.array([0.0, 0.012, 0.0]))
-    assert not run(volume, aside)
-    found = run(volume, aside, volume_of_interest=False)
-    assert np.degrees(np.arccos(found.curve.direction @ K)) < 1
-
-
-def test_without_the_angle_gate_the_predicted_direction_does_not_matter():
-    volume = SCENE.volume(1, lambda time: needle(0.03))
-    turn = RotationMatrix.MakeZRotation(np.radians(45)).matrix()
-    turned = track(np.array([ENTRY, ENTRY + turn @ (0.03 * K)]))
-    found = run(volume, turned, volume_of_interest=False, angle_gate=False)
-    assert np.degrees(np.arccos(found.curve.direction @ K)) < 1
-    gated = run(volume, turned, volume_of_interest=False)
-    assert not gated or gated.curve.direction @ K < np.cos(np.radians(10))
-
-
-def test_without_the_sweep_s_time_a_volume_counts_as_acquired_at_its_middle():
-    ends = needle(0.03)
-    volume = SCENE.volume(1, lambda time: ends)
-    poses = volume.motion.X_WP.copy()
-    poses[:, 1, 3] += np.linspace(-5e-3, 5e-3, len(poses))  # the probe rises while it sweeps
-    moving = dataclasses.replace(volume, motion=dataclasses.replace(volume.motion, X_WP=poses))
-    own_times, middle = (run(moving, track(ends), sweep_time=flag) for flag in (True, False))
-    for found, seen in ((own_times, moving), (middle, moving.at_once())):
-        expected = seen.to_world(volume.to_probe(ends[1:]))
-        assert abs(found.curve.tip[1] - expected[0][0][1]) < 0.5e-3
-    assert own_times.curve.tip[1] - middle.curve.tip[1] > 0.3e-3
-    assert middle.time == moving.time != own_times.time
-
-
-def test_without_refits_the_axis_is_less_precise():
-    volume = SCENE.volume(1, lambda time: needle(0.03))
-    angles = {}
-    for refits in (0, 3):
-        found = [
-            run(volume, track(needle(0.03)), seed, ransac=RansacParameters(refits=refits))
-            for seed in range(10)
-        ]
-        assert all(np.linalg.eigvalsh(each.covariance).min() > 0 for each in found)
-        angles[refits] = np.mean([np.arccos(each.curve.direction @ K) for each in found])
-    assert angles[0] > 1.5 * angles[3]
-
-
-def test_lost_needle_is_found_among_balls_and_rods():
-    elsewhere = np.array([[0.0, 0.06, 0.0], [0.03, 0.05, 0.0]])
-    ends = needle(0.035)
-    errors = []
-    for seed in range(5):
-        volume = dataclasses.replace(SCENE, seed=seed).volume(1, lambda time: ends)
-        found = run(volume, track(elsewhere, mode=TrackingMode.LOST), seed)
-        assert found
-        assert np.degrees(np.arccos(found.curve.direction @ K)) < 1
-        errors.append(np.linalg.norm(found.curve.tip - ends[1]))
-    # Speckle right behind the tip may look like more of the needle.
-    assert np.median(errors) < 1.5e-3
-
-
-def test_balls_and_rods_are_no_lost_needle():
-    for seed in range(3):
-        assert not run(SCENE.volume(1), track(needle(0.03), mode=TrackingMode.LOST), seed)
-
-
-@pytest.mark.parametrize("mode", [TrackingMode.TRACKING, TrackingMode.LOST])
-@pytest.mark.parametrize("content", ["zeros", "constant", "noise"])
-@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
-def test_volumes_without_content(mode, content, dtype):
-    volume = SCENE.volume(1)
-    shape = volume.intensities.shape
-    rng = np.random.default_rng(0)
-    intensities = {
-        "zeros": np.zeros(shape),
-        "constant": np.full(shape, 80),
-        "noise": rng.integers(0, 255, shape),
-    }[content].astype(dtype)
-    volume = dataclasses.replace(volume, intensities=intensities)
-    assert isinstance(run(volume, track(needle(0.03), mode=mode)), NotFound)
-
-
-def test_leaf():
-    localizer = NeedleLocalizer(parameters=PARAMETERS)
-    context = localizer.CreateDefaultContext()
-    measurement = localizer.GetOutputPort("measurement")
-    localizer.GetInputPort("prediction").FixValue(context, Value[object](track(needle(0.03))))
-    localizer.GetInputPort("volume").FixValue(context, Value[object](NotFound("no sweep")))
-    assert measurement.Eval(context).reason == "no sweep"
-    volume = SCENE.volume(1, lambda time: needle(0.03))
-    localizer.GetInputPort("volume").FixValue(context, Value[object](volume))
-    assert isinstance(measurement.Eval(context), NeedleMeasurement)
-    localizer.GetInputPort("prediction").FixValue(context, Value[object](3))
-    with pytest.raises(TypeError, match="NeedleTrack is wanted"):
-        measurement.Eval(context)
+def test_a_wrong_input_is_named():
+    bench = Bench()
+    bench.fix("volume", Scene(seed=5, spacing=1e-3).volume(1))
+    bench.fix("prediction", 3)
+    with pytest.raises(TypeError, match="NeedlePrediction or NotFound is wanted"):
+        bench.output("measurement")

@@ -7,14 +7,14 @@ import pytest
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform, RollPitchYaw
 
-from sonoservo.systems.estimation.track import NeedleMotionParameters, NeedleTrack
 from sonoservo.systems.localization.speckle_velocimeter import (
     SpeckleVelocimeter,
     SpeckleVelocimeterParameters,
     measure_velocity,
 )
 from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.needle_estimate import TrackingMode
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.signals.radio_frequency_sweep import RadioFrequencySweep
 from sonoservo.systems.signals.sweep import SweepGeometry, SweepMotion
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
@@ -159,49 +159,59 @@ def test_lines_that_hold_nothing_have_no_velocity(fill, reason):
     assert reason in found.reason
 
 
-def track_at(time, tip, velocity):
-    mean = np.concatenate([tip - 0.02 * DIRECTION, tip, np.zeros(3), velocity])
-    return NeedleTrack(TrackingMode.TRACKING, time, NeedleMotionParameters(), mean, np.eye(12))
+def expected_at(time, tip, velocity):
+    curve = NeedleCurve([tip - 0.02 * DIRECTION, tip])
+    return NeedlePrediction(2, time, curve, [np.zeros(3), velocity], np.eye(6), curve.entry)
 
 
-def velocity_of(current, previous, track):
+def velocity_of(current, previous, prediction):
     leaf = SpeckleVelocimeter(parameters=PARAMETERS)
     context = leaf.CreateDefaultContext()
-    for port, value in (("volume", current), ("previous_volume", previous), ("prediction", track)):
+    for port, value in (
+        ("volume", current),
+        ("previous_volume", previous),
+        ("prediction", prediction),
+    ):
         leaf.GetInputPort(port).FixValue(context, Value[object](value))
     return leaf.GetOutputPort("velocity").Eval(context)
 
 
-def test_leaf_predicts_the_tip_both_ways_from_its_track():
+def test_leaf_predicts_the_tip_both_ways_from_its_prediction():
     moved = (7.2, 0.4, 0.0)
     velocity = X_WP.rotation().matrix() @ (SPACING * moved) / 0.5
-    # The track is of a time between the volumes.
-    track = track_at(0.2, TIP + 0.2 * velocity, velocity)
-    found = velocity_of(volume(0.5, moved), volume(0.0), track)
+    # The prediction is of a time between the volumes.
+    prediction = expected_at(0.2, TIP + 0.2 * velocity, velocity)
+    found = velocity_of(volume(0.5, moved), volume(0.0), prediction)
     np.testing.assert_allclose(found.velocity, velocity, atol=0.14e-3)
 
 
 @pytest.mark.parametrize(
-    ("current", "previous", "track", "reason"),
+    ("current", "previous", "prediction", "reason"),
     [
-        (NotFound("no volume yet"), volume(0.0), track_at(0.0, TIP, np.zeros(3)), "no volume yet"),
-        (volume(0.5), NotFound("none before"), track_at(0.0, TIP, np.zeros(3)), "none before"),
+        (
+            NotFound("no volume yet"),
+            volume(0.0),
+            expected_at(0.0, TIP, np.zeros(3)),
+            "no volume yet",
+        ),
+        (volume(0.5), NotFound("none before"), expected_at(0.0, TIP, np.zeros(3)), "none before"),
         (
             volume(0.5),
             volume(0.0),
-            NeedleTrack(TrackingMode.SEARCHING, 0.0, NeedleMotionParameters()),
+            NotFound("nothing is expected"),
             "no needle",
         ),
+        (volume(0.5), volume(0.0), NeedlePrediction(2, 0.5, everywhere=True), "no needle"),
         (
             volume(0.5),
             radio_frequency(0.0, 0.0),
-            track_at(0.0, TIP, np.zeros(3)),
+            expected_at(0.0, TIP, np.zeros(3)),
             "another kind",
         ),
     ],
 )
-def test_leaf_says_what_is_missing(current, previous, track, reason):
-    found = velocity_of(current, previous, track)
+def test_leaf_says_what_is_missing(current, previous, prediction, reason):
+    found = velocity_of(current, previous, prediction)
     assert not found
     assert reason in found.reason
 

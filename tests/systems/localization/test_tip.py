@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pydrake.math import RigidTransform, RollPitchYaw
@@ -6,12 +8,20 @@ from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.systems.localization.axis import axis_through
 from sonoservo.systems.localization.candidates import acquired_from, select_candidates
-from sonoservo.systems.localization.tip import AxisProfile, TipParameters, axis_profile, find_extent
+from sonoservo.systems.localization.tip import (
+    TipParameters,
+    axis_profile,
+    find_extent,
+    most_evident_stretch,
+)
+from sonoservo.systems.signals.localization_explanation import AxisProfile
+from sonoservo.systems.signals.point_spread import PointSpread
 
 SIGMA = 0.8e-3
 PARAMETERS = TipParameters(beam_width=SIGMA * np.sqrt(8 * np.log(2)))
 STEP = 0.25e-3
 RNG = np.random.default_rng(0)
+SCENE_VOLUME = Scene(seed=2).volume(0)
 
 
 def profile(tip, level=12.0, gaps=(), start=0.0, noise=0.0, sigma=SIGMA, seen=0.08):
@@ -22,7 +32,7 @@ def profile(tip, level=12.0, gaps=(), start=0.0, noise=0.0, sigma=SIGMA, seen=0.
     for begin, end in gaps:
         shaft[(a > begin) & (a < end)] = 0
     shaft = shaft + noise * np.random.default_rng(3).normal(size=len(a))
-    return AxisProfile(a, 20 + shaft, np.full(len(a), 20.0), a < seen)
+    return AxisProfile(a, np.outer(a, [1, 0, 0]), 20 + shaft, np.full(len(a), 20.0), a < seen)
 
 
 @pytest.mark.parametrize("tip", [0.008, 0.02, 0.05])
@@ -66,6 +76,21 @@ def test_nothing_stands_out():
     assert not find_extent(profile(0.03, level=-40.0), PARAMETERS)
 
 
+def test_most_evident_stretch_is_the_best_of_all():
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        contrast, seen = rng.normal(3, 4, 30), rng.random(30) > 0.1
+        options = {"step": 0.5, "neutral": 3.0, "max_evidence": 5.0}
+        first, last, evidence = most_evident_stretch(contrast, seen, **options)
+        each = np.where(seen, np.clip(contrast - 3, -3, 5), -3)
+        sums = {(i, j): each[i : j + 1].sum() for i in range(30) for j in range(i, 30)}
+        assert evidence == pytest.approx(0.5 * max(sums.values()))
+        assert sums[first, last] == pytest.approx(max(sums.values()))
+    first, last, evidence = most_evident_stretch(np.zeros(9), np.ones(9, bool), **options)
+    assert last < first
+    assert evidence == 0
+
+
 @pytest.mark.parametrize("order", [2, 3])
 def test_profile_follows_the_axis_in_any_pose(order):
     X_WP = RigidTransform(RollPitchYaw(2.0, 0.3, -0.5), [0.4, 0.1, 0.2])
@@ -75,6 +100,7 @@ def test_profile_follows_the_axis_in_any_pose(order):
     axis = axis_through(np.linspace(*ends, order))
     along = axis_profile(volume, axis, -0.005, 0.04, PARAMETERS)
     extent = find_extent(along, PARAMETERS)
+    np.testing.assert_allclose(along.p_W, axis.position(along.a))
     assert extent.start == pytest.approx(0, abs=2e-3)
     assert extent.tip == pytest.approx(np.linalg.norm(ends[1] - ends[0]), abs=1.5e-3)
 
@@ -122,3 +148,27 @@ def test_acquired_from_inverts_a_moving_probe():
     )
     p_W = RNG.uniform([-0.02, 0.02, -0.01], [0.02, 0.06, 0.01], (50, 3))
     np.testing.assert_allclose(volume.to_world(acquired_from(volume, p_W))[0], p_W, atol=2e-5)
+
+
+@pytest.mark.parametrize("dip_deg", [0, 30])
+def test_the_blur_along_the_needle_is_the_volume_s_own(dip_deg):
+    """Lateral where the needle lies across the beam, less where it dips; else the parameter's."""
+    volume = SCENE_VOLUME
+    dip = np.deg2rad(dip_deg)
+    k = np.array([np.cos(dip), np.sin(dip), 0])
+    ends = volume.to_world(np.array([0, 0.045, 0]) + np.outer([-0.01, 0.01], k))[0]
+    axis = axis_through(ends)
+    assert axis_profile(volume, axis, 0.0, 0.02, PARAMETERS).beam_width is None
+    spread = PointSpread([0.0, 0.09], [2e-3, 2e-3], [6e-3, 6e-3], [0.5e-3, 0.5e-3])
+    known = replace(volume, point_spread=spread)
+    width = axis_profile(known, axis, 0.0, 0.02, PARAMETERS).beam_width
+    middle = width[len(width) // 2]
+    assert middle == pytest.approx(np.hypot(2e-3 * k[0], 0.5e-3 * k[1]), rel=0.02)
+
+
+@pytest.mark.parametrize("sigma", [0.5e-3, 0.8e-3, 1.2e-3])
+def test_a_known_blur_is_undone_whatever_the_parameter_says(sigma):
+    blurred = profile(0.03, 20.0, sigma=sigma)
+    width = np.full(len(blurred.a), sigma * np.sqrt(8 * np.log(2)))
+    extent = find_extent(replace(blurred, beam_width=width), TipParameters(beam_width=9e-3))
+    assert extent.tip == pytest.approx(0.03, abs=0.5 * sigma)

@@ -11,7 +11,7 @@ from sonoservo.systems.localization.tip import TipParameters
 from sonoservo.systems.localization.whole_volume_ransac import (
     WholeVolumeRansacParameters,
     brightest_voxels,
-    find_needle,
+    localize_in_whole_volume,
 )
 from sonoservo.systems.signals.volume import Volume
 
@@ -45,7 +45,7 @@ TOWARDS = X_WP.rotation().matrix() @ np.array([1.0, 0.0, 0.0])
 @pytest.mark.parametrize("dtype", [np.uint8, np.float32])
 @pytest.mark.parametrize("sense", [1, -1])
 def test_finds_both_ends_in_the_world(dtype, sense):
-    found = find_needle(
+    found = localize_in_whole_volume(
         needle_volume(0, dtype=dtype), sense * TOWARDS, PARAMETERS, np.random.default_rng(0)
     )
     ends = found.fit.axis.position([found.start, found.tip])[::sense]
@@ -66,7 +66,7 @@ def test_local_optimization_is_better_than_the_best_sample():
         parameters = dataclasses.replace(PARAMETERS, ransac=ransac)
         for seed in range(12):
             volume = needle_volume(seed % 3)
-            k = find_needle(
+            k = localize_in_whole_volume(
                 volume, TOWARDS, parameters, np.random.default_rng(seed)
             ).fit.axis.direction
             found.append(np.degrees(np.arccos(min(k @ true, 1))))
@@ -75,7 +75,9 @@ def test_local_optimization_is_better_than_the_best_sample():
 
 @pytest.mark.parametrize(("gap", "reaches"), [((10e-3, 11.2e-3), True), ((10e-3, 14e-3), False)])
 def test_short_gaps_do_not_end_the_needle(gap, reaches):
-    found = find_needle(needle_volume(0, gap=gap), TOWARDS, PARAMETERS, np.random.default_rng(0))
+    found = localize_in_whole_volume(
+        needle_volume(0, gap=gap), TOWARDS, PARAMETERS, np.random.default_rng(0)
+    )
     tip = X_WP.inverse() @ found.fit.axis.position(found.tip)
     length = (tip - START) @ (TIP - START) / np.linalg.norm(TIP - START)
     assert length == pytest.approx(np.linalg.norm(TIP - START) if reaches else 10e-3, abs=0.8e-3)
@@ -96,7 +98,7 @@ def test_brightest_voxels_are_as_many_as_wanted(dtype):
 @pytest.mark.parametrize("level", [0, 7])
 def test_a_constant_volume_holds_no_needle(level):
     volume = Volume(np.full((30, 30, 30), level, np.uint8), np.zeros(3), [SPACING] * 3, X_WP, 0.0)
-    found = find_needle(volume, TOWARDS, PARAMETERS, np.random.default_rng(0))
+    found = localize_in_whole_volume(volume, TOWARDS, PARAMETERS, np.random.default_rng(0))
     assert not found
     assert "constant" in found.reason
 
@@ -106,6 +108,6 @@ def test_a_single_bright_spot_is_no_needle():
     grey[15, 15, 15:17] = 255
     volume = Volume(grey, np.zeros(3), [SPACING] * 3, X_WP, 0.0)
     spot = dataclasses.replace(PARAMETERS, candidate_volume=2 * SPACING**3)
-    found = find_needle(volume, TOWARDS, spot, np.random.default_rng(0))
+    found = localize_in_whole_volume(volume, TOWARDS, spot, np.random.default_rng(0))
     assert not found
     assert "too few" in found.reason

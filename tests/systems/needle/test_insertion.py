@@ -6,7 +6,9 @@ from pydrake.math import RigidTransform, RollPitchYaw
 
 from sonoservo.systems.needle.bicycle_model import BicyclePath
 from sonoservo.systems.needle.hand import Hand
-from sonoservo.systems.needle.insertion import Insertion, InsertionParameters, Push
+from sonoservo.systems.needle.insertion import Insertion
+from sonoservo.systems.needle.insertion_parameters import InsertionParameters, Push
+from sonoservo.systems.needle.steered_path import SteeredPath
 
 
 def make(**changes):
@@ -151,8 +153,22 @@ def test_a_needle_turned_half_way_in_follows_the_bicycle_model():
     # X_T runs along the insertion, Z_T up, towards which the needle bends at first.
     turned = 0.15 * np.sin(30e-3 / 0.15)  # depth along X_T after 30 mm of path
     s = np.linspace(0, 60e-3, 31)
-    path = BicyclePath(radius=0.15, rotations=(turned,)).along(s)
-    np.testing.assert_allclose(insertion.needle(60).shaft, path[:, [2, 1, 0]], atol=1e-12)
+    path = SteeredPath(0.15, rotations=(turned,)).positions(s)
+    closed = BicyclePath(radius=0.15, rotations=(turned,)).position(path[:, 0])
+    shaft = insertion.needle(60).shaft
+    np.testing.assert_allclose(shaft[:, [0, 2]], path[:, :2], atol=1e-12)
+    np.testing.assert_allclose(shaft[:, [2, 1, 0]], closed, atol=1e-12)
+
+
+def test_a_bevel_turned_at_a_depth_is_one_that_the_hand_turns_there():
+    push = Push(duration=5, speed=6e-3)
+    turned = 0.15 * np.sin(30e-3 / 0.15)
+    by_hand = make(**BENT, pushes=[push, Push(), Push(duration=2, turning_deg=90), Push(), push])
+    at_depth = make(**BENT, rotations=[turned], pushes=[push, push])
+    s = np.linspace(0, 60e-3, 13)
+    one, other = (each.needle(60).position(s) for each in (at_depth, by_hand))
+    np.testing.assert_allclose(one, other, atol=5e-6)  # of their chords
+    np.testing.assert_allclose(at_depth.needle(60).tip, by_hand.needle(60).tip, atol=1e-12)
 
 
 def test_a_withdrawn_needle_goes_back_along_its_path():

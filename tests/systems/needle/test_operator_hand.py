@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
 
-from sonoservo.systems.needle.insertion import Insertion, InsertionParameters, Push
+from sonoservo.systems.needle.insertion import Insertion
+from sonoservo.systems.needle.insertion_parameters import InsertionParameters, Push
 from sonoservo.systems.needle.operator_hand import (
     OperatorHand,
     OperatorHandParameters,

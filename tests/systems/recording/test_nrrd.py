@@ -4,6 +4,7 @@ import pytest
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.recording.nrrd import write_volume
+from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.signals.volume import Volume
 
 
@@ -17,6 +18,7 @@ def test_a_marked_voxel_is_read_back_at_the_right_millimetre(tmp_path, dtype):
         spacing=[0.5e-3, 0.7e-3, 1e-3],
         X_WP=RigidTransform([0.1, 0.2, 0.3]),
         time=1.0,
+        decibels_per_level=45 / 255,
     )
     path = write_volume(tmp_path / "new" / "scan.nrrd", volume)
     data, header = nrrd.read(str(path))
@@ -28,6 +30,7 @@ def test_a_marked_voxel_is_read_back_at_the_right_millimetre(tmp_path, dtype):
     # L is X of P (along the array), P is Y (depth), S is Z (the sweep).
     np.testing.assert_allclose(place, [-2 + 0.5, 10 + 1.4, -5 + 9])
     np.testing.assert_allclose(place, 1e3 * volume.position([1, 2, 9]))
+    assert Recording(path)[0].decibels_per_level == 45 / 255
 
 
 def test_a_file_made_by_the_format_s_own_rules_is_read_the_same_way(tmp_path):

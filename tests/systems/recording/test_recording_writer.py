@@ -4,6 +4,7 @@ import json
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 
 import nrrd
 import numpy as np
@@ -21,6 +22,7 @@ from sonoservo.systems.recording.volume_player import VolumePlayer
 from sonoservo.systems.recording.volume_recorder import VolumeRecorder
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.point_spread import PointSpread
 from sonoservo.systems.signals.volume import Volume
 
 SCENE = Scene(seed=1, spacing=2e-3)
@@ -46,7 +48,7 @@ def recorded(tmp_path, volumes):
 
 def assert_equal(volume, other):
     np.testing.assert_array_equal(volume.intensities, other.intensities)
-    for name in ("origin", "spacing", "time"):
+    for name in ("origin", "spacing", "time", "decibels_per_level"):
         np.testing.assert_array_equal(getattr(volume, name), getattr(other, name))
     np.testing.assert_array_equal(volume.X_WP.GetAsMatrix4(), other.X_WP.GetAsMatrix4())
     if other.motion is not None:
@@ -139,19 +141,35 @@ def test_what_cannot_be_recorded_is_refused(tmp_path, volumes):
         RecordingWriter(tmp_path / "a.nrrd")
     writer = RecordingWriter(tmp_path / "a.seq.nrrd")
     writer.append(volumes[0])
-    with pytest.raises(ValueError, match="another grid"):
+    with pytest.raises(ValueError, match="differs"):
         writer.append(Scene(seed=1, spacing=3e-3).volume(1))
+    with pytest.raises(ValueError, match="differs"):
+        writer.append(replace(volumes[1], decibels_per_level=0.1))
 
 
 def test_volumes_of_an_unknown_motion(tmp_path):
     path = tmp_path / "a.seq.nrrd"
     array = np.random.default_rng(0).random((4, 5, 6)).astype(np.float32) * 255
-    volume = Volume(array, [0.1, 0.2, 0.3], [1e-3, 2e-3, 3e-3], pose(1), 1 / 3)
+    volume = Volume(
+        array, [0.1, 0.2, 0.3], [1e-3, 2e-3, 3e-3], pose(1), 1 / 3, decibels_per_level=0.1
+    )
     with RecordingWriter(path) as writer:
         writer.append(volume)
     (read,) = Recording(path)
     assert_equal(read, volume)
     assert read.motion is None
+
+
+def test_the_resolution_is_read_back_exactly(tmp_path, volumes):
+    spread = PointSpread([0.0, 0.01 / 3, 0.09], [1e-3 / 3, 2e-3, 3e-3], [4e-3] * 3, [0.4e-3] * 3)
+    path = tmp_path / "a.seq.nrrd"
+    with RecordingWriter(path) as writer:
+        writer.append(replace(volumes[0], point_spread=spread))
+        with pytest.raises(ValueError, match="differs"):
+            writer.append(volumes[1])
+    (read,) = Recording(path)
+    for name in ("depth", "lateral", "elevation", "axial"):
+        np.testing.assert_array_equal(getattr(read.point_spread, name), getattr(spread, name))
 
 
 def test_a_recorder_and_a_player_as_systems(tmp_path, volumes):
@@ -195,6 +213,46 @@ def test_a_recorder_and_a_player_as_systems(tmp_path, volumes):
             assert port.Eval(playing) is shown
     playing.SetTime(1.05)
     assert_equal(port.Eval(playing), volumes[0])
+
+
+def recording_of(recorder, volumes, context=None):
+    """Simulate a run in which each of the volumes comes."""
+    simulator = Simulator(recorder, context or recorder.CreateDefaultContext())
+    for k, volume in enumerate(volumes):
+        recorder.GetInputPort("volume").FixValue(
+            simulator.get_mutable_context(), Value[object](volume)
+        )
+        simulator.AdvanceTo(0.2 * (k + 1))
+    return simulator
+
+
+def test_a_run_that_starts_anew_records_anew(tmp_path, volumes):
+    path = tmp_path / "a.seq.nrrd"
+    recorder = VolumeRecorder(path=path, period=0.1)
+    recording_of(recorder, volumes)  # never closed
+    recording_of(recorder, volumes[:2])
+    recorder.close()
+    assert [each.time for each in Recording(path)] == [each.time for each in volumes[:2]]
+    simulator = recording_of(recorder, volumes[:3])  # the same times again
+    recorder.close()
+    assert [each.time for each in Recording(path)] == [each.time for each in volumes[:3]]
+    simulator.get_mutable_context().SetTime(0.0)
+    recording_of(recorder, volumes[1:], simulator.get_mutable_context())
+    recorder.close()
+    assert [each.time for each in Recording(path)] == [each.time for each in volumes[1:]]
+    assert {each.name for each in tmp_path.iterdir()} == {"a.seq.nrrd", "a.acquisition.jsonl"}
+
+
+def test_runs_that_take_turns_do_not_mix_their_volumes(tmp_path, volumes):
+    path = tmp_path / "a.seq.nrrd"
+    recorder = VolumeRecorder(path=path, period=0.1)
+    first = recording_of(recorder, volumes[:2])
+    recording_of(recorder, volumes[1:])
+    recorder.GetInputPort("volume").FixValue(first.get_mutable_context(), Value[object](volumes[2]))
+    with pytest.raises(RuntimeError, match="this recording is closed"):
+        first.AdvanceTo(1.0)
+    recorder.close()
+    assert [each.time for each in Recording(path)] == [each.time for each in volumes[1:]]
 
 
 def test_damaged_side_files_are_one_line(recorded):

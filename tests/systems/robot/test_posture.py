@@ -4,10 +4,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.robot.arm import MakeArmPlant
-from sonoservo.systems.robot.posture import ELBOW_UP, probe_pose, reachable, solve_posture
+from sonoservo.diagrams.assembly import assemble_arm
+from sonoservo.systems.robot.posture import probe_pose, reachable, solve_posture
 
 X_WT = RigidTransform([0.5, 0, 0.2])
+VIPER, IIWA = (assemble_arm(name) for name in ("viper_s850", "lbr_iiwa_14"))
 
 
 def test_probe_looks_down_on_the_phantom():
@@ -18,17 +19,18 @@ def test_probe_looks_down_on_the_phantom():
     np.testing.assert_allclose(R_TP[:, 1], [0, 0, -1], atol=1e-15)
 
 
-@settings(max_examples=15)
+@settings(max_examples=20)
 @given(
+    arm=st.sampled_from([VIPER, IIWA]),
     x=st.floats(-0.06, 0.06),
     y=st.floats(-0.03, 0.03),
     yaw=st.floats(-np.pi / 3, np.pi / 3),
     height=st.floats(-0.01, 0.03),
 )
-def test_posture_puts_the_probe_at_the_pose(x, y, yaw, height):
+def test_posture_puts_the_probe_at_the_pose(arm, x, y, yaw, height):
     wanted = probe_pose(X_WT=X_WT, x=x, y=y, yaw=yaw, height=height)
-    q = solve_posture(wanted)
-    plant, arm = MakeArmPlant()
+    q = solve_posture(arm, wanted)
+    plant = arm.plant
     context = plant.CreateDefaultContext()
     plant.SetPositions(context, q)
     got = arm.probe.EvalPoseInWorld(context)
@@ -36,15 +38,26 @@ def test_posture_puts_the_probe_at_the_pose(x, y, yaw, height):
     assert (q > plant.GetPositionLowerLimits() + 0.1).all()
     assert (q < plant.GetPositionUpperLimits() - 0.1).all()
     # Elbow up, and not another of the eight solutions.
-    assert np.abs(q - ELBOW_UP).max() < 1.6
+    assert np.abs(q - arm.home).max() < 1.6
+
+
+def test_a_redundant_arm_stays_near_the_posture_it_is_given():
+    pose = probe_pose(X_WT=X_WT, x=0, y=0, yaw=0.3, height=0.0)
+    swung = IIWA.home + np.array([0.4, 0, -0.4, 0, 0, 0, 0])
+    near_home, near_swung = solve_posture(IIWA, pose), solve_posture(IIWA, pose, swung)
+    assert abs(near_home[2]) < 0.2
+    assert near_swung[2] < -0.2
+    for q, to in ((near_home, IIWA.home), (near_swung, swung)):
+        other = near_swung if q is near_home else near_home
+        assert np.linalg.norm(q - to) < np.linalg.norm(other - to)
 
 
 def test_a_pose_out_of_reach_is_named():
     with pytest.raises(ValueError, match=r"cannot reach.*x 1\.200, y 0\.000, z 0\.200 m"):
-        solve_posture(RigidTransform([1.2, 0, 0.2]))
+        solve_posture(VIPER, RigidTransform([1.2, 0, 0.2]))
 
 
 def test_reachable_tells_the_poses_apart():
     near = probe_pose(X_WT=X_WT, x=0.02, y=0, yaw=0, height=0)
     far = probe_pose(X_WT=X_WT, x=0.5, y=0, yaw=0, height=0)
-    assert reachable([near, far, near]) == [True, False, True]
+    assert reachable(VIPER, [near, far, near]) == [True, False, True]

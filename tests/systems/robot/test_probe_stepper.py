@@ -7,29 +7,29 @@ from sonoservo.systems.robot.probe_stepper import ProbeStepper
 X_WP = RigidTransform(RotationMatrix.MakeXRotation(0.3), [0.1, 0.0, 0.2])
 
 
-def poses(stage, times):
-    context = stage.CreateDefaultContext()
+def poses(stepper, times):
+    context = stepper.CreateDefaultContext()
     out = []
     for time in times:
         context.SetTime(time)
-        values = [stage.GetOutputPort(name).Eval(context) for name in ("X_WP", "X_WT")]
+        values = [stepper.GetOutputPort(name).Eval(context) for name in ("X_WP", "X_WT")]
         out.append([RigidTransform(each) for each in values])  # values change in place
     return out
 
 
 def test_steps_along_its_own_z_and_rests_after_the_last():
-    stage = ProbeStepper(X_WP=X_WP, step=0.5e-3, period=0.05, steps=10)
+    stepper = ProbeStepper(X_WP=X_WP, step=0.5e-3, period=0.05, steps=10)
     moved = [
         X_WP.InvertAndCompose(RigidTransform(X)).translation()
-        for X, _ in poses(stage, [0.0, 0.049, 0.05, 0.1499999999, 0.5, 9.0])
+        for X, _ in poses(stepper, [0.0, 0.049, 0.05, 0.1499999999, 0.5, 9.0])
     ]
     assert np.allclose(np.array(moved)[:, 2], [0, 0, 0.5e-3, 1.5e-3, 5e-3, 5e-3])
     assert np.allclose(np.array(moved)[:, :2], 0, atol=1e-15)
 
 
 def test_the_tissue_shifts_across_the_insertion_by_the_stated_amount():
-    stage = ProbeStepper(X_WP=X_WP, step=1e-3, period=1.0, steps=400, tissue_shift=0.1e-3, seed=3)
-    shifts = np.array([X_WT.translation() for _, X_WT in poses(stage, np.arange(401) + 0.5)])
+    stepper = ProbeStepper(X_WP=X_WP, step=1e-3, period=1.0, steps=400, tissue_shift=0.1e-3, seed=3)
+    shifts = np.array([X_WT.translation() for _, X_WT in poses(stepper, np.arange(401) + 0.5)])
     in_probe = shifts @ X_WP.rotation().matrix()
     assert np.allclose(in_probe[:, 2], 0, atol=1e-15)
     assert in_probe[:, :2].std() == pytest.approx(0.1e-3, rel=0.1)

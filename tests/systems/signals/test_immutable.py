@@ -5,7 +5,7 @@ import pytest
 from pydrake.common.value import Value
 from pydrake.systems.framework import LeafSystem
 
-from sonoservo.systems.signals.immutable import NotFound, read_only
+from sonoservo.systems.signals.immutable import NotFound, read_only, seal
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.ports import evaluate
 from sonoservo.systems.signals.requirements import require_positive
@@ -18,13 +18,43 @@ def test_values_deep_copy_to_themselves_even_inside_drake():
     assert Value[object](curve).Clone().get_value() is curve
 
 
-def test_arrays_are_read_only_and_not_copied():
+@pytest.mark.parametrize(
+    "take", [lambda a: a, lambda a: a[:], lambda a: a[::-1], lambda a: np.broadcast_to(a, (2, 3))]
+)
+def test_what_a_caller_writes_later_changes_no_value(take):
     array = np.zeros((2, 3))
-    view = read_only(array, "points", (None, 3))
-    assert np.shares_memory(view, array)
+    given = take(array)
+    kept = read_only(given, "points", (None, 3))
     with pytest.raises(ValueError, match="read-only"):
-        view[0, 0] = 1
-    array[0, 0] = 1  # the caller's own array stays writeable
+        kept[0, 0] = 1
+    with pytest.raises(ValueError, match="cannot set WRITEABLE"):
+        kept.flags.writeable = True
+    array[:] = 1  # the caller's own array stays writeable
+    assert not kept.any()
+
+
+def test_a_read_only_view_does_not_hide_an_array_that_can_be_written_to():
+    array = np.zeros((2, 3))
+    view = array.view()
+    view.flags.writeable = False
+    kept = read_only(view, "points", (2, 3))
+    array[:] = 1
+    assert not kept.any()
+    memory = bytearray(48)
+    kept = read_only(np.frombuffer(memory).reshape(2, 3), "points", (2, 3))
+    memory[:] = b"\x3f" * 48
+    assert not kept.any()
+
+
+def test_sealed_arrays_and_what_values_keep_already_are_not_copied():
+    array = seal(np.zeros((4, 3)))
+    kept = read_only(array, "points", (None, 3))
+    assert np.shares_memory(kept, array)
+    assert np.shares_memory(read_only(kept[1:], "points", (3, 3)), array)
+    file = np.frombuffer(bytes(48)).reshape(2, 3)
+    assert np.shares_memory(read_only(file, "points", (2, 3)), file)
+    with pytest.raises(ValueError, match="read-only"):
+        array[0, 0] = 1
 
 
 @pytest.mark.parametrize(

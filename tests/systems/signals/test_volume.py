@@ -57,6 +57,7 @@ def test_with_motion_each_point_was_seen_from_its_frame(direction):
     "changes",
     [
         {"intensities": np.full((4, 5, 6), np.nan, np.float32)},
+        {"decibels_per_level": 0.0},
         {"intensities": np.zeros((4, 5), np.uint8)},
         {"intensities": np.zeros((0, 5, 6), np.uint8)},
         {"spacing": [1e-3, 0, 1e-3]},

@@ -208,3 +208,15 @@ def test_leaf_gives_the_middle_pose_and_passes_on_what_is_missing():
     port.FixValue(context, Value[object]("a wrong value"))
     with pytest.raises(TypeError, match="received a str; Sweep or NotFound is wanted"):
         leaf.GetOutputPort("volume").Eval(context)
+
+
+def test_no_volume_is_copied_on_its_way_into_the_value(monkeypatch):
+    """What scan conversion fills in is what the volume keeps, and so do all its variants."""
+    conversion = ScanConversion(GEOMETRY, make_grid(GEOMETRY, 2e-3))
+    made = []
+    convert = conversion.convert
+    monkeypatch.setattr(conversion, "convert", lambda *a: made.append(convert(*a)) or made[-1])
+    volume = conversion(make_sweep(np.ones(GEOMETRY.shape, np.uint8)))
+    assert np.shares_memory(volume.intensities, made[0])
+    assert not made[0].flags.writeable
+    assert np.shares_memory(volume.at_once().intensities, made[0])

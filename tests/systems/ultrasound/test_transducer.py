@@ -23,10 +23,16 @@ def test_unknown_transducer_lists_those_that_ship():
 
 def test_own_file(tmp_path):
     path = tmp_path / "mine.yaml"
-    path.write_text("array_radius: 0.06\n")
+    path.write_text("transducer: {array_radius: 0.06}\n")
     assert load_transducer(str(path)) == dataclasses.replace(Transducer(), array_radius=0.06)
-    path.write_text("lens_focus: -1\n")
-    with pytest.raises(ConfigurationError, match="lens_focus"):
+    path.write_text("transducer: {lens_focus: -1}\n")
+    with pytest.raises(ConfigurationError, match=r"mine\.yaml: transducer: lens_focus"):
+        load_transducer(str(path))
+    path.write_text("array_radius: 0.06\n")
+    with pytest.raises(ConfigurationError, match="array_radius: unknown section.*transducer"):
+        load_transducer(str(path))
+    path.write_text("transducer: [1]\n")
+    with pytest.raises(ConfigurationError, match="transducer:.*mapping"):
         load_transducer(str(path))
 
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sonoservo.diagrams.experiments.shape_prediction_scenario import ESTIMATORS
 from sonoservo.diagrams.papers.carriere2016 import reproduction as carriere2016
 from sonoservo.diagrams.papers.carriere2016.reproduction import (
     SETS,
@@ -11,7 +12,6 @@ from sonoservo.diagrams.papers.carriere2016.reproduction import (
     run_needle,
     set_rows,
 )
-from sonoservo.diagrams.shape_scenario import ESTIMATORS
 from sonoservo.diagrams.studies.study import Case, StudyOptions
 from sonoservo.diagrams.studies.study_report import write_study
 

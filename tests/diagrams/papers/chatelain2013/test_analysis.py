@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from synthetic_logs import build_insertion_log
 
+from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.papers.chatelain2013.analysis import (
     centred,
     converged,
@@ -17,8 +18,7 @@ from sonoservo.diagrams.papers.chatelain2013.analysis import (
     recovery_times,
     volumes,
 )
-from sonoservo.diagrams.scenario import Scenario
-from sonoservo.systems.needle.insertion import InsertionParameters, Push
+from sonoservo.systems.needle.insertion_parameters import InsertionParameters, Push
 from sonoservo.systems.robot.phantom_motion import Move, PhantomMotionParameters
 
 
@@ -113,7 +113,7 @@ def test_centred_only_while_tracked_and_in_line(log):
 
 def test_time_until_the_needle_is_centred_again(log):
     moves = [Move(start=start, duration=0.5) for start in (13.0, 15.0, 17.0, 30.0)]
-    scenario = Scenario(phantom_motion=PhantomMotionParameters(moves=moves))
+    scenario = FollowingScenario(phantom_motion=PhantomMotionParameters(moves=moves))
     # Off until 13.9 s; for less than half a second near 15.7 s only; for good.
     off = (log.time > 13) & (log.time < 13.9)
     off |= (log.time > 15) & (abs(log.time - 15.7) > 0.2)
@@ -124,7 +124,7 @@ def test_time_until_the_needle_is_centred_again(log):
 
 def test_lag_is_that_at_the_end_of_the_last_push(log):
     pushes = [Push(duration=5.0, speed=0.005), Push(duration=5.0, speed=0.005)]
-    scenario = Scenario(hand=InsertionParameters(start=3.0, pushes=pushes))
+    scenario = FollowingScenario(hand=InsertionParameters(start=3.0, pushes=pushes))
     behind = shifted(log, -0.05, log.time >= 0)
     assert lag(behind, scenario) == pytest.approx(np.mean([0.045, 0.05]), abs=2e-3)
     assert np.isnan(lag(log, replace(scenario, hand=replace(scenario.hand, start=15.0))))

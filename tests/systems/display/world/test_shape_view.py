@@ -6,7 +6,8 @@ from pydrake.math import RigidTransform
 
 from sonoservo.systems.display.world.rod import Rod
 from sonoservo.systems.display.world.shape_view import ShapeView
-from sonoservo.systems.evaluation.replay import save_replay
+from sonoservo.systems.evaluation.report import save_replay
+from sonoservo.systems.signals.confidence import RADIUS_95
 from sonoservo.systems.signals.image_slice import ImageSlice
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle import Needle
@@ -61,7 +62,7 @@ def test_tube_is_as_wide_as_95_percent_and_follows_the_predicted_shape(meshcat, 
     )
     tube = [(polyline, radii) for polyline, radii in recorder.calls if radii is not None]
     ((polyline, radii),) = tube
-    assert np.allclose(radii, 2.448e-3 + 0.75e-3)
+    assert np.allclose(radii, 1e-3 * RADIUS_95 + 0.75e-3)
     assert np.allclose(polyline[-1], shape(1e-3).tip)
     assert np.allclose(polyline[0], [0, 0.03, 0])
     assert meshcat.HasPath("/predicted")

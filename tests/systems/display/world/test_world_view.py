@@ -13,12 +13,12 @@ from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
 from sonoservo.systems.display.world.screen import facing, screen_planes
 from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
-from sonoservo.systems.evaluation.replay import save_replay
+from sonoservo.systems.evaluation.report import save_replay
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
-from sonoservo.systems.ultrasound.planes import slice_planes
+from sonoservo.systems.signals.planes import slice_planes
 
 X_WT = RigidTransform(RollPitchYaw(0, 0, 0.4), [0.4, 0.1, 0.25])
 NEEDLE = Needle([[0.0, 0.0, -0.04], [0.06, 0.0, -0.04]], 6e-4)

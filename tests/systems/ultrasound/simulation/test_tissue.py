@@ -87,7 +87,7 @@ def test_errors_name_the_field(tmp_path):
     with pytest.raises(ValueError, match="radius"):
         Ball(radius=0)
     path = tmp_path / "mine.yaml"
-    path.write_text("balls: [{radius: -1}]\n")
+    path.write_text("tissue: {balls: [{radius: -1}]}\n")
     with pytest.raises(ConfigurationError, match=r"balls\.0"):
         load_tissue(str(path))
 

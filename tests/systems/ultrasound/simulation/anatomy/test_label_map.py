@@ -211,7 +211,7 @@ def labelled(tmp_path, **changes):
     labels = np.ones((100, 100, 80), np.uint16)
     write_label_map(tmp_path / "block.nrrd", LabelMap(labels, np.diag([1e-3] * 3 + [1])))
     anatomy = {"labels": [{"label": 1, **changes}]}
-    (tmp_path / "block.yaml").write_text(yaml.safe_dump({"anatomy": anatomy}))
+    (tmp_path / "block.yaml").write_text(yaml.safe_dump({"tissue": {"anatomy": anatomy}}))
     return load_tissue(str(tmp_path / "block.nrrd"))
 
 
@@ -262,7 +262,7 @@ def test_slow_label_appears_deeper(tmp_path):
 
 def test_label_map_needs_a_table_beside_it(tmp_path):
     write_label_map(tmp_path / "mine.nrrd", ball_map())
-    with pytest.raises(FileNotFoundError, match=r"needs a file mine.yaml beside it.*labels"):
+    with pytest.raises(FileNotFoundError, match=r"needs a file mine.yaml beside it"):
         load_tissue(str(tmp_path / "mine.nrrd"))
     with pytest.raises(FileNotFoundError, match="no file"):
         load_tissue(str(tmp_path / "other.nii.gz"))

@@ -1,0 +1,63 @@
+"""Arm, probe and phantom by name: the models that a station and a controller are made of."""
+
+from dataclasses import replace
+
+from pydrake.multibody.plant import MultibodyPlant
+
+from sonoservo.systems.files.model_file import model_file, read_section
+from sonoservo.systems.files.typed_yaml import ConfigurationError, load_typed
+from sonoservo.systems.robot.arm import ArmWithProbe, MakeArmPlant, load_arm
+from sonoservo.systems.robot.directives import resolve_files
+from sonoservo.systems.robot.probe_body import AddProbeBody, ProbeBody, dome_semi_axes
+from sonoservo.systems.ultrasound.transducer import load_transducer
+
+ARM, PROBE, PHANTOM = "viper_s850", "4dc7_3_40", "agar"
+"""Names of the default models."""
+
+
+def load_probe_body(name: str) -> ProbeBody:
+    """Read the body of a probe from YAML and check it.
+
+    A body without directives and without a dome gets the dome that fits the probe's transducer.
+
+    Parameters
+    ----------
+    name
+        Name of a file in ``models/probes``, or a path.
+
+    Raises
+    ------
+    ConfigurationError
+        If the file does not describe a body; the message names the file and the field.
+    FileNotFoundError
+        If there is no such file.
+    """
+    path = model_file("probes", name)
+    content = read_section(path, "body", ("transducer", "body"))
+    body = load_typed(ProbeBody, content, f"{path}: body")
+    resolve_files(body.directives, path)
+    transducer = load_transducer(name)
+    if not body.assumed.dome:
+        dome = dome_semi_axes(
+            array_radius=transducer.array_radius,
+            motor_radius=transducer.motor_radius,
+            width=transducer.elements * transducer.element_pitch,
+            height=transducer.element_height,
+        )
+        body = replace(body, assumed=replace(body.assumed, dome=dome))
+    try:
+        AddProbeBody(MultibodyPlant(time_step=0), body)
+    except ValueError as error:
+        raise ConfigurationError(f"{path}: body.{error}") from error
+    return body
+
+
+def assemble_arm(arm: str = ARM, probe: str = PROBE) -> ArmWithProbe:
+    """Make a plant of an arm and its probe alone, for kinematics.
+
+    Parameters
+    ----------
+    arm, probe
+        Names of files in ``models/robots`` and ``models/probes``, or paths.
+    """
+    return MakeArmPlant(load_arm(arm), load_probe_body(probe))

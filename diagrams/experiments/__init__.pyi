@@ -1,0 +1,11 @@
+from .experiment import Experiment as Experiment
+from .following import FollowingExperiment as FollowingExperiment
+from .following import tracker_events as tracker_events
+from .following_insertion import make_insertion as make_insertion
+from .following_scenario import FollowingScenario as FollowingScenario
+from .registry import experiment_class as experiment_class
+from .registry import list_scenarios as list_scenarios
+from .registry import load_scenario as load_scenario
+from .registry import make_experiment as make_experiment
+from .shape_prediction import ShapePredictionExperiment as ShapePredictionExperiment
+from .shape_prediction_scenario import ShapePredictionScenario as ShapePredictionScenario

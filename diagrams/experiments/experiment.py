@@ -1,0 +1,207 @@
+"""Base class of the experiments: a scenario as a diagram, its simulation, and its results."""
+
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Container, Mapping
+from typing import Any, ClassVar, Generic, Self
+
+import numpy as np
+from matplotlib.figure import Figure
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context, DiagramBuilder, System
+
+from sonoservo.diagrams.scenario import Scenario, ScenarioT
+from sonoservo.diagrams.wiring import connect_by_name
+from sonoservo.systems.evaluation.log import Log
+
+INSTANT = 1e-6
+"""Time in s between an event and what is looked at just before or after it."""
+
+
+class Experiment(ABC, Generic[ScenarioT]):
+    """A scenario as one diagram, and its simulation in steps of one volume or slice each.
+
+    .. pydrake_system::
+
+        name: (the scenario's)
+
+    Every input of a subsystem is connected to the output of the same name.
+
+    Parameters
+    ----------
+    scenario
+        Scenario of this experiment.
+    systems
+        Subsystems of the diagram, by name.
+    period, offset
+        Times in s at which volumes or slices are due: those of the tracker's events.
+    stages
+        Computation of a volume in stages, each timed: name of the stage, and the system and output
+        port that are evaluated just before the event.
+    event
+        Name of the last stage: whatever is computed at the event itself.
+    clock
+        Clock of the stages, in s.
+    optional, sees_truth
+        Inputs that need no output, and systems that may see the truth; see `connect_by_name`.
+
+    Attributes
+    ----------
+    scenario_class
+        Class of the scenarios of this experiment.
+    options
+        Options that `make_experiment` may be given.
+    labels
+        Label of each figure of the summary that a table shows, by its dotted path.
+
+    Raises
+    ------
+    ValueError
+        If the scenario cannot be carried out; the message names the field.
+    """
+
+    scenario_class: ClassVar[type[Scenario]]
+    options: ClassVar[frozenset[str]] = frozenset({"meshcat"})
+    labels: ClassVar[Mapping[str, str]]
+
+    def __init__(
+        self,
+        scenario: ScenarioT,
+        systems: Mapping[str, System],
+        *,
+        period: float,
+        offset: float,
+        stages: Mapping[str, tuple[System, str]],
+        event: str,
+        clock: Callable[[], float] = time.perf_counter,
+        optional: Container[str] = (),
+        sees_truth: Container[str] = (),
+    ) -> None:
+        self.scenario = scenario
+        self._period, self._offset = period, offset
+        self._stages, self._event, self._clock = stages, event, clock
+        builder = DiagramBuilder()
+        for name, system in systems.items():
+            builder.AddNamedSystem(name, system)
+        connect_by_name(builder, systems, optional=optional, sees_truth=sees_truth)
+        self.diagram = builder.Build()
+        self.diagram.set_name(scenario.name)
+        self._simulator = Simulator(self.diagram)
+        self._begin()
+
+    # What each experiment gives.
+
+    @property
+    @abstractmethod
+    def status(self) -> str:
+        """What the tracker does now, in a word or two, for a progress bar."""
+
+    @abstractmethod
+    def log(self) -> Log:
+        """Return what has been logged so far; empty before the first step."""
+
+    @abstractmethod
+    def summarize(self, log: Any) -> dict[str, Any]:
+        """Return the figures that sum up a log of this experiment, as summary.json holds them."""
+
+    @abstractmethod
+    def plots(self, log: Any) -> dict[str, tuple[str, Figure]]:
+        """Return the plots of a log of this experiment: caption and figure by the file's name."""
+
+    def results(self) -> dict[str, Any]:
+        """Return results of the run that are neither in the log nor in the summary, by name."""
+        return {}
+
+    def happened(self) -> ScenarioT:
+        """Return the scenario that repeats what has happened so far."""
+        return self.scenario
+
+    def close(self) -> None:
+        """Finish the files that the experiment itself writes, such as a recording."""
+
+    def _after_step(self, number: int) -> None:
+        """Note what came out of a step; steps are counted from 0."""
+
+    # The simulation.
+
+    def run(
+        self, after_step: Callable[[Self], None] | None = None, real_time: bool = False
+    ) -> None:
+        """Simulate the whole scenario.
+
+        Parameters
+        ----------
+        after_step
+            Called after every volume or slice with the experiment.
+        real_time
+            Whether to go no faster than real time.
+        """
+        self.start(real_time=real_time)
+        self.advance(self.scenario.duration, after_step)
+
+    def start(self, *, real_time: bool = False) -> None:
+        """Begin at time zero; after a run, begin anew with everything as it was before it.
+
+        Parameters
+        ----------
+        real_time
+            Whether to go no faster than real time.
+        """
+        # A context of its own: a plant keeps its last contact forces in one that is only reset.
+        self._simulator.reset_context(self.diagram.CreateDefaultContext())
+        self._begin()
+        self._simulator.set_target_realtime_rate(1.0 if real_time else 0.0)
+        self._simulator.Initialize()
+
+    def advance(self, time: float, after_step: Callable[[Self], None] | None = None) -> None:
+        """Simulate up to a time in s; `start` comes first. A step due at that time is made, too."""
+        while (due := self._offset + self._steps * self._period) < time + INSTANT:
+            self._simulator.AdvanceTo(due - INSTANT)
+            self._make_step(due)
+            self._after_step(self._steps)
+            self._steps += 1
+            if after_step is not None:
+                after_step(self)
+        self._simulator.AdvanceTo(max(time, self.time))
+
+    def forgive_delay(self) -> None:
+        """Go on at real time from here, without making up for time that was lost."""
+        self._simulator.ResetStatistics()
+
+    @property
+    def time(self) -> float:
+        """Simulated time so far, in s."""
+        return self._simulator.get_context().get_time()
+
+    @property
+    def compute(self) -> Mapping[str, list[float]]:
+        """Computing time of each step so far in s, by stage."""
+        return self._compute
+
+    def context_of(self, system: System) -> Context:
+        """Return the context of one of the subsystems, as it is now."""
+        return system.GetMyContextFromRoot(self._simulator.get_context())
+
+    def evaluate(self, system: System, port: str) -> Any:
+        """Return what an output port of one of the subsystems gives now."""
+        return system.GetOutputPort(port).Eval(self.context_of(system))
+
+    def _begin(self) -> None:
+        """Forget the steps of an earlier run."""
+        self._steps = 0
+        self._compute: dict[str, list[float]] = {name: [] for name in (*self._stages, self._event)}
+
+    def _make_step(self, due: float) -> None:
+        """Make the volume or slice and the estimate that are due, and time each stage.
+
+        The ports are evaluated just before the event that asks for them; it finds them in the
+        cache. In the instant of the event there is at most one step of the plant besides.
+        """
+        clock = [self._clock()]
+        for system, port in self._stages.values():
+            self.evaluate(system, port)
+            clock.append(self._clock())
+        self._simulator.AdvanceTo(due + INSTANT)
+        clock.append(self._clock())
+        for name, seconds in zip(self._compute, np.diff(clock), strict=True):
+            self._compute[name].append(float(seconds))

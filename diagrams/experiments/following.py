@@ -1,0 +1,254 @@
+"""Following: the robot finds a needle in its volumes, keeps it centred and presses the probe."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+from matplotlib.figure import Figure
+from pydrake.geometry import Meshcat
+from pydrake.systems.framework import System
+
+from sonoservo.diagrams.experiments.experiment import INSTANT, Experiment
+from sonoservo.diagrams.experiments.following_insertion import (
+    check_entry,
+    check_followed,
+    make_insertion,
+)
+from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
+from sonoservo.diagrams.probe_controller import MakeProbeController
+from sonoservo.diagrams.scenario import Scenario, require_scenario
+from sonoservo.diagrams.seeds import draw_seeds
+from sonoservo.diagrams.station import MakeStation
+from sonoservo.systems.control.controller_schedule import ControllerSchedule
+from sonoservo.systems.control.scheduled_settings import ScheduledSettings
+from sonoservo.systems.display.monitor.scanner_monitor import ScannerMonitor
+from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
+from sonoservo.systems.evaluation.metrics import LABELS, MetricsParameters, summarize
+from sonoservo.systems.evaluation.plots import plot_errors, plot_run
+from sonoservo.systems.evaluation.run_log import RunLog
+from sonoservo.systems.evaluation.run_logger import RunLogger
+from sonoservo.systems.needle.hand import Hand
+from sonoservo.systems.needle.insertion import Insertion
+from sonoservo.systems.recording.volume_recorder import VolumeRecorder
+from sonoservo.systems.robot.phantom import PhantomMotion
+from sonoservo.systems.robot.phantom_motion import phantom_trajectory
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate
+from sonoservo.systems.signals.requirements import require
+from sonoservo.systems.ultrasound.imaging import sweep_geometry
+from sonoservo.systems.ultrasound.scan_converter import ScanConverter
+from sonoservo.systems.ultrasound.simulation.scanner import Scanner
+from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
+from sonoservo.systems.ultrasound.transducer import load_transducer
+
+if TYPE_CHECKING:
+    from sonoservo.systems.display.monitor.monitor import Monitor
+
+_OBSERVERS = ("scanner", "run_logger", "world_view", "volume_recorder")
+"""Systems that see the truth, besides the station and the sources that make it."""
+
+
+class FollowingExperiment(Experiment[FollowingScenario]):
+    """The loop of station, hand, scanner, tracker and controller.
+
+    .. pydrake_system::
+
+        name: (the scenario's)
+
+    The subsystems are station, scanner, scan_converter, needle_tracker, probe_controller,
+    run_logger, the sources and, if wanted, world_view, scanner_monitor and volume_recorder.
+
+    Parameters
+    ----------
+    scenario
+        Scenario of following.
+    meshcat
+        Meshcat that draws the world, if any.
+    sources
+        Systems that move needle and phantom and set the controller, by name; their outputs are
+        needle, phantom_command, gain and force_target. By default they are phantom_motion, hand and
+        controller_settings, which follow the scenario.
+    tracker
+        System that takes the place of the scenario's tracker, with the input volume and the output
+        estimate. The log keeps its outputs measurement and detection too, if it has them.
+        `tracker_events` tells when it should look for a volume.
+    monitor
+        Monitor that shows the volumes, if any.
+    film
+        Whether to keep the slices for a replay.
+    record
+        File to which the volumes are recorded, ``NAME.seq.nrrd``, if any. Call `close` at the end.
+    record_sweeps
+        Whether to record the sweeps too.
+
+    Raises
+    ------
+    ValueError
+        If the scenario cannot be carried out; the message names the field.
+    """
+
+    scenario_class = FollowingScenario
+    options = frozenset({"meshcat", "monitor", "record", "record_sweeps", "tracker"})
+    labels = LABELS
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        meshcat: Meshcat | None = None,
+        *,
+        sources: Mapping[str, System] | None = None,
+        tracker: System | None = None,
+        monitor: "Monitor | None" = None,
+        film: bool = True,
+        record: Path | None = None,
+        record_sweeps: bool = False,
+    ) -> None:
+        scenario = require_scenario(scenario, FollowingScenario)
+        seeds = draw_seeds(scenario)
+        transducer = load_transducer(scenario.probe)
+        tissue = replace(load_tissue(scenario.phantom), seed=seeds.tissue)
+        geometry = sweep_geometry(transducer, scenario.imaging)
+        insertion = make_insertion(scenario)
+        check_entry(scenario, tissue.size)
+        if scenario.controller.visual_servo.gain > 0:
+            check_followed(scenario, insertion)
+        require(
+            scenario.processing_time < geometry.period,
+            "processing_time",
+            scenario.processing_time,
+            f"below the {geometry.period:.3f} s of a sweep",
+        )
+        events = tracker_events(scenario)
+        period, offset = events["period"], events["offset"]
+        a_moment_later = {"period": period, "offset": offset + 2 * INSTANT}
+
+        self.station = MakeStation(
+            parameters=scenario.station,
+            probe=scenario.probe,
+            phantom=scenario.phantom,
+            seed=seeds.station,
+            meshcat=meshcat,
+        )
+        self.scanner = Scanner(
+            transducer=transducer,
+            imaging=scenario.imaging,
+            tissue=tissue,
+            parameters=scenario.scanner,
+            seed=seeds.noise,
+        )
+        self.scan_converter = ScanConverter(geometry=geometry, parameters=scenario.scan_conversion)
+        self.needle_tracker = tracker or MakeNeedleTracker(
+            parameters=scenario.tracker,
+            period=period,
+            offset=offset,
+            seed=seeds.tracker,
+        )
+        self.probe_controller = MakeProbeController(
+            parameters=scenario.controller, arm=scenario.station.arm, probe=scenario.probe
+        )
+        self.run_logger = RunLogger(
+            volume_period=period,
+            volume_offset=a_moment_later["offset"],
+            joints=self.station.GetOutputPort("joint_state").size() // 2,
+            geometry=geometry,
+        )
+        sources = _planned_sources(scenario, insertion) if sources is None else sources
+        systems: dict[str, System] = {
+            "station": self.station,
+            **sources,
+            "scanner": self.scanner,
+            "scan_converter": self.scan_converter,
+            "needle_tracker": self.needle_tracker,
+            "probe_controller": self.probe_controller,
+            "run_logger": self.run_logger,
+        }
+        if meshcat is not None:
+            frames = int(scenario.duration / period) + 1 if film else 0
+            systems["world_view"] = WorldView(
+                meshcat=meshcat, parameters=WorldViewParameters(film_frames=frames)
+            )
+        if monitor is not None:
+            systems["scanner_monitor"] = ScannerMonitor(monitor=monitor, **a_moment_later)
+        self._recorder: VolumeRecorder | None = None
+        if record is not None:
+            self._recorder = systems["volume_recorder"] = VolumeRecorder(
+                path=record,
+                settings={"tracker_seed": seeds.tracker},
+                sweeps=record_sweeps,
+                truth_period=geometry.frame_period,
+                **a_moment_later,
+            )
+        super().__init__(
+            scenario,
+            systems,
+            period=period,
+            offset=offset,
+            stages={
+                "render": (self.scanner, "sweep"),
+                "convert": (self.scan_converter, "volume"),
+            },
+            event="track",
+            optional=("measurement", "detection"),
+            sees_truth={"station", *sources, *_OBSERVERS},
+        )
+
+    @property
+    def estimate(self) -> NeedleEstimate:
+        """What the tracker estimates now."""
+        return cast(NeedleEstimate, self.evaluate(self.needle_tracker, "estimate"))
+
+    @property
+    def status(self) -> str:
+        """Mode of the tracker."""
+        return str(self.estimate.mode)
+
+    def log(self) -> RunLog:
+        """Return what has been logged so far."""
+        return self.run_logger.log(self.context_of(self.run_logger), compute=self.compute)
+
+    def summarize(self, log: RunLog) -> dict[str, Any]:
+        """Sum up a log, see `summarize`."""
+        return summarize(log, MetricsParameters(force_target=self._force_target()))
+
+    def plots(self, log: RunLog) -> dict[str, tuple[str, Figure]]:
+        """Return the plots of a run and of its errors."""
+        return {
+            "run.png": ("features, tip, probe, force", plot_run(log, self._force_target())),
+            "errors.png": ("errors", plot_errors(log)),
+        }
+
+    def _force_target(self) -> float | None:
+        """Force in N that the controller aims at; None if it changes on the way."""
+        happened = self.happened()
+        changed = any(change.force is not None for change in happened.controller_changes)
+        return None if changed else happened.controller.force.force
+
+    def close(self) -> None:
+        """Give a recording its final name."""
+        if self._recorder is not None:
+            self._recorder.close()
+
+
+def _planned_sources(scenario: FollowingScenario, insertion: Insertion) -> dict[str, System]:
+    schedule = ControllerSchedule(scenario.controller.settings, tuple(scenario.controller_changes))
+    return {
+        "phantom_motion": PhantomMotion(
+            trajectory=phantom_trajectory(scenario.phantom_motion, scenario.station.X_WT)
+        ),
+        "hand": Hand(insertion=insertion),
+        "controller_settings": ScheduledSettings(schedule=schedule),
+    }
+
+
+def tracker_events(scenario: Scenario) -> dict[str, float]:
+    """Return the period and the offset in s of the events at which a tracker looks for a volume.
+
+    Raises
+    ------
+    ValueError
+        If the scenario's transducer or imaging is not possible.
+    """
+    scenario = require_scenario(scenario, FollowingScenario)
+    period = sweep_geometry(load_transducer(scenario.probe), scenario.imaging).period
+    return {"period": period, "offset": period + scenario.processing_time}

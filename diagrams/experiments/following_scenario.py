@@ -1,0 +1,83 @@
+"""Scenarios of following: a robot finds a needle and follows it."""
+
+from dataclasses import dataclass, field
+
+from sonoservo.diagrams.assembly import PHANTOM, PROBE
+from sonoservo.diagrams.probe_controller import ProbeControllerParameters
+from sonoservo.diagrams.scenario import Scenario
+from sonoservo.diagrams.station import StationParameters
+from sonoservo.diagrams.trackers.chatelain2013 import Chatelain2013TrackerParameters
+from sonoservo.diagrams.trackers.registry import AnyTrackerParameters
+from sonoservo.systems.control.controller_schedule import ControllerChange
+from sonoservo.systems.needle.insertion_parameters import InsertionParameters
+from sonoservo.systems.robot.phantom_motion import PhantomMotionParameters
+from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.ultrasound.imaging import ImagingParameters
+from sonoservo.systems.ultrasound.scan_converter import ScanConversionParameters
+from sonoservo.systems.ultrasound.simulation.scanner import ScannerParameters
+
+
+@dataclass(kw_only=True)
+class FollowingScenario(Scenario):
+    """All of a run in which the robot follows a needle.
+
+    Parameters
+    ----------
+    experiment
+        "following".
+    duration
+        Simulated time in s.
+    station
+        Arm, plant, and where probe and phantom are at the start.
+    phantom
+        Tissue and contact of the phantom: name of a file in models/phantoms, or a path.
+    phantom_motion
+        Motion of the phantom.
+    hand
+        The needle and how it is pushed.
+    probe
+        Transducer and body of the probe: name of a file in models/probes, or a path.
+    imaging
+        The scanner's settings.
+    scanner
+        Noise, coupling and artefacts.
+    scan_conversion
+        Grid of the volumes.
+    tracker
+        Turns volumes into the estimated needle: the kind of one of the `TRACKERS`, or its fields.
+    controller
+        From the estimate to the probe's motion.
+    controller_changes
+        Changes of the controller's settings on the way, in order of time.
+    processing_time
+        Time from the end of a sweep to the estimate that it gives, in s.
+    """
+
+    experiment: str = "following"
+    duration: float = 30.0
+    station: StationParameters = field(default_factory=StationParameters)
+    phantom: str = PHANTOM
+    phantom_motion: PhantomMotionParameters = field(default_factory=PhantomMotionParameters)
+    hand: InsertionParameters = field(default_factory=InsertionParameters)
+    probe: str = PROBE
+    imaging: ImagingParameters = field(default_factory=ImagingParameters)
+    scanner: ScannerParameters = field(default_factory=ScannerParameters)
+    scan_conversion: ScanConversionParameters = field(default_factory=ScanConversionParameters)
+    tracker: AnyTrackerParameters = field(default_factory=Chatelain2013TrackerParameters)
+    controller: ProbeControllerParameters = field(default_factory=ProbeControllerParameters)
+    controller_changes: list[ControllerChange] = field(default_factory=list)
+    processing_time: float = 0.02
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_positive(duration=self.duration, processing_time=self.processing_time)
+        times = [change.time for change in self.controller_changes]
+        require(times == sorted(times), "controller_changes", times, "in order of time")
+        touch = self.controller.force.touch_force
+        for number, change in enumerate(self.controller_changes):
+            require(
+                change.force is None or change.force > touch,
+                f"controller_changes.{number}.force",
+                change.force,
+                f"above controller.force.touch_force ({touch} N)",
+            )

@@ -1,0 +1,119 @@
+"""Registry of the experiments, and the scenarios that describe them.
+
+A new experiment is a module of this package with a subclass of `Experiment`, and a line here.
+"""
+
+from collections.abc import Mapping
+from importlib import import_module
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sonoservo.diagrams.scenario import Scenario
+from sonoservo.systems.files.typed_yaml import (
+    ConfigurationError,
+    assign,
+    load_typed,
+    read_yaml,
+    suggest,
+)
+
+if TYPE_CHECKING:
+    from sonoservo.diagrams.experiments.experiment import Experiment
+
+EXPERIMENTS: Mapping[str, str] = {
+    "following": "FollowingExperiment",
+    "shape_prediction": "ShapePredictionExperiment",
+}
+"""Class of each experiment, which is in the module of the experiment's name."""
+
+
+def experiment_class(name: str) -> type["Experiment[Any]"]:
+    """Return the class of an experiment by its name; its module is imported only now.
+
+    Raises
+    ------
+    ConfigurationError
+        If there is no experiment of that name.
+    """
+    if not isinstance(name, str) or name not in EXPERIMENTS:
+        raise ConfigurationError(f"{name!r} is not allowed; {suggest(str(name), EXPERIMENTS)}")
+    module = import_module(f"sonoservo.diagrams.experiments.{name}")
+    found: type[Experiment[Any]] = getattr(module, EXPERIMENTS[name])
+    return found
+
+
+def make_experiment(scenario: Scenario, **options: Any) -> "Experiment[Any]":
+    """Make the experiment that a scenario describes.
+
+    Parameters
+    ----------
+    scenario
+        Scenario of any experiment.
+    options
+        Arguments of the experiment's class. None and False mean that an option is not asked for.
+
+    Raises
+    ------
+    ConfigurationError
+        If the experiment does not have an option that is asked for.
+    ValueError
+        If the scenario cannot be carried out; the message names the field.
+    """
+    kind = experiment_class(scenario.experiment)
+    wanted = {
+        name: value for name, value in options.items() if value is not None and value is not False
+    }
+    if refused := sorted(wanted.keys() - kind.options):
+        possible = ", ".join(sorted(kind.options))
+        raise ConfigurationError(
+            f"{refused[0]}: not possible in the experiment {scenario.experiment!r}; "
+            f"possible: {possible}"
+        )
+    return kind(scenario, **wanted)
+
+
+def list_scenarios() -> dict[str, Path]:
+    """Return the scenarios that come with the package: name and file."""
+    folder = Path(str(files("sonoservo.diagrams"))) / "scenarios"
+    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+
+
+def load_scenario(
+    scenario: str | Path, *, changes: list[str] | None = None, seed: int | None = None
+) -> Scenario:
+    """Load a scenario of any experiment.
+
+    Parameters
+    ----------
+    scenario
+        The name of one that comes with the package, or a path to a YAML file.
+    changes
+        ``path.to.field=value`` assignments on top.
+    seed
+        Replaces the scenario's own.
+
+    Returns
+    -------
+    The scenario, of the class that belongs to its experiment.
+
+    Raises
+    ------
+    ConfigurationError
+        If there is no such scenario, or naming the field that is wrong, its value and what is
+        allowed.
+    """
+    known = list_scenarios()
+    path = known.get(str(scenario), Path(scenario))
+    if path.suffix not in (".yaml", ".yml"):
+        raise ConfigurationError(f"unknown scenario {str(scenario)!r}; {suggest(path.name, known)}")
+    data: dict[str, Any] = {"name": path.stem, **read_yaml(path)}
+    for change in changes or []:
+        assign(data, change)
+    if seed is not None:
+        data["seed"] = seed
+    try:
+        schema = experiment_class(data.get("experiment", "following")).scenario_class
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{scenario}: experiment: {error}") from error
+    return load_typed(schema, data, str(scenario))

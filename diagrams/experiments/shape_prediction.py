@@ -1,0 +1,217 @@
+"""Shape prediction: how a bevelled needle will lie is predicted from axial slices."""
+
+import time
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from pydrake.geometry import Meshcat
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import System
+
+from sonoservo.diagrams.experiments.experiment import INSTANT, Experiment
+from sonoservo.diagrams.experiments.shape_prediction_scenario import ShapePredictionScenario
+from sonoservo.diagrams.scenario import Scenario, require_scenario
+from sonoservo.diagrams.seeds import draw_seeds
+from sonoservo.diagrams.shape_predictor import MakeShapePredictor
+from sonoservo.systems.display.world.shape_view import ShapeView
+from sonoservo.systems.estimation.shape_estimator import ShapeEstimator
+from sonoservo.systems.estimation.shape_filter import ShapeFilter
+from sonoservo.systems.estimation.shape_filters import SHAPE_FILTERS
+from sonoservo.systems.evaluation.log import Row
+from sonoservo.systems.evaluation.shape_log import ShapeLog
+from sonoservo.systems.evaluation.shape_metrics import LABELS, summarize_shape
+from sonoservo.systems.evaluation.shape_plots import plot_shape
+from sonoservo.systems.needle.hand import Hand
+from sonoservo.systems.needle.insertion import Insertion
+from sonoservo.systems.needle.insertion_parameters import OUTER_DIAMETER
+from sonoservo.systems.robot.probe_stepper import ProbeStepper
+from sonoservo.systems.signals.cross_section import CrossSection
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.needle_shape import NeedleShape
+from sonoservo.systems.signals.requirements import require
+from sonoservo.systems.ultrasound.simulation.scanner import Scanner
+from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
+from sonoservo.systems.ultrasound.slice_converter import SliceConverter
+from sonoservo.systems.ultrasound.transducer import load_transducer
+
+Floats = NDArray[np.float64]
+
+
+class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
+    """A hand, a probe that steps along the needle, a tracker and a shape estimator.
+
+    .. pydrake_system::
+
+        name: (the scenario's)
+
+    The subsystems are hand, probe_stepper, scanner, slice_converter, shape_predictor
+    and, with a Meshcat, shape_view. W and T are the same but for the tissue's
+    shifts. Computing times are those of this thread, whatever else the machine does.
+
+    Parameters
+    ----------
+    scenario
+        Scenario of shape prediction.
+    meshcat
+        Meshcat that draws the run, if any.
+
+    Raises
+    ------
+    ValueError
+        If the scenario cannot be carried out; the message names the field.
+    """
+
+    scenario_class = ShapePredictionScenario
+    labels = LABELS
+
+    def __init__(self, scenario: Scenario, meshcat: Meshcat | None = None) -> None:
+        self.scenario = scenario = require_scenario(scenario, ShapePredictionScenario)
+        seeds = draw_seeds(scenario)
+        self._estimator_seed = seeds.tracker
+        feed = replace(scenario.feed, depth=scenario.depth)
+        hand = replace(scenario.hand, feed=feed, rotations=scenario.rotations)
+        self.insertion = Insertion(hand, np.random.default_rng(seeds.insertion))
+        tissue = replace(load_tissue(scenario.phantom), seed=seeds.tissue)
+        half = np.array(tissue.size) / 2
+        end = hand.entry[0] + scenario.depth + feed.lead
+        require(
+            -half[0] <= hand.entry[0] and end <= half[0],
+            "depth",
+            scenario.depth,
+            f"such that the insertion, from x = {hand.entry[0]:g} to {end:g} m, stays in the "
+            f"phantom, {-half[0]:g} to {half[0]:g} m",
+        )
+        X_TI = self.insertion.X_TI
+        x, y, _ = X_TI.translation()
+        self.X_WP = RigidTransform(X_TI.rotation(), [x, y, scenario.face])
+        imaging = replace(scenario.imaging, volume_rate=1 / scenario.period, frames=1)
+        self.scanner = Scanner(
+            transducer=load_transducer(scenario.probe),
+            imaging=imaging,
+            tissue=tissue,
+            parameters=scenario.scanner,
+            seed=seeds.noise,
+        )
+        geometry = self.scanner.geometry
+        events = {"period": scenario.period, "offset": scenario.period + scenario.processing_time}
+        self.slice_converter = SliceConverter(geometry=geometry, spacing=scenario.pixel)
+        self.shape_predictor = MakeShapePredictor(
+            localizer=replace(scenario.tracker, needle_radius=OUTER_DIAMETER[hand.gauge] / 2),
+            shape_filter=self.make_filter(scenario.estimator),
+            X_WI=self.X_WP,
+            seed=self._estimator_seed,
+            **events,
+        )
+        systems: dict[str, System] = {
+            "hand": Hand(insertion=self.insertion),
+            "probe_stepper": ProbeStepper(
+                X_WP=self.X_WP,
+                step=scenario.step,
+                period=scenario.period,
+                steps=scenario.steps,
+                tissue_shift=scenario.tissue_shift,
+                seed=seeds.station,
+            ),
+            "scanner": self.scanner,
+            "slice_converter": self.slice_converter,
+            "shape_predictor": self.shape_predictor,
+        }
+        if meshcat is not None:
+            systems["shape_view"] = ShapeView(
+                meshcat=meshcat, tissue_size=tissue.size, depth=scenario.depth,
+                period=scenario.period, offset=events["offset"] + INSTANT,
+            )  # fmt: skip
+        super().__init__(
+            scenario,
+            systems,
+            period=events["period"],
+            offset=events["offset"],
+            stages={
+                "slice": (self.slice_converter, "slice"),
+                "image": (self.shape_predictor, "cross_section"),
+            },
+            event="estimate",
+            clock=time.thread_time,
+            sees_truth=("scanner", "shape_view"),
+        )
+
+    def make_filter(self, name: str) -> ShapeFilter:
+        """Make one of `SHAPE_FILTERS` with the scenario's parameters."""
+        scenario = self.scenario
+        plan: dict[str, Any] = {
+            "depth": scenario.depth,
+            "rotations": scenario.rotations,
+            "observe_until": scenario.observe_until,
+        }
+        return SHAPE_FILTERS[name].make(replace(getattr(scenario, name), **plan))
+
+    def make_estimator(self, name: str) -> ShapeEstimator:
+        """Make a shape estimator like the experiment's own, with any of `SHAPE_FILTERS`."""
+        return ShapeEstimator(
+            shape_filter=self.make_filter(name),
+            X_WI=self.X_WP,
+            period=self.scenario.period,
+            seed=self._estimator_seed,
+        )
+
+    @property
+    def shape(self) -> NeedleShape | NotFound:
+        """Shape that the estimator expects now."""
+        return cast(NeedleShape | NotFound, self.evaluate(self.shape_predictor, "shape"))
+
+    def true_path(self, depths: Floats) -> Floats:
+        """Return the (m, 3) true path in the first slice's P, in m, at depths in m."""
+        shaft = self.insertion.needle(self.insertion.end).transformed(self.X_WP.inverse()).shaft
+        return np.stack([np.interp(depths, shaft[:, 2], axis) for axis in shaft.T], axis=-1)
+
+    @property
+    def status(self) -> str:
+        """What became of the newest slice."""
+        return "following" if self._rows and "cross_section" in self._rows[-1] else "not found"
+
+    @property
+    def cross_sections(self) -> list[CrossSection]:
+        """All cross-sections found so far, in order of time."""
+        return [row["cross_section"] for row in self._rows if "cross_section" in row]
+
+    def log(self) -> ShapeLog:
+        """Return what has been seen so far."""
+        return ShapeLog.from_rows(self._rows, self.true_path)
+
+    def results(self) -> dict[str, Any]:
+        """Return `shape`, which the estimator believes at the end."""
+        return {"shape": self.shape}
+
+    def summarize(self, log: ShapeLog) -> dict[str, Any]:
+        """Sum up a log and the shape, see `summarize_shape`."""
+        return {"estimator": self.scenario.estimator, **summarize_shape(log, self.shape)}
+
+    def plots(self, log: ShapeLog) -> dict[str, tuple[str, Figure]]:
+        """Return the plot of the paths, if there are any."""
+        if len(log.depth) < 2:
+            return {}
+        return {"shape.png": ("path, measured, true and predicted", plot_shape(log, self.shape))}
+
+    def _begin(self) -> None:
+        super()._begin()
+        self._rows: list[Row] = []
+
+    def _after_step(self, number: int) -> None:
+        """Note what was found in a slice, and how long it took."""
+        found = self.evaluate(self.shape_predictor, "cross_section")
+        row: Row = {"depth": number * self.scenario.step}
+        row |= {f"{name}_s": self.compute[name][-1] for name in ("image", "estimate")}
+        if isinstance(found, CrossSection):
+            row["measured"] = self.X_WP.inverse().multiply(found.position)
+            row["correlation"] = found.correlation
+            row["cross_section"] = found
+        else:
+            row["reason"] = found.reason
+        shape = self.shape
+        if isinstance(shape, NeedleShape):
+            mean, covariance = shape.predict([self.scenario.depth])
+            row["tip"], row["tip_covariance"] = mean[0], covariance[0]
+        self._rows.append(row)

@@ -1,0 +1,172 @@
+"""Scenarios of shape prediction."""
+
+from dataclasses import dataclass, field
+
+from sonoservo.diagrams.scenario import Scenario
+from sonoservo.systems.estimation.published_particle_filter import PublishedParticleFilterParameters
+from sonoservo.systems.estimation.shape_filters import SHAPE_FILTERS
+from sonoservo.systems.estimation.shape_least_squares import ShapeLeastSquaresParameters
+from sonoservo.systems.estimation.shape_particle_filter import ShapeParticleFilterParameters
+from sonoservo.systems.files.typed_yaml import suggest
+from sonoservo.systems.localization.cross_section import CrossSectionParameters
+from sonoservo.systems.needle.insertion_parameters import FeedParameters, InsertionParameters
+from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.ultrasound.imaging import ImagingParameters
+from sonoservo.systems.ultrasound.simulation.rendering import ScannerParameters
+
+ESTIMATORS = tuple(SHAPE_FILTERS)
+"""Names of the shape estimators; each is a field of `ShapeScenario` too."""
+
+
+def _hand() -> InsertionParameters:
+    return InsertionParameters(
+        entry=[-0.075, 0.0, -0.030],
+        entry_spread=[0.0, 2e-3, 2e-3],
+        bend_radius=1.6,
+        bend_radius_spread=0.8,
+        bend_roll_deg=90.0,
+        bend_roll_spread_deg=180.0,
+        bend_angle_spread_deg=2.0,
+        start=0.0,
+        feed=FeedParameters(),
+    )
+
+
+def _imaging() -> ImagingParameters:
+    return ImagingParameters(
+        gain=0.38,
+        depth=0.045,
+        sector=0.4,
+        transmit_frequency=6.5e6,
+        focus_depth=0.03,
+        frame_pitch_deg=0.01,
+        frames=1,
+        sample_pitch=0.1e-3,
+    )
+
+
+@dataclass(kw_only=True)
+class ShapePredictionScenario(Scenario):
+    """All of a run in which a needle's shape is predicted from axial slices.
+
+    Parameters
+    ----------
+    experiment
+        "shape_prediction".
+    depth
+        Depth of the last slice, from the first, in m. It replaces the parts' own.
+    rotations
+        Depths at which the bevel is turned by 180 deg, in m. They replace the parts' own.
+    observe_until
+        Depth beyond which the estimator looks at no slice, in m: it then predicts (the paper's D).
+        None looks at all. It replaces the parts' own.
+    step
+        Distance between slices, in m. With the feed's speed it gives the slices per second, which
+        replace ``imaging.volume_rate``.
+    pixel
+        Spacing of the slices' pixels, in m.
+    face
+        z in T of the probe's face, in m; below zero, the tissue surrounds the face.
+    tissue_shift
+        Standard deviation of the tissue's shift from slice to slice, along each of X and Y of P,
+        in m: nobody knows it.
+    phantom
+        Tissue: name of a file in models/phantoms, or a path.
+    probe
+        Name of a file in models/probes, or a path.
+    imaging, scanner
+        The scanner's settings; noise and artefacts.
+    hand
+        The needle and its feed through a template.
+    tracker
+        Settings of the search for cross-sections.
+    estimator
+        Name of the shape estimator that guides the search, one of `ESTIMATORS`.
+    particle_filter, least_squares, published
+        Parameters of each.
+    processing_time
+        Time from a slice to the estimate that it gives, in s.
+    """
+
+    experiment: str = "shape_prediction"
+    depth: float = 0.14
+    rotations: list[float] = field(default_factory=list)
+    observe_until: float | None = None
+    step: float = 0.5e-3
+    pixel: float = 0.2e-3
+    face: float = -2e-3
+    tissue_shift: float = 0.1e-3
+    phantom: str = "beef"
+    probe: str = "trus"
+    imaging: ImagingParameters = field(default_factory=_imaging)
+    scanner: ScannerParameters = field(default_factory=ScannerParameters)
+    hand: InsertionParameters = field(default_factory=_hand)
+    tracker: CrossSectionParameters = field(default_factory=CrossSectionParameters)
+    estimator: str = "particle_filter"
+    particle_filter: ShapeParticleFilterParameters = field(
+        default_factory=ShapeParticleFilterParameters
+    )
+    least_squares: ShapeLeastSquaresParameters = field(default_factory=ShapeLeastSquaresParameters)
+    published: PublishedParticleFilterParameters = field(
+        default_factory=PublishedParticleFilterParameters
+    )
+    processing_time: float = 0.01
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_positive(
+            depth=self.depth,
+            step=self.step,
+            pixel=self.pixel,
+            processing_time=self.processing_time,
+        )
+        require_not_negative(tissue_shift=self.tissue_shift)
+        require(self.step <= self.depth / 2, "step", self.step, "at most half of depth")
+        within = all(0 < each < self.depth for each in self.rotations)
+        require(
+            within and self.rotations == sorted(set(self.rotations)),
+            "rotations",
+            self.rotations,
+            f"depths in rising order within the insertion, above 0 and below {self.depth} m",
+        )
+        if self.observe_until is not None:
+            require(
+                0 < self.observe_until <= self.depth,
+                "observe_until",
+                self.observe_until,
+                f"within the insertion, above 0 and at most {self.depth} m",
+            )
+        require(
+            self.estimator in ESTIMATORS,
+            "estimator",
+            self.estimator,
+            f"one of {', '.join(ESTIMATORS)}; {suggest(self.estimator, ESTIMATORS)}",
+        )
+        require(self.hand.feed is not None, "hand.feed", None, "a template's feed")
+        require(
+            self.processing_time < self.period,
+            "processing_time",
+            self.processing_time,
+            f"below the {self.period:g} s between slices",
+        )
+
+    @property
+    def feed(self) -> FeedParameters:
+        """Feed of the needle through the template."""
+        assert self.hand.feed is not None
+        return self.hand.feed
+
+    @property
+    def period(self) -> float:
+        """Time between slices, in s."""
+        return self.step / self.feed.speed
+
+    @property
+    def steps(self) -> int:
+        """Number of the stepper's steps; there is one slice more."""
+        return round(self.depth / self.step)
+
+    @property
+    def duration(self) -> float:
+        """Simulated time in s; the last estimate is made at its end."""
+        return (self.steps + 1) * self.period + self.processing_time

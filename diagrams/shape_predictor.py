@@ -1,0 +1,108 @@
+"""Shape predictor: slices in, a needle's cross-sections and its predicted shape out."""
+
+from collections.abc import Iterable
+from typing import Any
+
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import Diagram, DiagramBuilder
+
+from sonoservo.systems.estimation.cross_section_memory import CrossSectionMemory
+from sonoservo.systems.estimation.shape_estimator import ShapeEstimator
+from sonoservo.systems.estimation.shape_filter import ShapeFilter
+from sonoservo.systems.estimation.shape_filters import SHAPE_FILTERS
+from sonoservo.systems.localization.cross_section import CrossSectionParameters
+from sonoservo.systems.localization.cross_section_localizer import CrossSectionLocalizer
+from sonoservo.systems.signals.cross_section import CrossSection
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.needle_shape import NeedleShape
+
+
+def MakeShapePredictor(
+    *,
+    localizer: CrossSectionParameters | None = None,
+    shape_filter: ShapeFilter | None = None,
+    X_WI: RigidTransform | None = None,
+    period: float,
+    offset: float = 0.0,
+    seed: int = 0,
+) -> Diagram:
+    """Make a shape predictor.
+
+    .. pydrake_system::
+
+        name: shape_predictor
+        input_ports:
+        - slice
+        output_ports:
+        - cross_section
+        - shape
+
+    ``slice`` is an `ImageSlice`, or a `NotFound` while there is none. ``cross_section`` is the
+    `CrossSection` in it and ``shape`` the `NeedleShape` so far, or a `NotFound`.
+
+    Parameters
+    ----------
+    localizer
+        Settings of the search for cross-sections.
+    shape_filter
+        Filter of the shape estimator; None makes a particle filter with default parameters.
+    X_WI
+        Pose in W of the insertion's frame, see `ShapeEstimator`.
+    period, offset
+        Period and offset in s of the events at which it takes note of a new slice.
+    seed
+        Seed of every random choice.
+    """
+    parameters = localizer or CrossSectionParameters()
+    if shape_filter is None:
+        choice = SHAPE_FILTERS["particle_filter"]
+        shape_filter = choice.make(choice.parameters())
+    events = {"period": period, "offset": offset}
+    builder = DiagramBuilder()
+    localize = builder.AddNamedSystem(
+        "cross_section_localizer", CrossSectionLocalizer(parameters=parameters)
+    )
+    # A start that a person points at needs one slice only.
+    start_slices = parameters.start_slices if parameters.start is None else 1
+    memory = builder.AddNamedSystem(
+        "cross_section_memory", CrossSectionMemory(start_slices=start_slices, **events)
+    )
+    estimator = builder.AddNamedSystem(
+        "shape_estimator",
+        ShapeEstimator(shape_filter=shape_filter, X_WI=X_WI, seed=seed, **events),
+    )
+    image = builder.ExportInput(localize.GetInputPort("slice"), "slice")
+    builder.ConnectInput(image, memory.GetInputPort("slice"))
+    for source, port, target in (
+        (memory, "cross_section_track", localize),
+        (estimator, "shape", localize),
+        (localize, "cross_section", memory),
+        (localize, "cross_section", estimator),
+    ):
+        builder.Connect(source.GetOutputPort(port), target.GetInputPort(port))
+    builder.ExportOutput(localize.GetOutputPort("cross_section"), "cross_section")
+    builder.ExportOutput(estimator.GetOutputPort("shape"), "shape")
+    diagram = builder.Build()
+    diagram.set_name("shape_predictor")
+    return diagram
+
+
+def estimate_shape(
+    estimator: ShapeEstimator, cross_sections: Iterable[CrossSection]
+) -> list[NeedleShape | NotFound]:
+    """Estimate a needle's shape from recorded cross-sections, without a simulation.
+
+    Returns
+    -------
+    The shape after each cross-section.
+    """
+    # No event is ever due: one is forced for each cross-section.
+    context = estimator.CreateDefaultContext()
+    shapes: list[NeedleShape | NotFound] = []
+    for each in cross_sections:
+        estimator.GetInputPort("cross_section").FixValue(context, Value[object](each))
+        estimator.ExecuteForcedEvents(context)
+        shape: Any = estimator.GetOutputPort("shape").Eval(context)
+        shapes.append(shape)
+    return shapes

@@ -1,0 +1,6 @@
+from .chatelain2013 import Chatelain2013TrackerParameters as Chatelain2013TrackerParameters
+from .chatelain2013 import MakeChatelain2013Tracker as MakeChatelain2013Tracker
+from .tracker_parts import TrackerParameters as TrackerParameters
+from .tracker_parts import add_tracker_parts as add_tracker_parts
+from .zhao2012 import MakeZhao2012Tracker as MakeZhao2012Tracker
+from .zhao2012 import Zhao2012TrackerParameters as Zhao2012TrackerParameters

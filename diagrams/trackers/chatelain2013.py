@@ -1,0 +1,53 @@
+"""Tracker of Chatelain 2013: detector, localizer, and a filter on the needle's control points."""
+
+from dataclasses import dataclass, field
+
+from pydrake.systems.framework import Diagram, DiagramBuilder
+
+from sonoservo.diagrams.trackers.tracker_parts import (
+    TrackerParameters,
+    add_tracker_parts,
+    require_order,
+)
+from sonoservo.systems.estimation.control_point_filter import ControlPointFilter
+from sonoservo.systems.estimation.needle_filter import AnyFilter
+
+
+@dataclass(kw_only=True)
+class Chatelain2013TrackerParameters(TrackerParameters):
+    """Parameters of the tracker of Chatelain 2013; see `TrackerParameters` for the other fields.
+
+    Parameters
+    ----------
+    kind
+        "chatelain2013".
+    filter
+        Filter of the track: by default "control_points", the paper's.
+    """
+
+    kind: str = "chatelain2013"
+    filter: AnyFilter = field(default_factory=ControlPointFilter)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_order(self.order, self.filter)
+
+
+def MakeChatelain2013Tracker(
+    *,
+    parameters: Chatelain2013TrackerParameters,
+    period: float,
+    offset: float = 0.0,
+    seed: int = 0,
+) -> Diagram:
+    """Make the tracker of Chatelain 2013; see `MakeNeedleTracker`."""
+    builder = DiagramBuilder()
+    add_tracker_parts(
+        builder,
+        parameters=parameters,
+        needle_filter=parameters.filter,
+        period=period,
+        offset=offset,
+        seed=seed,
+    )
+    return builder.Build()

@@ -1,0 +1,135 @@
+"""Parts that the needle trackers have in common, and their wiring."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from pydrake.systems.framework import DiagramBuilder
+
+from sonoservo.systems.detection.insertion_detector import (
+    InsertionDetector,
+    InsertionDetectorParameters,
+)
+from sonoservo.systems.detection.volume_memory import VolumeMemory
+from sonoservo.systems.estimation.needle_filter import NeedleFilter
+from sonoservo.systems.estimation.track import TrackParameters
+from sonoservo.systems.estimation.track_manager import TrackManager
+from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
+from sonoservo.systems.localization.needle_localizer import NeedleLocalizer
+from sonoservo.systems.signals.requirements import require, require_not_negative
+
+
+@dataclass(kw_only=True)
+class TrackerParameters:
+    """Parameters of the parts that the needle trackers have in common.
+
+    Parameters
+    ----------
+    kind
+        Name of the tracker.
+    order
+        Number n of control points of the needle's curve: 2 straight, 3 bent.
+    look_back
+        Least age of the volume with which the present one is compared to detect an insertion, in
+        s. Chatelain 2013 compares consecutive volumes (0), in which a slow needle moves too little.
+    same_direction
+        Whether only sweeps of the same direction are compared. A motorised probe samples the
+        tissue differently on its way back, so that neighbouring volumes differ everywhere.
+    detector, localizer
+        Parameters of the detector and of the localizer.
+    track
+        Rules by which a track begins, goes on and ends.
+    """
+
+    kind: str = ""
+    order: int = 2
+    look_back: float = 1.8
+    same_direction: bool = True
+    detector: InsertionDetectorParameters = field(default_factory=InsertionDetectorParameters)
+    localizer: NeedleLocalizerParameters = field(default_factory=NeedleLocalizerParameters)
+    track: TrackParameters = field(default_factory=TrackParameters)
+
+    def __post_init__(self) -> None:
+        kind = type(self).kind
+        require(self.kind == kind, "kind", self.kind, repr(kind))
+        require_not_negative(look_back=self.look_back)
+
+
+def require_order(order: int, needle_filter: NeedleFilter[Any]) -> None:
+    """Raise ValueError unless a filter takes curves of an order."""
+    orders = needle_filter.orders
+    names = {2: "straight", 3: "bent"}
+    allowed = " or ".join(f"{each} ({names[each]})" for each in orders)
+    require(order in orders, "order", order, allowed)
+
+
+def add_tracker_parts(
+    builder: DiagramBuilder,
+    *,
+    parameters: TrackerParameters,
+    needle_filter: NeedleFilter[Any],
+    period: float,
+    offset: float,
+    seed: int,
+) -> TrackManager:
+    """Add memory, detector, localizer and track manager, wired and with a tracker's ports.
+
+    Parameters
+    ----------
+    builder
+        Builder to add to.
+    parameters
+        Parameters of the parts.
+    needle_filter
+        Filter of the track manager.
+    period, offset, seed
+        See `MakeNeedleTracker`.
+
+    Returns
+    -------
+    The track manager, to which more can be connected.
+    """
+    memory = builder.AddNamedSystem(
+        "volume_memory",
+        VolumeMemory(
+            look_back=parameters.look_back,
+            same_direction=parameters.same_direction,
+            period=period,
+            offset=offset,
+        ),
+    )
+    detector = builder.AddNamedSystem(
+        "insertion_detector",
+        InsertionDetector(parameters=parameters.detector, seed=seed),
+    )
+    localizer = builder.AddNamedSystem(
+        "needle_localizer", NeedleLocalizer(parameters=parameters.localizer, seed=seed)
+    )
+    manager: TrackManager = builder.AddNamedSystem(
+        "track_manager",
+        TrackManager(
+            needle_filter=needle_filter,
+            parameters=parameters.track,
+            order=parameters.order,
+            period=period,
+            offset=offset,
+        ),
+    )
+    volume = builder.ExportInput(memory.GetInputPort("volume"), "volume")
+    for each in (detector, localizer, manager):
+        builder.ConnectInput(volume, each.GetInputPort("volume"))
+    for source, port, target in (
+        (memory, "previous_volume", detector),
+        (detector, "detection", manager),
+        (localizer, "measurement", manager),
+        (localizer, "explanation", manager),
+        (manager, "prediction", localizer),
+    ):
+        builder.Connect(source.GetOutputPort(port), target.GetInputPort(port))
+    for port, name in (
+        ("estimate", "estimate"),
+        ("last_measurement", "measurement"),
+        ("last_detection", "detection"),
+        ("explanation", "explanation"),
+    ):
+        builder.ExportOutput(manager.GetOutputPort(port), name)
+    return manager

@@ -1,0 +1,92 @@
+"""Tracker of Zhao 2012: a filter on axis and tip that is told the velocity of the tip's speckle."""
+
+from dataclasses import dataclass, field
+
+from pydrake.systems.framework import Diagram, DiagramBuilder
+
+from sonoservo.diagrams.trackers.tracker_parts import (
+    TrackerParameters,
+    add_tracker_parts,
+    require_order,
+)
+from sonoservo.systems.detection.volume_memory import VolumeMemory
+from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter
+from sonoservo.systems.estimation.needle_filter import AnyFilter
+from sonoservo.systems.localization.speckle_velocimeter import (
+    SpeckleVelocimeter,
+    SpeckleVelocimeterParameters,
+)
+
+
+@dataclass(kw_only=True)
+class Zhao2012TrackerParameters(TrackerParameters):
+    """Parameters of the tracker of Zhao 2012; see `TrackerParameters` for the other fields.
+
+    The paper does not say how a needle is found first: that is done as in Chatelain 2013.
+
+    Parameters
+    ----------
+    kind
+        "zhao2012".
+    velocimeter
+        Parameters of the measurement of the tip's velocity from speckle.
+    filter
+        Filter of the track: by default "axis_tip", the paper's.
+    """
+
+    kind: str = "zhao2012"
+    velocimeter: SpeckleVelocimeterParameters = field(default_factory=SpeckleVelocimeterParameters)
+    filter: AnyFilter = field(default_factory=AxisTipFilter)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_order(self.order, self.filter)
+
+
+def MakeZhao2012Tracker(
+    *,
+    parameters: Zhao2012TrackerParameters,
+    period: float,
+    offset: float = 0.0,
+    seed: int = 0,
+    speckle_port: bool = False,
+) -> Diagram:
+    """Make the tracker of Zhao 2012; see `MakeNeedleTracker`.
+
+    Parameters
+    ----------
+    parameters, period, offset, seed
+        See `MakeNeedleTracker`.
+    speckle_port
+        Whether the velocimeter has an input port ``speckle`` of its own, for the
+        `RadioFrequencySweep` of each volume; otherwise it looks at the volumes.
+    """
+    events = {"period": period, "offset": offset}
+    builder = DiagramBuilder()
+    manager = add_tracker_parts(
+        builder,
+        parameters=parameters,
+        needle_filter=parameters.filter,
+        seed=seed,
+        **events,
+    )
+    velocimeter = builder.AddNamedSystem(
+        "speckle_velocimeter", SpeckleVelocimeter(parameters=parameters.velocimeter)
+    )
+    memory = builder.AddNamedSystem(
+        "speckle_memory", VolumeMemory(same_direction=parameters.same_direction, **events)
+    )
+    speckle = "volume"
+    if speckle_port:
+        speckle = "speckle"
+        builder.ExportInput(memory.GetInputPort("volume"), speckle)
+    else:
+        builder.ConnectInput(speckle, memory.GetInputPort("volume"))
+    builder.ConnectInput(speckle, velocimeter.GetInputPort("volume"))
+    for source, port, target in (
+        (memory, "previous_volume", velocimeter),
+        (manager, "prediction", velocimeter),
+        (velocimeter, "velocity", manager),
+    ):
+        builder.Connect(source.GetOutputPort(port), target.GetInputPort(port))
+    return builder.Build()

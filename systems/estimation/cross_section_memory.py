@@ -1,0 +1,80 @@
+"""Leaf: remembers a needle's cross-sections from slice to slice."""
+
+from typing import Any
+
+from pydrake.common.value import Value
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+
+from sonoservo.systems.signals.cross_section import CrossSection
+from sonoservo.systems.signals.cross_section_track import CrossSectionTrack
+from sonoservo.systems.signals.image_slice import ImageSlice
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.ports import evaluate
+
+
+class CrossSectionMemory(LeafSystem):
+    """Remembers the cross-section found last, and the slices before the first one.
+
+    .. pydrake_system::
+
+        name: CrossSectionMemory
+        input_ports:
+        - slice
+        - cross_section
+        output_ports:
+        - cross_section_track
+
+    ``slice`` is an `ImageSlice`, or a `NotFound` while there is none; ``cross_section`` the
+    `CrossSection` in it, or a `NotFound`. ``cross_section_track`` is the `CrossSectionTrack` after
+    the last event; it depends on the state only, so the localizer may use it.
+
+    Parameters
+    ----------
+    start_slices
+        Number of slices for one attempt at the start; the attempt takes the last of them.
+    period, offset
+        Period and offset in s of the events at which it takes note of a new slice.
+    """
+
+    def __init__(self, *, start_slices: int = 1, period: float, offset: float = 0.0) -> None:
+        super().__init__()
+        self.set_name("cross_section_memory")
+        self._start_slices = start_slices
+        nothing = NotFound("no slice yet")
+        self.DeclareAbstractInputPort("slice", Value[object](nothing))
+        self.DeclareAbstractInputPort("cross_section", Value[object](nothing))
+        track = self.DeclareAbstractState(Value[object](CrossSectionTrack()))
+        self.DeclareStateOutputPort("cross_section_track", track)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, offset, self._update)
+        self.DeclareForcedUnrestrictedUpdateEvent(self._update)
+
+    def _update(self, context: Context, state: State) -> EventStatus:
+        track: CrossSectionTrack = context.get_abstract_state(0).get_value()
+        image = evaluate(self, context, "slice", (ImageSlice, NotFound))
+        if not isinstance(image, ImageSlice) or image.time <= track.time:
+            return EventStatus.DidNothing()
+        found: Any = evaluate(self, context, "cross_section", (CrossSection, NotFound))
+        state.get_mutable_abstract_state(0).set_value(
+            remembered(track, image, found, self._start_slices)
+        )
+        return EventStatus.Succeeded()
+
+
+def remembered(
+    track: CrossSectionTrack, image: ImageSlice, found: CrossSection | NotFound, start_slices: int
+) -> CrossSectionTrack:
+    """Return the track after one more slice.
+
+    Parameters
+    ----------
+    track
+        Track before the slice.
+    image, found
+        Slice, and the cross-section in it.
+    start_slices
+        Number of slices for one attempt at the start.
+    """
+    last = found if isinstance(found, CrossSection) else track.last
+    images = () if last is not None else (*track.images, image)
+    # After an attempt that failed the next one begins with slices of its own.
+    return CrossSectionTrack(found, image.time, last, images if len(images) < start_slices else ())

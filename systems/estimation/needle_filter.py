@@ -1,0 +1,81 @@
+"""Contract of a needle filter, and the registry of those there are."""
+
+from functools import reduce
+from operator import or_
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.math import RigidTransform
+
+from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter
+from sonoservo.systems.estimation.control_point_filter import ControlPointFilter
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
+
+
+class NeedleState(Protocol):
+    """A filter's belief about the needle at one time; immutable."""
+
+    @property
+    def time(self) -> float:
+        """Time for which the state holds, in s."""
+
+    @property
+    def curve(self) -> NeedleCurve:
+        """Mean of the n control points in W, in m."""
+
+    @property
+    def velocity(self) -> NDArray[np.float64]:
+        """(n, 3) mean velocities of the control points in W, in m/s."""
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """(6n, 6n) covariance of the stacked control points and their velocities."""
+
+    def transformed(self, X: RigidTransform) -> Self:
+        """Return the state moved by a rigid transform, its velocities turned along."""
+
+
+S = TypeVar("S", bound=NeedleState)
+
+
+class NeedleFilter(Protocol[S]):
+    """How a needle moves and is corrected.
+
+    A filter remembers nothing and decides nothing: whether a measurement is believed, and when a
+    needle is lost, is up to the `TrackManager`. Its fields are its parameters, so that a YAML file
+    can choose and set a filter.
+
+    Attributes
+    ----------
+    orders
+        Orders of the curves that it can filter.
+    """
+
+    orders: ClassVar[tuple[int, ...]]
+
+    def start(self, measurement: NeedleMeasurement) -> S:
+        """Return the state after a first measurement; its velocity is not known."""
+
+    def predict(self, state: S, time: float) -> S:
+        """Return the state at a later time in s; an earlier time changes nothing."""
+
+    def update(
+        self,
+        state: S,
+        measurement: NeedleMeasurement | None,
+        velocity: VelocityMeasurement | None,
+    ) -> S:
+        """Return the state corrected by measurements at its time; either one may be missing."""
+
+
+FILTERS: tuple[type, ...] = (ControlPointFilter, AxisTipFilter)
+"""All needle filters; a new one is a file and an entry here."""
+
+if TYPE_CHECKING:
+    AnyFilter = NeedleFilter[Any]
+else:
+    AnyFilter = reduce(or_, FILTERS)
+    """Type of a field of a YAML file whose ``kind`` chooses the filter."""

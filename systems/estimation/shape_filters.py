@@ -1,0 +1,34 @@
+"""The shape filters by name: a new one is a file and a line here."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from sonoservo.systems.estimation.published_particle_filter import (
+    PublishedParticleFilter,
+    PublishedParticleFilterParameters,
+)
+from sonoservo.systems.estimation.shape_filter import ShapeFilter
+from sonoservo.systems.estimation.shape_least_squares import (
+    ShapeLeastSquares,
+    ShapeLeastSquaresParameters,
+)
+from sonoservo.systems.estimation.shape_parameters import ShapeEstimatorParameters
+from sonoservo.systems.estimation.shape_particle_filter import (
+    ShapeParticleFilter,
+    ShapeParticleFilterParameters,
+)
+
+
+class ShapeFilterChoice(NamedTuple):
+    """A filter's class of parameters, and the filter that is made from them."""
+
+    parameters: type[ShapeEstimatorParameters]
+    make: Callable[[Any], ShapeFilter]
+
+
+SHAPE_FILTERS = {
+    "particle_filter": ShapeFilterChoice(ShapeParticleFilterParameters, ShapeParticleFilter),
+    "least_squares": ShapeFilterChoice(ShapeLeastSquaresParameters, ShapeLeastSquares),
+    "published": ShapeFilterChoice(PublishedParticleFilterParameters, PublishedParticleFilter),
+}
+"""Name, parameters and filter of every shape estimator."""

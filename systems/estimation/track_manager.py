@@ -1,0 +1,184 @@
+"""Tracks the needle from volume to volume."""
+
+from dataclasses import replace
+from typing import Any
+
+from pydrake.common.value import Value
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+
+from sonoservo.systems.estimation.needle_filter import NeedleFilter
+from sonoservo.systems.estimation.track import Track, TrackLifecycle, TrackParameters
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.insertion_detection import InsertionDetection
+from sonoservo.systems.signals.localization_explanation import LocalizationExplanation
+from sonoservo.systems.signals.needle_estimate import TrackingMode
+from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals.needle_prediction import NeedlePrediction
+from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
+from sonoservo.systems.signals.volume import Volume
+
+
+class TrackManager(LeafSystem):
+    """Decides whether a needle is being tracked, and lets a filter estimate where it is.
+
+    .. pydrake_system::
+
+        name: TrackManager
+        input_ports:
+        - volume
+        - detection
+        - measurement
+        - velocity (optional)
+        - explanation (optional)
+        output_ports:
+        - estimate
+        - prediction
+        - last_detection
+        - last_measurement
+        - explanation
+
+    Detections that advance start a track, which stays unconfirmed until the needle is localized. A
+    volume without it, or whose innovation fails the gate, is coasted over, while the region of
+    interest grows; after some such volumes the needle is lost and localized in the whole volume;
+    after some time, or once it was withdrawn, a new insertion is awaited. See `TrackLifecycle`.
+
+    ``prediction`` is the `NeedlePrediction`, or a `NotFound`, for the volume at the input. It
+    depends on the state and on that volume's time and pose only, never on what is measured in it,
+    and is the same before and after the update with that volume. ``explanation`` is the
+    localizer's with the innovation added. All other outputs depend on the state only;
+    ``last_detection`` and ``last_measurement`` are those of the last update, for a log. Updates
+    come with new volumes: an event at which the volume is no newer than the last does nothing.
+
+    Parameters
+    ----------
+    needle_filter
+        How the needle moves and is corrected.
+    parameters
+        Rules of a track's life, in SI units.
+    order
+        Number n of control points of the needle's curve: 2 straight, 3 bent.
+    period, offset
+        Period and offset of the event, in s.
+    """
+
+    def __init__(
+        self,
+        *,
+        needle_filter: NeedleFilter[Any],
+        parameters: TrackParameters | None = None,
+        order: int = 2,
+        period: float,
+        offset: float = 0.0,
+    ) -> None:
+        super().__init__()
+        require_positive(period=period)
+        require_not_negative(offset=offset)
+        orders = needle_filter.orders
+        require(order in orders, "order", order, f"one of the filter's, {orders}")
+        self._parameters = parameters or TrackParameters()
+        self._lifecycle = TrackLifecycle(
+            order=order, parameters=self._parameters, needle_filter=needle_filter
+        )
+        for name in ("volume", "detection", "measurement", "velocity", "explanation"):
+            self.DeclareAbstractInputPort(name, Value[object]())
+        none = NotFound("no volume has been seen")
+        self._track = self.DeclareAbstractState(Value[object](self._lifecycle.without_needle(0.0)))
+        self._prediction = self.DeclareAbstractState(Value[object](none))
+        self._detection = self.DeclareAbstractState(Value[object](none))
+        self._measurement = self.DeclareAbstractState(Value[object](none))
+        track = self.abstract_state_ticket(self._track)
+        served = self.abstract_state_ticket(self._prediction)
+        volume, explanation = (
+            self.input_port_ticket(self.GetInputPort(name).get_index())
+            for name in ("volume", "explanation")
+        )
+        for port, calculate, prerequisites in (
+            ("estimate", self._calc_estimate, {track}),
+            ("prediction", self._calc_prediction, {track, served, volume}),
+            ("explanation", self._calc_explanation, {track, explanation}),
+        ):
+            self.DeclareAbstractOutputPort(
+                port, lambda: Value[object](), calculate, prerequisites_of_calc=prerequisites
+            )
+        self.DeclareStateOutputPort("last_detection", self._detection)
+        self.DeclareStateOutputPort("last_measurement", self._measurement)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, offset, self._update)
+        self.DeclareForcedUnrestrictedUpdateEvent(self._update)
+
+    def start_at(self, context: Context, measurement: NeedleMeasurement) -> None:
+        """Track a needle that was found otherwise, as if the last volume had shown it."""
+        state = self._lifecycle.needle_filter.start(measurement)
+        track = self._lifecycle.confirm(state, measurement.time)
+        context.SetAbstractState(int(self._track), replace(track, volume_time=measurement.time))
+
+    def _calc_estimate(self, context: Context, output: Value) -> None:
+        output.set_value(self._track_in(context).estimate)
+
+    def _calc_prediction(self, context: Context, output: Value) -> None:
+        volume = evaluate(self, context, "volume", (Volume, NotFound))
+        track = self._track_in(context)
+        if not isinstance(volume, Volume):
+            output.set_value(volume)
+        elif volume.time <= track.volume_time:
+            output.set_value(context.get_abstract_state(self._prediction).get_value())
+        else:
+            output.set_value(self._lifecycle.predict(track, volume.time, volume.X_WP))
+
+    def _calc_explanation(self, context: Context, output: Value) -> None:
+        port = self.GetInputPort("explanation")
+        if not port.HasValue(context):
+            output.set_value(NotFound("no localizer is connected that explains itself"))
+            return
+        explanation = evaluate(self, context, "explanation", (LocalizationExplanation, NotFound))
+        track = self._track_in(context)
+        if isinstance(explanation, LocalizationExplanation):
+            served = explanation.volume_time == track.volume_time
+            explanation = replace(
+                explanation,
+                innovation=track.innovation if served else None,
+                gate=self._lifecycle.gate,
+            )
+        output.set_value(explanation)
+
+    def _update(self, context: Context, state: State) -> EventStatus:
+        volume = evaluate(self, context, "volume", (Volume, NotFound))
+        track = self._track_in(context)
+        if not isinstance(volume, Volume) or volume.time <= track.volume_time:
+            return EventStatus.DidNothing()
+        prediction: Any = self.GetOutputPort("prediction").Eval(context)
+        # Inputs are pulled only if they are wanted: a localizer that nobody asks costs nothing.
+        detection: InsertionDetection | NotFound = NotFound("a needle is being tracked")
+        measurement: NeedleMeasurement | NotFound = NotFound("no needle has been detected")
+        velocity: VelocityMeasurement | NotFound = NotFound("the velocity is not measured")
+        if track.mode == TrackingMode.SEARCHING:
+            detection = evaluate(self, context, "detection", (InsertionDetection, NotFound))
+        if isinstance(prediction, NeedlePrediction):
+            measurement = evaluate(self, context, "measurement", (NeedleMeasurement, NotFound))
+        followed = track.mode in (TrackingMode.TRACKING, TrackingMode.COASTING)
+        if followed and self.GetInputPort("velocity").HasValue(context):
+            velocity = evaluate(self, context, "velocity", (VelocityMeasurement, NotFound))
+        track = self._lifecycle.next(
+            track.seen_from(volume.X_WP),
+            volume.time,
+            detection=detection,
+            measurement=measurement,
+            velocity=velocity,
+        )
+        track = replace(
+            track,
+            volume_time=volume.time,
+            X_WP=volume.X_WP if self._parameters.probe_frame else None,
+        )
+        for index, value in (
+            (self._track, track),
+            (self._prediction, prediction),
+            (self._detection, detection),
+            (self._measurement, measurement),
+        ):
+            state.get_mutable_abstract_state(index).set_value(value)
+        return EventStatus.Succeeded()
+
+    def _track_in(self, context: Context) -> Track:
+        return context.get_abstract_state(self._track).get_value()

@@ -1,0 +1,189 @@
+"""Base class of the logs of a run, and the file `log.npz` that holds any of them."""
+
+import io
+import zipfile
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.files.writing import write_atomically
+from sonoservo.systems.signals.immutable import Immutable
+
+FORMAT = 2
+"""Version of the file, its array `format`."""
+
+Array = NDArray[Any]
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Column:
+    """Description of an array of a log.
+
+    Parameters
+    ----------
+    what
+        Meaning in words.
+    unit
+        Unit; empty if there is none.
+    shape
+        Extents: a number, or the letter of an extent that all arrays share.
+    dtype
+        "f8", "?" or "U" for texts.
+    """
+
+    what: str
+    unit: str
+    shape: tuple[int | str, ...]
+    dtype: str = "f8"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Log(Immutable):
+    """What is kept of a run: arrays, each described by a `Column`.
+
+    A subclass annotates each array with its column. A field that is a mapping of arrays is written
+    as one array for each key, named ``<field>_<key>``. Missing values are NaN, or an empty text.
+
+    Raises
+    ------
+    ValueError
+        If an array has another shape than its column says.
+    """
+
+    def __post_init__(self) -> None:
+        extents: dict[int | str, int] = {}
+        for name, column in columns(type(self)).items():
+            array = np.asarray(getattr(self, name))
+            if column.dtype != "U":
+                array = array.astype(column.dtype, copy=False)
+            array = array.view()
+            wanted = column.shape
+            fits = array.ndim == len(wanted) and all(
+                got == (want if isinstance(want, int) else extents.setdefault(want, got))
+                for got, want in zip(array.shape, wanted, strict=True)
+            )
+            if not fits:
+                raise ValueError(f"{name} has shape {array.shape}; {_text(wanted)} is wanted")
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+
+LogT = TypeVar("LogT", bound=Log)
+
+
+def columns(log_class: type[Log]) -> Mapping[str, Column]:
+    """Return the column of each array of a log, by the array's name."""
+    hints = get_type_hints(log_class, include_extras=True)
+    return {name: hint.__metadata__[0] for name, hint in hints.items() if _is_column(hint)}
+
+
+def _groups(log_class: type[Log]) -> tuple[str, ...]:
+    """Names of the fields that are mappings of arrays."""
+    hints = get_type_hints(log_class, include_extras=True)
+    return tuple(name for name, hint in hints.items() if not _is_column(hint))
+
+
+def _is_column(hint: Any) -> bool:
+    return any(isinstance(each, Column) for each in getattr(hint, "__metadata__", ()))
+
+
+def stack_rows(
+    column: Column, name: str, rows: Sequence[Row], extents: Mapping[str, int] | None = None
+) -> Array:
+    """Return the array of a column from rows that may lack it.
+
+    Parameters
+    ----------
+    column
+        Description of the array.
+    name
+        Key of its values in the rows.
+    rows
+        One for each entry of the array's first axis.
+    extents
+        Extents that letters of the column's further axes stand for.
+    """
+    if column.dtype == "U":
+        return np.array([row.get(name, "") for row in rows], dtype=str)
+    shape = [each if isinstance(each, int) else (extents or {})[each] for each in column.shape[1:]]
+    missing = np.full(shape, np.nan) if column.dtype == "f8" else np.zeros(shape, column.dtype)
+    return np.array([row.get(name, missing) for row in rows], column.dtype).reshape(-1, *shape)
+
+
+def column_table(log_class: type[Log]) -> str:
+    """Return the arrays of a log's file as a Markdown table: name, shape, unit, meaning."""
+    rows = [
+        f"| `{name}` | {_text(column.shape)} | {column.unit} | {column.what} |"
+        for name, column in columns(log_class).items()
+    ]
+    return "\n".join(["| array | shape | unit | what |", "|---|---|---|---|", *rows])
+
+
+def _text(shape: tuple[int | str, ...]) -> str:
+    return "(" + ", ".join(map(str, shape)) + ("," if len(shape) == 1 else "") + ")"
+
+
+def write_log(path: str | Path, log: Log) -> Path:
+    """Write a log to one `.npz` file, atomically."""
+    arrays = {name: getattr(log, name) for name in columns(type(log))}
+    for group in _groups(type(log)):
+        arrays |= {f"{group}_{key}": array for key, array in getattr(log, group).items()}
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, format=np.array(FORMAT), **arrays)
+    return write_atomically(path, buffer.getvalue())
+
+
+def read_log(path: str | Path, log_class: type[LogT]) -> LogT:
+    """Read a log back from its `.npz` file.
+
+    Parameters
+    ----------
+    path
+        Path of the file.
+    log_class
+        Kind of log that the file holds.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is not a whole log of this kind, or one of another format.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"There is no log at {path}")
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+    except (
+        OSError,
+        EOFError,
+        ValueError,
+        TypeError,
+        AttributeError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
+        raise ValueError(f"{path} is not a log, or only a part of one: {error}") from error
+    version = arrays.pop("format", None)
+    if version is None or version.shape or int(version) != FORMAT:
+        raise ValueError(f"{path} has format {version}; this program reads format {FORMAT}")
+    known = columns(log_class)
+    if missing := sorted(known.keys() - arrays.keys()):
+        raise ValueError(f"{path} lacks {', '.join(missing)}")
+    fields: dict[str, Any] = {name: arrays[name] for name in known}
+    for group in _groups(log_class):
+        prefix = f"{group}_"
+        fields[group] = {
+            name.removeprefix(prefix): array
+            for name, array in arrays.items()
+            if name.startswith(prefix)
+        }
+    return log_class(**fields)

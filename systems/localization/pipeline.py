@@ -1,0 +1,320 @@
+"""The needle in one volume: region, candidates, consensus, extent, refit, judgement."""
+
+from collections.abc import Sequence
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.localization.axis import axis_through
+from sonoservo.systems.localization.axis_fit import AxisFit, fit_axis
+from sonoservo.systems.localization.candidates import acquired_from, select_candidates
+from sonoservo.systems.localization.line_search import bright_lines
+from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
+from sonoservo.systems.localization.needle_line import localize_line
+from sonoservo.systems.localization.ransac import ransac_axis
+from sonoservo.systems.localization.search_region import (
+    line_region,
+    lost_region,
+    outer_region,
+    predicted_region,
+)
+from sonoservo.systems.localization.tip import axis_profile, find_extent
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.localization_explanation import (
+    AxisProfile,
+    LocalizationAttempt,
+    LocalizationExplanation,
+    NeedleExtent,
+    SearchRegion,
+)
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals.needle_prediction import NeedlePrediction
+from sonoservo.systems.signals.volume import Volume
+
+_REPEATS = 7
+"""Number of searches around a line of which nothing else is known; the middlemost counts."""
+
+T = TypeVar("T")
+Attempts = list[LocalizationAttempt]
+
+
+def localize(
+    volume: Volume,
+    prediction: NeedlePrediction | NotFound,
+    parameters: NeedleLocalizerParameters,
+    rng: np.random.Generator,
+) -> NeedleMeasurement | NotFound:
+    """Localize the needle in a volume (Chatelain 2013, section II-D).
+
+    Parameters
+    ----------
+    volume
+        Volume to search.
+    prediction
+        Where to look; a `NotFound` is returned as it is.
+    parameters
+        Thresholds.
+    rng
+        Draws samples.
+
+    Returns
+    -------
+    The measurement in W, or a `NotFound` that says why there is none.
+    """
+    return explain_localization(volume, prediction, parameters, rng).measurement
+
+
+def explain_localization(
+    volume: Volume,
+    prediction: NeedlePrediction | NotFound,
+    parameters: NeedleLocalizerParameters,
+    rng: np.random.Generator,
+) -> LocalizationExplanation:
+    """Localize the needle as `localize` does, and return all that was looked at on the way."""
+    attempts: Attempts = []
+    evidence = 0.0
+    if not parameters.sweep_time:
+        volume = volume.at_once()
+    if isinstance(prediction, NotFound):
+        measurement: NeedleMeasurement | NotFound = prediction
+    elif not prediction.everywhere:
+        region = predicted_region(prediction, parameters)
+        attempts = _localize_around(volume, region, parameters, rng)
+        measurement = attempts[-1].measurement
+    elif prediction.curve is not None:
+        # A lost needle comes from where it came before, and is the longest of what looks like one.
+        for ends in bright_lines(volume, rng):
+            region = lost_region(volume.to_world(ends)[0], prediction.curve, parameters)
+            attempts += _localize_around(volume, region, parameters, rng)
+        measurement = _longest(attempts)
+    else:
+        line = localize_line(volume, rng)
+        if isinstance(line, NotFound):
+            measurement = line
+        else:
+            # In a short needle, as thick as the beam shows it, draws tell the axis differently.
+            region = line_region(volume.to_world(line.ends)[0], prediction.order, parameters)
+            repeats = [_localize_around(volume, region, parameters, rng) for _ in range(_REPEATS)]
+            attempts = [attempt for each in repeats for attempt in each]
+            measurement = _middlemost([each[-1].measurement for each in repeats])
+            evidence = line.evidence
+    return LocalizationExplanation(volume.time, prediction, tuple(attempts), measurement, evidence)
+
+
+def _longest(attempts: Attempts) -> NeedleMeasurement | NotFound:
+    found = [a.measurement for a in attempts if isinstance(a.measurement, NeedleMeasurement)]
+    nothing = NotFound("no needle in the whole volume")
+    return max(found, key=lambda each: each.curve.chord) if found else nothing
+
+
+def _middlemost(found: Sequence[NeedleMeasurement | NotFound]) -> NeedleMeasurement | NotFound:
+    """Return the measurement nearest to the median, if most searches found a needle."""
+    measured = [each for each in found if isinstance(each, NeedleMeasurement)]
+    if 2 * len(measured) <= len(found):
+        return next(each for each in found if isinstance(each, NotFound))
+    points = np.array([each.curve.control_points for each in measured])
+    away = np.linalg.norm(points - np.median(points, axis=0), axis=-1).sum(axis=-1)
+    return measured[int(away.argmin())]
+
+
+class _AbsentError(Exception):
+    """No needle, for the reason given: ends an attempt."""
+
+
+class _LongerError(Exception):
+    """The needle goes on towards the outside, in the region given: ends an attempt."""
+
+
+def _expect(value: T | NotFound) -> T:
+    """Return a value that must be there for an attempt to go on."""
+    if isinstance(value, NotFound):
+        raise _AbsentError(value.reason)
+    return value
+
+
+def _localize_around(
+    volume: Volume,
+    region: SearchRegion,
+    parameters: NeedleLocalizerParameters,
+    rng: np.random.Generator,
+) -> Attempts:
+    """Localize the needle in a region, and follow it to where it comes from.
+
+    The last attempt has the result.
+    """
+    attempts: Attempts = []
+    following: SearchRegion | None = region
+    while following is not None:
+        looked: dict[str, Any] = {}
+        region, following = following, None
+        try:
+            result: NeedleMeasurement | NotFound = _attempt(volume, region, parameters, rng, looked)
+        except _AbsentError as absent:
+            result = NotFound(str(absent))
+        except _LongerError as longer:
+            result, following = NotFound("only the end of a needle was found"), longer.args[0]
+        attempts.append(LocalizationAttempt(region, result, **looked))
+    return attempts
+
+
+def _attempt(
+    volume: Volume,
+    region: SearchRegion,
+    parameters: NeedleLocalizerParameters,
+    rng: np.random.Generator,
+    looked: dict[str, Any],
+) -> NeedleMeasurement:
+    """Localize the needle in a region, and note in ``looked`` what was looked at."""
+    points, weights = _candidates(volume, region, parameters, rng)
+    looked.update(candidates=points, weights=weights)
+    consensus = _expect(
+        ransac_axis(
+            points,
+            weights,
+            order=region.curve.order,
+            rng=rng,
+            parameters=parameters.ransac,
+            direction=region.curve.direction,
+            max_angle=region.max_angle,
+        )
+    )
+    looked.update(inliers=consensus.inliers)
+    rough = consensus.fit
+    extent = _extent(volume, region, parameters, rough, looked)
+    _require_motion(region, parameters, rough, extent)
+    fit = _refit(points, weights, parameters, rough, extent)
+    extent = _extent(volume, region, parameters, fit, looked)
+    if region.entry is None and extent.start - extent.entered > parameters.max_entry_gap:
+        raise _LongerError(_expect(outer_region(region, fit.axis, extent, parameters)))
+    inliers, between = _inliers(points, parameters, fit, extent)
+    return _judge(volume, region, parameters, fit, extent, int(inliers.sum()), int(between.sum()))
+
+
+def _candidates(
+    volume: Volume,
+    region: SearchRegion,
+    parameters: NeedleLocalizerParameters,
+    rng: np.random.Generator,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return (m, 3) candidate voxels in W, in m, and their (m,) weights."""
+    candidates = select_candidates(
+        volume,
+        _expect(axis_through(acquired_from(volume, region.curve.control_points))),
+        start=-region.before,
+        # The shaft tells the axis; what lies beyond the predicted tip may be something else.
+        stop=region.curve.chord + region.shaft_beyond,
+        radius=region.radius,
+        cross_section=parameters.cross_section,
+        slab=parameters.slab,
+        rng=rng,
+    )
+    if len(candidates.p_P) == 0:
+        raise _AbsentError("the predicted needle lies outside the field of view")
+    return volume.to_world(candidates.p_P)[0], candidates.weights
+
+
+def _extent(
+    volume: Volume,
+    region: SearchRegion,
+    parameters: NeedleLocalizerParameters,
+    fit: AxisFit,
+    looked: dict[str, Any],
+) -> NeedleExtent:
+    """Find where the needle begins and ends along an axis."""
+    ends = np.sort(fit.axis.abscissa(region.curve.control_points[[0, -1]]))
+    profile: AxisProfile = axis_profile(
+        volume, fit.axis, ends[0] - region.before, ends[1] + region.beyond, parameters.tip
+    )
+    looked.update(profile=profile, extent=None)
+    extent = _expect(find_extent(profile, parameters.tip))
+    looked.update(extent=extent)
+    least = parameters.min_length
+    if region.entry is not None:
+        predicted = profile.seen & (profile.a >= ends[0]) & (profile.a <= ends[1])
+        least = max(least, parameters.min_share * parameters.tip.step * float(predicted.sum()))
+    if extent.tip - extent.start < least:
+        raise _AbsentError(f"only {1e3 * (extent.tip - extent.start):.1f} mm of it are visible")
+    return extent
+
+
+def _require_motion(
+    region: SearchRegion,
+    parameters: NeedleLocalizerParameters,
+    fit: AxisFit,
+    extent: NeedleExtent,
+) -> None:
+    """Refuse a needle that has no end where a tip is known to have moved."""
+    if region.tip_moved:
+        ends = fit.axis.position([extent.start, extent.tip])
+        away = np.linalg.norm(ends - region.curve.tip, axis=1).min()
+        aside = fit.axis.distance(region.curve.tip)
+        if away > parameters.max_entry_gap or aside > parameters.max_aside:
+            raise _AbsentError("what was found is not what moved")
+
+
+def _inliers(
+    points: NDArray[np.float64],
+    parameters: NeedleLocalizerParameters,
+    fit: AxisFit,
+    extent: NeedleExtent,
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return which candidates between the needle's ends lie near its axis, and which lie there."""
+    a = fit.axis.abscissa(points)
+    between = np.asarray((a >= extent.start) & (a <= extent.tip))
+    return between & (fit.axis.distance(points) < parameters.ransac.residual_threshold), between
+
+
+def _refit(
+    points: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    parameters: NeedleLocalizerParameters,
+    fit: AxisFit,
+    extent: NeedleExtent,
+) -> AxisFit:
+    """Fit the axis to the inliers between the needle's ends."""
+    if parameters.ransac.refits == 0:
+        return fit
+    inliers, _ = _inliers(points, parameters, fit, extent)
+    axis = fit.axis
+    return _expect(fit_axis(points[inliers], weights[inliers], axis.order, axis.direction))
+
+
+def _judge(
+    volume: Volume,
+    region: SearchRegion,
+    parameters: NeedleLocalizerParameters,
+    fit: AxisFit,
+    extent: NeedleExtent,
+    inliers: int,
+    candidates: int,
+) -> NeedleMeasurement:
+    """Measure the control points and their covariance, unless there is too little to believe."""
+    ratio = float(inliers / max(candidates, 1))
+    if ratio < parameters.min_inlier_ratio:
+        raise _AbsentError(f"only {100 * ratio:.0f} % of the candidates lie on the axis")
+    if extent.evidence < parameters.min_evidence:
+        raise _AbsentError("too little stands out from the background along the axis")
+    start = extent.start if region.entry is None else float(fit.axis.abscissa(region.entry))
+    if extent.tip - start < parameters.min_length:
+        raise _AbsentError("the needle has been withdrawn to its entry")
+    # Interior points uniform in chord: the entry rests, the tip moves, no point slides.
+    order = region.curve.order
+    u = np.linspace(0, 1, order)
+    a = start + u * (extent.tip - start)
+    k = fit.axis.direction
+    deeper = volume.X_WP.rotation().matrix()[:, 1]
+    offset = parameters.echo_offset * (deeper - (deeper @ k) * k)
+    curve = NeedleCurve(fit.axis.position(a) + offset)
+    independent = max((extent.tip - extent.start) / parameters.correlation_length, order + 1.0)
+    tip_std = parameters.unseen_tip_std if extent.leaves else parameters.tip_std
+    ends = np.stack([1 - u, u], axis=1)
+    along = ends @ np.diag([parameters.entry_std**2, tip_std**2]) @ ends.T
+    covariance = (
+        fit.covariance(a, independent)
+        + np.kron(along, np.outer(k, k))
+        + parameters.systematic_std**2 * np.eye(3 * len(u))
+    )
+    time = float(volume.to_world(acquired_from(volume, curve.control_points[-1:]))[1][0])
+    return NeedleMeasurement(curve, covariance, time, inliers, ratio)

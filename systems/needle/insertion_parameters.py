@@ -1,0 +1,216 @@
+"""Parameters of an insertion: the needle, its path and the hand or template that pushes it."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from sonoservo.systems.signals.bicycle_paths import require_rising
+from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+
+OUTER_DIAMETER = {
+    14: 2.108e-3,
+    16: 1.651e-3,
+    17: 1.473e-3,
+    18: 1.270e-3,
+    20: 0.908e-3,
+    21: 0.819e-3,
+    22: 0.718e-3,
+    25: 0.515e-3,
+}
+"""Outer diameter in m by gauge (ISO 9626)."""
+
+MIN_BEND_RADIUS = 0.05
+"""Smallest radius in m of the arc that a bevelled tip may cut."""
+
+
+@dataclass(kw_only=True)
+class Push:
+    """One phase of an insertion by hand.
+
+    Parameters
+    ----------
+    duration
+        Duration in s.
+    speed
+        Speed in m/s; zero is a pause, below zero a withdrawal.
+    turning_deg
+        Rate at which the needle is turned about its axis, in deg/s: it steers a bevelled tip.
+    entry
+        Point in T where the needle, which must be outside, is put in from now on, in m; None leaves
+        it where it is.
+    azimuth_deg, dip_deg
+        Direction of the insertion from now on, in deg, of a needle that must be outside; None
+        leaves it as it is.
+    """
+
+    duration: float = 1.0
+    speed: float = 0.0
+    turning_deg: float = 0.0
+    entry: list[float] | None = None
+    azimuth_deg: float | None = None
+    dip_deg: float | None = None
+
+    def __post_init__(self) -> None:
+        require_positive(duration=self.duration)
+        require(abs(self.turning_deg) <= 720, "turning_deg", self.turning_deg, "up to 720 deg/s")
+        dip_deg = self.dip_deg
+        allowed = dip_deg is None or abs(dip_deg) <= 90
+        require(allowed, "dip_deg", dip_deg, "from -90 to 90 deg")
+        if self.entry is not None:
+            require(len(self.entry) == 3, "entry", self.entry, "three coordinates in m")
+        require(abs(self.speed) <= 0.2, "speed", self.speed, "from -0.2 to 0.2 m/s")
+
+    @property
+    def aim(self) -> dict[str, Any]:
+        """Changes of the entry and direction, by name."""
+        if self.entry is None and self.azimuth_deg is None and self.dip_deg is None:
+            return {}
+        changed = {"entry": self.entry, "azimuth_deg": self.azimuth_deg, "dip_deg": self.dip_deg}
+        return {name: value for name, value in changed.items() if value is not None}
+
+
+@dataclass(kw_only=True)
+class FeedParameters:
+    """A feed through a template, at constant speed along the aimed direction.
+
+    Parameters
+    ----------
+    speed
+        Speed in m/s, of the depth along the aimed direction.
+    depth
+        Depth beyond the entry at which the feed stops, ``lead`` aside, in m.
+    lead
+        Depth at the start, in m: a probe that steps with the feed sees shaft, not the tip.
+    template
+        Length of the straight needle between the template and the entry, in m.
+    """
+
+    speed: float = 0.01
+    depth: float = 0.14
+    lead: float = 2e-3
+    template: float = 10e-3
+
+    def __post_init__(self) -> None:
+        require_positive(speed=self.speed, depth=self.depth, template=self.template)
+        require_not_negative(lead=self.lead)
+
+
+@dataclass(kw_only=True)
+class InsertionParameters:
+    """A needle, the path that it cuts, and the hand or template that pushes it.
+
+    Spreads are half widths of uniform distributions: one insertion differs from the next.
+
+    Parameters
+    ----------
+    gauge
+        Gauge of the needle; it sets the diameter.
+    entry
+        Point in T where the needle enters the tissue, or the first slice behind a template, in m.
+    entry_spread
+        Spread of each coordinate of the entry, in m. A template leaves it no play along X.
+    azimuth_deg
+        Direction of the insertion seen from above, from +X_T towards +Y_T, in deg.
+    dip_deg
+        Angle of the insertion below the horizontal, in deg.
+    angle_spread_deg
+        Spread of azimuth and dip, in deg.
+    bend_radius, bend_radius_spread
+        Radius of the arc that a bevelled tip cuts, and its spread, in m; a radius of None stands
+        for a straight needle.
+    bend_roll_deg, bend_roll_spread_deg
+        Direction of the bend about the needle's axis at the start, and its spread, in deg; 0 bends
+        upwards.
+    bend_angle_spread_deg
+        Spread, within the plane of the bend, of the first direction about the aimed one, in deg.
+    rotations
+        Depths along the aimed direction at which the bevel is turned by 180 deg, in m.
+    curvature_wander
+        Standard deviation of the curvature along the path, relative to 1 / R, in uneven tissue.
+    wander_length
+        Correlation length of the curvature, in m: the standard deviation of the Gaussian that
+        smooths it.
+    start
+        Time when the motion begins, in s.
+    pushes
+        Phases of an insertion by hand, one after the other; after the last the hand rests.
+    ramp
+        Time the hand takes to change speed, in s.
+    tremor
+        Root mean square of the hand's tremor along the needle, in m.
+    feed
+        Feed through a template, in place of a hand; None for a hand.
+    """
+
+    gauge: int = 18
+    entry: list[float] = field(default_factory=lambda: [-0.06, 0.0, -0.045])
+    entry_spread: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    azimuth_deg: float = 0.0
+    dip_deg: float = 0.0
+    angle_spread_deg: float = 0.0
+    bend_radius: float | None = None
+    bend_radius_spread: float = 0.0
+    bend_roll_deg: float = 0.0
+    bend_roll_spread_deg: float = 0.0
+    bend_angle_spread_deg: float = 0.0
+    rotations: list[float] = field(default_factory=list)
+    curvature_wander: float = 0.0
+    wander_length: float = 0.02
+    start: float = 1.0
+    pushes: list[Push] = field(default_factory=list)
+    ramp: float = 0.5
+    tremor: float = 0.0
+    feed: FeedParameters | None = None
+
+    def __post_init__(self) -> None:
+        allowed = ", ".join(str(gauge) for gauge in OUTER_DIAMETER)
+        require(self.gauge in OUTER_DIAMETER, "gauge", self.gauge, f"one of {allowed}")
+        require(len(self.entry) == 3, "entry", self.entry, "three coordinates in m")
+        spread = self.entry_spread
+        require(
+            len(spread) == 3 and min(spread) >= 0,
+            "entry_spread",
+            spread,
+            "three lengths in m of at least 0",
+        )
+        require(abs(self.dip_deg) <= 90, "dip_deg", self.dip_deg, "from -90 to 90 deg")
+        require_not_negative(
+            angle_spread_deg=self.angle_spread_deg,
+            bend_radius_spread=self.bend_radius_spread,
+            bend_roll_spread_deg=self.bend_roll_spread_deg,
+            curvature_wander=self.curvature_wander,
+            start=self.start,
+            tremor=self.tremor,
+        )
+        require_positive(wander_length=self.wander_length, ramp=self.ramp)
+        require(
+            0 <= self.bend_angle_spread_deg <= 20,
+            "bend_angle_spread_deg",
+            self.bend_angle_spread_deg,
+            "from 0 to 20 deg",
+        )
+        require_rising(self.rotations)
+        if self.bend_radius is None:
+            self._require_none(
+                "a straight needle (bend_radius is null)",
+                "bend_radius_spread", "bend_angle_spread_deg", "rotations", "curvature_wander",
+            )  # fmt: skip
+        else:
+            require(
+                self.bend_radius - self.bend_radius_spread >= MIN_BEND_RADIUS,
+                "bend_radius",
+                self.bend_radius,
+                f"at least {MIN_BEND_RADIUS:g} m, bend_radius_spread subtracted",
+            )
+        if self.feed is not None:
+            self._require_none("a template (feed)", "pushes", "tremor", "angle_spread_deg")
+            require(
+                not self.rotations or self.rotations[-1] < self.feed.depth,
+                "rotations",
+                self.rotations,
+                f"within the insertion, below feed.depth ({self.feed.depth} m)",
+            )
+
+    def _require_none(self, what: str, *names: str) -> None:
+        for name in names:
+            value = getattr(self, name)
+            require(not value, name, value, f"left out: {what} has none")

@@ -1,0 +1,144 @@
+"""How deep a needle is, and how far it is turned, at any time: by hand or through a template."""
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import PPoly
+
+from sonoservo.systems.needle.insertion_parameters import FeedParameters, InsertionParameters
+from sonoservo.systems.needle.steered_path import cut_arcs
+
+Floats = NDArray[np.float64]
+
+_TURN_STEP = 1 / 64
+"""Time in s between the angles of a bevel that is turned while it cuts: 1.4 deg at 90 deg/s."""
+
+_REST = 1e-12
+"""A step of the needle, in m, that is rounding alone."""
+
+_TREMOR_BAND = (8.0, 12.0)
+"""Frequencies of physiological hand tremor in Hz (Elble and Koller 1990)."""
+
+
+class NeedleMotion(Protocol):
+    """The motion of a needle along its path."""
+
+    @property
+    def end(self) -> float:
+        """Time of the last rest, in s."""
+
+    def steady_depth(self, time: ArrayLike) -> Floats:
+        """Return the depth in m without tremor; below zero it is how far the tip is outside."""
+
+    def depth(self, time: float) -> float:
+        """Return the depth in m, tremor included; never below zero."""
+
+    def cut(self, time: float, length: float) -> tuple[Floats, Floats] | None:
+        """Return the arcs cut until a time, down to a present length in m; None without turning.
+
+        See `cut_arcs`; angles count from the bevel's first one.
+        """
+
+
+class Feed:
+    """A feed at constant speed; its depths are along the aimed direction.
+
+    Parameters
+    ----------
+    parameters
+        Speed, depth and lead.
+    start
+        Time when the feed begins, in s.
+    """
+
+    def __init__(self, parameters: FeedParameters, start: float) -> None:
+        self._parameters = parameters
+        self._start = start
+
+    @property
+    def end(self) -> float:
+        """Time of the last rest, in s."""
+        return self._start + self._parameters.depth / self._parameters.speed
+
+    def steady_depth(self, time: ArrayLike) -> Floats:
+        """Return the depth in m."""
+        pushed = self._parameters.speed * np.maximum(np.subtract(time, self._start), 0.0)
+        return np.minimum(pushed, self._parameters.depth) + self._parameters.lead
+
+    def depth(self, time: float) -> float:
+        """Return the depth in m."""
+        return float(self.steady_depth(time))
+
+    def cut(self, time: float, length: float) -> None:
+        """Return None: a template does not turn the needle but at the path's rotations."""
+
+
+class HandMotion:
+    """The motion that a hand's pushes make; its depths are lengths of the inserted shaft.
+
+    Parameters
+    ----------
+    parameters
+        Pushes, ramp and tremor.
+    rng
+        Source of the tremor's frequencies and phases.
+    """
+
+    def __init__(self, parameters: InsertionParameters, rng: np.random.Generator) -> None:
+        pushes = parameters.pushes
+        times = parameters.start + np.cumsum([0.0, *(push.duration for push in pushes)])
+        self._ramp = parameters.ramp
+        self._end = float(times[-1]) + parameters.ramp
+        self._depth_integral = _twice_integrated(times, [push.speed for push in pushes])
+        self._turn_integral: PPoly | None = None
+        if parameters.bend_radius is not None and any(push.turning_deg for push in pushes):
+            rates = np.deg2rad([push.turning_deg for push in pushes])
+            self._turn_integral = _twice_integrated(times, rates)
+            history = np.arange(parameters.start, self._end, _TURN_STEP)
+            depths = self.steady_depth(history)
+            # While the needle rests nothing is cut: only where it starts and stops matters.
+            moves = np.abs(np.diff(depths)) > _REST
+            kept = np.append(moves, False) | np.append(False, moves)
+            self._history, self._depths = history[kept], depths[kept]
+            self._turns = self._smoothed(self._turn_integral, self._history)
+        count = 8
+        self._tremor_rate = 2 * np.pi * rng.uniform(*_TREMOR_BAND, count)
+        self._tremor_phase = rng.uniform(0, 2 * np.pi, count)
+        self._tremor_amplitude = parameters.tremor * np.sqrt(2 / count)
+
+    @property
+    def end(self) -> float:
+        """Time of the last rest, in s."""
+        return self._end
+
+    def steady_depth(self, time: ArrayLike) -> Floats:
+        """Return the depth in m without tremor; below zero it is how far the tip is outside."""
+        return self._smoothed(self._depth_integral, time)
+
+    def depth(self, time: float) -> float:
+        """Return the depth in m, tremor included; never below zero."""
+        steady = float(self.steady_depth(time))
+        if steady <= 0:
+            return 0.0
+        phases = self._tremor_rate * time + self._tremor_phase
+        return max(0.0, steady + self._tremor_amplitude * float(np.sin(phases).sum()))
+
+    def cut(self, time: float, length: float) -> tuple[Floats, Floats] | None:
+        """Return the arcs cut until a time, down to a present length in m; None without turning."""
+        if self._turn_integral is None:
+            return None
+        past = np.searchsorted(self._history, time)
+        now = self._smoothed(self._turn_integral, time)
+        return cut_arcs(np.append(self._depths[:past], length), np.append(self._turns[:past], now))
+
+    def _smoothed(self, integral: PPoly, time: ArrayLike) -> Floats:
+        # A hand that takes `ramp` to change its speed pushes to the moving average of the depth
+        # that sudden changes would give, which is the difference of its integral.
+        return (integral(time) - integral(np.subtract(time, self._ramp))) / self._ramp
+
+
+def _twice_integrated(times: Floats, rates: ArrayLike) -> PPoly:
+    """Return the second integral of a rate, constant between times and zero outside them."""
+    breaks = np.concatenate([[-1e9], times, [1e9]])
+    return PPoly(np.concatenate([[0.0], rates, [0.0]])[np.newaxis], breaks).antiderivative(2)

@@ -1,0 +1,75 @@
+"""Drake's model directives, with errors that name the directive."""
+
+from pathlib import Path
+
+from pydrake.multibody.parsing import (
+    ModelDirective,
+    ModelDirectives,
+    Parser,
+    ProcessModelDirectives,
+)
+from pydrake.multibody.plant import MultibodyPlant
+
+from sonoservo.models import model_path
+from sonoservo.systems.files.typed_yaml import ConfigurationError
+
+_WANTED = {
+    "add_model": ("file", "name"),
+    "add_model_instance": ("name",),
+    "add_frame": ("name",),
+    "add_weld": ("parent", "child"),
+    "add_collision_filter_group": ("name",),
+    "add_directives": ("file",),
+}
+"""Kinds of directives, and the fields that each must have: without them Drake ends the process."""
+
+
+def resolve_files(directives: list[ModelDirective], path: Path) -> None:
+    """Check directives from a YAML file, and make their relative file names absolute.
+
+    Parameters
+    ----------
+    directives
+        Changed in place: file names are relative to the YAML file. URLs (``package://``,
+        ``file://``) are left as they are.
+    path
+        The YAML file.
+
+    Raises
+    ------
+    ConfigurationError
+        If a field or a file is missing.
+    """
+    for number, directive in enumerate(directives):
+        kinds = [kind for kind in _WANTED if getattr(directive, kind) is not None]
+        where = f"{path}: directives.{number}"
+        if len(kinds) != 1:
+            raise ConfigurationError(f"{where}: must be one of {', '.join(_WANTED)}")
+        (kind,) = kinds
+        content = getattr(directive, kind)
+        for name in _WANTED[kind]:
+            if not getattr(content, name):
+                raise ConfigurationError(f"{where}.{kind}.{name}: is missing")
+        if kind == "add_weld" and content.child == "world":
+            raise ConfigurationError(f"{where}.add_weld.child: 'world' can only be the parent")
+        if "file" in _WANTED[kind] and "://" not in content.file:
+            file = (path.parent / content.file).absolute()
+            if not file.is_file():
+                raise ConfigurationError(f"{where}.{kind}.file: there is no file {file}")
+            content.file = f"file://{file}"
+
+
+def add_directives(plant: MultibodyPlant, directives: list[ModelDirective]) -> None:
+    """Add what the directives describe to a plant.
+
+    Raises
+    ------
+    ValueError
+        If Drake refuses a directive.
+    """
+    parser = Parser(plant)
+    parser.package_map().AddPackageXml(str(model_path("package.xml")))
+    try:
+        ProcessModelDirectives(ModelDirectives(directives=directives), parser)
+    except RuntimeError as error:
+        raise ValueError(f"directives: {' '.join(str(error).split())}") from error

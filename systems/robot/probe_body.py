@@ -1,0 +1,172 @@
+"""The probe's body: its mass, its housing and the dome that touches the phantom."""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from pydrake.common.schema import Transform
+from pydrake.geometry import (
+    AddContactMaterial,
+    AddRigidHydroelasticProperties,
+    Cylinder,
+    Ellipsoid,
+    ProximityProperties,
+)
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.parsing import ModelDirective
+from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
+from pydrake.multibody.tree import (
+    FixedOffsetFrame,
+    ModelInstanceIndex,
+    SpatialInertia,
+    UnitInertia,
+)
+
+from sonoservo.systems.robot.directives import add_directives
+from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+
+_MARGIN = 5e-3
+"""Assumed width in m of the housing's rim around a flat array, and its depth."""
+
+_DOME_COLOUR, _HOUSING_COLOUR = (0.20, 0.22, 0.25, 1.0), (0.85, 0.87, 0.88, 1.0)
+
+
+@dataclass(kw_only=True)
+class AssumedBody:
+    """A plain body for a probe whose housing is not known: a dome on a cylinder.
+
+    Parameters
+    ----------
+    dome
+        (3,) semi-axes of the dome along X, Y, Z of P, in m. If empty, they follow from the
+        transducer (see `dome_semi_axes`).
+    mass
+        Mass in kg, spread evenly along the probe's length.
+    length
+        Distance from the centre of the face to the wrist force sensor, in m.
+    friction
+        Coefficient of friction of the face.
+    """
+
+    dome: list[float] = field(default_factory=list)
+    mass: float = 0.5
+    length: float = 0.2
+    friction: float = 0.02
+
+    def __post_init__(self) -> None:
+        require(
+            not self.dome or (len(self.dome) == 3 and min(self.dome) > 0),
+            "dome",
+            self.dome,
+            "three lengths above 0, in m",
+        )
+        require_positive(mass=self.mass, length=self.length)
+        require_not_negative(friction=self.friction)
+
+
+def _in_line_with_the_flange() -> Transform:
+    return Transform(RigidTransform(RotationMatrix.MakeXRotation(np.pi / 2)))
+
+
+@dataclass(kw_only=True)
+class ProbeBody:
+    """The body of a probe and how the arm holds it.
+
+    Parameters
+    ----------
+    directives
+        Drake's model directives that add a model named ``probe``. Its link ``probe`` has frame P,
+        and its frame ``wrist_sensor``, with axes parallel to those of P, is where the flange holds
+        it. If empty, the body is the assumed one.
+    assumed
+        The body of a probe without directives.
+    mount
+        Pose of ``wrist_sensor`` in the arm's flange frame. By default the probe looks along the
+        flange's Z axis and X_P is the flange's X axis.
+    """
+
+    directives: list[ModelDirective] = field(default_factory=list)
+    assumed: AssumedBody = field(default_factory=AssumedBody)
+    mount: Transform = field(default_factory=_in_line_with_the_flange)
+
+
+def dome_semi_axes(
+    *, array_radius: float, motor_radius: float, width: float, height: float
+) -> list[float]:
+    """Return the semi-axes of an ellipsoid that is curved like a transducer's face.
+
+    The radii of curvature of an ellipsoid with semi-axes a, b, c at its apex on Y are a^2 / b and
+    c^2 / b: those of the array and of the motor. Along a flat side the ellipsoid ends an assumed
+    rim of 5 mm beyond the elements.
+
+    Parameters
+    ----------
+    array_radius, motor_radius
+        Radii of curvature of the face, lateral and in elevation, in m; 0 for flat.
+    width, height
+        Extents of the elements, lateral and in elevation, in m.
+
+    Returns
+    -------
+    (3,) semi-axes along X, Y, Z of P, in m.
+    """
+    b = motor_radius or array_radius or _MARGIN
+    a = math.sqrt(array_radius * b) or width / 2 + _MARGIN
+    c = math.sqrt(motor_radius * b) or height / 2 + _MARGIN
+    return [a, b, c]
+
+
+def AddProbeBody(plant: MultibodyPlant, body: ProbeBody) -> ModelInstanceIndex:
+    """Add the body of a probe to a plant and return its model instance.
+
+    Raises
+    ------
+    ValueError
+        If the directives do not make a probe.
+    """
+    if not body.directives:
+        return _add_assumed_body(plant, body.assumed)
+    add_directives(plant, body.directives)
+    require(plant.HasModelInstanceNamed("probe"), "directives", "", "adding a model named 'probe'")
+    instance = plant.GetModelInstanceByName("probe")
+    for has, kind, name in (
+        (plant.HasBodyNamed, "link", "probe"),
+        (plant.HasFrameNamed, "frame", "wrist_sensor"),
+    ):
+        if not has(name, instance):
+            raise ValueError(f"directives: the model 'probe' has no {kind} named {name!r}")
+    return instance
+
+
+def _add_assumed_body(plant: MultibodyPlant, body: AssumedBody) -> ModelInstanceIndex:
+    instance = plant.AddModelInstance("probe")
+    length = body.length
+    a, b, c = body.dome or 3 * [_MARGIN]
+    radius = min(a, c, 0.025)
+    middle = np.array([0.0, -length / 2, 0.0])
+    inertia = UnitInertia.SolidCylinder(radius, length, np.array([0.0, 1.0, 0.0]))
+    link = plant.AddRigidBody(
+        "probe",
+        instance,
+        SpatialInertia(body.mass, middle, inertia.ShiftFromCenterOfMass(middle)),
+    )
+    plant.AddFrame(
+        FixedOffsetFrame("wrist_sensor", link.body_frame(), RigidTransform([0.0, -length, 0.0]))
+    )
+    if not plant.geometry_source_is_registered():
+        return instance
+    contact = ProximityProperties()
+    AddRigidHydroelasticProperties(0.6 * max(a, b, c), contact)
+    AddContactMaterial(friction=CoulombFriction(body.friction, body.friction), properties=contact)
+    dome, apex = Ellipsoid(a, b, c), RigidTransform([0.0, -b, 0.0])
+    plant.RegisterCollisionGeometry(link, apex, dome, "dome", contact)
+    plant.RegisterVisualGeometry(link, apex, dome, "dome", _DOME_COLOUR)
+    along_y = RotationMatrix.MakeXRotation(np.pi / 2)
+    plant.RegisterVisualGeometry(
+        link,
+        RigidTransform(along_y, [0.0, -(length + b) / 2, 0.0]),
+        Cylinder(radius, max(length - b, _MARGIN)),
+        "housing",
+        _HOUSING_COLOUR,
+    )
+    return instance

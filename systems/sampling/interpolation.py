@@ -1,0 +1,106 @@
+"""Linear interpolation of images at points: the kernels that every sampler shares."""
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+_SLACK = 1e-9
+"""In elements: a point so little outside the grid, by rounding, counts as on its edge."""
+
+# No fast-math: the order of the sums is kept, so that results repeat bit for bit.
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def trilinear(array: Any, x: Any, y: Any, z: Any) -> Any:  # pragma: no cover - compiled
+    """Return a 3D array's value at fractional indices from 0 to its last element.
+
+    Compiled loops call it for each point; it checks no bounds.
+    """
+    nx, ny, nz = array.shape
+    i, j, k = min(int(x), nx - 2), min(int(y), ny - 2), min(int(z), nz - 2)
+    x, y, z = x - i, y - j, z - k
+    value = 0.0
+    for di in range(2):
+        for dj in range(2):
+            for dk in range(2):
+                weight = (x if di else 1 - x) * (y if dj else 1 - y) * (z if dk else 1 - z)
+                value += weight * float(array[i + di, j + dj, k + dk])
+    return value
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def bilinear(array: Any, x: Any, y: Any) -> Any:  # pragma: no cover - compiled
+    """Return a 2D array's value at fractional indices; otherwise as `trilinear`."""
+    nx, ny = array.shape
+    i, j = min(int(x), nx - 2), min(int(y), ny - 2)
+    x, y = x - i, y - j
+    value = 0.0
+    for di in range(2):
+        for dj in range(2):
+            weight = (x if di else 1 - x) * (y if dj else 1 - y)
+            value += weight * float(array[i + di, j + dj])
+    return value
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sample(  # pragma: no cover - compiled
+    array: Any, points: Any, origin: Any, spacing: Any, outside: float, nearest: bool, values: Any
+) -> None:
+    axes = array.ndim
+    last = np.array(array.shape) - 1
+    at = np.zeros(axes)
+    for m in range(points.shape[0]):
+        inside, number = True, True
+        for axis in range(axes):
+            index = (points[m, axis] - origin[axis]) / spacing[axis]
+            inside &= -_SLACK <= index <= last[axis] + _SLACK
+            number &= index == index
+            at[axis] = min(max(index, 0.0), float(last[axis]))
+        if not (inside or (nearest and number)):
+            values[m] = outside
+        elif axes == 3:
+            values[m] = trilinear(array, at[0], at[1], at[2])
+        else:
+            values[m] = bilinear(array, at[0], at[1])
+
+
+def sample_grid(
+    array: NDArray[Any],
+    points: ArrayLike,
+    origin: ArrayLike,
+    spacing: ArrayLike,
+    outside: float | None,
+) -> NDArray[np.float32]:
+    """Sample an image on a regular grid at points.
+
+    Parameters
+    ----------
+    array
+        (nx, ny) or (nx, ny, nz), at least 2 each way; element [i, j, k] lies at
+        ``origin + spacing * (i, j, k)``.
+    points
+        (..., 2) or (..., 3).
+    origin, spacing
+        (2,) or (3,).
+    outside
+        Value of points outside the grid, and of points that are not numbers; None gives the former
+        that of the nearest point on the grid's edge, the latter NaN.
+
+    Returns
+    -------
+    (...) array.
+    """
+    points = np.asarray(points, dtype=float)
+    values = np.empty(points.shape[:-1], np.float32)
+    _sample(
+        array,
+        points.reshape(-1, array.ndim),
+        np.asarray(origin, dtype=float),
+        np.asarray(spacing, dtype=float),
+        np.nan if outside is None else float(outside),
+        outside is None,
+        values.reshape(-1),
+    )
+    return values

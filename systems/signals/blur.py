@@ -1,0 +1,37 @@
+"""Blur of a swept image at a point, in the probe frame."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.signals.point_spread import FWHM_PER_SIGMA, PointSpread
+from sonoservo.systems.signals.sweep import SweepGeometry
+
+Floats = NDArray[np.float64]
+
+
+def blur_covariance(spread: PointSpread, geometry: SweepGeometry, p_P: Floats) -> Floats:
+    """Covariance of the Gaussian that a point's echo resembles, in P.
+
+    Parameters
+    ----------
+    spread
+        Widths by depth, along the array, across the frame and along the line.
+    geometry
+        Of the sweep: it tells where the lines run.
+    p_P
+        (m, 3) positions of points in P, in m.
+
+    Returns
+    -------
+    (m, 3, 3) in m^2.
+    """
+    x, y, z = np.asarray(p_P, dtype=float).T
+    y = y + geometry.motor_radius
+    q = np.hypot(y, z) + geometry.array_radius - geometry.motor_radius
+    phi, theta = np.arctan2(x, q), np.arctan2(z, y)
+    lateral = [np.cos(phi), -np.sin(phi) * np.cos(theta), -np.sin(phi) * np.sin(theta)]
+    elevation = [np.zeros_like(phi), -np.sin(theta), np.cos(theta)]
+    axial = [np.sin(phi), np.cos(phi) * np.cos(theta), np.cos(phi) * np.sin(theta)]
+    sigma = spread.widths(np.hypot(q, x) - geometry.array_radius) / FWHM_PER_SIGMA
+    scaled = np.array([lateral, elevation, axial]).transpose(2, 0, 1) * sigma[..., np.newaxis]
+    return np.asarray(scaled.swapaxes(1, 2) @ scaled)

@@ -1,0 +1,180 @@
+"""Everything that a localizer looked at in one volume, and what came of it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.signals.immutable import Immutable, NotFound, read_only
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals.needle_prediction import NeedlePrediction
+
+
+@dataclass(frozen=True, eq=False)
+class SearchRegion(Immutable):
+    """Part of a volume in which a needle is localized.
+
+    Parameters
+    ----------
+    curve
+        Curve around which to look, in W, of as many control points as the needle's.
+    radius
+        Radius of the capsule around the curve, in m.
+    before, beyond
+        Distances that the profile along the needle goes on past the curve's ends, in m.
+    shaft_beyond
+        Distance past the curve's tip up to which voxels count as candidates for the shaft, in m.
+    max_angle
+        Largest angle between the needle and the curve, in rad.
+    entry
+        (3,) position in W where the needle enters; None if that is to be found.
+    tip_moved
+        Whether all that is known is that the curve's tip moved.
+    followed
+        Number of times that a needle newly found was followed towards the outside.
+    """
+
+    curve: NeedleCurve
+    radius: float
+    before: float
+    beyond: float
+    shaft_beyond: float
+    max_angle: float
+    entry: NDArray[np.float64] | None = None
+    tip_moved: bool = False
+    followed: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class AxisProfile(Immutable):
+    """Intensity along an axis.
+
+    Parameters
+    ----------
+    a
+        (m,) abscissae in m, evenly spaced.
+    p_W
+        (m, 3) positions on the axis in W, in m.
+    level, background
+        (m,) maximum in a tube around the axis, and the same beside it, in dB.
+    seen
+        (m,) whether the axis lies in the field of view.
+    beam_width
+        (m,) full width at half maximum of the needle's blurred end, in m; None if not known.
+    """
+
+    a: NDArray[np.float64]
+    p_W: NDArray[np.float64]
+    level: NDArray[np.float64]
+    background: NDArray[np.float64]
+    seen: NDArray[np.bool_]
+    beam_width: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        m = len(self.a)
+        for name, shape in (("a", (m,)), ("p_W", (m, 3)), ("level", (m,)), ("background", (m,))):
+            object.__setattr__(self, name, read_only(getattr(self, name), name, shape))
+        object.__setattr__(self, "seen", read_only(self.seen, "seen", (m,), np.bool_))
+
+
+@dataclass(frozen=True)
+class NeedleExtent(Immutable):
+    """Stretch over which a needle is visible along its axis.
+
+    Parameters
+    ----------
+    start, tip
+        Abscissae in m.
+    entered
+        Abscissa in m where the axis enters the field of view; -inf if it does so before the profile
+        begins.
+    leaves
+        Whether the needle leaves the field of view, so that its tip is not seen.
+    evidence
+        Integral along the stretch of what speaks for a needle, in dB m: about 2 dB times its
+        length. Lines through speckle reach 6 dB mm, a needle of 5 mm 12 to 30 dB mm.
+    """
+
+    start: float
+    tip: float
+    entered: float
+    leaves: bool
+    evidence: float
+
+
+@dataclass(frozen=True, eq=False)
+class LocalizationAttempt(Immutable):
+    """One search for the needle in one region of a volume.
+
+    Steps that an attempt did not reach are None.
+
+    Parameters
+    ----------
+    region
+        Part of the volume that was searched.
+    measurement
+        The needle, or the reason why it was not found there.
+    candidates, weights
+        (m, 3) positions in W, in m, and (m,) weights of the candidate voxels.
+    inliers
+        (m,) whether each candidate belongs to the consensus.
+    profile
+        Intensity along the axis that was found last.
+    extent
+        Stretch of the profile that was taken for the needle.
+    """
+
+    region: SearchRegion
+    measurement: NeedleMeasurement | NotFound
+    candidates: NDArray[np.float64] | None = None
+    weights: NDArray[np.float64] | None = None
+    inliers: NDArray[np.bool_] | None = None
+    profile: AxisProfile | None = None
+    extent: NeedleExtent | None = None
+
+    def __post_init__(self) -> None:
+        if self.candidates is None:
+            return
+        m = len(self.candidates)
+        for name, shape, dtype in (
+            ("candidates", (m, 3), np.float64),
+            ("weights", (m,), np.float64),
+            ("inliers", (m,), np.bool_),
+        ):
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, read_only(value, name, shape, dtype))
+
+
+@dataclass(frozen=True, eq=False)
+class LocalizationExplanation(Immutable):
+    """Everything that a localizer looked at in one volume, and what came of it.
+
+    Parameters
+    ----------
+    volume_time
+        Time of the volume, in s.
+    prediction
+        The needle that was expected, or the reason why none was.
+    attempts
+        Searches in the order in which they were made: one around a prediction and one for each
+        time that a needle newly found was followed to the outside; several for a needle that was
+        lost or never seen.
+    measurement
+        Result: the best one among the attempts, or the reason why there is none.
+    evidence
+        Evidence for the bright line around which a needle never seen was localized, in dB m; 0 if
+        there was no such line.
+    innovation, gate
+        Mahalanobis distance of the measurement from its prediction, and the largest one that is
+        believed; None as long as no filter has compared them.
+    """
+
+    volume_time: float
+    prediction: NeedlePrediction | NotFound
+    attempts: tuple[LocalizationAttempt, ...]
+    measurement: NeedleMeasurement | NotFound
+    evidence: float = 0.0
+    innovation: float | None = None
+    gate: float | None = None

@@ -1,0 +1,145 @@
+"""Slices through a volume."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydrake.math import RigidTransform, RotationMatrix
+
+from sonoservo.systems.signals.immutable import Immutable
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.requirements import require_positive
+from sonoservo.systems.signals.volume import Volume
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Plane(Immutable):
+    """A rectangle in the probe frame P, or in another one.
+
+    Parameters
+    ----------
+    X_PS
+        Pose of the rectangle's frame S: origin at its centre, X along its width, Y along its
+        height, Z its normal.
+    width, height
+        In m.
+    """
+
+    X_PS: RigidTransform
+    width: float
+    height: float
+
+    def __post_init__(self) -> None:
+        require_positive(width=self.width, height=self.height)
+
+    def transformed(self, X: RigidTransform) -> "Plane":
+        """Return it in another frame, in which P has the pose X."""
+        return Plane(X @ self.X_PS, self.width, self.height)
+
+    def grid(self, rows: int, columns: int) -> Vector:
+        """(rows, columns, 3) positions in P, in m, of the pixels' centres.
+
+        Columns run along +X of S and rows along +Y, so that the first row of a picture, its top,
+        is where Y is least.
+        """
+        x = self.width * ((np.arange(columns) + 0.5) / columns - 0.5)
+        y = self.height * ((np.arange(rows) + 0.5) / rows - 0.5)
+        R = self.X_PS.rotation().matrix()
+        return (
+            self.X_PS.translation()
+            + x[np.newaxis, :, np.newaxis] * R[:, 0]
+            + y[:, np.newaxis, np.newaxis] * R[:, 1]
+        )
+
+
+def box_edges(low: ArrayLike, high: ArrayLike) -> list[NDArray[np.float64]]:
+    """Return the twelve edges of a box, (2, 3) ends each, given its least and greatest corner."""
+    corners = np.where((np.arange(8)[:, np.newaxis] >> np.arange(3)) & 1, high, low)
+    return [corners[[i, i | bit]] for i in range(8) for bit in (1, 2, 4) if not i & bit]
+
+
+def slice_planes(volume: Volume, curve: NeedleCurve | None = None) -> list[Plane]:
+    """Return two orthogonal planes that contain the needle's axis (Chatelain 2013, fig. 3).
+
+    The first one contains the beam's direction (Y of P) too: its width runs across the beam, its
+    height along it, so that a picture of it has the probe at its top. The second one is orthogonal
+    to it, its width along the needle. Each rectangle is as large as its plane's cut through the
+    volume's grid; a plane that misses the grid is left out.
+
+    Parameters
+    ----------
+    volume
+        To cut.
+    curve
+        Needle in W; without one, the planes are Z = 0 and X = 0 of P.
+    """
+    across, depth, normal = np.eye(3)
+    point, width, height = np.zeros(3), normal, depth
+    if curve is not None:
+        entry, point = volume.to_probe([curve.entry, curve.tip])
+        along = (point - entry) / max(float(np.linalg.norm(point - entry)), np.finfo(float).tiny)
+        level = along - (along @ depth) * depth
+        if np.linalg.norm(level) > 1e-6:  # else it lies along the beam: any such planes will do
+            across = level / np.linalg.norm(level)
+            normal = np.cross(across, depth)
+            width, height = along, normal
+    planes = _cut(volume, point, across, depth), _cut(volume, point, width, height)
+    return [plane for plane in planes if plane is not None]
+
+
+def _cut(volume: Volume, point: Vector, u: Vector, v: Vector) -> Plane | None:
+    """Return the least rectangle along u and v around a plane's cut through a volume's grid."""
+    normal = np.cross(u, v)
+    edges = np.array(box_edges(volume.origin, volume.upper))
+    cuts = [
+        start + before / (before - behind) * (end - start)
+        for (start, end), (before, behind) in zip(edges, (edges - point) @ normal, strict=True)
+        if before * behind <= 0 and before != behind
+    ]
+    if not cuts:
+        return None
+    low, high = (
+        reduce(np.array(cuts) @ np.stack([u, v], axis=1), axis=0) for reduce in (np.min, np.max)
+    )
+    if (high - low).min() <= 0:
+        return None
+    centre = point + (0.5 * (low + high) - [point @ u, point @ v]) @ np.stack([u, v])
+    R_PS = RotationMatrix(np.stack([u, v, normal], axis=1))
+    return Plane(RigidTransform(R_PS, centre), *(high - low))
+
+
+def sample_plane(volume: Volume, plane: Plane, spacing: float) -> NDArray[np.uint8]:
+    """Return the picture of a slice through a volume, by trilinear interpolation.
+
+    Parameters
+    ----------
+    volume
+        To cut; its intensities are grey levels from 0 to 255.
+    plane
+        Where to.
+    spacing
+        Of the pixels, at most, in m.
+
+    Returns
+    -------
+    (rows, columns, 2) grey level and opacity: 255 in the sector, 0 outside. Where the sector is not
+    known, the whole grid is opaque.
+    """
+    rows, columns = (
+        max(1, int(np.ceil(size / spacing - 1e-9))) for size in (plane.height, plane.width)
+    )
+    p_P = plane.grid(rows, columns)
+    picture = np.zeros((rows, columns, 2), np.uint8)
+    if volume.motion is not None:
+        grey = volume.sample(p_P, outside=None)
+        inside = volume.motion.geometry.contains(p_P)
+    else:
+        grey = volume.sample(p_P, outside=np.nan)
+        inside = np.isfinite(grey)
+        grey[~inside] = 0
+    np.rint(grey, out=grey)
+    picture[..., 0] = np.clip(grey, 0, 255, out=grey)
+    picture[..., 1] = np.where(inside, 255, 0)
+    return picture

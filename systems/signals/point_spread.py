@@ -1,0 +1,53 @@
+"""Resolution of an image: how far the scanner blurs a point, at every depth."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.requirements import require
+
+Floats = NDArray[np.float64]
+
+FWHM_PER_SIGMA = float(2 * np.sqrt(2 * np.log(2)))
+"""Full width at half maximum of a Gaussian, over its standard deviation."""
+
+
+@dataclass(frozen=True, eq=False)
+class PointSpread(Immutable):
+    """Widths of a point's echo, at half amplitude, by depth.
+
+    Parameters
+    ----------
+    depth
+        (n,) rising distances from the array along a line, in m; between them the widths are
+        interpolated, beyond them they stay the same.
+    lateral, elevation, axial
+        (n,) full widths at half maximum along the array, across the frame and along the line, in m.
+
+    Raises
+    ------
+    ValueError
+        If a length differs, a width is not above zero or the depths do not rise.
+    """
+
+    depth: Floats
+    lateral: Floats
+    elevation: Floats
+    axial: Floats
+
+    def __post_init__(self) -> None:
+        for name in ("depth", "lateral", "elevation", "axial"):
+            count = None if name == "depth" else len(self.depth)
+            object.__setattr__(self, name, read_only(getattr(self, name), name, (count,)))
+        require(len(self.depth) > 0, "depth", self.depth, "at least one depth")
+        require(bool((np.diff(self.depth) > 0).all()), "depth", self.depth, "rising")
+        for name in ("lateral", "elevation", "axial"):
+            widths = getattr(self, name)
+            require(bool((widths > 0).all()), name, widths, "above 0")
+
+    def widths(self, depth: Floats) -> Floats:
+        """(m, 3) lateral, elevation and axial width in m at (m,) depths in m."""
+        each = (self.lateral, self.elevation, self.axial)
+        return np.stack([np.interp(depth, self.depth, widths) for widths in each], axis=-1)

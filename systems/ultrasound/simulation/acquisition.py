@@ -1,0 +1,40 @@
+"""Acquires a sweep: renders its frames, and says when and from where each was acquired."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.signals.immutable import seal
+from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.sweep import Sweep, SweepMotion
+from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
+
+
+def acquire_sweep(
+    renderer: SweepRenderer,
+    motion: SweepMotion,
+    needles: Sequence[Needle],
+    *,
+    X_TP: NDArray[np.float64] | None = None,
+    number: int = 0,
+) -> Sweep:
+    """Acquire a sweep of the simulated scanner, at rest or along a motion.
+
+    Parameters
+    ----------
+    renderer
+        Of the probe over the tissue.
+    motion
+        When and from where each frame is acquired: `SweepMotion.at_rest`, or any other.
+    needles
+        (frames,) needle in T at each frame's time, possibly empty.
+    X_TP
+        (frames, 4, 4) pose of the probe in the tissue at each frame's time; by default the
+        tissue's frame T is the world.
+    number
+        Of the sweep; it selects the noise.
+    """
+    poses = motion.X_WP if X_TP is None else X_TP
+    samples = renderer.render(poses, needles, motion.direction, number, motion.times)
+    return Sweep(seal(samples), motion, renderer.decibels_per_level, renderer.point_spread)

@@ -1,0 +1,163 @@
+"""What holds for every experiment: the registry, the driver, and who sees the truth."""
+
+import numpy as np
+import pytest
+from pydrake.common.value import Value
+from pydrake.systems.framework import LeafSystem
+
+from sonoservo.diagrams import load_scenario, make_experiment, run, tracker_events
+from sonoservo.diagrams.app.scan import scan
+from sonoservo.diagrams.experiments.registry import EXPERIMENTS, experiment_class
+from sonoservo.diagrams.studies.dataset import make_dataset
+from sonoservo.systems.evaluation.log import columns
+from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.recording.recording import Recording
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+
+SCENARIOS = {
+    "following": ("chatelain2013_fig5", ["duration=1.5", "station.plant.contact_model=point"]),
+    "shape_prediction": ("carriere2016_patient", ["depth=0.03", "observe_until=0.02"]),
+}
+BLIND = {"following": {"needle_tracker", "probe_controller"},
+         "shape_prediction": {"shape_predictor"}}  # fmt: skip
+
+
+@pytest.fixture(params=sorted(EXPERIMENTS))
+def scenario(request):
+    name, changes = SCENARIOS[request.param]
+    loaded = load_scenario(name, changes=changes, seed=103)
+    assert loaded.experiment == request.param
+    return loaded
+
+
+def assert_equal_logs(first, second):
+    assert type(first) is type(second)
+    for name in columns(type(first)):
+        if not name.endswith("_s"):  # computing times
+            np.testing.assert_array_equal(getattr(first, name), getattr(second, name), name)
+
+
+def test_before_the_start_the_log_is_empty(scenario):
+    log = make_experiment(scenario).log()
+    assert {len(getattr(log, name)) for name in columns(type(log))} == {0}
+
+
+def test_a_second_start_gives_the_same_run_again(scenario):
+    experiment = make_experiment(scenario)
+    seen = []
+    experiment.run(lambda each: seen.append((each.time, each.status)))
+    first, count = experiment.log(), len(seen)
+    assert count > 2
+    experiment.start()
+    assert all(times == [] for times in experiment.compute.values())
+    experiment.run(lambda each: seen.append((each.time, each.status)))
+    assert seen[:count] == seen[count:]
+    assert_equal_logs(experiment.log(), first)
+    assert {len(times) for times in experiment.compute.values()} == {count}
+
+
+def test_steps_do_not_depend_on_the_strides_of_time(scenario):
+    whole, parts = make_experiment(scenario), make_experiment(scenario)
+    whole.run()
+    parts.start()
+    while parts.time < scenario.duration:
+        parts.advance(min(parts.time + 0.13, scenario.duration))
+    assert_equal_logs(parts.log(), whole.log())
+
+
+def test_every_figure_of_the_table_is_in_the_summary(scenario):
+    result = run(scenario)
+    for path in result.labels:
+        assert path.split(".")[0] in result.summary
+
+
+def test_trackers_and_controllers_never_see_the_truth(scenario):
+    experiment = make_experiment(scenario)
+    systems = {system.get_name(): system for system in experiment.diagram.GetSystems()}
+    ports = {
+        systems[name].get_input_port(index).get_name()
+        for name in BLIND[scenario.experiment]
+        for index in range(systems[name].num_input_ports())
+    }
+    assert ports <= {
+        "volume", "estimate", "X_WP", "wrist_force", "joint_state", "gain", "force_target",
+        "slice", "shape", "cross_section",
+    }  # fmt: skip
+
+
+class Spy(LeafSystem):
+    """A tracker that asks for more than volumes, or claims to be something else."""
+
+    def __init__(self, *, period, offset, asks=(), claims=()):
+        super().__init__()
+        for name in ("volume", *asks):
+            self.DeclareAbstractInputPort(name, Value[object]())
+        estimate = NeedleEstimate(TrackingMode.SEARCHING, 0.0)
+        index = self.DeclareAbstractState(Value[object](estimate))
+        for name in ("estimate", *claims):
+            self.DeclareStateOutputPort(name, index)
+
+
+@pytest.mark.parametrize(
+    ("spying", "message"),
+    [
+        ({"asks": ["needle"]}, "needle_tracker has an input 'needle', which is the truth"),
+        ({"asks": ["X_WT"]}, "needle_tracker has an input 'X_WT', which is the truth"),
+        ({"asks": ["contact_force"]}, "'contact_force', which is the truth"),
+        ({"asks": ["phantom_command"]}, "'phantom_command', which is the truth"),
+        ({"asks": ["needles"]}, "needle_tracker has an input 'needles', but there is no such"),
+        ({"claims": ["needle"]}, "hand and needle_tracker both have an output 'needle'"),
+    ],
+)
+def test_a_tracker_that_spies_is_refused(spying, message):
+    scenario = load_scenario("chatelain2013_fig5", changes=["duration=1"])
+    spy = Spy(**tracker_events(scenario), **spying)
+    with pytest.raises(ConfigurationError, match=message):
+        run(scenario, tracker=spy)
+
+
+def test_a_second_run_of_one_experiment_is_recorded_anew(tmp_path):
+    path = tmp_path / "a.seq.nrrd"
+    scenario = load_scenario("chatelain2013_fig5", changes=["duration=1.5"])
+    experiment = make_experiment(scenario, record=path)
+    experiment.run()
+    experiment.start()
+    experiment.advance(0.8)
+    first = [volume.time for volume in Recording(path)]
+    experiment.close()
+    second = [volume.time for volume in Recording(path)]
+    assert (len(first), len(second)) == (4, 2)  # the first stays until the second is closed
+    assert second == first[:2] == list(experiment.log().volume_time)
+
+
+def test_an_unknown_experiment_is_one_clear_line():
+    with pytest.raises(ConfigurationError, match=r"'folowing' is .*; did you mean 'following'\?"):
+        experiment_class("folowing")
+    with pytest.raises(ConfigurationError, match=r"drive: experiment: 7 is not allowed; known: "):
+        load_scenario("drive", changes=["experiment=7"])
+
+
+def test_options_that_an_experiment_does_not_have_are_refused(tmp_path):
+    scenario = load_scenario("carriere2016_patient")
+    message = "carriere2016_patient: record: not possible in the experiment 'shape_prediction'"
+    with pytest.raises(ConfigurationError, match=message):
+        run(scenario, record=tmp_path / "a.seq.nrrd", out=tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        scan,
+        tracker_events,
+        lambda scenario: make_dataset(scenario, None, count=1),
+        experiment_class("following"),
+    ],
+)
+def test_what_needs_a_scenario_of_following_says_so(use):
+    with pytest.raises(ConfigurationError) as error:
+        use(load_scenario("carriere2016_d80"))
+    assert str(error.value) == (
+        "carriere2016_d80: a scenario of the experiment 'shape_prediction'; "
+        "one of 'following' is wanted here"
+    )

@@ -1,0 +1,129 @@
+import json
+
+import numpy as np
+import pytest
+
+from sonoservo.diagrams import load_scenario, make_experiment, run
+from sonoservo.diagrams.experiments.shape_prediction_scenario import (
+    ESTIMATORS,
+    ShapePredictionScenario,
+)
+from sonoservo.diagrams.shape_predictor import estimate_shape
+from sonoservo.systems.estimation.shape_filters import SHAPE_FILTERS
+from sonoservo.systems.evaluation.log import read_log
+from sonoservo.systems.evaluation.shape_log import ShapeLog
+from sonoservo.systems.evaluation.shape_metrics import cross_section_errors, prediction
+from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.signals.needle_shape import NeedleShape
+
+SHORT = ["depth=0.04", "rotations=[0.025]", "observe_until=0.025", "step=1e-3"]
+
+
+@pytest.fixture(scope="module")
+def experiment():
+    experiment = make_experiment(load_scenario("carriere2016_d60", changes=SHORT, seed=103))
+    experiment.run()
+    return experiment
+
+
+def test_the_needle_is_followed_and_its_shape_predicted(experiment):
+    log = experiment.log()
+    errors = cross_section_errors(log)
+    assert np.isfinite(errors).sum() >= 37
+    assert np.nanmedian(errors) < 0.2e-3
+    figures = prediction(log, experiment.shape)
+    assert figures["observed_mm"] == pytest.approx(25.0)
+    # 15 mm beyond what was seen, and beyond the rotation.
+    assert figures["tip_error_true_mm"] < 0.6
+    assert figures["tip_std_mm"] < 0.6
+
+
+def test_uncertainty_shrinks_with_every_part_of_the_needle_that_is_seen(experiment):
+    log = experiment.log()
+    std = np.sqrt(np.linalg.eigvalsh(log.tip_covariance[5:])[:, -1])
+    assert std[20] < 0.25 * std[0]
+    # Nothing beyond the last slice that may be used changes the prediction.
+    assert np.ptp(log.tip[26:], axis=0).max() == 0
+
+
+def test_recorded_cross_sections_give_what_the_live_run_gave(experiment):
+    estimator = experiment.make_estimator("particle_filter")
+    shapes = estimate_shape(estimator, experiment.cross_sections)
+    assert np.array_equal(shapes[-1].tip, experiment.shape.tip)
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_every_estimator_takes_the_same_cross_sections(experiment, name):
+    shapes = estimate_shape(experiment.make_estimator(name), experiment.cross_sections)
+    assert isinstance(shapes[-1], NeedleShape)
+    assert np.isfinite(shapes[-1].predict([0.04])[0]).all()
+
+
+def test_estimators_never_see_the_truth(experiment):
+    names = {system.get_name() for system in experiment.diagram.GetSystems()}
+    assert "shape_predictor" in names
+    predictor = experiment.shape_predictor
+    ports = {predictor.get_input_port(i).get_name() for i in range(predictor.num_input_ports())}
+    assert ports == {"slice"}
+
+
+def test_a_run_leaves_its_files(tmp_path):
+    scenario = load_scenario("carriere2016_patient", seed=104)
+    result = run(scenario, out=tmp_path)
+    assert result.summary["tracking"]["slices"] == 13
+    for name in ("summary.json", "log.npz", "shape.png", "report.html", "scenario.yaml"):
+        assert (tmp_path / name).stat().st_size > 0
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["prediction"]["observed_mm"] == pytest.approx(35.0)
+    assert read_log(tmp_path / "log.npz", ShapeLog).measured.shape == (13, 3)
+    again = load_scenario(tmp_path / "scenario.yaml")
+    assert again == scenario
+
+
+def test_a_needle_that_leaves_the_image_is_said_to_be_lost_and_the_tip_uncertain():
+    changes = [
+        "imaging.sector=0.1",
+        "hand.entry=[-0.045, 0.002, -0.03]",
+        "hand.entry_spread=[0, 0, 0]",
+    ]
+    changes += ["hand.bend_angle_spread_deg=8", "hand.bend_radius=0.35"]
+    changes += ["hand.bend_radius_spread=0.05"]
+    lost = []
+    for seed in range(100, 110):
+        scenario = load_scenario("carriere2016_patient", changes=changes, seed=seed)
+        result = run(scenario)
+        found = np.isfinite(result.log.correlation)
+        if not found[-1]:
+            lost.append(seed)
+            assert result.log.reason[-1]
+        if isinstance(result.results["shape"], NeedleShape):
+            mean, covariance = result.results["shape"].predict([scenario.depth])
+            error = mean[0] - result.log.true[-1, :2]
+            assert error @ np.linalg.solve(covariance[0], error) < 30
+    assert len(lost) >= 3
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_every_shape_filter_has_its_field_in_the_scenario(name):
+    assert isinstance(getattr(ShapePredictionScenario(), name), SHAPE_FILTERS[name].parameters)
+
+
+@pytest.mark.parametrize(
+    ("old", "now"),
+    [
+        ("greatest_radius=2.0", "bend_radius_spread"),
+        ("min_radius=0.8", "bend_radius"),
+        ("greatest_angle_deg=2.0", "bend_angle_spread_deg"),
+        ("lead=0.0", "feed.lead"),
+        ("speed=0.02", "feed.speed"),
+        ("depth=0.1", "feed.depth"),
+    ],
+)
+def test_former_names_of_the_hand_are_told_the_new_ones(old, now):
+    with pytest.raises(ConfigurationError, match=f"is now called '{now}'"):
+        load_scenario("carriere2016_d60", changes=[f"hand.{old}"])
+
+
+def test_a_hand_cannot_take_the_place_of_the_feed():
+    with pytest.raises(ConfigurationError, match="hand.feed"):
+        load_scenario("carriere2016_d60", changes=["hand.feed=null"])

@@ -1,0 +1,222 @@
+"""Life of a track, with a filter that believes all it is told."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from pydrake.math import RigidTransform
+
+from sonoservo.systems.estimation.track import (
+    Track,
+    TrackLifecycle,
+    TrackParameters,
+    gate_distance,
+)
+from sonoservo.systems.signals.immutable import Immutable, NotFound
+from sonoservo.systems.signals.insertion_detection import InsertionDetection
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_estimate import TrackingMode
+from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
+
+STILL = RigidTransform()
+NOTHING = {
+    "detection": NotFound("nothing moved"),
+    "measurement": NotFound("nothing seen"),
+    "velocity": NotFound("not measured"),
+}
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Belief(Immutable):
+    """A needle that rests, 1 mm uncertain."""
+
+    time: float
+    curve: NeedleCurve
+    told: tuple = ()
+
+    velocity = np.zeros((2, 3))
+    covariance = 1e-6 * np.eye(12)
+
+    def transformed(self, X):
+        return dataclasses.replace(self, curve=self.curve.transformed(X))
+
+
+class FakeFilter:
+    """Believes the newest measurement, and notes what it was told."""
+
+    orders = (2,)
+
+    def start(self, measurement):
+        return Belief(measurement.time, measurement.curve, ("start",))
+
+    def predict(self, state, time):
+        return dataclasses.replace(state, time=time)
+
+    def update(self, state, measurement, velocity):
+        told = tuple(type(each).__name__ for each in (measurement, velocity))
+        curve = state.curve if measurement is None else measurement.curve
+        return dataclasses.replace(state, curve=curve, told=told)
+
+
+def lifecycle(**parameters):
+    parameters = TrackParameters(**parameters)
+    return TrackLifecycle(order=2, parameters=parameters, needle_filter=FakeFilter())
+
+
+def measurement(tip=0.03, time=0.0, y=0.0):
+    curve = NeedleCurve([[0, y, 0], [tip, y, 0]])
+    return NeedleMeasurement(curve, 1e-6 * np.eye(6), time, 100, 0.8)
+
+
+def detection(x, time=0.0):
+    at = np.array([x, 0, 0])
+    return InsertionDetection(np.zeros(3), at, at, 1e-3, 6.0, time)
+
+
+def tracked(life, time=0.0):
+    return life.confirm(life.needle_filter.start(measurement(time=time)), time)
+
+
+def test_detections_that_advance_start_a_track():
+    life = lifecycle()
+    track = life.without_needle(0.0)
+    for x in (2e-3, 2.5e-3, 2e-3, 3.2e-3):
+        track = life.initiate(track, detection(x, 1.0))
+        assert not track
+        assert track.reason == "something moved; the needle is not confirmed yet"
+    started = life.initiate(track, detection(5e-3, 1.5))
+    np.testing.assert_allclose(started.state.curve.control_points, [[2e-3, 0, 0], [5e-3, 0, 0]])
+    assert started.mode == TrackingMode.SEARCHING
+    assert not started.estimate
+    assert not life.initiate(track, detection(30e-3, 1.5))
+
+
+def test_a_needle_that_is_withdrawn_starts_no_track():
+    life = lifecycle()
+    track = life.without_needle(0.0)
+    for x in (12e-3, 9e-3, 6e-3, 3e-3):
+        track = life.initiate(track, detection(x, 1.0))
+        assert not track
+    started = life.initiate(track, detection(6e-3, 1.5))
+    np.testing.assert_allclose(started.state.curve.control_points, [[3e-3, 0, 0], [6e-3, 0, 0]])
+
+
+def test_the_prediction_says_what_is_known():
+    life = lifecycle()
+    nothing = life.predict(life.without_needle(0.0), 1.0, STILL)
+    assert nothing.reason == "no needle has been detected"
+    guess = life.initiate(life.initiate(life.without_needle(0.0), detection(2e-3)), detection(6e-3))
+    guessed = life.predict(guess, 1.0, STILL)
+    assert guessed.entry is None
+    assert not guessed.everywhere
+    track = dataclasses.replace(tracked(life), missed=2)
+    expected = life.predict(track, 1.0, STILL)
+    assert (expected.time, expected.missed, expected.everywhere) == (1.0, 2, False)
+    np.testing.assert_array_equal(expected.entry, track.state.curve.entry)
+    assert expected.covariance.shape == (6, 6)
+
+
+def test_a_lost_needle_is_predicted_nowhere_and_expected_everywhere():
+    life = lifecycle(anywhere=True)
+    unseen = life.predict(life.without_needle(0.0), 1.0, STILL)
+    assert unseen.everywhere
+    assert unseen.curve is None
+    assert unseen.order == 2
+    lost = dataclasses.replace(tracked(life), mode=TrackingMode.LOST)
+    expected = life.predict(lost, 5.0, STILL)
+    assert expected.everywhere
+    assert expected.time == 0.0
+    assert expected.curve.chord == pytest.approx(0.03)
+
+
+def test_a_track_in_the_probe_s_frame_is_carried_along():
+    X = RigidTransform([0.0, 0.01, 0.0])
+    track = tracked(lifecycle())
+    assert track.seen_from(X) is track
+    carried = dataclasses.replace(track, X_WP=STILL).seen_from(X)
+    np.testing.assert_allclose(carried.state.curve.tip, [0.03, 0.01, 0.0])
+    assert carried.X_WP is X
+    predicted = lifecycle().predict(dataclasses.replace(track, X_WP=STILL), 1.0, X)
+    np.testing.assert_allclose(predicted.entry, [0.0, 0.01, 0.0])
+
+
+def test_the_filter_is_told_what_is_believed():
+    life = lifecycle()
+    speed = VelocityMeasurement(np.zeros(3), np.eye(3), 0.9)
+    track = life.next(
+        tracked(life), 1.0, **NOTHING | {"measurement": measurement(0.031, 0.9), "velocity": speed}
+    )
+    assert track.state.told == ("NeedleMeasurement", "VelocityMeasurement")
+    assert (track.mode, track.time, track.since) == (TrackingMode.TRACKING, 0.9, 0.9)
+    assert 0 < track.innovation < life.gate
+    coasted = life.next(track, 1.3, **NOTHING | {"velocity": speed})
+    assert coasted.state.told == ("NoneType", "VelocityMeasurement")
+    assert (coasted.mode, coasted.time, coasted.since) == (TrackingMode.COASTING, 1.3, 0.9)
+    assert coasted.innovation is None
+
+
+def test_two_rejected_measurements_that_agree_start_anew():
+    life = lifecycle()
+    track = life.next(tracked(life), 1.0, **NOTHING | {"measurement": measurement(y=0.02)})
+    assert track.mode == TrackingMode.COASTING
+    assert track.rejected is not None
+    assert track.innovation > life.gate
+    elsewhere = life.next(track, 1.3, **NOTHING | {"measurement": measurement(y=-0.02)})
+    assert elsewhere.mode == TrackingMode.COASTING
+    again = life.next(track, 1.3, **NOTHING | {"measurement": measurement(y=0.021)})
+    assert again.mode == TrackingMode.TRACKING
+    assert again.state.told == ("start",)
+    assert again.rejected is None
+
+
+def test_coast_lose_find_again_and_give_up():
+    life = lifecycle(volumes_to_lose=2, seconds_to_give_up=3.0)
+    track = tracked(life)
+    modes = []
+    for time in (1.0, 2.0, 3.0, 4.0):
+        track = life.next(track, time, **NOTHING)
+        modes.append(track.mode)
+    assert modes == ["coasting", "lost", "lost", "searching"]
+    lost = dataclasses.replace(tracked(life), mode=TrackingMode.LOST)
+    found = life.next(lost, 1.0, **NOTHING | {"measurement": measurement(y=0.1)})
+    assert found.mode == TrackingMode.TRACKING
+
+
+def test_a_guess_that_is_not_confirmed_is_forgotten():
+    life = lifecycle(volumes_to_confirm=2)
+    guess = life.initiate(life.initiate(life.without_needle(0.0), detection(2e-3)), detection(6e-3))
+    waiting = life.next(guess, 1.0, **NOTHING)
+    assert waiting
+    assert waiting.reason == "nothing seen"
+    forgotten = life.next(waiting, 2.0, **NOTHING)
+    assert not forgotten
+    assert forgotten.detections is None
+    assert forgotten.reason == "nothing moved"
+
+
+def test_without_filtering_every_measurement_starts_anew():
+    life = lifecycle(filtering=False)
+    track = life.next(tracked(life), 1.0, **NOTHING | {"measurement": measurement(0.09, y=0.1)})
+    assert track.mode == TrackingMode.TRACKING
+    assert track.state.told == ("start",)
+
+
+def test_gate_passes_true_measurements_with_its_probability():
+    rng = np.random.default_rng(0)
+    for order in (2, 3):
+        distances = np.linalg.norm(rng.normal(size=(20000, 3 * order)), axis=1)
+        assert np.mean(distances <= gate_distance(0.9, order)) == pytest.approx(0.9, abs=0.01)
+
+
+def test_a_track_is_falsy_without_a_state():
+    assert not Track(TrackingMode.LOST, 0.0)
+    assert not Track(TrackingMode.LOST, 0.0).estimate
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("gate", 1.0), ("volumes_to_lose", 0), ("first_std", -1.0)]
+)
+def test_parameters_are_checked(field, value):
+    with pytest.raises(ValueError, match=field):
+        TrackParameters(**{field: value})
