@@ -1,7 +1,7 @@
 """A sweep of a motorised probe over tissue and needle, rendered frame by frame."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,45 +13,27 @@ from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.ultrasound.beam import Beam, beam_profile, point_spread
 from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
 from sonoservo.systems.ultrasound.simulation.bright_points import inclusion_points
-from sonoservo.systems.ultrasound.simulation.frames import frame_poses, frame_rays, line_rays
+from sonoservo.systems.ultrasound.simulation.frames import (
+    depth_tables,
+    frame_poses,
+    frame_rays,
+    line_rays,
+)
 from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import render_points
 from sonoservo.systems.ultrasound.simulation.kernels.echo import FADE, render_tissue
 from sonoservo.systems.ultrasound.simulation.kernels.image_formation import form_image, modulate
 from sonoservo.systems.ultrasound.simulation.kernels.line_blur import line_kernel
 from sonoservo.systems.ultrasound.simulation.kernels.medium import expand_gains
-from sonoservo.systems.ultrasound.simulation.kernels.projection import DepthTables
 from sonoservo.systems.ultrasound.simulation.kernels.surface_echo import render_surfaces
 from sonoservo.systems.ultrasound.simulation.needle_echo import NeedleEchoParameters
 from sonoservo.systems.ultrasound.simulation.needle_renderer import FrameViews, NeedleRenderer
 from sonoservo.systems.ultrasound.simulation.pulses import PulseTables
+from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 from sonoservo.systems.ultrasound.simulation.scatterer_tile import scatterer_tile
 from sonoservo.systems.ultrasound.simulation.scene import Scene
 from sonoservo.systems.ultrasound.simulation.structures.resting_needle import RestingNeedle
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 from sonoservo.systems.ultrasound.transducer import Transducer
-
-
-@dataclass(kw_only=True)
-class ScannerParameters:
-    """What the image shows besides the tissue.
-
-    Parameters
-    ----------
-    needle
-        How a needle echoes.
-    gel_thickness
-        Widest gap between face and tissue that the gel bridges, along a line, in m.
-    noise_db
-        Electronic noise at the face, over the tissue's root mean square. It grows with depth by
-        the attenuation that the time-gain compensation undoes.
-    """
-
-    needle: NeedleEchoParameters = field(default_factory=NeedleEchoParameters)
-    gel_thickness: float = 3e-3
-    noise_db: float = -55.0
-
-    def __post_init__(self) -> None:
-        require_not_negative(gel_thickness=self.gel_thickness)
 
 
 class SweepRenderer:
@@ -123,15 +105,7 @@ class SweepRenderer:
         cell = self.beam.resolution_cell
         # Where the levels of bright points hold, relative to the tissue.
         reference = int(np.abs(depths - transducer.lens_focus).argmin())
-        radii = np.maximum(geometry.array_radius + depths, geometry.sample_pitch)
-        line_sigma = self.beam.lateral / (geometry.line_pitch * radii)
-        self._tables = DepthTables(
-            elevation_precision=(0.5 / self.beam.elevation**2).astype(np.float32),
-            curvature=self.beam.curvature.astype(np.float32),
-            share=(cell.min() / cell / (1 + FADE)).astype(np.float32),
-            line_sigma=line_sigma.astype(np.float32),
-            bright=np.sqrt(cell[reference] / cell).astype(np.float32),
-        )
+        self._tables, line_sigma = depth_tables(self.beam, geometry, reference)
         self._kernel = line_kernel(line_sigma, geometry.lines)
         density = tissue.scatterers_per_cell * (1 + FADE) / (2**1.5 * cell.min())
         self._tile = scatterer_tile(density, np.random.default_rng(tissue.seed))
@@ -314,19 +288,9 @@ class SweepRenderer:
         X_FT, rays = frame_poses(self._acoustic, X_TP), self._rays[direction]
         scene, tables = self._scene, self._tables
         view, gains, nodes_per_metre = scene.view(X_FT, float(rays.twist))
-        render_tissue(
-            iq,
-            X_FT,
-            self._box,
-            self._tile,
-            rays,
-            tables,
-            self._tissue_pulse,
-            self._kernel,
-            scene.regions,
-            scene.radii(times),
-            view,
-        )
+        parts = (scene.regions, scene.radii(times), view)
+        pulse, kernel = self._tissue_pulse, self._kernel
+        render_tissue(iq, X_FT, self._box, self._tile, rays, tables, pulse, kernel, *parts)
         if len(self._inclusions[0]):
             render_points(iq, X_FT, *self._inclusions, rays, tables, self._point_pulse, view)
         transmission = None
@@ -334,20 +298,9 @@ class SweepRenderer:
             transmission = np.ones(self.geometry.shape, np.float32)
             if gains is not None:
                 expand_gains(transmission, gains, nodes_per_metre * self._acoustic.sample_pitch)
-            growth = scene.growth(times)
-            render_surfaces(
-                iq,
-                transmission,
-                X_FT,
-                scene.pieces,
-                growth,
-                rays,
-                tables,
-                scene.pulses,
-                scene.taps,
-                view,
-                gains is not None,
-            )
+            pieces, growth = scene.pieces, scene.growth(times)
+            pulses = (scene.pulses, scene.taps, view, gains is not None)
+            render_surfaces(iq, transmission, X_FT, pieces, growth, rays, tables, *pulses)
         views = FrameViews(X_FT, rays, tables, view, transmission, times)
         for needle, renderer in self._resting:
             renderer.add(iq, [needle] * len(iq), views)

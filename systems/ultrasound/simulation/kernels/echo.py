@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit, prange
 
 from sonoservo.systems.sampling.options import OPTIONS
+from sonoservo.systems.ultrasound.simulation.kernels.blocks import count_below, frame_blocks
 from sonoservo.systems.ultrasound.simulation.kernels.line_blur import blur_lines
 from sonoservo.systems.ultrasound.simulation.kernels.medium import look_up
 from sonoservo.systems.ultrasound.simulation.kernels.projection import (
@@ -91,41 +92,6 @@ def _gaussian(u):  # type: ignore[no-untyped-def]
     w *= w
     w *= w
     return w * w
-
-
-@njit(**OPTIONS)
-def _frame_blocks(X_FT, box, block_size, depth, half_angle, thickness, rays):  # type: ignore[no-untyped-def]
-    """First and last block (exclusive) along T's axes that the frame's bounding box can meet."""
-    sine = np.sin(min(half_angle, np.pi / 2))
-    cosine = np.cos(min(half_angle, np.pi / 2))
-    nearest = rays.array_radius * cosine - rays.centre_offset
-    furthest = depth + rays.array_radius - rays.centre_offset
-    middle = (0.0, (nearest + furthest) / 2, 0.0)
-    half = ((depth + rays.array_radius) * sine, (furthest - nearest) / 2, thickness)
-    first = np.empty(3, np.int64)
-    last = np.empty(3, np.int64)
-    for axis in range(3):
-        centre = 0.0
-        extent = 0.0
-        for other in range(3):
-            centre += X_FT[other, axis] * (middle[other] - X_FT[other, 3])
-            extent += abs(X_FT[other, axis]) * half[other]
-        first[axis] = np.int64(np.floor(max(centre - extent, box[0, axis]) / block_size))
-        last[axis] = np.int64(np.ceil(min(centre + extent, box[1, axis]) / block_size))
-    return first, last
-
-
-@njit(**OPTIONS)
-def _count_below(ranks, start, end, limit):  # type: ignore[no-untyped-def]
-    """How many of the sorted ranks from start to end are below a limit."""
-    first = start
-    while first < end:
-        middle = (first + end) // 2
-        if ranks[middle] < limit:
-            first = middle + 1
-        else:
-            end = middle
-    return first - start
 
 
 @njit(**OPTIONS)
@@ -216,7 +182,7 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
         widest_slope = np.tan(min(widest, 1.5))
         bent = np.empty((3, 3))
         A = bent
-    first, last = _frame_blocks(X_FT, box, block_size, depth, widest, thickness, rays)
+    first, last = frame_blocks(X_FT, box, block_size, depth, widest, thickness, rays)
     largest = 0
     for block in range(starts.size - 1):
         largest = max(largest, starts[block + 1] - starts[block])
@@ -278,7 +244,7 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                 block = ((bx % BLOCKS) * BLOCKS + by % BLOCKS) * BLOCKS + bz % BLOCKS
                 start = starts[block]
                 most = max(tables.share[at + span], tables.share[at - span], share) * (1 + FADE)
-                n = _count_below(ranks, start, starts[block + 1], np.float32(most))
+                n = count_below(ranks, start, starts[block + 1], np.float32(most))
                 ox = np.float32(x - (A[0, 0] + A[0, 1] + A[0, 2]) * block_size / 2)
                 oy = np.float32(y - (A[1, 0] + A[1, 1] + A[1, 2]) * block_size / 2)
                 oz = np.float32(z - (A[2, 0] + A[2, 1] + A[2, 2]) * block_size / 2)

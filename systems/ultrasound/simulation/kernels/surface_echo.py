@@ -13,6 +13,7 @@ from sonoservo.systems.ultrasound.simulation.kernels.projection import (
     line_coordinates,
     phasor,
 )
+from sonoservo.systems.ultrasound.simulation.kernels.shadows import cast_shadows, join_layer
 
 _FURTHEST = 3.0**2 / 2
 _FAINTEST = 0.01
@@ -21,7 +22,6 @@ _OWN_SHADOW = 2.5e-3
 _FAINT_PIECE = 0.08
 _SHADOW_REACH = 2.0
 _AWAY = 0.02
-_OPAQUE = np.float32(0.02)
 
 
 class Pieces(NamedTuple):
@@ -199,31 +199,6 @@ def _add_piece(  # type: ignore[no-untyped-def]
             loss[j, k] += np.float32(share) * main
 
 
-@njit(**OPTIONS)
-def _cast_shadows(transmission, layer, loss, touched, margin, pad):  # type: ignore[no-untyped-def]
-    """Weaken a frame's transmission, (lines, samples), and its layer behind what takes sound.
-
-    A surface does not shade its own echo: what it takes counts in the layer only ``margin``
-    samples behind.
-    """
-    lines, samples = loss.shape
-    for j in range(lines):
-        if not touched[j]:
-            continue
-        taken = np.float32(0)
-        late = np.float32(0)
-        for i in range(samples):
-            through = transmission[j, i] * max(np.float32(1) - late, np.float32(0))
-            layer[0, j, i + pad] *= through
-            layer[1, j, i + pad] *= through
-            through = np.float32(1) - taken
-            # Pieces cover an opaque surface to within a per cent.
-            transmission[j, i] *= through if through > _OPAQUE else np.float32(0)
-            taken += loss[j, i]
-            if i >= margin:
-                late += loss[j, i - margin]
-
-
 @njit(parallel=True, **OPTIONS)
 def render_surfaces(  # type: ignore[no-untyped-def]
     iq, transmission, X_FT, pieces, growth, rays, tables, pulses, taps, view, weakened
@@ -300,7 +275,7 @@ def render_surfaces(  # type: ignore[no-untyped-def]
                     tables,
                     pulses[0, :, :, : taps[0]],
                 )
-            _cast_shadows(transmission[frame], layer, loss, touched, margin, pad)
+            cast_shadows(transmission[frame], layer, loss, touched, margin, pad)
             for number in range(count):
                 i = seen[number]
                 surface = pieces.surfaces[i]
@@ -338,19 +313,6 @@ def render_surfaces(  # type: ignore[no-untyped-def]
                         break
                     again *= level
                     times += 1
-            _join(iq[frame], transmission[frame], layer, touched, weakened, pad)
+            join_layer(iq[frame], transmission[frame], layer, touched, weakened, pad)
         elif weakened:
             iq[frame] *= transmission[frame]
-
-
-@njit(**OPTIONS)
-def _join(iq, transmission, layer, touched, weakened, pad):  # type: ignore[no-untyped-def]
-    """Weaken a frame's echoes and add its layer, on the lines that either touches."""
-    for j in range(iq.shape[0]):
-        if touched[j]:
-            for i in range(iq.shape[1]):
-                echo = complex(layer[0, j, i + pad], layer[1, j, i + pad])
-                iq[j, i] = iq[j, i] * transmission[j, i] + echo
-        elif weakened:
-            for i in range(iq.shape[1]):
-                iq[j, i] *= transmission[j, i]

@@ -35,7 +35,7 @@ class Calcification(Structure):
     kind: str = "calcification"
     centre: list[float] = field(default_factory=lambda: [0.0, 0.0, -0.04])
     radius: float = 1.5e-3
-    level_db: float = 28.0
+    level_db: float = 34.0
     shadow: float = 0.9
 
     def __post_init__(self) -> None:

@@ -22,7 +22,8 @@ from sonoservo.systems.ultrasound.simulation.anatomy.anatomy_grid import (
     anatomy_grid,
 )
 from sonoservo.systems.ultrasound.simulation.anatomy.level_surface import level_surface
-from sonoservo.systems.ultrasound.simulation.rendering import ScannerParameters, SweepRenderer
+from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
+from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
 from sonoservo.systems.ultrasound.transducer import Transducer
 
