@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 from sonoservo.systems.ultrasound.beam import Beam
+from sonoservo.systems.ultrasound.simulation.axes import frame_along
 from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import NeedleEcho, NeedleView
-from sonoservo.systems.ultrasound.simulation.structures.surface import frame_along
 
 _WATER_SOUND_SPEED = 1480.0
 _LONGEST_NEEDLE = 0.3

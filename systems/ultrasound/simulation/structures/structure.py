@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sonoservo.systems.signals.requirements import require, require_not_negative
+from sonoservo.systems.ultrasound.simulation.axes import frame_along
 from sonoservo.systems.ultrasound.simulation.structures.surface import (
     Surface,
     SurfaceEcho,
-    frame_along,
 )
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.ultrasound.simulation.axes import frame_along
 from sonoservo.systems.ultrasound.simulation.structures.structure import (
     Structure,
     Tube,
@@ -17,7 +18,6 @@ from sonoservo.systems.ultrasound.simulation.structures.structure import (
 from sonoservo.systems.ultrasound.simulation.structures.surface import (
     Surface,
     SurfaceEcho,
-    frame_along,
     parametric,
 )
 
