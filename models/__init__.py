@@ -4,7 +4,7 @@ from pathlib import Path
 
 
 def model_path(name: str) -> Path:
-    """Path of a model file.
+    """Return the path of a model file.
 
     Parameters
     ----------
@@ -14,11 +14,11 @@ def model_path(name: str) -> Path:
     Raises
     ------
     FileNotFoundError
-        If there is none; the message lists the models of the same kind in its folder.
+        If there is no such file. The message lists the models of the same kind in its folder.
     """
     folder = Path(__file__).parent
     path = folder / name
     if not path.is_file():
         there = sorted(each.name for each in path.parent.glob(f"*{path.suffix}"))
-        raise FileNotFoundError(f"there is no model {name!r}; there is: {', '.join(there)}")
+        raise FileNotFoundError(f"there is no model {name!r}; available: {', '.join(there)}")
     return path

@@ -22,7 +22,6 @@ WITHOUT = {
     "systems": "a folder of rooms",
     "systems.sampling": "compiled loops that only the rooms beside it call",
     "systems.ultrasound.simulation.kernels": "compiled loops that only the renderer calls",
-    "diagrams.papers": "a folder of rooms",
 }
 """Packages that hand out nothing, and why."""
 

@@ -1,9 +1,11 @@
 from .drive import DrivenExperiment as DrivenExperiment
+from .estimates_table import estimates_csv as estimates_csv
 from .kept_run import KeptRun as KeptRun
 from .locate import LocatedNeedle as LocatedNeedle
 from .locate import locate_in as locate_in
 from .locate import locate_in_recording as locate_in_recording
 from .real_time import RealTime as RealTime
+from .reconstruct import ReconstructedRecording as ReconstructedRecording
 from .run import RunResult as RunResult
 from .scan import Scan as Scan
 from .scan import caption as caption
@@ -19,6 +21,5 @@ from .terminal import start_monitor as start_monitor
 from .terminal import study_table as study_table
 from .terminal import summary_table as summary_table
 from .track import TrackedRecording as TrackedRecording
-from .track import estimates_csv as estimates_csv
 from .track import track_recording as track_recording
 from .track import tracker_parameters as tracker_parameters

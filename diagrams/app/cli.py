@@ -10,9 +10,20 @@ from typing import Annotated
 
 import typer
 
-from sonoservo.diagrams.app.options import HostOption, JsonOption, console, write_printed
+from sonoservo.diagrams.app.options import (
+    ChangesOption,
+    HostOption,
+    JsonOption,
+    OutOption,
+    ScenarioArgument,
+    SeedOption,
+    ServeOption,
+    WaitOption,
+    console,
+    write_printed,
+)
 from sonoservo.diagrams.app.study_commands import dataset_command, reproduce_command
-from sonoservo.diagrams.app.volume_commands import locate_command, track_command
+from sonoservo.diagrams.app.volume_commands import bridge_command, locate_command, track_command
 from sonoservo.systems.files.typed_yaml import ConfigurationError
 
 app = typer.Typer(
@@ -28,9 +39,9 @@ def list_command(json_path: JsonOption = None) -> None:
     """List the scenarios that come with the package."""
     from rich.table import Table
 
-    from sonoservo.diagrams.experiments.registry import list_scenarios, load_scenario
+    from sonoservo.diagrams.experiments.registry import describe_scenarios
 
-    rows = {name: load_scenario(name).description for name in list_scenarios()}
+    rows = describe_scenarios()
     table = Table("scenario", "what happens")
     for name, description in rows.items():
         table.add_row(name, description)
@@ -40,12 +51,10 @@ def list_command(json_path: JsonOption = None) -> None:
 
 @app.command("run")
 def run_command(
-    scenario: Annotated[str, typer.Argument(help="A name from `sonoservo list`, or a YAML file.")],
-    changes: Annotated[
-        list[str] | None, typer.Option("--set", help="Change a field: path.to.field=value.")
-    ] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder for the results.")] = None,
+    scenario: ScenarioArgument,
+    changes: ChangesOption = None,
+    seed: SeedOption = None,
+    out: OutOption = None,
     meshcat: Annotated[bool, typer.Option(help="Show the run in a browser, at real time.")] = True,
     host: HostOption = "localhost",
     record: Annotated[
@@ -54,9 +63,12 @@ def run_command(
     record_sweeps: Annotated[
         bool, typer.Option("--record-sweeps", help="Record the sweeps too, as acquired.")
     ] = False,
+    serve: ServeOption = None,
+    wait_for: WaitOption = 0,
     json_path: JsonOption = None,
 ) -> None:
     """Run a scenario; end with a table of figures and a folder of results."""
+    from sonoservo.diagrams.app.live.commands import serving
     from sonoservo.diagrams.app.run import run
     from sonoservo.diagrams.app.terminal import (
         Progress,
@@ -71,7 +83,10 @@ def run_command(
     has_monitor = "monitor" in experiment_class(loaded.experiment).options
     monitor = start_monitor(console, host) if meshcat and has_monitor else None
     display = start_display(console, host) if meshcat else None
-    with Progress(console, loaded) as progress:
+    with (
+        serving(console, serve, loaded, wait_for) as observers,
+        Progress(console, loaded) as progress,
+    ):
         result = run(
             loaded,
             out=folder,
@@ -79,6 +94,7 @@ def run_command(
             monitor=monitor,
             record=record,
             record_sweeps=record_sweeps,
+            observers=observers,
             after_step=progress,
         )
     console.print(summary_table(result, loaded.published_figures))
@@ -90,16 +106,13 @@ def run_command(
 
 @app.command("drive")
 def drive_command(
-    scenario: Annotated[
-        str, typer.Argument(help="A name from `sonoservo list`, or a YAML file.")
-    ] = "drive",
-    changes: Annotated[
-        list[str] | None, typer.Option("--set", help="Change a field: path.to.field=value.")
-    ] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
+    scenario: ScenarioArgument = "drive",
+    changes: ChangesOption = None,
+    seed: SeedOption = None,
     duration: Annotated[float, typer.Option(help="Longest simulated time, in s.")] = 600.0,
-    out: Annotated[Path | None, typer.Option(help="Folder for the results.")] = None,
+    out: OutOption = None,
     host: HostOption = "localhost",
+    serve: ServeOption = None,
     json_path: JsonOption = None,
 ) -> None:
     """Push the needle, move the phantom and set the controller yourself, in a browser.
@@ -109,6 +122,7 @@ def drive_command(
     """
     from sonoservo.diagrams.app.drive import DRIVING, drive
     from sonoservo.diagrams.app.kept_run import refusing
+    from sonoservo.diagrams.app.live.commands import serving
     from sonoservo.diagrams.app.terminal import (
         Progress,
         start_display,
@@ -127,8 +141,18 @@ def drive_command(
     monitor = start_monitor(console, host)
     display = start_display(console, host)
     console.print(DRIVING)
-    with Progress(console, following) as progress:
-        result = drive(following, display, monitor=monitor, out=folder, show=progress.show)
+    with (
+        serving(console, serve, following) as observers,
+        Progress(console, following) as progress,
+    ):
+        result = drive(
+            following,
+            display,
+            monitor=monitor,
+            observers=observers,
+            out=folder,
+            show=progress.show,
+        )
     console.print(summary_table(result))
     console.print(f"Results, starting with the report: {folder / 'report.html'}", soft_wrap=True)
     again = f"sonoservo run {folder / 'scenario.yaml'}"
@@ -149,11 +173,9 @@ def scan_command(
     time: Annotated[
         float | None, typer.Option(help="When, in s; by default when the needle is deepest.")
     ] = None,
-    changes: Annotated[
-        list[str] | None, typer.Option("--set", help="Change a field: path.to.field=value.")
-    ] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder for the results.")] = None,
+    changes: ChangesOption = None,
+    seed: SeedOption = None,
+    out: OutOption = None,
     json_path: JsonOption = None,
 ) -> None:
     """Show what the scanner sees: one sweep, as a picture and as a volume for 3D Slicer."""
@@ -182,7 +204,13 @@ def scan_command(
     write_printed(json_path, summary)
 
 
-for _command in (track_command, locate_command, dataset_command, reproduce_command):
+for _command in (
+    track_command,
+    bridge_command,
+    locate_command,
+    dataset_command,
+    reproduce_command,
+):
     app.command(_command.__name__.removesuffix("_command"))(_command)
 
 

@@ -2,13 +2,14 @@
 
 import itertools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform
+from pydrake.systems.framework import System
 
 from sonoservo.diagrams.app.kept_run import KeptRun, refusing
 from sonoservo.diagrams.app.real_time import RealTime
@@ -67,10 +68,16 @@ class DrivenExperiment(FollowingExperiment):
         Meshcat whose page the operator uses.
     monitor
         Monitor that shows the volumes, if any.
+    observers
+        Systems that look on; see `FollowingExperiment`.
     """
 
     def __init__(
-        self, scenario: Scenario, meshcat: Meshcat, monitor: "Monitor | None" = None
+        self,
+        scenario: Scenario,
+        meshcat: Meshcat,
+        monitor: "Monitor | None" = None,
+        observers: Mapping[str, System] | None = None,
     ) -> None:
         scenario = require_scenario(scenario, FollowingScenario)
         still = replace(
@@ -98,6 +105,7 @@ class DrivenExperiment(FollowingExperiment):
             still,
             meshcat,
             monitor=monitor,
+            observers=observers,
             film=False,
             sources={
                 "operator_panel": panel,
@@ -132,6 +140,7 @@ def drive(
     meshcat: Meshcat,
     *,
     monitor: "Monitor | None" = None,
+    observers: Mapping[str, System] | None = None,
     out: Path | None = None,
     show: Callable[[float, str], None] | None = None,
 ) -> RunResult:
@@ -148,6 +157,8 @@ def drive(
         Meshcat whose page the operator uses.
     monitor
         Monitor that shows the volumes, if any.
+    observers
+        Systems that look on; see `FollowingExperiment`.
     out
         Folder for scenario.yaml (what was driven), scenario_1.yaml and so on (what was saved, given
         up by a restart, or driven earlier into the same folder), summary.json, log.npz, plots and
@@ -165,7 +176,7 @@ def drive(
         If the scenario cannot be carried out.
     """
     with refusing(scenario):
-        experiment = DrivenExperiment(scenario, meshcat, monitor)
+        experiment = DrivenExperiment(scenario, meshcat, monitor, observers)
     buttons = RunButtons(meshcat=meshcat, buttons=_BUTTONS)
     sign = _sign(meshcat)
     real_time = RealTime()

@@ -10,11 +10,18 @@ from sonoservo.systems.files.writing import write_json
 
 console = Console()
 
+ScenarioArgument = Annotated[
+    str, typer.Argument(help="A name from `sonoservo list`, or a YAML file.")
+]
+ChangesOption = Annotated[
+    list[str] | None, typer.Option("--set", help="Change a field: path.to.field=value.")
+]
+SeedOption = Annotated[int | None, typer.Option(help="Seed of everything random.")]
+OutOption = Annotated[Path | None, typer.Option(help="Folder for the results.")]
+JobsOption = Annotated[int, typer.Option(help="Processes; -1 means one for each core.")]
 JsonOption = Annotated[
     Path | None, typer.Option("--json", help="Also write what is printed to this file.")
 ]
-
-
 HostOption = Annotated[
     str, typer.Option(help="Address that the page is served on; * for all of this machine's.")
 ]
@@ -36,6 +43,25 @@ RateOption = Annotated[
 PosesOption = Annotated[
     str | None,
     typer.Option(help="Transform that is the probe's pose (ProbeToTracker), or none."),
+]
+ServeOption = Annotated[
+    str | None,
+    typer.Option(help="Send all of it live: igtl://:18944 lets programs on this machine connect."),
+]
+WaitOption = Annotated[int, typer.Option(help="Live: begin when so many peers are connected.")]
+ReconstructOption = Annotated[
+    bool, typer.Option("--reconstruct", help="Make volumes of tracked 2D frames (PLUS: .igs.mha).")
+]
+MotorOption = Annotated[
+    Path | None, typer.Option(help="Live 2D frames of a motorised probe: a YAML of its sweep.")
+]
+FramesOption = Annotated[
+    int | None, typer.Option(help="Frames of each volume; by default one sweep to or fro.")
+]
+SpacingOption = Annotated[float, typer.Option(help="Of reconstructed voxels, in mm.")]
+VolumesOption = Annotated[int | None, typer.Option(help="Live: end after so many volumes.")]
+PatienceOption = Annotated[
+    float | None, typer.Option(help="Live: end when none has come for so long, in s.")
 ]
 
 

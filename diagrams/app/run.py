@@ -49,6 +49,7 @@ def run(
     tracker: System | None = None,
     record: Path | None = None,
     record_sweeps: bool = False,
+    observers: Mapping[str, System] | None = None,
     after_step: Callable[[Experiment[Any]], None] | None = None,
 ) -> RunResult:
     """Run a scenario of any experiment to its end, or until it is interrupted from the keyboard.
@@ -70,6 +71,9 @@ def run(
         beside it; None records nothing. What was recorded before an interruption stays.
     record_sweeps
         Whether to record the sweeps too, as acquired.
+    observers
+        Systems that look on; see `FollowingExperiment`. With them, too, the run goes no faster than
+        real time.
     after_step
         Called after every volume or slice with the experiment, which knows the time and what the
         tracker does.
@@ -87,6 +91,7 @@ def run(
             tracker=tracker,
             record=record,
             record_sweeps=record_sweeps,
+            observers=observers,
         )
     kept = KeptRun(
         scenario, lambda path: write_log(path, experiment.log()), out=out, meshcat=meshcat
@@ -99,7 +104,7 @@ def run(
 
     with kept:
         try:
-            experiment.run(note, real_time=bool(meshcat or monitor))
+            experiment.run(note, real_time=bool(meshcat or monitor or observers))
         finally:
             experiment.close()
     return finish(kept, experiment)

@@ -1,32 +1,35 @@
 """Commands of many runs: a data set, a paper reproduced."""
 
 import shlex
-from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from sonoservo.diagrams.app.options import JsonOption, console, write_printed
-from sonoservo.systems.files.typed_yaml import ConfigurationError, suggest
-
-_PAPERS = ("carriere2016", "chatelain2013", "zhao2012")
-"""Rooms of `sonoservo.diagrams.papers`, each with ``reproduce(options: StudyOptions) -> Study``."""
+from sonoservo.diagrams.app.options import (
+    ChangesOption,
+    JobsOption,
+    JsonOption,
+    OutOption,
+    ScenarioArgument,
+    console,
+    write_printed,
+)
+from sonoservo.diagrams.papers.registry import PAPERS, reproduce, require_paper
+from sonoservo.systems.files.typed_yaml import ConfigurationError
 
 
 def dataset_command(
-    scenario: Annotated[str, typer.Argument(help="A name from `sonoservo list`, or a YAML file.")],
+    scenario: ScenarioArgument,
     count: Annotated[int, typer.Option(help="Number of sequences.")],
     out: Annotated[Path, typer.Option(help="Folder for the sequences and manifest.json.")],
     volumes: Annotated[int, typer.Option(help="In each sequence.")] = 10,
     transducers: Annotated[
         list[str] | None, typer.Option("--transducer", help="One to choose from; again for more.")
     ] = None,
-    changes: Annotated[
-        list[str] | None, typer.Option("--set", help="Change a field: path.to.field=value.")
-    ] = None,
+    changes: ChangesOption = None,
     seed: Annotated[int | None, typer.Option(help="Of the first sequence.")] = None,
-    jobs: Annotated[int, typer.Option(help="Processes; -1 means one for each core.")] = -1,
+    jobs: JobsOption = -1,
     json_path: JsonOption = None,
 ) -> None:
     """Make labelled sequences of needles, tissues and probes drawn at random.
@@ -57,12 +60,12 @@ def dataset_command(
 
 
 def reproduce_command(
-    paper: Annotated[str, typer.Argument(help=f"One of {', '.join(_PAPERS)}.")],
+    paper: Annotated[str, typer.Argument(help=f"One of {', '.join(PAPERS)}.")],
     quick: Annotated[bool, typer.Option("--quick", help="A few short runs, in minutes.")] = False,
     seeds: Annotated[int | None, typer.Option(help="Number of seeds of each experiment.")] = None,
     first_seed: Annotated[int, typer.Option(help="The first of them.")] = 0,
-    out: Annotated[Path | None, typer.Option(help="Folder for the results.")] = None,
-    jobs: Annotated[int, typer.Option(help="Processes; -1 means one for each core.")] = -1,
+    out: OutOption = None,
+    jobs: JobsOption = -1,
     json_path: JsonOption = None,
 ) -> None:
     """Repeat a paper's experiments over many seeds, beside its figures and the truth.
@@ -73,8 +76,7 @@ def reproduce_command(
     from sonoservo.diagrams.studies.study import StudyOptions
     from sonoservo.diagrams.studies.study_report import write_study
 
-    if paper not in _PAPERS:
-        raise ConfigurationError(f"unknown paper {paper!r}; {suggest(paper, _PAPERS)}")
+    require_paper(paper)
     folder = out or Path("out") / f"{paper}{'_quick' if quick else ''}"
     command = ["sonoservo", "reproduce", paper, *(["--quick"] if quick else [])]
     command += [] if seeds is None else ["--seeds", str(seeds)]
@@ -92,7 +94,7 @@ def reproduce_command(
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
     try:
-        study = import_module(f"sonoservo.diagrams.papers.{paper}").reproduce(options)
+        study = reproduce(paper, options)
     except KeyboardInterrupt:
         console.print(f"Interrupted. What is done is in {folder}; the same command goes on.")
         raise

@@ -88,6 +88,16 @@ def format_figure(value: Any) -> str:
     return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
+def _make_bar(console: Console) -> RichProgress:
+    return RichProgress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.fields[state]}"),
+        TimeRemainingColumn(),
+        console=console,
+    )
+
+
 class Progress:
     """A bar that shows how far a run has come and what the tracker does.
 
@@ -105,13 +115,7 @@ class Progress:
         self._console = console
         self._duration = scenario.duration
         self._name = scenario.name
-        self._bar = RichProgress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TextColumn("{task.fields[state]}"),
-            TimeRemainingColumn(),
-            console=console,
-        )
+        self._bar = _make_bar(console)
         self._task = self._bar.add_task(
             "starting (the first run compiles for half a minute) ...",
             total=scenario.duration,
@@ -160,13 +164,7 @@ class VolumeProgress:
     """
 
     def __init__(self, console: Console, name: str, count: int) -> None:
-        self._bar = RichProgress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TextColumn("{task.fields[state]}"),
-            TimeRemainingColumn(),
-            console=console,
-        )
+        self._bar = _make_bar(console)
         self._count = count
         self._task = self._bar.add_task(name, total=count, state="")
 
@@ -196,6 +194,30 @@ def mode_table(summary: Mapping[str, Any]) -> Table:
         figure = look_up(summary, path)
         if figure is not None:
             table.add_row(label, format_figure(figure))
+    return table
+
+
+_LIVE_ROWS = {
+    "volumes": "volumes",
+    "dropped": "dropped, because newer ones had come",
+    "left_out": "left out, without a pose or out of order",
+    "compute_ms.track.median": "tracking, median, ms",
+    "latency_ms.total.median": "from the last byte to the estimate sent, median, ms",
+    "latency_ms.total.p99": "from the last byte to the estimate sent, 99 %, ms",
+    "latency_ms.besides_tracking.median": "of which besides tracking, median, ms",
+    "latency_ms.besides_tracking.p99": "of which besides tracking, 99 %, ms",
+}
+
+
+def live_table(summary: Mapping[str, Any]) -> Table:
+    """Return the figures of live tracking, for a terminal."""
+    table = Table(title=str(summary["scenario"]))
+    table.add_column("quantity")
+    table.add_column("this stream", justify="right")
+    for path, label in _LIVE_ROWS.items():
+        table.add_row(label, format_figure(look_up(summary, path)))
+    for mode, count in summary["modes"].items():
+        table.add_row(f"volumes after which it was {mode}", str(count))
     return table
 
 

@@ -1,7 +1,5 @@
 """A tracker on recorded volumes: the needle in each, and the files that remain."""
 
-import csv
-import io
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -15,6 +13,8 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import DiagramBuilder
 
+from sonoservo.diagrams.app.estimates_table import estimate_row, estimates_csv
+from sonoservo.diagrams.app.reconstruct import ReconstructedRecording
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
 from sonoservo.diagrams.trackers.registry import TRACKERS
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
@@ -111,7 +111,7 @@ def tracker_parameters(
 
 
 def track_recording(
-    recording: Recording,
+    recording: Recording | ReconstructedRecording,
     *,
     parameters: TrackerParameters | None = None,
     seed: int | None = None,
@@ -162,7 +162,8 @@ def track_recording(
     for name, system in (("needle_tracker", tracker), ("run_logger", logger)):
         builder.AddNamedSystem(name, system)
     for port in ("estimate", "measurement", "detection"):
-        builder.Connect(tracker.GetOutputPort(port), logger.GetInputPort(port))
+        if tracker.HasOutputPort(port):
+            builder.Connect(tracker.GetOutputPort(port), logger.GetInputPort(port))
     builder.ExportInput(tracker.GetInputPort("volume"), "volume")
     for port in ("X_WP", "X_WT", "needle", "contact_force"):
         builder.ExportInput(logger.GetInputPort(port), port)
@@ -218,7 +219,7 @@ def track_recording(
 
 def _note(
     done: _Progress,
-    recording: Recording,
+    recording: Recording | ReconstructedRecording,
     number: int,
     volume: Volume,
     estimate: NeedleEstimate,
@@ -229,46 +230,14 @@ def _note(
         done.compute[name].append(stop - start)
     done.times.append(volume.time)
     done.estimates.append(estimate)
-    done.rows.append(_row(recording, number, volume, estimate))
+    posed = recording.posed
+    done.rows.append(estimate_row(number, volume, estimate, recording.X_WL(number), posed=posed))
     if pictured:
         done.pictures.append(picture_planes(volume, estimate.mode, estimate.curve))
 
 
-def _row(
-    recording: Recording, number: int, volume: Volume, estimate: NeedleEstimate
-) -> dict[str, Any]:
-    """The estimate in the file's frame L at the time of the volume, and in W where that differs."""
-    row: dict[str, Any] = {
-        "volume": number,
-        "time_s": volume.time,
-        "mode": str(estimate.mode),
-        "estimate_time_s": estimate.time,
-    }
-    entry = middle = tip = velocity = w_tip = np.full(3, np.nan)
-    if estimate.curve is not None:
-        X_LW = recording.X_WL(number).inverse()
-        entry, middle, tip = 1e3 * X_LW.multiply(estimate.curve.position([0, 0.5, 1]).T).T
-        velocity = 1e3 * (X_LW.rotation() @ estimate.tip_velocity)
-        w_tip = 1e3 * estimate.curve.tip
-    direction = (tip - entry) / np.linalg.norm(tip - entry) if estimate else tip
-    for name, vector, unit in (
-        ("tip", tip, "mm"),
-        ("entry", entry, "mm"),
-        ("middle", middle, "mm"),
-        ("direction", direction, ""),
-        ("tip_velocity", velocity, "mm_s"),
-    ):
-        for axis, value in zip("lps", vector, strict=True):
-            row["_".join(filter(None, (name, axis, unit)))] = float(value)
-    if recording.posed:
-        for axis, value in zip("xyz", w_tip, strict=True):
-            row[f"world_tip_{axis}_mm"] = float(value)
-    row["reason"] = estimate.reason
-    return row
-
-
 def _summarize(
-    recording: Recording,
+    recording: Recording | ReconstructedRecording,
     done: _Progress,
     log: RunLog,
     truth: Truth | None,
@@ -316,16 +285,3 @@ def _write(
     for name, image in zip(("planes.png", "tip.png", "errors.png"), images.values(), strict=False):
         write_atomically(out / name, image)
     write_report(out / "report.html", summary, images, command=command)
-
-
-def estimates_csv(rows: Sequence[dict[str, Any]]) -> str:
-    """Return estimates as a table; what is not there is empty."""
-    text = io.StringIO()
-    if rows:
-        writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        for row in rows:
-            writer.writerow(
-                {k: "" if isinstance(v, float) and v != v else v for k, v in row.items()}
-            )
-    return text.getvalue()

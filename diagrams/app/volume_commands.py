@@ -1,4 +1,4 @@
-"""Commands on recorded volumes: track a needle through them, locate it in one."""
+"""Commands on recorded and live volumes: track a needle, locate it in one, bridge the two."""
 
 import shlex
 import sys
@@ -10,11 +10,19 @@ import typer
 from sonoservo.diagrams.app.options import (
     DepthOption,
     DynamicRangeOption,
+    FramesOption,
     HostOption,
     JsonOption,
+    MotorOption,
     OrderOption,
+    OutOption,
+    PatienceOption,
     PosesOption,
     RateOption,
+    ReconstructOption,
+    SpacingOption,
+    VolumesOption,
+    WaitOption,
     WindowOption,
     console,
     write_printed,
@@ -22,10 +30,16 @@ from sonoservo.diagrams.app.options import (
 
 
 def track_command(
-    recording: Annotated[
-        Path, typer.Argument(help="Recorded volumes: .seq.nrrd, .nrrd, .nhdr, .mha or .mhd.")
+    source: Annotated[
+        str,
+        typer.Argument(
+            help="Recorded volumes: .seq.nrrd, .nrrd, .nhdr, .mha or .mhd; or live ones: "
+            "igtl://host:18944/DEVICE, or igtl://:18944 for a scanner that connects to us."
+        ),
     ],
-    tracker: Annotated[str, typer.Option(help="chatelain2013 or zhao2012.")] = "chatelain2013",
+    tracker: Annotated[
+        str, typer.Option(help="Name of a tracker, such as chatelain2013 or zhao2012.")
+    ] = "chatelain2013",
     order: OrderOption = 2,
     start: Annotated[
         str,
@@ -44,10 +58,30 @@ def track_command(
         bool, typer.Option("--show", help="Show the volumes in a browser, as a scanner does.")
     ] = False,
     host: HostOption = "localhost",
-    out: Annotated[Path | None, typer.Option(help="Folder for the results.")] = None,
+    reconstruct: ReconstructOption = False,
+    motor: MotorOption = None,
+    frames: FramesOption = None,
+    spacing: SpacingOption = 0.7,
+    serve: Annotated[
+        list[str] | None,
+        typer.Option(help="Live: where to send estimates; the source's own address answers it."),
+    ] = None,
+    names: Annotated[
+        list[str] | None,
+        typer.Option("--name", help="Live: a device's name: tip=, curve=, status=, covariance=."),
+    ] = None,
+    points: Annotated[
+        bool, typer.Option("--points", help="Live: send control points (POINT), not a line.")
+    ] = False,
+    volumes: VolumesOption = None,
+    patience: PatienceOption = None,
+    out: OutOption = None,
     json_path: JsonOption = None,
 ) -> None:
-    """Track a needle through recorded volumes; end with a folder of results."""
+    """Track a needle through recorded or live volumes; end with a folder of results."""
+    from sonoservo.diagrams.app.live.commands import make_maker, needle_names, track_address
+    from sonoservo.diagrams.app.live.track_live import LiveLimits
+    from sonoservo.diagrams.app.reconstruct import ReconstructedRecording
     from sonoservo.diagrams.app.terminal import (
         VolumeProgress,
         keep_shown,
@@ -55,17 +89,55 @@ def track_command(
         start_monitor,
     )
     from sonoservo.diagrams.app.track import track_recording, tracker_parameters
+    from sonoservo.systems.live.connection.protocols import is_address
     from sonoservo.systems.recording.recording import Recording
 
     parameters = tracker_parameters(tracker, order=order, start=start)
-    opened = Recording(
-        recording,
-        depth=depth,
-        window=window,
-        dynamic_range_db=dynamic_range_db,
-        volume_rate=volume_rate,
-        poses=poses,
-    )
+    if is_address(source):
+        maker = make_maker(
+            depth=depth,
+            window=window,
+            dynamic_range_db=dynamic_range_db,
+            reconstruct=reconstruct,
+            motor=motor,
+            frames=frames,
+            spacing=1e-3 * spacing,
+        )
+        summary = track_address(
+            console,
+            source,
+            parameters=parameters,
+            maker=maker,
+            poses=poses,
+            seed=seed,
+            monitor=start_monitor(console, host) if show else None,
+            serve=serve or [],
+            names=needle_names(names or [], points=points),
+            limits=LiveLimits(volumes=volumes, patience=patience),
+            out=out,
+        )
+        write_printed(json_path, summary)
+        return
+    recording = Path(source)
+    opened: Recording | ReconstructedRecording
+    if reconstruct:
+        opened = ReconstructedRecording(
+            recording,
+            poses=poses,
+            window=window,
+            dynamic_range_db=dynamic_range_db,
+            frames=frames,
+            spacing=1e-3 * spacing,
+        )
+    else:
+        opened = Recording(
+            recording,
+            depth=depth,
+            window=window,
+            dynamic_range_db=dynamic_range_db,
+            volume_rate=volume_rate,
+            poses=poses,
+        )
     folder = out or Path("out") / f"{recording.name.partition('.')[0]}_track"
     monitor = start_monitor(console, host) if show else None
     with VolumeProgress(console, recording.name, len(opened)) as progress:
@@ -85,6 +157,50 @@ def track_command(
     if monitor is not None and not result.summary["interrupted"]:
         keep_shown(console)
     if result.summary["interrupted"]:
+        raise typer.Exit(130)
+
+
+def bridge_command(
+    source: Annotated[str, typer.Argument(help="An address to record from, or a recording.")],
+    target: Annotated[str, typer.Argument(help="NAME.seq.nrrd, or an address to play to.")],
+    depth: DepthOption = "P",
+    window: WindowOption = None,
+    dynamic_range_db: DynamicRangeOption = None,
+    poses: PosesOption = None,
+    reconstruct: ReconstructOption = False,
+    motor: MotorOption = None,
+    frames: FramesOption = None,
+    spacing: SpacingOption = 0.7,
+    speed: Annotated[
+        float, typer.Option(help="Of playing; 0 for as fast as the slowest peer takes it.")
+    ] = 1.0,
+    wait_for: WaitOption = 1,
+    volumes: VolumesOption = None,
+    patience: PatienceOption = None,
+    json_path: JsonOption = None,
+) -> None:
+    """Record a live connection, or play a recording as a scanner would."""
+    from sonoservo.diagrams.app.live.commands import bridge_files
+    from sonoservo.diagrams.app.live.track_live import LiveLimits
+
+    summary = bridge_files(
+        console,
+        source,
+        target,
+        depth=depth,
+        window=window,
+        dynamic_range_db=dynamic_range_db,
+        reconstruct=reconstruct,
+        motor=motor,
+        frames=frames,
+        spacing=1e-3 * spacing,
+        poses=poses,
+        speed=speed,
+        wait_for=wait_for,
+        limits=LiveLimits(volumes=volumes, patience=patience),
+    )
+    write_printed(json_path, summary)
+    if summary["interrupted"]:
         raise typer.Exit(130)
 
 

@@ -81,6 +81,9 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         File to which the volumes are recorded, ``NAME.seq.nrrd``, if any. Call `close` at the end.
     record_sweeps
         Whether to record the sweeps too.
+    observers
+        Systems without outputs that look on, by name, such as senders of a live connection.
+        `observer_events` tells when they should look for a volume.
 
     Raises
     ------
@@ -89,7 +92,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
     """
 
     scenario_class = FollowingScenario
-    options = frozenset({"meshcat", "monitor", "record", "record_sweeps", "tracker"})
+    options = frozenset({"meshcat", "monitor", "observers", "record", "record_sweeps", "tracker"})
     labels = LABELS
 
     def __init__(
@@ -103,6 +106,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         film: bool = True,
         record: Path | None = None,
         record_sweeps: bool = False,
+        observers: Mapping[str, System] | None = None,
     ) -> None:
         scenario = require_scenario(scenario, FollowingScenario)
         seeds = draw_seeds(scenario)
@@ -122,7 +126,11 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         )
         events = tracker_events(scenario)
         period, offset = events["period"], events["offset"]
-        a_moment_later = {"period": period, "offset": offset + 2 * INSTANT}
+        a_moment_later = observer_events(scenario)
+        observers = observers or {}
+        for name, system in observers.items():
+            outputs = system.num_output_ports()
+            require(outputs == 0, f"observers.{name}", f"{outputs} outputs", "without outputs")
 
         self.station = MakeStation(
             parameters=scenario.station,
@@ -175,14 +183,14 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         if record is not None:
             self._recorder = systems["volume_recorder"] = VolumeRecorder(
                 path=record,
-                settings={"tracker_seed": seeds.tracker},
+                settings=recording_settings(scenario),
                 sweeps=record_sweeps,
                 truth_period=geometry.frame_period,
                 **a_moment_later,
             )
         super().__init__(
             scenario,
-            systems,
+            {**systems, **observers},
             period=period,
             offset=offset,
             stages={
@@ -191,7 +199,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
             },
             event="track",
             optional=("measurement", "detection"),
-            sees_truth={"station", *sources, *_OBSERVERS},
+            sees_truth={"station", *sources, *_OBSERVERS, *observers},
         )
 
     @property
@@ -253,3 +261,14 @@ def tracker_events(scenario: Scenario) -> dict[str, float]:
     scenario = require_scenario(scenario, FollowingScenario)
     period = sweep_geometry(load_transducer(scenario.probe), scenario.imaging).period
     return {"period": period, "offset": period + scenario.processing_time}
+
+
+def observer_events(scenario: Scenario) -> dict[str, float]:
+    """Return when to look for a new volume and its estimate: period and offset, in s."""
+    events = tracker_events(scenario)
+    return {"period": events["period"], "offset": events["offset"] + 2 * INSTANT}
+
+
+def recording_settings(scenario: FollowingScenario) -> dict[str, Any]:
+    """Return what a tracker of a scenario's volumes has to know besides them."""
+    return {"tracker_seed": draw_seeds(scenario).tracker}

@@ -9,7 +9,6 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.files.typed_yaml import (
     ConfigurationError,
     assign,
@@ -20,6 +19,7 @@ from sonoservo.systems.files.typed_yaml import (
 
 if TYPE_CHECKING:
     from sonoservo.diagrams.experiments.experiment import Experiment
+    from sonoservo.diagrams.scenario import Scenario
 
 EXPERIMENTS: Mapping[str, str] = {
     "following": "FollowingExperiment",
@@ -43,7 +43,7 @@ def experiment_class(name: str) -> type["Experiment[Any]"]:
     return found
 
 
-def make_experiment(scenario: Scenario, **options: Any) -> "Experiment[Any]":
+def make_experiment(scenario: "Scenario", **options: Any) -> "Experiment[Any]":
     """Make the experiment that a scenario describes.
 
     Parameters
@@ -79,9 +79,14 @@ def list_scenarios() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
 
+def describe_scenarios() -> dict[str, str]:
+    """Return the scenarios that come with the package: name and description, from their files."""
+    return {name: read_yaml(path)["description"] for name, path in list_scenarios().items()}
+
+
 def load_scenario(
     scenario: str | Path, *, changes: list[str] | None = None, seed: int | None = None
-) -> Scenario:
+) -> "Scenario":
     """Load a scenario of any experiment.
 
     Parameters

@@ -1,5 +1,8 @@
-"""Reproductions of published experiments, one room for each paper.
+"""Reproductions of published experiments, a package for each paper, and their registry.
 
-Each hands out `reproduce`, which makes a study. They import `studies`, `diagrams` and
-`systems`, but not `app`.
+They import `studies`, `diagrams` and `systems`, but not `app`.
 """
+
+from lazy_loader import attach_stub
+
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

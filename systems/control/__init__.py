@@ -1,7 +1,8 @@
-"""Controllers: where the probe should go.
+"""Controllers that move the probe.
 
-It holds the visual servo, the force law, and the differential kinematics from a twist to joint
-velocities. It imports `signals` only, and none of `detection`, `localization` and `estimation`.
+The package contains the visual servo, the force law, and the differential kinematics that turn a
+twist into joint velocities. It imports only `signals`, and none of `detection`, `localization` and
+`estimation`.
 """
 
 from lazy_loader import attach_stub

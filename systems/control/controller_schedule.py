@@ -1,4 +1,4 @@
-"""What is changed of the controller while it works: values that hold until the next change."""
+"""Schedule of controller settings, each of which holds until the next change."""
 
 from bisect import bisect_right
 from dataclasses import dataclass
@@ -9,16 +9,16 @@ from sonoservo.systems.signals.requirements import require_not_negative, require
 
 @dataclass(kw_only=True)
 class ControllerChange:
-    """One change of the controller while it works.
+    """One change of the controller's settings during a run.
 
     Parameters
     ----------
     time
-        From which on it holds, in s.
+        Time from which the change holds, in s.
     gain
-        lambda of the visual servo, in 1/s; None leaves it as it is.
+        Gain lambda of the visual servo, in 1/s; None leaves it unchanged.
     force
-        To press with, in N; None leaves it as it is.
+        Pressing force, in N; None leaves it unchanged.
     """
 
     time: float = 0.0
@@ -35,7 +35,7 @@ class ControllerChange:
 
 @dataclass(frozen=True)
 class ControllerSettings(Immutable):
-    """The gain lambda of the visual servo in 1/s, and the force to press with in N."""
+    """Gain lambda of the visual servo in 1/s, and pressing force in N."""
 
     gain: float
     force: float
@@ -47,9 +47,9 @@ class ControllerSchedule(Immutable):
     Parameters
     ----------
     start
-        Which hold at first.
+        Settings that hold until the first change.
     changes
-        In order of time.
+        Changes in order of time.
     """
 
     def __init__(self, start: ControllerSettings, changes: tuple[ControllerChange, ...] = ()):
@@ -67,15 +67,15 @@ class ControllerSchedule(Immutable):
 
     @property
     def last(self) -> ControllerSettings:
-        """What holds after the last change."""
+        """Settings that hold after the last change."""
         return self._settings[-1]
 
     def at(self, time: float) -> ControllerSettings:
-        """Return what holds at a time in s: a change holds from its own time on."""
+        """Return the settings that hold at a time in s; a change holds from its own time on."""
         return self._settings[bisect_right(self._times, time)]
 
     def followed_by(self, settings: ControllerSettings, time: float) -> "ControllerSchedule":
-        """Return the schedule that has other settings from a time in s on."""
+        """Return this schedule with other settings from a time in s onwards."""
         now = self.last
         if settings == now:
             return self

@@ -1,4 +1,4 @@
-"""Leaf: joint positions and velocities that move the probe as asked."""
+"""Leaf system that converts the probe's wanted velocity into joint positions and velocities."""
 
 import contextlib
 from dataclasses import dataclass, field
@@ -26,17 +26,17 @@ from sonoservo.systems.signals.requirements import require, require_not_negative
 
 @dataclass(kw_only=True)
 class DifferentialKinematicsParameters:
-    """Conversion of the probe's velocity into the joints' velocities.
+    """Parameters of the conversion of the probe's velocity into joint velocities.
 
     Parameters
     ----------
     axis
-        (3,) direction in W that the probe's Y axis is kept along.
+        (3,) direction in W with which the probe's Y axis is kept aligned.
     axis_gain
-        Rate at which a deviation from it is taken back, in 1/s.
+        Rate at which a deviation from that direction is corrected, in 1/s.
     posture_gain
-        Rate at which an arm with more than six joints returns to its home posture, as far as the
-        probe's motion leaves it free to, in 1/s.
+        Rate at which an arm with more than six joints returns to its home posture, in 1/s. Only
+        the joint motion that leaves the probe at rest is used for this.
     """
 
     axis: list[float] = field(default_factory=lambda: [0.0, 0.0, -1.0])
@@ -52,23 +52,24 @@ class DifferentialKinematicsParameters:
 def probe_twist(
     planar_velocity: NDArray[np.float64], approach_velocity: float, tilt: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the spatial velocity of P in P: (6,), rotation first, in rad/s and m/s.
+    """Return the (6,) spatial velocity of P, in P: rotation first, in rad/s and m/s.
 
     Parameters
     ----------
     planar_velocity
-        (3,) v_x, v_z, omega_y in P.
+        (3,) v_x, v_z in m/s and omega_y in rad/s, in P.
     approach_velocity
-        v_y in P.
+        v_y in P, in m/s.
     tilt
-        (3,) angular velocity in P that keeps the axis; its part about Y is left out.
+        (3,) angular velocity in P that keeps the axis aligned, in rad/s. Its component about Y is
+        ignored.
     """
     v_x, v_z, omega_y = planar_velocity
     return np.array([tilt[0], omega_y, tilt[2], v_x, approach_velocity, v_z])
 
 
 class DifferentialKinematics(LeafSystem):
-    """Turns the probe's wanted velocity into commands for the joints' servo.
+    """Converts the probe's wanted velocity into commands for the joint servo.
 
     .. pydrake_system::
 
@@ -80,23 +81,25 @@ class DifferentialKinematics(LeafSystem):
         output_ports:
         - joint_command
 
-    Every step Drake's differential inverse kinematics finds joint velocities that move P as asked,
-    slower where a limit of a joint's position or velocity demands it, never in another direction.
-    They are integrated from where the joints are at the start (`joint_state`, read only then).
-    Velocities are those of P, in P: `planar_velocity` (v_x, v_z, omega_y), `approach_velocity` v_y,
-    in m/s and rad/s; `joint_command` is n positions and n velocities, in rad and rad/s.
+    In every step, Drake's differential inverse kinematics finds joint velocities that move P as
+    wanted. If a limit on a joint's position or velocity requires it, P moves more slowly, but never
+    in another direction. The velocities are integrated from the initial joint positions
+    (`joint_state`, which is read only at the start). `planar_velocity` (v_x, v_z, omega_y) and
+    `approach_velocity` (v_y) are velocities of P, in P, in m/s and rad/s. `joint_command` holds n
+    positions and n velocities, in rad and rad/s.
 
-    With more than six joints, many joint velocities move P alike. Of these the smallest is taken,
-    plus the part of the way home that does not move P: with the pseudo-inverse J^+ and the home
-    posture q_h, v = J^+ V + (I - J^+ J) k (q_h - q).
+    An arm with more than six joints can move P in the same way with many joint velocities. The
+    smallest of them is taken, plus the component of the motion towards the home posture that does
+    not move P: with the pseudo-inverse J^+ and the home posture q_h,
+    v = J^+ V + (I - J^+ J) k (q_h - q).
 
     Parameters
     ----------
     parameters
-        The axis to keep, and the gains.
+        Axis to keep, and gains.
     plant
-        The arm alone, finalized, with limits of its joints' positions and velocities. Its default
-        positions are the home posture.
+        Finalized plant of the arm alone, with limits on its joints' positions and velocities. Its
+        default positions are the home posture.
     probe
         Frame P in the plant.
     time_step
@@ -133,7 +136,7 @@ class DifferentialKinematics(LeafSystem):
         self.DeclareVectorInputPort("planar_velocity", 3)
         self.DeclareVectorInputPort("approach_velocity", 1)
         self.DeclareVectorInputPort("joint_state", 2 * n)
-        # Each context of this system has a scratch context of the plant of its own.
+        # Each context of this system has its own scratch context of the plant.
         self._scratch = self.DeclareCacheEntry(
             "plant_context",
             ValueProducer(
@@ -142,7 +145,7 @@ class DifferentialKinematics(LeafSystem):
             ),
             prerequisites_of_calc={self.nothing_ticket()},
         )
-        # Joint positions and velocities, and the time for which they hold.
+        # Joint positions and velocities, and the time at which they hold.
         self.DeclareDiscreteState(2 * n + 1)
         self.DeclareVectorOutputPort(
             "joint_command",
@@ -165,8 +168,8 @@ class DifferentialKinematics(LeafSystem):
         return q + (context.get_time() - state[-1]) * v, v
 
     def _calc_joint_command(self, context: Context, output: BasicVector) -> None:
-        # A plant with a shorter step wants a ramp: a staircase would make the joints jerk, and the
-        # wrist feel the probe's inertia.
+        # A plant with a shorter step needs a ramp. A staircase would make the joints jerk, and the
+        # wrist would feel the probe's inertia.
         output.SetFromVector(np.concatenate(self._joint_command(context)))
 
     def _update_joint_command(self, context: Context, discrete_state: DiscreteValues) -> None:
@@ -196,8 +199,8 @@ class DifferentialKinematics(LeafSystem):
         V_WP_P: NDArray[np.float64],
         J: NDArray[np.float64],
     ) -> NDArray[np.floating]:
-        """Velocities that solve J v = V, or come as close to V as the limits allow."""
-        # The optimum is known wherever it is within the limits: only the rest needs a program to be
+        """Return velocities that solve J v = V, or come as close to V as the limits allow."""
+        # Within the limits the optimum has a closed form. Otherwise an optimization program must be
         # solved, at ten times the cost.
         with contextlib.suppress(np.linalg.LinAlgError):
             if len(q) == 6:

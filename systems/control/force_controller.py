@@ -1,4 +1,4 @@
-"""Leaf: how fast the probe moves along its axis to press with a constant force."""
+"""Leaf system that moves the probe along its axis to press with a constant force."""
 
 from dataclasses import replace
 
@@ -19,7 +19,7 @@ from sonoservo.systems.signals.requirements import require_positive
 
 
 class ForceController(LeafSystem):
-    """Presses with a constant force; approaches by itself, also after contact was lost.
+    """Presses with a constant force, and approaches the phantom whenever there is no contact.
 
     .. pydrake_system::
 
@@ -33,18 +33,18 @@ class ForceController(LeafSystem):
         - pressing_force
 
     v_y = K_p (F* - F) + K_i int (F* - F) dt, with F the filtered force of the probe along its Y
-    axis, free of the probe's weight. `wrist_force` is the SpatialForce of the arm on the probe in
-    P, `X_WP` a RigidTransform, `force_target` F* in N in place of the parameter's;
-    `approach_velocity` is v_y of P in P, in m/s, and `pressing_force` is F in N.
+    axis, compensated for the probe's weight. `wrist_force` is the SpatialForce of the arm on the
+    probe in P, and `X_WP` is a RigidTransform. `force_target` is F* in N and replaces the
+    parameter's value. `approach_velocity` is v_y of P in P, in m/s, and `pressing_force` is F in N.
 
     Parameters
     ----------
     parameters
-        Of the law.
+        Parameters of the force law.
     mass
-        Of what hangs on the sensor, in kg.
+        Mass carried by the sensor, in kg.
     time_step
-        In s.
+        Period of the updates, in s.
     """
 
     def __init__(self, *, parameters: ForceControllerParameters, mass: float, time_step: float):
@@ -76,7 +76,7 @@ class ForceController(LeafSystem):
             return self._parameters
         force = float(target.Eval(context)[0])
         if force == self._parameters.force:
-            return self._parameters  # a new one is checked anew, which takes its time
+            return self._parameters  # because replacing them costs another validation
         return replace(self._parameters, force=force)
 
     def _update_state(self, context: Context, discrete_state: DiscreteValues) -> None:

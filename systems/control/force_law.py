@@ -1,8 +1,8 @@
-"""Pressing with a constant force: what the wrist says of the contact, and how fast to move.
+"""Force law: the pressing force from the wrist's sensor, and the velocity that keeps it constant.
 
-A velocity-resolved proportional-integral law. Before contact it approaches at a constant speed;
-the integral starts with contact and only near the wanted force, so that it does not wind up while
-the probe lands.
+The law is a proportional-integral one with a velocity as its output. Before contact the probe
+approaches at a constant speed. The integral acts only in contact and near the wanted force, to
+avoid wind-up while the probe lands.
 """
 
 from dataclasses import dataclass
@@ -16,24 +16,26 @@ from sonoservo.systems.signals.requirements import require, require_not_negative
 
 @dataclass(kw_only=True)
 class ForceControllerParameters:
-    """How the probe presses.
+    """Parameters of the force law.
 
     Parameters
     ----------
     force
-        To hold, in N.
+        Force to hold, in N.
     proportional_gain
-        In m/s/N. Times the contact's stiffness it is the loop's bandwidth: 0.03 x 1000 N/m is 30/s.
+        Proportional gain, in m/s/N. Its product with the contact's stiffness is the loop's
+        bandwidth: 0.03 x 1000 N/m is 30/s.
     integral_gain
-        In m/s/(N s).
+        Integral gain, in m/s/(N s).
     filter_time
-        Of the low-pass filter on the measured force, in s.
+        Time constant of the low-pass filter on the measured force, in s.
     touch_force, release_force
-        Contact begins above the one and ends below the other, in N.
+        Forces above which contact begins and below which it ends, in N.
     integral_band
-        The integral rests while the error is larger than this, in N.
+        Largest error at which the integral acts, in N.
     approach_speed
-        Towards the phantom, in contact or not, in m/s: it bounds the force of landing.
+        Highest speed towards the phantom, and the speed of the approach before contact, in m/s. It
+        limits the force of landing.
     retreat_speed
         Highest speed away from the phantom, in m/s.
     """
@@ -68,16 +70,16 @@ class ForceControllerParameters:
 
 @dataclass(frozen=True)
 class ForceState:
-    """What the law remembers.
+    """State of the force law.
 
     Parameters
     ----------
     force
-        Filtered, in N.
+        Filtered pressing force, in N.
     integral
-        Velocity that the integral asks for, in m/s.
+        Velocity contributed by the integral, in m/s.
     in_contact
-        Whether the probe touches.
+        Whether the probe is in contact.
     """
 
     force: float = 0.0
@@ -86,19 +88,19 @@ class ForceState:
 
 
 def pressing_force(wrist_force: SpatialForce, R_WP: RotationMatrix, mass: float) -> float:
-    """Force with which the probe presses along its Y axis, in N.
+    """Return the force with which the probe presses along its Y axis, in N.
 
-    The arm's force on the probe, the probe's weight and the contact's force balance; what is left
-    over in motion is the probe's inertia.
+    At rest, the arm's force on the probe, the probe's weight and the contact force balance. In
+    motion the result also contains the probe's inertial force.
 
     Parameters
     ----------
     wrist_force
-        Of the arm on the probe, in P.
+        Force of the arm on the probe, in P.
     R_WP
         Orientation of the probe.
     mass
-        Of the probe, in kg.
+        Mass of the probe, in kg.
     """
     down_P = -R_WP.matrix()[2, 1]
     weight = mass * UniformGravityFieldElement.kDefaultStrength
@@ -106,7 +108,7 @@ def pressing_force(wrist_force: SpatialForce, R_WP: RotationMatrix, mass: float)
 
 
 def approach_velocity(state: ForceState, parameters: ForceControllerParameters) -> float:
-    """Velocity along the probe's Y axis, in m/s; positive presses harder."""
+    """Return the velocity along the probe's Y axis, in m/s; a positive one presses harder."""
     if not state.in_contact:
         return parameters.approach_speed
     error = parameters.force - state.force
@@ -117,7 +119,7 @@ def approach_velocity(state: ForceState, parameters: ForceControllerParameters) 
 def next_state(
     state: ForceState, force: float, time_step: float, parameters: ForceControllerParameters
 ) -> ForceState:
-    """State after one more measured force, in N, `time_step` seconds later."""
+    """Return the state after one more measured force in N, `time_step` seconds later."""
     filtered = state.force + (force - state.force) * time_step / (
         parameters.filter_time + time_step
     )

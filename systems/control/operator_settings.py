@@ -1,4 +1,4 @@
-"""Leaf: settings of the controller that an operator changes, kept as a schedule."""
+"""Leaf system that passes on an operator's controller settings and records them as a schedule."""
 
 from pydrake.common.value import Value
 from pydrake.systems.framework import BasicVector, Context, LeafSystem, State
@@ -7,7 +7,7 @@ from sonoservo.systems.control.controller_schedule import ControllerSchedule, Co
 
 
 class OperatorSettings(LeafSystem):
-    """Gives the controller the settings that an operator wants, from the next sample on.
+    """Outputs the controller settings that an operator asks for, from the next sample onwards.
 
     .. pydrake_system::
 
@@ -18,15 +18,15 @@ class OperatorSettings(LeafSystem):
         - gain
         - force_target
 
-    `controller_target` is the wanted lambda in 1/s and force in N. The state is the schedule of all
-    changes so far: a `ScheduledSettings` of it gives the same again.
+    `controller_target` is the wanted lambda in 1/s and the wanted force in N. The state is the
+    schedule of all changes so far. A `ScheduledSettings` system replays it.
 
     Parameters
     ----------
     start
-        The settings at first.
+        Initial settings.
     period
-        Between samples, in s.
+        Sampling period, in s.
     """
 
     def __init__(self, *, start: ControllerSettings, period: float = 1 / 16) -> None:
@@ -38,7 +38,7 @@ class OperatorSettings(LeafSystem):
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._update)
 
     def schedule(self, context: Context) -> ControllerSchedule:
-        """Return all changes so far."""
+        """Return the schedule of all changes so far."""
         schedule: ControllerSchedule = context.get_abstract_state(0).get_value()
         return schedule
 

@@ -1,4 +1,4 @@
-"""Leaf: settings of the controller that follow a schedule."""
+"""Leaf system that outputs controller settings from a schedule."""
 
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
@@ -6,7 +6,7 @@ from sonoservo.systems.control.controller_schedule import ControllerSchedule
 
 
 class ScheduledSettings(LeafSystem):
-    """Gives the controller its settings over time.
+    """Outputs the controller settings that a schedule holds for the present time.
 
     .. pydrake_system::
 
@@ -15,12 +15,12 @@ class ScheduledSettings(LeafSystem):
         - gain
         - force_target
 
-    `gain` is lambda in 1/s, `force_target` in N.
+    `gain` is lambda in 1/s, and `force_target` is in N.
 
     Parameters
     ----------
     schedule
-        What is changed when.
+        Settings as a function of time.
     """
 
     def __init__(self, *, schedule: ControllerSchedule) -> None:

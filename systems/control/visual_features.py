@@ -1,4 +1,4 @@
-"""The needle as visual features of the probe, and the law that drives them to zero.
+"""Visual features of a needle in the probe frame, and the control law that drives them to zero.
 
 Chatelain, Krupa and Marchal, "Real-time needle detection and tracking using a visually servoed 3D
 ultrasound probe", ICRA 2013, section III.
@@ -13,17 +13,18 @@ from numpy.typing import ArrayLike, NDArray
 def needle_features(
     tip: NDArray[np.float64], direction: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Features s = (X_tip, Z_tip, Theta) of a needle (eq. 23).
+    """Return the features s = (X_tip, Z_tip, Theta) of a needle (eq. 23).
 
-    Theta is the angle from the X to the Z axis of P: a negative right-handed turn about Y, for
-    which alone eq. 27 holds. A needle has no front here, so Theta lies within +-90 deg.
+    Theta is the angle from the X axis to the Z axis of P. That is a negative right-handed rotation
+    about Y, and eq. 27 holds for this sign only. The sense of the needle's direction does not
+    matter, so Theta lies within +-90 deg.
 
     Parameters
     ----------
     tip
-        (3,) position in P, in m.
+        (3,) position of the tip in P, in m.
     direction
-        (3,) direction in P, of any length; either way along the needle.
+        (3,) direction of the needle in P, of any length and either sense.
 
     Returns
     -------
@@ -37,7 +38,7 @@ def needle_features(
 
 
 def interaction_matrix(features: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(3, 3) matrix L_s that maps the probe's velocity to the features' rates (eqs. 26, 27).
+    """Return the (3, 3) matrix L_s that maps the probe's velocity to feature rates (eqs. 26, 27).
 
     The velocity is (v_x, v_z, omega_y) of P, in P. L_s is its own inverse.
     """
@@ -48,21 +49,21 @@ def interaction_matrix(features: NDArray[np.float64]) -> NDArray[np.float64]:
 def servo_velocity(
     features: NDArray[np.float64], *, gain: float, rates: ArrayLike = 0.0, rotate: bool = True
 ) -> NDArray[np.float64]:
-    """Velocity of the probe that brings the features to zero (eqs. 24, 25).
+    """Return the velocity of the probe that brings the features to zero (eqs. 24, 25).
 
-    v_c = -L_s^+ (gain e + rates), with e = s: the wanted features are zero, and `rates` is what
-    the features change by while the probe stands still (zero in the paper).
+    v_c = -L_s^+ (gain e + rates). The wanted features are zero, so e = s.
 
     Parameters
     ----------
     features
-        (3,) s, in m, m, rad.
+        (3,) features s, in m, m, rad.
     gain
-        lambda, in 1/s.
+        Gain lambda, in 1/s.
     rates
-        (3,) in m/s, m/s, rad/s, or zero.
+        (3,) rates at which the features change while the probe stands still, in m/s, m/s, rad/s.
+        They are zero in the paper.
     rotate
-        False leaves Theta alone, for a needle along the beam whose Theta means nothing.
+        Whether to control Theta. It is undefined for a needle along the beam.
 
     Returns
     -------
@@ -77,26 +78,37 @@ def servo_velocity(
 def saturated(
     velocity: NDArray[np.float64], *, speed: float, angular_speed: float
 ) -> NDArray[np.float64]:
-    """Velocity (v_x, v_z, omega_y) slowed down, as a whole, to the highest allowed speeds."""
+    """Return a velocity (v_x, v_z, omega_y) scaled down as a whole to the highest allowed speeds.
+
+    Parameters
+    ----------
+    velocity
+        (3,) velocity, in m/s, m/s, rad/s.
+    speed
+        Highest translational speed, in m/s.
+    angular_speed
+        Highest angular speed, in rad/s.
+    """
     v_x, v_z, omega_y = velocity.tolist()
     excess = max(math.hypot(v_x, v_z) / speed, abs(omega_y) / angular_speed, 1)
     return velocity / excess
 
 
 def significant_velocity(velocity: NDArray[np.float64], min_speed: float) -> NDArray[np.float64]:
-    """Estimated velocity where it stands out of its noise, zero where it does not.
+    """Return an estimated velocity if it stands out from its noise, and zero otherwise.
 
-    A filter's velocity is never quite zero, and following its noise would shake a probe that ought
-    to rest. A velocity is passed on unchanged from twice `min_speed`, not at all below it, and
-    in proportion in between, without a jump. (Its covariance does not tell noise from motion: a
-    filter that allows for sudden starts is unsure of the velocity even where it hardly scatters.)
+    A filter's velocity is never exactly zero. Following its noise would shake a probe that should
+    be at rest. A velocity of twice `min_speed` or more is returned unchanged, one below `min_speed`
+    becomes zero, and in between the result grows continuously. (The velocity's covariance cannot
+    tell noise from motion: a filter that allows for sudden starts is uncertain of the velocity even
+    if it hardly scatters.)
 
     Parameters
     ----------
     velocity
-        (3,) in m/s.
+        (3,) velocity in m/s.
     min_speed
-        In m/s; zero passes everything on.
+        Speed below which a velocity counts as noise, in m/s; zero returns every velocity unchanged.
     """
     speed = math.hypot(*velocity.tolist())
     if speed >= 2 * min_speed:

@@ -1,4 +1,4 @@
-"""Leaf: where the probe should go so that the needle lies centred and along the image."""
+"""Leaf system that moves the probe to centre the needle and align it with the image."""
 
 import math
 from dataclasses import dataclass, replace
@@ -22,27 +22,28 @@ from sonoservo.systems.signals.requirements import require_not_negative, require
 
 @dataclass(kw_only=True)
 class VisualServoParameters:
-    """How the probe follows the needle.
+    """Parameters of the visual servo.
 
     Parameters
     ----------
     gain
-        lambda of eq. 25, in 1/s: errors fall to a third in a time constant of 1 / gain. Features
-        held as they were in a volume one period T old would allow 1 / T at most, 3.3/s at 3.3
-        volumes/s; an estimate in W is seen from where the probe is now and has no such limit. Zero
-        switches all visual motion off.
+        Gain lambda of eq. 25, in 1/s: errors fall to a third in a time constant of 1 / gain. If the
+        features were held from a volume that is one period T old, the gain could be 1 / T at most,
+        which is 3.3/s at 3.3 volumes/s. An estimate in W is seen from the probe's present pose and
+        has no such limit. Zero switches all visual motion off.
     feed_forward
-        Whether the probe moves with the tip's estimated velocity while the needle is seen (not
-        while the estimate coasts); off in the paper, where the tip lags by its velocity / gain.
+        Whether the probe moves with the tip's estimated velocity while the needle is seen, but not
+        while the estimate coasts. It is off in the paper, and the tip then lags by its
+        velocity / gain.
     min_speed
-        Slower than this, in m/s, that velocity counts as noise and is not followed; from twice
-        this speed it is followed in full. Zero follows it always.
+        Speed below which the tip's velocity counts as noise and is not followed, in m/s. From twice
+        this speed it is followed in full. Zero follows every velocity.
     min_inclination_deg
-        A needle closer than this to the beam leaves the probe's rotation alone, in deg.
+        Smallest angle between the needle and the beam at which the probe rotates, in deg.
     stale_after
-        An estimate older than this stops the visual motion, in s.
+        Age of an estimate above which the visual motion stops, in s.
     max_speed, max_angular_speed_deg
-        Highest speeds asked for, in m/s and deg/s.
+        Highest commanded speeds, in m/s and deg/s.
     """
 
     gain: float = 1.6
@@ -69,18 +70,19 @@ class VisualServoParameters:
 def planar_velocity(
     estimate: NeedleEstimate, X_WP: RigidTransform, time: float, parameters: VisualServoParameters
 ) -> NDArray[np.float64]:
-    """Velocity of the probe in its own X-Z plane that follows an estimated needle.
+    """Return the velocity of the probe in its own X-Z plane that follows an estimated needle.
 
     Parameters
     ----------
     estimate
-        In W, for its own time. Visual motion stops where nothing is tracked or it is stale.
+        Estimate of the needle in W, at its own time. Visual motion stops if nothing is tracked or
+        the estimate is stale.
     X_WP
-        Pose of the probe now.
+        Present pose of the probe.
     time
-        Now, in s: with feed-forward the needle is carried on to it.
+        Present time, in s. With feed-forward, the tip is extrapolated to it.
     parameters
-        Of the law.
+        Parameters of the visual servo.
 
     Returns
     -------
@@ -128,15 +130,16 @@ class VisualServo(LeafSystem):
         output_ports:
         - planar_velocity
 
-    v_c = -L_s^+ (lambda s + rates), s = (X_tip, Z_tip, Theta); `estimate` is a NeedleEstimate,
-    `X_WP` a RigidTransform, `gain` lambda in 1/s in place of the parameter's, `planar_velocity` is
-    (v_x, v_z, omega_y) of P, in P, in m/s and rad/s. It has no state: between two estimates the
-    features still follow the probe's own motion, and with feed-forward the needle's.
+    v_c = -L_s^+ (lambda s + rates), with s = (X_tip, Z_tip, Theta). `estimate` is a NeedleEstimate
+    and `X_WP` a RigidTransform. `gain` is lambda in 1/s and replaces the parameter's value.
+    `planar_velocity` is (v_x, v_z, omega_y) of P, in P, in m/s and rad/s. The system has no state.
+    Between two estimates the features still follow the probe's own motion, and with feed-forward
+    the needle's.
 
     Parameters
     ----------
     parameters
-        Of the law.
+        Parameters of the visual servo.
     """
 
     def __init__(self, *, parameters: VisualServoParameters):
@@ -152,6 +155,6 @@ class VisualServo(LeafSystem):
         X_WP = evaluate(self, context, "X_WP", RigidTransform)
         parameters, port = self._parameters, self.GetInputPort("gain")
         gain = float(port.Eval(context)[0]) if port.HasValue(context) else parameters.gain
-        if gain != parameters.gain:  # a new one is checked anew, which takes its time
+        if gain != parameters.gain:  # because replacing them costs another validation
             parameters = replace(parameters, gain=gain)
         output.SetFromVector(planar_velocity(estimate, X_WP, context.get_time(), parameters))

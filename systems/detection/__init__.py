@@ -1,7 +1,7 @@
-"""Detectors of a needle being inserted: something moved.
+"""Detectors of a needle's insertion from the motion it causes.
 
-It holds the difference of volumes, the geometric median and the insertion detector. It imports
-`signals` only, and none of `localization`, `estimation` and `control`.
+The package contains the difference of volumes, the geometric median and the insertion detector. It
+imports only `signals`, and none of `localization`, `estimation` and `control`.
 """
 
 from lazy_loader import attach_stub

@@ -1,4 +1,4 @@
-"""The point with the least sum of distances to given points."""
+"""Geometric median: the point with the least sum of distances to given points."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -7,33 +7,33 @@ from numpy.typing import ArrayLike, NDArray
 def geometric_median(
     points: ArrayLike, *, tolerance: float = 1e-7, max_trials: int = 200
 ) -> NDArray[np.float64]:
-    """Geometric median of points, a robust centre (Chatelain 2013, eq. 2).
+    """Return the geometric median of points, a robust centre (Chatelain 2013, eq. 2).
 
-    Weiszfeld's iteratively re-weighted least squares, started at the arithmetic mean. Where an
-    iterate meets points of the set, their weight would be infinite: the step of Vardi and Zhang
-    (PNAS 97, 2000) leaves the point unless it is the median.
+    The algorithm is Weiszfeld's iteratively re-weighted least squares, started at the arithmetic
+    mean. If an iterate coincides with points of the set, their weight would be infinite. The step
+    of Vardi and Zhang (PNAS 97, 2000) then leaves them unless they are the median.
 
     Parameters
     ----------
     points
         (m, d) points, at least one.
     tolerance
-        Stops when a step is shorter; in the points' unit.
+        Length of a step below which the iteration stops, in the points' unit.
     max_trials
-        Stops after so many steps.
+        Largest number of steps.
 
     Returns
     -------
-    (d,) array.
+    (d,) geometric median, in the points' unit.
 
     Raises
     ------
     ValueError
-        If there is no point.
+        If the points are not an (m, d) array with m > 0.
     """
     points = np.asarray(points, dtype=float)
     if points.ndim != 2 or len(points) == 0:
-        raise ValueError(f"points has shape {points.shape}; (m, d) with m > 0 is wanted")
+        raise ValueError(f"points has shape {points.shape}; expected (m, d) with m > 0")
     median = points.mean(axis=0)
     for _ in range(max_trials):
         distance = np.linalg.norm(points - median, axis=1)

@@ -1,4 +1,4 @@
-"""Detects that a needle enters the field of view."""
+"""Detection of a needle that enters the field of view."""
 
 from dataclasses import dataclass
 
@@ -19,26 +19,29 @@ from sonoservo.systems.signals.volume import Volume
 
 @dataclass(kw_only=True)
 class InsertionDetectorParameters:
-    """When a change between two volumes counts as an insertion.
+    """Criteria by which a change between two volumes counts as an insertion.
 
     The paper publishes none of these values.
 
     Parameters
     ----------
     candidate_volume
-        Volume that the candidate voxels |X| fill together, in m^3.
+        Total volume of the candidate voxels |X|, in m^3.
     max_std
-        Root of the variance threshold tau: of the trace of the candidates' covariance, in m.
+        Square root of the variance threshold tau, in m. It is compared with the root of the trace
+        of the candidates' covariance.
     max_depth
-        delta: from the side of the field of view to the median, in m.
+        Largest distance delta from the side of the field of view to the median, in m.
     min_change
-        Least difference T_t of the candidates, in dB; below it nothing but noise has moved.
+        Smallest difference T_t of the candidates that counts as motion, in dB; less is noise.
     floor_quantile
-        Of the volume's intensities; what is darker counts as equally dark. 0 is the paper's form.
+        Quantile of the volume's intensities below which all intensities count as equally dark. 0 is
+        the paper's form.
     reach
-        Displacement of the tissue that is not a change, in m. 0 is the paper's form.
+        Displacement of the tissue that does not count as a change, in m. 0 is the paper's form.
     stillness
-        The probe counts as still between two volumes if no voxel moved farther, in m.
+        Largest displacement of a voxel in W at which the probe counts as still between two volumes,
+        in m.
     """
 
     candidate_volume: float = 5e-9
@@ -65,20 +68,20 @@ class InsertionDetectorParameters:
 def closest_side(volume: Volume, p_P: NDArray[np.float64]) -> NDArray[np.float64]:
     """Project a position on the closest lateral or elevation side of the field of view.
 
-    A needle enters beside the probe: its face and the end of the depth are no candidates. The side
-    is the swept sector's where the volume knows its sweep, else that of the voxels that are not
-    zero.
+    A needle enters beside the probe, so the probe's face and the far end of the depth are no
+    candidates. If the volume knows its sweep, the sides are those of the swept sector. Otherwise
+    they are those of the region of non-zero voxels.
 
     Parameters
     ----------
     volume
-        Whose field of view it is.
+        Volume whose field of view is used.
     p_P
         (3,) position in the probe frame, in m.
 
     Returns
     -------
-    (3,) position in the probe frame, in m.
+    (3,) projected position in the probe frame, in m.
     """
     if volume.motion is None:
         sides = _sides_of_what_is_seen(volume, p_P)
@@ -91,7 +94,7 @@ def closest_side(volume: Volume, p_P: NDArray[np.float64]) -> NDArray[np.float64
 
 
 def _sides_of_what_is_seen(volume: Volume, p_P: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(4, 3) positions to either side along X and Z of P where a grid's voxels become zero."""
+    """Return (4, 3) positions to either side along X and Z of P at which the voxels become zero."""
     last = np.array(volume.intensities.shape) - 1
     at = np.clip(np.rint((p_P - volume.origin) / volume.spacing), 0, last).astype(int)
     sides = np.repeat(p_P[np.newaxis], 4, axis=0)
@@ -105,7 +108,7 @@ def _sides_of_what_is_seen(volume: Volume, p_P: NDArray[np.float64]) -> NDArray[
 
 
 def max_motion(current: Volume, previous: Volume) -> float:
-    """Largest distance that a corner of the volume moved in W between two volumes, in m."""
+    """Return the largest distance in m by which a corner of the volume moved in W."""
     corners = np.array(np.meshgrid(*zip(current.origin, current.upper, strict=True))).reshape(3, -1)
     corners = np.vstack([corners, np.ones(corners.shape[1])])
     if current.motion is None or previous.motion is None:
@@ -116,7 +119,7 @@ def max_motion(current: Volume, previous: Volume) -> float:
 
 
 def _floor(volume: Volume, quantile: float) -> float:
-    """Quantile of the intensities in the field of view, from every 27th voxel."""
+    """Return a quantile of the intensities in the field of view, from every 27th voxel."""
     sample = volume.intensities[::3, ::3, ::3]
     sample = sample[sample > 0]
     if quantile == 0 or sample.size == 0:
@@ -130,16 +133,20 @@ def detect_insertion(
     parameters: InsertionDetectorParameters,
     rng: np.random.Generator,
 ) -> InsertionDetection | NotFound:
-    """Find where something has entered between two volumes (Chatelain 2013, section II-B).
+    """Find the place at which a needle entered between two volumes (Chatelain 2013, section II-B).
 
     Parameters
     ----------
     volume, previous
-        On the same grid.
+        Volumes on the same grid.
     parameters
         Thresholds.
     rng
-        Chooses among equal differences.
+        Generator that chooses among equal differences.
+
+    Returns
+    -------
+    The detection in W, or a `NotFound` with the reason why there is none.
     """
     if volume.intensities.shape != previous.intensities.shape or not (
         np.allclose(volume.origin, previous.origin)
@@ -152,7 +159,7 @@ def detect_insertion(
     if motion > parameters.stillness:
         return NotFound(f"the probe moved {1e3 * motion:.2f} mm between the volumes")
     count = max(4, round(parameters.candidate_volume / float(np.prod(volume.spacing))))
-    # Sweeps of unlike direction see slightly different sectors: their edges are no change.
+    # Sweeps in opposite directions see slightly different sectors, whose edges are no change.
     unlike = (
         volume.motion is not None
         and previous.motion is not None
@@ -197,17 +204,17 @@ class InsertionDetector(LeafSystem):
         output_ports:
         - detection
 
-    Stateless. Of the voxels that changed most (Chatelain 2013, eq. 1), the variance tells a
-    localized motion from a global one, and the geometric median (eq. 2), projected on the closest
-    side of the field of view, gives the entry point. The output is an `InsertionDetection`, or a
-    `NotFound` that says why there is none; it is valid only if the probe stood still.
+    The system has no state. The variance of the voxels that changed most (Chatelain 2013, eq. 1)
+    distinguishes a local motion from a global one. Their geometric median (eq. 2), projected on the
+    closest side of the field of view, gives the entry point. The output is an `InsertionDetection`,
+    or a `NotFound` with the reason why there is none. If the probe moved, nothing is detected.
 
     Parameters
     ----------
     parameters
         Thresholds, in SI units.
     seed
-        Of the choice among equal differences.
+        Seed of the choice among equal differences.
     """
 
     def __init__(

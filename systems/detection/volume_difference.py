@@ -1,4 +1,4 @@
-"""The voxels that changed most between two volumes."""
+"""Search for the voxels that changed most between two volumes."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 def _changes(  # pragma: no cover - compiled
     a: Any, b: Any, floor: float, reach: int, both: bool
 ) -> Any:
-    """By how much the brighter of two voxels exceeds all of the other volume nearby, if at all."""
+    """Find the voxels brighter than everything nearby in the other volume, and by how much."""
     nx, ny, nz = a.shape
     capacity = 65536
     index = np.empty(capacity, np.int64)
@@ -60,36 +60,37 @@ def top_differences(
     reach: int = 0,
     both_seen: bool = False,
 ) -> tuple[NDArray[np.int64], float]:
-    """Voxels with the largest absolute difference (Chatelain 2013, eq. 1).
+    """Find the voxels with the largest absolute difference (Chatelain 2013, eq. 1).
 
-    The threshold is the order statistic that leaves ``count`` voxels. 8-bit differences have many
-    ties at the threshold; of those a random subset is taken, so that no part of the volume is
-    preferred.
+    The threshold is the order statistic that leaves ``count`` voxels. Differences of 8-bit values
+    have many ties at the threshold. A random subset of the ties is taken, to prefer no part of the
+    volume.
 
-    With ``floor`` and ``reach`` at zero the difference is eq. 1's. Speckle, however, has dark spots
-    whose level in dB changes wildly as the probe moves by micrometres, and bright inclusions have
-    steep edges. Both vanish if levels below ``floor`` count as ``floor``, and if the brighter voxel
-    is compared with the brightest of the other volume within ``reach`` voxels.
+    With ``floor`` and ``reach`` at zero the difference is that of eq. 1. Speckle, however, has dark
+    spots whose level in dB changes wildly as the probe moves by micrometres, and bright inclusions
+    have steep edges. Both vanish if levels below ``floor`` count as ``floor``, and if the brighter
+    voxel is compared with the brightest one of the other volume within ``reach`` voxels.
 
     Parameters
     ----------
     current, previous
         (nx, ny, nz) intensities of the same type.
     count
-        Wanted number of voxels; fewer are returned only where fewer changed at all.
+        Wanted number of voxels; fewer are returned only if fewer changed at all.
     rng
-        Chooses among ties.
+        Generator that chooses among ties.
     floor
-        Least intensity that is told from less.
+        Intensity below which all intensities count as equal.
     reach
         Tolerated displacement in voxels.
     both_seen
-        Whether to leave out voxels that are zero in either volume: outside a sector that moves.
+        Whether to leave out voxels that are zero in either volume, because they lie outside a
+        sector that moves.
 
     Returns
     -------
     index, threshold
-        (m, 3) indices of the voxels, and the least difference among them (0 where nothing changed).
+        (m, 3) indices of the voxels, and the smallest difference among them (0 if nothing changed).
     """
     index, change = _changes(current, previous, float(floor), reach, both_seen)
     if len(index) == 0:

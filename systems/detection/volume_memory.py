@@ -1,4 +1,4 @@
-"""Remembers volumes, to compare the newest with an earlier one."""
+"""Memory of volumes for the comparison of the newest with an earlier one."""
 
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
@@ -13,12 +13,12 @@ Remembered = Volume | RadioFrequencySweep
 
 
 def _alike(a: Remembered, b: Remembered) -> bool:
-    """Whether two volumes were acquired with the same direction of sweep, as far as known."""
+    """Return True unless two volumes are known to come from sweeps of opposite directions."""
     return a.motion is None or b.motion is None or a.motion.direction == b.motion.direction
 
 
 class VolumeMemory(LeafSystem):
-    """Gives an earlier volume to compare the present one with.
+    """Outputs an earlier volume with which the present one is compared.
 
     .. pydrake_system::
 
@@ -29,18 +29,18 @@ class VolumeMemory(LeafSystem):
         - previous_volume
 
     A volume is a `Volume` or a `RadioFrequencySweep`. The output is the newest one that is at least
-    ``look_back`` older than the present one. It is the same before and after the event that stores
-    the present volume, so that it does not matter when a block is evaluated. A repeated volume is
-    not stored again, a missing one (`NotFound`) is passed over.
+    ``look_back`` older than the present one, or a `NotFound` if there is none. It is the same
+    before and after the event that stores the present volume, so the order of evaluation does not
+    matter. A repeated volume is not stored again, and a missing one (`NotFound`) is ignored.
 
     Parameters
     ----------
     look_back
-        Least difference of the volumes' times, in s; 0 gives the previous volume.
+        Smallest difference between the volumes' times, in s; 0 gives the previous volume.
     same_direction
-        Whether both must come from sweeps of the same direction.
+        Whether both volumes must come from sweeps in the same direction.
     period, offset
-        Of the event that stores, in s.
+        Period and offset of the event that stores a volume, in s.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class VolumeMemory(LeafSystem):
         if not isinstance(volume, Remembered) or (held and volume.time <= held[-1].time):
             return EventStatus.DidNothing()
         held = (*held, volume)
-        # Of the volumes old enough, the newest of either direction will do for those to come.
+        # Later volumes need only the newest volume of either direction that is old enough.
         while len(held) > 3 and held[2].time <= volume.time - self._look_back:
             held = held[1:]
         state.get_mutable_abstract_state(self._volumes).set_value(held)

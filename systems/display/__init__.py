@@ -1,8 +1,8 @@
-"""What people see during a run.
+"""Displays of a running simulation.
 
-It holds the colours, shapes and textured quads of both screens: the room `world` draws in
-Drake's Meshcat, the room `monitor` is the scanner's page. It imports `signals`, `ultrasound`
-and `control`.
+This room holds the colours, shapes and textured quads that both displays share. The room `world`
+draws in Drake's Meshcat; the room `monitor` is the scanner's page. It imports `signals`,
+`ultrasound` and `control`.
 """
 
 from lazy_loader import attach_stub

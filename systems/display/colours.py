@@ -1,7 +1,7 @@
-"""Colours of the displays, red, green and blue from 0 to 1.
+"""Colours of the displays, as red, green and blue from 0 to 1.
 
-After Okabe and Ito's palette: people of every colour vision tell them apart, as a test holds. The
-modes differ in lightness too.
+They follow Okabe and Ito's palette, which stays distinguishable under every kind of colour vision;
+a test checks this. The modes differ in lightness too.
 """
 
 from collections.abc import Sequence
@@ -26,11 +26,11 @@ MODE_COLOURS = {
 
 
 def rgba(colour: Sequence[float], opacity: float = 1.0) -> Rgba:
-    """Return a colour as Drake's."""
+    """Return a colour as Drake's `Rgba`."""
     return Rgba(*colour, opacity)
 
 
 def ink(background: Sequence[float]) -> tuple[float, float, float]:
-    """Black or white, whichever reads better on a background."""
+    """Return black or white, whichever reads better on a background."""
     light = 0.21 * background[0] + 0.72 * background[1] + 0.07 * background[2]
     return (0.0, 0.0, 0.0) if light > 0.5 else (1.0, 1.0, 1.0)

@@ -1,4 +1,4 @@
-"""Shapes that move as rigid pieces, and the outline of a sweep."""
+"""Polylines as rigid segments and tubes, and the outline of a sweep."""
 
 from itertools import pairwise
 from typing import Any
@@ -12,7 +12,7 @@ from sonoservo.systems.signals.sweep import SweepGeometry
 
 
 def resample(polyline: ArrayLike, points: int) -> NDArray[np.float64]:
-    """(points, 3) points at equal distances along an (m, 3) polyline, both ends included."""
+    """Return (points, 3) equally spaced points along an (m, 3) polyline, both ends included."""
     polyline = np.asarray(polyline, dtype=float)
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(polyline, axis=0), axis=1))])
     wanted = np.linspace(0, along[-1], points)
@@ -20,9 +20,10 @@ def resample(polyline: ArrayLike, points: int) -> NDArray[np.float64]:
 
 
 def segment_pose(start: ArrayLike, end: ArrayLike) -> tuple[RigidTransform, float]:
-    """Pose and length of a cylinder between two points: origin halfway, Z from start to end.
+    """Return pose and length of a cylinder between two points.
 
-    A segment without length points up.
+    Its origin is halfway between them, and its Z axis points from start to end. A segment of zero
+    length points along +Z.
     """
     start, end = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
     length = float(np.linalg.norm(end - start))
@@ -31,9 +32,10 @@ def segment_pose(start: ArrayLike, end: ArrayLike) -> tuple[RigidTransform, floa
 
 
 def sector_edges(geometry: SweepGeometry, points: int = 17) -> list[NDArray[np.float64]]:
-    """Return the edges of the swept sector in P, (points, 3) each in m: four rays, eight arcs.
+    """Return the edges of the swept sector as polylines in P, in m: four rays and eight arcs.
 
-    The few tenths of a degree by which the motor's direction changes them are not drawn.
+    Rays have two points, arcs `points`. The motor's direction changes the edges by a few tenths of
+    a degree, which is neglected.
     """
     frames, lines, samples = (extent - 1 for extent in geometry.shape)
     k, j, i = (np.linspace(0, last, points) for last in (frames, lines, samples))
@@ -47,7 +49,7 @@ def sector_edges(geometry: SweepGeometry, points: int = 17) -> list[NDArray[np.f
 
 
 def tubes(polylines: list[NDArray[np.float64]], radius: float) -> TriangleSurfaceMesh:
-    """Return triangular tubes around polylines, as one mesh: WebGL draws lines hair-thin."""
+    """Return triangular tubes around polylines as one mesh; WebGL draws lines only hair-thin."""
     vertices: list[Any] = []
     triangles: list[SurfaceTriangle] = []
     turns = 2 * np.pi * np.arange(3) / 3

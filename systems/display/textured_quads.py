@@ -1,4 +1,4 @@
-"""Pictures in space, as glTF."""
+"""Textured rectangles as glTF documents, and the pictures on them."""
 
 import base64
 import io
@@ -25,16 +25,16 @@ def gltf_textured_quads(planes: Sequence[Plane], pictures: Sequence[bytes]) -> s
     Parameters
     ----------
     planes
-        Where the pictures are, in the frame of the whole object.
+        Planes of the pictures, in the frame of the whole object.
     pictures
-        As many PNG or WebP files. Columns run along +X of a plane, rows along +Y.
-        What is less than half opaque is not drawn.
+        Contents of a PNG or WebP file for each plane. Columns run along +X of the plane, rows along
+        +Y. Pixels that are less than half opaque are not drawn.
 
     Returns
     -------
-    JSON text. The pictures keep their own brightness (no light falls on them) and show on both
-    sides. Axes are such that Drake's Meshcat, which turns glTF's +Y up into its own +Z, shows them
-    at their true place.
+    JSON text. The pictures are unlit, so they keep their own brightness, and show on both sides.
+    Drake's Meshcat turns glTF's +Y up into its own +Z; the axes allow for this, and the pictures
+    appear at their true place.
     """
     buffers: list[dict[str, Any]] = []
     views: list[dict[str, Any]] = []
@@ -121,7 +121,7 @@ def gltf_mesh(gltf: str) -> Mesh:
 def draw_picture(
     meshcat: Meshcat, path: str, image: NDArray[np.uint8], X: RigidTransform, height: float
 ) -> None:
-    """Draw a picture as high as is said, in m: its centre at X, X along its rows, -Y upwards."""
+    """Draw a picture of a height in m, centred at X: its X runs to the right, its -Y upwards."""
     rows, columns = image.shape[:2]
     plane = Plane(X, height * columns / rows, height)
     meshcat.SetObject(path, gltf_mesh(gltf_textured_quads([plane], [encode_png(image)])))
@@ -135,11 +135,11 @@ def text_image(
     Parameters
     ----------
     text
-        One line.
+        One line of text.
     colour, background
-        Red, green, blue from 0 to 1.
+        Red, green and blue from 0 to 1.
     height
-        Of the picture in pixels.
+        Height of the picture, in pixels.
     """
     font = ImageFont.load_default(size=0.7 * height)
     width = int(font.getlength(text) + 0.6 * height)
@@ -150,16 +150,16 @@ def text_image(
 
 
 def encode_png(image: NDArray[np.uint8], compression: int = 6) -> bytes:
-    """Return an array as a PNG file; compression from 1, fast, to 9, small."""
+    """Return an array as the contents of a PNG file; compression from 1 (fast) to 9 (small)."""
     buffer = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(image)).save(buffer, "PNG", compress_level=compression)
     return buffer.getvalue()
 
 
 def encode_webp(image: NDArray[np.uint8], quality: int = 85) -> bytes:
-    """Return a grey array with opacity as a WebP file, of a picture a third as large as a PNG.
+    """Return a grey array with opacity as the contents of a WebP file, a third of a PNG's size.
 
-    Quality goes up to 100; of the opacity nothing is lost.
+    The quality goes up to 100. The opacity is kept without loss.
     """
     buffer = io.BytesIO()
     picture = Image.fromarray(np.ascontiguousarray(image)).convert("RGBA")
@@ -168,7 +168,7 @@ def encode_webp(image: NDArray[np.uint8], quality: int = 85) -> bytes:
 
 
 def bytes_of(colour: Sequence[float]) -> tuple[int, ...]:
-    """Red, green, blue from 0 to 1 as (4,) bytes, opaque."""
+    """Return red, green and blue from 0 to 1 as the four bytes of an opaque colour."""
     return (*(round(255 * each) for each in colour), 255)
 
 

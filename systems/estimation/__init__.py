@@ -1,7 +1,7 @@
-"""Filters: where the needle is, given all volumes so far.
+"""Filters that estimate the needle from all volumes so far.
 
-It holds the Kalman filters of a needle and the estimators of a bent needle's shape. It imports
-`signals` only, and none of `detection`, `localization` and `control`.
+The package contains the Kalman filters of a needle and the estimators of a bent needle's shape. It
+imports only `signals`, and none of `detection`, `localization` and `control`.
 """
 
 from lazy_loader import attach_stub

@@ -21,21 +21,21 @@ from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 
 @dataclass(frozen=True, eq=False)
 class AxisTipState(Immutable):
-    """X = (alpha, beta, p_t, v_t) of Zhao 2012, eq. 6, free of the angles' poles.
+    """State X = (alpha, beta, p_t, v_t) of Zhao 2012, eq. 6, without the poles of the angles.
 
-    The angles are replaced by a unit vector, and their errors by those along two unit vectors
-    across it: alpha and beta are singular along their pole, and wrap. The entry follows from the
-    needle's length; it rests.
+    The angles alpha and beta are singular along their pole, and wrap. They are replaced by a unit
+    vector, and their errors by those along two unit vectors across it. The entry follows from the
+    needle's length. It is at rest.
 
     Parameters
     ----------
     time
         Time for which the state holds, in s.
     frame
-        (3, 3) rotation: its rows are two unit vectors across the needle and the needle's direction
-        k from entry to tip, in W.
+        (3, 3) rotation matrix. Its rows are two unit vectors across the needle and the needle's
+        direction k from entry to tip, in W.
     tip, tip_velocity
-        (3,) p_t in m and v_t in m/s, in W.
+        (3,) position p_t in m and velocity v_t in m/s of the tip, in W.
     length
         Distance from the entry to the tip, in m.
     P
@@ -62,17 +62,17 @@ class AxisTipState(Immutable):
 
     @property
     def mean(self) -> NDArray[np.float64]:
-        """(8,) state; the direction does not deviate from itself."""
+        """(8,) mean of the state; its first two elements, the direction's deviations, are zero."""
         return np.concatenate([np.zeros(2), self.tip, self.tip_velocity])
 
     @property
     def curve(self) -> NeedleCurve:
-        """Entry and tip in W."""
+        """Curve through entry and tip in W."""
         return NeedleCurve(np.stack([self.tip - self.length * self.direction, self.tip]))
 
     @property
     def velocity(self) -> NDArray[np.float64]:
-        """(2, 3) velocities of entry and tip in W, in m/s; the entry rests."""
+        """(2, 3) velocities of entry and tip in W, in m/s; the entry is at rest."""
         return np.stack([np.zeros(3), self.tip_velocity])
 
     @property
@@ -84,7 +84,7 @@ class AxisTipState(Immutable):
         return J @ self.P @ J.T
 
     def transformed(self, X: RigidTransform) -> "AxisTipState":
-        """Return the state moved by a rigid transform, its velocity turned along."""
+        """Return the state moved by a rigid transform, with its velocity rotated."""
         R = X.rotation().matrix()
         T = np.eye(8)
         T[2:5, 2:5] = T[5:, 5:] = R
@@ -98,10 +98,10 @@ class AxisTipState(Immutable):
 
 
 def direction_angles(direction: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Angles (..., 2) alpha and beta in rad of (..., 3) directions: for reports only.
+    """Return the (..., 2) angles alpha and beta in rad of (..., 3) directions, for reports only.
 
-    The paper's figure 1 does not define them in words. Here alpha is the azimuth from the first
-    axis towards the second, beta the angle from the third one.
+    The paper defines the angles only in its figure 1. Here alpha is the azimuth from the first axis
+    towards the second, and beta is the angle from the third axis.
     """
     x, y, z = np.moveaxis(np.asarray(direction, dtype=float), -1, 0)
     return np.stack([np.arctan2(y, x), np.arctan2(np.hypot(x, y), z)], axis=-1)
@@ -111,20 +111,21 @@ def direction_angles(direction: NDArray[np.float64]) -> NDArray[np.float64]:
 class AxisTipFilter:
     """Kalman filter on direction, tip and tip velocity of a straight needle (Zhao 2012, eqs. 1-7).
 
-    Measured are the axis with the tip, the tip's velocity, or both. The paper publishes no noise.
+    A measurement is the axis with the tip, the tip's velocity, or both. The paper publishes no
+    noise.
 
     Parameters
     ----------
     kind
-        "axis_tip".
+        Name of the filter, always "axis_tip".
     motion
-        Spectral densities of the tip's acceleration, along the needle and in every direction; a
-        straight needle has no bending.
+        Spectral densities of the tip's acceleration, along the needle and in every direction. The
+        density of the bending is not used, as the needle is straight.
     turning
         Spectral density of the direction's rate, in rad^2/s.
     first_speed_std, first_drift_std
-        Standard deviations of the tip's velocity along the needle and in every direction, when a
-        track starts, in m/s.
+        Standard deviations of the tip's velocity along the needle and in every direction, at the
+        start of a track, in m/s.
     velocity_gate
         Probability that a true velocity passes the gate on its innovation.
     """
@@ -146,7 +147,7 @@ class AxisTipFilter:
         require(0 < gate < 1, "velocity_gate", gate, "between 0 and 1")
 
     def start(self, measurement: NeedleMeasurement) -> AxisTipState:
-        """Return the state after a first measurement; its velocity is not known."""
+        """Return the state after a first measurement, with an unknown velocity."""
         curve = measurement.curve
         require(curve.order == 2, "curve.order", curve.order, "2: the needle is straight")
         k = curve.direction
@@ -159,9 +160,9 @@ class AxisTipFilter:
         return AxisTipState(measurement.time, frame, curve.tip, np.zeros(3), length, P)
 
     def predict(self, state: AxisTipState, time: float) -> AxisTipState:
-        """Return the state at a later time; an earlier time changes nothing.
+        """Return the state at a later time in s (eqs. 6 and 7); an earlier time changes nothing.
 
-        Eqs. 6 and 7, whose right-hand sides belong to the step before.
+        The right-hand sides of the equations belong to the previous step.
         """
         dt = time - state.time
         if dt <= 0:
@@ -181,8 +182,8 @@ class AxisTipFilter:
     ) -> AxisTipState:
         """Return the state corrected by the measured axis and tip, the velocity, both or neither.
 
-        H is the rows of the published I_8 that were measured. A velocity that fails its gate is
-        left out.
+        H consists of the rows of the published I_8 that were measured. A velocity that fails its
+        gate is ignored.
         """
         z: list[NDArray[np.float64]] = []
         R = np.zeros((8, 8))
@@ -199,7 +200,7 @@ class AxisTipFilter:
         mean, P = update(
             state.mean, state.P, np.concatenate(z), R[np.ix_(rows, rows)], np.eye(8)[rows]
         )
-        # The frame turns along the shortest way, so that P means the same in the new one.
+        # The frame turns by the shortest rotation, which keeps P valid in the new frame.
         turn = np.cross(state.direction, mean[:2] @ state.frame[:2])
         frame = state.frame @ Rotation.from_rotvec(turn).as_matrix().T
         updated = replace(
@@ -219,16 +220,16 @@ def _gate(probability: float) -> float:
 
 
 def _moved(before: AxisTipState, after: AxisTipState) -> AxisTipState:
-    """Return the state after a step, its entry as far along the needle as it was before."""
+    """Return the state after a step, with the entry at the same place along the needle."""
     return replace(after, length=float((after.tip - before.curve.entry) @ after.direction))
 
 
 def _axis_and_tip(
     frame: NDArray[np.float64], measurement: NeedleMeasurement
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(5,) deviations of a measured direction and tip, and their (5, 5) covariance."""
+    """Return the (5,) measured deviations of the direction and tip, and their (5, 5) covariance."""
     curve, across = measurement.curve, frame[:2]
-    # An axis has no sense: it is taken as the one that it nearly has already.
+    # A measured axis may have either sense. The one closer to the state's direction is taken.
     sense = 1.0 if curve.direction @ frame[2] >= 0 else -1.0
     k = sense * curve.direction
     aside = across @ k

@@ -18,7 +18,7 @@ from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 
 @dataclass(frozen=True, eq=False)
 class ControlPointState(Immutable):
-    """X = (p_1 ... p_n, their velocities) in W (Chatelain 2013, eq. 3).
+    """State X = (p_1 ... p_n, their velocities) in W (Chatelain 2013, eq. 3).
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ class ControlPointState(Immutable):
     mean
         (6n,) stacked control points and their velocities, in m and m/s.
     covariance
-        (6n, 6n) P.
+        (6n, 6n) covariance P of the mean.
     """
 
     time: float
@@ -41,7 +41,7 @@ class ControlPointState(Immutable):
 
     @property
     def curve(self) -> NeedleCurve:
-        """The control points in W."""
+        """Curve of the control points in W."""
         return NeedleCurve(self.mean[: len(self.mean) // 2].reshape(-1, 3))
 
     @property
@@ -50,7 +50,7 @@ class ControlPointState(Immutable):
         return self.mean[len(self.mean) // 2 :].reshape(-1, 3)
 
     def transformed(self, X: RigidTransform) -> "ControlPointState":
-        """Return the state moved by a rigid transform, its velocities turned along."""
+        """Return the state moved by a rigid transform, with its velocities rotated."""
         n = len(self.mean) // 6
         R = np.kron(np.eye(2 * n), X.rotation().matrix())
         mean = R @ self.mean
@@ -62,18 +62,18 @@ class ControlPointState(Immutable):
 class ControlPointFilter:
     """Kalman filter on control points that move at constant velocity (Chatelain 2013, eqs. 3-14).
 
-    The state is kept in W; the paper keeps it in the probe's frame. It has no use for a measured
-    velocity. The paper publishes no values.
+    The state is kept in W, whereas the paper keeps it in the probe's frame. A measured velocity is
+    not used. The paper publishes no values.
 
     Parameters
     ----------
     kind
-        "control_points".
+        Name of the filter, always "control_points".
     motion
-        Spectral densities of the needle's acceleration: Q.
+        Spectral densities of the needle's acceleration, which give Q.
     first_speed_std, first_drift_std
-        Standard deviations of the tip's velocity along the needle, and of every point's in every
-        direction, when a track starts, in m/s.
+        Standard deviations of the tip's velocity along the needle, and of every point's velocity in
+        every direction, at the start of a track, in m/s.
     """
 
     orders: ClassVar[tuple[int, ...]] = (2, 3)
@@ -88,7 +88,7 @@ class ControlPointFilter:
         require_positive(first_speed_std=self.first_speed_std, first_drift_std=self.first_drift_std)
 
     def start(self, measurement: NeedleMeasurement) -> ControlPointState:
-        """Return the state after a first measurement; its velocity is not known."""
+        """Return the state after a first measurement, with an unknown velocity."""
         curve = measurement.curve
         size = 3 * curve.order
         u, k = np.linspace(0, 1, curve.order), curve.direction
@@ -101,7 +101,7 @@ class ControlPointFilter:
         return ControlPointState(measurement.time, mean, P)
 
     def predict(self, state: ControlPointState, time: float) -> ControlPointState:
-        """Return the state at a later time (eqs. 10 and 11); an earlier time changes nothing."""
+        """Return the state at a later time in s (eqs. 10, 11); an earlier time changes nothing."""
         dt = time - state.time
         if dt <= 0:
             return state

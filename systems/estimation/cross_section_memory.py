@@ -1,4 +1,4 @@
-"""Leaf: remembers a needle's cross-sections from slice to slice."""
+"""Leaf system that remembers a needle's cross-sections from slice to slice."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ from sonoservo.systems.signals.ports import evaluate
 
 
 class CrossSectionMemory(LeafSystem):
-    """Remembers the cross-section found last, and the slices before the first one.
+    """Remembers the cross-section found last, and the slices before the first cross-section.
 
     .. pydrake_system::
 
@@ -24,16 +24,17 @@ class CrossSectionMemory(LeafSystem):
         output_ports:
         - cross_section_track
 
-    ``slice`` is an `ImageSlice`, or a `NotFound` while there is none; ``cross_section`` the
+    ``slice`` is an `ImageSlice`, or a `NotFound` while there is none. ``cross_section`` is the
     `CrossSection` in it, or a `NotFound`. ``cross_section_track`` is the `CrossSectionTrack` after
-    the last event; it depends on the state only, so the localizer may use it.
+    the last event. It depends on the state only, so the localizer may use it.
 
     Parameters
     ----------
     start_slices
-        Number of slices for one attempt at the start; the attempt takes the last of them.
+        Number of slices in one attempt to find the first cross-section. The attempt ends with the
+        last of them.
     period, offset
-        Period and offset in s of the events at which it takes note of a new slice.
+        Period and offset in s of the events that store a new slice.
     """
 
     def __init__(self, *, start_slices: int = 1, period: float, offset: float = 0.0) -> None:
@@ -72,9 +73,9 @@ def remembered(
     image, found
         Slice, and the cross-section in it.
     start_slices
-        Number of slices for one attempt at the start.
+        Number of slices in one attempt to find the first cross-section.
     """
     last = found if isinstance(found, CrossSection) else track.last
     images = () if last is not None else (*track.images, image)
-    # After an attempt that failed the next one begins with slices of its own.
+    # After a failed attempt, the next one begins with new slices.
     return CrossSectionTrack(found, image.time, last, images if len(images) < start_slices else ())

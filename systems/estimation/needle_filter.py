@@ -1,4 +1,4 @@
-"""Contract of a needle filter, and the registry of those there are."""
+"""Interface of a needle filter, and the registry of all needle filters."""
 
 from functools import reduce
 from operator import or_
@@ -35,29 +35,29 @@ class NeedleState(Protocol):
         """(6n, 6n) covariance of the stacked control points and their velocities."""
 
     def transformed(self, X: RigidTransform) -> Self:
-        """Return the state moved by a rigid transform, its velocities turned along."""
+        """Return the state moved by a rigid transform, with its velocities rotated."""
 
 
 S = TypeVar("S", bound=NeedleState)
 
 
 class NeedleFilter(Protocol[S]):
-    """How a needle moves and is corrected.
+    """Model of a needle's motion, and of its correction by measurements.
 
-    A filter remembers nothing and decides nothing: whether a measurement is believed, and when a
-    needle is lost, is up to the `TrackManager`. Its fields are its parameters, so that a YAML file
-    can choose and set a filter.
+    A filter has no memory and takes no decisions. The `TrackManager` decides which measurements to
+    accept and when a needle is lost. The fields of a filter are its parameters, and a YAML file can
+    choose and set a filter.
 
     Attributes
     ----------
     orders
-        Orders of the curves that it can filter.
+        Orders of the curves that the filter supports.
     """
 
     orders: ClassVar[tuple[int, ...]]
 
     def start(self, measurement: NeedleMeasurement) -> S:
-        """Return the state after a first measurement; its velocity is not known."""
+        """Return the state after a first measurement, with an unknown velocity."""
 
     def predict(self, state: S, time: float) -> S:
         """Return the state at a later time in s; an earlier time changes nothing."""
@@ -68,14 +68,14 @@ class NeedleFilter(Protocol[S]):
         measurement: NeedleMeasurement | None,
         velocity: VelocityMeasurement | None,
     ) -> S:
-        """Return the state corrected by measurements at its time; either one may be missing."""
+        """Return the state corrected by measurements at its time; each of them may be missing."""
 
 
 FILTERS: tuple[type, ...] = (ControlPointFilter, AxisTipFilter)
-"""All needle filters; a new one is a file and an entry here."""
+"""All needle filters; a new one needs a file and an entry here."""
 
 if TYPE_CHECKING:
     AnyFilter = NeedleFilter[Any]
 else:
     AnyFilter = reduce(or_, FILTERS)
-    """Type of a field of a YAML file whose ``kind`` chooses the filter."""
+    """Type of a YAML field whose ``kind`` chooses the filter."""

@@ -1,4 +1,4 @@
-"""Motion of a needle between two volumes: constant velocity, white acceleration."""
+"""Motion model of a needle between two volumes: constant velocity with white acceleration."""
 
 from dataclasses import dataclass
 
@@ -16,12 +16,13 @@ class NeedleMotionParameters:
     Parameters
     ----------
     insertion
-        Density along the needle, at the tip; a point at abscissa u has u times the tip's
-        acceleration.
+        Density of the tip's acceleration along the needle. A point at the relative abscissa u has u
+        times the tip's acceleration.
     body
-        Density of the needle as a whole, in every direction: the tissue moves.
+        Density of the acceleration of the needle as a whole, in every direction, as the tissue
+        moves.
     bending
-        Density of each control point by itself, in every direction.
+        Density of the independent acceleration of each control point, in every direction.
     """
 
     insertion: float = 5e-5
@@ -32,7 +33,7 @@ class NeedleMotionParameters:
         require_not_negative(insertion=self.insertion, body=self.body, bending=self.bending)
 
     def density(self, curve: NeedleCurve) -> NDArray[np.float64]:
-        """(3n, 3n) spectral density of the stacked control points' acceleration."""
+        """Return the (3n, 3n) spectral density of the stacked control points' acceleration."""
         n = curve.order
         u = np.linspace(0, 1, n)
         k = curve.direction
@@ -46,7 +47,7 @@ class NeedleMotionParameters:
 def constant_velocity(
     dt: float, density: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Transition A and noise Q of a constant-velocity model (Chatelain 2013, eqs. 8 and 6).
+    """Return transition A and noise Q of a constant-velocity model (Chatelain 2013, eqs. 8, 6).
 
     Parameters
     ----------
@@ -58,7 +59,7 @@ def constant_velocity(
     Returns
     -------
     A, Q
-        (2d, 2d) each.
+        (2d, 2d) transition matrix, and (2d, 2d) covariance of the process noise.
     """
     identity = np.eye(len(density))
     A: NDArray[np.float64] = np.kron(np.array([[1.0, dt], [0.0, 1.0]]), identity)

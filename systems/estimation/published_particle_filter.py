@@ -1,17 +1,17 @@
-"""The particle filter of Carriere 2016, section IV, step by step as printed, for comparison.
+"""Particle filter of Carriere 2016, section IV, step by step as printed, for comparison.
 
 The paper leaves some points open. They are decided as follows:
 
-* gamma is not published; it is the parameter `gain`.
-* The first of the p points would be the origin, which every particle passes. The p points are
-  therefore at v_k i / p, with i from 1 to p.
-* Principal components do not tell which way u points. The mark on a needle's hub does, as it shows
-  the side to which the bevel bends: `bevel_direction_deg`. Without it, u points to the needle's
-  place at 10 mm.
-* phi is found once, at 10 mm, because section III wants it constant. The needle is then a few
-  hundredths of a millimetre off a straight line, so phi is mostly noise.
+* gamma is not published. It is the parameter `gain`.
+* The first of the p points would be the origin, through which every particle passes. The p points
+  are therefore at v_k i / p, with i from 1 to p.
+* Principal components do not determine the sense of u. The mark on a needle's hub does, as it shows
+  the side to which the bevel bends. It is the parameter `bevel_direction_deg`. Without it, u points
+  to the needle's position at 10 mm.
+* phi is found once, at 10 mm, because section III requires it to be constant. The needle is then a
+  few hundredths of a millimetre off a straight line, so phi is mostly noise.
 
-The uncertainty is the spread of the particles, as in the paper; it says little about the error.
+The uncertainty is the spread of the particles, as in the paper. It says little about the error.
 """
 
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ _SHARPEST_CURVATURE = 5.0
 
 @dataclass(kw_only=True)
 class PublishedParticleFilterParameters(ShapeEstimatorParameters):
-    """Parameters of the published filter, besides those of every shape estimator.
+    """Parameters of the published filter, in addition to those of every shape estimator.
 
     Parameters
     ----------
@@ -42,13 +42,14 @@ class PublishedParticleFilterParameters(ShapeEstimatorParameters):
     points
         Number of points p.
     replaced
-        Number c of particles that are replaced at every step.
+        Number c of particles that are replaced in every step.
     gain
         Gain gamma.
     start_depth
         Depth at which the filter starts, in m.
     bevel_direction_deg
-        Roughly the direction in which the bevel bends, from X towards Y of I; None if unknown.
+        Approximate direction in which the bevel bends, from X towards Y of I, in deg; None if
+        unknown.
     """
 
     particles: int = 500
@@ -66,20 +67,20 @@ class PublishedParticleFilterParameters(ShapeEstimatorParameters):
             0 <= self.replaced < self.particles,
             "replaced",
             self.replaced,
-            "from 0, below particles",
+            "at least 0 and below particles",
         )
-        require(0 < self.gain <= 1, "gain", self.gain, "above 0, at most 1")
+        require(0 < self.gain <= 1, "gain", self.gain, "above 0 and at most 1")
         require_positive(start_depth=self.start_depth)
 
 
 @dataclass(frozen=True, eq=False)
 class PublishedBelief(Immutable):
-    """The particles and the measurements.
+    """Particles and measurements of the published filter.
 
     Parameters
     ----------
     particles
-        (n, 2) R in m and theta_0 in rad.
+        (n, 2) particles: R in m and theta_0 in rad.
     points
         (m, 3) measured x, y and depth in I, in m.
     plane
@@ -92,7 +93,7 @@ class PublishedBelief(Immutable):
 
 
 class PublishedParticleFilter:
-    """The published filter, a `ShapeFilter`.
+    """Published particle filter, a `ShapeFilter`.
 
     Parameters
     ----------
@@ -104,7 +105,7 @@ class PublishedParticleFilter:
         self.parameters = parameters
 
     def begin(self, rng: np.random.Generator) -> PublishedBelief:
-        """Step 1: draw particles from the first distribution."""
+        """Draw particles from the first distribution (step 1)."""
         p = self.parameters
         radius = rng.normal(p.mean_radius, p.radius_std, p.particles)
         angle = rng.normal(0.0, p.angle_std, p.particles)
@@ -113,7 +114,7 @@ class PublishedParticleFilter:
     def update(
         self, belief: PublishedBelief, point: Floats, rng: np.random.Generator
     ) -> PublishedBelief:
-        """Steps 2 to 10: take one more measurement, (3,) x, y and depth in I, in m."""
+        """Take one more measurement, (3,) x, y and depth in I, in m (steps 2 to 10)."""
         parameters = self.parameters
         points = np.vstack([belief.points, point])
         apart = points - points[0]
@@ -122,12 +123,12 @@ class PublishedParticleFilter:
         plane = belief.plane
         if plane is None:
             plane = _plane_of_deflection(apart[:, :2], parameters.bevel_direction_deg)
-        # Step 2: p points at equal distances, the measured ones that are nearest.
+        # Step 2: the measured points nearest to p points at equal distances.
         depths = apart[-1, 2] * np.arange(1, parameters.points + 1) / parameters.points
         chosen = np.abs(apart[:, 2] - depths[:, np.newaxis]).argmin(axis=1)
         chosen = chosen[np.argsort(apart[chosen, 2])]
         measured = apart[chosen, 0] * np.cos(plane) + apart[chosen, 1] * np.sin(plane)
-        # Steps 3 to 6: for each point the particle that passes it most closely; their mean.
+        # Steps 3 to 6: the mean of the particles that pass closest to each point.
         particles = belief.particles
         shapes = np.column_stack([_curvature(particles[:, 0]), np.sin(particles[:, 1])])
         rotations = np.array(parameters.rotations, dtype=float)
@@ -142,14 +143,14 @@ class PublishedParticleFilter:
         return PublishedBelief(particles, points, plane)
 
     def represent(self, belief: PublishedBelief, rng: np.random.Generator) -> ShapePaths | NotFound:
-        """Return 4 paths with the particles' mean and spread, or why there are none yet.
+        """Return 4 paths with the particles' mean and spread, or the reason why there are none yet.
 
-        They are pairs about the mean; the mean of their paths is the path of the mean parameters,
-        which the paper predicts with.
+        The paths are pairs about the mean. Their mean is the path of the mean parameters, which is
+        the paper's prediction.
         """
         if belief.plane is None:
             return NotFound(
-                f"the filter starts {1e3 * self.parameters.start_depth:g} mm deep, "
+                f"the filter starts at a depth of {1e3 * self.parameters.start_depth:g} mm, "
                 f"with {self.parameters.points} points"
             )
         radius, angle = belief.particles.mean(axis=0)
@@ -168,7 +169,7 @@ class PublishedParticleFilter:
 
 
 def _curvature(radius: Floats) -> Floats:
-    """Return 1 / R in 1/m, limited, as R is drawn from a normal distribution."""
+    """Return 1 / R in 1/m, limited because R is drawn from a normal distribution."""
     least = 1 / _SHARPEST_CURVATURE
     return 1 / np.where(np.abs(radius) < least, np.copysign(least, radius), radius)
 

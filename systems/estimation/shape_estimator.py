@@ -1,4 +1,4 @@
-"""Leaf: estimates the shape of a needle from its cross-sections, with any shape filter."""
+"""Leaf system that estimates the shape of a needle from its cross-sections with a shape filter."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -17,16 +17,16 @@ from sonoservo.systems.signals.ports import evaluate
 
 @dataclass(frozen=True, eq=False)
 class _Memory(Immutable):
-    """The belief and the measurement that it rests on last.
+    """Belief of the filter, and data on the newest measurement in it.
 
     Parameters
     ----------
     belief
         Belief of the filter.
     number
-        Number of cross-sections used so far; it selects the random numbers.
+        Number of cross-sections used so far. It selects the random numbers.
     time, observed
-        Time in s and depth in m of the last of them.
+        Time in s and depth in m of the last cross-section used.
     X_WI
         Pose of the insertion's frame in W; None before it is known.
     reason
@@ -52,19 +52,19 @@ class ShapeEstimator(LeafSystem):
         output_ports:
         - shape
 
-    ``cross_section`` is a `CrossSection`, or a `NotFound` when the slice did not show one.
+    ``cross_section`` is a `CrossSection`, or a `NotFound` if the slice does not show one.
     ``shape`` is a `NeedleShape` after the last event, or a `NotFound` until there is one. It
     depends on the state only, so the localizer of cross-sections may use it.
 
     Parameters
     ----------
     shape_filter
-        Filter that holds the belief, one of `SHAPE_FILTERS` or your own.
+        Shape filter, one of `SHAPE_FILTERS` or your own.
     X_WI
-        Pose in W of the insertion's frame, the probe's at the first slice: depths count from its
-        plane Z = 0. None takes the first slice in which the needle is found.
+        Pose in W of the insertion's frame, which is the probe's frame at the first slice. Depths
+        are measured from its plane Z = 0. None takes the first slice in which the needle is found.
     period, offset
-        Period and offset in s of the events at which it looks for a new cross-section.
+        Period and offset in s of the events that take a new cross-section.
     seed
         Seed of every random choice.
     """

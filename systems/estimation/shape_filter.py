@@ -1,4 +1,4 @@
-"""Interface of the shape filters: a belief about a needle's shape that takes measurements."""
+"""Interface of the shape filters, which update a belief about a needle's shape."""
 
 from typing import Any, NamedTuple, Protocol
 
@@ -21,11 +21,11 @@ class ShapePaths(NamedTuple):
 
 
 class ShapeFilter(Protocol):
-    """A filter for the shape of a needle; its beliefs are immutable values of its own."""
+    """Filter for the shape of a needle; its beliefs are immutable values of its own type."""
 
     @property
     def parameters(self) -> ShapeEstimatorParameters:
-        """Parameters that every filter has: depth, rotations, prior."""
+        """Parameters common to all filters: depth, rotations, prior."""
 
     def begin(self, rng: np.random.Generator) -> Any:
         """Return the belief before any measurement."""
@@ -34,4 +34,4 @@ class ShapeFilter(Protocol):
         """Return the belief after one more measurement, (3,) x, y and depth in I, in m."""
 
     def represent(self, belief: Any, rng: np.random.Generator) -> ShapePaths | NotFound:
-        """Return paths that stand for the belief, or a reason why there are none yet."""
+        """Return paths that represent the belief, or the reason why there are none yet."""

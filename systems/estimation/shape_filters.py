@@ -1,4 +1,4 @@
-"""The shape filters by name: a new one is a file and a line here."""
+"""Registry of the shape filters by name; a new one needs a file and a line here."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -20,7 +20,7 @@ from sonoservo.systems.estimation.shape_particle_filter import (
 
 
 class ShapeFilterChoice(NamedTuple):
-    """A filter's class of parameters, and the filter that is made from them."""
+    """Class of a filter's parameters, and the function that makes the filter from them."""
 
     parameters: type[ShapeEstimatorParameters]
     make: Callable[[Any], ShapeFilter]

@@ -1,7 +1,8 @@
-"""Bayesian least squares for the shape of a needle: the baseline of the particle filters.
+"""Bayesian least squares for the shape of a needle, the baseline of the particle filters.
 
-The most probable origin, plane, first angle and radius given all cross-sections, by Gauss-Newton
-steps, and the normal distribution of the same curvature there (Laplace's approximation).
+Gauss-Newton steps find the most probable origin, plane, first angle and radius given all
+cross-sections. The uncertainty is the normal distribution with the same curvature at that maximum
+(Laplace's approximation).
 """
 
 from dataclasses import dataclass, field
@@ -21,17 +22,17 @@ Floats = NDArray[np.float64]
 
 _STEPS = 5
 _PLANE_STD = np.pi / np.sqrt(3)
-"""Standard deviation in rad of an angle that may be any."""
+"""Standard deviation in rad of an unknown angle, which is uniform from -pi to pi."""
 
 
 @dataclass(kw_only=True)
 class ShapeLeastSquaresParameters(ShapeEstimatorParameters):
-    """Parameters of the least squares, besides those of every shape estimator.
+    """Parameters of the least squares, in addition to those of every shape estimator.
 
     Parameters
     ----------
     samples
-        Number of paths that stand for the distribution of the shape.
+        Number of paths that represent the distribution of the shape.
     min_radius
         Smallest radius in m.
     noise
@@ -49,20 +50,20 @@ class ShapeLeastSquaresParameters(ShapeEstimatorParameters):
             0 < self.min_radius < self.mean_radius,
             "min_radius",
             self.min_radius,
-            "above 0, below mean_radius",
+            "above 0 and below mean_radius",
         )
 
 
 @dataclass(frozen=True, eq=False)
 class FittedShape(Immutable):
-    """The most probable parameters.
+    """Most probable parameters of the shape.
 
     Parameters
     ----------
     parameters
         (5,) x and y of the origin in m, phi and theta_0 in rad, R in m.
     covariance
-        (5, 5) covariance of these.
+        (5, 5) covariance of the parameters.
     points, weights
         (m, 3) measured x, y and depth in I, in m, and (m,) their weights.
     """
@@ -74,7 +75,7 @@ class FittedShape(Immutable):
 
 
 class ShapeLeastSquares:
-    """The fit, a `ShapeFilter`.
+    """Bayesian least-squares fit, a `ShapeFilter`.
 
     Parameters
     ----------
@@ -92,7 +93,7 @@ class ShapeLeastSquares:
         )
 
     def begin(self, rng: np.random.Generator) -> FittedShape:
-        """Return the prior; the origin is unknown."""
+        """Return the prior, with an unknown origin."""
         p = self.parameters
         std = np.array([1.0, 1.0, _PLANE_STD, p.angle_std, p.radius_std])
         return FittedShape(self._prior_mean, np.diag(std**2))
@@ -107,7 +108,7 @@ class ShapeLeastSquares:
         point
             (3,) measured x, y and depth in I, in m.
         rng
-            Source of the paths that predict the measurement.
+            Generator that draws the paths for the prediction of the measurement.
         """
         noise = self.parameters.noise
         weight = noise.independence
@@ -124,7 +125,8 @@ class ShapeLeastSquares:
     def _starts(self, fitted: FittedShape, points: Floats) -> list[Floats]:
         """Return the starting points: the last fit and the straight line, each bent to either side.
 
-        Paths that start in one direction and bend to opposite sides are two minima.
+        Both sides are needed, as paths that start in one direction and bend to opposite sides are
+        two separate minima.
         """
         starts = [fitted.parameters]
         if len(points) == 1:
@@ -139,7 +141,7 @@ class ShapeLeastSquares:
         ]
 
     def _fit(self, start: Floats, points: Floats, weights: Floats) -> tuple[float, Floats, Floats]:
-        """Return cost, parameters and covariance at the minimum next to a start."""
+        """Return cost, parameters and covariance at the minimum closest to a start."""
         noise = self.parameters.noise
         parameters, precision = start.copy(), self._prior_precision
         total = float(weights.sum())
@@ -191,7 +193,7 @@ class ShapeLeastSquares:
     def represent(self, belief: FittedShape, rng: np.random.Generator) -> ShapePaths:
         """Return paths drawn from the fit."""
         draws = rng.standard_normal((self.parameters.samples // 2, 5))
-        # In pairs about the middle, so that their mean is the fit.
+        # Pairs about the middle make the mean equal to the fit.
         draws = np.vstack([draws, -draws]) @ np.linalg.cholesky(belief.covariance).T
         x, y, plane, angle, radius = (belief.parameters + draws).T
         radius = np.maximum(radius, self.parameters.min_radius)

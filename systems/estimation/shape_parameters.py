@@ -1,4 +1,4 @@
-"""Parameters that every shape estimator has."""
+"""Parameters common to all shape estimators."""
 
 from dataclasses import dataclass, field
 
@@ -13,25 +13,25 @@ Floats = NDArray[np.float64]
 
 @dataclass(kw_only=True)
 class ShapeEstimatorParameters:
-    """Knowledge of every shape estimator before the first slice.
+    """Prior knowledge of every shape estimator.
 
-    Frame I of the insertion is the probe's frame P at the first slice that showed the needle;
-    depths are along its Z.
+    The insertion's frame I is the probe's frame P at the first slice that shows the needle. Depths
+    are along its Z axis.
 
     Parameters
     ----------
     depth
         Depth down to which the shape is predicted, in m.
     rotations
-        Depths at which the bevel is turned by 180 deg, in m, in rising order.
+        Depths at which the bevel is turned by 180 deg, in m, in ascending order.
     observe_until
         Depth beyond which slices are not used, in m (the paper's D); None uses all.
     mean_radius, radius_std
-        Mean and standard deviation of the normal distribution of R, in m; the paper has 1500 and
-        600 mm.
+        Mean and standard deviation of the normal distribution of R, in m. The paper uses 1500 mm
+        and 600 mm.
     angle_std_deg
-        Standard deviation of the normal distribution of theta_0 about zero; the paper's 5 is in
-        degrees.
+        Standard deviation of the normal distribution of theta_0 about zero, in deg. The paper's 5
+        is in degrees.
 
     Raises
     ------

@@ -1,10 +1,10 @@
-"""A particle filter for the shape of a needle whose parameters do not change.
+"""Particle filter for the shape of a needle whose parameters do not change.
 
-It takes the place of the filter of Carriere 2016, section IV, which chooses the best particle for
-each point by itself and draws all particles towards them, so that their spread vanishes whatever
-the data say. Here every particle is weighted by the joint likelihood of all cross-sections. When
-few particles bear most of the weight, they are resampled and moved by Metropolis steps that leave
-the posterior unchanged (Chopin 2002, "A sequential particle filter method for static models").
+It replaces the filter of Carriere 2016, section IV. That filter chooses the best particle for each
+point separately and draws all particles towards these, and their spread vanishes whatever the data
+are. Here every particle is weighted by the joint likelihood of all cross-sections. When few
+particles carry most of the weight, they are resampled and moved by Metropolis steps that leave the
+posterior unchanged (Chopin 2002, "A sequential particle filter method for static models").
 """
 
 from dataclasses import dataclass, field, replace
@@ -28,16 +28,16 @@ Floats = NDArray[np.float64]
 
 @dataclass(kw_only=True)
 class ShapeParticleFilterParameters(ShapeEstimatorParameters):
-    """Parameters of the particle filter, besides those of every shape estimator.
+    """Parameters of the particle filter, in addition to those of every shape estimator.
 
     Parameters
     ----------
     particles
         Number of particles n.
     min_radius
-        Smallest radius in m; the normal distribution of R is cut off here.
+        Smallest radius in m, at which the normal distribution of R is cut off.
     moves
-        Metropolis steps after each resampling.
+        Number of Metropolis steps after each resampling.
     noise
         Noise of the measured cross-sections.
     """
@@ -55,22 +55,22 @@ class ShapeParticleFilterParameters(ShapeEstimatorParameters):
             0 < self.min_radius < self.mean_radius,
             "min_radius",
             self.min_radius,
-            "above 0, below mean_radius",
+            "above 0 and below mean_radius",
         )
 
 
 @dataclass(frozen=True, eq=False)
 class ParticleBelief(Immutable):
-    """The particles, and the measurements that they were weighted by.
+    """Particles, and the measurements by which they were weighted.
 
     Parameters
     ----------
     particles
-        (n, 3) R in m, theta_0 and phi in rad.
+        (n, 3) particles: R in m, theta_0 and phi in rad.
     log_weights
         (n,) logarithms of the particles' weights, up to a constant.
     sums
-        (n, 3) sums of residuals, see `residual_sums`.
+        (n, 3) sums of residuals; see `residual_sums`.
     points
         (m, 3) measured x, y and depth in I, in m.
     weights
@@ -85,13 +85,13 @@ class ParticleBelief(Immutable):
 
     @property
     def normalized_weights(self) -> Floats:
-        """(n,) weights of the particles; their sum is 1."""
+        """(n,) weights of the particles, with a sum of 1."""
         weights = np.exp(self.log_weights - self.log_weights.max())
         return weights / weights.sum()
 
     @property
     def total(self) -> float:
-        """Sum of the weights of the measurements."""
+        """Sum of the measurements' weights."""
         return float(self.weights.sum())
 
 
@@ -103,7 +103,7 @@ class ShapePosterior:
         self._rotations = np.array(parameters.rotations, dtype=float)
 
     def draw(self, rng: np.random.Generator) -> Floats:
-        """Draw (n, 3) particles from the prior; phi is anywhere."""
+        """Draw (n, 3) particles from the prior, in which phi is uniform."""
         p = self._parameters
         radius = rng.normal(p.mean_radius, p.radius_std, p.particles)
         while np.any(low := radius < p.min_radius):
@@ -121,10 +121,10 @@ class ShapePosterior:
         return np.where(possible, out, -np.inf)
 
     def sums(self, particles: Floats, points: Floats, weights: Floats) -> Floats:
-        """Return (n, 3) sums of residuals, see `residual_sums`."""
+        """Return the (n, 3) sums of residuals; see `residual_sums`."""
         radius, angle, plane = particles.T
         shape = np.column_stack([1 / radius, np.sin(angle)])
-        # The kernel wants rising depths; slices may also come from deep to shallow.
+        # The kernel needs ascending depths, but slices may come from deep to shallow.
         order = np.argsort(points[:, 2], kind="stable")
         u = deflections(shape, points[order, 2], self._rotations)
         return residual_sums(u, plane, points[order, :2], weights[order])
@@ -138,7 +138,7 @@ class ShapePosterior:
 
 
 class ShapeParticleFilter:
-    """The particle filter, a `ShapeFilter`.
+    """Particle filter for static parameters, a `ShapeFilter`.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ class ShapeParticleFilter:
     def update(
         self, belief: ParticleBelief, point: Floats, rng: np.random.Generator
     ) -> ParticleBelief:
-        """Weight the particles by one more measurement; resample and move them if need be.
+        """Weight the particles by one more measurement; resample and move them if necessary.
 
         Parameters
         ----------
@@ -168,7 +168,7 @@ class ShapeParticleFilter:
         point
             (3,) measured x, y and depth in I, in m.
         rng
-            Source of the resampled particles and their moves.
+            Generator for the resampling and the moves.
         """
         noise, posterior = self.parameters.noise, self._posterior
         weight = noise.independence
@@ -193,7 +193,7 @@ class ShapeParticleFilter:
         return _move(_resample(belief, share, rng), posterior, self.parameters.moves, rng)
 
     def represent(self, belief: ParticleBelief, rng: np.random.Generator) -> ShapePaths:
-        """Return the particles, each with its origin at its best place."""
+        """Return the particles, each with its most probable origin."""
         return ShapePaths(
             parameters=belief.particles,
             origins=belief.sums[:, :2] / belief.total,
@@ -228,9 +228,9 @@ def _move(
 ) -> ParticleBelief:
     """Take Metropolis steps with the particles' own spread.
 
-    (theta_0, phi) and (-theta_0, phi + 180 deg) start in the same direction and bend to opposite
-    sides: few slices cannot tell them apart. The spread is measured, and the steps are taken, with
-    all particles turned to one side; every other step also proposes the other side.
+    The paths (theta_0, phi) and (-theta_0, phi + 180 deg) start in the same direction and bend to
+    opposite sides. A few slices cannot distinguish them. The spread is measured, and the steps are
+    taken, with all particles turned to one side. Every other step also proposes the other side.
     """
     particles, sums = belief.particles, belief.sums
     side, spread = _spread(particles)
@@ -248,7 +248,7 @@ def _move(
             flip = np.zeros(len(particles), bool)
         prior = posterior.log_prior(proposed)
         usable = np.isfinite(prior)
-        # What the prior excludes is not worth computing, nor always possible.
+        # The likelihood of particles that the prior excludes is useless and not always defined.
         proposed[~usable] = particles[~usable]
         their_sums = posterior.sums(proposed, belief.points, belief.weights)
         their = prior + posterior.log_likelihood(their_sums, belief.total)
@@ -261,7 +261,7 @@ def _move(
 
 
 def _spread(particles: Floats) -> tuple[Floats, Floats]:
-    """Return (n,) the side of each particle, +-1, and (3, 3) covariance with all on side +1."""
+    """Return the (n,) sides of the particles, +-1, and the (3, 3) covariance with all on side 1."""
     plane = particles[:, 2]
     axis = 0.5 * np.angle(np.mean(np.exp(2j * plane)))
     side = np.where(np.cos(plane - axis) >= 0, 1.0, -1.0)

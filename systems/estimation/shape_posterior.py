@@ -16,24 +16,24 @@ Floats = NDArray[np.float64]
 
 @dataclass(kw_only=True)
 class MeasurementNoise:
-    """The noise of measured cross-sections, whose level is learned from their scatter.
+    """Noise of measured cross-sections, with a level that is learned from their scatter.
 
-    Its variance has an inverse gamma distribution; integrating over it leaves a likelihood that
-    depends on the sum of squares only, so that scattered slices widen the uncertainty themselves.
+    The variance has an inverse gamma distribution. Integration over it leaves a likelihood that
+    depends on the sum of squares only. Scattered slices therefore widen the uncertainty.
 
     Parameters
     ----------
     std
         Expected standard deviation of x and of y, in m.
     confidence
-        Number of measurements that the expectation counts for.
+        Number of measurements to which the expectation is equivalent.
     independence
-        Share of a slice's information that its neighbours have not given already. It is below 1
-        where errors are correlated from slice to slice, as speckle makes them where slices overlap;
-        0.6 fits slices every 0.5 mm with a beam 1 mm thick.
+        Share of a slice's information that its neighbours do not already contain. It is below 1 if
+        errors are correlated from slice to slice, as they are through the speckle of overlapping
+        slices; 0.6 suits slices every 0.5 mm with a beam 1 mm thick.
     outlier
-        A measurement further from its prediction than this many standard deviations counts less,
-        in inverse proportion (Huber).
+        Distance of a measurement from its prediction, in standard deviations, beyond which its
+        weight falls in inverse proportion (Huber).
     """
 
     std: float = 0.12e-3
@@ -43,7 +43,8 @@ class MeasurementNoise:
 
     def __post_init__(self) -> None:
         require_positive(std=self.std, confidence=self.confidence, outlier=self.outlier)
-        require(0 < self.independence <= 1, "independence", self.independence, "above 0, at most 1")
+        allowed = "above 0 and at most 1"
+        require(0 < self.independence <= 1, "independence", self.independence, allowed)
 
     def log_likelihood(self, squares: Floats, total: float) -> Floats:
         """Return the logarithm of the likelihood, up to a constant.
@@ -65,7 +66,7 @@ class MeasurementNoise:
     def weight(
         self, point: Floats, predicted: ShapePaths, rotations: Sequence[float], variance: float
     ) -> float:
-        """Return the weight of a measurement, which is less where it was not to be expected.
+        """Return the weight of a measurement, which is smaller for an unexpected one.
 
         Parameters
         ----------
@@ -100,13 +101,13 @@ def residual_sums(u, plane, points, weights):  # type: ignore[no-untyped-def]
     u
         (n, m) deflections of n paths at the depths of m measurements, in m.
     plane
-        (n,) of each path, in rad.
+        (n,) angles phi of the paths' planes, in rad.
     points, weights
-        (m, 2) measured x and y, in m, and (m,).
+        (m, 2) measured x and y, in m, and (m,) their weights.
 
     Returns
     -------
-    (n, 3) sums of x, of y in m, and of their squares in m^2.
+    (n, 3) weighted sums of the residuals in x and in y, in m, and of their squares, in m^2.
     """
     sums = np.zeros((len(u), 3))
     for i in range(len(u)):
@@ -121,6 +122,6 @@ def residual_sums(u, plane, points, weights):  # type: ignore[no-untyped-def]
 
 
 def about_best_origin(sums: Floats, total: float) -> Floats:
-    """Return (n,) squares in m^2 that are left with each path's origin at its best place."""
+    """Return the (n,) sums of squares in m^2 about the most probable origin of each path."""
     squares = sums[:, 2] - (sums[:, 0] ** 2 + sums[:, 1] ** 2) / total
     return np.where(np.isfinite(squares), np.maximum(squares, 0.0), np.inf)

@@ -1,6 +1,6 @@
 """Life of a track: initiate, confirm, gate, coast, lose, find again, end.
 
-How the needle moves and is corrected in between is up to a `NeedleFilter`.
+A `NeedleFilter` models the needle's motion and its correction in between.
 """
 
 from dataclasses import dataclass, replace
@@ -24,37 +24,38 @@ from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 
 @dataclass(kw_only=True)
 class TrackParameters:
-    """When a track starts, believes a measurement, and ends. The papers publish no values.
+    """Rules for the start, the gate and the end of a track. The papers publish no values.
 
     Parameters
     ----------
     first_std
         Standard deviation of the control points at a detection, in m.
     min_advance
-        Distance that the tip must advance from the first to the last of detections that follow one
-        another, in m.
+        Distance by which the tip must advance from the first to the last of successive detections,
+        in m.
     max_detection_jump
-        Largest distance of the tip between detections that follow one another, in m.
+        Largest distance of the tip between successive detections, in m.
     gate
         Probability that a true measurement passes the gate on the innovation.
     volumes_to_confirm
-        Number of volumes within which a detection must be repeated, and the needle be localized.
+        Number of volumes within which a detection must be repeated and the needle be localized.
     volumes_to_lose
-        Number of volumes in a row without the needle after which it is localized everywhere.
+        Number of successive volumes without the needle after which it is lost and the whole volume
+        is searched.
     withdrawn_length
-        Predicted length at which a needle that is not found counts as withdrawn, in m.
+        Predicted length below which a needle that is not found counts as withdrawn, in m.
     seconds_to_give_up
         Time without the needle after which a new insertion is awaited, in s.
     filtering
-        Whether measurements are filtered; off, each one starts the track anew, so that there is
-        neither a velocity to predict with nor a gate on the innovation.
+        Whether measurements are filtered. If not, each one starts the track anew, without a
+        velocity for the prediction and without a gate on the innovation.
     probe_frame
-        Whether the needle's state is kept in the frame of the probe, as in Chatelain 2013: it is
-        then carried along as the probe moves, and its velocity is that in the image, which suits
-        the servo without feed-forward only. Off, it is kept in W.
+        Whether the needle's state is kept in the probe's frame, as in Chatelain 2013. The state
+        then moves along with the probe, and its velocity is that in the image, which suits only the
+        servo without feed-forward. If not, the state is kept in W.
     anywhere
-        Whether a needle is localized in the whole volume as long as there is none, so that no
-        insertion need be seen.
+        Whether the whole volume is searched while there is no needle. The insertion then need not
+        be seen.
     """
 
     first_std: float = 1.0e-3
@@ -85,32 +86,32 @@ class TrackParameters:
 
 @dataclass(frozen=True, eq=False)
 class Track(Immutable):
-    """A needle that is tracked, or awaited. Falsy without a state.
+    """Track of a needle that is being followed or awaited; falsy without a state.
 
     Parameters
     ----------
     mode
-        Stage of the track's life. While it is searching, a state is a candidate not yet confirmed.
+        Stage of the track's life. In the searching stage, a state is an unconfirmed candidate.
     time
-        Time of the state in s; without one, of the last change.
+        Time of the state in s, or of the last change if there is no state.
     state
-        The filter's; None while there is no needle.
+        State of the filter; None while there is no needle.
     volume_time
         Time of the newest volume seen, in s.
     X_WP
-        Pose of the probe with which the needle is thought to move; None if it moves in W.
+        Pose of the probe with which the needle is assumed to move; None if its state is kept in W.
     missed
-        Number of volumes in a row that did not confirm the needle.
+        Number of successive volumes that did not confirm the needle.
     since
         Time of the last confirmation, in s.
     detections
-        First and last of the detections that follow one another; None if there is none.
+        First and last of successive detections; None if there is none.
     rejected
         Last measurement that failed the gate since the last confirmation.
     innovation
         Mahalanobis distance of the last measurement from its prediction; None if none was gated.
     reason
-        Why the last volume did not confirm the needle.
+        Reason why the last volume did not confirm the needle.
     """
 
     mode: TrackingMode
@@ -129,7 +130,7 @@ class Track(Immutable):
         return self.state is not None
 
     def seen_from(self, X_WP: RigidTransform) -> "Track":
-        """Return the track now that the probe is at ``X_WP``: carried along if it moves with it."""
+        """Return the track with the probe at ``X_WP``; a state in the probe's frame moves along."""
         if self.X_WP is None:
             return self
         if self.state is None:
@@ -139,7 +140,7 @@ class Track(Immutable):
 
     @property
     def estimate(self) -> NeedleEstimate:
-        """The estimate for the outside."""
+        """Estimate of the needle; it contains no curve while the track is unconfirmed."""
         nothing = NeedleEstimate(
             self.mode, self.time, volume_time=self.volume_time, reason=self.reason
         )
@@ -152,7 +153,7 @@ class Track(Immutable):
 
 
 def innovation_distance(state: NeedleState, measurement: NeedleMeasurement) -> float:
-    """Mahalanobis distance of a measurement from a state predicted to its time."""
+    """Return the Mahalanobis distance of a measurement from a state predicted to its time."""
     points = state.curve.control_points.ravel()
     y = measurement.curve.control_points.ravel() - points
     S = state.covariance[: len(points), : len(points)] + measurement.covariance
@@ -161,13 +162,13 @@ def innovation_distance(state: NeedleState, measurement: NeedleMeasurement) -> f
 
 @lru_cache
 def gate_distance(gate: float, order: int) -> float:
-    """Mahalanobis distance that a true measurement exceeds with a probability of 1 - gate."""
+    """Return the Mahalanobis distance that a true measurement exceeds with probability 1 - gate."""
     return float(np.sqrt(chi2.ppf(gate, 3 * order)))
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrackLifecycle:
-    """Rules by which a track begins, goes on and ends; nothing but functions of their arguments.
+    """Rules by which a track begins, continues and ends, as pure functions.
 
     Parameters
     ----------
@@ -176,7 +177,7 @@ class TrackLifecycle:
     parameters
         Thresholds.
     needle_filter
-        Starts, predicts and updates the track's state.
+        Filter that starts, predicts and updates the track's state.
     """
 
     order: int
@@ -189,21 +190,20 @@ class TrackLifecycle:
         return Track(mode, time, reason=reason)
 
     def confirm(self, state: NeedleState, time: float, innovation: float | None = None) -> Track:
-        """Return a track that a measurement at a time in s confirms."""
+        """Return a track that is confirmed by a measurement at a time in s."""
         return Track(TrackingMode.TRACKING, state.time, state, since=time, innovation=innovation)
 
     def predict(
         self, track: Track, time: float, X_WP: RigidTransform
     ) -> NeedlePrediction | NotFound:
-        """Return what is expected of a volume.
+        """Return the prediction for a volume.
 
-        A lost needle is not predicted: where it was last tells which of its ends is the tip, and no
-        more.
+        A lost needle is not predicted. Its last curve only tells which of its ends is the tip.
 
         Parameters
         ----------
         track
-            After the volume before.
+            Track after the previous volume.
         time, X_WP
             Time of the volume in s, and pose of the probe.
         """
@@ -240,7 +240,7 @@ class TrackLifecycle:
         Parameters
         ----------
         track
-            Before the volume, seen from its pose.
+            Track before the volume, seen from the probe's pose at the volume.
         time
             Time of the volume, in s.
         detection, measurement, velocity
@@ -259,19 +259,19 @@ class TrackLifecycle:
             state = self.needle_filter.update(state, measurement, speed)
             return self.confirm(state, measurement.time, distance)
         if track.rejected is not None:
-            # Two that agree with each other are right, and the prediction is wrong.
+            # If two rejected measurements agree with each other, the prediction is wrong.
             before = self.needle_filter.start(track.rejected)
             before = self.needle_filter.predict(before, measurement.time)
             if innovation_distance(before, measurement) <= self.gate:
                 state = self.needle_filter.start(measurement)
                 return self.confirm(state, measurement.time, distance)
         missed = replace(track, rejected=measurement, innovation=distance)
-        reason = f"the measurement lies {distance:.1f} deviations from the prediction"
+        reason = f"the measurement is {distance:.1f} standard deviations from the prediction"
         return self._miss(missed, time, detection, speed, reason)
 
     @property
     def gate(self) -> float:
-        """Largest Mahalanobis distance of a measurement that is believed."""
+        """Largest Mahalanobis distance at which a measurement is accepted."""
         return gate_distance(self.parameters.gate, self.order)
 
     def _miss(
@@ -311,9 +311,9 @@ class TrackLifecycle:
         return replace(track, reason=reason if track else detection.reason)
 
     def initiate(self, track: Track, detection: InsertionDetection) -> Track:
-        """Start a track, not yet confirmed, once detections that follow one another have advanced.
+        """Start an unconfirmed track once successive detections have advanced.
 
-        If the tissue trembles, something bright may seem to change, but it stays where it is. The
+        If the tissue trembles, something bright may seem to change, but it does not advance. The
         needle points from the first detection's tip to the last one's.
         """
         p = self.parameters

@@ -1,4 +1,4 @@
-"""Tracks the needle from volume to volume."""
+"""Leaf system that tracks the needle from volume to volume."""
 
 from dataclasses import replace
 from typing import Any
@@ -21,7 +21,7 @@ from sonoservo.systems.signals.volume import Volume
 
 
 class TrackManager(LeafSystem):
-    """Decides whether a needle is being tracked, and lets a filter estimate where it is.
+    """Manages the life of a needle's track and estimates the needle with a filter.
 
     .. pydrake_system::
 
@@ -39,26 +39,27 @@ class TrackManager(LeafSystem):
         - last_measurement
         - explanation
 
-    Detections that advance start a track, which stays unconfirmed until the needle is localized. A
-    volume without it, or whose innovation fails the gate, is coasted over, while the region of
-    interest grows; after some such volumes the needle is lost and localized in the whole volume;
-    after some time, or once it was withdrawn, a new insertion is awaited. See `TrackLifecycle`.
+    Detections that advance start a track, which stays unconfirmed until the needle is localized. If
+    a volume does not show the needle, or its measurement fails the gate, the track coasts and the
+    region of interest grows. After several such volumes the needle is lost, and the whole volume is
+    searched. After some time, or once the needle was withdrawn, a new insertion is awaited. See
+    `TrackLifecycle`.
 
-    ``prediction`` is the `NeedlePrediction`, or a `NotFound`, for the volume at the input. It
-    depends on the state and on that volume's time and pose only, never on what is measured in it,
-    and is the same before and after the update with that volume. ``explanation`` is the
-    localizer's with the innovation added. All other outputs depend on the state only;
-    ``last_detection`` and ``last_measurement`` are those of the last update, for a log. Updates
-    come with new volumes: an event at which the volume is no newer than the last does nothing.
+    ``prediction`` is the `NeedlePrediction` for the volume at the input, or a `NotFound`. It
+    depends only on the state and on that volume's time and pose, never on a measurement in it. It
+    is the same before and after the update with that volume. The output ``explanation`` is the
+    localizer's explanation with the innovation added. All other outputs depend on the state only.
+    ``last_detection`` and ``last_measurement`` are those of the last update, for a log. An event
+    does nothing unless its volume is newer than the last one.
 
     Parameters
     ----------
     needle_filter
-        How the needle moves and is corrected.
+        Filter that models the needle's motion and its correction.
     parameters
         Rules of a track's life, in SI units.
     order
-        Number n of control points of the needle's curve: 2 straight, 3 bent.
+        Number n of control points of the needle's curve: 2 for straight, 3 for bent.
     period, offset
         Period and offset of the event, in s.
     """
@@ -108,7 +109,7 @@ class TrackManager(LeafSystem):
         self.DeclareForcedUnrestrictedUpdateEvent(self._update)
 
     def start_at(self, context: Context, measurement: NeedleMeasurement) -> None:
-        """Track a needle that was found otherwise, as if the last volume had shown it."""
+        """Start to track a needle found by other means, as if the last volume had shown it."""
         state = self._lifecycle.needle_filter.start(measurement)
         track = self._lifecycle.confirm(state, measurement.time)
         context.SetAbstractState(int(self._track), replace(track, volume_time=measurement.time))
@@ -129,7 +130,7 @@ class TrackManager(LeafSystem):
     def _calc_explanation(self, context: Context, output: Value) -> None:
         port = self.GetInputPort("explanation")
         if not port.HasValue(context):
-            output.set_value(NotFound("no localizer is connected that explains itself"))
+            output.set_value(NotFound("no explanation of a localizer is connected"))
             return
         explanation = evaluate(self, context, "explanation", (LocalizationExplanation, NotFound))
         track = self._track_in(context)
@@ -148,7 +149,7 @@ class TrackManager(LeafSystem):
         if not isinstance(volume, Volume) or volume.time <= track.volume_time:
             return EventStatus.DidNothing()
         prediction: Any = self.GetOutputPort("prediction").Eval(context)
-        # Inputs are pulled only if they are wanted: a localizer that nobody asks costs nothing.
+        # Inputs are evaluated only if needed, so an unused localizer costs nothing.
         detection: InsertionDetection | NotFound = NotFound("a needle is being tracked")
         measurement: NeedleMeasurement | NotFound = NotFound("no needle has been detected")
         velocity: VelocityMeasurement | NotFound = NotFound("the velocity is not measured")

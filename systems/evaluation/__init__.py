@@ -1,7 +1,7 @@
-"""What happened in a run, judged against ground truth.
+"""Evaluation of a run against ground truth.
 
-It holds the log, errors, metrics, plots and the report. It imports `signals`, `ultrasound` and
-`files`.
+This room holds the logs, errors, metrics, plots and reports. It imports `signals`, `control`,
+`ultrasound` and `files`.
 """
 
 from lazy_loader import attach_stub

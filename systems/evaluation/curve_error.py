@@ -1,4 +1,4 @@
-"""How far an estimated needle lies from the true one, all along it."""
+"""Distance between an estimated needle and the true one, over their whole length."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,26 +13,30 @@ from sonoservo.systems.signals.sweep import SweepGeometry
 Floats = NDArray[np.float64]
 
 _POINTS, _EVERY = 1001, 10
-"""On each curve: 0.1 mm apart on 100 mm; the distance is taken from every tenth, tip included."""
+"""Points on each curve (0.1 mm apart on 100 mm), and the step between the points evaluated.
+
+The tip is always among the points evaluated.
+"""
 
 
 def curve_deviations(log: RunLog, geometry: SweepGeometry) -> Floats:
-    """Largest distance between true and estimated needle, after each volume.
+    """Return the largest distance between the true and the estimated needle, after each volume.
 
-    Truth and probe are those at the time for which the estimate holds. Only what lies in the image
-    counts, and of the true needle only what follows the estimated entry, which is where it was
-    first seen: an estimate says nothing of what lies before.
+    The true needle and the probe are taken at the time for which the estimate holds. Only the
+    parts in the image count. The true needle counts from the estimated entry on, where it was
+    first seen, because the estimate does not cover the part before.
 
     Parameters
     ----------
     log
-        Of the run.
+        Log of the run.
     geometry
-        Of the sweeps: tells what lies in the image.
+        Geometry of the sweeps, which bounds the image.
 
     Returns
     -------
-    (v,) distances in m; NaN where there is no estimate, no needle, or neither in the image.
+    (v,) distances in m; NaN if there is no estimate or no needle, or if either has no point in the
+    image.
     """
     time = log.volume_estimate_time
     true = at_times(log, log.needle_points, time)
@@ -47,16 +51,18 @@ def curve_deviations(log: RunLog, geometry: SweepGeometry) -> Floats:
 
 
 def deviation(true: Floats, estimate: NeedleCurve, geometry: SweepGeometry) -> float:
-    """Largest distance between two curves in the image, either way; NaN where there is nothing.
+    """Return the largest distance between two curves in the image, in both directions, in m.
+
+    It is NaN if either curve has no point in the image.
 
     Parameters
     ----------
     true
         (m, 3) points evenly spaced along the true needle in P, entry first, in m.
     estimate
-        In P, in m.
+        Estimated needle in P, in m.
     geometry
-        Of the sweep.
+        Geometry of the sweep.
     """
     u = np.linspace(0, 1, _POINTS)
     truth, guess = CubicSpline(np.linspace(0, 1, len(true)), true)(u), estimate.position(u)

@@ -1,4 +1,4 @@
-"""Base class of the logs of a run, and the file `log.npz` that holds any of them."""
+"""Base class of the logs of a run, and the reader and writer of their file `log.npz`."""
 
 import io
 import zipfile
@@ -15,7 +15,7 @@ from sonoservo.systems.files.writing import write_atomically
 from sonoservo.systems.signals.immutable import Immutable
 
 FORMAT = 2
-"""Version of the file, its array `format`."""
+"""Version of the file format, stored as the array `format`."""
 
 Array = NDArray[Any]
 Row = dict[str, Any]
@@ -32,9 +32,9 @@ class Column:
     unit
         Unit; empty if there is none.
     shape
-        Extents: a number, or the letter of an extent that all arrays share.
+        Extents: a number each, or the letter of an extent that several arrays share.
     dtype
-        "f8", "?" or "U" for texts.
+        Type of the elements: "f8" for numbers, "?" for booleans or "U" for texts.
     """
 
     what: str
@@ -45,7 +45,7 @@ class Column:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Log(Immutable):
-    """What is kept of a run: arrays, each described by a `Column`.
+    """Log of a run: arrays, each described by a `Column`.
 
     A subclass annotates each array with its column. A field that is a mapping of arrays is written
     as one array for each key, named ``<field>_<key>``. Missing values are NaN, or an empty text.
@@ -53,7 +53,7 @@ class Log(Immutable):
     Raises
     ------
     ValueError
-        If an array has another shape than its column says.
+        If the shape of an array differs from the shape in its column.
     """
 
     def __post_init__(self) -> None:
@@ -69,7 +69,7 @@ class Log(Immutable):
                 for got, want in zip(array.shape, wanted, strict=True)
             )
             if not fits:
-                raise ValueError(f"{name} has shape {array.shape}; {_text(wanted)} is wanted")
+                raise ValueError(f"{name} has shape {array.shape}; it must be {_text(wanted)}")
             array.flags.writeable = False
             object.__setattr__(self, name, array)
 
@@ -84,7 +84,7 @@ def columns(log_class: type[Log]) -> Mapping[str, Column]:
 
 
 def _groups(log_class: type[Log]) -> tuple[str, ...]:
-    """Names of the fields that are mappings of arrays."""
+    """Return the names of the fields that are mappings of arrays."""
     hints = get_type_hints(log_class, include_extras=True)
     return tuple(name for name, hint in hints.items() if not _is_column(hint))
 
@@ -103,11 +103,11 @@ def stack_rows(
     column
         Description of the array.
     name
-        Key of its values in the rows.
+        Key of the column's values in the rows.
     rows
-        One for each entry of the array's first axis.
+        One row for each entry along the array's first axis.
     extents
-        Extents that letters of the column's further axes stand for.
+        Extents of the column's other axes, by the letter in the column.
     """
     if column.dtype == "U":
         return np.array([row.get(name, "") for row in rows], dtype=str)
@@ -122,7 +122,7 @@ def column_table(log_class: type[Log]) -> str:
         f"| `{name}` | {_text(column.shape)} | {column.unit} | {column.what} |"
         for name, column in columns(log_class).items()
     ]
-    return "\n".join(["| array | shape | unit | what |", "|---|---|---|---|", *rows])
+    return "\n".join(["| array | shape | unit | meaning |", "|---|---|---|---|", *rows])
 
 
 def _text(shape: tuple[int | str, ...]) -> str:
@@ -140,25 +140,25 @@ def write_log(path: str | Path, log: Log) -> Path:
 
 
 def read_log(path: str | Path, log_class: type[LogT]) -> LogT:
-    """Read a log back from its `.npz` file.
+    """Read a log from its `.npz` file.
 
     Parameters
     ----------
     path
         Path of the file.
     log_class
-        Kind of log that the file holds.
+        Class of the log in the file.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     ValueError
-        If it is not a whole log of this kind, or one of another format.
+        If the file is not a complete log of this class, or has another format version.
     """
     path = Path(path)
     if not path.is_file():
-        raise FileNotFoundError(f"There is no log at {path}")
+        raise FileNotFoundError(f"{path}: there is no such log")
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
@@ -171,13 +171,13 @@ def read_log(path: str | Path, log_class: type[LogT]) -> LogT:
         zipfile.BadZipFile,
         zlib.error,
     ) as error:
-        raise ValueError(f"{path} is not a log, or only a part of one: {error}") from error
+        raise ValueError(f"{path} is not a log, or is incomplete: {error}") from error
     version = arrays.pop("format", None)
     if version is None or version.shape or int(version) != FORMAT:
         raise ValueError(f"{path} has format {version}; this program reads format {FORMAT}")
     known = columns(log_class)
     if missing := sorted(known.keys() - arrays.keys()):
-        raise ValueError(f"{path} lacks {', '.join(missing)}")
+        raise ValueError(f"{path} lacks the arrays {', '.join(missing)}")
     fields: dict[str, Any] = {name: arrays[name] for name in known}
     for group in _groups(log_class):
         prefix = f"{group}_"

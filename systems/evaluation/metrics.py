@@ -1,4 +1,4 @@
-"""Figures that sum up a run: the blocks `detection`, `tracking`, `servo`, `force`, `compute_ms`."""
+"""Metrics of a run in the blocks `detection`, `tracking`, `servo`, `force` and `compute_ms`."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -44,7 +44,7 @@ LABELS = {
     "compute_ms.track.median": "tracking, median, ms",
     "real_time_factor": "simulated time / wall time",
 }
-"""Label of each figure of a summary that a table shows, by its dotted path."""
+"""Label of each figure of a summary that tables show, by its dotted path."""
 
 
 @dataclass(kw_only=True)
@@ -54,23 +54,23 @@ class MetricsParameters:
     Parameters
     ----------
     rest_speed
-        The needle rests while its tip moves more slowly than this in W, in m/s.
+        Speed of the tip in W below which the needle is at rest, in m/s.
     rest_window
-        Time over which that speed is measured, so that a hand's tremor does not count, in s.
+        Time over which that speed is measured, in s; it averages out the hand's tremor.
     rest_time
-        At rest counts from this long after the needle came to rest, in s: the probe's transient
-        is left out.
+        Time from the needle's coming to rest until samples count as at rest, in s. It excludes
+        the probe's transient.
     min_length
-        A needle with less than this in view may be missed without counting as lost, in m; in the
-        tissue, where the log does not tell what is in view.
+        Length in view above which an untracked needle counts as lost, in m. If the log does not
+        hold the length in view, the length in the tissue is used.
     start_tolerance
-        A tracker that starts further than this from the needle has started falsely, in m.
+        Distance from the needle beyond which a start of the tracker is false, in m.
     force_target
-        Force that the controller aims at, in N; None if it changes.
+        Contact force that the controller aims at, in N; None if it changes.
     contact_threshold
-        Force below which there is no contact, in N.
+        Force at and below which there is no contact, in N.
     settling_time
-        The force counts as settled from this long after the first contact, in s.
+        Time from the first contact until the force counts as settled, in s.
     """
 
     rest_speed: float = 0.2e-3
@@ -98,11 +98,11 @@ class MetricsParameters:
 
 
 def summarize(log: RunLog, parameters: MetricsParameters | None = None) -> dict[str, Any]:
-    """Sum up a run in numbers that JSON can hold; None where there is none.
+    """Summarise a run in figures for JSON; a figure without a value is None.
 
     Returns
     -------
-    Blocks by name; each function of this module makes one and says what is in it.
+    Blocks by name; the functions of this module that compute the blocks document their contents.
     """
     parameters = parameters or MetricsParameters()
     return {
@@ -119,15 +119,17 @@ def summarize(log: RunLog, parameters: MetricsParameters | None = None) -> dict[
 
 
 def detection(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
-    """Sum up when the tracker found the needle.
+    """Summarise the detection of the needle.
+
+    The detection is the first start of tracking that is not false. A start is false if its tip is
+    more than `start_tolerance` away from the true needle, or if there is no needle.
 
     Returns
     -------
-    `volume`: how many volumes came before the one with which tracking began;
-    `inserted_mm`, `visible_mm`: true length inside the tissue, and inside the swept sector, when it
-    began;
-    `false_starts`: how often tracking began with a tip more than `start_tolerance` away from the
-    true needle, or without any needle. The detection is the first start that is not false.
+    `volume`: number of volumes before the one with which tracking began;
+    `inserted_mm`, `visible_mm`: true length inside the tissue and inside the swept sector at that
+    time;
+    `false_starts`: number of false starts in the whole run.
     """
     started, true = _starts(log, parameters)
     right = started[true]
@@ -147,22 +149,23 @@ def detection(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
 
 
 def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
-    """Sum up how well the needle was followed, over all volumes from the detection on.
+    """Summarise the accuracy of tracking over all volumes from the detection on.
 
-    Only volumes while there is a needle in the tissue are judged; failures stay in. Truth is
-    interpolated at the time for which the estimate holds.
+    Volumes are evaluated while there is a needle in the tissue; failures are included. Ground truth
+    is interpolated at the time for which the estimate holds.
 
     Returns
     -------
-    `volumes`: judged; `tracked`: of these, confirmed by the volume itself (mode tracking);
-    `estimated`: of these, with any estimate, which is what the errors are taken over;
-    `lost`: volumes that were not tracked with more than `min_length` of needle in view;
-    `lost_events`: how often that began;
-    `tip_error_mm`: distance from the estimated to the true tip; `tip_axial_error_mm` and
-    `tip_lateral_error_mm`: its parts along and across the true needle;
+    `volumes`: number of volumes evaluated;
+    `tracked`: number of these in which the volume itself confirmed the needle (mode tracking);
+    `estimated`: number of these with an estimate, over which the errors are taken;
+    `lost`: number of these not tracked although more than `min_length` of the needle was in view;
+    `lost_events`: number of times that the needle became lost;
+    `tip_error_mm`: distance from the estimated to the true tip;
+    `tip_axial_error_mm`, `tip_lateral_error_mm`: its parts along and across the true needle;
     `axis_error_deg`: angle between the estimated and the true direction (`EstimateErrors`);
-    each {median, p95, max}; `tip_axial_bias_mm`: mean of the signed axial part, above zero where
-    the estimate lies beyond the true tip.
+    `tip_axial_bias_mm`: mean of the signed axial part, positive if the estimate lies beyond the
+    true tip. Each error has the keys median, p95 and max.
     """
     started, true = _starts(log, parameters)
     right = started[true]
@@ -193,14 +196,14 @@ def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
 
 
 def servo(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
-    """Mean absolute errors of the visual features in P (Chatelain 2013, eq. 23).
+    """Return the mean absolute errors of the visual features in P (Chatelain 2013, eq. 23).
 
     Returns
     -------
-    `at_rest`: of the true needle, while it has rested in W for `rest_time` and is tracked;
-    `at_rest_estimated`: of the estimate, over the same samples;
-    `moving`: of the true needle, while it moves and is tracked.
-    Each {x_mm, z_mm, theta_deg, seconds}; `seconds` says how much of the run it covers.
+    `at_rest`: errors of the true needle while it has rested in W for `rest_time` and is tracked;
+    `at_rest_estimated`: errors of the estimate over the same samples;
+    `moving`: errors of the true needle while it moves and is tracked.
+    Each has the keys x_mm, z_mm, theta_deg and seconds; `seconds` is the time covered.
     """
     tracked = log.estimate_mode == TrackingMode.TRACKING
     moves = needle_speed(log, parameters.rest_window) >= parameters.rest_speed
@@ -215,14 +218,14 @@ def servo(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
 
 
 def force(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
-    """Sum up the true contact force.
+    """Summarise the true contact force.
 
     Returns
     -------
-    `mean_n`, `rms_error_n`: mean, and root of the mean squared difference to `force_target` (none
-    where it changes), from `settling_time` after the first contact on; `max_n`: largest of the
-    whole run (between samples it may have been higher); `contact_lost_s`: time without contact
-    after the first contact.
+    `mean_n`, `rms_error_n`: mean force, and root mean square difference from `force_target` (None
+    if that changes), from `settling_time` after the first contact on;
+    `max_n`: largest sample of the whole run, which the force between samples may exceed;
+    `contact_lost_s`: time without contact after the first contact.
     """
     value = log.contact_force
     touching = value > parameters.contact_threshold
@@ -244,7 +247,7 @@ def force(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
 
 
 def _starts(log: RunLog, parameters: MetricsParameters) -> tuple[NDArray[np.intp], Mask]:
-    """Volumes with which tracking began, and whether the needle was there."""
+    """Return the volumes with which tracking began, and a mask of those that are not false."""
     there = is_known(log.volume_estimate_tip)
     started = np.flatnonzero(_begins(there))
     time, p = log.volume_estimate_time[started], log.volume_estimate_tip[started]
@@ -257,12 +260,12 @@ def _starts(log: RunLog, parameters: MetricsParameters) -> tuple[NDArray[np.intp
 
 
 def _begins(condition: Mask) -> Mask:
-    """(m,) whether a condition holds and did not hold one before."""
+    """Return an (m,) mask of the samples at which a condition begins to hold."""
     return condition & ~np.concatenate([np.zeros(1, bool), condition])[:-1]
 
 
 def _held(condition: Mask, time: Floats, duration: float) -> Mask:
-    """Whether a condition has held for a duration."""
+    """Return an (m,) mask of the samples at which a condition has held for a duration in s."""
     broken = np.where(condition, -np.inf, time)
     since = np.maximum.accumulate(broken) if len(time) else broken
     since = np.maximum(since, time[0]) if len(time) else since
@@ -288,7 +291,7 @@ def _seconds(counted: Mask, time: Floats) -> float:
 
 
 def spread(values: Floats) -> dict[str, float | None]:
-    """Return the median, the 95th percentile and the maximum of what is finite; None for none."""
+    """Return the median, 95th percentile and maximum of the finite values; None without any."""
     values = values[np.isfinite(values)]
     p95 = np.percentile(values, 95) if len(values) else np.nan
     return {

@@ -1,4 +1,4 @@
-"""How well a needle shows in a sweep."""
+"""Visibility of a needle in a sweep."""
 
 from dataclasses import dataclass
 
@@ -18,22 +18,23 @@ _THICKNESS_DB = -20.0
 
 @dataclass(frozen=True, eq=False)
 class NeedleEchoFigures:
-    """How a straight needle looks.
+    """Appearance of a straight needle in a sweep.
 
     Parameters
     ----------
     peak_db
-        Greatest level on the needle, over the tissue's mean. What is brighter than the greatest
-        grey level counts as that.
+        Highest level on the needle relative to the tissue's mean, in dB. It is limited by the
+        highest grey level.
     visible_length
-        Length of the needle whose level, averaged over 1 mm, is 12 dB or more over the tissue's,
+        Length of the needle whose level, averaged over 1 mm, is at least 12 dB above the tissue's,
         in m.
     thickness
-        Where the needle is brightest, distance across it, in the plane of needle and beam, between
-        the first and the last point less than 20 dB below the peak, in m.
+        Thickness of the echo where the needle is brightest, in m: the distance between the first
+        and the last point less than 20 dB below the peak, across the needle in the plane of needle
+        and beam.
     distance, level_db
-        (n,) distance along the needle from its first end in m, and level there, averaged over 1 mm;
-        NaN outside the sector.
+        (n,) distances along the needle from its first end in m, and levels there in dB, averaged
+        over 1 mm; NaN outside the sector.
     """
 
     peak_db: float
@@ -46,16 +47,16 @@ class NeedleEchoFigures:
 def measure_needle_echo(
     sweep: Sweep, shaft: NDArray[np.float64], imaging: ImagingParameters
 ) -> NeedleEchoFigures:
-    """Measure how a needle looks in a sweep of a probe at rest.
+    """Measure the appearance of a needle in a sweep of a probe at rest.
 
     Parameters
     ----------
     sweep
-        To look at.
+        Sweep to measure.
     shaft
         (2, 3) ends of the needle in P, in m.
     imaging
-        That the sweep was made with.
+        Settings with which the sweep was acquired.
     """
     length = float(np.linalg.norm(shaft[1] - shaft[0]))
     along = (shaft[1] - shaft[0]) / length

@@ -1,4 +1,4 @@
-"""Pictures of a run."""
+"""Plots of a run."""
 
 import io
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ from sonoservo.systems.signals.needle_estimate import TrackingMode
 
 Floats = NDArray[np.float64]
 
-# Okabe and Ito's colours: people who see fewer colours tell them apart too.
+# Okabe and Ito's colours stay distinguishable for colour-blind readers.
 BLUE, ORANGE, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#CC79A7"
 _SHADES = {
     TrackingMode.SEARCHING: "#E6E6E6",
@@ -31,9 +31,9 @@ def plot_run(log: RunLog, force_target: float | None = 2.0) -> Figure:
     Parameters
     ----------
     log
-        Of the run.
+        Log of the run.
     force_target
-        In N; None draws none.
+        Target of the contact force, in N; None draws no target.
     """
     figure = Figure(figsize=(9, 11), layout="constrained")
     feature, tip, probe, force = figure.subplots(
@@ -74,7 +74,7 @@ def plot_run(log: RunLog, force_target: float | None = 2.0) -> Figure:
 
 
 def plot_errors(log: RunLog) -> Figure:
-    """Return a figure of the estimate's errors after each volume, and of what was inserted."""
+    """Return a figure of the estimate's errors after each volume, and of the inserted length."""
     figure = Figure(figsize=(9, 7), layout="constrained")
     tip, axis, depth = figure.subplots(3, 1, sharex=True)
     errors, time = estimate_errors(log), log.volume_estimate_time
@@ -126,7 +126,7 @@ def _label(
     axes.grid(alpha=0.3)
     handles, names = axes.get_legend_handles_labels()
     if second is not None:
-        # Beside its ticks, however wide they are, stands the legend.
+        # The legend stands beside the right axis, so its unit goes into the title.
         second.set_title(f"right: {second_unit}", loc="right", fontsize="medium")
         more = second.get_legend_handles_labels()
         handles, names = handles + more[0], names + more[1]
@@ -141,7 +141,7 @@ def _centre(*axes: Axes) -> None:
 
 
 def _finish(figure: Figure, axes: list[Axes], time: Floats, mode: NDArray[np.str_]) -> None:
-    """Shade the phases in which the needle was not tracked, and say what the shades mean."""
+    """Shade the phases in which the needle was not tracked, and add a legend of the shades."""
     shown = {}
     for begin, end, name in _phases(time, mode):
         if shade := _SHADES.get(TrackingMode(name)):
@@ -156,7 +156,7 @@ def _finish(figure: Figure, axes: list[Axes], time: Floats, mode: NDArray[np.str
 
 
 def _phases(time: Floats, mode: NDArray[np.str_]) -> Iterator[tuple[float, float, str]]:
-    """Begin, end and mode of each run of equal modes."""
+    """Yield the start, end and mode of each phase in which the mode stays the same."""
     if not len(mode) or not mode[0]:
         return
     starts = np.flatnonzero(np.concatenate([[True], mode[1:] != mode[:-1]]))
@@ -165,7 +165,7 @@ def _phases(time: Floats, mode: NDArray[np.str_]) -> Iterator[tuple[float, float
 
 
 def _motion(X_WP: Floats) -> tuple[Floats, Floats]:
-    """Translation in m and rotation vector theta u in rad, since the start, in the first P."""
+    """Return translation (m) and rotation vector theta u (rad) since the start, in the first P."""
     if not len(X_WP) or not np.isfinite(X_WP).all():
         return np.full((len(X_WP), 3), np.nan), np.full((len(X_WP), 3), np.nan)
     X_PP = np.linalg.inv(X_WP[0]) @ X_WP

@@ -1,4 +1,4 @@
-"""A run on web pages: its report, and its replay."""
+"""Report and replay of a run as web pages."""
 
 import html
 from collections.abc import Mapping
@@ -19,19 +19,20 @@ def report_page(
     paper: Mapping[str, float] | None = None,
     replay: str = "",
 ) -> str:
-    """Return a run as one HTML page that needs no other file.
+    """Return the report of a run as one self-contained HTML page.
 
     Parameters
     ----------
     summary
-        Content of `summary.json`: single values head the page, `scenario` names it, and each block
-        makes a table.
+        Content of `summary.json`. `scenario` becomes the title, the other single values the line
+        below it, and each block a section with its tables.
     figures
-        PNG files by caption.
+        Contents of PNG files by caption.
     command
         Command that repeats the run.
     paper
-        Published figures to set beside ours, by the path of ours: ``{"servo.at_rest.x_mm": 1.1}``.
+        Published values to show beside the simulated ones, by the dotted path of the simulated
+        value: ``{"servo.at_rest.x_mm": 1.1}``.
     replay
         Relative address of the replay.
     """
@@ -44,7 +45,7 @@ def report_page(
     if replay:
         lead += f'<p><a href="{html.escape(replay)}">Watch the replay</a></p>\n'
     if paper:
-        lead += "<p>Published figures are set beside ours in <small>(brackets)</small>.</p>\n"
+        lead += "<p>Published values are shown in <small>(brackets)</small>.</p>\n"
     tables = "\n".join(
         _block(key, value, paper or {})
         for key, value in summary.items()
@@ -61,14 +62,14 @@ def write_report(
 
 
 def save_replay(meshcat: Meshcat, path: str | Path) -> Path:
-    """Write what a Meshcat has recorded as one HTML page, which needs no server.
+    """Write a Meshcat's recording as one HTML page that needs no server.
 
-    Call ``meshcat.StartRecording()`` before the simulator is initialised: what was shown or hidden
-    earlier is not in the recording. The live page, if one is open, plays the recording too.
+    Call ``meshcat.StartRecording()`` before the simulator is initialised: the recording lacks
+    everything shown or hidden earlier. The live page, if one is open, plays the recording too.
 
     Returns
     -------
-    The path.
+    Path of the page.
     """
     meshcat.StopRecording()
     meshcat.PublishRecording()
@@ -76,7 +77,7 @@ def save_replay(meshcat: Meshcat, path: str | Path) -> Path:
 
 
 def _block(name: str, block: Mapping[str, Any], paper: Mapping[str, float]) -> str:
-    """Return a block's tables: one of its single values, one for each set of equal columns."""
+    """Return a block's tables: one of its single values, and one for each set of equal columns."""
     groups: dict[tuple[str, ...], list[str]] = {}
     for key, value in block.items():
         columns = tuple(value) if isinstance(value, Mapping) else ()

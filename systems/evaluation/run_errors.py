@@ -1,4 +1,4 @@
-"""Errors of a run at every moment, against ground truth."""
+"""Errors of a run over time, against ground truth."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ Mask = NDArray[np.bool_]
 
 
 def features(X_WP: ArrayLike, p_WTip: ArrayLike, p_WEntry: ArrayLike) -> Floats:
-    """Return the visual features of needles in W, see `needle_features`.
+    """Return the visual features of needles given in W; see `needle_features`.
 
     Parameters
     ----------
@@ -37,18 +37,19 @@ def features(X_WP: ArrayLike, p_WTip: ArrayLike, p_WEntry: ArrayLike) -> Floats:
 
 
 def needle_speed(log: RunLog, window: float) -> Floats:
-    """Speed of the true tip in W, without the hand's tremor.
+    """Return the speed of the true tip in W, without the hand's tremor.
 
     Parameters
     ----------
     log
         Log of the run.
     window
-        Time in s: the mean position in the half of it that follows is compared with that before.
+        Averaging time in s. The mean position over the half window after a sample is compared with
+        that over the half window before.
 
     Returns
     -------
-    (n,) speed in m/s; NaN while the needle is outside.
+    (n,) speed in m/s; NaN while the needle is outside the tissue.
     """
     known = is_known(log.needle_tip)
     speed = np.full(len(log.time), np.nan)
@@ -68,19 +69,20 @@ def needle_speed(log: RunLog, window: float) -> Floats:
 
 @dataclass(frozen=True, kw_only=True)
 class EstimateErrors:
-    """Errors of the estimate after each volume, NaN where there is no estimate or no needle.
+    """Errors of the estimate after each volume; NaN if there is no estimate or no needle.
 
     Parameters
     ----------
     tip
         (v,) distance from the true to the estimated tip, in m.
     axial, lateral
-        (v,) parts of that distance along the true needle, above zero beyond the true tip, and
-        across it, in m.
+        (v,) parts of that distance along and across the true needle, in m. The axial part is
+        positive beyond the true tip.
     axis
-        (v,) angle between the true and the estimated direction in rad. The estimate's runs from its
-        entry to its tip; the true one from the point of the needle that is nearest to that entry,
-        for before it a bent needle has not been seen.
+        (v,) angle between the true and the estimated direction, in rad. The estimated direction
+        runs from the estimated entry to the estimated tip. The true direction runs to the true tip
+        from the needle's point nearest to the estimated entry, because a bent needle has not been
+        seen before that point.
     """
 
     tip: Floats
@@ -90,7 +92,7 @@ class EstimateErrors:
 
 
 def estimate_errors(log: RunLog) -> EstimateErrors:
-    """Compare the estimate after each volume with the truth at the estimate's time."""
+    """Compare the estimate after each volume with ground truth at the estimate's time."""
     time = log.volume_estimate_time
     tip = at_times(log, log.needle_tip, time)
     true = _direction(at_times(log, log.needle_points, time), log.volume_estimate_entry)
@@ -107,18 +109,19 @@ def estimate_errors(log: RunLog) -> EstimateErrors:
 
 
 def _direction(points: Floats, entry: Floats) -> Floats:
-    """Return the direction of needles from where they are first seen to their tips.
+    """Return the directions of needles, from the point where each is first seen to its tip.
 
     Parameters
     ----------
     points
-        (v, m, 3) evenly along each needle.
+        (v, m, 3) evenly spaced points along each needle, in m.
     entry
-        (v, 3) where it is first seen.
+        (v, 3) points where the needles are first seen, in m.
 
     Returns
     -------
-    (v, 3) unit vectors; NaN where anything is. A tenth of the needle is used at the least.
+    (v, 3) unit vectors; NaN for a needle with NaN in its points or its entry. At least the last
+    tenth of the needle is used.
     """
     direction = np.full((len(points), 3), np.nan)
     known = is_known(points).all(axis=1) & is_known(entry)
@@ -132,7 +135,7 @@ def _direction(points: Floats, entry: Floats) -> Floats:
 
 
 def at_times(log: RunLog, values: Floats, time: Floats) -> Floats:
-    """Interpolate a column of the samples at other times; NaN where the nearest sample is."""
+    """Interpolate a column of the samples at other times; NaN if the nearest sample is NaN."""
     if len(log.time) == 0:
         return np.full((len(time), *values.shape[1:]), np.nan)
     flat = values.reshape(len(values), -1)
@@ -150,5 +153,5 @@ def at_times(log: RunLog, values: Floats, time: Floats) -> Floats:
 
 
 def is_known(rows: Floats) -> Mask:
-    """(m,) whether all of a row is finite."""
+    """Return an (m,) mask of the rows that are finite throughout."""
     return np.asarray(np.isfinite(rows).all(axis=-1))

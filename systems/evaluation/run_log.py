@@ -11,12 +11,12 @@ from sonoservo.systems.evaluation.log import Array, Column, Log
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RunLog(Log):
-    """What is kept of a run: n samples at a fixed period, and v volumes.
+    """Log of a run: n samples at a fixed period, and v volumes.
 
-    Each field is an array of the file `log.npz`, under its own name. What was not connected, or is
-    not there at that time, is NaN (a text: empty). Everything is in SI units and in the world frame
-    W unless it says otherwise. Truth is known to the simulator only; no tracker or controller reads
-    it.
+    Each field is an array of the file `log.npz`, under its own name. A value that was not connected
+    or did not exist at that time is NaN, or an empty text. Everything is in SI units, and in the
+    world frame W unless its description says otherwise. Only the simulator knows the truth; no
+    tracker or controller reads it.
     """
 
     time: Annotated[Array, Column("time of the sample", "s", ("n",))]
@@ -26,14 +26,14 @@ class RunLog(Log):
         Array, Column("truth: the tip; NaN while it is outside the tissue", "m", ("n", 3))
     ]
     needle_entry: Annotated[
-        Array, Column("truth: where the needle enters the tissue", "m", ("n", 3))
+        Array, Column("truth: point where the needle enters the tissue", "m", ("n", 3))
     ]
     needle_points: Annotated[
-        Array, Column("truth: nine points evenly along it, entry to tip", "m", ("n", 9, 3))
+        Array, Column("truth: nine evenly spaced points, entry to tip", "m", ("n", 9, 3))
     ]
     inserted_length: Annotated[Array, Column("truth: length inside the tissue", "m", ("n",))]
     visible_length: Annotated[Array, Column("truth: length inside the swept sector", "m", ("n",))]
-    estimate_mode: Annotated[Array, Column("what the tracker does", "", ("n",), "U")]
+    estimate_mode: Annotated[Array, Column("tracking mode", "", ("n",), "U")]
     estimate_time: Annotated[Array, Column("time for which the estimate holds", "s", ("n",))]
     estimate_tip: Annotated[Array, Column("estimated tip", "m", ("n", 3))]
     estimate_entry: Annotated[Array, Column("estimated entry", "m", ("n", 3))]
@@ -50,33 +50,48 @@ class RunLog(Log):
     ]
 
     volume_time: Annotated[Array, Column("middle of the volume's acquisition", "s", ("v",))]
-    volume_seen: Annotated[Array, Column("when the log saw the estimate made with it", "s", ("v",))]
-    volume_detected: Annotated[Array, Column("whether an insertion was detected", "", ("v",), "?")]
-    volume_detection_reason: Annotated[Array, Column("why none was", "", ("v",), "U")]
+    volume_seen: Annotated[Array, Column("time at which the log saw its estimate", "s", ("v",))]
+    volume_detected: Annotated[Array, Column("True if an insertion was detected", "", ("v",), "?")]
+    volume_detection_reason: Annotated[
+        Array, Column("reason if no insertion was detected", "", ("v",), "U")
+    ]
     volume_measured_time: Annotated[Array, Column("time of the measured tip", "s", ("v",))]
-    volume_measured_tip: Annotated[Array, Column("tip that the volume shows", "m", ("v", 3))]
-    volume_measured_entry: Annotated[Array, Column("entry that the volume shows", "m", ("v", 3))]
-    volume_inlier_count: Annotated[Array, Column("voxels that support it", "", ("v",))]
-    volume_inlier_ratio: Annotated[Array, Column("their share of all candidates", "", ("v",))]
-    volume_measurement_reason: Annotated[Array, Column("why it shows none", "", ("v",), "U")]
-    volume_estimate_mode: Annotated[Array, Column("mode after this volume", "", ("v",), "U")]
-    volume_estimate_time: Annotated[Array, Column("time of the estimate after it", "s", ("v",))]
-    volume_estimate_tip: Annotated[Array, Column("estimated tip after it", "m", ("v", 3))]
-    volume_estimate_entry: Annotated[Array, Column("estimated entry after it", "m", ("v", 3))]
+    volume_measured_tip: Annotated[Array, Column("tip measured in the volume", "m", ("v", 3))]
+    volume_measured_entry: Annotated[Array, Column("entry measured in the volume", "m", ("v", 3))]
+    volume_inlier_count: Annotated[
+        Array, Column("number of voxels that support the measurement", "", ("v",))
+    ]
+    volume_inlier_ratio: Annotated[
+        Array, Column("share of these among all candidate voxels", "", ("v",))
+    ]
+    volume_measurement_reason: Annotated[
+        Array, Column("reason if no needle was measured", "", ("v",), "U")
+    ]
+    volume_estimate_mode: Annotated[
+        Array, Column("tracking mode after the volume", "", ("v",), "U")
+    ]
+    volume_estimate_time: Annotated[
+        Array, Column("time for which the estimate after the volume holds", "s", ("v",))
+    ]
+    volume_estimate_tip: Annotated[Array, Column("estimated tip after the volume", "m", ("v", 3))]
+    volume_estimate_entry: Annotated[
+        Array, Column("estimated entry after the volume", "m", ("v", 3))
+    ]
     volume_estimate_points: Annotated[
-        Array, Column("estimated entry, middle and tip of the curve after it", "m", ("v", 3, 3))
+        Array,
+        Column("entry, middle and tip of the estimated curve after the volume", "m", ("v", 3, 3)),
     ]
 
     compute: Mapping[str, Array] = field(default_factory=dict)
-    """Computing time per volume in s, by what was computed; in the file as `compute_<name>`."""
+    """Computing time per volume in s, by stage; in the file as `compute_<name>`."""
 
     @property
     def estimate_direction(self) -> Array:
-        """(n, 3) unit vectors from the estimated entry to the estimated tip, in W."""
+        """Unit vectors from the estimated entry to the estimated tip, (n, 3), in W."""
         return unit(self.estimate_tip - self.estimate_entry)
 
 
 def unit(vectors: Array) -> Array:
-    """Return (m, 3) vectors divided by their lengths; NaN where there is none."""
+    """Return (m, 3) vectors divided by their lengths; NaN for a vector of zero length."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return vectors / np.where(length > 0, length, np.nan)

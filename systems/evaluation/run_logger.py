@@ -26,14 +26,14 @@ T = TypeVar("T")
 
 @dataclass
 class _Rows:
-    """What has been kept so far."""
+    """Rows kept so far."""
 
     samples: list[Row] = field(default_factory=list)
     volumes: list[Row] = field(default_factory=list)
 
 
 class RunLogger(LeafSystem):
-    """Keeps samples of truth and estimates, and a row for every volume the tracker has seen.
+    """Logs samples of truth and estimates, and a row for every volume that the tracker processed.
 
     .. pydrake_system::
 
@@ -50,28 +50,31 @@ class RunLogger(LeafSystem):
         - contact_force (optional)
         - planar_velocity (optional)
 
-    Every port may stay unconnected; what it would give is then missing in the log. `X_WP` and
-    `X_WT` are RigidTransforms, `needle` the true Needle in T, `wrist_force` a SpatialForce,
-    `contact_force` a force in N, the others what their names say.
+    Every port may stay unconnected; its values are then missing in the log. `X_WP` and `X_WT` are
+    RigidTransforms, `needle` is the true Needle in T, `estimate` a NeedleEstimate, `measurement` a
+    NeedleMeasurement or a NotFound, `wrist_force` a SpatialForce and `contact_force` a force in N.
+    `detection` may hold any value: it is logged as True or False, and the reason of a NotFound is
+    kept. `joint_state` holds the positions, then the velocities, of the arm's joints in rad and
+    rad/s. `planar_velocity` holds v_x and v_z in m/s and omega_y in rad/s, in P.
 
-    `measurement` and `detection` are those that the estimate was made with: a tracker holds them
-    until its next volume. So a row is kept whenever the estimate names a newer volume, and no
-    volume is ever computed for the sake of the log.
+    `measurement` and `detection` are those from which the estimate was made: a tracker holds them
+    until its next volume. The log therefore adds a row whenever the estimate names a newer volume,
+    and never causes a volume to be computed.
 
-    The log is kept in the context, in a cache entry as Drake's `VectorLogSink` does it, so several
-    contexts do not disturb each other. It starts anew whenever a simulator is initialised.
+    The log is kept in the context, in a cache entry like that of Drake's `VectorLogSink`, so
+    several contexts do not interfere. It is cleared whenever a simulator is initialised.
 
     Parameters
     ----------
     period
-        Between samples, in s.
+        Time between samples, in s.
     volume_period, volume_offset
-        When to look for a new volume besides, in s: a moment after the tracker has done so, if the
-        log shall tell that moment exactly.
+        Period of additional checks for a new volume, and time of the first one, in s. Choose them
+        shortly after the tracker's events if the log is to hold their times exactly.
     joints
-        Of the arm; `joint_state` has twice as many elements.
+        Number of joints of the arm; `joint_state` has twice as many elements.
     geometry
-        Of the sweeps: tells which part of the needle is in view.
+        Geometry of the sweeps, which bounds the part of the needle in view.
     """
 
     def __init__(
@@ -109,14 +112,14 @@ class RunLogger(LeafSystem):
         self.DeclareForcedPublishEvent(self._sample)
 
     def log(self, context: Context, compute: Mapping[str, ArrayLike] | None = None) -> RunLog:
-        """Return what has been kept so far; also after a run that was cut short.
+        """Return the log so far; it is complete up to that time even if the run was cut short.
 
         Parameters
         ----------
         context
             Context of this system in which the run took place.
         compute
-            Computing time per volume in s, by what was computed, if it was measured.
+            Computing time per volume in s, by stage, if it was measured.
         """
         kept = self._kept(context)
         arrays = {
@@ -191,7 +194,7 @@ class RunLogger(LeafSystem):
         samples.append(row)
 
     def _look(self, context: Context) -> None:
-        """Keep a row if the estimate was made with a volume newer than the last one kept."""
+        """Add a row if the estimate was made from a volume newer than the last one logged."""
         estimate = self._value(context, "estimate", NeedleEstimate)
         if estimate is None or not np.isfinite(estimate.volume_time):
             return
@@ -217,7 +220,7 @@ class RunLogger(LeafSystem):
 
 
 def visible_length(needle: Needle, geometry: SweepGeometry) -> float:
-    """Length in m of the needle, given in P, that lies in the swept sector; to 0.5 mm."""
+    """Return the length of a needle in P that lies in the swept sector, in m, to 0.5 mm."""
     if not needle:
         return 0.0
     points = needle.position(np.arange(0.25e-3, needle.length, 0.5e-3))

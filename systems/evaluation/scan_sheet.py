@@ -1,4 +1,4 @@
-"""A sheet of pictures of one sweep: a frame as acquired, and slices through the needle."""
+"""Figure of one sweep: a frame as acquired, and slices through the needle."""
 
 import itertools
 from dataclasses import dataclass, replace
@@ -20,23 +20,23 @@ Floats = NDArray[np.float64]
 
 _PIXEL = 0.2e-3
 _CLEARANCE = 3e-3
-"""Between the true needle's axis and the line around it in m: the echo stays in view."""
+"""Distance in m from the true needle's axis to the line around it; it leaves the echo in view."""
 
 _INK, _QUIET, _PAPER, _NEEDLE = "#F2F2F2", "#9AA4AD", "#0E1116", "#FFB000"
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Where the pixels of a picture are.
+    """Positions of the pixels of a picture, and its labels.
 
     Parameters
     ----------
     title, horizontal, vertical
-        What is shown, and what the axes are.
+        Title of the picture and names of its axes.
     p_P
         (rows, columns, 3) positions of the pixels in P, in m.
     columns, rows
-        What the axes read at the pixels, in m.
+        Coordinates of the pixels along the horizontal and the vertical axis, in m.
     """
 
     title: str
@@ -50,19 +50,21 @@ class View:
 def scan_sheet(sweep: Sweep, volume: Volume, needle: Needle, *, caption: str) -> Figure:
     """Return a figure of a frame in the shape of its sector, and three slices through the sweep.
 
-    Slices are interpolated from the samples of the sweep. A dotted line goes around the true
-    needle at a distance of 3 mm, so that it hides no echo, and an arrow points at its tip.
+    Slices are interpolated from the samples of the sweep. A dotted line surrounds the true needle
+    at a distance of 3 mm, which leaves its echo visible, and an arrow points at its tip. There are
+    two slices if the sweep does not contain the needle.
 
     Parameters
     ----------
     sweep
-        To show.
+        Sweep to show.
     volume
-        The same sweep, converted: how far the slices reach, and from where they were seen.
+        The same sweep after scan conversion, for the extent of the slices and the pose of the
+        probe.
     needle
-        The true needle in W, possibly empty.
+        True needle in W, possibly empty.
     caption
-        What the scanner was set to.
+        Title of the figure, usually the scanner's settings.
     """
     figure = Figure(figsize=(13, 9.6), facecolor=_PAPER, layout="constrained")
     figure.get_layout_engine().set(w_pad=0.12, h_pad=0.12)
@@ -96,9 +98,9 @@ def show_view(axes: Axes, view: View, sweep: Sweep, shaft: Floats, radius: float
     Parameters
     ----------
     axes
-        Where to.
+        Axes to draw in.
     view, sweep
-        What to show.
+        View to draw, and the sweep it shows.
     shaft, radius
         (m, 3) points on the true needle's axis in P, possibly none, and its radius, in m.
     """
@@ -133,7 +135,7 @@ def show_view(axes: Axes, view: View, sweep: Sweep, shaft: Floats, radius: float
 
 
 def _points(shaft: Floats, radius: float) -> Floats:
-    """Points along a polyline, a fifth of a radius apart."""
+    """Return points along a polyline, a fifth of a radius apart."""
     pieces = [
         np.linspace(a, b, int(np.ceil(np.linalg.norm(b - a) / (0.2 * radius))), endpoint=False)
         for a, b in itertools.pairwise(shaft)
@@ -142,7 +144,7 @@ def _points(shaft: Floats, radius: float) -> Floats:
 
 
 def _brightest(sweep: Sweep, shaft: Floats, radius: float) -> Floats | None:
-    """Point of the needle's axis in P that echoes most; None if none of it was swept."""
+    """Return the brightest point on the needle's axis in P; None if none of it was swept."""
     if not len(shaft):
         return None
     points = _points(shaft, radius)
@@ -151,7 +153,7 @@ def _brightest(sweep: Sweep, shaft: Floats, radius: float) -> Floats | None:
 
 
 def _frame_view(sweep: Sweep, brightest: Floats | None) -> View:
-    """View of the frame that saw the needle's brightest point; of the middle one without any."""
+    """Return a view of the frame through the needle's brightest point, or else the middle frame."""
     geometry, direction = sweep.geometry, sweep.motion.direction
     frame = geometry.frames // 2
     if brightest is not None:
@@ -208,7 +210,7 @@ def _plane_view(plane: Plane, texts: tuple[str, str, str], origin: Floats) -> Vi
 def _outline(
     axes: Axes, view: View, inside: NDArray[np.bool_], shaft: Floats, radius: float
 ) -> None:
-    """Draw a line around the needle, and an arrow at its tip if that is in the picture."""
+    """Draw a line around the needle, and an arrow at its tip if the tip is in the picture."""
     distance, _ = KDTree(_points(shaft, radius)).query(view.p_P)
     x, y = 1e3 * view.columns, 1e3 * view.rows
     distance = np.ma.masked_where(~inside, distance)

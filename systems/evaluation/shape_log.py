@@ -9,10 +9,11 @@ from sonoservo.systems.evaluation.log import Array, Column, Log, Row, columns, s
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ShapeLog(Log):
-    """One row for each slice. Positions are in the first slice's probe frame I.
+    """Log with one row for each slice; positions are in the probe frame I of the first slice.
 
-    Each field is an array of the file `log.npz`, under its own name. What is not there is NaN (a
-    text: empty). Truth is where the needle's axis would pass the slice, had the tissue kept still.
+    Each field is an array of the file `log.npz`, under its own name. A missing value is NaN, or an
+    empty text. The truth is the point at which the needle's axis would cross the slice if the
+    tissue had not moved.
     """
 
     depth: Annotated[Array, Column("depth of the slice", "m", ("n",))]
@@ -29,14 +30,14 @@ class ShapeLog(Log):
 
     @classmethod
     def from_rows(cls, rows: Sequence[Row], true_path: Callable[[Array], Array]) -> Self:
-        """Make a log of rows that may lack what was not there.
+        """Make a log from rows that may lack values.
 
         Parameters
         ----------
         rows
-            One for each slice, with the names of the arrays but `true`.
+            One row for each slice, with the names of all arrays except `true` as keys.
         true_path
-            Returns the (n, 3) true path at (n,) depths.
+            Function that returns the (n, 3) true path at (n,) depths, both in m.
         """
         arrays: dict[str, Any] = {
             name: stack_rows(column, name, rows) for name, column in columns(cls).items()

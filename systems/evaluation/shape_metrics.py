@@ -1,4 +1,4 @@
-"""Metrics of a predicted needle shape: Carriere 2016, section V."""
+"""Metrics of a predicted needle shape (Carriere 2016, section V)."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -14,7 +14,7 @@ from sonoservo.systems.signals.needle_shape import NeedleShape
 Floats = NDArray[np.float64]
 
 OFF_NEEDLE = 2e-3
-"""A cross-section further than this from the needle has drifted off it, in m."""
+"""Distance from the needle beyond which a cross-section has drifted off it, in m."""
 
 LABELS = {
     "tracking.slices": "slices",
@@ -34,21 +34,21 @@ LABELS = {
     "compute_ms.total.max": "both, largest, ms",
     "real_time_factor": "simulated time / wall time",
 }
-"""Label of each figure of a summary that a table shows, by its dotted path."""
+"""Label of each figure of a summary that tables show, by its dotted path."""
 
 
 @dataclass(frozen=True)
 class ShapeErrors:
-    """Errors of a prediction.
+    """Errors of a predicted shape.
 
     Parameters
     ----------
     tip
-        |u - u^| at the last depth, in m.
+        Error |u - u^| at the last depth, in m.
     shape
         Area between the paths, the integral of |u - u^| over depth (eq. 8), in m^2.
     largest
-        Largest distance across the insertion, in m.
+        Largest distance between the paths perpendicular to Z, in m.
     """
 
     tip: float
@@ -57,7 +57,7 @@ class ShapeErrors:
 
 
 def plane_of(path: Floats) -> Floats:
-    """(2,) unit vector u of the plane through Z in which an (m, 3) path deflects most."""
+    """Return the (2,) unit vector u of the plane through Z in which a path (m, 3) deflects most."""
     across = path[:, :2] - path[:, :2].mean(axis=0)
     _, _, axes = np.linalg.svd(across)
     axis: Floats = axes[0]
@@ -65,7 +65,7 @@ def plane_of(path: Floats) -> Floats:
 
 
 def shape_errors(path: Floats, predicted: Floats) -> ShapeErrors:
-    """Errors of (m, 2) predicted positions against an (m, 3) path, both in I, in m."""
+    """Return the errors of (m, 2) predicted positions against an (m, 3) path, both in I, in m."""
     apart = predicted - path[:, :2]
     u = apart @ plane_of(path)
     return ShapeErrors(
@@ -76,21 +76,21 @@ def shape_errors(path: Floats, predicted: Floats) -> ShapeErrors:
 
 
 def shape_coverage(shape: NeedleShape, path: Floats) -> dict[str, float]:
-    """Whether a stated 95 % interval covers an (m, 3) path in I, in m.
+    """Check whether the estimate's 95 % regions cover an (m, 3) path in I, in m.
 
     Returns
     -------
     tip
         1 if the tip lies within its 95 % ellipse, else 0.
     shape
-        1 if the area between path and prediction is below what 95 % of the paths that the estimate
-        holds possible have, else 0.
+        1 if the area between path and prediction does not exceed the 95 % quantile of that area
+        over the paths of the estimate's distribution, else 0.
     points
         Share of the depths at which the path lies within its 95 % ellipse.
     """
     mean, covariance = shape.predict(path[:, 2])
     apart = path[:, :2] - mean
-    # The estimate holds a single point possible where it has no spread at all.
+    # Regularised, because the covariance is zero at depths where the estimate has no spread.
     covariance = covariance + (1e-9) ** 2 * np.eye(2)
     distance = np.einsum("mi,mi->m", apart, np.linalg.solve(covariance, apart[..., None])[..., 0])
     u = plane_of(path)
@@ -107,18 +107,18 @@ def shape_coverage(shape: NeedleShape, path: Floats) -> dict[str, float]:
 
 
 def cross_section_errors(log: ShapeLog) -> Floats:
-    """(n,) distance in m of each cross-section from the needle; NaN where none was found."""
+    """Return the (n,) distances of the cross-sections from the needle, in m; NaN if not found."""
     return np.linalg.norm(log.measured[:, :2] - log.true[:, :2], axis=1)
 
 
 def tracked_to_the_end(log: ShapeLog) -> bool:
-    """Whether the last cross-section was found, and none was off the needle."""
+    """Return True if the last cross-section was found and none drifted off the needle."""
     errors = cross_section_errors(log)
     return bool(np.isfinite(errors[-1]) and not np.any(errors > OFF_NEEDLE))
 
 
 def summarize_shape(log: ShapeLog, shape: object) -> dict[str, Any]:
-    """Sum up a run in numbers that JSON can hold; None where there is none.
+    """Summarise a run in figures for JSON; a figure without a value is None.
 
     Returns
     -------
@@ -145,7 +145,7 @@ def summarize_shape(log: ShapeLog, shape: object) -> dict[str, Any]:
 
 
 def prediction(log: ShapeLog, shape: NeedleShape) -> dict[str, Any]:
-    """Figures of a predicted shape: errors against the measured and the true path, and bounds."""
+    """Return a predicted shape's errors against the measured and true paths, and its coverage."""
     mean, covariance = shape.predict(log.depth)
     true = shape_errors(log.true, mean)
     found = np.isfinite(log.measured[:, 0])

@@ -1,4 +1,4 @@
-"""Pictures of a needle's predicted shape."""
+"""Plots of a needle's predicted shape."""
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -12,14 +12,14 @@ _GREY, _BLUE, _RED = "#808080", "#56B4E9", "#D55E00"
 
 
 def plot_shape(log: ShapeLog, shape: object) -> Figure:
-    """Return a figure like Carriere 2016, fig. 8: measured, true and predicted path, and the rest.
+    """Return a figure like Carriere 2016, fig. 8: measured, true and predicted path, and errors.
 
     Parameters
     ----------
     log
         Log of the run.
     shape
-        Shape that the estimator expects at the end: a `NeedleShape`, or else nothing is predicted.
+        Final prediction of the estimator; nothing is drawn for it unless it is a `NeedleShape`.
     """
     figure = Figure(figsize=(9, 8), layout="constrained")
     in_plane, across, tip = figure.subplots(

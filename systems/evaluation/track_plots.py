@@ -1,4 +1,4 @@
-"""Pictures of a needle tracked through a recording."""
+"""Plots of a needle tracked through a recording."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ from sonoservo.systems.signals.volume import Volume
 Floats = NDArray[np.float64]
 
 _PIXEL = 0.5e-3
-"""Of a picture, in m."""
+"""Pixel size of a picture, in m."""
 
 _NEEDLE = "#D55E00"
 _COLOURS = ("#0072B2", "#CC79A7", "#009E73")
@@ -29,7 +29,7 @@ class PlanePicture:
     grey
         (rows, columns) levels from 0 to 255.
     extent
-        Left, right, bottom and top of the picture, in mm from its middle.
+        Left, right, bottom and top edges of the picture, in mm from its centre.
     needle
         (m, 2) points of the estimated needle in the same coordinates; none without an estimate.
     """
@@ -46,11 +46,11 @@ class VolumePictures:
     Parameters
     ----------
     time
-        Of the volume, in s.
+        Time of the volume, in s.
     mode
-        Of the tracker after it.
+        Tracking mode after the volume.
     planes
-        Along the beam, and across it.
+        Slice along the beam, then the slice across it.
     """
 
     time: float
@@ -59,14 +59,14 @@ class VolumePictures:
 
 
 def picture_planes(volume: Volume, mode: TrackingMode, curve: NeedleCurve | None) -> VolumePictures:
-    """Cut a volume along the needle; without one, through its middle.
+    """Slice a volume along the needle, or through its middle if there is none.
 
     Parameters
     ----------
     volume
-        To cut.
+        Volume to slice.
     mode
-        Of the tracker.
+        Tracking mode after the volume.
     curve
         Estimated needle in W.
     """
@@ -83,7 +83,7 @@ def picture_planes(volume: Volume, mode: TrackingMode, curve: NeedleCurve | None
 
 
 def plot_planes(pictures: list[VolumePictures]) -> Figure:
-    """Return a figure with a column for each volume, along the beam above, across it below."""
+    """Return a figure with a column per volume: the slice along the beam above that across it."""
     columns = max(len(pictures), 1)
     figure = Figure(figsize=(2.6 * columns + 0.8, 5.6), layout="constrained")
     axes = figure.subplots(2, columns, squeeze=False)
@@ -111,11 +111,11 @@ def plot_tip(times: Floats, estimates: list[NeedleEstimate], p_LTip: Floats) -> 
     Parameters
     ----------
     times
-        (n,) of the volumes, in s.
+        (n,) times of the volumes, in s.
     estimates
-        After each.
+        Estimate after each volume.
     p_LTip
-        (n, 3) in the file's frame L (LPS), in m; NaN where there is none.
+        (n, 3) estimated tips in the file's frame L (LPS), in m; NaN without an estimate.
     """
     figure = Figure(figsize=(9, 5), layout="constrained")
     tip, length = figure.subplots(2, 1, sharex=True)

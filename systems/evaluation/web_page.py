@@ -1,4 +1,4 @@
-"""One web page that needs no other file."""
+"""Self-contained web pages."""
 
 import base64
 import html
@@ -43,18 +43,18 @@ _PAGE = """<!DOCTYPE html>
 
 
 def web_page(title: str, facts: str, body: str, figures: Mapping[str, bytes]) -> str:
-    """Return a web page that needs no other file.
+    """Return a self-contained web page.
 
     Parameters
     ----------
     title
-        Plain text.
+        Title, as plain text.
     facts
-        HTML of the line below it.
+        HTML of the line below the title.
     body
-        HTML of what comes before the figures.
+        HTML of the part before the figures.
     figures
-        PNG files by caption, which is plain text.
+        Contents of PNG files by caption; captions are plain text.
     """
     return _PAGE.format(
         title=html.escape(title),
@@ -73,7 +73,7 @@ _UNITS = {"mm": "mm", "deg": "°", "n": "N", "s": "s", "ms": "ms"}
 
 
 def words(key: str) -> str:
-    """`tip_error_mm` -> tip error (mm), as HTML."""
+    """Return a key as words in HTML: `tip_error_mm` becomes "tip error (mm)"."""
     *words, last = str(key).split("_")
     text = (
         f"{' '.join(words)} ({_UNITS[last]})"
@@ -84,7 +84,7 @@ def words(key: str) -> str:
 
 
 def cell_text(value: Any) -> str:
-    """Return a value as the HTML of a table's cell: a dash for None, about three digits."""
+    """Return a value as the HTML of a table cell, with about three digits; a dash for None."""
     if value is None:
         return "–"
     if isinstance(value, float) and math.isinf(value):

@@ -1,7 +1,7 @@
-"""Typed YAML in, whole files out.
+"""Reading of typed YAML, and atomic writing of files.
 
-A setting is read with an error that names its field; a file is written whole or not at all.
-This room imports `models` only.
+Errors in a setting name its field. A file is written completely or not at all. The package imports
+only `models`.
 """
 
 from lazy_loader import attach_stub

@@ -14,15 +14,15 @@ def model_file(folder: str, name: str) -> Path:
     Parameters
     ----------
     folder
-        Folder of `sonoservo.models` that holds models of this kind.
+        Folder of `sonoservo.models` that contains models of this kind.
     name
-        Name of a model there, or path of a user's file, which has a suffix. A file that is not
-        YAML, such as a label map, stands for the YAML file of the same name beside it.
+        Name of a model in the folder, or path of a user's file, which has a suffix. A file that is
+        not YAML, such as a label map, stands for the YAML file of the same name beside it.
 
     Raises
     ------
     FileNotFoundError
-        If there is neither; for a name the message lists those that ship.
+        If there is no such model. For a name, the message lists the models that ship.
     """
     own = Path(name)
     if own.suffix and not own.is_file():
@@ -38,21 +38,21 @@ def model_file(folder: str, name: str) -> Path:
 
 
 def read_section(path: Path, section: str, sections: Sequence[str]) -> dict[str, Any]:
-    """Read one section of a model's YAML file; a section that is left out is empty.
+    """Read one section of a model's YAML file; a missing section is empty.
 
     Parameters
     ----------
     path
-        The file.
+        Path of the file.
     section
-        Which section to read.
+        Name of the section to read.
     sections
-        All sections that such a file may have.
+        Names of all sections that such a file may have.
 
     Raises
     ------
     ConfigurationError
-        If the file holds anything else.
+        If the file contains anything else.
     """
     data = read_yaml(path)
     for key in data:
@@ -64,5 +64,7 @@ def read_section(path: Path, section: str, sections: Sequence[str]) -> dict[str,
     if content is None:
         return {}
     if not isinstance(content, dict):
-        raise ConfigurationError(f"{path}: {section}: {content!r} is not allowed; it is a mapping")
+        raise ConfigurationError(
+            f"{path}: {section}: {content!r} is not allowed; expected a mapping"
+        )
     return content

@@ -1,4 +1,4 @@
-"""Former names and places of fields, so that the error about an old file tells the present ones."""
+"""Former names and places of fields, and removed fields, for errors about old files."""
 
 from collections.abc import Container, Mapping
 
@@ -29,18 +29,18 @@ _PREFIXES = {"least_": "min_", "largest_": "max_", "greatest_": "max_"}
 _SUFFIXES = {"_deviation": "_std"}
 
 _DIVIDED = ("kalman_filter", "axis_tip_filter")
-"""Parts of a tracker of which some fields went to its ``filter`` and most to its ``track``."""
+"""Former parts of a tracker; some of their fields are now in ``filter`` and most in ``track``."""
 
 _OF_FILTER = ("motion", "turning", "first_speed_std", "first_drift_std", "velocity_gate")
 
 
 def current_name(name: str, known: Container[str]) -> str | None:
-    """Return the present name of a field that had another one before, or None.
+    """Return the present name of a field that was renamed, or None.
 
     Parameters
     ----------
     name
-        As it was found in a file.
+        Name of the field as found in a file.
     known
         Present names of the fields.
     """
@@ -54,20 +54,15 @@ def current_name(name: str, known: Container[str]) -> str | None:
     return next((each for each in candidates if each.partition(".")[0] in known), None)
 
 
-def removed(name: str) -> str | None:
-    """Return what took the place of a field that is no more, or None."""
-    return _REMOVED.get(name)
-
-
 def moved_fields(path: str, value: object) -> dict[str, str]:
     """Return former and present paths of fields that moved; empty if none is known to have moved.
 
     Parameters
     ----------
     path
-        Path of a field that is not known any more, as it was found in a file.
+        Path of a field that no longer exists, as found in a file.
     value
-        Value of the field; a mapping's own fields may have gone to different places.
+        Value of the field. The fields of a mapping may have moved to different places.
     """
     *parents, name = path.split(".")
     if name == "order" and parents[-1:] == ["localizer"]:
@@ -80,3 +75,8 @@ def moved_fields(path: str, value: object) -> dict[str, str]:
         part = ["filter"] if now in _OF_FILTER else [] if now == "order" else ["track"]
         places[f"{path}.{key}"] = ".".join([*parents, *part, now])
     return places
+
+
+def removed(name: str) -> str | None:
+    """Return a hint on the replacement of a field that was removed, or None."""
+    return _REMOVED.get(name)

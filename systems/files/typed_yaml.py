@@ -1,6 +1,6 @@
-"""Typed YAML whose errors say where, what, and what is allowed.
+"""Typed YAML with errors that name the field, its value and the allowed values.
 
-Drake's `yaml_load_typed` does the conversion; the checks before and after it add the path of the
+Drake's `yaml_load_typed` does the conversion. The checks before and after it add the path of the
 field, the nearest known name, and the dataclasses' own validation.
 """
 
@@ -21,23 +21,23 @@ T = TypeVar("T")
 
 
 class ConfigurationError(ValueError):
-    """A person's mistake in a file or on the command line; its text is all they need to read."""
+    """User error in a file or on the command line; its message needs no traceback."""
 
 
 def suggest(name: str, known: Iterable[str]) -> str:
-    """Return the nearest of the known names as a hint, or else all of them."""
+    """Return the nearest known name as a hint, or all known names if none is near."""
     known = sorted(known)
     nearest = difflib.get_close_matches(name, known, n=1)
     return f"did you mean {nearest[0]!r}?" if nearest else f"known: {', '.join(known)}"
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """Read a YAML file that holds a mapping.
+    """Read a YAML file that contains a mapping.
 
     Raises
     ------
     ConfigurationError
-        If the file cannot be read, is not YAML or does not hold a mapping.
+        If the file cannot be read, is not YAML or does not contain a mapping.
     """
     try:
         data = yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)
@@ -46,39 +46,42 @@ def read_yaml(path: Path) -> dict[str, Any]:
     except yaml.YAMLError as error:
         raise ConfigurationError(f"{path}: not YAML: {' '.join(str(error).split())}") from error
     if not isinstance(data, dict):
-        raise ConfigurationError(f"{path}: holds a {type(data).__name__}; a mapping is wanted")
+        kind = type(data).__name__
+        raise ConfigurationError(f"{path}: contains a value of type {kind}; expected a mapping")
     return data
 
 
 def load_typed(schema: type[T], data: Mapping[str, Any], source: str) -> T:
     """Make a fully defaulted dataclass from a mapping.
 
-    Where a field may be one of several dataclasses, each with a field ``kind`` whose default is its
-    name, ``kind`` chooses, by default that of the field's default; its name alone stands for all
-    its defaults.
+    A field may be one of several dataclasses, each with a field ``kind`` whose default is its name.
+    The mapping's ``kind`` then chooses the dataclass. Without it, the dataclass is that of the
+    field's default. The name alone, in place of a mapping, chooses a dataclass with all its
+    defaults.
 
     Parameters
     ----------
     schema
-        The dataclass; nested ones are fine.
+        Class of the dataclass, which may contain others.
     data
-        What differs from the defaults.
+        Values that differ from the defaults.
     source
-        Named at the start of every error: a file or a scenario.
+        File or scenario, named at the start of every error.
 
     Raises
     ------
     ConfigurationError
-        Naming the field by its path, its value and what is allowed.
+        If a field is unknown or its value is not allowed. The message names the field by its path,
+        its value and the allowed values.
     """
-    from pydrake.common.yaml import yaml_load_typed  # half a second that help need not take
+    from pydrake.common.yaml import yaml_load_typed  # imported late, as it takes half a second
 
     _check(schema, data, source, "")
     text = yaml.dump(_tagged(schema, dict(data)), Dumper=_Dumper)
     try:
         loaded = yaml_load_typed(schema=schema, data=text, defaults=schema())
     except (RuntimeError, ValueError, TypeError, AssertionError) as error:
-        # What pybind11 says of a wrong type ends with the values; signatures help nobody here.
+        # pybind11's message on a wrong type ends with the values. Its signatures do not help users.
         text = " ".join(str(error).rpartition("Invoked with: ")[2].split())
         raise ConfigurationError(f"{source}: {text}") from error
     return _validated(loaded, source, "")
@@ -102,25 +105,25 @@ def _plain(value: Any) -> Any:
 
 
 def _fields(schema: Any) -> dict[str, Any]:
-    """Return the fields and their types of a dataclass or of one of Drake's schema classes."""
+    """Return the fields of a dataclass or of one of Drake's schema classes, and their types."""
     if dataclasses.is_dataclass(schema):
         return {field.name: field.type for field in dataclasses.fields(schema)}
     return {field.name: field.type for field in getattr(schema, "__fields__", ())}
 
 
 def assign(data: dict[str, Any], assignment: str) -> None:
-    """Apply ``path.to.field=value`` to a nested mapping, the value read as YAML.
+    """Apply ``path.to.field=value`` to a nested mapping, with the value in YAML.
 
-    A name on the way stands for the mapping ``{kind: name}``, see `load_typed`.
+    A name on the path is equivalent to the mapping ``{kind: name}``; see `load_typed`.
 
     Raises
     ------
     ConfigurationError
-        If the text has another form or the path leads through something that is no mapping.
+        If the text has another form, or the path leads through a value without fields.
     """
     path, equals, text = assignment.partition("=")
     if not equals or not path:
-        raise ConfigurationError(f"{assignment!r}: the form is path.to.field=value")
+        raise ConfigurationError(f"{assignment!r}: expected the form path.to.field=value")
     try:
         value = yaml.safe_load(text)
     except yaml.YAMLError as error:
@@ -146,10 +149,10 @@ def _index(items: list[Any], key: str, path: str) -> int:
 
 
 def _check(schema: Any, value: Any, source: str, path: str, default: Any = None) -> None:
-    """Raise ConfigurationError where ``value`` does not fit ``schema``."""
+    """Raise ConfigurationError if ``value`` does not match ``schema``."""
 
     def fail(wanted: str) -> typing.NoReturn:
-        raise ConfigurationError(f"{source}: {path}: {value!r} is not allowed; {wanted} is wanted")
+        raise ConfigurationError(f"{source}: {path}: {value!r} is not allowed; expected {wanted}")
 
     if typing.get_origin(schema) in (types.UnionType, typing.Union):
         options = [each for each in typing.get_args(schema) if each is not type(None)]
@@ -210,7 +213,7 @@ def _check(schema: Any, value: Any, source: str, path: str, default: Any = None)
 
 
 def _path_to(key: str, fields: Mapping[str, Any], path: str) -> str | None:
-    """Return the path of a field of one of Drake's schema classes among these, or None."""
+    """Return the path of a field of one of Drake's schema classes in ``fields``, or None."""
     prefix = f"{path}." if path else ""
     drakes = {name: type_ for name, type_ in fields.items() if hasattr(type_, "__fields__")}
     found = (name for name, type_ in drakes.items() if key in _fields(type_))
@@ -218,7 +221,7 @@ def _path_to(key: str, fields: Mapping[str, Any], path: str) -> str | None:
 
 
 def _kinds(schema: Any) -> dict[str, Any]:
-    """Dataclasses among which a field's ``kind`` chooses, by name; empty if there is no choice."""
+    """Return the dataclasses among which ``kind`` chooses, by name; empty if there is no choice."""
     if typing.get_origin(schema) not in (types.UnionType, typing.Union):
         return {}
     options: list[Any] = [
@@ -228,7 +231,7 @@ def _kinds(schema: Any) -> dict[str, Any]:
 
 
 class _Tagged(dict[str, Any]):
-    """A mapping of the dataclass that its ``tag`` names."""
+    """Mapping for the dataclass named by its ``tag``."""
 
     tag = ""
 
@@ -238,12 +241,12 @@ class _Dumper(yaml.SafeDumper):
 
 
 class _Loader(yaml.SafeLoader):
-    """Keeps the tags of Drake's schemas, such as ``!Rpy``."""
+    """YAML loader that keeps the tags of Drake's schemas, such as ``!Rpy``."""
 
 
 def _construct_tagged(loader: yaml.SafeLoader, tag: str, node: yaml.Node) -> _Tagged:
     if not isinstance(node, yaml.MappingNode):
-        raise yaml.constructor.ConstructorError(None, None, f"!{tag} wants a mapping")
+        raise yaml.constructor.ConstructorError(None, None, f"!{tag} must be followed by a mapping")
     tagged = _Tagged({str(k): v for k, v in loader.construct_mapping(node, deep=True).items()})
     tagged.tag = tag
     return tagged
@@ -258,12 +261,12 @@ _Dumper.add_representer(
 
 
 def _kind(mapping: Mapping[str, Any], kinds: Mapping[str, Any], default: Any) -> Any:
-    """Kind that a mapping chooses: its own, or else that of the field's default."""
+    """Return the kind that a mapping chooses, which is that of the field's default if missing."""
     return mapping.get("kind", getattr(default, "kind", next(iter(kinds))))
 
 
 def _tagged(schema: Any, value: Any, default: Any = None) -> Any:
-    """Return checked data with the chosen dataclasses named, as `yaml_load_typed` wants them."""
+    """Return checked data with tags for the chosen dataclasses, as `yaml_load_typed` needs them."""
     kinds = _kinds(schema)
     if kinds and value is not None:
         mapping = {"kind": value} if isinstance(value, str) else value
@@ -283,7 +286,7 @@ def _tagged(schema: Any, value: Any, default: Any = None) -> Any:
 
 
 def _is_number(value: Any) -> bool:
-    # YAML 1.1 reads 1e-3, which lacks the point, as text; Drake and people read it as a number.
+    # YAML 1.1 reads 1e-3, which has no point, as text. Drake and people read it as a number.
     try:
         return math.isfinite(float(value))
     except (TypeError, ValueError):
@@ -293,7 +296,7 @@ def _is_number(value: Any) -> bool:
 def _validated(value: Any, source: str, path: str) -> Any:
     """Run every dataclass's own validation, innermost first.
 
-    `yaml_load_typed` sets fields after construction, so ``__post_init__`` has not seen them yet.
+    `yaml_load_typed` sets fields after construction, so ``__post_init__`` has not checked them yet.
     """
     if isinstance(value, list):
         return [_validated(item, source, f"{path}.{index}") for index, item in enumerate(value)]

@@ -1,4 +1,4 @@
-"""Files that are either whole or not there."""
+"""Atomic writing of files."""
 
 import json
 import math
@@ -10,18 +10,18 @@ from typing import Any
 
 
 def write_atomically(path: str | Path, data: bytes | str) -> Path:
-    """Write a file so that a reader sees the old one or the new one, never a part.
+    """Write a file atomically: a reader sees the old file or the new one, never a part.
 
     Parameters
     ----------
     path
-        Where to; its folder is made if it is missing.
+        Path of the file. Its folder is created if necessary.
     data
         Bytes, or text that is written as UTF-8.
 
     Returns
     -------
-    The path.
+    Path of the file.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -29,7 +29,7 @@ def write_atomically(path: str | Path, data: bytes | str) -> Path:
     try:
         with os.fdopen(handle, "wb") as file:
             file.write(data.encode() if isinstance(data, str) else data)
-        os.chmod(partial, 0o644)  # mkstemp's files are for their owner alone
+        os.chmod(partial, 0o644)  # because only the owner can read mkstemp's files
         os.replace(partial, path)
     except BaseException:
         os.unlink(partial)
@@ -43,19 +43,23 @@ def write_json(path: str | Path, data: Any) -> Path:
     Parameters
     ----------
     path
-        Where to.
+        Path of the file.
     data
-        Whatever JSON has; besides, NumPy's numbers and arrays, and what is not finite: it becomes
-        null.
+        JSON data, which may also contain NumPy numbers and arrays. Numbers that are not finite
+        become null.
+
+    Returns
+    -------
+    Path of the file.
     """
     return write_atomically(path, json.dumps(_plain(data), indent=2, allow_nan=False))
 
 
 def _plain(data: Any) -> Any:
-    """The same in Python's own types, null in place of what is not finite."""
+    """Return data in Python's own types, with None in place of numbers that are not finite."""
     if isinstance(data, Mapping):
         return {str(key): _plain(value) for key, value in data.items()}
-    if hasattr(data, "tolist"):  # NumPy's, which need not be imported for it
+    if hasattr(data, "tolist"):  # NumPy data, without importing NumPy
         return _plain(data.tolist())
     if isinstance(data, list | tuple):
         return [_plain(value) for value in data]

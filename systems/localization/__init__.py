@@ -1,8 +1,8 @@
-"""Localizers: where the needle is in one volume or slice.
+"""Localizers, which find the needle in one volume or slice.
 
-It holds the choice of candidate voxels, RANSAC, the search for the tip, the speckle velocimeter
-and the tracker of a cross-section. It imports `signals` only, and none of `detection`,
-`estimation` and `control`.
+The package contains the choice of candidate voxels, RANSAC, the search for the tip, the speckle
+velocimeter and the localizer of a cross-section. It imports only `signals` and `sampling`, and none
+of `detection`, `estimation` and `control`.
 """
 
 from lazy_loader import attach_stub

@@ -1,4 +1,4 @@
-"""The axis of a needle: a polynomial over its projection on a line."""
+"""Axis of a needle: a polynomial over its projection on a line."""
 
 from dataclasses import dataclass
 
@@ -12,8 +12,8 @@ from sonoservo.systems.signals.immutable import Immutable, NotFound, read_only
 class Axis(Immutable):
     """A polynomial curve over its projection on a principal direction.
 
-    Chatelain 2013, eq. 16, with the curvilinear coordinate in metres along the principal direction:
-    C(a) = sum of c_i a^i for a = (v - origin) . k_0.
+    This is eq. 16 of Chatelain 2013, with the curvilinear coordinate in metres along the principal
+    direction: C(a) = sum of c_i a^i for a = (v - origin) . k_0.
 
     Parameters
     ----------
@@ -22,7 +22,7 @@ class Axis(Immutable):
     direction
         (3,) unit vector k_0.
     coefficients
-        (n, 3) coefficients c_i; c_0 in m, c_1 without unit, c_2 in 1/m.
+        (n, 3) coefficients c_i: c_0 in m, c_1 dimensionless, c_2 in 1/m.
     """
 
     origin: NDArray[np.float64]
@@ -42,26 +42,26 @@ class Axis(Immutable):
         return len(self.coefficients)
 
     def abscissa(self, points: ArrayLike) -> NDArray[np.float64]:
-        """(...) abscissae a in m of (..., 3) points: their projection on the direction."""
+        """Return the (...) abscissae a of (..., 3) points in m: projections on the direction."""
         return (np.asarray(points) - self.origin) @ self.direction
 
     def position(self, a: ArrayLike) -> NDArray[np.float64]:
-        """(..., 3) positions in m at abscissae a in m."""
+        """Return the (..., 3) positions in m at abscissae a in m."""
         a = np.asarray(a, dtype=float)
         powers = np.vander(a.ravel(), self.order, increasing=True)
         return (powers @ self.coefficients).reshape(*a.shape, 3)
 
     def distance(self, points: ArrayLike) -> NDArray[np.float64]:
-        """(...) approximate distances in m of (..., 3) points from the curve (eq. 18).
+        """Return the (...) approximate distances of (..., 3) points from the curve in m (eq. 18).
 
-        For a straight axis they are exact.
+        They are exact for a straight axis.
         """
         points = np.asarray(points)
         return np.linalg.norm(points - self.position(self.abscissa(points)), axis=-1)
 
 
 def axis_through(points: NDArray[np.float64]) -> Axis | NotFound:
-    """Axis of order n through n points, (n, 3) in m, along the line from the first to the last."""
+    """Fit an axis of order n through n points, (n, 3) in m, along the line from first to last."""
     chord = points[-1] - points[0]
     length = float(np.linalg.norm(chord))
     if not length > 0:

@@ -13,7 +13,7 @@ from sonoservo.systems.signals.immutable import Immutable, NotFound, read_only
 
 @dataclass(frozen=True, eq=False)
 class AxisFit(Immutable):
-    """A least-squares axis with what it knows of its own precision.
+    """A least-squares axis with the quantities that give its precision.
 
     Parameters
     ----------
@@ -37,46 +37,46 @@ class AxisFit(Immutable):
         object.__setattr__(self, "scatter", read_only(self.scatter, "scatter", (3, 3)))
 
     def covariance(self, a: ArrayLike, independent: float) -> NDArray[np.float64]:
-        """(3m, 3m) covariance in m^2 of the m positions at abscissae a, extrapolation included.
+        """Return the (3m, 3m) covariance in m^2 of m positions on the axis, extrapolated or not.
 
         Parameters
         ----------
         a
             (m,) abscissae in m.
         independent
-            Number of independent observations that the points amount to: voxels within one beam
-            width repeat each other.
+            Number of independent observations to which the points amount. It is below their number,
+            as voxels within one beam width repeat each other.
         """
         powers = np.vander(np.asarray(a, dtype=float), self.axis.order, increasing=True)
         shape: NDArray[np.float64] = powers @ self.normal_inverse @ powers.T / independent
         return np.asarray(np.kron(shape, self.scatter), dtype=np.float64)
 
 
-# Sums may be reordered, so that they are vectorised.
+# Sums may be reordered, which lets the compiler vectorise them.
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
 def least_squares(  # pragma: no cover - compiled
     coordinates: Any, weights: Any, order: int, towards: Any
 ) -> Any:
-    """Fit as `fit_axis` does, for order 2 or 3; compiled, for it and for the consensus.
+    """Fit an axis of order 2 or 3; the compiled core of `fit_axis` and of the consensus.
 
     In the scaled abscissa t, of mean 0 and variance 1, the normal matrix of 1 and t is the
-    identity, and that of 1, t and t^2 follows from the skewness and the kurtosis of t.
+    identity. That of 1, t and t^2 follows from the skewness and the kurtosis of t.
 
     Parameters
     ----------
     coordinates
-        (3, m) in m.
+        (3, m) coordinates of the points, in m.
     weights
-        (m,) not negative.
+        (m,) weights, not negative.
     order
-        Of the axis.
+        Order n of the axis.
     towards
-        (3,) the direction is turned to this side; zero leaves it either way.
+        (3,) vector to whose side the direction is turned; zero leaves either sense.
 
     Returns
     -------
-    Whether the points determine an axis; (3 + n, 3) origin, direction and coefficients; (n, n)
-    inverse of the normal matrix; (3, 3) scatter.
+    Flag that is true if the points determine an axis; (2 + n, 3) origin, direction and
+    coefficients; (n, n) inverse of the normal matrix; (3, 3) scatter.
     """
     axis, inverse, scatter = np.zeros((2 + order, 3)), np.eye(order), np.zeros((3, 3))
     x, y, z = coordinates[0], coordinates[1], coordinates[2]
@@ -125,7 +125,7 @@ def least_squares(  # pragma: no cover - compiled
         determinant = kurtosis - 1 - skewness**2
         if determinant < 1e-9:
             return False, axis, inverse, scatter
-        # What lies across the direction has no mean and no slope, but a bend.
+        # The displacement across the direction has no mean and no slope, but a bend.
         bend = np.array([qx, qy, qz])
         last = np.array([-1.0, -skewness, 1.0]) / determinant
         inverse += determinant * np.outer(last, last)
@@ -147,42 +147,42 @@ def fit_axis(
     order: int,
     towards: ArrayLike = (0.0, 0.0, 0.0),
 ) -> AxisFit | NotFound:
-    """Weighted least-squares axis through points.
+    """Fit an axis to points by weighted least squares.
 
-    The direction is the principal one of the weighted covariance (total least squares); for order
-    2 the axis is that closed form. For order 3 the displacement across the direction is
+    The direction is the principal direction of the weighted covariance (total least squares). For
+    order 2 this closed form is the axis. For order 3 the displacement across the direction is
     regressed on powers of the abscissa.
 
     Parameters
     ----------
     points
-        (m, 3) in m.
+        (m, 3) points in m.
     weights
-        (m,) not negative.
+        (m,) weights, not negative.
     order
-        n: 2 for a straight axis, 3 for a bent one.
+        Order n: 2 for a straight axis, 3 for a bent one.
     towards
-        (3,) the direction is turned to this side; zero leaves it either way.
+        (3,) vector to whose side the direction is turned; zero leaves either sense.
 
     Returns
     -------
-    The fit, or `NotFound` where the points do not determine one.
+    The fit, or a `NotFound` if the points do not determine one.
     """
     solution = least_squares(np.ascontiguousarray(points.T), weights, order, np.asarray(towards))
     return as_fit(solution, len(points))
 
 
 def assess_axis(axis: Axis, points: NDArray[np.float64], weights: NDArray[np.float64]) -> AxisFit:
-    """Return an axis as it is, with the precision of a fit to as many points, scattered like these.
+    """Return an axis unchanged, with the precision of a fit to points that scatter like these.
 
     Parameters
     ----------
     axis
-        That passes through no less than n of the points.
+        Axis that passes through at least n of the points.
     points
-        (m, 3) in m.
+        (m, 3) points in m.
     weights
-        (m,) not negative.
+        (m,) weights, not negative.
     """
     w = weights / weights.sum()
     a = axis.abscissa(points)
@@ -196,7 +196,7 @@ def assess_axis(axis: Axis, points: NDArray[np.float64], weights: NDArray[np.flo
 
 
 def as_fit(solution: Any, count: int) -> AxisFit | NotFound:
-    """Wrap what `least_squares` returns for a number of points."""
+    """Convert the result of `least_squares` for ``count`` points."""
     determined, axis, normal_inverse, scatter = solution
     if not determined:
         return NotFound(f"{count} points do not determine an axis of order {len(axis) - 2}")

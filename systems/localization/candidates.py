@@ -75,7 +75,8 @@ class Candidates:
     p_P
         (m, 3) positions in the probe frame, in m.
     weights
-        (m,) from 0 to 1: how far a voxel stands out among the candidates of its slab.
+        (m,) weights from 0 to 1 that rise with a voxel's intensity among the candidates of its
+        slab.
     """
 
     p_P: NDArray[np.float64]
@@ -93,29 +94,29 @@ def select_candidates(
     slab: float,
     rng: np.random.Generator,
 ) -> Candidates:
-    """Brightest voxels around a predicted axis (Chatelain 2013, eq. 15).
+    """Select the brightest voxels around a predicted axis (Chatelain 2013, eq. 15).
 
     The volume of interest follows the axis from ``start`` to ``stop``. It is cut into slabs across
-    the axis, and the threshold is an order statistic of each slab: the needle is some 20 dB
-    brighter where a line of sound meets it at a right angle, and a common threshold would leave
-    candidates there only. The candidates' number grows with the predicted length.
+    the axis, and the threshold is an order statistic of each slab. The needle is some 20 dB
+    brighter at the place that a scan line meets at a right angle, and a common threshold would
+    leave candidates there only. The number of candidates grows with the predicted length.
 
     Parameters
     ----------
     volume
-        To search.
+        Volume to search.
     axis
-        Predicted, in the probe frame, in m.
+        Predicted axis in the probe frame, in m.
     start, stop
         Abscissae between which to search, in m.
     radius
-        Of the volume of interest around the axis, in m.
+        Radius of the volume of interest around the axis, in m.
     cross_section
         Area that the candidates fill across the axis, in m^2.
     slab
         Thickness of a slab, in m.
     rng
-        Chooses among equally bright voxels.
+        Generator that chooses among equally bright voxels.
     """
     ends = axis.position(np.linspace(start, stop, 9))
     lower = np.floor((ends.min(axis=0) - radius - volume.origin) / volume.spacing)
@@ -151,9 +152,10 @@ def select_candidates(
 def acquired_from(
     volume: Volume | RadioFrequencySweep, p_W: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """(m, 3) positions in P, in m, at which a volume shows positions in W: inverts `to_world`.
+    """Return the (m, 3) positions in P, in m, at which a volume shows positions in W.
 
-    Two steps of a fixed-point iteration: the probe moves little while a volume is acquired.
+    This is the inverse of `to_world`. Two steps of a fixed-point iteration are enough, as the probe
+    moves little while a volume is acquired.
     """
     p_P = volume.to_probe(p_W)
     if volume.motion is not None:

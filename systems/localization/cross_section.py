@@ -18,7 +18,7 @@ from sonoservo.systems.signals.requirements import require, require_not_negative
 Floats = NDArray[np.float64]
 
 DEVIATIONS = ("both", "signed", "brighter")
-"""Deviations from the mean that a variance image may show."""
+"""Choices of the deviations from the mean that a variance image shows."""
 
 
 @dataclass(kw_only=True)
@@ -28,31 +28,33 @@ class CrossSectionParameters:
     Parameters
     ----------
     start
-        x and y in P of the needle in the first slice, in m, as a person points at it; None finds it
-        without help.
+        x and y in P of the needle in the first slice, in m, as a person would point at it. None
+        finds the needle automatically.
     start_slices
-        Number of slices that are looked at before the start: a needle stays, a fibre does not.
+        Number of slices that are examined before the start. A needle appears in all of them, a
+        fibre does not.
     follow_shape_from
-        Observed depth in m from which the region of interest is centred on the predicted shape;
-        before that, on the last cross-section.
+        Observed depth in m from which the region of interest is centred on the predicted shape.
+        Before that it is centred on the last cross-section.
     template
         Width w and height h of the template in m; the region of interest is 2w x 2h.
     deviations
         Deviations from the mean that the variance image (eq. 1) shows. "both" shows them alike, as
-        printed: shadows and the dark grains of speckle are then as bright as echoes. "signed" keeps
-        their sign; "brighter" shows those above the mean.
+        printed. Shadows and the dark grains of speckle are then as bright as echoes. "signed" keeps
+        their sign, and "brighter" shows only those above the mean.
     min_correlation
         Correlation with the last template below which the needle counts as lost.
     min_contrast_db
-        Smallest level of the needle's echo over the mean of the image, in dB.
+        Smallest level of the needle's echo above the mean of the image, in dB.
     vertex
         Half width and half height in m of the part of the echo to which a paraboloid is fitted.
     search
-        Reach of the search for the front wall's echo, the brightest, about the place where the
-        template puts it, across and along the beam, in m. Along the beam it is further than one
-        reverberation is from the next, so a start on the wrong one does not last.
+        Reach of the search for the brightest echo, that of the front wall, around the place given
+        by the template, across and along the beam, in m. Along the beam the reach is longer than
+        the distance between reverberations, and a start on the wrong one is soon corrected.
     needle_radius
-        Radius in m; the front wall's echo is this much closer to the probe than the axis.
+        Radius of the needle in m. The front wall's echo is closer to the probe than the axis by
+        this distance.
     """
 
     start: list[float] | None = None
@@ -85,7 +87,7 @@ class CrossSectionParameters:
             0 <= self.min_correlation < 1,
             "min_correlation",
             self.min_correlation,
-            "from 0, below 1",
+            "at least 0 and below 1",
         )
 
 
@@ -99,11 +101,11 @@ def variance_image(
     Parameters
     ----------
     intensities
-        The image or a part of it.
+        Image or a part of it.
     mean
         Mean of the whole image.
     deviations
-        See `CrossSectionParameters`.
+        Deviations to show; see `CrossSectionParameters`.
     """
     deviation = intensities.astype(np.float32) - np.float32(mean)
     if deviations == "signed":
@@ -114,7 +116,7 @@ def variance_image(
 
 
 def image_mean(image: ImageSlice) -> float:
-    """Return the mean intensity within the sector; the zeros outside it are not tissue."""
+    """Return the mean intensity within the sector, without the zeros outside it."""
     total, count = image.intensities.sum(dtype=np.int64), np.count_nonzero(image.intensities)
     return float(total / max(count, 1))
 
@@ -131,14 +133,14 @@ def find_needle(image: ImageSlice, parameters: CrossSectionParameters) -> Floats
 def start_at(
     image: ImageSlice, centre: Floats, parameters: CrossSectionParameters
 ) -> CrossSection | NotFound:
-    """Make the first cross-section, near a point given by a person or by `find_needle`.
+    """Find the first cross-section, near a point given by a person or by `find_needle`.
 
     Parameters
     ----------
     image
-        The first slice.
+        First slice.
     centre
-        (2,) x and y in P, in m.
+        (2,) x and y of the point in P, in m.
     parameters
         Settings of the search.
     """
@@ -148,7 +150,7 @@ def start_at(
 def find_first(
     images: Sequence[ImageSlice], parameters: CrossSectionParameters
 ) -> CrossSection | NotFound:
-    """Find the first cross-section, in the newest of the slices so far.
+    """Find the first cross-section in the newest slice.
 
     Parameters
     ----------
@@ -161,7 +163,7 @@ def find_first(
     if parameters.start is not None:
         return start_at(image, np.array(parameters.start), parameters)
     if len(images) < parameters.start_slices:
-        return NotFound("looking for what stays in the first slices")
+        return NotFound("the first slices are still being compared")
     lasting = np.min([each.intensities for each in images], axis=0)
     centre = find_needle(replace(image, intensities=lasting), parameters)
     return centre if isinstance(centre, NotFound) else start_at(image, centre, parameters)
@@ -173,16 +175,16 @@ def expected_position(
     shape: NeedleShape | NotFound,
     parameters: CrossSectionParameters,
 ) -> Floats:
-    """Return (2,) x and y in P, in m, where the needle is expected in the next slice.
+    """Return the expected position of the needle in the next slice: (2,) x and y in P, in m.
 
     Parameters
     ----------
     image
-        The next slice.
+        Next slice.
     last
-        The cross-section found before.
+        Cross-section found last.
     shape
-        Predicted shape, if there is one.
+        Predicted shape, or a `NotFound`.
     parameters
         Settings of the search.
     """
@@ -203,18 +205,18 @@ def find_again(
 ) -> CrossSection | NotFound:
     """Find a cross-section in the next slice.
 
-    Normalized cross-correlation with the last template tells which echo is the needle's; the vertex
-    of that echo's front gives the position. If the match itself were the position, the errors of
-    all the templates would add up to a drift.
+    Normalized cross-correlation with the last template identifies the needle's echo. The vertex of
+    that echo's front gives the position. If the match itself gave the position, the errors of the
+    successive templates would add up to a drift.
 
     Parameters
     ----------
     image
-        The next slice.
+        Next slice.
     last
-        The cross-section found before.
+        Cross-section found last.
     expected
-        (2,) x and y in P, in m: the middle of the region of interest.
+        (2,) centre of the region of interest: x and y in P, in m.
     parameters
         Settings of the search.
     """
@@ -255,8 +257,8 @@ def _at(
     contrast = image.decibels_per_level * (float(image.intensities[at]) - mean)
     if contrast < parameters.min_contrast_db:
         return NotFound(
-            f"the echo is only {contrast:.0f} dB over the tissue; "
-            f"{parameters.min_contrast_db:g} dB are wanted"
+            f"the echo is only {contrast:.0f} dB above the tissue; "
+            f"{parameters.min_contrast_db:g} dB are required"
         )
     axis = _axis_of(head, image, parameters)
     assert not isinstance(axis, NotFound)
@@ -276,14 +278,14 @@ def _at(
 
 
 def _front_of(axis: Floats, image: ImageSlice, parameters: CrossSectionParameters) -> Floats:
-    """Return the place where the front wall of a needle with this axis echoes."""
+    """Return the position of the front wall's echo for a needle with this axis."""
     return axis - parameters.needle_radius * image.beam_direction(axis)
 
 
 def _axis_of(
     head: Floats | NotFound, image: ImageSlice, parameters: CrossSectionParameters
 ) -> Floats | NotFound:
-    """Return the axis of a needle whose front wall echoes here."""
+    """Return the position of the axis of a needle whose front wall's echo is at ``head``."""
     if isinstance(head, NotFound):
         return head
     return head + parameters.needle_radius * image.beam_direction(head)
@@ -294,8 +296,8 @@ def _vertex(
 ) -> Floats | NotFound:
     """Return the (2,) vertex in P, in m, of the brightest echo near a point.
 
-    The echo of a thin needle is the beam's point spread function, nearly a Gaussian; its logarithm
-    is a paraboloid, which least squares fit to all pixels around the brightest.
+    The echo of a thin needle is the beam's point spread function, which is nearly a Gaussian. Its
+    logarithm is a paraboloid. It is fitted by least squares to all pixels around the brightest.
     """
     half = np.maximum(np.rint(parameters.vertex / image.spacing).astype(int), 1)
     reach = np.maximum(np.rint(parameters.search / image.spacing).astype(int), 1)
@@ -305,7 +307,7 @@ def _vertex(
         return NotFound("the needle is at the edge of the image")
     around = image.intensities[first[0] : last[0], first[1] : last[1]].astype(np.float64)
     windows = np.lib.stride_tricks.sliding_window_view(around, tuple(2 * half + 1))
-    # Across the beam the echo is as wide as the window, along it as thin as a pixel.
+    # Across the beam the echo is as wide as the window. Along the beam it is as thin as a pixel.
     level = windows[..., half[1]].mean(axis=2)
     window = np.array(np.unravel_index(np.argmax(level), level.shape))
     offset = _paraboloid_vertex(windows[tuple(window)])
@@ -313,7 +315,7 @@ def _vertex(
 
 
 def _paraboloid_vertex(values: Floats) -> Floats:
-    """Return (2,) offset of the vertex from the middle of an array of odd extents, in elements."""
+    """Return the (2,) offset of the vertex from the middle of an odd-sized array, in elements."""
     _, a, b, c, d, e = _paraboloid_fit(values.shape) @ values.ravel()
     determinant = 4 * c * e - d * d
     if c >= 0 or determinant <= 0:

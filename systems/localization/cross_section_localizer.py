@@ -1,4 +1,4 @@
-"""Leaf: localizes a needle's cross-section in a slice."""
+"""Leaf system that localizes a needle's cross-section in a slice."""
 
 from typing import Any
 
@@ -19,7 +19,7 @@ from sonoservo.systems.signals.ports import evaluate
 
 
 class CrossSectionLocalizer(LeafSystem):
-    """Localizes a needle's cross-section in a slice, given those before it. It has no state.
+    """Localizes a needle's cross-section in a slice, given the earlier ones. It has no state.
 
     .. pydrake_system::
 
@@ -31,8 +31,8 @@ class CrossSectionLocalizer(LeafSystem):
         output_ports:
         - cross_section
 
-    ``slice`` is an `ImageSlice`, or a `NotFound` while there is none; ``cross_section_track`` a
-    `CrossSectionTrack`; ``shape`` a `NeedleShape`, or a `NotFound`. ``cross_section`` is the
+    ``slice`` is an `ImageSlice`, or a `NotFound` while there is none. ``cross_section_track`` is a
+    `CrossSectionTrack`. ``shape`` is a `NeedleShape` or a `NotFound`. ``cross_section`` is the
     `CrossSection` in the newest slice, or a `NotFound` with the reason why there is none.
 
     While the needle is not found, its last template is kept, and the region of interest follows
@@ -62,7 +62,7 @@ class CrossSectionLocalizer(LeafSystem):
     def _calc_cross_section(self, context: Context, output: Value) -> None:
         track = evaluate(self, context, "cross_section_track", CrossSectionTrack)
         image = evaluate(self, context, "slice", (ImageSlice, NotFound))
-        # A slice that has been looked at is not looked at again, with a template cut from itself.
+        # A slice is never searched twice: the second time its own template would be compared.
         if not isinstance(image, ImageSlice) or image.time <= track.time:
             output.set_value(track.found)
         elif track.last is None:

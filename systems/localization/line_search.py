@@ -1,4 +1,4 @@
-"""Long thin bright lines of a whole volume, among which a lost needle is localized."""
+"""Search of a whole volume for long thin bright lines, one of which may be a lost needle."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ from sonoservo.systems.signals.volume import Volume
 
 @njit(cache=True, nogil=True)
 def _block_maxima(intensities: Any, bx: int, by: int, bz: int) -> Any:  # pragma: no cover
-    """Largest value in each block of voxels, and where it lies."""
+    """Return the largest value in each block of voxels, and the index of its voxel."""
     nx, ny, nz = intensities.shape
     shape = ((nx + bx - 1) // bx, (ny + by - 1) // by, (nz + bz - 1) // bz)
     maxima = np.zeros(shape, np.float32)
@@ -33,7 +33,7 @@ def _block_maxima(intensities: Any, bx: int, by: int, bz: int) -> Any:  # pragma
 def _longest_line(  # pragma: no cover - compiled
     points: Any, samples: Any, distance: float, separation: float, pitch: float, gap: int
 ) -> Any:
-    """Sample whose line has the longest stretch of points; its score, and the stretch's ends."""
+    """Return the sample whose line has the longest stretch of points, its score and its ends."""
     bins = 512
     occupied = np.zeros(bins, np.int32)
     best = (-1, 0, 0.0, 0.0)
@@ -73,17 +73,17 @@ def _longest_line(  # pragma: no cover - compiled
 
 
 def _contrast(maxima: NDArray[np.float32], reach: int) -> NDArray[np.float32]:
-    """How far each block stands out from what lies on every one of its six sides.
+    """Return the contrast of each block with the brightest of its six sides.
 
     A step, such as the bottom of the tissue, stands out from one side only.
 
     Parameters
     ----------
     maxima
-        Of the blocks; zero outside the field of view.
+        Maxima of the blocks; zero outside the field of view.
     reach
-        Blocks from the centre of a block to the nearest of a side, whose cube is twice as wide and
-        a block more.
+        Distance in blocks between a block and the nearest block of a side. A side is a cube whose
+        edge is 2 reach + 1 blocks.
     """
     seen = maxima > 0
     width = 2 * reach + 1
@@ -111,31 +111,32 @@ def bright_lines(
     separation: float = 6e-3,
     max_gap: float = 5e-3,
 ) -> list[NDArray[np.float64]]:
-    """Longest thin bright lines of a volume.
+    """Find the longest thin bright lines of a volume.
 
-    The volume is reduced to the maxima of blocks; those that stand out most from their
-    surroundings are the candidates, so that a broad bright structure yields few of them. Lines
-    through random pairs are scored not by the number of candidates near them but by the length
-    over which they follow one another: compact inclusions, however bright, score low.
+    The volume is reduced to the maxima of blocks. The blocks that stand out most from their
+    surroundings are the candidates. A broad bright structure therefore yields few of them. Lines
+    through random pairs are scored by the length over which candidates follow one another, not by
+    the number of candidates nearby. Compact inclusions therefore score low, however bright they
+    are.
 
     Parameters
     ----------
     volume
-        To search.
+        Volume to search.
     rng
-        Draws the pairs.
+        Generator that draws the pairs.
     count
         Largest number of lines.
     block, surroundings
-        Edges of the blocks and of the cube a block is compared with, in m.
+        Edge lengths of the blocks and of the cube with which a block is compared, in m.
     points, draws
         Numbers of candidates and of pairs.
     distance
-        Of a line's candidates from it, in m.
+        Largest distance of a line's candidates from it, in m.
     separation
-        Least distance between the points of a pair, in m.
+        Smallest distance between the points of a pair, in m.
     max_gap
-        Between successive candidates along a line, in m.
+        Largest gap between successive candidates along a line, in m.
 
     Returns
     -------

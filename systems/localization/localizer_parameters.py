@@ -9,57 +9,62 @@ from sonoservo.systems.signals.requirements import require_positive
 
 @dataclass(kw_only=True)
 class NeedleLocalizerParameters:
-    """Where the needle is localized, and what counts as found. The paper publishes no values.
+    """Search regions and acceptance thresholds of the localizer. The paper publishes no values.
 
     Parameters
     ----------
     margin
         Margin around the predicted curve, beyond three standard deviations, in m.
     margin_growth
-        Further margin for every volume that did not confirm the needle, in m.
+        Additional margin for every volume that did not confirm the needle, in m.
     max_radius
         Largest radius of the volume of interest, in m.
     max_angle_deg
-        Largest angle alpha_0 from a certain prediction, in degrees; the prediction's uncertainty is
-        added.
+        Largest angle alpha_0 from the predicted direction, in degrees. The prediction's uncertainty
+        is added to it.
     cross_section
         Area of the candidates across the needle, in m^2.
     slab
         Length of needle over which the candidates share a threshold, in m.
     min_length, min_share
-        Length of needle that must be visible, in m, and its share of the predicted length that lies
-        in the field of view.
+        Smallest visible length of the needle, in m, and its smallest share of the predicted length
+        that lies in the field of view.
     max_aside
-        Largest distance of what moved from the axis of a needle newly found, in m.
+        Largest distance between the detected motion and the axis of a newly found needle, in m.
     max_entry_gap
-        Largest gap between the side of the field of view and a needle newly found, in m: a needle
+        Largest gap between the side of the field of view and a newly found needle, in m. A needle
         comes from outside, inclusions do not.
     search_reach
-        Distance to search beyond either end of a bright line, for a needle that was lost, in m.
+        Distance to search beyond either end of a bright line for a lost needle, in m.
     min_inlier_ratio
-        Least share of inliers among the candidates between entry and tip.
+        Smallest share of inliers among the candidates between entry and tip.
     min_evidence
-        Least evidence along the needle, in dB m; see `NeedleExtent`.
+        Smallest evidence along the needle, in dB m; see `NeedleExtent`.
     correlation_length
         Length of needle that one beam width blurs into one observation, in m.
     tip_std, entry_std
-        Standard deviations along the axis, in m. A volume does not tell where along the axis the
-        entry is. It rests, so it is measured where it was last, not where it is predicted: a
-        velocity along the axis would never be contradicted otherwise.
+        Standard deviations of the tip and the entry along the axis, in m. A volume does not show
+        the position of the entry along the axis. The entry is at rest, so its last position is
+        taken as measured. If its predicted position were taken, nothing would ever contradict a
+        velocity along the axis.
     unseen_tip_std
         Standard deviation of the tip along the axis if the needle leaves the field of view, in m.
     echo_offset
-        Distance from the centre of the needle's echo to its axis, away from the probe, in m: the
-        sound returns from the front wall, but for what goes to and fro inside.
+        Distance from the centre of the needle's echo to its axis, away from the probe, in m. Most
+        of the sound returns from the front wall. The rest is reflected to and fro inside.
     systematic_std
-        Standard deviation of every control point in every direction, in m.
+        Standard deviation added to every control point in every direction, in m.
     volume_of_interest
-        Whether only the surroundings of the prediction are searched; off, all of the volume is.
+        Whether only the surroundings of the prediction are searched. If not, the whole volume is.
     angle_gate
         Whether an axis must agree with the predicted direction (eq. 22).
     sweep_time
-        Whether each frame counts as acquired at its own time, from the probe's pose at that time;
-        off, all of the volume counts as acquired at its middle.
+        Whether each frame counts as acquired at its own time, from the probe's pose at that time.
+        If not, the whole volume counts as acquired at its middle.
+    ransac
+        Parameters of the random sample consensus.
+    tip
+        Parameters of the search for the needle's ends.
     """
 
     margin: float = 3e-3

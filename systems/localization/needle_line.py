@@ -1,4 +1,4 @@
-"""The line that looks most like a needle, in a volume of which nothing else is known."""
+"""Search for the line that looks most like a needle, in a volume without a prediction."""
 
 from dataclasses import dataclass
 
@@ -14,28 +14,31 @@ from sonoservo.systems.signals.volume import Volume
 Floats = NDArray[np.float64]
 
 MIN_EVIDENCE = 76e-3
-"""In dB m, for a line to count as a needle. Of 100 volumes of the phantom, seeds 100 to 199, one
-without a needle had more, and one of those with a needle of 20 to 80 mm had less."""
+"""Smallest evidence for a line to count as a needle, in dB m.
+
+In 100 volumes of the phantom (seeds 100 to 199), it was exceeded in one volume without a needle,
+and not reached in one with a needle of 20 to 80 mm.
+"""
 
 _STEP = 0.5e-3
-"""Between samples along a line, in m."""
+"""Distance between samples along a line, in m."""
 
 _CIRCLE = np.stack([f(np.arange(8) * np.pi / 4) for f in (np.cos, np.sin)], axis=1)
 _CORE = np.concatenate([np.zeros((1, 2)), 0.6e-3 * _CIRCLE[::2]])
 _RING = np.concatenate([4e-3 * _CIRCLE, 5.5e-3 * _CIRCLE])
-"""Where a cross-section shows the needle, and where the background, in m."""
+"""Points of a cross-section that show the needle, and points that show the background, in m."""
 
 _REFINING_RADII = (5e-3, 4e-3, 3e-3, 3e-3)
-"""Of the cross-sections from which a line is refined, one after the other, in m."""
+"""Radii of the cross-sections from which a line is refined, one after the other, in m."""
 
 _AMPLITUDE = 0.35
-"""Share of a cross-section's greatest amplitude below which a sample is no part of a needle."""
+"""Share of a cross-section's largest amplitude below which a sample is no part of a needle."""
 
 _ASIDE = 0.7e-3
-"""Distance from the line at which a cross-section counts half, in m."""
+"""Distance from the line at which a cross-section has half the weight, in m."""
 
 _CONTRAST = 4.0
-"""Contrast that speaks neither for nor against a needle, in dB over the background."""
+"""Contrast that is evidence neither for nor against a needle, in dB above the background."""
 
 _MAX_EVIDENCE = 6.0
 """Largest evidence of one sample along a line, in dB."""
@@ -48,11 +51,11 @@ class NeedleLine(Immutable):
     Parameters
     ----------
     ends
-        (2, 3) in P, in m: where it comes from, and its tip.
+        (2, 3) ends in P, in m: the one on the entry's side, and the tip.
     evidence
-        Integral along it of what speaks for a needle, in dB m.
+        Integral along the stretch of the evidence for a needle, in dB m.
     entry_gap
-        From the side of the field of view to its first end, in m.
+        Distance from the side of the field of view to the first end, in m.
     """
 
     ends: Floats
@@ -64,7 +67,7 @@ class NeedleLine(Immutable):
 
     @property
     def length(self) -> float:
-        """In m."""
+        """Distance between the ends, in m."""
         return float(np.linalg.norm(self.ends[1] - self.ends[0]))
 
 
@@ -78,33 +81,33 @@ def localize_line(
 ) -> NeedleLine | NotFound:
     """Localize the line in a volume that looks most like a needle.
 
-    The longest bright lines are refined: of every cross-section the centre of what is brightest
-    counts, and the line is fitted to the centres, robustly. A needle stands out along its length
-    from all around it, and comes from outside. A bright fibre looks the same, so what is shorter
-    than `min_length` is no needle.
+    The longest bright lines are refined: a line is fitted robustly to the bright centres of its
+    cross-sections. A needle stands out from its surroundings along its length, and comes from
+    outside. A bright fibre looks the same, so a line shorter than `min_length` does not count as a
+    needle.
 
     Parameters
     ----------
     volume
-        To search.
+        Volume to search.
     rng
-        Draws the lines.
+        Generator that draws the lines.
     min_length
-        In view, in m.
+        Smallest visible length of a needle, in m.
     min_evidence
-        In dB m.
+        Smallest evidence for a needle, in dB m.
     max_entry_gap
-        From the side of the field of view, in m.
+        Largest distance of the needle from the side of the field of view, in m.
 
     Returns
     -------
-    The line, or a `NotFound` that says why there is none.
+    The line, or a `NotFound` with the reason why there is none.
     """
     best: NeedleLine | None = None
     for ends in bright_lines(volume, rng):
         found = _stretch(volume, ends)
         if found is not None:
-            # Between its ends a needle tells best where it lies.
+            # The line is fitted best between the needle's own ends.
             found = _stretch(volume, found.ends)
         if found is None or found.length < min_length or found.entry_gap > max_entry_gap:
             continue
@@ -118,18 +121,18 @@ def localize_line(
 
 
 def _sample(volume: Volume, p_P: Floats) -> NDArray[np.float32]:
-    """Levels in dB at (..., 3) positions in P; 0 outside the grid."""
+    """Return the levels in dB at (..., 3) positions in P; 0 outside the grid."""
     return np.asarray(volume.decibels_per_level * volume.sample(p_P))
 
 
 def _across(ends: Floats) -> tuple[Floats, Floats]:
-    """Unit vector along a line, (3,), and two across it, (2, 3)."""
+    """Return the (3,) unit vector along a line and (2, 3) two across it."""
     along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
     return along, np.linalg.svd(along[np.newaxis])[2][1:]
 
 
 def _refined(volume: Volume, ends: Floats, radius: float) -> Floats:
-    """Fit a line to the bright centres of its cross-sections."""
+    """Fit a line to the bright centres of its cross-sections, and return its ends."""
     along, across = _across(ends)
     length = float(np.linalg.norm(ends[1] - ends[0]))
     a = np.arange(0, length, 2 * _STEP)
@@ -152,7 +155,7 @@ def _refined(volume: Volume, ends: Floats, radius: float) -> Floats:
 
 
 def _stretch(volume: Volume, ends: Floats) -> NeedleLine | None:
-    """Refine a line, and return the stretch of it that looks most like a needle."""
+    """Refine a line and return the stretch of it that looks most like a needle."""
     for radius in _REFINING_RADII:
         if np.linalg.norm(ends[1] - ends[0]) < 8 * _STEP:
             return None

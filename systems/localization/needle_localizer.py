@@ -1,4 +1,4 @@
-"""Localizes the needle in one volume, given a prediction."""
+"""Leaf system that localizes the needle in one volume, given a prediction."""
 
 from typing import Any
 
@@ -28,12 +28,12 @@ class NeedleLocalizer(LeafSystem):
         - measurement
         - explanation
 
-    Stateless. Candidate voxels are the brightest ones around the predicted curve (Chatelain 2013,
-    eq. 15); a random sample consensus fits the axis (eqs. 16-22); the tip is where the intensity
-    along it drops. ``prediction`` is a `NeedlePrediction` or a `NotFound`, ``measurement`` a
-    `NeedleMeasurement` in W or a `NotFound` that says why there is none. ``explanation``, a
-    `LocalizationExplanation`, has everything that was looked at on the way; it is a `NotFound`
-    without a volume.
+    The system has no state. The candidate voxels are the brightest ones around the predicted curve
+    (Chatelain 2013, eq. 15). A random sample consensus fits the axis (eqs. 16-22). The tip is the
+    point at which the intensity along the axis drops. ``prediction`` is a `NeedlePrediction` or a
+    `NotFound`. ``measurement`` is a `NeedleMeasurement` in W, or a `NotFound` with the reason why
+    there is none. ``explanation`` is a `LocalizationExplanation` with all intermediate results, or
+    a `NotFound` if there is no volume.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class NeedleLocalizer(LeafSystem):
         self.DeclareAbstractOutputPort(
             "measurement", lambda: Value[object](), self._calc_measurement
         )
-        # Its cache entry serves both outputs: what explains a measurement costs nothing to keep.
+        # The cache entry of this port serves both outputs, so the explanation costs nothing extra.
         self.DeclareAbstractOutputPort(
             "explanation", lambda: Value[object](), self._calc_explanation
         )

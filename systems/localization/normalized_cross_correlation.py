@@ -1,4 +1,4 @@
-"""Normalized cross-correlation: finds a smaller array again in a larger one."""
+"""Normalized cross-correlation, which finds a smaller array in a larger one."""
 
 from dataclasses import dataclass
 
@@ -12,23 +12,23 @@ from sonoservo.systems.signals.requirements import require
 _MIN_ENERGY = {np.dtype(np.float32): 1e-6, np.dtype(np.float64): 1e-12}
 """Smallest energy of a window that counts as not constant, as a share of the search region's.
 
-Rounding errors reach up to it.
+Rounding errors can be as large as this.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Match(Immutable):
-    """Place where a kernel is found again. If it is not, a `NotFound` takes its place.
+    """Place at which a kernel was found. If it was not, a `NotFound` takes the match's place.
 
     Parameters
     ----------
     position
-        (n,) index in the search region of the kernel's first element, fractions included.
+        (n,) fractional index in the search region of the kernel's first element.
     correlation
         Largest correlation coefficient on the grid, from 0 to 1.
     at_border
-        (n,) whether the best match is the first or last that the search region holds along each
-        axis; a better one may then lie beyond.
+        (n,) flags of the axes along which the best match is the first or the last one that fits in
+        the search region. A better one may then lie beyond.
     """
 
     position: NDArray[np.float64]
@@ -42,10 +42,10 @@ class Match(Immutable):
 def normalized_cross_correlation(search: ArrayLike, kernel: ArrayLike) -> NDArray[np.floating]:
     """Return the correlation coefficient of a kernel with every window of a search region.
 
-    The method is that of Lewis 1995 (Zhao 2012, eq. 8, in which the mean must be that of each
-    window). A circular Fourier transform, around which no window of the result wraps, gives the
-    numerator; running sums give the means and energies of the windows. The coefficient of a
-    constant window, or with a constant kernel, is 0.
+    The method is that of Lewis 1995. The equation is eq. 8 of Zhao 2012, in which the mean must be
+    that of each window. A circular Fourier transform gives the numerator; no window of the result
+    wraps around it. Running sums give the means and energies of the windows. The coefficient is 0
+    for a constant window or a constant kernel.
 
     Parameters
     ----------
@@ -56,13 +56,14 @@ def normalized_cross_correlation(search: ArrayLike, kernel: ArrayLike) -> NDArra
 
     Returns
     -------
-    (M - m + 1, N - n + 1, ...) array from -1 to 1; float32 where both are, else float64. Single
-    precision errs by up to 1e-3 where a window varies 1000 times less than the search region.
+    (M - m + 1, N - n + 1, ...) array of coefficients from -1 to 1. It is float32 if both inputs
+    are, otherwise float64. In single precision the error reaches 1e-3 if a window varies 1000 times
+    less than the search region.
 
     Raises
     ------
     ValueError
-        If the shapes do not fit or a value is not finite.
+        If the shapes do not match or a value is not finite.
     """
     whole, part = np.asarray(search), np.asarray(kernel)
     dtype = np.float32 if whole.dtype == part.dtype == np.float32 else np.float64
@@ -104,14 +105,14 @@ def _window_sums(arrays: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray
 def best_match(search: ArrayLike, kernel: ArrayLike) -> Match | NotFound:
     """Find the place in a search region at which a kernel correlates best, to subelement accuracy.
 
-    The maximum is refined by the paraboloid through its neighbours. Its curvature along each axis
-    is chosen so that the cosine through the three values there (Cespedes et al. 1995) has its
-    maximum in the right place. That is exact for a carrier; for a wide peak it is the parabola.
+    The maximum is refined by the paraboloid through its neighbours. Along each axis, the curvature
+    puts the paraboloid's maximum at that of the cosine through the three values (Cespedes et al.
+    1995). This is exact for a carrier, and equals the parabola for a wide peak.
 
     Parameters
     ----------
     search, kernel
-        See `normalized_cross_correlation`.
+        Arrays as in `normalized_cross_correlation`.
 
     Returns
     -------
@@ -120,7 +121,7 @@ def best_match(search: ArrayLike, kernel: ArrayLike) -> Match | NotFound:
     """
     whole, part = np.asarray(search), np.asarray(kernel)
     if whole.ndim != part.ndim or np.any(np.array(part.shape) > whole.shape):
-        return NotFound("the search region does not hold the kernel")
+        return NotFound("the kernel does not fit into the search region")
     if not (np.isfinite(whole).all() and np.isfinite(part).all()):
         return NotFound("an intensity is not finite")
     if part.size == 0 or np.ptp(part) == 0:
@@ -141,7 +142,7 @@ def best_match(search: ArrayLike, kernel: ArrayLike) -> Match | NotFound:
 
 
 def _peak_offset(around: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (n,) the offset of a maximum from the middle of its (3, 3, ...) neighbourhood."""
+    """Return the (n,) offset of a maximum from the middle of its (3, 3, ...) neighbourhood."""
     n = around.ndim
 
     def value(*steps: tuple[int, int]) -> float:
@@ -166,7 +167,7 @@ def _peak_offset(around: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _cosine_peak(before: float, peak: float, after: float) -> float:
-    """Return the place, from -0.5 to 0.5, of the maximum of the cosine through 3 values."""
+    """Return the position, from -0.5 to 0.5, of the maximum of the cosine through 3 values."""
     cosine = (before + after) / (2 * peak)
     if not -1 < cosine < 1:
         return 0.0

@@ -1,4 +1,4 @@
-"""The needle in one volume: region, candidates, consensus, extent, refit, judgement."""
+"""Localization in one volume: region, candidates, consensus, extent, refit, judgement."""
 
 from collections.abc import Sequence
 from typing import Any, TypeVar
@@ -34,7 +34,7 @@ from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.signals.volume import Volume
 
 _REPEATS = 7
-"""Number of searches around a line of which nothing else is known; the middlemost counts."""
+"""Number of searches around a line without a prediction; the result nearest the median counts."""
 
 T = TypeVar("T")
 Attempts = list[LocalizationAttempt]
@@ -53,15 +53,15 @@ def localize(
     volume
         Volume to search.
     prediction
-        Where to look; a `NotFound` is returned as it is.
+        Prediction that selects the search region; a `NotFound` is returned unchanged.
     parameters
-        Thresholds.
+        Search regions and thresholds.
     rng
-        Draws samples.
+        Generator that draws the samples.
 
     Returns
     -------
-    The measurement in W, or a `NotFound` that says why there is none.
+    The measurement in W, or a `NotFound` with the reason why there is none.
     """
     return explain_localization(volume, prediction, parameters, rng).measurement
 
@@ -72,7 +72,7 @@ def explain_localization(
     parameters: NeedleLocalizerParameters,
     rng: np.random.Generator,
 ) -> LocalizationExplanation:
-    """Localize the needle as `localize` does, and return all that was looked at on the way."""
+    """Localize the needle as `localize` does, and return all intermediate results."""
     attempts: Attempts = []
     evidence = 0.0
     if not parameters.sweep_time:
@@ -84,7 +84,7 @@ def explain_localization(
         attempts = _localize_around(volume, region, parameters, rng)
         measurement = attempts[-1].measurement
     elif prediction.curve is not None:
-        # A lost needle comes from where it came before, and is the longest of what looks like one.
+        # A lost needle still points the same way, and is the longest of the needle-like lines.
         for ends in bright_lines(volume, rng):
             region = lost_region(volume.to_world(ends)[0], prediction.curve, parameters)
             attempts += _localize_around(volume, region, parameters, rng)
@@ -94,7 +94,7 @@ def explain_localization(
         if isinstance(line, NotFound):
             measurement = line
         else:
-            # In a short needle, as thick as the beam shows it, draws tell the axis differently.
+            # The beam makes a short needle look thick, so its axis varies with the random draws.
             region = line_region(volume.to_world(line.ends)[0], prediction.order, parameters)
             repeats = [_localize_around(volume, region, parameters, rng) for _ in range(_REPEATS)]
             attempts = [attempt for each in repeats for attempt in each]
@@ -120,15 +120,15 @@ def _middlemost(found: Sequence[NeedleMeasurement | NotFound]) -> NeedleMeasurem
 
 
 class _AbsentError(Exception):
-    """No needle, for the reason given: ends an attempt."""
+    """Ends an attempt without a needle, for the reason given."""
 
 
 class _LongerError(Exception):
-    """The needle goes on towards the outside, in the region given: ends an attempt."""
+    """Ends an attempt because the needle continues towards the outside, in the region given."""
 
 
 def _expect(value: T | NotFound) -> T:
-    """Return a value that must be there for an attempt to go on."""
+    """Return a value without which the attempt cannot continue."""
     if isinstance(value, NotFound):
         raise _AbsentError(value.reason)
     return value
@@ -140,10 +140,7 @@ def _localize_around(
     parameters: NeedleLocalizerParameters,
     rng: np.random.Generator,
 ) -> Attempts:
-    """Localize the needle in a region, and follow it to where it comes from.
-
-    The last attempt has the result.
-    """
+    """Localize the needle in a region and follow it outwards; the last attempt has the result."""
     attempts: Attempts = []
     following: SearchRegion | None = region
     while following is not None:
@@ -166,7 +163,7 @@ def _attempt(
     rng: np.random.Generator,
     looked: dict[str, Any],
 ) -> NeedleMeasurement:
-    """Localize the needle in a region, and note in ``looked`` what was looked at."""
+    """Localize the needle in a region, and store the intermediate results in ``looked``."""
     points, weights = _candidates(volume, region, parameters, rng)
     looked.update(candidates=points, weights=weights)
     consensus = _expect(
@@ -203,7 +200,7 @@ def _candidates(
         volume,
         _expect(axis_through(acquired_from(volume, region.curve.control_points))),
         start=-region.before,
-        # The shaft tells the axis; what lies beyond the predicted tip may be something else.
+        # The shaft determines the axis. Voxels beyond the predicted tip may be something else.
         stop=region.curve.chord + region.shaft_beyond,
         radius=region.radius,
         cross_section=parameters.cross_section,
@@ -222,7 +219,7 @@ def _extent(
     fit: AxisFit,
     looked: dict[str, Any],
 ) -> NeedleExtent:
-    """Find where the needle begins and ends along an axis."""
+    """Find the points at which the needle begins and ends along an axis."""
     ends = np.sort(fit.axis.abscissa(region.curve.control_points[[0, -1]]))
     profile: AxisProfile = axis_profile(
         volume, fit.axis, ends[0] - region.before, ends[1] + region.beyond, parameters.tip
@@ -235,7 +232,8 @@ def _extent(
         predicted = profile.seen & (profile.a >= ends[0]) & (profile.a <= ends[1])
         least = max(least, parameters.min_share * parameters.tip.step * float(predicted.sum()))
     if extent.tip - extent.start < least:
-        raise _AbsentError(f"only {1e3 * (extent.tip - extent.start):.1f} mm of it are visible")
+        visible = 1e3 * (extent.tip - extent.start)
+        raise _AbsentError(f"only {visible:.1f} mm of the needle are visible")
     return extent
 
 
@@ -245,13 +243,13 @@ def _require_motion(
     fit: AxisFit,
     extent: NeedleExtent,
 ) -> None:
-    """Refuse a needle that has no end where a tip is known to have moved."""
+    """Reject a needle without an end near the place at which a tip is known to have moved."""
     if region.tip_moved:
         ends = fit.axis.position([extent.start, extent.tip])
         away = np.linalg.norm(ends - region.curve.tip, axis=1).min()
         aside = fit.axis.distance(region.curve.tip)
         if away > parameters.max_entry_gap or aside > parameters.max_aside:
-            raise _AbsentError("what was found is not what moved")
+            raise _AbsentError("the needle found is not the one that moved")
 
 
 def _inliers(
@@ -260,7 +258,7 @@ def _inliers(
     fit: AxisFit,
     extent: NeedleExtent,
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return which candidates between the needle's ends lie near its axis, and which lie there."""
+    """Return flags of the candidates between the ends near the axis, and of all between them."""
     a = fit.axis.abscissa(points)
     between = np.asarray((a >= extent.start) & (a <= extent.tip))
     return between & (fit.axis.distance(points) < parameters.ransac.residual_threshold), between
@@ -290,16 +288,16 @@ def _judge(
     inliers: int,
     candidates: int,
 ) -> NeedleMeasurement:
-    """Measure the control points and their covariance, unless there is too little to believe."""
+    """Return the control points and their covariance, if the evidence is sufficient."""
     ratio = float(inliers / max(candidates, 1))
     if ratio < parameters.min_inlier_ratio:
         raise _AbsentError(f"only {100 * ratio:.0f} % of the candidates lie on the axis")
     if extent.evidence < parameters.min_evidence:
-        raise _AbsentError("too little stands out from the background along the axis")
+        raise _AbsentError("the axis stands out too little from the background")
     start = extent.start if region.entry is None else float(fit.axis.abscissa(region.entry))
     if extent.tip - start < parameters.min_length:
         raise _AbsentError("the needle has been withdrawn to its entry")
-    # Interior points uniform in chord: the entry rests, the tip moves, no point slides.
+    # Interior points are uniform along the chord. The entry rests, the tip moves, no point slides.
     order = region.curve.order
     u = np.linspace(0, 1, order)
     a = start + u * (extent.tip - start)

@@ -1,4 +1,4 @@
-"""Robust fit of a needle's axis to voxels of which many are not the needle's."""
+"""Robust fit of a needle's axis to voxels, many of which do not belong to the needle."""
 
 import math
 from dataclasses import dataclass
@@ -15,23 +15,25 @@ from sonoservo.systems.signals.requirements import require, require_positive
 
 @dataclass(kw_only=True)
 class RansacParameters:
-    """Of the random sample consensus; the paper publishes none of these values.
+    """Parameters of the random sample consensus. The paper publishes none of these values.
 
     Parameters
     ----------
     residual_threshold
-        f_0: from the axis, in m.
+        Largest distance f_0 of an inlier from the axis, in m.
     min_separation
-        Between neighbouring points of a sample along the axis, in m: closer ones say nothing.
+        Smallest distance between neighbouring points of a sample along the axis, in m. Closer ones
+        do not determine an axis.
     max_bend
-        Of a curve of order 3: sagitta over chord.
+        Largest ratio of sagitta to chord, for a curve of order 3.
     stop_probability
-        1 - epsilon (eq. 21): probability that at least one sample was free of outliers.
+        Probability 1 - epsilon that at least one sample was free of outliers (eq. 21).
     max_trials
-        Cap on the draws, rejected ones included.
+        Largest number of draws, rejected ones included.
     refits
-        Least-squares refits on re-selected inliers. With none, here and between the needle's ends,
-        the winning sample's axis remains as it is, for comparison.
+        Number of least-squares refits on re-selected inliers. With 0, the winning sample's axis is
+        kept unchanged for comparison, and the final refit between the needle's ends is left out
+        too.
     """
 
     residual_threshold: float = 2e-3
@@ -55,16 +57,16 @@ class RansacParameters:
 
 @dataclass(frozen=True, eq=False)
 class RansacResult:
-    """What the consensus found.
+    """Result of the random sample consensus.
 
     Parameters
     ----------
     fit
-        Least-squares fit on the inliers; the winning sample's axis where there are no refits.
+        Least-squares fit on the inliers, or the winning sample's axis without refits.
     inliers
-        (m,) which points lie within the inlier distance.
+        (m,) flags of the points within the residual threshold.
     trials, rejected
-        Samples drawn, and how many of them were rejected unevaluated.
+        Number of samples drawn, and number of those rejected unevaluated.
     """
 
     fit: AxisFit
@@ -73,8 +75,9 @@ class RansacResult:
     rejected: int
 
 
-# A raw winner is an all-inlier draw but often a poor model: with three times the draws of eq. 20
-# and three refits on re-selected inliers none of 500 trials failed, against 27-32 % without.
+# The winning sample contains only inliers but is often a poor model. With three times the draws of
+# eq. 20 and three refits on re-selected inliers, none of 500 trials failed; without them, 27 to
+# 32 % did.
 _MORE_DRAWS = 3.0
 
 
@@ -82,14 +85,14 @@ _MORE_DRAWS = 3.0
 def _through(  # pragma: no cover - compiled
     coordinates: Any, sample: Any, separation: float, bend: float, curve: Any
 ) -> Any:
-    """Curve C(a) = origin + a k + b a (a - length) through a sample of two or three points.
+    """Compute the curve C(a) = origin + a k + b a (a - length) through two or three points.
 
-    The two that are farthest apart are its ends; b is zero for two points. ``curve``, (3, 3), takes
-    origin, k and b.
+    The two points that are farthest apart are its ends; b is zero for two points. Origin, k and b
+    are written to ``curve``, (3, 3).
 
     Returns
     -------
-    Whether it can be a needle, and its length.
+    Flag that is true if the curve can be a needle, and its length.
     """
     first, last, middle = sample[0], sample[1], sample[0]
     if len(sample) == 3:
@@ -134,7 +137,7 @@ def _through(  # pragma: no cover - compiled
 def _count_near(  # pragma: no cover - compiled
     coordinates: Any, curve: Any, length: float, limit: float
 ) -> Any:
-    """Count the points within a squared distance of a curve; without branches, to be vectorised."""
+    """Count the points within a squared distance of a curve, without branches that stop SIMD."""
     x, y, z = coordinates[0], coordinates[1], coordinates[2]
     (ox, oy, oz), (kx, ky, kz), (bx, by, bz) = curve
     count = 0
@@ -151,7 +154,7 @@ def _count_near(  # pragma: no cover - compiled
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _near(coordinates: Any, axis: Any, limit: float) -> Any:  # pragma: no cover - compiled
-    """Which points lie within a squared distance of an axis, as `least_squares` returns it."""
+    """Flag the points within a squared distance of an axis, as `least_squares` returns it."""
     x, y, z = coordinates[0], coordinates[1], coordinates[2]
     ox, oy, oz = axis[0]
     kx, ky, kz = axis[1]
@@ -186,10 +189,10 @@ def _consensus(  # pragma: no cover - compiled
 
     Returns
     -------
-    Numbers of draws and of those rejected; which points lie near the last refit; the refit, as
-    `least_squares` returns it, or without refits the winner's axis in its place.
+    Number of draws and of rejected ones; flags of the points near the last refit; the refit as
+    `least_squares` returns it, or the winner's axis in the same form without refits.
     """
-    np.random.seed(seed)  # noqa: NPY002 - the compiled generator, cheaper to reach than NumPy's
+    np.random.seed(seed)  # noqa: NPY002 - the compiled generator is faster to call than NumPy's
     m, limit = len(points), distance * distance
     coordinates = points.T.copy()
     sample = np.zeros(order, np.int64)
@@ -209,7 +212,7 @@ def _consensus(  # pragma: no cover - compiled
             best, best_length = count, length
             best_curve[:] = curve
             ratio = (count / m) ** order
-            # Rejected draws count too: they are what it costs to find an admissible sample.
+            # Rejected draws are allowed on top: they are the cost of finding admissible samples.
             needed = rejected
             if ratio < 1:
                 needed += _MORE_DRAWS * log_failure / np.log1p(-ratio)
@@ -239,30 +242,30 @@ def ransac_axis(
 ) -> RansacResult | NotFound:
     """Fit an axis by random sample consensus (Chatelain 2013, eqs. 17-22; Uhercik 2010).
 
-    Samples of ``order`` points are drawn until eq. 21 with the best inlier ratio so far is met
-    three times over; a sample whose points nearly coincide, that bends too much or that deviates
-    from the expected direction (eq. 22) is rejected unevaluated. The winner is refitted by
-    weighted least squares on re-selected inliers.
+    Samples of ``order`` points are drawn until there are three times as many as eq. 21 requires for
+    the best inlier ratio so far. A sample is rejected unevaluated if its points nearly coincide, if
+    it bends too much or if it deviates from the expected direction (eq. 22). The winner is refitted
+    by weighted least squares on re-selected inliers.
 
     Parameters
     ----------
     points
         (m, 3) candidates in m.
     weights
-        (m,) of the refits.
+        (m,) weights of the refits.
     order
-        n: 2 for a straight axis, 3 for a bent one.
+        Order n: 2 for a straight axis, 3 for a bent one.
     rng
-        Draws the samples.
+        Generator that draws the samples.
     parameters
         Thresholds.
     direction, max_angle
-        Expected direction, and the largest angle alpha_0 from it in rad; the sign of the direction
-        does not matter, but orients the result.
+        Expected direction, and the largest angle alpha_0 from it in rad. A sample may have either
+        sense; the result is turned to that of the direction.
 
     Returns
     -------
-    The result, or a `NotFound` that says why there is none.
+    The result, or a `NotFound` with the reason why there is none.
     """
     require(order in (2, 3), "order", order, "2 or 3")
     parameters = parameters or RansacParameters()

@@ -14,13 +14,13 @@ from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 
 _EVERYWHERE = 0.3
-"""More than any volume measures, in m."""
+"""Length that exceeds any volume, in m."""
 
 
 def predicted_region(
     prediction: NeedlePrediction, parameters: NeedleLocalizerParameters
 ) -> SearchRegion:
-    """Capsule around the predicted curve, from the prediction's covariance."""
+    """Return the capsule around the predicted curve, sized by the prediction's covariance."""
     curve, P = prediction.curve, prediction.covariance
     assert curve is not None
     assert P is not None
@@ -56,17 +56,17 @@ def predicted_region(
 def lost_region(
     line: NDArray[np.float64], last: NeedleCurve, parameters: NeedleLocalizerParameters
 ) -> SearchRegion:
-    """Capsule around a bright line that may be a lost needle.
+    """Return the capsule around a bright line that may be a lost needle.
 
     Parameters
     ----------
     line
-        (2, 3) ends of the line in W, in m; they are swapped if the needle last pointed the other
+        (2, 3) ends of the line in W, in m. They are swapped if the needle last pointed the other
         way.
     last
-        The needle's curve in W when it was last seen.
+        Curve of the needle in W when it was last seen.
     parameters
-        Thresholds.
+        Search regions and thresholds.
     """
     if (line[1] - line[0]) @ last.direction < 0:
         line = line[::-1]
@@ -84,7 +84,7 @@ def lost_region(
 def line_region(
     line: NDArray[np.float64], order: int, parameters: NeedleLocalizerParameters
 ) -> SearchRegion:
-    """Capsule around a line, (2, 3) in W, in m, that looks like a needle never seen before."""
+    """Return the capsule around a line, (2, 3) in W, in m, that may be a new needle."""
     return SearchRegion(
         curve=NeedleCurve(np.linspace(line[0], line[1], order)),
         radius=0.8 * parameters.margin,
@@ -98,14 +98,14 @@ def line_region(
 def outer_region(
     region: SearchRegion, axis: Axis, extent: NeedleExtent, parameters: NeedleLocalizerParameters
 ) -> SearchRegion | NotFound:
-    """Region for the rest of a needle of which only the end was found.
+    """Return the region for the rest of a needle if only its end was found.
 
-    If a needle moved fast, only the part that is new stood out at first. It is followed towards the
-    outside as long as it proves longer.
+    If a needle moves fast, only its new part stands out at first. It is followed towards the
+    outside as long as it continues.
     """
     before = axis.abscissa(region.curve.entry) - extent.start
     if region.followed > 0 and before < parameters.min_length:
-        return NotFound("what was found does not come from outside the field of view")
+        return NotFound("the line found does not come from outside the field of view")
     ends = np.linspace(extent.start, extent.tip, region.curve.order)
     return SearchRegion(
         curve=NeedleCurve(axis.position(ends)),

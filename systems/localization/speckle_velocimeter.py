@@ -1,4 +1,4 @@
-"""The tip's velocity, from the speckle around it in two volumes."""
+"""Speckle tracking: the tip's velocity from the speckle around it in two volumes."""
 
 from dataclasses import dataclass, field
 
@@ -21,33 +21,38 @@ from sonoservo.systems.signals.volume import Volume
 
 @dataclass(kw_only=True)
 class SpeckleVelocimeterParameters:
-    """What is compared, and what counts as found again.
+    """Windows and thresholds of the speckle velocimeter.
 
     Parameters
     ----------
     kernel
-        Elements of the kernel along each axis of the array: X, Y, Z of a `Volume`; frame, line and
-        sample of a `RadioFrequencySweep`. Odd, so that the tip lies in its middle.
+        Number of elements of the kernel along each axis of the array: X, Y and Z of a `Volume`, or
+        frame, line and sample of a `RadioFrequencySweep`. The numbers are odd, which puts the tip
+        in the middle.
     search
-        The same of the search region, centred on the predicted tip.
+        Number of elements of the search region along the same axes. It is centred on the predicted
+        tip.
     min_correlation
-        Of the best match; below it nothing was found again.
+        Smallest correlation of the best match at which it is accepted.
     max_distance
-        From the predicted to the measured tip, in m: what is farther is another place that looks
-        alike.
+        Largest distance from the predicted to the measured tip, in m. A match farther away is
+        another place that looks alike.
     displacement_std
         Standard deviation of the displacement along each axis of the array, in elements.
     min_speed_std
-        Standard deviation of the velocity that no correlation takes away, in every direction, in
-        m/s. The default is what was found at 3.3 MHz with a steel needle at 5 mm/s, in volumes
-        0.6 s apart: its mirror-like echo and the tissue rest, so that the measured speed is 2 to
-        3 mm/s too low. Where speckle moves with the needle, say less.
+        Standard deviation of the velocity in every direction that remains however well the speckle
+        correlates, in m/s. The default was found at 3.3 MHz with a steel needle at 5 mm/s, in
+        volumes 0.6 s apart. The needle's mirror-like echo and the tissue are at rest, and the
+        measured speed is 2 to 3 mm/s too low. Choose a smaller value if the speckle moves with the
+        needle.
     along_axis
-        Whether only what lies along the needle is kept: it moves along its axis.
+        Whether only the velocity's component along the needle is kept, as a needle moves along its
+        axis.
     envelope
-        Whether radio-frequency lines are compared by their envelope. The paper does not say. The
-        carrier is finer, but a needle that moves across a sector turns against its lines: after
-        1 mm at 50 mm depth the carrier correlates with 0.4, the envelope with 0.9.
+        Whether radio-frequency lines are compared by their envelope. The paper does not specify
+        this. The carrier is finer, but a needle that moves across a sector turns relative to the
+        scan lines. After 1 mm at 50 mm depth the correlation is 0.4 for the carrier and 0.9 for the
+        envelope.
     """
 
     kernel: list[int] = field(default_factory=lambda: [11, 7, 7])
@@ -79,7 +84,7 @@ class SpeckleVelocimeterParameters:
 
 
 Speckle = Volume | RadioFrequencySweep
-"""What the speckle is looked for in; both say where their elements lie."""
+"""Types in which speckle can be tracked; both give the positions of their elements."""
 
 
 def _values(speckle: Speckle) -> NDArray[np.float32] | NDArray[np.uint8]:
@@ -87,7 +92,7 @@ def _values(speckle: Speckle) -> NDArray[np.float32] | NDArray[np.uint8]:
 
 
 def _element(speckle: Speckle, p_W: NDArray[np.float64]) -> NDArray[np.int64]:
-    """(3,) index of the element nearest to a position in W."""
+    """Return the (3,) index of the element nearest to a position in W."""
     element = speckle.index(acquired_from(speckle, p_W[np.newaxis])[0])
     return np.asarray(np.round(element), dtype=np.int64)
 
@@ -95,7 +100,7 @@ def _element(speckle: Speckle, p_W: NDArray[np.float64]) -> NDArray[np.int64]:
 def _window(
     speckle: Speckle, centre: NDArray[np.int64], shape: list[int]
 ) -> NDArray[np.float32] | NDArray[np.uint8] | None:
-    """Elements around one of them; None where the array ends before."""
+    """Return the elements around a centre, or None if the array does not contain them all."""
     first = centre - np.array(shape) // 2
     values = _values(speckle)
     if np.any(first < 0) or np.any(first + shape > values.shape):
@@ -114,39 +119,39 @@ def measure_velocity(
     """Measure the tip's velocity by speckle tracking (Zhao 2012, section 2.3).
 
     The kernel lies around the tip in the previous volume. The published search region reaches 5
-    samples (0.14 mm) axially, while 1 mm/s along the published direction moves 0.34 mm between
-    volumes: it cannot contain the published motion unless it is centred on the predicted
+    samples (0.14 mm) axially, whereas 1 mm/s along the published direction moves 0.34 mm between
+    volumes. It can contain the published motion only if it is centred on the predicted
     displacement, as it is here.
 
     Parameters
     ----------
     current, previous
-        Both volumes, or both radio-frequency sweeps.
+        Two volumes, or two radio-frequency sweeps.
     p_WBefore
-        (3,) the tip when the previous was acquired, in W, in m.
+        (3,) position of the tip when the previous one was acquired, in W, in m.
     p_WPredicted
-        (3,) where it is expected in the current one.
+        (3,) expected position of the tip in the current one, in W, in m.
     direction
-        (3,) unit vector of the needle.
+        (3,) unit vector of the needle in W.
     parameters
         Windows and thresholds.
 
     Returns
     -------
-    The velocity between the acquisitions, or a `NotFound` that says why there is none.
+    The velocity between the acquisitions, or a `NotFound` with the reason why there is none.
     """
     before, ahead = _element(previous, p_WBefore), _element(current, p_WPredicted)
     kernel = _window(previous, before, parameters.kernel)
     search = _window(current, ahead, parameters.search)
     if kernel is None or search is None:
-        return NotFound("the speckle around the tip reaches beyond the volume")
+        return NotFound("the window around the tip extends beyond the volume")
     if parameters.envelope and isinstance(current, RadioFrequencySweep):
         search, kernel = np.abs(hilbert(search)), np.abs(hilbert(kernel))
     match = best_match(search, kernel)
     if isinstance(match, NotFound):
         return match
     if match.correlation < parameters.min_correlation:
-        return NotFound(f"the speckle has changed: it correlates with {match.correlation:.2f}")
+        return NotFound(f"the speckle has changed: its correlation is {match.correlation:.2f}")
     if match.at_border.any():
         return NotFound("the speckle has moved out of the search region")
     reach = (np.array(parameters.search) - parameters.kernel) // 2
@@ -158,7 +163,8 @@ def measure_velocity(
         return NotFound("the volumes were acquired at the same time")
     aside = moved - (p_WPredicted - p_WBefore)
     if np.linalg.norm(aside) > parameters.max_distance:
-        return NotFound(f"the speckle matches {1e3 * np.linalg.norm(aside):.1f} mm aside")
+        apart = 1e3 * np.linalg.norm(aside)
+        return NotFound(f"the best match is {apart:.1f} mm away from the prediction")
     steps = current.position(found + np.eye(3)) - current.position(found)
     scaled = current.X_WP.rotation().matrix() @ (steps.T * parameters.displacement_std) / elapsed
     covariance = scaled @ scaled.T + parameters.min_speed_std**2 * np.eye(3)
@@ -181,9 +187,9 @@ class SpeckleVelocimeter(LeafSystem):
         output_ports:
         - velocity
 
-    Stateless. ``volume`` and ``previous_volume`` are both a `Volume` or both a
-    `RadioFrequencySweep`, ``prediction`` is a `NeedlePrediction` or a `NotFound`; ``velocity`` a
-    `VelocityMeasurement` in W or a `NotFound` that says why there is none.
+    The system has no state. ``volume`` and ``previous_volume`` are both a `Volume` or both a
+    `RadioFrequencySweep`. ``prediction`` is a `NeedlePrediction` or a `NotFound`. ``velocity`` is a
+    `VelocityMeasurement` in W, or a `NotFound` with the reason why there is none.
 
     Parameters
     ----------

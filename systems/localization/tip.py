@@ -1,4 +1,4 @@
-"""How far the needle reaches along its axis."""
+"""Search for the needle's ends along its axis."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -20,35 +20,35 @@ from sonoservo.systems.signals.requirements import require_positive
 from sonoservo.systems.signals.volume import Volume
 
 _BLUR_POINTS = 9
-"""Of an axis at which the width of the blur is computed; it changes little in between."""
+"""Number of points of an axis at which the blur's width is computed; it varies little between."""
 
 
 @dataclass(kw_only=True)
 class TipParameters:
-    """How the needle's extent is read off the intensity along its axis.
+    """Parameters of the search for the needle's ends in the intensity along its axis.
 
     Parameters
     ----------
     step
-        Between samples along the axis, in m.
+        Distance between samples along the axis, in m.
     tube_radius
-        Of the tube whose maximum counts, in m.
+        Radius of the tube over which the maximum is taken, in m.
     background_radius
-        At which tubes around the axis show the background, in m.
+        Distance from the axis of the tubes that show the background, in m.
     contrast
-        Halfway between the background and a faint needle, in dB: more speaks for the needle, less
-        against it.
+        Contrast halfway between the background and a faint needle, in dB. More is evidence for the
+        needle, less is evidence against it.
     max_evidence
-        What one sample can count for the needle, in dB over ``contrast``.
+        Largest evidence of one sample for the needle, in dB above ``contrast``.
     smoothing
         Length over which the intensity is averaged, in m.
     end_contrast
-        Below which the blurred end of the needle is lost in the background, in dB.
+        Contrast below which the blurred end of the needle is lost in the background, in dB.
     end_length
-        Length of needle whose greatest contrast is the end's level, in m.
+        Length of needle whose largest contrast is the end's level, in m.
     beam_width
-        Width of the beam along the needle at half amplitude, in m: it blurs the tip outwards. Used
-        for volumes only that do not know their point spread.
+        Width of the beam along the needle at half amplitude, in m. The beam blurs the tip outwards.
+        This value is used only for volumes that do not know their point spread.
     """
 
     step: float = 0.25e-3
@@ -79,7 +79,7 @@ class TipParameters:
 def _tube_maxima(  # pragma: no cover - compiled
     intensities: Any, origin: Any, spacing: Any, centres: Any, offsets: Any
 ) -> Any:
-    """Largest trilinear sample among `offsets` around each of (m, 3) centres; -1 off the grid."""
+    """Return the largest sample among `offsets` around each of (m, 3) centres; -1 off the grid."""
     nx, ny, nz = intensities.shape
     maxima = np.full(centres.shape[0], -1.0)
     for m in range(centres.shape[0]):
@@ -101,18 +101,18 @@ def axis_profile(
     Parameters
     ----------
     volume
-        To sample.
+        Volume to sample.
     axis
-        In W, in m.
+        Axis in W, in m.
     start, stop
-        Abscissae in m.
+        Abscissae between which to sample, in m.
     parameters
-        Of the tube and the background.
+        Step, and radii of the tube and the background.
     """
     a = np.arange(start, stop + parameters.step, parameters.step)
     p_W = axis.position(a)
     p_P = acquired_from(volume, p_W)
-    # A plane across the needle: the curve bends too little for each point to need its own.
+    # One plane across the needle serves all points, as the curve bends little.
     along = volume.X_WP.rotation().matrix().T @ axis.direction
     across = np.linalg.svd(along[np.newaxis])[2][1:]
     hexagon = np.array([[np.cos(t), np.sin(t)] for t in np.arange(6) * np.pi / 3])
@@ -127,7 +127,7 @@ def axis_profile(
     inside = np.all((p_P >= volume.origin) & (p_P <= volume.upper), axis=1)
     if volume.motion is not None:
         inside &= volume.motion.geometry.contains(p_P)
-    # Without a motion the sector is not known, but for the zeros outside it.
+    # Without a motion the sector is known only from the zeros outside it.
     seen = inside & (maxima[0] >= 0 if volume.motion is not None else maxima[0] > 0)
     # Positions beside the axis that fall outside the sector say nothing about the background.
     beside = np.where(maxima[1:] > 0, maxima[1:], np.nan)
@@ -145,11 +145,11 @@ def axis_profile(
 def _blur_along(
     volume: Volume, p_P: NDArray[np.float64], along: NDArray[np.float64]
 ) -> NDArray[np.float64] | None:
-    """Widths of a needle's blurred end, (m,) in m, at points of an axis; None if not known.
+    """Return the (m,) widths of a needle's blurred end at points of an axis, in m; None if unknown.
 
-    The tube takes the largest value beside the axis too, so what counts is the shadow of the
-    blurred end on the axis: its deviation is sqrt(k^T Sigma k), with Sigma the covariance of the
-    point spread and k the needle's direction.
+    The tube also takes the largest value beside the axis. The relevant blur is therefore the
+    projection of the blurred end on the axis. Its standard deviation is sqrt(k^T Sigma k), with
+    Sigma the covariance of the point spread and k the needle's direction.
     """
     if volume.point_spread is None or volume.motion is None:
         return None
@@ -161,7 +161,7 @@ def _blur_along(
 
 @njit(cache=True, nogil=True)
 def best_stretch(evidence: Any) -> Any:  # pragma: no cover - compiled
-    """First and last index of the stretch with the largest sum (Kadane); last is -1 if none."""
+    """Return the first and last index of the stretch with the largest sum (Kadane), or 0 and -1."""
     first, last, best = 0, -1, 0.0
     start, total = 0, 0.0
     for i in range(len(evidence)):
@@ -181,29 +181,29 @@ def most_evident_stretch(
     neutral: float,
     max_evidence: float,
 ) -> tuple[int, int, float]:
-    """Stretch along an axis over which the evidence for a needle is largest.
+    """Find the stretch along an axis over which the evidence for a needle is largest.
 
-    A sample that stands out from the background by more than ``neutral`` speaks for the needle, any
-    other one against it, and an unseen one as much against it as one that does not stand out at
-    all. A gap is bridged if what lies beyond it outweighs it.
+    A sample that stands out from the background by more than ``neutral`` is evidence for the
+    needle, and any other one is evidence against it. An unseen sample counts like one that does not
+    stand out at all. A gap is bridged if the evidence beyond it outweighs it.
 
     Parameters
     ----------
     contrast
-        (m,) levels over the background, in dB, at evenly spaced samples.
+        (m,) levels above the background, in dB, at evenly spaced samples.
     seen
-        (m,) whether a sample lies in the field of view.
+        (m,) flags of the samples in the field of view.
     step
         Distance between samples, in m.
     neutral
-        Contrast that speaks neither for nor against a needle, in dB.
+        Contrast that is evidence neither for nor against a needle, in dB.
     max_evidence
         Largest evidence of one sample, in dB.
 
     Returns
     -------
-    Index of the first and of the last sample, the latter below the former if nothing speaks for a
-    needle, and the evidence's integral in dB m.
+    Index of the first sample, index of the last sample, and integral of the evidence in dB m. The
+    last index is below the first if there is no evidence for a needle.
     """
     evidence = np.where(seen, np.clip(contrast - neutral, -neutral, max_evidence), -neutral)
     first, last = best_stretch(evidence)
@@ -211,23 +211,27 @@ def most_evident_stretch(
 
 
 def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent | NotFound:
-    """Find where a needle begins and ends along its axis (Chatelain 2013, end of section II-D).
+    """Find the ends of a needle along its axis (Chatelain 2013, end of section II-D).
 
-    The needle is the `most_evident_stretch`, which bridges gaps: needles fade where no line of
-    sound meets them at a right angle.
+    The needle is the `most_evident_stretch`. It bridges gaps, as a needle fades unless a scan line
+    meets it at a right angle.
 
-    The tip is found from where the needle's blurred end is lost in the background, D dB below the
-    end's own level: an edge blurred by a Gaussian beam of deviation sigma has the amplitude
-    Phi(-x / sigma) at x beyond the tip, so x follows from D. Half the amplitude alone (6 dB, at the
-    tip itself) would tell less, as the needle's speckle and the flank of its mirror-like echo have
-    drops of their own.
+    The tip follows from the point at which the needle's blurred end is lost in the background, D dB
+    below the end's own level. An edge blurred by a Gaussian beam of standard deviation sigma has
+    the amplitude Phi(-x / sigma) at x beyond the tip, so x follows from D. The drop to half the
+    amplitude (6 dB), which lies at the tip itself, is less reliable: the needle's speckle and the
+    flank of its mirror-like echo have drops of their own.
 
     Parameters
     ----------
     profile
-        Along the axis.
+        Profile of the intensity along the axis.
     parameters
         Thresholds.
+
+    Returns
+    -------
+    The extent, or a `NotFound` with the reason why there is none.
     """
     step = float(profile.a[1] - profile.a[0])
     width = max(1, round(parameters.smoothing / step))
@@ -261,7 +265,7 @@ def _tip(
     last: int,
     parameters: TipParameters,
 ) -> float:
-    """Abscissa of the tip in m, from where the stretch's end is lost in the background."""
+    """Return the tip's abscissa in m, from the point at which the end is lost in the background."""
     a, threshold = profile.a, parameters.end_contrast
     stretch = contrast[first : last + 1]
     seen = np.ones_like(stretch, dtype=bool)

@@ -1,4 +1,4 @@
-"""A needle in a whole volume without a prediction, as published: thresholding, RANSAC, tip."""
+"""Published localization in a whole volume without a prediction: thresholding, RANSAC, tip."""
 
 from dataclasses import dataclass, field
 
@@ -17,17 +17,17 @@ from sonoservo.systems.signals.volume import Volume
 
 @dataclass(kw_only=True)
 class WholeVolumeRansacParameters:
-    """Of the four steps of Zhao 2012, section 2.2; the paper publishes none of these values.
+    """Parameters of the four steps of Zhao 2012, section 2.2. The paper publishes no values.
 
     Parameters
     ----------
     candidate_volume
-        Volume that the brightest voxels fill together, in m^3.
+        Total volume of the brightest voxels, in m^3.
     max_gap
-        In the intensity along the needle that does not end it, in m.
+        Largest gap in the intensity along the needle that does not end it, in m.
     ransac, tip
-        Of the axis, and of the intensity along it. Without refits the axis is the best sample's;
-        with one it is optimized locally, as published.
+        Parameters of the axis and of the intensity along it. Without refits the axis is that of the
+        best sample. With one it is optimized locally, as published.
     """
 
     candidate_volume: float = 60e-9
@@ -46,7 +46,7 @@ class WholeVolumeNeedle:
     Parameters
     ----------
     fit
-        Of its axis.
+        Fit of the needle's axis.
     start, tip
         Abscissae between which the needle is seen, in m.
     """
@@ -56,16 +56,16 @@ class WholeVolumeNeedle:
     tip: float
 
     def measurement(self, time: float, std: float, independent: float) -> NeedleMeasurement:
-        """Return what starts a tracker.
+        """Return the measurement with which a track can start.
 
         Parameters
         ----------
         time
-            When the tip was acquired, in s.
+            Time at which the tip was acquired, in s.
         std
-            Standard std of both ends in every direction, beyond the fit's, in m.
+            Standard deviation of both ends in every direction, in addition to the fit's, in m.
         independent
-            Number of independent observations that the voxels amount to.
+            Number of independent observations to which the voxels amount.
         """
         ends = np.array([self.start, self.tip])
         covariance = self.fit.covariance(ends, independent) + std**2 * np.eye(6)
@@ -74,7 +74,7 @@ class WholeVolumeNeedle:
 
 
 def brightest_voxels(volume: Volume, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
-    """(count, 3) indices of the brightest voxels, drawn among equally bright ones."""
+    """Return the (count, 3) indices of the brightest voxels, drawn among equally bright ones."""
     values = volume.intensities.ravel()
     if values.dtype == np.uint8:
         above = np.cumsum(np.bincount(values, minlength=256)[::-1])[::-1]
@@ -94,20 +94,24 @@ def localize_in_whole_volume(
 ) -> WholeVolumeNeedle | NotFound:
     """Localize the needle in a whole volume as published (Zhao 2012, section 2.2; Uhercik 2010).
 
-    Thresholding leaves the brightest voxels; the axis is the line through two of them that has the
-    most others nearby, optimized on those; the tip is where the intensity along it decreases and
-    does not increase again within a tolerated gap.
+    Thresholding leaves the brightest voxels. The axis is the line through two of them that has the
+    most others nearby, optimized on those. The tip is the point at which the intensity along the
+    axis decreases and does not increase again within a tolerated gap.
 
     Parameters
     ----------
     volume
-        To search.
+        Volume to search.
     towards
-        (3,) direction in W; of the needle's ends the one farther in it is the tip.
+        (3,) direction in W that the needle roughly points in; its tip is the end farther that way.
     parameters
         Thresholds.
     rng
-        Draws samples.
+        Generator that draws the samples.
+
+    Returns
+    -------
+    The needle, or a `NotFound` with the reason why there is none.
     """
     if volume.intensities.min() == volume.intensities.max():
         return NotFound("the volume is constant")
@@ -129,7 +133,7 @@ def localize_in_whole_volume(
     a = np.sort(axis.abscissa(points[found.inliers]))
     middle = float(np.median(a))
     profile = axis_profile(volume, axis, a[0], a[-1], parameters.tip)
-    # Halfway, in amplitude, between nothing and the needle as it is around its middle.
+    # The threshold is half the amplitude of the needle around its middle.
     inside = np.abs(profile.a - middle) <= parameters.max_gap
     bright = profile.level > np.median(profile.level[inside]) - 20 * np.log10(2)
     start, tip = (_end(profile.a[bright], middle, side, parameters.max_gap) for side in (-1, 1))
@@ -137,7 +141,7 @@ def localize_in_whole_volume(
 
 
 def _end(bright: NDArray[np.float64], middle: float, side: int, max_gap: float) -> float:
-    """Last abscissa to a side of the middle that no gap separates from it."""
+    """Return the last abscissa to a side of the middle that no gap separates from it."""
     away = np.sort(side * (bright - middle))
     away = np.concatenate([[0.0], away[away > 0]])
     last = np.flatnonzero(np.append(np.diff(away), np.inf) > max_gap)[0]

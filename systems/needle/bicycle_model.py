@@ -1,17 +1,18 @@
-"""The path that a bevelled needle cuts within one plane: the bicycle model in closed form.
+"""Bicycle model in closed form: the path that a bevelled needle cuts within one plane.
 
-This is Carriere et al. 2016, section III, with two of its equations corrected:
+This is Carriere et al. 2016, section III, with two corrections to its equations:
 
-* Eqs. 3 and 4 taken with equal signs give a path that starts with slope -tan(theta). Consistent is
+* Eqs. 3 and 4 taken with equal signs give a path that starts with slope -tan(theta). The consistent
+  form is
 
       u = u_turn + s (R cos(theta_turn) - sqrt(R^2 - (v - v_c)^2))
 
   with v_c = v_turn - s R sin(theta_turn) and s = +-1. At a rotation s changes its sign, and theta
   continues from its present value. The circle's centre is at u_c = u_turn + s R cos(theta_turn).
-* Eq. 5 swaps sin(phi) and cos(phi), and says y = sin(phi) v; x = cos(phi) u and y = sin(phi) u are
-  meant.
+* Eq. 5 swaps sin(phi) and cos(phi), and has y = sin(phi) v. The correct form is x = cos(phi) u and
+  y = sin(phi) u.
 
-`SteeredPath` is the model in space, by length of path.
+`SteeredPath` is the model in space, as a function of path length.
 """
 
 from dataclasses import dataclass
@@ -28,10 +29,10 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class BicyclePath(Immutable):
-    """The path of a tip that turns with constant curvature within one plane.
+    """Path of a tip that turns with constant curvature within one plane.
 
-    Frame I of the insertion has Z along it and its origin at the start of the path. The plane of
-    deflection contains Z; u is the deflection in it, v the depth along Z.
+    The insertion's frame I has its Z axis along the insertion and its origin at the start of the
+    path. The plane of deflection contains Z. In it, u is the deflection and v the depth along Z.
 
     Parameters
     ----------
@@ -42,7 +43,7 @@ class BicyclePath(Immutable):
     plane
         Angle phi from X to the plane's u, in rad.
     rotations
-        Depths v in m at which the bevel is turned by 180 deg, in rising order. The curvature is
+        Depths v in m at which the bevel is turned by 180 deg, in ascending order. The curvature is
         towards +u before the first one.
 
     Raises
@@ -58,7 +59,7 @@ class BicyclePath(Immutable):
 
     def __post_init__(self) -> None:
         require_positive(radius=self.radius)
-        require(abs(self.angle) < np.pi / 2, "angle", self.angle, "below 90 deg")
+        require(abs(self.angle) < np.pi / 2, "angle", self.angle, "between -pi/2 and pi/2 rad")
         require_rising(self.rotations)
 
     def deflection(self, depth: ArrayLike) -> Floats:
@@ -74,11 +75,12 @@ class BicyclePath(Immutable):
         parameters = np.array([[1 / self.radius, np.sin(self.angle)]])
         out = np.empty(depth.size)
         out[order] = deflections(parameters, depth.ravel()[order], np.array(self.rotations))[0]
-        require(bool(np.isfinite(out).all()), "depth", float(depth.max()), "one the path reaches")
+        reached = bool(np.isfinite(out).all())
+        require(reached, "depth", float(depth.max()), "a depth that the path reaches")
         return out.reshape(depth.shape)
 
     def position(self, depth: ArrayLike) -> Floats:
-        """Return (..., 3) positions in I, in m, at depths in m (eq. 5, corrected)."""
+        """Return the (..., 3) positions in I, in m, at depths v in m (eq. 5, corrected)."""
         depth = np.asarray(depth, dtype=float)
         u = self.deflection(depth)
         return np.stack([np.cos(self.plane) * u, np.sin(self.plane) * u, depth], axis=-1)

@@ -1,4 +1,4 @@
-"""The clinician's hand or a template: a leaf whose output is the needle of an insertion."""
+"""Leaf system that pushes a needle, as a clinician's hand or a template does."""
 
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem
@@ -16,7 +16,7 @@ class Hand(LeafSystem):
         output_ports:
         - needle
 
-    ``needle`` holds the inserted `Needle` in the tissue frame T, so that it moves with the tissue.
+    ``needle`` is the inserted `Needle` in the tissue frame T. It moves with the tissue.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""One insertion of a needle as a function of time: its path and its motion composed."""
+"""Insertion of a needle as a function of time, composed of its path and its motion."""
 
 from dataclasses import dataclass, replace
 
@@ -16,27 +16,27 @@ from sonoservo.systems.signals.requirements import require
 Floats = NDArray[np.float64]
 
 _SPACING = 2e-3
-"""Largest distance in m between points on a bent shaft: off an arc of 150 mm by 3 um."""
+"""Largest distance in m between points on a bent shaft; 3 um off an arc of 150 mm radius."""
 
 _FEED_SPACING = 0.5e-3
-"""The same behind a template: off an arc of 0.5 m by 0.1 um."""
+"""The same distance behind a template; 0.1 um off an arc of 0.5 m radius."""
 
 
 class Insertion(Immutable):
-    """An insertion as a function of time. Later pushes do not change what it was before them.
+    """Insertion as a function of time. Later pushes do not change its past.
 
     Parameters
     ----------
     parameters
         Needle, path and hand or template.
     rng
-        Source of this insertion's spreads, then of the tremor, then of the curvature's wander.
+        Generator of this insertion's spreads, then of the tremor, then of the curvature's wander.
 
     Attributes
     ----------
     path
-        Path of a bevelled needle as drawn, along the aimed direction, up and beside; None if the
-        needle is straight.
+        Path of a bevelled needle as drawn, in coordinates along the aimed direction, up and beside;
+        None if the needle is straight.
 
     Raises
     ------
@@ -66,7 +66,8 @@ class Insertion(Immutable):
         if parameters.feed is not None and path is not None:
             deepest = self._motion.depth(self._motion.end)
             reached = np.isfinite(path.length_at(deepest))
-            require(bool(reached), "feed.depth", parameters.feed.depth, "one that the path reaches")
+            allowed = "a depth that the path reaches"
+            require(bool(reached), "feed.depth", parameters.feed.depth, allowed)
 
     @property
     def entry(self) -> Floats:
@@ -80,32 +81,35 @@ class Insertion(Immutable):
 
     @property
     def end(self) -> float:
-        """Time when the needle comes to its last rest, in s."""
+        """Time at which the needle comes to its final rest, in s."""
         return self._motion.end
 
     @property
     def direction_deg(self) -> tuple[float, float]:
-        """Azimuth and dip in deg that the last pushes ask for, this insertion's spread aside."""
+        """Azimuth and dip in deg set by the last pushes, without this insertion's spread."""
         _, aim = self._aims[-1]
         return aim.azimuth_deg, aim.dip_deg
 
     @property
     def X_TI(self) -> RigidTransform:
-        """Pose in T of frame I: origin at the first entry, Z along the aim, Y down; no spread."""
+        """Pose in T of frame I: origin at the first entry, Z along the aim, Y down, no spread."""
         _, aim = self._aims[0]
         along, up, beside = aim.axes(np.zeros(2))
         return RigidTransform(RotationMatrix(np.stack([beside, -up, along], axis=1)), aim.entry)
 
     def is_outside(self, time: float) -> bool:
-        """Whether the needle is out of the tissue, and may be put in anew."""
+        """Return True if the needle is outside the tissue at a time in s, and may be aimed anew."""
         return bool(self._motion.steady_depth(time) <= 0)
 
     def depth(self, time: float) -> float:
-        """Inserted depth in m, never below zero: along a hand's shaft, along a template's aim."""
+        """Return the inserted depth in m, never below zero.
+
+        For a hand the depth is measured along the shaft, and for a template along the aim.
+        """
         return self._motion.depth(time)
 
     def needle(self, time: float) -> Needle:
-        """Return the part of the needle that is inside the tissue, in T."""
+        """Return the part of the needle that is inside the tissue at a time in s, in T."""
         parameters, feed = self.parameters, self.parameters.feed
         radius = OUTER_DIAMETER[parameters.gauge] / 2
         aim = next(aim for start, aim in reversed(self._aims) if start <= time)
@@ -133,7 +137,7 @@ class Insertion(Immutable):
         return np.append(np.arange(0, length, _FEED_SPACING), length)
 
     def _aims_of_pushes(self) -> list[tuple[float, "_Aim"]]:
-        """Return the aims, and the times in s from which on they count."""
+        """Return the times in s from which aims hold, and the aims."""
         parameters = self.parameters
         durations = [push.duration for push in parameters.pushes]
         starts = parameters.start + np.cumsum([0.0, *durations])
@@ -156,14 +160,14 @@ class Insertion(Immutable):
 
 @dataclass(frozen=True)
 class _Aim:
-    """Where a needle is to be put in, see `InsertionParameters`."""
+    """Entry and direction at which a needle is aimed; see `InsertionParameters`."""
 
     entry: list[float]
     azimuth_deg: float
     dip_deg: float
 
     def axes(self, tilt: Floats) -> Floats:
-        """(3, 3) rows along the needle, up from it and beside it, in T, tilted by (2,) rad."""
+        """Return (3, 3) rows along the needle, up and beside it, in T, tilted by (2,) rad."""
         azimuth, dip = np.deg2rad([self.azimuth_deg, self.dip_deg]) + tilt
         heading = np.array([np.cos(azimuth), np.sin(azimuth), 0])
         up = np.array([0, 0, 1.0])
@@ -173,7 +177,7 @@ class _Aim:
 
 
 def _draw_path(parameters: InsertionParameters, rng: np.random.Generator) -> SteeredPath | None:
-    """Return the path without wander; what has no spread is not drawn."""
+    """Return the path without wander; quantities without a spread use no random number."""
     if parameters.bend_radius is None:
         return None
 

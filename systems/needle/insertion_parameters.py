@@ -31,15 +31,14 @@ class Push:
     duration
         Duration in s.
     speed
-        Speed in m/s; zero is a pause, below zero a withdrawal.
+        Speed in m/s. Zero is a pause, and a negative speed a withdrawal.
     turning_deg
-        Rate at which the needle is turned about its axis, in deg/s: it steers a bevelled tip.
+        Rate at which the needle is turned about its axis, in deg/s. Turning steers a bevelled tip.
     entry
-        Point in T where the needle, which must be outside, is put in from now on, in m; None leaves
-        it where it is.
+        Entry point in T from now on, in m; None leaves it unchanged. The needle must be outside.
     azimuth_deg, dip_deg
-        Direction of the insertion from now on, in deg, of a needle that must be outside; None
-        leaves it as it is.
+        Direction of the insertion from now on, in deg; None leaves it unchanged. The needle must be
+        outside.
     """
 
     duration: float = 1.0
@@ -51,8 +50,8 @@ class Push:
 
     def __post_init__(self) -> None:
         require_positive(duration=self.duration)
-        require(abs(self.turning_deg) <= 720, "turning_deg", self.turning_deg, "up to 720 deg/s")
-        dip_deg = self.dip_deg
+        turning_deg, dip_deg = self.turning_deg, self.dip_deg
+        require(abs(turning_deg) <= 720, "turning_deg", turning_deg, "from -720 to 720 deg/s")
         allowed = dip_deg is None or abs(dip_deg) <= 90
         require(allowed, "dip_deg", dip_deg, "from -90 to 90 deg")
         if self.entry is not None:
@@ -70,16 +69,17 @@ class Push:
 
 @dataclass(kw_only=True)
 class FeedParameters:
-    """A feed through a template, at constant speed along the aimed direction.
+    """Feed through a template, at constant speed along the aimed direction.
 
     Parameters
     ----------
     speed
-        Speed in m/s, of the depth along the aimed direction.
+        Speed along the aimed direction, in m/s.
     depth
-        Depth beyond the entry at which the feed stops, ``lead`` aside, in m.
+        Depth by which the needle is fed in, in addition to ``lead``, in m.
     lead
-        Depth at the start, in m: a probe that steps with the feed sees shaft, not the tip.
+        Depth at the start, in m. With a lead, a probe that steps with the feed sees the shaft and
+        not the tip.
     template
         Length of the straight needle between the template and the entry, in m.
     """
@@ -96,18 +96,19 @@ class FeedParameters:
 
 @dataclass(kw_only=True)
 class InsertionParameters:
-    """A needle, the path that it cuts, and the hand or template that pushes it.
+    """Parameters of a needle, the path that it cuts, and the hand or template that pushes it.
 
-    Spreads are half widths of uniform distributions: one insertion differs from the next.
+    Spreads are half widths of uniform distributions, by which one insertion differs from the next.
 
     Parameters
     ----------
     gauge
-        Gauge of the needle; it sets the diameter.
+        Gauge of the needle, which sets its diameter.
     entry
-        Point in T where the needle enters the tissue, or the first slice behind a template, in m.
+        Point in T at which the needle enters the tissue, or the first slice behind a template, in
+        m.
     entry_spread
-        Spread of each coordinate of the entry, in m. A template leaves it no play along X.
+        Spread of each coordinate of the entry, in m. A template allows no spread along X.
     azimuth_deg
         Direction of the insertion seen from above, from +X_T towards +Y_T, in deg.
     dip_deg
@@ -115,30 +116,30 @@ class InsertionParameters:
     angle_spread_deg
         Spread of azimuth and dip, in deg.
     bend_radius, bend_radius_spread
-        Radius of the arc that a bevelled tip cuts, and its spread, in m; a radius of None stands
-        for a straight needle.
+        Radius of the arc that a bevelled tip cuts, and its spread, in m. A radius of None gives a
+        straight needle.
     bend_roll_deg, bend_roll_spread_deg
         Direction of the bend about the needle's axis at the start, and its spread, in deg; 0 bends
         upwards.
     bend_angle_spread_deg
-        Spread, within the plane of the bend, of the first direction about the aimed one, in deg.
+        Spread of the first direction about the aimed one, within the plane of the bend, in deg.
     rotations
         Depths along the aimed direction at which the bevel is turned by 180 deg, in m.
     curvature_wander
-        Standard deviation of the curvature along the path, relative to 1 / R, in uneven tissue.
+        Standard deviation of the curvature along the path in uneven tissue, relative to 1 / R.
     wander_length
-        Correlation length of the curvature, in m: the standard deviation of the Gaussian that
-        smooths it.
+        Correlation length of the curvature, in m. It is the standard deviation of the Gaussian that
+        smooths the curvature.
     start
-        Time when the motion begins, in s.
+        Time at which the motion begins, in s.
     pushes
-        Phases of an insertion by hand, one after the other; after the last the hand rests.
+        Phases of an insertion by hand, one after the other. After the last one the hand rests.
     ramp
-        Time the hand takes to change speed, in s.
+        Time that the hand takes to change speed, in s.
     tremor
         Root mean square of the hand's tremor along the needle, in m.
     feed
-        Feed through a template, in place of a hand; None for a hand.
+        Feed through a template instead of a hand; None for a hand.
     """
 
     gauge: int = 18
@@ -199,7 +200,7 @@ class InsertionParameters:
                 self.bend_radius - self.bend_radius_spread >= MIN_BEND_RADIUS,
                 "bend_radius",
                 self.bend_radius,
-                f"at least {MIN_BEND_RADIUS:g} m, bend_radius_spread subtracted",
+                f"at least {MIN_BEND_RADIUS:g} m after bend_radius_spread is subtracted",
             )
         if self.feed is not None:
             self._require_none("a template (feed)", "pushes", "tremor", "angle_spread_deg")

@@ -1,4 +1,4 @@
-"""How deep a needle is, and how far it is turned, at any time: by hand or through a template."""
+"""Depth and turning of a needle over time, driven by a hand or fed through a template."""
 
 from typing import Protocol
 
@@ -12,44 +12,44 @@ from sonoservo.systems.needle.steered_path import cut_arcs
 Floats = NDArray[np.float64]
 
 _TURN_STEP = 1 / 64
-"""Time in s between the angles of a bevel that is turned while it cuts: 1.4 deg at 90 deg/s."""
+"""Time in s between the sampled angles of a turning bevel, which are 1.4 deg apart at 90 deg/s."""
 
 _REST = 1e-12
-"""A step of the needle, in m, that is rounding alone."""
+"""Largest step of the needle in m that counts as rest, as rounding can cause it."""
 
 _TREMOR_BAND = (8.0, 12.0)
 """Frequencies of physiological hand tremor in Hz (Elble and Koller 1990)."""
 
 
 class NeedleMotion(Protocol):
-    """The motion of a needle along its path."""
+    """Motion of a needle along its path."""
 
     @property
     def end(self) -> float:
-        """Time of the last rest, in s."""
+        """Time at which the needle comes to its final rest, in s."""
 
     def steady_depth(self, time: ArrayLike) -> Floats:
-        """Return the depth in m without tremor; below zero it is how far the tip is outside."""
+        """Return the depth in m without tremor; it is negative while the tip is outside."""
 
     def depth(self, time: float) -> float:
-        """Return the depth in m, tremor included; never below zero."""
+        """Return the depth in m including tremor, never below zero."""
 
     def cut(self, time: float, length: float) -> tuple[Floats, Floats] | None:
         """Return the arcs cut until a time, down to a present length in m; None without turning.
 
-        See `cut_arcs`; angles count from the bevel's first one.
+        The arcs are those of `cut_arcs`. Their angles are relative to the bevel's initial one.
         """
 
 
 class Feed:
-    """A feed at constant speed; its depths are along the aimed direction.
+    """Feed at constant speed, with depths along the aimed direction.
 
     Parameters
     ----------
     parameters
         Speed, depth and lead.
     start
-        Time when the feed begins, in s.
+        Time at which the feed begins, in s.
     """
 
     def __init__(self, parameters: FeedParameters, start: float) -> None:
@@ -58,7 +58,7 @@ class Feed:
 
     @property
     def end(self) -> float:
-        """Time of the last rest, in s."""
+        """Time at which the needle comes to its final rest, in s."""
         return self._start + self._parameters.depth / self._parameters.speed
 
     def steady_depth(self, time: ArrayLike) -> Floats:
@@ -71,18 +71,18 @@ class Feed:
         return float(self.steady_depth(time))
 
     def cut(self, time: float, length: float) -> None:
-        """Return None: a template does not turn the needle but at the path's rotations."""
+        """Return None, as a template turns the needle only at the path's rotations."""
 
 
 class HandMotion:
-    """The motion that a hand's pushes make; its depths are lengths of the inserted shaft.
+    """Motion by a hand's pushes, with depths that are lengths of the inserted shaft.
 
     Parameters
     ----------
     parameters
         Pushes, ramp and tremor.
     rng
-        Source of the tremor's frequencies and phases.
+        Generator of the tremor's frequencies and phases.
     """
 
     def __init__(self, parameters: InsertionParameters, rng: np.random.Generator) -> None:
@@ -97,7 +97,7 @@ class HandMotion:
             self._turn_integral = _twice_integrated(times, rates)
             history = np.arange(parameters.start, self._end, _TURN_STEP)
             depths = self.steady_depth(history)
-            # While the needle rests nothing is cut: only where it starts and stops matters.
+            # A resting needle cuts nothing, so only the times at which it starts and stops matter.
             moves = np.abs(np.diff(depths)) > _REST
             kept = np.append(moves, False) | np.append(False, moves)
             self._history, self._depths = history[kept], depths[kept]
@@ -109,15 +109,15 @@ class HandMotion:
 
     @property
     def end(self) -> float:
-        """Time of the last rest, in s."""
+        """Time at which the needle comes to its final rest, in s."""
         return self._end
 
     def steady_depth(self, time: ArrayLike) -> Floats:
-        """Return the depth in m without tremor; below zero it is how far the tip is outside."""
+        """Return the depth in m without tremor; it is negative while the tip is outside."""
         return self._smoothed(self._depth_integral, time)
 
     def depth(self, time: float) -> float:
-        """Return the depth in m, tremor included; never below zero."""
+        """Return the depth in m including tremor, never below zero."""
         steady = float(self.steady_depth(time))
         if steady <= 0:
             return 0.0
@@ -133,12 +133,12 @@ class HandMotion:
         return cut_arcs(np.append(self._depths[:past], length), np.append(self._turns[:past], now))
 
     def _smoothed(self, integral: PPoly, time: ArrayLike) -> Floats:
-        # A hand that takes `ramp` to change its speed pushes to the moving average of the depth
-        # that sudden changes would give, which is the difference of its integral.
+        # A hand takes the time `ramp` to change its speed. The depth is therefore the moving
+        # average of the depth with sudden changes, which is a difference of its integral.
         return (integral(time) - integral(np.subtract(time, self._ramp))) / self._ramp
 
 
 def _twice_integrated(times: Floats, rates: ArrayLike) -> PPoly:
-    """Return the second integral of a rate, constant between times and zero outside them."""
+    """Return the second integral of a rate that is constant between times and zero outside them."""
     breaks = np.concatenate([[-1e9], times, [1e9]])
     return PPoly(np.concatenate([[0.0], rates, [0.0]])[np.newaxis], breaks).antiderivative(2)

@@ -1,4 +1,4 @@
-"""Leaf: a hand that an operator drives, kept as the pushes of an insertion."""
+"""Leaf system for a teleoperated hand, recorded as the pushes of an insertion."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -17,17 +17,17 @@ from sonoservo.systems.signals.requirements import require_positive
 
 @dataclass(kw_only=True)
 class OperatorHandParameters:
-    """How a hand follows what an operator wants.
+    """Parameters of a hand that follows an operator's target.
 
     Parameters
     ----------
     period
-        Between its decisions, in s.
+        Sampling period of the target, in s.
     speed
-        Highest, of the needle along its axis, in m/s. A needle that is pushed in much faster has
-        come to rest before enough volumes show it move, and is not noticed.
+        Highest speed of the needle along its axis, in m/s. A needle that is pushed in much faster
+        comes to rest before enough volumes show its motion, and is not detected.
     turning_deg
-        Fastest turning of the needle about its axis, in deg/s.
+        Highest rate at which the needle is turned about its axis, in deg/s.
     """
 
     period: float = 1 / 16
@@ -40,14 +40,14 @@ class OperatorHandParameters:
 
 @dataclass(frozen=True, eq=False)
 class OperatorInsertion(Immutable):
-    """An insertion so far.
+    """Teleoperated insertion so far.
 
     Parameters
     ----------
     insertion
-        Of all pushes so far.
+        Insertion made by all pushes so far.
     depth, turn_deg
-        What these come to once the hand has caught up with them, in m and deg.
+        Depth in m and angle in deg that these pushes reach once the hand has caught up with them.
     """
 
     insertion: Insertion
@@ -56,7 +56,7 @@ class OperatorInsertion(Immutable):
 
 
 class OperatorHand(LeafSystem):
-    """Pushes, withdraws and turns a needle to where an operator wants it.
+    """Pushes, withdraws and turns a needle to an operator's target.
 
     .. pydrake_system::
 
@@ -66,20 +66,21 @@ class OperatorHand(LeafSystem):
         output_ports:
         - needle
 
-    `needle_target` is the wanted inserted length in m (below zero: outside), and the wanted angle
-    of the needle about its axis, azimuth and dip of its direction in rad. Azimuth and dip are
-    followed only while the needle is outside: in tissue a stiff needle cannot swing. `needle` is
-    the inserted `Needle` in T.
+    `needle_target` has four elements: the wanted inserted length in m (negative if outside), the
+    angle of the needle about its axis, and azimuth and dip of its direction, in rad. Azimuth and
+    dip are followed only while the needle is outside, because a stiff needle cannot swing in
+    tissue. `needle` is the inserted `Needle` in T.
 
-    The state is the insertion of all pushes so far: a `Hand` of it moves the needle in the same way
-    again. The hand changes its speed smoothly, see `InsertionParameters`, and does not overshoot.
+    The state is the insertion by all pushes so far. A `Hand` with this insertion repeats the
+    motion. The hand changes its speed smoothly (see `InsertionParameters`) and does not overshoot.
 
     Parameters
     ----------
     make_insertion
-        From pushes, one after the other from the start of time.
+        Function that makes an insertion from successive pushes, the first of which starts at time
+        zero.
     parameters
-        How the hand follows.
+        Limits of the hand's motion.
     """
 
     def __init__(
@@ -104,11 +105,11 @@ class OperatorHand(LeafSystem):
         self.DeclarePeriodicUnrestrictedUpdateEvent(self._parameters.period, 0.0, self._update)
 
     def insertion(self, context: Context) -> Insertion:
-        """Return the insertion of all pushes so far."""
+        """Return the insertion by all pushes so far."""
         return self._driven(context).insertion
 
     def is_held(self, context: Context) -> bool:
-        """Whether the needle cannot be aimed as wanted, because it is in the tissue."""
+        """Return True if the needle cannot be aimed as wanted because it is in the tissue."""
         insertion = self.insertion(context)
         target = self.GetInputPort("needle_target").Eval(context)
         return bool(new_aim(insertion, target)) and not insertion.is_outside(context.get_time())
@@ -139,18 +140,18 @@ def next_push(
     time: float,
     parameters: OperatorHandParameters,
 ) -> Push:
-    """Return what the hand does in the next period.
+    """Return the hand's push in the next period.
 
     Parameters
     ----------
     driven
-        What it has done.
+        Insertion so far.
     target
-        (4,) inserted length in m, angle about the axis, azimuth and dip in rad.
+        (4,) wanted inserted length in m; angle about the axis, azimuth and dip in rad.
     time
-        Now, in s.
+        Present time, in s.
     parameters
-        How the hand follows.
+        Limits of the hand's motion.
     """
     period = parameters.period
     depth, turn_deg = float(target[0]), float(np.rad2deg(target[1]))
@@ -163,14 +164,14 @@ def next_push(
 
 
 def new_aim(insertion: Insertion, target: NDArray[np.float64]) -> dict[str, Any]:
-    """Return azimuth and dip in deg, of those that a target (see `next_push`) changes, by name."""
+    """Return by name those of azimuth and dip, in deg, that a target (see `next_push`) changes."""
     wanted = np.round(np.rad2deg(target[2:]), 6).tolist()
     aims = zip(("azimuth_deg", "dip_deg"), wanted, insertion.direction_deg, strict=True)
     return {name: value for name, value, now in aims if value != round(now, 6)}
 
 
 def appended(pushes: list[Push], push: Push) -> list[Push]:
-    """Return the pushes and one more; it prolongs the last one where nothing changes."""
+    """Return the pushes with one more, which prolongs the last one if nothing changes."""
     if pushes and not push.aim:
         last = pushes[-1]
         if (last.speed, last.turning_deg) == (push.speed, push.turning_deg):

@@ -1,14 +1,14 @@
-"""The path that a bevelled needle cuts while it is pushed, turned and withdrawn.
+"""Path that a bevelled needle cuts while it is pushed, turned and withdrawn.
 
-The tip bends towards the side to which its bevel is turned: the bicycle model of Webster et al.
-2006 in space. With the tangent d, two axes u and v that do not twist about it, the bevel turned by
-the angle rho, and the curvature kappa = 1 / R,
+The model is the bicycle model of Webster et al. 2006 in space. The tip bends towards the side to
+which its bevel is turned. With the tangent d, two axes u and v that do not twist about it, the
+bevel turned by the angle rho, and the curvature kappa = 1 / R,
 
     d' = kappa (cos(rho) u + sin(rho) v),  u' = -kappa cos(rho) d,  v' = -kappa sin(rho) d.
 
-The path is a chain of arcs on each of which kappa and rho are constant. A bevel turned by 180 deg
-is a change of the sign of kappa: `BicyclePath` is this case in closed form. A needle that is
-withdrawn goes back along its path; pushed in again it cuts a new one from there.
+The path is a chain of arcs with constant kappa and rho. If the bevel is turned by 180 deg, kappa
+changes its sign. `BicyclePath` is this case in closed form. A needle that is withdrawn goes back
+along its path. Pushed in again, it cuts a new path from there.
 """
 
 from dataclasses import dataclass, field
@@ -22,10 +22,10 @@ from sonoservo.systems.signals.immutable import Immutable
 
 Floats = NDArray[np.float64]
 Arcs = tuple[Floats, Floats, Floats]
-"""Of each arc, the length in m, the bevel's angle in rad and the curvature in 1/m."""
+"""Lengths in m, angles of the bevel in rad and curvatures in 1/m of the arcs."""
 
 WANDER_STEP = 0.5e-3
-"""Length of path in m over which a curvature that wanders is constant."""
+"""Path length in m over which a wandering curvature is constant."""
 
 
 def cut_arcs(depths: Floats, turns: Floats) -> tuple[Floats, Floats]:
@@ -34,7 +34,7 @@ def cut_arcs(depths: Floats, turns: Floats) -> tuple[Floats, Floats]:
     Parameters
     ----------
     depths
-        (n,) inserted lengths one after the other, in m; the last is the present one.
+        (n,) successive inserted lengths, in m; the last is the present one.
     turns
         (n,) angles of the bevel at the same times, in rad.
 
@@ -42,15 +42,15 @@ def cut_arcs(depths: Floats, turns: Floats) -> tuple[Floats, Floats]:
     -------
     (m,) length of each arc from the entry to the tip in m, and (m,) its bevel's angle in rad.
     """
-    # A stretch of the path is there if the tip passed it on its way in and was never shallower
-    # since: what a step adds to the least depth from then on.
+    # A stretch of the path exists if the tip passed it on its way in and has not been shallower
+    # since. Its length is the amount that a step adds to the smallest depth from then on.
     least = np.minimum.accumulate(np.maximum(depths, 0.0)[::-1])[::-1]
     lengths = np.diff(least)
     added = lengths > 0
     lengths, angles = lengths[added], 0.5 * (turns[1:] + turns[:-1])[added]
     if not lengths.size:
         return lengths, angles
-    # What was cut with the bevel at rest is one arc.
+    # Stretches cut with the bevel at rest form one arc.
     first = np.flatnonzero(np.append(True, np.diff(angles) != 0))
     return np.add.reduceat(lengths, first), angles[first]
 
@@ -67,7 +67,7 @@ def draw_wander(length: float, std: float, scale: float, rng: np.random.Generato
     scale
         Standard deviation of the Gaussian that smooths it, in m.
     rng
-        Source of the random numbers. A longer path begins like a shorter one.
+        Generator of the random numbers. A longer path begins like a shorter one.
 
     Returns
     -------
@@ -82,7 +82,7 @@ def draw_wander(length: float, std: float, scale: float, rng: np.random.Generato
 
 @dataclass(frozen=True, eq=False)
 class SteeredPath(Immutable):
-    """The path of a bevelled tip from an entry, along the aimed direction, up and beside.
+    """Path of a bevelled tip from the entry, in coordinates along the aim, up and beside.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ class SteeredPath(Immutable):
     angle
         Angle of the first direction to the aimed one, towards the bend, in rad.
     rotations
-        Depths along the aimed direction at which the bevel is turned by 180 deg, in m, rising.
+        Depths along the aimed direction at which the bevel is turned by 180 deg, in m, ascending.
     wander
         (n,) curvature relative to 1 / R on each `WANDER_STEP` of the path; empty if it is constant.
     """
@@ -110,10 +110,10 @@ class SteeredPath(Immutable):
         Parameters
         ----------
         distances
-            (k,) lengths along the path from the entry in m, in rising order.
+            (k,) distances along the path from the entry in m, in ascending order.
         cut
-            Lengths in m and angles in rad from `roll` of the arcs that the hand has cut (see
-            `cut_arcs`); None if the hand does not turn the needle.
+            Lengths in m, and angles relative to `roll` in rad, of the arcs that the hand has cut
+            (see `cut_arcs`); None if the hand does not turn the needle.
 
         Returns
         -------
@@ -123,9 +123,10 @@ class SteeredPath(Immutable):
         return found @ self._first_axes if self.angle else found
 
     def length_at(self, depth: float) -> float:
-        """Return the length of path down to a depth along the aimed direction, both in m.
+        """Return the path length down to a depth along the aimed direction, both in m.
 
-        The hand does not turn the needle. The length is infinite if the path does not get there.
+        This assumes that the hand does not turn the needle. The length is infinite if the path does
+        not reach the depth.
         """
         if depth <= 0:
             return 0.0
@@ -135,7 +136,7 @@ class SteeredPath(Immutable):
 
     @property
     def direction(self) -> Floats:
-        """(3,) unit vector of the first direction, along the aimed one, up and beside."""
+        """(3,) unit vector of the first direction, in coordinates along the aim, up and beside."""
         return self._first_axes[0]
 
     @property
@@ -144,7 +145,7 @@ class SteeredPath(Immutable):
         return np.array(_turned(np.eye(3), self.roll, self.angle))
 
     def _arcs(self, turns: Floats, cut: tuple[Floats, Floats] | None) -> tuple[Arcs, Floats]:
-        """Return the arcs, and the length of path down to each depth where the bevel is turned."""
+        """Return the arcs, and the path length down to each depth at which the bevel is turned."""
         lengths, angles = (np.array([np.inf]), np.zeros(1)) if cut is None else cut
         angles = self.roll + angles
         curvatures = np.full(len(lengths), 1 / self.radius)
@@ -171,11 +172,11 @@ def positions(lengths, angles, curvatures, distances):  # type: ignore[no-untype
     lengths, angles, curvatures
         (m,) lengths in m, angles of the bevel in rad and curvatures in 1/m of the arcs.
     distances
-        (k,) distances along the path from the entry in m, in rising order.
+        (k,) distances along the path from the entry in m, in ascending order.
 
     Returns
     -------
-    (k, 3) coordinates in m along the first d, u and v. Beyond the end the last arc goes on.
+    (k, 3) coordinates in m along the first d, u and v. The last arc continues beyond its end.
     """
     found = np.empty((len(distances), 3))
     p = np.zeros(3)
@@ -210,14 +211,14 @@ def turn_at_depths(lengths, angles, curvatures, depths, axis):  # type: ignore[n
     lengths, angles, curvatures
         (m,) lengths in m, angles of the bevel in rad and curvatures in 1/m of the arcs.
     depths
-        (r,) depths along an axis in m, in rising order.
+        (r,) depths along an axis in m, in ascending order.
     axis
-        (3,) unit vector of the axis, along the first d, u and v.
+        (3,) unit vector of the axis, in coordinates along the first d, u and v.
 
     Returns
     -------
-    (n,) lengths, angles and curvatures of the arcs, and (r,) lengths of path in m down to the
-    depths, infinite where they are not reached.
+    (n,) lengths, angles and curvatures of the arcs, and (r,) path lengths in m down to the depths,
+    infinite for those that are not reached.
     """
     most = len(lengths) + len(depths)
     new_lengths, new_angles, new_curvatures = np.empty(most), np.empty(most), np.empty(most)
@@ -254,14 +255,14 @@ def turn_at_depths(lengths, angles, curvatures, depths, axis):  # type: ignore[n
 
 @njit(cache=True, nogil=True)
 def _turned(axes, roll, angle):  # type: ignore[no-untyped-def]
-    """Return rows d, u, v after an arc of an angle, towards the side of the bevel."""
+    """Return the rows d, u, v after an arc of an angle in rad, towards the side of the bevel."""
     cosine, sine = np.cos(roll), np.sin(roll)
     d = axes[0]
     normal = cosine * axes[1] + sine * axes[2]
     forward, aside = np.sin(angle), 1 - np.cos(angle)
     turned = axes.copy()
     turned[0] = np.cos(angle) * d + forward * normal
-    bent = -forward * d - aside * normal  # how the normal changes
+    bent = -forward * d - aside * normal  # change of the normal
     turned[1] += cosine * bent
     turned[2] += sine * bent
     return turned
@@ -269,10 +270,10 @@ def _turned(axes, roll, angle):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _length_of_rise(forward, aside, curvature, rise):  # type: ignore[no-untyped-def]
-    """Return the length of arc that rises by so much along an axis, or infinity.
+    """Return the arc length in m that rises by ``rise`` along an axis, or infinity.
 
-    With the angle x = kappa s, the tangent's component a and the normal's b, it solves
-    a sin(x) + b (1 - cos(x)) = kappa rise, that is sin(x - phi) = (kappa rise - b) / hypot(a, b).
+    With the angle x = kappa s, the tangent's component a and the normal's component b, it solves
+    a sin(x) + b (1 - cos(x)) = kappa rise, which is sin(x - phi) = (kappa rise - b) / hypot(a, b).
     """
     sine = (curvature * rise - aside) / np.hypot(forward, aside)
     if forward <= 0 or abs(sine) > 1:

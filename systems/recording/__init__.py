@@ -1,7 +1,7 @@
-"""Files of volumes: readers, writers and the player.
+"""Recordings of volumes: readers, writers and a player.
 
-It reads NRRD and MetaImage, writes recordings with the truth beside them, and puts a recording
-on a wire. It imports `signals` and `files`.
+This room reads NRRD and MetaImage files, writes recordings with the ground truth beside them, and
+plays recordings back as a Drake system. It imports `signals` and `files`.
 """
 
 from lazy_loader import attach_stub

@@ -1,4 +1,4 @@
-"""From a file's grid of voxels to a `Volume` in the probe's frame, and back."""
+"""Mapping from a file's grid of voxels to a `Volume` in the probe's frame."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -12,26 +12,27 @@ from sonoservo.systems.signals.requirements import require
 
 _L, _P, _S = np.eye(3)
 _DEPTHS = {"L": _L, "R": -_L, "P": _P, "A": -_P, "S": _S, "I": -_S}
-"""Where the sound goes, in LPS: to the left, right, back (posterior), front, head, feet."""
+"""Direction of the sound in LPS: left, right, posterior (back), anterior (front), head, feet."""
 
 
 @dataclass(frozen=True, eq=False)
 class FileGrid(Immutable):
-    """How a file's axes become those of the probe frame P: by order and sign, then by a rotation.
+    """Mapping of a file's axes to those of the probe frame P: order and signs, then a rotation.
 
-    Of the file's axes, Y of P is the one that comes closest to the depth, X of the others the one
-    that comes closest to L (to P, if the depth is L or R), and P is right-handed. So an array with
-    left-handed or permuted axes is only looked at differently, never resampled, and however it is
-    stored it is the same volume in P. How the grid is turned in space goes into the pose X_LP.
+    Y of P is the file's axis closest to the depth. X of P is, of the other two, the axis closest to
+    L (to posterior if the depth is L or R). Z completes a right-handed frame. An array with
+    left-handed or permuted axes is therefore only viewed differently, never resampled, and gives
+    the same volume in P however it is stored. The grid's orientation in space goes into the pose
+    X_LP.
 
     Parameters
     ----------
     order
-        Of the file's axes that become X, Y, Z.
+        Numbers of the file's axes that become X, Y and Z.
     flipped
-        Which of these run backwards.
+        Flags of the axes X, Y and Z that run backwards in the file.
     origin, spacing
-        (3,) of the volume in P, in m.
+        (3,) position of the volume's first voxel in P, and distances between voxels, in m.
     X_LP
         Pose of P in L, the file's own coordinates: LPS, but in m.
     """
@@ -43,7 +44,7 @@ class FileGrid(Immutable):
     X_LP: RigidTransform
 
     def arrange(self, voxels: NDArray[Any]) -> NDArray[Any]:
-        """Return a view of the file's voxels, index [x, y, z] in P."""
+        """Return a view of the file's voxels with the index [x, y, z] in P."""
         backwards = tuple(slice(None, None, -1 if flip else 1) for flip in self.flipped)
         return voxels.transpose(self.order)[backwards]
 
@@ -51,23 +52,23 @@ class FileGrid(Immutable):
 def make_file_grid(
     directions: ArrayLike, origin: ArrayLike, shape: tuple[int, int, int], depth: str = "P"
 ) -> FileGrid:
-    """Find how a file's grid lies in the probe frame.
+    """Return the mapping of a file's grid to the probe frame.
 
     Parameters
     ----------
     directions
-        (3, 3) steps along the file's axes, as columns, in mm, in LPS; at right angles.
+        (3, 3) steps along the file's axes as columns, at right angles, in mm, in LPS.
     origin
-        (3,) of the first voxel in mm, in LPS.
+        (3,) position of the first voxel in mm, in LPS.
     shape
-        Voxels along the file's axes.
+        Numbers of voxels along the file's axes.
     depth
-        Where the sound goes, as a letter of the body: "L", "R", "P", "A", "S" or "I".
+        Direction of the sound, as an anatomical letter: "L", "R", "P", "A", "S" or "I".
 
     Raises
     ------
     ValueError
-        If ``depth`` is something else.
+        If ``depth`` is not one of these letters.
     """
     require(depth in _DEPTHS, "depth", depth, f"one of {', '.join(_DEPTHS)}")
     steps = np.asarray(directions, float)

@@ -1,4 +1,4 @@
-"""From whatever numbers a file holds to the grey levels that trackers take."""
+"""Conversion of a file's numbers to grey levels."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -10,17 +10,17 @@ from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.requirements import require
 
 _ALMOST_ALL = 0.999
-"""Share of the voxels in the field of view above which a much greater number is an outlier."""
+"""Quantile of the numbers in the field of view that replaces a maximum far above it."""
 
 
 @dataclass(frozen=True)
 class GreyWindow(Immutable):
-    """The range of a file's numbers that becomes the grey levels 0 to 255; beyond it they saturate.
+    """Range of a file's numbers that becomes the grey levels 0 to 255; numbers beyond it saturate.
 
     Parameters
     ----------
     low, high
-        That become 0 and 255.
+        Numbers that become 0 and 255.
     """
 
     low: float
@@ -31,7 +31,7 @@ class GreyWindow(Immutable):
         require(finite and self.low < self.high, "window", (self.low, self.high), "two rising ends")
 
     def grey(self, voxels: NDArray[Any]) -> NDArray[Any]:
-        """Return grey levels in C order: uint8 as it is if the window is 0 to 255, else float32."""
+        """Return grey levels in C order: unchanged uint8 for the window 0 to 255, else float32."""
         if voxels.dtype == np.uint8 and (self.low, self.high) == (0, 255):
             return np.ascontiguousarray(voxels)
         levels = np.array(voxels, np.float32, order="C")
@@ -42,13 +42,14 @@ class GreyWindow(Immutable):
 
 
 def choose_window(voxels: NDArray[Any]) -> GreyWindow:
-    """Choose a window for volumes like this one; it must then stay the same for all of them.
+    """Choose a window for the volumes of a recording; all of them must share it.
 
-    8-bit grey levels are taken as they are. So are other numbers that look like such: from 0 to at
-    most 255, with more than half of that range in use; from 0 to at most 1 likewise, times 255.
-    Otherwise the least number, which also fills what lies outside the field of view, becomes 0, and
-    the greatest becomes 255, unless it is an outlier: then the 99.9 % quantile does. The numbers
-    should be log-compressed: for linear amplitudes take the logarithm first.
+    8-bit numbers are grey levels and stay as they are. So do other numbers that look like grey
+    levels: they lie between 0 and 255 and their maximum is above half of that range. Floating-point
+    numbers between 0 and 1 are treated likewise and multiplied by 255. Otherwise the lowest number,
+    which also fills the space outside the field of view, becomes 0. The highest becomes 255, or the
+    99.9 % quantile if the highest is an outlier. The numbers should be log-compressed: take the
+    logarithm of linear amplitudes first.
     """
     if voxels.dtype == np.uint8:
         return GreyWindow(0, 255)

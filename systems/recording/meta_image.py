@@ -1,7 +1,7 @@
-"""Volumes as MetaImage files (``.mha``, ``.mhd``), which ITK, 3D Slicer and PLUS write.
+"""Reader of MetaImage files (``.mha``, ``.mhd``), which ITK, 3D Slicer and PLUS write.
 
-The format is simple enough to be read here. SimpleITK 2.5 would end the whole program (segmentation
-fault) over a header like ``NDims = -1``; it is the referee in the tests.
+The format is simple enough to read directly. SimpleITK 2.5 crashes with a segmentation fault on a
+header such as ``NDims = -1``; the tests use it as a reference.
 """
 
 from pathlib import Path
@@ -32,41 +32,51 @@ _TYPES = {
 _ORIGIN = ("Offset", "Position", "Origin")
 _DIRECTIONS = ("TransformMatrix", "Rotation", "Orientation")
 _BIG_ENDIAN = ("BinaryDataByteOrderMSB", "ElementByteOrderMSB")
-"""Names by which each is known; the first one that is there counts."""
+"""Alternative names of each field; the first one present counts."""
 
 
-def open_meta_image(path: Path) -> VolumeFile:
+def open_meta_image(path: Path, *, frames: bool = False) -> VolumeFile:
     """Open a MetaImage file with one volume, or with a sequence of them along a fourth axis.
 
-    PLUS also keeps tracked 2D frames in such files, one after the other along the third axis: they
-    are refused.
+    PLUS also stores tracked 2D frames in such files, one after the other along the third axis.
+
+    Parameters
+    ----------
+    path
+        Path of the file.
+    frames
+        Whether to open 2D frames and refuse volumes, rather than the reverse.
 
     Raises
     ------
     ConfigurationError
-        Naming the file and the fault.
+        If the file is not valid; the message names the file and the fault.
     """
     fields, offset = _read_header(path)
     sizes = [int(n) for n in _numbers(path, fields, ("DimSize",))]
     n = len(sizes)
     if n not in (3, 4):
-        raise ConfigurationError(f"{path}: DimSize: {fields['DimSize']!r}; a volume has 3 axes")
+        raise ConfigurationError(
+            f"{path}: DimSize: {fields['DimSize']!r} is not allowed; a volume has 3 axes, "
+            "a sequence of volumes 4"
+        )
     if n == 3 and sum(key.endswith("_Timestamp") for key in fields) > 1:
         sizes = [*sizes[:2], 1, sizes[2]]  # frames, one after the other
     nx, ny, nz, count = (*sizes, 1)[:4]
     kind = fields.get("ElementType", "")
     if kind not in _TYPES or fields.get("ElementNumberOfChannels", "1") != "1":
         raise ConfigurationError(
-            f"{path}: ElementType: {kind!r} is not allowed; one number a voxel: {', '.join(_TYPES)}"
+            f"{path}: ElementType: {kind!r} is not allowed; a voxel is one number of the types "
+            f"{', '.join(_TYPES)}"
         )
     if not _flag(fields, ("BinaryData",), True):
-        raise ConfigurationError(f"{path}: BinaryData: voxels written as text are not read")
+        raise ConfigurationError(f"{path}: BinaryData: voxels stored as text are not supported")
     # A row of the matrix is the direction of an axis.
     matrix = _numbers(path, fields, _DIRECTIONS, np.eye(n).ravel(), n * n).reshape(n, n)
     steps = _numbers(path, fields, ("ElementSpacing", "ElementSize"), np.ones(n), n)
     origin = _numbers(path, fields, _ORIGIN, np.zeros(n), n)
     directions = matrix[:3, :3].T * steps[:3]
-    check_layout(path, (nx, ny, nz), count, directions)
+    check_layout(path, (nx, ny, nz), count, directions, frames=frames)
     dtype = np.dtype((">" if _flag(fields, _BIG_ENDIAN, False) else "<") + _TYPES[kind])
     voxels = nx * ny * nz
     data = _open_data(path, fields, offset, voxels * count * dtype.itemsize)
@@ -79,14 +89,14 @@ def open_meta_image(path: Path) -> VolumeFile:
 
 
 def _read_header(path: Path) -> tuple[dict[str, str], int]:
-    """Return the header's fields, and where what follows it begins."""
+    """Return the header's fields, and the offset of the first byte after the header."""
     fields: dict[str, str] = {}
     with path.open("rb") as file:
         while "ElementDataFile" not in fields:
             line = file.readline(1 << 16)
             key, equals, value = line.decode("latin-1").partition("=")
             if not equals or file.tell() > MAX_HEADER:
-                raise ConfigurationError(f"{path}: no MetaImage file, or its header has no end")
+                raise ConfigurationError(f"{path}: not a MetaImage file, or its header has no end")
             fields[key.strip()] = value.strip()
         return fields, file.tell()
 
@@ -98,7 +108,7 @@ def _numbers(
     default: NDArray[np.float64] | None = None,
     count: int | None = None,
 ) -> NDArray[np.float64]:
-    """Return the numbers of a field, finite and as many as wanted."""
+    """Return the numbers of a field, which must be finite and, if given, `count` in number."""
     name = next((name for name in names if name in fields), names[0])
     if name not in fields and default is not None:
         return default

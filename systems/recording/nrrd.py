@@ -1,4 +1,4 @@
-"""Volumes as NRRD files, which 3D Slicer, ITK and others read."""
+"""Reader and writer of volumes as NRRD files, which 3D Slicer, ITK and others read."""
 
 import io
 import tempfile
@@ -30,7 +30,7 @@ _SPACES = {
     "left-anterior-superior": (1, -1, 1),
     "las": (1, -1, 1),
 }
-"""Signs that turn a space's axes into LPS; other spaces name no directions of the body."""
+"""Signs that turn a space's axes into LPS; other spaces are not anatomical."""
 
 _MM = {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3, "": 1.0}
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
@@ -48,28 +48,28 @@ _TYPES = {
 _CODES = {name: code for code, names in _TYPES.items() for name in names}
 
 _BLOCK = 1 << 26
-"""Bytes that are turned round at a time where a file has the list axis first."""
+"""Bytes transposed at a time if a file has the list axis first."""
 
 
 def write_volume(path: str | Path, volume: Volume) -> Path:
     """Write a volume as NRRD, compressed with gzip, in mm, in the space LPS.
 
-    The axes of the probe frame P become those of the patient that the format speaks of, as if the
-    probe stood upright on the front of a patient who lies on the back: X of P (along the array) is
-    L, to the patient's left; Y of P (depth) is P, to the back; Z of P (the sweep) is S, to the
-    head. So a voxel lies at 1000 times its position in P. A field of the header tells the dB per
-    grey level.
+    The axes of the probe frame P become the anatomical axes of the format, as if the probe stood
+    upright on the front of a patient lying supine: X of P (along the array) becomes L (left), Y of
+    P (depth) becomes P (posterior), and Z of P (the sweep) becomes S (superior, towards the head).
+    The coordinates of a voxel are thus 1000 times its position in P. A field of the header holds
+    the dB per grey level.
 
     Parameters
     ----------
     path
-        Where to; the suffix is usually ``.nrrd``.
+        Path of the file; the suffix is usually ``.nrrd``.
     volume
-        What to write.
+        Volume to write.
 
     Returns
     -------
-    The path.
+    Path of the file.
     """
     buffer = io.BytesIO()
     header = _header(volume) | {SCALE: repr(float(volume.decibels_per_level))}
@@ -78,22 +78,22 @@ def write_volume(path: str | Path, volume: Volume) -> Path:
 
 
 def write_mask(path: str | Path, volume: Volume, mask: NDArray[np.bool_], name: str) -> Path:
-    """Write a mask as a segmentation of 3D Slicer, on the grid of a volume.
+    """Write a mask as a 3D Slicer segmentation, on the grid of a volume.
 
     Parameters
     ----------
     path
-        Where to; the suffix is ``.seg.nrrd``.
+        Path of the file; the suffix is ``.seg.nrrd``.
     volume
-        Whose grid it is.
+        Volume whose grid the mask shares.
     mask
-        Of the volume's shape.
+        Mask of the volume's shape.
     name
-        Of the one segment.
+        Name of the single segment.
 
     Returns
     -------
-    The path.
+    Path of the file.
     """
     last = [n - 1 for n in mask.shape]
     segment = {
@@ -120,7 +120,7 @@ def write_mask(path: str | Path, volume: Volume, mask: NDArray[np.bool_], name: 
 
 
 def _header(volume: Volume) -> dict[str, Any]:
-    """Where a volume lies, for pynrrd; compressed with gzip."""
+    """Return the NRRD header of a volume's grid for pynrrd, with gzip as encoding."""
     return {
         "space": "left-posterior-superior",
         "space directions": np.diag(1e3 * volume.spacing),
@@ -132,20 +132,20 @@ def _header(volume: Volume) -> dict[str, Any]:
 
 
 def open_nrrd(path: Path) -> VolumeFile:
-    """Open a NRRD file with one volume, or with a sequence of them along an axis of its own.
+    """Open an NRRD file with one volume, or with a sequence of them along a list axis.
 
-    The list axis comes first, as 3D Slicer wrote it for years, or last, as it does now. What lies
-    first in the file changes fastest, so a file with the list axis first is turned round once, into
-    a temporary file. Raw data and gzip are read; others are refused.
+    The list axis may come first, as older versions of 3D Slicer wrote it, or last, as it is written
+    today. The first axis of a file varies fastest, so a file with the list axis first is transposed
+    once into a temporary file. Raw and gzip data are supported.
 
     Raises
     ------
     ConfigurationError
-        Naming the file and the fault.
+        If the file is not valid or not supported; the message names the file and the fault.
     """
     text, offset = _read_header(path)
     try:
-        # The parser warns of keys that come twice; the last one counts.
+        # The parser warns of duplicate keys; the last one counts.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             header = nrrd.read_header(io.BytesIO(text))
@@ -167,11 +167,11 @@ def open_nrrd(path: Path) -> VolumeFile:
 
 
 def _read_header(path: Path) -> tuple[bytes, int]:
-    """Return the header's text, and where what follows it begins."""
+    """Return the header's text, and the offset of the first byte after the header."""
     lines, size = [], 0
     with path.open("rb") as file:
         if not file.read(8).startswith(b"NRRD000"):
-            raise ConfigurationError(f"{path}: no NRRD file: it does not begin with NRRD000")
+            raise ConfigurationError(f"{path}: not an NRRD file: it does not begin with NRRD000")
         file.seek(0)
         while line := file.readline(MAX_HEADER):
             size += len(line)
@@ -191,8 +191,8 @@ def _describe(path: Path, header: dict[str, Any], offset: int) -> VolumeFile:
     lists = [axis for axis, spatial in enumerate(space) if not spatial]
     if len(sizes) - len(lists) != 3 or len(lists) > 1 or (lists and lists[0] not in (0, 3)):
         raise ConfigurationError(
-            f"{path}: axes of the kinds {header.get('kinds', len(sizes) * ['domain'])}; a volume "
-            "has three in space, a sequence of volumes a list besides, first or last"
+            f"{path}: kinds: {header.get('kinds', len(sizes) * ['domain'])} is not allowed; a "
+            "volume has three in space, a sequence also has a list axis, first or last"
         )
     listed = lists[0] if lists else None
     spatial = [axis for axis in range(len(sizes)) if axis != listed]
@@ -206,7 +206,9 @@ def _describe(path: Path, header: dict[str, Any], offset: int) -> VolumeFile:
     dtype = np.dtype((">" if big else "<") + _CODES[header["type"]])
     encoding = str(header.get("encoding")).lower()
     if encoding not in ("raw", "gzip", "gz"):
-        raise ConfigurationError(f"{path}: encoding: {encoding!r} is not read; raw and gzip are")
+        raise ConfigurationError(
+            f"{path}: encoding: {encoding!r} is not supported; use raw or gzip"
+        )
     size = nx * ny * nz * count * dtype.itemsize
     source = _data_file(path, header)
     data = DataSection(
@@ -236,7 +238,7 @@ def _describe(path: Path, header: dict[str, Any], offset: int) -> VolumeFile:
 
 
 def _is_space(header: dict[str, Any], axis: int) -> bool:
-    """Whether an axis lies in space; by its kind, or else by whether it has a direction."""
+    """Return True if an axis is spatial, judged by its kind or else by its direction."""
     kinds = header.get("kinds")
     if kinds is not None and str(kinds[axis]).lower() not in ("???", "none"):
         return str(kinds[axis]).lower() in ("domain", "space")
@@ -247,13 +249,15 @@ def _is_space(header: dict[str, Any], axis: int) -> bool:
 def _geometry(
     path: Path, header: dict[str, Any], spatial: list[int]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(3, 3) steps along the axes, as columns, and (3,) origin, in mm, in LPS."""
+    """Return the (3, 3) steps along the axes as columns, and the (3,) origin, in mm, in LPS."""
     space = str(header.get("space", "")).lower().removesuffix("-time")
     signs = np.array(_SPACES.get(space, (1, 1, 1)))
     units = header.get("space units", ["mm"] * 3)
     scales = [_MM.get(str(unit).strip('"')) for unit in units]
     if len(scales) < 3 or None in scales[:3]:
-        raise ConfigurationError(f"{path}: space units: {units} are not allowed; mm, cm, m or um")
+        raise ConfigurationError(
+            f"{path}: space units: {units} are not allowed; use mm, cm, m or um"
+        )
     scale = signs * np.array(scales[:3], float)
     if "space directions" in header:
         rows = np.array([np.asarray(header["space directions"][axis], float) for axis in spatial])
@@ -268,14 +272,16 @@ def _geometry(
 
 
 def _data_file(path: Path, header: dict[str, Any]) -> Path | None:
-    """Return where the voxels lie if not in the header's own file."""
+    """Return the path of the voxels' file; None if they follow the header."""
     name = header.get("data file", header.get("datafile"))
     if name is None:
         return None
     source = path.parent / str(name)
     skip = [key for key in ("byte skip", "line skip", "byteskip", "lineskip") if header.get(key)]
     if skip or str(name).startswith("LIST") or "%" in str(name):
-        raise ConfigurationError(f"{path}: data file: only one file without any skip is read")
+        raise ConfigurationError(
+            f"{path}: data file: only a single file without byte or line skip is supported"
+        )
     if not source.is_file():
         raise ConfigurationError(f"{path}: data file: there is no file {source}")
     return source
@@ -284,7 +290,7 @@ def _data_file(path: Path, header: dict[str, Any]) -> Path | None:
 def _times(
     path: Path, header: dict[str, Any], listed: int, count: int
 ) -> NDArray[np.float64] | None:
-    """Times of the volumes in s, from the index values of 3D Slicer; None if they are none."""
+    """Return the volumes' times in s from 3D Slicer's index values; None if those are not times."""
     values = header.get(f"axis {listed} index values")
     label = str(_entry(header, "labels", listed)).strip('"').lower()
     unit = str(_entry(header, "units", listed)).strip('"').lower()
@@ -304,7 +310,7 @@ def _entry(header: dict[str, Any], name: str, axis: int) -> Any:
 
 
 def _turned_round(data: DataSection, voxels: int, count: int, itemsize: int) -> DataSection:
-    """Copy data whose list axis runs fastest to a temporary file in which it runs slowest."""
+    """Copy data whose list axis varies fastest to a temporary file in which it varies slowest."""
     with tempfile.NamedTemporaryFile(prefix="sonoservo-") as file:
         step = max(1, _BLOCK // (count * itemsize))
         for first in range(0, voxels, step):
@@ -315,5 +321,5 @@ def _turned_round(data: DataSection, voxels: int, count: int, itemsize: int) -> 
                 file.seek((k * voxels + first) * itemsize)
                 file.write(column.tobytes())
         file.flush()
-        # The open file outlives its name.
+        # The open file remains readable after its name is removed.
         return DataSection(Path(file.name), 0, voxels * size)

@@ -1,4 +1,4 @@
-"""Recorded volumes, whoever recorded them."""
+"""Recorded volumes from this program or from others."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -34,43 +34,43 @@ _FORMATS = {
 
 
 class Recording:
-    """Volumes in a file, read one at a time; only the one asked for is in memory.
+    """Volumes in a file, read on demand, one at a time.
 
     Without poses of the probe, the world frame W is the file's own frame L: LPS, in m.
 
     Parameters
     ----------
     path
-        Of a ``.nrrd``, ``.nhdr``, ``.mha`` or ``.mhd`` with one volume or a sequence.
+        Path of a ``.nrrd``, ``.nhdr``, ``.mha`` or ``.mhd`` file with one volume or a sequence.
     depth
-        Where the sound goes in the file's space, as a letter of the body (`make_file_grid`).
+        Direction of the sound in the file's space, as an anatomical letter (`make_file_grid`).
     window
-        Numbers that become the grey levels 0 and 255; by default `choose_window` of the first
-        volume.
+        Numbers that become the grey levels 0 and 255. By default, a recording of this program has
+        the window 0 to 255, and other files the `choose_window` of their first volume.
     dynamic_range_db
-        Range of echo amplitudes that the grey levels 0 to 255 show; by default what the file
-        tells, or else 60.
+        Range of echo amplitudes that the grey levels 0 to 255 show, in dB; by default the value in
+        the file, or else 60.
     volume_rate
-        Volumes per second, in Hz, for a sequence that tells no times.
+        Volumes per second, in Hz, for a sequence without times.
     poses
         Name of the transform that is the probe's pose (``ProbeToTracker``), if the file has
-        several; "none" leaves poses out.
+        several; "none" ignores poses.
 
     Attributes
     ----------
     times
-        (n,) of the volumes, in s.
+        (n,) times of the volumes, in s.
     skipped
-        Number of volumes left out because the file calls them or their pose invalid.
+        Number of volumes skipped because the file marks them or their pose as invalid.
     posed
-        Whether the file tells the probe's poses.
+        Whether the file contains the probe's poses.
     settings
-        Of the recorder, if it was this program's.
+        Settings stored by this program's recorder; empty for files of other programs.
 
     Raises
     ------
     ConfigurationError
-        Naming the file and the fault.
+        If the file is not valid; the message names the file and the fault.
     """
 
     def __init__(
@@ -92,8 +92,10 @@ class Recording:
         except ValueError as error:
             raise ConfigurationError(f"{self.path}: {error}") from error
         self._acquisition = self._read_acquisition()
+        if self._acquisition is not None and window is None:
+            self._window = GreyWindow(0, 255)  # this program's recorder writes grey levels
         frames = file.frame_fields()
-        transform = None if self._acquisition else _choose(self.path, frames, poses)
+        transform = None if self._acquisition else choose_transform(self.path, frames, poses)
         self.posed = bool(self._acquisition) or transform is not None
         self.settings: dict[str, Any] = self._acquisition.settings if self._acquisition else {}
         self._decibels_per_level = self._scale(dynamic_range_db)
@@ -130,7 +132,7 @@ class Recording:
         Raises
         ------
         ConfigurationError
-            If the file is damaged there.
+            If the file is damaged at that volume.
         """
         k = self._numbers[number]
         voxels = self._file.read(k)
@@ -163,7 +165,7 @@ class Recording:
         )
 
     def X_WL(self, number: int) -> RigidTransform:
-        """Pose of the file's frame L (LPS, in m) in W, when a volume was acquired."""
+        """Return the pose in W of the file's frame L (LPS, in m) when a volume was acquired."""
         k = self._numbers[number]
         if self._acquisition is not None:
             return self._acquisition.poses[k] @ self._grid.X_LP.inverse()
@@ -178,11 +180,11 @@ class Recording:
             np.allclose(exact.origin, self._grid.origin, atol=1e-9)
             and np.allclose(exact.spacing, self._grid.spacing, atol=1e-9)
         ):
-            raise ConfigurationError(f"{path}: it belongs to another recording than {self.path}")
+            raise ConfigurationError(f"{path}: it does not belong to the recording {self.path}")
         return exact
 
     def _scale(self, dynamic_range_db: float | None) -> float:
-        """Return dB per grey level: as wished, as the file tells, or else 60 dB over 255 levels."""
+        """Return dB per grey level: from the argument, from the file, or else 60 dB / 255."""
         noted = self._acquisition.decibels_per_level if self._acquisition else None
         try:
             if dynamic_range_db is not None:
@@ -214,7 +216,7 @@ class Recording:
                 raise ConfigurationError(f"{self.path}: Timestamp: {error}") from error
         if count > 1:
             raise ConfigurationError(
-                f"{self.path}: it does not tell when its volumes were acquired; give their rate "
+                f"{self.path}: the times of its volumes are missing; give their rate "
                 "(--volume-rate)"
             )
         return np.zeros(1)
@@ -229,11 +231,8 @@ class Recording:
             )
 
     def _pose(self, name: str, text: str) -> RigidTransform:
-        """Pose of L in W from a transform as PLUS writes it: rows of a 4 x 4 matrix, in mm."""
-        try:
-            matrix = np.array(text.split(), float).reshape(4, 4)
-        except ValueError as error:
-            raise ConfigurationError(f"{self.path}: {name}: {text!r} is no matrix") from error
+        """Return the pose of L in W from a transform as PLUS writes it."""
+        matrix = read_matrix(self.path, name, text)
         if name.startswith("Image"):  # its coordinates are voxels, not mm
             header = np.eye(4)
             header[:3, :3], header[:3, 3] = self._file.directions, self._file.origin
@@ -241,33 +240,43 @@ class Recording:
         R = matrix[:3, :3]
         rigid = np.isfinite(matrix).all() and np.abs(R.T @ R - np.eye(3)).max() < 1e-3
         if not rigid or np.linalg.det(R) < 0:
-            raise ConfigurationError(f"{self.path}: {name}: {text!r} is no rigid motion")
+            raise ConfigurationError(f"{self.path}: {name}: {text!r} is not a rigid transform")
         return RigidTransform(RotationMatrix.ProjectToRotationMatrix(R), 1e-3 * matrix[:3, 3])
 
 
 def _open(path: Path) -> VolumeFile:
-    """Open a file by its suffix.
+    """Open a file according to its suffix.
 
     Raises
     ------
     ConfigurationError
-        Naming the file and the fault.
+        If the file is not valid; the message names the file and the fault.
     """
     if path.is_dir():
-        raise ConfigurationError(f"{path}: it is a folder; a file with volumes is wanted")
+        raise ConfigurationError(f"{path}: it is a folder; give a file with volumes")
     if not path.is_file():
         raise ConfigurationError(f"{path}: there is no such file")
     if path.stat().st_size == 0:
         raise ConfigurationError(f"{path}: it is empty")
     if path.suffix.lower() not in _FORMATS:
         raise ConfigurationError(
-            f"{path}: files of this kind are not read; {', '.join(_FORMATS)} are"
+            f"{path}: this file type is not supported; use {', '.join(_FORMATS)}"
         )
     return _FORMATS[path.suffix.lower()](path)
 
 
-def _choose(path: Path, frames: dict[str, dict[int, str]], poses: str | None) -> str | None:
-    """Name of the transform that tells the probe's pose; None if there is none."""
+def read_matrix(path: Path, name: str, text: str) -> NDArray[np.float64]:
+    """Return the (4, 4) matrix of a transform as PLUS writes it: row by row, in mm."""
+    try:
+        return np.array(text.split(), float).reshape(4, 4)
+    except ValueError as error:
+        raise ConfigurationError(f"{path}: {name}: {text!r} is not a 4 x 4 matrix") from error
+
+
+def choose_transform(
+    path: Path, frames: dict[str, dict[int, str]], poses: str | None
+) -> str | None:
+    """Return the name of the transform that is the probe's pose; None if there is none."""
     names = sorted(name for name in frames if name.endswith("Transform"))
     if poses == "none" or (poses is None and not names):
         return None
@@ -280,7 +289,7 @@ def _choose(path: Path, frames: dict[str, dict[int, str]], poses: str | None) ->
         return wanted
     if len(names) > 1:
         raise ConfigurationError(
-            f"{path}: which transform is the probe's pose? Choose one with --poses: "
+            f"{path}: it has several transforms. Choose one with --poses: "
             f"{', '.join(name.removesuffix('Transform') for name in names)}, or none"
         )
     return names[0]

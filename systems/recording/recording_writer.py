@@ -1,4 +1,4 @@
-"""Writes volumes as a recording: a sequence for 3D Slicer, and how they were acquired."""
+"""Writers of recordings: a sequence for 3D Slicer, and the acquisition of its volumes."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,24 +18,25 @@ from sonoservo.systems.signals.volume import Volume
 
 
 class RecordingWriter:
-    """Writes volumes as they come: ``NAME.seq.nrrd`` and ``NAME.acquisition.jsonl``.
+    """Writes volumes one by one to ``NAME.seq.nrrd`` and ``NAME.acquisition.jsonl``.
 
-    A voxel lies where `write_volume` puts it, the volume's time is its index value, and X_WP is its
-    field ``ProbeToReferenceTransform`` (in mm), as PLUS would write it. The acquisition holds the
-    same to the last bit, and when and from where each frame was acquired. What was written before
-    an interruption stays readable (`SequenceWriter`); `close` gives the files their names.
+    The voxels have the coordinates that `write_volume` gives them. A volume's time is its index
+    value, and X_WP is its field ``ProbeToReferenceTransform`` (in mm), as PLUS would write it. The
+    acquisition file holds the same values bit for bit, and the time and pose of each frame. After
+    an interruption, the volumes written so far stay readable (`SequenceWriter`). `close` gives the
+    files their final names.
 
     Parameters
     ----------
     path
-        Where to; it must end in ``.seq.nrrd``.
+        Path of the recording, which must end in ``.seq.nrrd``.
     settings
-        What a tracker has to know besides; it goes into the acquisition's first line.
+        Further settings that a tracker needs; they go into the acquisition's first line.
 
     Raises
     ------
     ValueError
-        If the name ends otherwise.
+        If the path has another suffix.
     """
 
     def __init__(self, path: str | Path, settings: Mapping[str, Any] | None = None) -> None:
@@ -59,7 +60,7 @@ class RecordingWriter:
         Raises
         ------
         ValueError
-            If its grid, its scale of grey levels or its resolution differs from the first one's.
+            If its grid, scale of grey levels or point spread differs from the first volume's.
         """
         grid = describe_grid(volume)
         if self._volumes is None or self._acquisition is None:
@@ -80,7 +81,7 @@ class RecordingWriter:
         self._volumes.append(volume.intensities, volume.time, fields)
 
     def close(self) -> None:
-        """Give the files their final names; without any volume nothing is left."""
+        """Give the files their final names; without any volume, no file is left."""
         if self._volumes is not None and self._acquisition is not None:
             self._acquisition.close()
             self._volumes.close()
@@ -101,15 +102,16 @@ def _header(volume: Volume) -> dict[str, str]:
 
 
 class SweepWriter:
-    """Writes sweeps as they come, as acquired: ``NAME.sweeps.seq.nrrd``.
+    """Writes sweeps as acquired, one by one, to ``NAME.sweeps.seq.nrrd``.
 
-    Its axes are sample, line, frame and list; they have spacings (in mm, deg, deg) and no
-    directions in space, as a sector is no grid. The geometry is in the acquisition of the volumes.
+    The axes are sample, line, frame and list. The first three have spacings (in mm, deg and deg)
+    but no directions in space, because a sector is not a grid. The geometry is in the acquisition
+    file of the volumes.
 
     Parameters
     ----------
     path
-        Of the recording of volumes that they belong to.
+        Path of the recording of volumes that the sweeps belong to.
     """
 
     def __init__(self, path: Path) -> None:

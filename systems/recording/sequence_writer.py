@@ -1,4 +1,4 @@
-"""Writes a sequence of arrays to one NRRD file while they come."""
+"""Writer of a sequence of arrays to one NRRD file, array by array."""
 
 import os
 import shutil
@@ -13,31 +13,36 @@ from numpy.typing import NDArray
 from sonoservo.systems.files.writing import write_atomically
 
 SUFFIX = ".seq.nrrd"
-"""By which 3D Slicer knows a sequence."""
+"""Suffix by which 3D Slicer recognises a sequence."""
 
 _TYPE_NAMES = {"uint8": "uint8", "float32": "float"}
 
 
 class SequenceWriter:
-    """Writes a ``.seq.nrrd``, its list axis last, as 3D Slicer does now.
+    """Writes a ``.seq.nrrd`` file with the list axis last, as 3D Slicer does today.
 
-    The format's header comes before the data and holds their number. So while arrays come, data and
-    header are two files, ``NAME.partial.raw`` and ``NAME.partial.seq.nhdr``, of which the header is
-    replaced after every array: whatever interrupts the program, what was written is a valid
-    sequence. `close` joins them, and only then the file has its final name.
+    The format's header precedes the data and holds the number of arrays. During writing, data and
+    header are therefore separate files, ``NAME.partial.raw`` and ``NAME.partial.seq.nhdr``, and the
+    header is replaced after every array. If the program is interrupted, the files written so far
+    are a valid sequence. `close` joins them under the final name.
 
     Parameters
     ----------
     path
-        Where to; the name ends in ``.seq.nrrd``.
+        Path of the file; the name ends in ``.seq.nrrd``.
     header
-        Lines of the header that describe the arrays' own axes, by field. For every field with an
-        entry for each axis, the entry of the list axis is added here.
+        Header fields, by name. A field with one entry per axis must include the entry of the list
+        axis, except ``sizes``, ``labels`` and ``units``, which are added here.
+
+    Raises
+    ------
+    IsADirectoryError
+        If the path is a folder.
     """
 
     def __init__(self, path: Path, header: Mapping[str, str]) -> None:
         if path.is_dir():
-            raise IsADirectoryError(f"{path}: it is a folder; a recording cannot be written there")
+            raise IsADirectoryError(f"{path}: it is a folder; give the path of a file")
         self.path = path
         self.partial_header = partial_path(path, SUFFIX.replace("nrrd", "nhdr"))
         self._partial_data = partial_path(path, ".raw")
@@ -65,11 +70,16 @@ class SequenceWriter:
         Parameters
         ----------
         array
-            uint8 or float32; all must have one shape and type.
+            Array of uint8 or float32; all arrays must have the same shape and type.
         time
-            In s; it becomes the array's index value.
+            Time of the array in s, which becomes its index value.
         fields
-            What else is known about it; kept as PLUS does, ``Seq_Frame0012_Name``.
+            Further fields of the array, stored as PLUS does, ``Seq_Frame0012_Name``.
+
+        Raises
+        ------
+        ValueError
+            If the shape or type differs from the first array's.
         """
         if not self._times:
             self._shape, self._dtype = array.shape, array.dtype
@@ -84,7 +94,7 @@ class SequenceWriter:
         write_atomically(self.partial_header, self._text(self._partial_data.name))
 
     def close(self) -> None:
-        """Give the file its final name; without any array nothing is left."""
+        """Give the file its final name; without any array, no file is left."""
         if self._data.closed:
             return
         self._data.close()
@@ -99,14 +109,14 @@ class SequenceWriter:
             with os.fdopen(handle, "wb") as file, self._partial_data.open("rb") as data:
                 file.write(self._text("").encode())
                 shutil.copyfileobj(data, file, 1 << 24)
-            os.chmod(joined, 0o644)  # mkstemp's files are for their owner alone
+            os.chmod(joined, 0o644)  # mkstemp's files are readable by their owner only
             os.replace(joined, self.path)
         except BaseException:
             os.unlink(joined)
             raise
 
     def _text(self, data_file: str) -> str:
-        """Return the header; with the name of the data's file if they are not attached."""
+        """Return the header, with the name of the data file if the data are detached."""
         sizes = " ".join(str(n) for n in (*self._shape, len(self._times)))
         axis = len(self._shape)
         empty = '"" ' * axis
@@ -130,5 +140,5 @@ class SequenceWriter:
 
 
 def partial_path(path: Path, suffix: str) -> Path:
-    """Return where a part of a recording is while it is being made."""
+    """Return the path of a part of a recording while it is being written."""
     return path.with_name(path.name.removesuffix(SUFFIX) + ".partial" + suffix)

@@ -1,7 +1,8 @@
-"""What belongs to a recording beside its volumes: how they were acquired, and the truth.
+"""Side files of a recording: the acquisition of its volumes, and the ground truth.
 
-Both are JSON Lines files: the first line describes the file, each further one a volume or a moment.
-They are written line by line, in SI units, every number such that it reads back the same.
+Both are JSON Lines files. The first line describes the file; each further line describes a volume
+or a sample of the truth. They are written line by line, in SI units, with numbers that read back
+exactly.
 """
 
 import json
@@ -23,16 +24,16 @@ from sonoservo.systems.signals.sweep import SweepGeometry, SweepMotion
 from sonoservo.systems.signals.volume import Volume
 
 ACQUISITION, TRUTH = ".acquisition.jsonl", ".truth.jsonl"
-"""Suffixes, in the place of the recording's."""
+"""Suffixes of the side files, which replace the recording's."""
 
 FORMAT = 1
-"""Version of both files, in their first lines."""
+"""Format version of both files, stored in their first lines."""
 
 _RECORDINGS = (SUFFIX, ".seq.nhdr", ".nrrd", ".nhdr", ".mha", ".mhd")
 
 
 def side_path(recording: Path, suffix: str) -> Path:
-    """Return the file beside a recording that has its name and another suffix."""
+    """Return the path of a recording's side file: the same name with another suffix."""
     name = recording.name
     for each in _RECORDINGS:
         if name.lower().endswith(each):
@@ -41,16 +42,16 @@ def side_path(recording: Path, suffix: str) -> Path:
 
 
 class LinesWriter:
-    """Writes a JSON Lines file; it has its final name once it is closed.
+    """Writes a JSON Lines file, which gets its final name when it is closed.
 
     Parameters
     ----------
     recording
-        That it belongs to.
+        Path of the recording that the file belongs to.
     suffix
-        Of this file.
+        Suffix of the file.
     first
-        Its first line.
+        First line of the file; the format version is added.
     """
 
     def __init__(self, recording: Path, suffix: str, first: dict[str, Any]) -> None:
@@ -83,7 +84,7 @@ class LinesWriter:
 
 
 def describe_grid(volume: Volume) -> dict[str, Any]:
-    """Return the part of an acquisition that all volumes share."""
+    """Return the part of an acquisition that all volumes of a recording share."""
     return {
         "origin": volume.origin.tolist(),
         "spacing": volume.spacing.tolist(),
@@ -100,7 +101,7 @@ def _describe_spread(spread: PointSpread | None) -> dict[str, Any] | None:
 
 
 def describe_acquisition(volume: Volume) -> dict[str, Any]:
-    """Return when and from where a volume was acquired."""
+    """Return the time and poses at which a volume was acquired."""
     motion = volume.motion
     line = {"time": volume.time, "X_WP": volume.X_WP.GetAsMatrix4().tolist()}
     if motion is not None:
@@ -112,24 +113,24 @@ def describe_acquisition(volume: Volume) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False)
 class Acquisition:
-    """When and from where volumes were acquired, exactly.
+    """Exact times and poses of the acquisition of volumes.
 
     Parameters
     ----------
     origin, spacing
-        (3,) of all volumes, in m.
+        (3,) origin and voxel spacing of all volumes, in m.
     times
-        Of the volumes, in s.
+        Times of the volumes, in s.
     poses
-        X_WP of each.
+        Pose X_WP of each volume.
     motions
-        Of each; None if that is not known.
+        Motion of the probe during each volume; None if unknown.
     decibels_per_level
-        dB per grey level of all volumes; None if the file does not tell it.
+        dB per grey level of all volumes; None if the file does not contain it.
     point_spread
-        Of all volumes; None if the file does not tell it.
+        Point spread of all volumes; None if the file does not contain it.
     settings
-        What else the first line holds.
+        Further entries of the first line.
     """
 
     origin: NDArray[np.float64]
@@ -143,12 +144,12 @@ class Acquisition:
 
 
 def read_acquisition(path: Path) -> Acquisition:
-    """Read how a recording was acquired.
+    """Read the acquisition of a recording.
 
     Raises
     ------
     ConfigurationError
-        If the file is damaged.
+        If the file is damaged, or has another format version.
     """
     first, lines = _read_lines(path)
     try:
@@ -169,7 +170,7 @@ def read_acquisition(path: Path) -> Acquisition:
 
 
 def _scale(first: dict[str, Any]) -> float | None:
-    """Take dB per grey level out of a first line; older files tell the range of 0 to 255."""
+    """Remove and return dB per grey level; older files hold the dynamic range of 0 to 255."""
     range_db = first.pop("dynamic_range_db", None)
     scale = first.pop("decibels_per_level", None if range_db is None else range_db / 255)
     if scale is not None:
@@ -185,16 +186,16 @@ def _motion(geometry: SweepGeometry | None, line: dict[str, Any]) -> SweepMotion
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What the simulator knew while it recorded; no tracker reads it.
+    """Ground truth of a simulated recording; no tracker reads it.
 
     Parameters
     ----------
     times
-        (n,) in s.
+        (n,) times of the samples, in s.
     needles
-        The part inside the tissue at each time, in W.
+        Part of the needle inside the tissue at each time, in W.
     contact_force
-        (n,) in N.
+        (n,) contact force, in N.
     """
 
     times: NDArray[np.float64]
@@ -202,17 +203,17 @@ class Truth:
     contact_force: NDArray[np.float64]
 
     def at(self, time: float) -> int:
-        """Number of the sample nearest to a time in s."""
+        """Return the number of the sample nearest to a time in s."""
         return int(np.abs(self.times - time).argmin())
 
 
 def read_truth(path: Path) -> Truth:
-    """Read the truth beside a recording.
+    """Read the ground truth of a recording.
 
     Raises
     ------
     ConfigurationError
-        If the file is damaged.
+        If the file is damaged, or has another format version.
     """
     first, lines = _read_lines(path)
     try:
@@ -232,7 +233,7 @@ def _read_lines(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """Return the first line without the version, and the others."""
     try:
         text = path.read_text(encoding="utf-8")
-        # What comes after the last end of a line was being written when the program was killed.
+        # An incomplete last line was being written when the program was killed.
         first, *others = (json.loads(line) for line in text[: text.rfind("\n") + 1].splitlines())
         version = first.pop("format")
     except (OSError, ValueError, KeyError, AttributeError) as error:

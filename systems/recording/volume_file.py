@@ -1,4 +1,4 @@
-"""What a file with volumes says about itself, whatever its format."""
+"""Contents of a file of volumes, independent of its format."""
 
 import re
 import zlib
@@ -13,44 +13,44 @@ from numpy.typing import NDArray
 from sonoservo.systems.files.typed_yaml import ConfigurationError
 
 MAX_HEADER = 1 << 26
-"""Bytes; a header of a long sequence with poses has some hundred for each volume."""
+"""Largest header in bytes; a sequence with poses takes some hundred bytes per volume."""
 
 SCALE = "decibels_per_level"
-"""Field of a header that tells the dB per grey level."""
+"""Field of a header that holds the dB per grey level."""
 
 _MOST_DEFLATED = 1032
-"""Deflate makes data at most so many times smaller."""
+"""Highest compression ratio of Deflate."""
 
 _PIECE = 1 << 20
-"""Bytes that are read at a time."""
+"""Number of bytes read at a time."""
 
 _FRAME_FIELD = re.compile(r"Seq_Frame(\d{1,9})_(\w+)")
 
 
 @dataclass(frozen=True, eq=False)
 class VolumeFile:
-    """Volumes in a file, as its format describes them.
+    """Volumes in a file, as its header describes them.
 
     Parameters
     ----------
     path
-        Of the file.
+        Path of the file.
     shape
-        Voxels along the file's three spatial axes.
+        Numbers of voxels along the file's three spatial axes.
     count
         Number of volumes.
     directions
-        (3, 3) array, its columns the steps from one voxel to the next along each axis, in mm, in
-        LPS.
+        (3, 3) array whose columns are the steps from one voxel to the next along each axis, in mm,
+        in LPS.
     origin
         (3,) position of the first voxel in mm, in LPS.
     read
-        Gives the n-th volume, (shape) in any order of memory. It raises `ConfigurationError` if the
-        file has less data than its header says.
+        Function that returns the n-th volume, of shape `shape`, in any memory order. It raises
+        `ConfigurationError` if the file has less data than its header announces.
     times
-        (count,) in s; None if the file tells none.
+        (count,) times of the volumes in s; None if the file has none.
     fields
-        What else its header holds, by name.
+        Fields of the header, by name.
     """
 
     path: Path
@@ -63,7 +63,10 @@ class VolumeFile:
     fields: Mapping[str, str] = field(default_factory=dict)
 
     def frame_fields(self) -> dict[str, dict[int, str]]:
-        """Fields of single volumes as PLUS names them, ``Seq_Frame0012_Name``: name, number."""
+        """Return the fields of single volumes (``Seq_Frame0012_Name``, as in PLUS files).
+
+        The result is indexed by the field's name, then by the volume's number.
+        """
         found: dict[str, dict[int, str]] = {}
         for key, value in self.fields.items():
             if match := _FRAME_FIELD.fullmatch(key):
@@ -72,24 +75,27 @@ class VolumeFile:
 
 
 def one_line(error: Exception) -> str:
-    """Return what an error of a library says, for a person to read."""
+    """Return the message of a library's error on one line."""
     return " ".join(str(error).replace("\0", " ").split()) or type(error).__name__
 
 
-def check_layout(path: Path, shape: tuple[int, ...], count: int, directions: Any) -> None:
-    """Refuse what is no grid of volumes.
+def check_layout(
+    path: Path, shape: tuple[int, ...], count: int, directions: Any, *, frames: bool = False
+) -> None:
+    """Check that a layout is a grid of volumes or, with ``frames``, a sequence of 2D frames.
 
     Raises
     ------
     ConfigurationError
-        Naming the file and the fault.
+        If it is neither; the message names the file and the fault.
     """
     if count < 1 or min(shape) < 1:
         raise ConfigurationError(f"{path}: {count} volumes of {_times(shape)} voxels: it is empty")
-    if min(shape) < 2:
+    if frames and (shape[2] != 1 or min(shape[:2]) < 2):
+        raise ConfigurationError(f"{path}: {_times(shape)} voxels are not 2D frames")
+    if not frames and min(shape) < 2:
         raise ConfigurationError(
-            f"{path}: {_times(shape)} voxels are 2D frames; tracking wants volumes, so reconstruct "
-            "them first (PLUS: VolumeReconstructor)"
+            f"{path}: {_times(shape)} voxels are 2D frames; make volumes of them with --reconstruct"
         )
     steps = np.linalg.norm(directions, axis=0)
     if not np.isfinite(directions).all() or (steps <= 0).any():
@@ -104,23 +110,23 @@ def _times(shape: tuple[int, ...]) -> str:
 
 
 class DataSection:
-    """The data of a file, raw or compressed, read piece by piece.
+    """Raw or compressed data of a file, read piece by piece.
 
     Parameters
     ----------
     path
-        Of the file.
+        Path of the file.
     offset
-        Where its data begin, in bytes.
+        Offset of the data in the file, in bytes.
     size
-        Bytes that the header promises, uncompressed.
+        Number of uncompressed bytes that the header announces.
     compression
-        "gzip", "zlib" or "".
+        Compression of the data: "gzip", "zlib" or "" for none.
 
     Raises
     ------
     ConfigurationError
-        If the file cannot hold that much.
+        If the file is too small for that many bytes.
     """
 
     def __init__(self, path: Path, offset: int, size: int, *, compression: str = "") -> None:
@@ -130,19 +136,20 @@ class DataSection:
         present = path.stat().st_size - offset
         if size > present * (_MOST_DEFLATED if compression else 1):
             raise ConfigurationError(
-                f"{path}: truncated, or its header is wrong: {size} bytes of voxels are announced, "
-                f"{max(present, 0)} are there" + (", compressed" if compression else "")
+                f"{path}: truncated, or its header is wrong: the header announces {size} bytes of "
+                f"voxels, the file has {max(present, 0)}"
+                + (" compressed bytes" if compression else "")
             )
         self._file = path.open("rb")
         self._rewind()
 
     def read(self, start: int, size: int) -> bytes:
-        """Return ``size`` bytes from ``start`` on; forwards is fast.
+        """Return ``size`` bytes from ``start`` on; reading forwards is fast.
 
         Raises
         ------
         ConfigurationError
-            If the data end before, or are damaged.
+            If the data end earlier or are damaged.
         """
         try:
             if not self._compression:
@@ -161,18 +168,18 @@ class DataSection:
             ) from error
         if len(data) < size:
             raise ConfigurationError(
-                f"{self._path}: truncated: {size} bytes of voxels are wanted, {len(data)} are left"
+                f"{self._path}: truncated: {size} bytes of voxels are needed, {len(data)} are left"
             )
         return data
 
     def _rewind(self) -> None:
         self._file.seek(self._offset)
-        # 15 is the largest window; 32 more accept the headers of both gzip and zlib.
+        # 15 is the largest window; adding 32 accepts the headers of both gzip and zlib.
         self._inflater = zlib.decompressobj(15 + 32)
         self._position = 0
 
     def _inflate(self, size: int) -> bytes:
-        """Return the next bytes, fewer only at the end."""
+        """Return the next ``size`` bytes; fewer only at the end of the data."""
         pieces, missing = [], size
         while missing > 0 and not self._inflater.eof:
             packed = self._inflater.unconsumed_tail or self._file.read(_PIECE)

@@ -1,4 +1,4 @@
-"""A system that plays recorded volumes."""
+"""The leaf that plays recorded volumes."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -14,7 +14,7 @@ from sonoservo.systems.signals.volume import Volume
 
 
 class VolumePlayer(LeafSystem):
-    """Gives recorded volumes at the times at which they were acquired, as a scanner would.
+    """Outputs recorded volumes at the times of their acquisition, as a scanner would.
 
     .. pydrake_system::
 
@@ -22,18 +22,18 @@ class VolumePlayer(LeafSystem):
         output_ports:
         - volume
 
-    Stateless: the output is the newest volume whose time, plus ``delay``, has come, or a `NotFound`
-    before the first. A volume is read from the file when somebody looks at it.
+    The player is stateless: its output is the newest volume whose time plus ``delay`` has passed,
+    or a `NotFound` before the first. A volume is read from the file on demand.
 
     Parameters
     ----------
     recording
-        What to play.
+        Recording or volumes to play.
     start
         Time of the first volume in the simulation, in s; None keeps the recording's own times. The
-        volumes themselves keep theirs.
+        volumes keep their own times in either case.
     delay
-        From a volume's time, the middle of its acquisition, to when it can be had, in s.
+        Time from a volume's own time, the middle of its acquisition, to its output, in s.
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class VolumePlayer(LeafSystem):
             times = np.array([volume.time for volume in recording])
         shift = 0.0 if start is None else start - times[0]
         self._due = times + shift + delay
-        # The framework asks again after every event; a volume is read once.
+        # The framework evaluates the port again after every event; a volume is read only once.
         self._read = lru_cache(maxsize=1)(recording.__getitem__)
         self.DeclareAbstractOutputPort(
             "volume",

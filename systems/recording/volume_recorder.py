@@ -1,4 +1,4 @@
-"""A system that records volumes while they come, and the truth beside them."""
+"""The leaf that records volumes, and the ground truth beside them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,21 +20,21 @@ from sonoservo.systems.signals.volume import Volume
 
 
 class _Recording:
-    """The files of one run, from its start until they are closed.
+    """Files of one run, from its start until they are closed.
 
     Parameters
     ----------
     path
         Path of the recording, ``NAME.seq.nrrd``.
     settings
-        What a tracker has to know besides the volumes.
+        Settings that a tracker needs in addition to the volumes.
     sweeps
         Whether to record sweeps too.
 
     Attributes
     ----------
     volume_time
-        Time of the newest volume in s.
+        Time of the newest volume, in s.
     closed
         Whether the files have their final names.
     """
@@ -57,17 +57,17 @@ class _Recording:
 
 @dataclass
 class _Run:
-    """The recording of the run that a context belongs to, once it has begun."""
+    """Recording of the run that a context belongs to; None until the first event that needs it."""
 
     recording: _Recording | None = None
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        """Return none: the copy of a context is a run of its own."""
+        """Return a run without a recording: the copy of a context is a run of its own."""
         return type(self)()
 
 
 class VolumeRecorder(LeafSystem):
-    """Writes every new volume to a file, and the truth to another.
+    """Writes every new volume to a file, and the ground truth to another.
 
     .. pydrake_system::
 
@@ -80,23 +80,23 @@ class VolumeRecorder(LeafSystem):
         - contact_force (optional)
 
     `volume` and `sweep` hold a `Volume` and a `Sweep`, or a `NotFound`. The truth is the true
-    `Needle` in T, the pose `X_WT` of T and the contact force in N; without any of the three no file
-    of the truth is written. Call `close` at the end: it gives the files their names.
+    `Needle` in T, the pose `X_WT` of T and the contact force in N; its file is written only if all
+    three are connected. Call `close` at the end: it gives the files their final names.
 
-    Which recording a run writes is kept in its context. A run that starts closes the recording of
-    the run before, and takes its place under the same name; what goes on with a run whose recording
-    is closed raises a RuntimeError.
+    The recording of a run is kept in its context. A new run closes the recording of the previous
+    run and replaces it under the same name. Continuing a run whose recording is closed raises a
+    RuntimeError.
 
     Parameters
     ----------
     path
         Path of the recording, ``NAME.seq.nrrd``; the truth is ``NAME.truth.jsonl``.
     settings
-        What a tracker has to know besides the volumes.
+        Settings that a tracker needs in addition to the volumes.
     sweeps
         Whether to record sweeps too.
     period, offset
-        Times at which the recorder looks for a new volume, in s.
+        Period of the checks for a new volume and time of the first one, in s.
     truth_period
         Time between samples of the truth, in s.
 
@@ -119,7 +119,7 @@ class VolumeRecorder(LeafSystem):
         super().__init__()
         require_positive(period=period, truth_period=truth_period)
         require_not_negative(offset=offset)
-        RecordingWriter(path)  # refuses a wrong name before anything is simulated
+        RecordingWriter(path)  # refuses a wrong suffix before anything is simulated
         self._path, self._settings, self._sweeps = path, settings, sweeps
         self._newest: _Recording | None = None
         self._run = self.DeclareCacheEntry(
@@ -137,7 +137,7 @@ class VolumeRecorder(LeafSystem):
         self.DeclareForcedPublishEvent(self._record)
 
     def close(self) -> None:
-        """Give the files their final names; without any volume nothing is left."""
+        """Give the files their final names; without any volume, no file is left."""
         if self._newest is not None:
             self._newest.close()
 
@@ -150,7 +150,7 @@ class VolumeRecorder(LeafSystem):
         self._run_of(context).recording = None
 
     def _recording(self, context: Context) -> _Recording:
-        """Return the recording of a run; it begins with the first event that needs it."""
+        """Return the recording of a run, which is created by the first event that needs it."""
         run = self._run_of(context)
         if run.recording is None:
             self.close()

@@ -1,7 +1,7 @@
-"""The simulated robot and what it touches.
+"""Simulated robot and phantom.
 
-It holds the arm with its probe, the phantom on its stage, their contact, the wrist force sensor
-and a probe's stepper. It imports `signals`, `files` and `models`.
+The package contains the arm with its probe, the phantom on its stage, their contact, the wrist
+force sensor and a stepper for a probe. It imports only `signals`, `files` and `models`.
 """
 
 from lazy_loader import attach_stub

@@ -1,4 +1,4 @@
-"""The arm with its probe, described by data, in any plant."""
+"""Arm with its probe, described by a YAML file, in any plant."""
 
 from dataclasses import dataclass, field
 
@@ -24,7 +24,7 @@ from sonoservo.systems.signals.requirements import require, require_not_negative
 
 @dataclass(kw_only=True)
 class JointServo:
-    """Gains of the servos that hold the joints, in the order of the joints.
+    """Gains of the joint servos, in the order of the joints.
 
     Parameters
     ----------
@@ -45,19 +45,19 @@ class JointServo:
 
 @dataclass(kw_only=True)
 class Arm:
-    """An arm as its YAML file describes it; `load_arm` reads one.
+    """Description of an arm in a YAML file; `load_arm` reads one.
 
     Parameters
     ----------
     directives
-        Drake's model directives that add a model named ``arm`` and weld its base to the world. The
-        model's default joint positions are the home posture: the arm stays near it.
+        Drake model directives that add a model named ``arm`` and weld its base to the world. The
+        model's default joint positions are the home posture, near which the arm stays.
     flange
         Frame of the model that holds the probe.
     servo
-        Gains of the joints' servos.
+        Gains of the joint servos.
     max_speed
-        Highest speeds of the joints in rad/s; if empty, those in the model's file.
+        Highest speeds of the joints in rad/s; if empty, those in the model's file are used.
     """
 
     directives: list[ModelDirective] = field(default_factory=list)
@@ -68,18 +68,18 @@ class Arm:
 
 @dataclass(frozen=True)
 class ArmWithProbe:
-    """The place of an arm and its probe in a plant.
+    """Arm and its probe in a plant.
 
     Parameters
     ----------
     plant
-        The plant.
+        Plant that contains them.
     model_instance
-        The model that has the arm's joints.
+        Model instance with the arm's joints.
     probe
-        The probe's body, whose frame is P.
+        Body of the probe, whose frame is P.
     wrist
-        Index of the weld of the probe to the flange: a wrist force sensor feels its reaction.
+        Index of the weld between flange and probe. A wrist force sensor measures its reaction.
     """
 
     plant: MultibodyPlant
@@ -89,7 +89,7 @@ class ArmWithProbe:
 
     @property
     def home(self) -> NDArray[np.float64]:
-        """(n,) joint positions in rad that the arm stays near."""
+        """(n,) joint positions of the home posture, in rad."""
         return self.plant.GetDefaultPositions(self.model_instance)
 
 
@@ -165,12 +165,12 @@ def _check(plant: MultibodyPlant, instance: ModelInstanceIndex, arm: Arm) -> Non
 def AddArm(plant: MultibodyPlant, arm: Arm) -> ModelInstanceIndex:
     """Add an arm without a probe to a plant and return its model instance.
 
-    A joint that has no motor in the model's file gets one.
+    Joints without a motor in the model's file are given one.
 
     Raises
     ------
     ValueError
-        If the directives do not make an arm.
+        If the directives do not produce an arm.
     """
     add_directives(plant, arm.directives)
     if not plant.HasModelInstanceNamed("arm"):
@@ -178,7 +178,9 @@ def AddArm(plant: MultibodyPlant, arm: Arm) -> ModelInstanceIndex:
     instance = plant.GetModelInstanceByName("arm")
     if not plant.HasFrameNamed(arm.flange, instance):
         links = (plant.get_body(index).name() for index in plant.GetBodyIndices(instance))
-        raise ValueError(f"flange: no frame {arm.flange!r}; the model's links: {', '.join(links)}")
+        raise ValueError(
+            f"flange: the model has no frame {arm.flange!r}; its links are {', '.join(links)}"
+        )
     driven = {motor.joint().name() for motor in motors(plant, instance)}
     joints = _joints(plant, instance)
     for joint in joints:
@@ -190,7 +192,7 @@ def AddArm(plant: MultibodyPlant, arm: Arm) -> ModelInstanceIndex:
 
 
 def AddArmWithProbe(plant: MultibodyPlant, arm: Arm, body: ProbeBody) -> ArmWithProbe:
-    """Add an arm and the probe that its flange holds to a plant."""
+    """Add an arm, and a probe mounted on its flange, to a plant."""
     instance = AddArm(plant, arm)
     probe = AddProbeBody(plant, body)
     wrist = plant.WeldFrames(
@@ -202,13 +204,13 @@ def AddArmWithProbe(plant: MultibodyPlant, arm: Arm, body: ProbeBody) -> ArmWith
 
 
 def set_servo_gains(arm: ArmWithProbe, servo: JointServo) -> None:
-    """Give each of the arm's motors its servo, before the plant is finalized."""
+    """Set the servo gains of each of the arm's motors, before the plant is finalized."""
     for motor, p, d in zip(motors(arm.plant, arm.model_instance), servo.p, servo.d, strict=True):
         motor.set_controller_gains(PdControllerGains(p=p, d=d))
 
 
 def MakeArmPlant(arm: Arm, body: ProbeBody) -> ArmWithProbe:
-    """Make a plant of an arm and its probe alone, for kinematics."""
+    """Return an arm and its probe in a finalized plant of their own, for kinematics."""
     plant = MultibodyPlant(time_step=0)
     placed = AddArmWithProbe(plant, arm, body)
     plant.Finalize()

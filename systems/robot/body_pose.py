@@ -1,4 +1,4 @@
-"""Leaf: the pose of one body."""
+"""Leaf system that outputs the pose of one body."""
 
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform

@@ -1,4 +1,4 @@
-"""Leaf: the true contact force between probe and phantom."""
+"""Leaf system that outputs the true contact force between probe and phantom."""
 
 import numpy as np
 from pydrake.common.value import Value
@@ -17,7 +17,7 @@ def normal_force(contact: ContactResults, X_WT: RigidTransform) -> float:
     contact
         Contacts of a plant in which only probe and phantom touch.
     X_WT
-        Pose of the phantom: the force is taken along its Z axis.
+        Pose of the phantom, along whose Z axis the force is taken.
     """
     total = np.zeros(3)
     for i in range(contact.num_hydroelastic_contacts()):
@@ -28,7 +28,7 @@ def normal_force(contact: ContactResults, X_WT: RigidTransform) -> float:
 
 
 class ContactForce(LeafSystem):
-    """The true normal force between probe and phantom: for logs and figures, never for control.
+    """Outputs the true normal force between probe and phantom, for logs and figures only.
 
     .. pydrake_system::
 
@@ -39,7 +39,8 @@ class ContactForce(LeafSystem):
         output_ports:
         - contact_force
 
-    `contact_force` has one element, in N.
+    `contact_results` is the plant's ContactResults, and `X_WT` is a RigidTransform.
+    `contact_force` has one element, in N. Ground truth must not be used for control.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Drake's model directives, with errors that name the directive."""
+"""Drake model directives, with errors that name the directive."""
 
 from pathlib import Path
 
@@ -21,7 +21,7 @@ _WANTED = {
     "add_collision_filter_group": ("name",),
     "add_directives": ("file",),
 }
-"""Kinds of directives, and the fields that each must have: without them Drake ends the process."""
+"""Kinds of directives and their required fields, without which Drake aborts the process."""
 
 
 def resolve_files(directives: list[ModelDirective], path: Path) -> None:
@@ -30,10 +30,10 @@ def resolve_files(directives: list[ModelDirective], path: Path) -> None:
     Parameters
     ----------
     directives
-        Changed in place: file names are relative to the YAML file. URLs (``package://``,
-        ``file://``) are left as they are.
+        Directives, which are changed in place. Their file names are relative to the YAML file. URLs
+        (``package://``, ``file://``) remain unchanged.
     path
-        The YAML file.
+        Path of the YAML file.
 
     Raises
     ------
@@ -60,12 +60,12 @@ def resolve_files(directives: list[ModelDirective], path: Path) -> None:
 
 
 def add_directives(plant: MultibodyPlant, directives: list[ModelDirective]) -> None:
-    """Add what the directives describe to a plant.
+    """Add the models that directives describe to a plant.
 
     Raises
     ------
     ValueError
-        If Drake refuses a directive.
+        If Drake rejects a directive.
     """
     parser = Parser(plant)
     parser.package_map().AddPackageXml(str(model_path("package.xml")))

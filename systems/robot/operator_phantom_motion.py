@@ -1,4 +1,4 @@
-"""Leaf: motion of a phantom that an operator moves, in moves from rest to rest."""
+"""Leaf system for a teleoperated phantom, which moves from rest to rest."""
 
 from dataclasses import dataclass
 
@@ -17,12 +17,12 @@ from sonoservo.systems.robot.phantom_motion import (
 from sonoservo.systems.signals.immutable import Immutable
 
 _SPEED = (0.04, 0.04, 0.015, 30.0, 30.0, 30.0)
-"""Highest mean speeds along x, y, z in m/s, and of roll, pitch and yaw in deg/s."""
+"""Highest mean speeds along x, y, z in m/s, and in roll, pitch and yaw in deg/s."""
 
 
 @dataclass(frozen=True, eq=False)
 class OperatorMoves(Immutable):
-    """The moves so far, and the pose over time that they make (see `phantom_trajectory`)."""
+    """Moves so far, and the resulting pose over time (see `phantom_trajectory`)."""
 
     moves: tuple[Move, ...]
     trajectory: PiecewisePolynomial
@@ -39,18 +39,18 @@ class OperatorPhantomMotion(LeafSystem):
         output_ports:
         - phantom_command
 
-    `phantom_target` is the wanted displacement x, y, z in W in m and the yaw in rad from the pose
-    at rest. A move under way is finished before the next one begins. `phantom_command` is x, y, z,
-    roll, pitch, yaw of X_WT and their rates.
+    `phantom_target` is the wanted displacement from the pose at rest: x, y, z in W in m, and yaw in
+    rad. A move under way is finished before the next one begins. `phantom_command` is x, y, z in m
+    and roll, pitch, yaw in rad of X_WT, and their rates in m/s and rad/s.
 
-    The state is the moves so far: the `PhantomMotion` of them moves the phantom in the same way.
+    The state is the list of moves so far. A `PhantomMotion` of these moves repeats the motion.
 
     Parameters
     ----------
     X_WT
         Pose at rest.
     period
-        Time between samples of the target, in s.
+        Sampling period of the target, in s.
     """
 
     def __init__(self, *, X_WT: RigidTransform, period: float = 1 / 16) -> None:

@@ -1,4 +1,4 @@
-"""The phantom on its moving stage, in any plant."""
+"""Phantom on its moving stage, in any plant."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,25 +26,26 @@ from sonoservo.systems.robot.motors import motors
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 
 _TRAY, _POST = 0.006, 0.1
-"""Height of what the phantom stands on, in m."""
+"""Heights of the tray and the post on which the phantom stands, in m."""
 
 
-# Implicit, so stiffness costs no stability. The stage is ideal: it carries the ground truth.
+# Drake treats these gains implicitly, so stiffness costs no stability. The stage is ideal, because
+# its motion is the ground truth.
 _STAGE_GAINS = PdControllerGains(p=1e7, d=1e5)
 
 
 @dataclass(kw_only=True)
 class PhantomContact:
-    """How the phantom's surface yields; calibrated together with the probe's dome.
+    """Contact properties of the phantom's surface, calibrated together with the probe's dome.
 
     Parameters
     ----------
     hydroelastic_modulus
-        Scale of the pressure field in Pa; not Young's modulus.
+        Scale of the pressure field in Pa, which differs from Young's modulus.
     hunt_crossley_dissipation
         Dissipation in s/m.
     point_contact_stiffness
-        Stiffness in N/m of the contact model "point".
+        Stiffness in N/m for the contact model "point".
     friction
         Coefficient of friction.
     """
@@ -65,7 +66,7 @@ class PhantomContact:
 
 
 def load_contact(name: str) -> PhantomContact:
-    """Read the contact of a phantom from YAML.
+    """Read the contact properties of a phantom from YAML.
 
     Parameters
     ----------
@@ -79,14 +80,15 @@ def load_contact(name: str) -> PhantomContact:
 
 @dataclass(frozen=True)
 class Phantom:
-    """The place of the phantom in a plant.
+    """Phantom in a plant.
 
     Parameters
     ----------
     model_instance
-        The six joints of the stage, actuated in the order x, y, z, roll, pitch, yaw.
+        Model instance with the six joints of the stage, actuated in the order x, y, z, roll, pitch,
+        yaw.
     body
-        The body whose frame is T.
+        Body of the phantom, whose frame is T.
     """
 
     model_instance: ModelInstanceIndex
@@ -105,18 +107,18 @@ def AddPhantom(
     Parameters
     ----------
     plant, scene_graph
-        The plant, not yet finalized, and its scene graph.
+        Plant, not yet finalized, and its scene graph.
     size
         (3,) extents of the box along X, Y, Z of T, in m.
     contact
-        How its surface yields; by default as agar.
+        Contact properties of its surface; those of agar by default.
     """
     contact = contact or PhantomContact()
     (instance,) = Parser(plant).AddModels(str(model_path("phantoms/phantom.sdf")))
     phantom, column = (plant.GetBodyByName(name, instance) for name in ("phantom", "stage_z"))
     x, y, z = size
     surface = ProximityProperties()
-    # The resolution hint is required but not used: a box's mesh follows from its medial axis.
+    # The resolution hint is required but unused, as a box's mesh follows from its medial axis.
     AddCompliantHydroelasticProperties(1.0, contact.hydroelastic_modulus, surface)
     AddContactMaterial(
         dissipation=contact.hunt_crossley_dissipation,
@@ -143,7 +145,7 @@ def AddPhantom(
 
 
 def PhantomMotion(*, trajectory: Trajectory) -> Diagram:
-    """Make the source of a station's `phantom_command` from a motion.
+    """Return a system that outputs a station's `phantom_command` from a trajectory.
 
     .. pydrake_system::
 
@@ -154,7 +156,7 @@ def PhantomMotion(*, trajectory: Trajectory) -> Diagram:
     Parameters
     ----------
     trajectory
-        The pose X_WT over time: x, y, z in m, roll, pitch, yaw in rad.
+        Pose X_WT over time: x, y, z in m, and roll, pitch, yaw in rad.
     """
     builder = DiagramBuilder()
     source = builder.AddSystem(TrajectorySource(trajectory, output_derivative_order=1))

@@ -1,4 +1,4 @@
-"""Motion of the phantom while the robot works on it."""
+"""Motion of the phantom during a run."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -18,7 +18,7 @@ class Move:
     Parameters
     ----------
     start, duration
-        Times in s.
+        Start time and duration, in s.
     translation
         (3,) displacement in W, in m.
     rotation_deg
@@ -39,12 +39,12 @@ class Move:
 
 @dataclass(kw_only=True)
 class PhantomMotionParameters:
-    """All displacements of the phantom.
+    """Parameters of the phantom's motion.
 
     Parameters
     ----------
     moves
-        Displacements in order of time; each starts when the one before has ended, or later.
+        Displacements in order of time. Each starts at the end of the previous one or later.
     """
 
     moves: list[Move] = field(default_factory=list)
@@ -56,7 +56,7 @@ class PhantomMotionParameters:
                 "moves",
                 later.start,
                 f"a start at or after {earlier.start + earlier.duration} s, "
-                "when the move before it ends",
+                "when the previous move ends",
             )
 
 
@@ -68,14 +68,14 @@ def phantom_trajectory(
     Parameters
     ----------
     parameters
-        The displacements.
+        Displacements of the phantom.
     X_WT
         Pose at rest.
 
     Returns
     -------
-    Trajectory of (6,): x, y, z in m, roll, pitch, yaw in rad, of X_WT; cubic from rest to rest, and
-    constant before, between and after the moves.
+    (6,) trajectory of X_WT: x, y, z in m, and roll, pitch, yaw in rad. It is cubic during a move,
+    from rest to rest, and constant before, between and after the moves.
     """
     breaks = [-1.0]
     pose = np.concatenate([X_WT.translation(), RollPitchYaw(X_WT.rotation()).vector()])
@@ -83,7 +83,7 @@ def phantom_trajectory(
     for move in parameters.moves:
         change = np.concatenate([move.translation, np.deg2rad(move.rotation_deg)])
         for time, knot in ((move.start, pose), (move.start + move.duration, pose + change)):
-            # Where one move starts as the last one ends, the knot is there already.
+            # If a move starts at the end of the previous one, the knot exists already.
             if time > breaks[-1]:
                 breaks.append(time)
                 knots.append(knot)
@@ -102,16 +102,16 @@ def next_move(
     speed: ArrayLike,
     min_duration: float = 0.3,
 ) -> Move | None:
-    """Return the move that brings the phantom to its target, if it is time for one.
+    """Return the move that brings the phantom to its target, or None if no move is due.
 
-    A move under way is not interrupted, so that each goes from rest to rest.
+    A move under way is not interrupted, so each one goes from rest to rest.
 
     Parameters
     ----------
     moves
         Moves so far.
     target
-        (6,) wanted displacement from the pose at rest: x, y, z in m, roll, pitch, yaw in deg.
+        (6,) wanted displacement from the pose at rest: x, y, z in m, and roll, pitch, yaw in deg.
     time
         Present time in s.
     speed
@@ -125,7 +125,7 @@ def next_move(
     for move in moves:
         done += [*move.translation, *move.rotation_deg]
     change = np.asarray(target, dtype=float) - done
-    change[np.abs(change) < 1e-6] = 0.0  # what rounding leaves
+    change[np.abs(change) < 1e-6] = 0.0  # because of rounding
     if not change.any():
         return None
     duration = max(min_duration, float((np.abs(change) / speed).max()))

@@ -24,7 +24,7 @@ def probe_pose(
     X_WT
         Pose of the phantom.
     x, y
-        Position on the top, in T, in m.
+        Position of the probe on the top, in T, in m.
     yaw
         Angle from X_T to X_P about Z_T, in rad; at zero Z_P is Y_T.
     height
@@ -42,11 +42,11 @@ def solve_posture(
     Parameters
     ----------
     arm
-        The arm and its probe, in a plant of their own.
+        Arm and its probe, in a plant of their own.
     X_WP
         Wanted pose of the probe.
     near
-        (n,) joint positions to stay near, in rad; by default the arm's home posture. An arm with
+        (n,) joint positions to stay near, in rad; the arm's home posture by default. An arm with
         more than six joints takes the nearest of the postures that reach the pose.
 
     Returns
@@ -61,7 +61,7 @@ def solve_posture(
     near = arm.home if near is None else near
     world = arm.plant.world_frame()
     problem = InverseKinematics(arm.plant)
-    # Three points say position and orientation, free of the singularity of an angle at zero.
+    # Three points determine position and orientation without the singularity of a zero angle.
     for point in (np.zeros(3), [_LEVER, 0, 0], [0, _LEVER, 0]):
         p_W = X_WP.multiply(point)
         problem.AddPositionConstraint(
@@ -84,12 +84,12 @@ def solve_posture(
 def reachable(
     arm: ArmWithProbe, poses: Sequence[RigidTransform], near: NDArray[np.float64] | None = None
 ) -> list[bool]:
-    """Return for each pose X_WP of the probe if the arm reaches it near a posture.
+    """Return for each pose X_WP of the probe whether the arm can reach it near a posture.
 
     Parameters
     ----------
     arm, near
-        See `solve_posture`.
+        Arm and posture, as in `solve_posture`.
     poses
         Poses of the probe.
     """

@@ -1,4 +1,4 @@
-"""The probe's body: its mass, its housing and the dome that touches the phantom."""
+"""Body of the probe: its mass, its housing and the dome that touches the phantom."""
 
 import math
 from dataclasses import dataclass, field
@@ -26,14 +26,14 @@ from sonoservo.systems.robot.directives import add_directives
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 
 _MARGIN = 5e-3
-"""Assumed width in m of the housing's rim around a flat array, and its depth."""
+"""Assumed width and depth in m of the housing's rim around a flat array."""
 
 _DOME_COLOUR, _HOUSING_COLOUR = (0.20, 0.22, 0.25, 1.0), (0.85, 0.87, 0.88, 1.0)
 
 
 @dataclass(kw_only=True)
 class AssumedBody:
-    """A plain body for a probe whose housing is not known: a dome on a cylinder.
+    """Body of a probe with an unknown housing: a dome on a cylinder.
 
     Parameters
     ----------
@@ -70,19 +70,19 @@ def _in_line_with_the_flange() -> Transform:
 
 @dataclass(kw_only=True)
 class ProbeBody:
-    """The body of a probe and how the arm holds it.
+    """Body of a probe, and its mount on the arm.
 
     Parameters
     ----------
     directives
-        Drake's model directives that add a model named ``probe``. Its link ``probe`` has frame P,
-        and its frame ``wrist_sensor``, with axes parallel to those of P, is where the flange holds
-        it. If empty, the body is the assumed one.
+        Drake model directives that add a model named ``probe``. Its link ``probe`` has frame P. The
+        flange holds it at its frame ``wrist_sensor``, whose axes are parallel to those of P. If
+        empty, the assumed body is used.
     assumed
-        The body of a probe without directives.
+        Body of a probe without directives.
     mount
         Pose of ``wrist_sensor`` in the arm's flange frame. By default the probe looks along the
-        flange's Z axis and X_P is the flange's X axis.
+        flange's Z axis, and X_P is the flange's X axis.
     """
 
     directives: list[ModelDirective] = field(default_factory=list)
@@ -93,16 +93,16 @@ class ProbeBody:
 def dome_semi_axes(
     *, array_radius: float, motor_radius: float, width: float, height: float
 ) -> list[float]:
-    """Return the semi-axes of an ellipsoid that is curved like a transducer's face.
+    """Return the semi-axes of an ellipsoid with the curvature of a transducer's face.
 
     The radii of curvature of an ellipsoid with semi-axes a, b, c at its apex on Y are a^2 / b and
-    c^2 / b: those of the array and of the motor. Along a flat side the ellipsoid ends an assumed
-    rim of 5 mm beyond the elements.
+    c^2 / b. They are those of the array and of the motor. Along a flat side the ellipsoid extends
+    beyond the elements by an assumed rim of 5 mm.
 
     Parameters
     ----------
     array_radius, motor_radius
-        Radii of curvature of the face, lateral and in elevation, in m; 0 for flat.
+        Radii of curvature of the face, lateral and in elevation, in m; 0 if flat.
     width, height
         Extents of the elements, lateral and in elevation, in m.
 
@@ -122,12 +122,13 @@ def AddProbeBody(plant: MultibodyPlant, body: ProbeBody) -> ModelInstanceIndex:
     Raises
     ------
     ValueError
-        If the directives do not make a probe.
+        If the directives do not produce a probe.
     """
     if not body.directives:
         return _add_assumed_body(plant, body.assumed)
     add_directives(plant, body.directives)
-    require(plant.HasModelInstanceNamed("probe"), "directives", "", "adding a model named 'probe'")
+    if not plant.HasModelInstanceNamed("probe"):
+        raise ValueError("directives: no add_model adds a model named 'probe'")
     instance = plant.GetModelInstanceByName("probe")
     for has, kind, name in (
         (plant.HasBodyNamed, "link", "probe"),

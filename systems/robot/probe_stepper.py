@@ -1,4 +1,4 @@
-"""Leaf: a stepper that moves a probe along its own Z."""
+"""Leaf system that steps a probe along its own Z axis."""
 
 import numpy as np
 from pydrake.common.value import Value
@@ -9,7 +9,7 @@ from sonoservo.systems.signals.requirements import require, require_not_negative
 
 
 class ProbeStepper(LeafSystem):
-    """Steps a probe along its own Z, from one slice to the next; a function of time alone.
+    """Steps a probe along its own Z axis from slice to slice, as a function of time alone.
 
     .. pydrake_system::
 
@@ -18,9 +18,9 @@ class ProbeStepper(LeafSystem):
         - X_WP
         - X_WT
 
-    ``X_WP`` is the pose of the probe. ``X_WT`` is the pose of the tissue, which does not keep
-    quite still: the probe drags it along and the patient breathes, so that at every step it is
-    shifted by a random amount across the insertion that nobody knows.
+    ``X_WP`` is the pose of the probe. ``X_WT`` is the pose of the tissue, which moves slightly
+    because the probe drags it along and the patient breathes. At every step it is shifted across
+    the insertion by an unknown random amount.
 
     Parameters
     ----------
@@ -29,9 +29,9 @@ class ProbeStepper(LeafSystem):
     step
         Distance between slices, in m.
     period
-        Time between steps, in s; the first one is at time ``period``.
+        Time between steps, in s. The first step is at time ``period``.
     steps
-        Number of steps; the probe then rests.
+        Number of steps, after which the probe rests.
     tissue_shift
         Standard deviation of the tissue's shift along X and along Y of P, in m.
     seed

@@ -1,4 +1,4 @@
-"""Leaf: a force sensor between flange and probe."""
+"""Leaf system that simulates a force sensor between flange and probe."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from sonoservo.systems.signals.requirements import require_not_negative, require
 
 
 class WristForceSensor(LeafSystem):
-    """A six-axis force sensor at the wrist.
+    """Simulates a six-axis force sensor at the wrist.
 
     .. pydrake_system::
 
@@ -22,19 +22,20 @@ class WristForceSensor(LeafSystem):
         - wrist_force
 
     `wrist_force` is the SpatialForce, in N m and N, that the arm applies to the probe at the
-    sensor, whose axes are parallel to those of the probe frame P. Like a real sensor it bears the
-    weight and the inertia of all that hangs on it. `reaction_forces` is the plant's list.
+    sensor. Its axes are parallel to those of the probe frame P. Like a real sensor, it also
+    measures the weight and the inertia of everything mounted on it. `reaction_forces` is the
+    plant's list of joint reactions.
 
     Parameters
     ----------
     wrist
-        Index of the joint that the sensor sits in.
+        Index of the joint that contains the sensor.
     force_noise, torque_noise
-        Standard deviation of every sample of a force, in N, and of a torque, in N m.
+        Standard deviations of the noise of a force, in N, and of a torque, in N m.
     period
-        Time between samples in s; the noise stays the same within it.
+        Sampling period in s. The noise is constant within a period.
     seed
-        Seed of the noise: equal seeds and times give equal noise.
+        Seed of the noise. Equal seeds and times give equal noise.
     """
 
     def __init__(
@@ -67,7 +68,7 @@ class WristForceSensor(LeafSystem):
         output.set_value(reaction + SpatialForce(self._noise(context.get_time())))
 
     def _noise(self, time: float) -> NDArray[np.float64]:
-        # Counted by samples, not drawn in turn: the sensor needs no state to be repeatable.
+        # The noise depends on the sample's number, so the sensor is repeatable without a state.
         self._random_state["state"]["counter"][0] = round(time / self._period)
         self._random.bit_generator.state = self._random_state
         return self._deviation * self._random.standard_normal(6)

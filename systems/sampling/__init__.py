@@ -1,4 +1,4 @@
 """Compiled kernels that sample images and volumes at points.
 
-This room imports no other.
+The package imports no other.
 """

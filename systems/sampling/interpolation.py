@@ -1,4 +1,4 @@
-"""Linear interpolation of images at points: the kernels that every sampler shares."""
+"""Linear interpolation of images at points, with the kernels that all samplers share."""
 
 from typing import Any
 
@@ -7,16 +7,16 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 _SLACK = 1e-9
-"""In elements: a point so little outside the grid, by rounding, counts as on its edge."""
+"""Distance in elements by which rounding may put a point on the grid's edge outside the grid."""
 
-# No fast-math: the order of the sums is kept, so that results repeat bit for bit.
+# Without fast-math the order of the sums is fixed, and results repeat bit for bit.
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def trilinear(array: Any, x: Any, y: Any, z: Any) -> Any:  # pragma: no cover - compiled
     """Return a 3D array's value at fractional indices from 0 to its last element.
 
-    Compiled loops call it for each point; it checks no bounds.
+    Compiled loops call this for each point. It does not check bounds.
     """
     nx, ny, nz = array.shape
     i, j, k = min(int(x), nx - 2), min(int(y), ny - 2), min(int(z), nz - 2)
@@ -32,7 +32,7 @@ def trilinear(array: Any, x: Any, y: Any, z: Any) -> Any:  # pragma: no cover - 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def bilinear(array: Any, x: Any, y: Any) -> Any:  # pragma: no cover - compiled
-    """Return a 2D array's value at fractional indices; otherwise as `trilinear`."""
+    """Return a 2D array's value at fractional indices, as `trilinear` does in 3D."""
     nx, ny = array.shape
     i, j = min(int(x), nx - 2), min(int(y), ny - 2)
     x, y = x - i, y - j
@@ -78,19 +78,19 @@ def sample_grid(
     Parameters
     ----------
     array
-        (nx, ny) or (nx, ny, nz), at least 2 each way; element [i, j, k] lies at
+        (nx, ny) or (nx, ny, nz) image, at least 2 along each axis. Element [i, j, k] lies at
         ``origin + spacing * (i, j, k)``.
     points
-        (..., 2) or (..., 3).
+        (..., 2) or (..., 3) positions, in the unit of the origin and the spacing.
     origin, spacing
-        (2,) or (3,).
+        (2,) or (3,) position of element [0, 0, 0], and distances between neighbouring elements.
     outside
-        Value of points outside the grid, and of points that are not numbers; None gives the former
-        that of the nearest point on the grid's edge, the latter NaN.
+        Value for points outside the grid and for points that are NaN. None gives a point outside
+        the grid the value of the nearest point on its edge, and a point that is NaN the value NaN.
 
     Returns
     -------
-    (...) array.
+    (...) values at the points.
     """
     points = np.asarray(points, dtype=float)
     values = np.empty(points.shape[:-1], np.float32)

@@ -1,7 +1,7 @@
 """Values that travel on the wires between systems.
 
-They are frozen and read-only. Their base class, the checks of arguments and the evaluation of a
-port are here too. This room imports `sampling` only.
+The values are frozen and read-only. The package also contains their base class, the checks of
+arguments and the evaluation of a port. It imports only `sampling`.
 """
 
 from lazy_loader import attach_stub

@@ -28,6 +28,7 @@ from .point_spread import PointSpread as PointSpread
 from .ports import evaluate as evaluate
 from .radio_frequency_sweep import RadioFrequencySweep as RadioFrequencySweep
 from .random_streams import random_stream as random_stream
+from .reconstructed_volume import ReconstructedVolume as ReconstructedVolume
 from .requirements import require as require
 from .requirements import require_not_negative as require_not_negative
 from .requirements import require_positive as require_positive

@@ -10,9 +10,9 @@ from sonoservo.systems.signals.requirements import require
 
 
 def require_rising(rotations: Sequence[float]) -> None:
-    """Raise ValueError unless the depths of rotation, in m, are above zero and rise."""
+    """Raise ValueError unless the depths of rotation, in m, are above zero and ascending."""
     rising = all(a < b for a, b in pairwise([0.0, *rotations]))
-    require(rising, "rotations", list(rotations), "depths in m above 0, in rising order")
+    require(rising, "rotations", list(rotations), "depths in m above 0, in ascending order")
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -24,13 +24,13 @@ def deflections(parameters, depths, rotations):  # type: ignore[no-untyped-def]
     parameters
         (n, 2) curvature 1 / R in 1/m and sin(theta_0) of each path.
     depths
-        (m,) depths v in m, in rising order; below zero the first arc is continued backwards.
+        (m,) depths v in m, in ascending order. Below zero the first arc is continued backwards.
     rotations
-        (r,) depths in m at which the curvature changes sign, in rising order.
+        (r,) depths in m at which the curvature changes sign, in ascending order.
 
     Returns
     -------
-    (n, m) deflections u in m; NaN where a path has turned back.
+    (n, m) deflections u in m; NaN for depths at which a path has turned back.
     """
     u = np.empty((len(parameters), len(depths)))
     for i in range(len(parameters)):
@@ -53,10 +53,10 @@ def deflections(parameters, depths, rotations):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _go(u, sine, cosine, curvature, v):  # type: ignore[no-untyped-def]
-    """Return deflection, sine and cosine of theta, a depth v further on an arc.
+    """Return deflection, sine and cosine of theta on an arc after a further depth v.
 
     sin(theta) grows by v / R, and cos(theta) - cos(theta') = (sin^2 - sin'^2) / -(cos + cos').
-    Written like this, an arc of little curvature loses no digits.
+    In this form an arc of small curvature loses no digits.
     """
     further = sine + curvature * v
     squared = 1 - further * further

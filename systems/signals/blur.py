@@ -10,20 +10,20 @@ Floats = NDArray[np.float64]
 
 
 def blur_covariance(spread: PointSpread, geometry: SweepGeometry, p_P: Floats) -> Floats:
-    """Covariance of the Gaussian that a point's echo resembles, in P.
+    """Return the covariance in P of the Gaussian that approximates a point's echo.
 
     Parameters
     ----------
     spread
         Widths by depth, along the array, across the frame and along the line.
     geometry
-        Of the sweep: it tells where the lines run.
+        Geometry of the sweep, which gives the directions of the lines.
     p_P
         (m, 3) positions of points in P, in m.
 
     Returns
     -------
-    (m, 3, 3) in m^2.
+    (m, 3, 3) covariances in m^2.
     """
     x, y, z = np.asarray(p_P, dtype=float).T
     y = y + geometry.motor_radius

@@ -19,7 +19,7 @@ class CrossSection(Immutable):
     position
         (3,) position of the needle's axis in W, in m.
     X_WP
-        (4, 4) pose of the probe in W: the slice is the plane Z = 0 of P.
+        (4, 4) pose of the probe in W. The slice is the plane Z = 0 of P.
     time
         Time of the slice, in s.
     correlation

@@ -11,7 +11,7 @@ from sonoservo.systems.signals.immutable import Immutable, NotFound
 
 @dataclass(frozen=True, eq=False)
 class CrossSectionTrack(Immutable):
-    """A needle's cross-sections so far.
+    """Track of a needle's cross-sections so far.
 
     Parameters
     ----------
@@ -20,9 +20,9 @@ class CrossSectionTrack(Immutable):
     time
         Time of the newest slice, in s.
     last
-        Last cross-section found; None before the first.
+        Last cross-section found; None before the first one.
     images
-        Slices seen before the start, oldest first.
+        Slices seen before the first cross-section, oldest first.
     """
 
     found: CrossSection | NotFound = field(default_factory=lambda: NotFound("no slice yet"))

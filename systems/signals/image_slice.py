@@ -1,4 +1,4 @@
-"""One picture of the tissue on a Cartesian grid."""
+"""One image of the tissue on a Cartesian grid."""
 
 from dataclasses import dataclass
 
@@ -19,21 +19,21 @@ class ImageSlice(Immutable):
     Parameters
     ----------
     intensities
-        (nx, ny) uint8 echo amplitudes, log-compressed. Element [i, j] lies at
-        ``origin + spacing * (i, j)``; y is depth. Zero outside the sector.
+        (nx, ny) uint8 log-compressed echo amplitudes. Element [i, j] lies at
+        ``origin + spacing * (i, j)``; y is depth. Elements outside the sector are zero.
     origin
         (2,) x and y in P of element [0, 0], in m.
     spacing
-        (2,) between neighbouring elements, in m.
+        (2,) distances between neighbouring elements, in m.
     X_WP
         Pose of the probe in the world, at ``time``.
     time
-        Of the acquisition, in s.
+        Time of the acquisition, in s.
     apex
-        y in P, in m, of the point on x = 0 where the beams come from, above the face; -inf if they
-        are parallel.
+        y in P, in m, of the point on x = 0 above the face from which the beams diverge; -inf if
+        they are parallel.
     decibels_per_level
-        dB per unit of intensity.
+        Decibels per unit of intensity.
 
     Raises
     ------
@@ -51,7 +51,9 @@ class ImageSlice(Immutable):
 
     def __post_init__(self) -> None:
         array = read_only(self.intensities, "intensities", (None, None), np.uint8)
-        require(min(array.shape) >= 3, "intensities.shape", array.shape, "at least 3 each way")
+        require(
+            min(array.shape) >= 3, "intensities.shape", array.shape, "at least 3 along each axis"
+        )
         object.__setattr__(self, "intensities", array)
         object.__setattr__(self, "origin", read_only(self.origin, "origin", (2,)))
         object.__setattr__(self, "spacing", read_only(self.spacing, "spacing", (2,)))
@@ -60,11 +62,11 @@ class ImageSlice(Immutable):
         require_positive(decibels_per_level=self.decibels_per_level)
 
     def position(self, index: ArrayLike) -> NDArray[np.float64]:
-        """(..., 2) x and y in P, in m, of elements (fractions allowed)."""
+        """Return the (..., 2) x and y in P, in m, of elements; fractional indices are allowed."""
         return self.origin + self.spacing * np.asarray(index)
 
     def index(self, p_P: ArrayLike) -> NDArray[np.float64]:
-        """(..., 2) element (fractions) at x and y in P, in m."""
+        """Return the (..., 2) fractional indices at x and y in P, in m."""
         return (np.asarray(p_P) - self.origin) / self.spacing
 
     def sample(self, p_P: ArrayLike, outside: float | None = 0.0) -> NDArray[np.float32]:
@@ -79,12 +81,12 @@ class ImageSlice(Immutable):
 
         Returns
         -------
-        (...) array.
+        (...) intensities.
         """
         return sample_grid(self.intensities, p_P, self.origin, self.spacing, outside)
 
     def beam_direction(self, p_P: ArrayLike) -> NDArray[np.float64]:
-        """(2,) unit vector along the beam through x and y in P, away from the probe."""
+        """Return the (2,) unit vector along the beam through x and y in P, away from the probe."""
         x, y = np.asarray(p_P, dtype=float)
         if not np.isfinite(self.apex):
             return np.array([0.0, 1.0])
@@ -92,7 +94,7 @@ class ImageSlice(Immutable):
         return along / np.linalg.norm(along)
 
     def to_world(self, p_P: ArrayLike) -> NDArray[np.float64]:
-        """(3,) position in W, in m, of x and y in P."""
+        """Return the (3,) position in W, in m, of x and y in P."""
         x, y = np.asarray(p_P, dtype=float)
         p_W: NDArray[np.float64] = self.X_WP.multiply(np.array([x, y, 0.0]))
         return p_W

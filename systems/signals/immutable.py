@@ -1,4 +1,4 @@
-"""Values that travel on the wires between systems without being copied."""
+"""Base class and helpers for values that travel between systems without being copied."""
 
 from dataclasses import dataclass
 from typing import Any, Self, TypeVar
@@ -10,10 +10,10 @@ Array = TypeVar("Array", bound=NDArray[Any])
 
 
 class Immutable:
-    """A value that deep-copies to itself.
+    """Base class of values whose deep copy is the value itself.
 
-    Drake copies abstract values freely (contexts, unrestricted updates). A frozen dataclass whose
-    arrays are read-only needs no copy, so a volume of many megabytes travels at no cost.
+    Drake often copies abstract values (in contexts and unrestricted updates). A frozen dataclass
+    with read-only arrays needs no copy, so a volume of many megabytes travels at no cost.
     """
 
     __slots__ = ()
@@ -27,12 +27,12 @@ class Immutable:
 
 @dataclass(frozen=True, slots=True)
 class NotFound(Immutable):
-    """A falsy value that says why there is none.
+    """Falsy value that takes the place of a missing result and gives the reason.
 
     Parameters
     ----------
     reason
-        A short sentence a person can act on.
+        Short sentence on which a person can act.
     """
 
     reason: str
@@ -42,19 +42,19 @@ class NotFound(Immutable):
 
 
 def seal(array: Array) -> Array:
-    """Make an array read-only that was just created, and return it.
+    """Make a newly created array read-only, and return it.
 
-    A value keeps a sealed array as it is, where it would copy one that somebody can still write
-    to. Whoever creates a large array for a value seals it first, and keeps no other view of it.
+    A value keeps a sealed array without a copy. It copies any array that can still be written to.
+    Code that creates a large array for a value should seal it first, and keep no other view of it.
     """
     array.flags.writeable = False
     return array
 
 
 def own(array: NDArray[Any]) -> NDArray[Any]:
-    """Return a read-only view that nobody can write to: of a sealed array, or else of a copy.
+    """Return a read-only view of a sealed array, or of a copy of any other array.
 
-    Read-only flags are all that tells: a view taken before the array was sealed is not seen.
+    Only the read-only flags are checked. A view taken before the array was sealed goes unnoticed.
     """
     owner: Any = array
     while isinstance(owner, np.ndarray) and not owner.flags.writeable:
@@ -67,19 +67,19 @@ def own(array: NDArray[Any]) -> NDArray[Any]:
 def read_only(
     array: ArrayLike, name: str, shape: tuple[int | None, ...], dtype: DTypeLike = np.float64
 ) -> NDArray[Any]:
-    """Return an array, checked, that nobody can write to.
+    """Check an array and return it as a read-only array.
 
     Parameters
     ----------
     array
-        Anything NumPy can read. It is copied unless it is sealed (`seal`) and of the right type, so
-        that what its caller does with it later cannot change the value that keeps it.
+        Anything NumPy can convert. It is copied unless it is sealed (`seal`) and of the right type.
+        Later changes by the caller therefore cannot affect the value that keeps it.
     name
-        What it is called in the error message.
+        Name of the array in the error message.
     shape
-        Wanted shape; None allows any extent.
+        Expected shape; None allows any extent.
     dtype
-        Wanted type of the elements.
+        Expected type of the elements.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def read_only(
         or any(want not in (None, got) for got, want in zip(values.shape, shape, strict=True))
     ):
         wanted = ", ".join("any" if want is None else str(want) for want in shape)
-        raise ValueError(f"{name} has shape {values.shape}; ({wanted}) is wanted")
+        raise ValueError(f"{name} has shape {values.shape}; expected ({wanted})")
     if values.dtype.kind == "f" and not np.isfinite(values).all():
         raise ValueError(f"{name} holds values that are not finite")
     return values

@@ -1,4 +1,4 @@
-"""Where something has just entered the field of view."""
+"""Detection of something that has just entered the field of view."""
 
 from dataclasses import dataclass
 
@@ -10,19 +10,19 @@ from sonoservo.systems.signals.immutable import Immutable, read_only
 
 @dataclass(frozen=True, eq=False)
 class InsertionDetection(Immutable):
-    """Where something has just entered. Where nothing has, a `NotFound` takes its place.
+    """Detected insertion. If there is none, a `NotFound` takes its place.
 
     Parameters
     ----------
     p_WEntry, p_WMedian, p_WTip
-        (3,) the candidate entry point E_t on the side of the field of view, the candidates'
-        geometric median, and that of the half farther from the entry, in m.
+        (3,) candidate entry point E_t on the side of the field of view, geometric median of the
+        candidates, and geometric median of the half farther from the entry, in W, in m.
     std
-        Root of the trace of the candidates' covariance, in m.
+        Square root of the trace of the candidates' covariance, in m.
     change
-        Least difference among the candidates, in dB.
+        Smallest difference among the candidates, in dB.
     time
-        When the tip was acquired, in s.
+        Time at which the tip was acquired, in s.
     """
 
     p_WEntry: NDArray[np.float64]

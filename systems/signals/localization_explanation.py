@@ -1,4 +1,4 @@
-"""Everything that a localizer looked at in one volume, and what came of it."""
+"""Explanation of a localization: all intermediate results in one volume."""
 
 from dataclasses import dataclass
 
@@ -18,21 +18,21 @@ class SearchRegion(Immutable):
     Parameters
     ----------
     curve
-        Curve around which to look, in W, of as many control points as the needle's.
+        Curve in W around which to search, with as many control points as the needle's.
     radius
         Radius of the capsule around the curve, in m.
     before, beyond
-        Distances that the profile along the needle goes on past the curve's ends, in m.
+        Distances by which the profile along the needle extends past the curve's ends, in m.
     shaft_beyond
         Distance past the curve's tip up to which voxels count as candidates for the shaft, in m.
     max_angle
         Largest angle between the needle and the curve, in rad.
     entry
-        (3,) position in W where the needle enters; None if that is to be found.
+        (3,) position of the entry in W, in m; None if it is unknown.
     tip_moved
-        Whether all that is known is that the curve's tip moved.
+        Whether the motion of the curve's tip is the only thing known about the needle.
     followed
-        Number of times that a needle newly found was followed towards the outside.
+        Number of times that a newly found needle was followed towards the outside.
     """
 
     curve: NeedleCurve
@@ -57,11 +57,11 @@ class AxisProfile(Immutable):
     p_W
         (m, 3) positions on the axis in W, in m.
     level, background
-        (m,) maximum in a tube around the axis, and the same beside it, in dB.
+        (m,) maximum in a tube around the axis, and the same beside the axis, in dB.
     seen
-        (m,) whether the axis lies in the field of view.
+        (m,) flags of the samples in the field of view.
     beam_width
-        (m,) full width at half maximum of the needle's blurred end, in m; None if not known.
+        (m,) full width at half maximum of the needle's blurred end, in m; None if unknown.
     """
 
     a: NDArray[np.float64]
@@ -85,15 +85,15 @@ class NeedleExtent(Immutable):
     Parameters
     ----------
     start, tip
-        Abscissae in m.
+        Abscissae of the ends, in m.
     entered
-        Abscissa in m where the axis enters the field of view; -inf if it does so before the profile
-        begins.
+        Abscissa in m at which the axis enters the field of view; -inf if it enters before the
+        profile begins.
     leaves
-        Whether the needle leaves the field of view, so that its tip is not seen.
+        Whether the needle leaves the field of view and its tip is not seen.
     evidence
-        Integral along the stretch of what speaks for a needle, in dB m: about 2 dB times its
-        length. Lines through speckle reach 6 dB mm, a needle of 5 mm 12 to 30 dB mm.
+        Integral along the stretch of the evidence for a needle, in dB m. It is about 2 dB times the
+        length. Lines through speckle reach 6 dB mm, and a needle of 5 mm reaches 12 to 30 dB mm.
     """
 
     start: float
@@ -107,22 +107,22 @@ class NeedleExtent(Immutable):
 class LocalizationAttempt(Immutable):
     """One search for the needle in one region of a volume.
 
-    Steps that an attempt did not reach are None.
+    The results of steps that an attempt did not reach are None.
 
     Parameters
     ----------
     region
         Part of the volume that was searched.
     measurement
-        The needle, or the reason why it was not found there.
+        Needle, or the reason why it was not found in the region.
     candidates, weights
         (m, 3) positions in W, in m, and (m,) weights of the candidate voxels.
     inliers
-        (m,) whether each candidate belongs to the consensus.
+        (m,) flags of the candidates in the consensus.
     profile
-        Intensity along the axis that was found last.
+        Intensity along the axis found last.
     extent
-        Stretch of the profile that was taken for the needle.
+        Stretch of the profile that counts as the needle.
     """
 
     region: SearchRegion
@@ -149,26 +149,26 @@ class LocalizationAttempt(Immutable):
 
 @dataclass(frozen=True, eq=False)
 class LocalizationExplanation(Immutable):
-    """Everything that a localizer looked at in one volume, and what came of it.
+    """All intermediate results of a localization in one volume.
 
     Parameters
     ----------
     volume_time
         Time of the volume, in s.
     prediction
-        The needle that was expected, or the reason why none was.
+        Expected needle, or the reason why none was expected.
     attempts
-        Searches in the order in which they were made: one around a prediction and one for each
-        time that a needle newly found was followed to the outside; several for a needle that was
-        lost or never seen.
+        Searches in the order in which they were made. There is one around a prediction, and one for
+        each time that a newly found needle was followed to the outside. There are several for a
+        needle that was lost or never seen.
     measurement
-        Result: the best one among the attempts, or the reason why there is none.
+        Best result among the attempts, or the reason why there is none.
     evidence
-        Evidence for the bright line around which a needle never seen was localized, in dB m; 0 if
-        there was no such line.
+        Evidence for the bright line around which a needle never seen before was localized, in dB m;
+        0 if there was no such line.
     innovation, gate
-        Mahalanobis distance of the measurement from its prediction, and the largest one that is
-        believed; None as long as no filter has compared them.
+        Mahalanobis distance of the measurement from its prediction, and the largest accepted
+        distance; None until a filter has compared them.
     """
 
     volume_time: float

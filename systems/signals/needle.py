@@ -1,4 +1,4 @@
-"""The part of a real needle that is inside the tissue."""
+"""Inserted part of a real needle."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ from sonoservo.systems.signals.requirements import require, require_positive
 
 @dataclass(frozen=True, eq=False)
 class Needle(Immutable):
-    """The inserted part of a needle.
+    """Inserted part of a needle; falsy while the needle is outside.
 
     Parameters
     ----------
@@ -23,8 +23,8 @@ class Needle(Immutable):
     radius
         Outer radius in m.
     aim
-        While the needle is outside: (2, 3) its tip and a point that it is aimed at, in m. None
-        while it is inside, or where nobody knows. Only who draws the world asks.
+        (2, 3) tip and a point at which the needle is aimed while it is outside, in m. None while it
+        is inside, or if unknown. It is used for display only.
     roll
         Angle of the bevel's face about the axis in rad: at 0 it looks up, at pi/2 across the
         needle, to the left as seen along it. It matters to how the tip echoes.
@@ -37,7 +37,7 @@ class Needle(Immutable):
 
     def __post_init__(self) -> None:
         shaft = read_only(self.shaft, "shaft", (None, 3))
-        require(len(shaft) != 1, "shaft", len(shaft), "no point, or at least 2")
+        require(len(shaft) != 1, "shaft", len(shaft), "0 or at least 2 points")
         object.__setattr__(self, "shaft", shaft)
         if self.aim is not None:
             require(not len(shaft), "aim", self.aim, "None while the needle is inside")
@@ -59,11 +59,11 @@ class Needle(Immutable):
 
     @property
     def curve(self) -> NeedleCurve:
-        """The straight curve from entry to tip (order 2)."""
+        """Straight curve from entry to tip (order 2)."""
         return NeedleCurve(self.shaft[[0, -1]])
 
     def position(self, s: ArrayLike) -> NDArray[np.float64]:
-        """(..., 3) positions in m at distances s along the shaft from the entry, in m."""
+        """Return the (..., 3) positions in m at distances s along the shaft from the entry in m."""
         ends = np.concatenate([[0], np.linalg.norm(np.diff(self.shaft, axis=0), axis=1).cumsum()])
         s = np.asarray(s, dtype=float)
         return np.stack([np.interp(s, ends, axis) for axis in self.shaft.T], axis=-1)

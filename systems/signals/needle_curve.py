@@ -1,4 +1,4 @@
-"""The needle as a polynomial curve through control points."""
+"""Needle as a polynomial curve through control points."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -13,7 +13,7 @@ from sonoservo.systems.signals.requirements import require
 
 @lru_cache
 def _points_to_coefficients(order: int) -> NDArray[np.floating]:
-    """Inverse of the Vandermonde matrix at the control points' abscissae i / (order - 1)."""
+    """Return the inverse of the Vandermonde matrix at the control points' i / (order - 1)."""
     return np.linalg.inv(np.vander(np.linspace(0, 1, order), increasing=True))
 
 
@@ -21,14 +21,14 @@ def _points_to_coefficients(order: int) -> NDArray[np.floating]:
 class NeedleCurve(Immutable):
     """A polynomial curve through its control points, entry first, tip last.
 
-    The state of Chatelain 2013's filter holds points (eq. 3), its localizer coefficients (eq. 16).
-    Here the points are primary: they lie at abscissae u = i / (n - 1), u from 0 at the entry to 1
-    at the tip, and the coefficients follow from them.
+    In Chatelain 2013 the filter's state contains points (eq. 3), and the localizer uses
+    coefficients (eq. 16). Here the points are primary. They lie at abscissae u = i / (n - 1), from
+    0 at the entry to 1 at the tip, and the coefficients follow from them.
 
     Parameters
     ----------
     control_points
-        (n, 3) positions in m; order n = 2 is straight, n = 3 bent.
+        (n, 3) positions in m. The curve is straight for order n = 2 and bent for n = 3.
     """
 
     control_points: NDArray[np.float64]
@@ -60,7 +60,7 @@ class NeedleCurve(Immutable):
 
     @property
     def direction(self) -> NDArray[np.float64]:
-        """(3,) unit vector k from entry to tip: the principal direction k_0 of the paper."""
+        """(3,) unit vector k from entry to tip, the principal direction k_0 of the paper."""
         return (self.tip - self.entry) / max(self.chord, np.finfo(float).tiny)
 
     @property
@@ -69,14 +69,14 @@ class NeedleCurve(Immutable):
         return (_points_to_coefficients(self.order) @ self.control_points).T
 
     def position(self, u: ArrayLike) -> NDArray[np.float64]:
-        """(..., 3) positions in m at abscissae u (eq. 16); beyond [0, 1] it extrapolates."""
+        """Return (..., 3) positions in m at abscissae u (eq. 16), extrapolated beyond [0, 1]."""
         u = np.asarray(u, dtype=float)
         return np.vander(u.ravel(), self.order, increasing=True).reshape(*u.shape, -1) @ (
             self.coefficients.T
         )
 
     def tangent(self, u: float) -> NDArray[np.float64]:
-        """(3,) unit vector along the curve at abscissa u."""
+        """Return the (3,) unit vector along the curve at abscissa u."""
         powers = np.arange(1, self.order)
         derivative = self.coefficients[:, 1:] @ (powers * float(u) ** (powers - 1))
         return derivative / np.linalg.norm(derivative)

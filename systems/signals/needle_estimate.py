@@ -1,4 +1,4 @@
-"""Where a tracker believes the needle to be."""
+"""Estimate of the needle by a tracker."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -11,39 +11,39 @@ from sonoservo.systems.signals.needle_curve import NeedleCurve
 
 
 class TrackingMode(StrEnum):
-    """What a tracker is doing."""
+    """Stages of tracking."""
 
     SEARCHING = "searching"
-    """Waits for an insertion."""
+    """The tracker waits for an insertion."""
     TRACKING = "tracking"
     """The last volume confirmed the needle."""
     COASTING = "coasting"
-    """The last volumes did not; the estimate is the prediction."""
+    """The last volumes did not confirm the needle, and the estimate is the prediction."""
     LOST = "lost"
-    """Seeks the needle in the whole volume."""
+    """The tracker searches the whole volume for the needle."""
 
 
 @dataclass(frozen=True, eq=False)
 class NeedleEstimate(Immutable):
-    """Where a tracker believes the needle to be. Falsy while there is no curve.
+    """Estimate of the needle by a tracker; falsy while there is no curve.
 
     Parameters
     ----------
     mode
-        What the tracker is doing.
+        Stage of tracking.
     time
-        The estimate holds for this time, in s.
+        Time for which the estimate holds, in s.
     curve
-        In W, in m; None while searching.
+        Curve of the needle in W, in m; None while searching.
     velocity
-        (n, 3) velocity of the control points in W, in m/s; None while searching.
+        (n, 3) velocities of the control points in W, in m/s; None while searching.
     covariance
         (6n, 6n) covariance of the stacked control points and their velocities; None while
         searching.
     volume_time
-        Time of the newest volume that has been seen, in s; -inf before the first.
+        Time of the newest volume seen, in s; -inf before the first one.
     reason
-        Why the last volume did not confirm the needle; empty where it did.
+        Reason why the last volume did not confirm the needle; empty if it did.
     """
 
     mode: TrackingMode
@@ -66,13 +66,13 @@ class NeedleEstimate(Immutable):
 
     @property
     def tip_velocity(self) -> NDArray[np.float64]:
-        """(3,) velocity of the tip in W, in m/s. Only where there is a curve."""
+        """(3,) velocity of the tip in W, in m/s; requires a curve."""
         assert self.velocity is not None
         return self.velocity[-1]
 
     @property
     def tip_covariance(self) -> NDArray[np.float64]:
-        """(3, 3) covariance of the tip in W, in m^2. Only where there is a curve."""
+        """(3, 3) covariance of the tip in W, in m^2; requires a curve."""
         assert self.curve is not None
         assert self.covariance is not None
         tip = slice(3 * self.curve.order - 3, 3 * self.curve.order)

@@ -1,4 +1,4 @@
-"""What one volume says about the needle."""
+"""Measurement of the needle in one volume."""
 
 from dataclasses import dataclass
 
@@ -12,19 +12,20 @@ from sonoservo.systems.signals.requirements import require
 
 @dataclass(frozen=True, eq=False)
 class NeedleMeasurement(Immutable):
-    """The needle found in one volume. Where there is none, a `NotFound` takes its place.
+    """Needle found in one volume. If there is none, a `NotFound` takes its place.
 
     Parameters
     ----------
     curve
-        In W, in m.
+        Curve of the needle in W, in m.
     covariance
-        (3n, 3n) covariance of the stacked control points, in m^2; tip and interior points are
+        (3n, 3n) covariance of the stacked control points, in m^2. Tip and interior points are
         correlated.
     time
-        When the tip was acquired, in s.
+        Time at which the tip was acquired, in s.
     inlier_count, inlier_ratio
-        Candidate voxels within the curve's inlier distance, and their share of all candidates.
+        Number of candidate voxels within the residual threshold, and their share of the candidates
+        between entry and tip.
     """
 
     curve: NeedleCurve

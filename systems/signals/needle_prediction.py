@@ -1,4 +1,4 @@
-"""The needle that a tracker expects in a volume, before it sees the volume."""
+"""Prediction of the needle in a volume, before the volume is seen."""
 
 from dataclasses import dataclass
 
@@ -12,18 +12,18 @@ from sonoservo.systems.signals.requirements import require
 
 @dataclass(frozen=True, eq=False)
 class NeedlePrediction(Immutable):
-    """The needle that a tracker expects in a volume; a `NotFound` if it expects none.
+    """Needle that a tracker expects in a volume. If it expects none, a `NotFound` takes its place.
 
-    It follows from earlier volumes and from the time and pose of the volume it is made for, never
-    from what is measured in that volume.
+    The prediction follows from earlier volumes and from the time and pose of its volume, never from
+    a measurement in that volume.
 
     Parameters
     ----------
     order
-        Number n of control points of the curve that is to be measured.
+        Number n of control points of the curve to be measured.
     time
-        Time of the prediction in s: the volume's, or that of the last estimate if the needle is
-        lost.
+        Time of the prediction in s. It is the volume's time, or that of the last estimate if the
+        needle is lost.
     curve
         Expected curve in W, in m; None if nothing is known about the needle.
     velocity
@@ -31,16 +31,17 @@ class NeedlePrediction(Immutable):
     covariance
         (3n, 3n) covariance of the stacked control points, in m^2; None without a curve.
     entry
-        (3,) position in W, in m, where the entry was last measured; None while it is a guess.
+        (3,) last measured position of the entry in W, in m; None while the entry is a guess.
     missed
-        Number of volumes in a row that did not confirm the needle.
+        Number of successive volumes that did not confirm the needle.
     everywhere
-        Whether the needle is to be localized in the whole volume, since it was lost or never seen.
+        Whether the whole volume is searched, because the needle was lost or never seen.
 
     Raises
     ------
     ValueError
-        If an array has the wrong shape, the curve another order, or nothing says where to look.
+        If an array has the wrong shape, if the curve has another order, or if there is no curve
+        although the search is not everywhere.
     """
 
     order: int

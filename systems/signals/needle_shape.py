@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class NeedleShape(Immutable):
-    """The belief of a shape estimator: a weighted set of paths of the bicycle model.
+    """Belief of a shape estimator: a weighted set of paths of the bicycle model.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ class NeedleShape(Immutable):
     origins
         (n, 2) x and y in I at depth 0 of each path, in m.
     weights
-        (n,) weights of the paths; their sum is 1.
+        (n,) weights of the paths, with a sum of 1.
     origin_variance
         Additional variance of x and of y of each path's origin, in m^2.
     rotations
@@ -37,7 +37,7 @@ class NeedleShape(Immutable):
     X_WI
         Pose of the insertion's frame in W.
     time
-        Time of that slice, in s.
+        Time of the last slice that was used, in s.
     reason
         Reason why the newest slice was not used; empty if it was.
     """
@@ -57,10 +57,11 @@ class NeedleShape(Immutable):
         n = len(self.parameters)
         for name, shape in (("parameters", (n, 3)), ("origins", (n, 2)), ("weights", (n,))):
             object.__setattr__(self, name, read_only(getattr(self, name), name, shape))
-        require(abs(self.weights.sum() - 1) < 1e-6, "weights", self.weights.sum(), "1 in sum")
+        total = self.weights.sum()
+        require(abs(total - 1) < 1e-6, "sum of weights", total, "1")
 
     def paths(self, depths: ArrayLike) -> Floats:
-        """Return (n, m, 2) x and y in I, in m, of every path at (m,) rising depths in m."""
+        """Return (n, m, 2) x and y in I, in m, of every path at (m,) ascending depths in m."""
         return self.origins[:, np.newaxis] + bicycle_paths(self.parameters, depths, self.rotations)
 
     def predict(self, depths: ArrayLike) -> tuple[Floats, Floats]:
@@ -69,7 +70,7 @@ class NeedleShape(Immutable):
         Parameters
         ----------
         depths
-            (m,) depths in m, in rising order.
+            (m,) depths in m, in ascending order.
 
         Returns
         -------
@@ -81,11 +82,11 @@ class NeedleShape(Immutable):
 
     @property
     def tip(self) -> Floats:
-        """Predicted (3,) tip of the fully inserted needle in W, in m."""
+        """(3,) predicted tip of the fully inserted needle in W, in m."""
         return self.positions([self.depth])[0]
 
     def positions(self, depths: ArrayLike) -> Floats:
-        """Return (m, 3) predicted positions in W, in m, at (m,) rising depths in m."""
+        """Return (m, 3) predicted positions in W, in m, at (m,) ascending depths in m."""
         depths = np.asarray(depths, dtype=float)
         mean = np.tensordot(self.weights, self.paths(depths), 1)
         p_I = np.column_stack([mean, depths])
@@ -93,12 +94,12 @@ class NeedleShape(Immutable):
         return p_W
 
     def std(self, depths: ArrayLike) -> Floats:
-        """Return (m,) the largest standard deviation of the position across the insertion, in m."""
+        """Return the (m,) largest standard deviations of the position across the insertion in m."""
         return np.sqrt(np.linalg.eigvalsh(self.predict(depths)[1])[:, -1])
 
 
 def bicycle_paths(parameters: Floats, depths: ArrayLike, rotations: Sequence[float]) -> Floats:
-    """Return (n, m, 2) x and y in m, from the origin, of the paths with (n, 3) R, theta_0 and phi.
+    """Return (n, m, 2) x and y from the origin, in m, of paths with (n, 3) R, theta_0 and phi.
 
     They are NaN beyond the depth at which a path turns back.
     """
@@ -112,7 +113,7 @@ def bicycle_paths(parameters: Floats, depths: ArrayLike, rotations: Sequence[flo
 
 
 def path_statistics(paths: Floats, weights: Floats) -> tuple[Floats, Floats]:
-    """Return the mean (m, 2) and covariance (m, 2, 2) of (n, m, 2) paths with (n,) weights."""
+    """Return (m, 2) mean and (m, 2, 2) covariance of (n, m, 2) paths with (n,) weights."""
     mean = np.tensordot(weights, paths, 1)
     apart = (paths - mean) * np.sqrt(weights)[:, np.newaxis, np.newaxis]
     return mean, np.einsum("nmi,nmj->mij", apart, apart)

@@ -21,10 +21,10 @@ class Plane(Immutable):
     Parameters
     ----------
     X_PS
-        Pose of the rectangle's frame S: origin at its centre, X along its width, Y along its
-        height, Z its normal.
+        Pose of the rectangle's frame S. Its origin is the centre, X is along the width, Y along the
+        height, and Z is the normal.
     width, height
-        In m.
+        Extents of the rectangle, in m.
     """
 
     X_PS: RigidTransform
@@ -35,14 +35,14 @@ class Plane(Immutable):
         require_positive(width=self.width, height=self.height)
 
     def transformed(self, X: RigidTransform) -> "Plane":
-        """Return it in another frame, in which P has the pose X."""
+        """Return the plane in another frame, in which P has the pose X."""
         return Plane(X @ self.X_PS, self.width, self.height)
 
     def grid(self, rows: int, columns: int) -> Vector:
-        """(rows, columns, 3) positions in P, in m, of the pixels' centres.
+        """Return the (rows, columns, 3) positions in P, in m, of the pixels' centres.
 
-        Columns run along +X of S and rows along +Y, so that the first row of a picture, its top,
-        is where Y is least.
+        Columns run along +X of S and rows along +Y. The first row of an image, its top, therefore
+        has the smallest Y.
         """
         x = self.width * ((np.arange(columns) + 0.5) / columns - 0.5)
         y = self.height * ((np.arange(rows) + 0.5) / rows - 0.5)
@@ -55,7 +55,7 @@ class Plane(Immutable):
 
 
 def box_edges(low: ArrayLike, high: ArrayLike) -> list[NDArray[np.float64]]:
-    """Return the twelve edges of a box, (2, 3) ends each, given its least and greatest corner."""
+    """Return the twelve edges of a box, (2, 3) ends each, from its lowest and highest corners."""
     corners = np.where((np.arange(8)[:, np.newaxis] >> np.arange(3)) & 1, high, low)
     return [corners[[i, i | bit]] for i in range(8) for bit in (1, 2, 4) if not i & bit]
 
@@ -63,17 +63,17 @@ def box_edges(low: ArrayLike, high: ArrayLike) -> list[NDArray[np.float64]]:
 def slice_planes(volume: Volume, curve: NeedleCurve | None = None) -> list[Plane]:
     """Return two orthogonal planes that contain the needle's axis (Chatelain 2013, fig. 3).
 
-    The first one contains the beam's direction (Y of P) too: its width runs across the beam, its
-    height along it, so that a picture of it has the probe at its top. The second one is orthogonal
-    to it, its width along the needle. Each rectangle is as large as its plane's cut through the
-    volume's grid; a plane that misses the grid is left out.
+    The first plane also contains the beam's direction (Y of P). Its width runs across the beam and
+    its height along the beam, which puts the probe at the top of its image. The second plane is
+    orthogonal to the first one, with its width along the needle. Each rectangle is as large as its
+    plane's cut through the volume's grid. A plane that misses the grid is left out.
 
     Parameters
     ----------
     volume
-        To cut.
+        Volume to cut.
     curve
-        Needle in W; without one, the planes are Z = 0 and X = 0 of P.
+        Needle in W. Without one, the planes are Z = 0 and X = 0 of P.
     """
     across, depth, normal = np.eye(3)
     point, width, height = np.zeros(3), normal, depth
@@ -81,7 +81,7 @@ def slice_planes(volume: Volume, curve: NeedleCurve | None = None) -> list[Plane
         entry, point = volume.to_probe([curve.entry, curve.tip])
         along = (point - entry) / max(float(np.linalg.norm(point - entry)), np.finfo(float).tiny)
         level = along - (along @ depth) * depth
-        if np.linalg.norm(level) > 1e-6:  # else it lies along the beam: any such planes will do
+        if np.linalg.norm(level) > 1e-6:  # otherwise the needle is along the beam, as the defaults
             across = level / np.linalg.norm(level)
             normal = np.cross(across, depth)
             width, height = along, normal
@@ -90,7 +90,7 @@ def slice_planes(volume: Volume, curve: NeedleCurve | None = None) -> list[Plane
 
 
 def _cut(volume: Volume, point: Vector, u: Vector, v: Vector) -> Plane | None:
-    """Return the least rectangle along u and v around a plane's cut through a volume's grid."""
+    """Return the smallest rectangle along u and v around a plane's cut through a volume's grid."""
     normal = np.cross(u, v)
     edges = np.array(box_edges(volume.origin, volume.upper))
     cuts = [
@@ -111,21 +111,21 @@ def _cut(volume: Volume, point: Vector, u: Vector, v: Vector) -> Plane | None:
 
 
 def sample_plane(volume: Volume, plane: Plane, spacing: float) -> NDArray[np.uint8]:
-    """Return the picture of a slice through a volume, by trilinear interpolation.
+    """Return the image of a slice through a volume, by trilinear interpolation.
 
     Parameters
     ----------
     volume
-        To cut; its intensities are grey levels from 0 to 255.
+        Volume to cut; its intensities are grey levels from 0 to 255.
     plane
-        Where to.
+        Plane of the slice.
     spacing
-        Of the pixels, at most, in m.
+        Largest spacing of the pixels, in m.
 
     Returns
     -------
-    (rows, columns, 2) grey level and opacity: 255 in the sector, 0 outside. Where the sector is not
-    known, the whole grid is opaque.
+    (rows, columns, 2) grey level and opacity, which is 255 in the sector and 0 outside. If the
+    sector is unknown, the whole grid is opaque.
     """
     rows, columns = (
         max(1, int(np.ceil(size / spacing - 1e-9))) for size in (plane.height, plane.width)

@@ -1,4 +1,4 @@
-"""Resolution of an image: how far the scanner blurs a point, at every depth."""
+"""Resolution of an image: widths of the blur by the scanner, by depth."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from sonoservo.systems.signals.requirements import require
 Floats = NDArray[np.float64]
 
 FWHM_PER_SIGMA = float(2 * np.sqrt(2 * np.log(2)))
-"""Full width at half maximum of a Gaussian, over its standard deviation."""
+"""Ratio of the full width at half maximum of a Gaussian to its standard deviation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,15 +21,15 @@ class PointSpread(Immutable):
     Parameters
     ----------
     depth
-        (n,) rising distances from the array along a line, in m; between them the widths are
-        interpolated, beyond them they stay the same.
+        (n,) ascending distances from the array along a line, in m. Between them the widths are
+        interpolated, and beyond them they are constant.
     lateral, elevation, axial
         (n,) full widths at half maximum along the array, across the frame and along the line, in m.
 
     Raises
     ------
     ValueError
-        If a length differs, a width is not above zero or the depths do not rise.
+        If a length differs, a width is not above zero or the depths are not ascending.
     """
 
     depth: Floats
@@ -42,12 +42,12 @@ class PointSpread(Immutable):
             count = None if name == "depth" else len(self.depth)
             object.__setattr__(self, name, read_only(getattr(self, name), name, (count,)))
         require(len(self.depth) > 0, "depth", self.depth, "at least one depth")
-        require(bool((np.diff(self.depth) > 0).all()), "depth", self.depth, "rising")
+        require(bool((np.diff(self.depth) > 0).all()), "depth", self.depth, "ascending")
         for name in ("lateral", "elevation", "axial"):
             widths = getattr(self, name)
             require(bool((widths > 0).all()), name, widths, "above 0")
 
     def widths(self, depth: Floats) -> Floats:
-        """(m, 3) lateral, elevation and axial width in m at (m,) depths in m."""
+        """Return the (m, 3) lateral, elevation and axial widths in m at (m,) depths in m."""
         each = (self.lateral, self.elevation, self.axial)
         return np.stack([np.interp(depth, self.depth, widths) for widths in each], axis=-1)

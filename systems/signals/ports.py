@@ -17,10 +17,10 @@ def evaluate(
 @overload
 def evaluate(system: System, context: Context, port: str, expected: tuple[type[T], ...]) -> T: ...
 def evaluate(system: System, context: Context, port: str, expected: type | tuple[type, ...]) -> Any:
-    """Evaluate an abstract input port, and check the type of what comes in.
+    """Evaluate an abstract input port and check the type of its value.
 
-    ``Value[object]`` ports are untyped, so a wrong connection passes ``Connect`` silently; it is
-    caught here instead.
+    ``Value[object]`` ports are untyped, and ``Connect`` silently accepts a wrong connection. This
+    function detects it.
 
     Raises
     ------
@@ -32,7 +32,7 @@ def evaluate(system: System, context: Context, port: str, expected: type | tuple
         names = expected if isinstance(expected, tuple) else (expected,)
         wanted = " or ".join(each.__name__ for each in names)
         raise TypeError(
-            f"port {port!r} of {system.get_name()!r} received a {type(value).__name__}; "
-            f"{wanted} is wanted"
+            f"port {port!r} of {system.get_name()!r} received a value of type "
+            f"{type(value).__name__}; expected {wanted}"
         )
     return value

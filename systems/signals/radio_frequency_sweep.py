@@ -1,4 +1,4 @@
-"""The echoes of one sweep on their carrier."""
+"""Radio-frequency echoes of one sweep."""
 
 from dataclasses import dataclass
 
@@ -13,15 +13,15 @@ from sonoservo.systems.signals.sweep import SweepMotion
 
 @dataclass(frozen=True, eq=False)
 class RadioFrequencySweep(Immutable):
-    """The echoes of one sweep on their carrier, before any detection.
+    """Radio-frequency echoes of one sweep, before envelope detection.
 
     Parameters
     ----------
     lines
-        (frames, lines, samples) float32. Their values are not looked at here: it would take as
-        long as all else that is done with them.
+        (frames, lines, samples) float32 echoes. Their values are not checked, which would take as
+        long as all further processing.
     motion
-        When and from where each frame was acquired.
+        Time and pose at which each frame was acquired.
     """
 
     lines: NDArray[np.float32]
@@ -44,18 +44,18 @@ class RadioFrequencySweep(Immutable):
         return RigidTransform(self.motion.X_WP[self.motion.geometry.frames // 2])
 
     def index(self, p_P: ArrayLike) -> NDArray[np.float64]:
-        """(..., 3) frame, line and sample, fractions included, of (..., 3) positions in P, in m."""
+        """Return the (..., 3) fractional frame, line and sample of (..., 3) positions in P in m."""
         return np.stack(self.motion.geometry.index(p_P, self.motion.direction), axis=-1)
 
     def position(self, index: ArrayLike) -> NDArray[np.float64]:
-        """(..., 3) positions in P, in m, of (..., 3) frames, lines and samples."""
+        """Return the (..., 3) positions in P, in m, of (..., 3) frames, lines and samples."""
         k, j, i = np.moveaxis(np.asarray(index, dtype=float), -1, 0)
         return self.motion.geometry.position(k, j, i, self.motion.direction)
 
     def to_world(self, p_P: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Positions in W, in m, and times, in s, at which (m, 3) positions in P were acquired."""
+        """Return positions in W and times of (m, 3) positions in P; see `SweepMotion.to_world`."""
         return self.motion.to_world(p_P)
 
     def to_probe(self, p_W: ArrayLike) -> NDArray[np.float64]:
-        """(m, 3) positions in P, in m, of positions in W, for the pose `X_WP`."""
+        """Return the (m, 3) positions in P, in m, of positions in W, for the pose `X_WP`."""
         return self.X_WP.inverse().multiply(np.asarray(p_W, dtype=float).T).T.reshape(-1, 3)

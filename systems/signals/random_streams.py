@@ -6,16 +6,16 @@ import numpy as np
 
 
 def random_stream(seed: int, purpose: str, time: float) -> np.random.Generator:
-    """Return the generator with which one block draws for one volume.
+    """Return the random generator of one system for one volume.
 
-    A stateless system that draws from it repeats itself, and no two blocks draw the same numbers.
+    It makes a stateless system repeatable. Systems with different purposes draw different numbers.
 
     Parameters
     ----------
     seed
-        Seed that the blocks share.
+        Seed that the systems share.
     purpose
-        What is drawn for, such as "detection".
+        Purpose of the random numbers, such as "detection".
     time
         Time of the volume, in s.
     """

@@ -14,16 +14,16 @@ from sonoservo.systems.signals.point_spread import PointSpread
 from sonoservo.systems.signals.requirements import require, require_positive
 
 DECIBELS_PER_LEVEL = 60 / 255
-"""dB per grey level of an image that does not say otherwise: 0 to 255 show 60 dB."""
+"""Default of the decibels per grey level of an image: 0 to 255 show 60 dB."""
 
 
 @dataclass(frozen=True)
 class SweepGeometry(Immutable):
-    """Where the samples of a sweep lie in the probe frame P, and when.
+    """Geometry and timing of a sweep's samples in the probe frame P.
 
-    The array is an arc of lines in the X-Y plane whose centre of curvature lies
-    ``array_radius - motor_radius`` beyond the motor's axis; the motor turns the arc about X.
-    The motor never stops, so every line has an angle of its own: line j of frame k is at
+    The array is an arc of lines in the X-Y plane. Its centre of curvature lies
+    ``array_radius - motor_radius`` beyond the motor's axis. The motor turns the arc about X.
+    It never stops, so every line has an angle of its own. Line j of frame k is at
 
         phi   = line_pitch (j - (lines - 1) / 2)
         theta = frame_pitch frames ((s + lines k) / (frames lines - 1) - 1/2)
@@ -35,24 +35,25 @@ class SweepGeometry(Immutable):
         y = rho cos(theta) - motor_radius;  z = rho sin(theta)
 
     (Lee and Krupa 2011, section II, with the origin moved to the centre of the probe's face.)
-    Both radii at zero give a sector from a single point.
+    If both radii are zero, the sector starts from a single point.
 
-    Frames are numbered towards +Z, whatever the motor's direction.
+    Frames are numbered towards +Z for either direction of the motor.
 
     Parameters
     ----------
     array_radius, motor_radius
-        From the face to the array's centre of curvature and to the motor's axis, in m.
+        Distances from the face to the array's centre of curvature and to the motor's axis, in m.
     line_pitch, frame_pitch
-        Angle between neighbouring lines and frames, in rad.
+        Angles between neighbouring lines and frames, in rad.
     sample_pitch
         Distance between neighbouring samples of a line, in m.
     lines, frames, samples
-        Lines in a frame, frames in a sweep (1 for a single slice), samples in a line.
+        Numbers of lines in a frame, frames in a sweep (1 for a single slice), and samples in a
+        line.
     frame_period
-        Time from one frame's start to the next one's, in s.
+        Time between the starts of successive frames, in s.
     sound_speed
-        In m/s.
+        Speed of sound, in m/s.
     """
 
     array_radius: float
@@ -95,43 +96,43 @@ class SweepGeometry(Immutable):
 
     @property
     def min_frame_period(self) -> float:
-        """Time sound needs for all lines of a frame, in s."""
+        """Time that sound needs for all lines of a frame, in s."""
         return self.lines * 2 * self.depth / self.sound_speed
 
     @property
     def period(self) -> float:
-        """Time of one sweep, in s."""
+        """Duration of one sweep, in s."""
         return self.frames * self.frame_period
 
     @cached_property
     def shape(self) -> tuple[int, int, int]:
-        """Frames, lines, samples."""
+        """Numbers of frames, lines and samples."""
         return (self.frames, self.lines, self.samples)
 
     @property
     def _centre_offset(self) -> float:
-        """From the motor's axis to the array's centre of curvature, in m."""
+        """Distance from the motor's axis to the array's centre of curvature, in m."""
         return self.array_radius - self.motor_radius
 
     def frame_times(
         self, time: float, direction: int = 1, *, since: int = 0
     ) -> NDArray[np.float64]:
-        """Return when each frame is acquired, (frames,), in s.
+        """Return the (frames,) times at which the frames are acquired, in s.
 
         Parameters
         ----------
         time
-            When the sweep begins, in s, or has made ``since`` frames.
+            Time at which the sweep begins, or at which it has acquired ``since`` frames, in s.
         direction
             +1 for a sweep towards +Z, -1 towards -Z.
         since
-            Number of frames that have been made at that time.
+            Number of frames acquired at that time.
         """
         order = np.arange(self.frames, dtype=np.float64)[::direction]
         return np.asarray(time + self.frame_period * (order - since))
 
     def line_angles(self, direction: int) -> NDArray[np.float64]:
-        """Angle theta of every line about the motor's axis, (frames, lines), in rad."""
+        """Return the (frames, lines) angles theta of the lines about the motor's axis, in rad."""
         j = np.arange(self.lines)
         s = j if direction > 0 else self.lines - 1 - j
         k = np.arange(self.frames)[:, np.newaxis]
@@ -144,18 +145,18 @@ class SweepGeometry(Immutable):
     def position(
         self, k: ArrayLike, j: ArrayLike, i: ArrayLike, direction: int
     ) -> NDArray[np.float64]:
-        """Position in P of sample i on line j of frame k.
+        """Return the position in P of sample i on line j of frame k.
 
         Parameters
         ----------
         k, j, i
-            Frame, line and sample; fractions are allowed, and arrays that broadcast together.
+            Frame, line and sample. Fractions are allowed, and arrays that broadcast together.
         direction
             +1 for a sweep towards +Z, -1 towards -Z.
 
         Returns
         -------
-        (..., 3) array in m.
+        (..., 3) positions in P, in m.
         """
         k, j, i = np.broadcast_arrays(*(np.asarray(x, dtype=float) for x in (k, j, i)))
         r = self.array_radius + self.sample_pitch * i
@@ -167,7 +168,7 @@ class SweepGeometry(Immutable):
         )
 
     def index(self, p_P: ArrayLike, direction: int) -> tuple[NDArray[np.float64], ...]:
-        """Frame, line and sample (fractions) of positions in P: the inverse of `position`.
+        """Return the fractional frame, line and sample of positions in P, as inverse of `position`.
 
         Parameters
         ----------
@@ -179,7 +180,7 @@ class SweepGeometry(Immutable):
         Returns
         -------
         k, j, i
-            Arrays of shape (...); outside the sector they lie outside the sweep's extents.
+            Arrays of shape (...). For positions outside the sector they exceed the sweep's extents.
         """
         x, y, z = np.moveaxis(np.asarray(p_P, dtype=float), -1, 0)
         y = y + self.motor_radius
@@ -192,7 +193,7 @@ class SweepGeometry(Immutable):
         return k, j, i
 
     def contains(self, p_P: ArrayLike) -> NDArray[np.bool_]:
-        """Whether positions in P lie in the part of the sector that both directions sweep."""
+        """Return True for positions in P in the part of the sector that both directions sweep."""
         frames, lines, samples = self.shape
         k, j, i = self.index(p_P, 1)
         k_back = k + (2 * j - (lines - 1)) / lines
@@ -204,18 +205,18 @@ class SweepGeometry(Immutable):
 
 @dataclass(frozen=True, eq=False)
 class SweepMotion(Immutable):
-    """When and from where each frame of a sweep was acquired.
+    """Time and pose at which each frame of a sweep was acquired.
 
     Parameters
     ----------
     geometry
-        Of the sweep.
+        Geometry of the sweep.
     direction
-        +1 towards +Z, -1 towards -Z.
+        +1 for a sweep towards +Z, -1 towards -Z.
     times
-        (frames,) time of each frame in s; falls with the frame's number where direction is -1.
+        (frames,) times of the frames in s. They descend with the frame's number if direction is -1.
     X_WP
-        (frames, 4, 4) pose of the probe in the world at each frame's time.
+        (frames, 4, 4) poses of the probe in the world at the frames' times.
     """
 
     geometry: SweepGeometry
@@ -233,16 +234,17 @@ class SweepMotion(Immutable):
     def at_rest(
         cls, geometry: SweepGeometry, X_WP: RigidTransform, times: ArrayLike, direction: int = 1
     ) -> Self:
-        """Return the motion of a sweep of a probe at rest.
+        """Return the motion of a sweep by a probe at rest.
 
         Parameters
         ----------
         geometry, direction
-            See the class.
+            Geometry and direction of the sweep.
         X_WP
             Pose of the probe in the world.
         times
-            (frames,) time of each frame in s, or one for all; see `SweepGeometry.frame_times`.
+            (frames,) times of the frames in s, or one time for all; see
+            `SweepGeometry.frame_times`.
         """
         frames = geometry.frames
         poses = np.broadcast_to(X_WP.GetAsMatrix4(), (frames, 4, 4))
@@ -250,15 +252,15 @@ class SweepMotion(Immutable):
 
     @property
     def time(self) -> float:
-        """Middle of the sweep, in s."""
+        """Time of the middle of the sweep, in s."""
         return float(0.5 * (self.times[0] + self.times[-1]))
 
     def at_once(self, time: float) -> "SweepMotion":
-        """Return the motion of a sweep whose frames were all acquired at ``time``, in s."""
+        """Return the same motion with all frames acquired at ``time``, in s."""
         return replace(self, times=np.full(self.geometry.frames, time))
 
     def to_world(self, p_P: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Positions in W, and times, at which positions in P were really acquired.
+        """Return the positions in W, and times, at which positions in P were actually acquired.
 
         Parameters
         ----------
@@ -287,18 +289,18 @@ class SweepMotion(Immutable):
 
 @dataclass(frozen=True, eq=False)
 class Sweep(Immutable):
-    """The pre-scan samples of one sweep.
+    """Pre-scan samples of one sweep.
 
     Parameters
     ----------
     samples
-        (frames, lines, samples) uint8, log-compressed.
+        (frames, lines, samples) uint8 log-compressed echo amplitudes.
     motion
-        When and from where each frame was acquired.
+        Time and pose at which each frame was acquired.
     decibels_per_level
-        dB per grey level.
+        Decibels per grey level.
     point_spread
-        How wide a point's echo is, at every depth; None if that is not known.
+        Widths of a point's echo by depth; None if unknown.
     """
 
     samples: NDArray[np.uint8]
@@ -313,7 +315,7 @@ class Sweep(Immutable):
 
     @property
     def geometry(self) -> SweepGeometry:
-        """Where the samples lie."""
+        """Geometry of the samples."""
         return self.motion.geometry
 
     def sample(self, p_P: ArrayLike, outside: float | None = 0.0) -> NDArray[np.float32]:
@@ -328,7 +330,7 @@ class Sweep(Immutable):
 
         Returns
         -------
-        (...) array.
+        (...) grey levels.
         """
         index = np.stack(self.geometry.index(p_P, self.motion.direction), axis=-1)
         return sample_grid(self.samples, index, np.zeros(3), np.ones(3), outside)

@@ -10,16 +10,16 @@ from sonoservo.systems.signals.immutable import Immutable, read_only
 
 @dataclass(frozen=True, eq=False)
 class VelocityMeasurement(Immutable):
-    """The tip's velocity. Where it was not found, a `NotFound` takes its place.
+    """Measured velocity of the tip. If there is none, a `NotFound` takes its place.
 
     Parameters
     ----------
     velocity
-        (3,) in W, in m/s: the mean between the two volumes.
+        (3,) mean velocity between the two volumes in W, in m/s.
     covariance
-        (3, 3) in m^2/s^2.
+        (3, 3) covariance of the velocity, in m^2/s^2.
     correlation
-        Coefficient of the best match, from 0 to 1: how much to trust it.
+        Correlation coefficient of the best match, from 0 to 1, as a measure of confidence.
     """
 
     velocity: NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""A volume on a Cartesian grid."""
+"""Volume on a Cartesian grid."""
 
 from dataclasses import dataclass, replace
 
@@ -20,30 +20,30 @@ class Volume(Immutable):
     Parameters
     ----------
     intensities
-        (nx, ny, nz) array of uint8, or finite float32 on the same scale: echo amplitudes,
-        log-compressed to 0 to 255. Element [i, j, k] lies at ``origin + spacing * (i, j, k)`` in P.
-        Zero outside the sector.
+        (nx, ny, nz) array of echo amplitudes, log-compressed to 0 to 255, as uint8 or as finite
+        float32 on the same scale. Element [i, j, k] lies at ``origin + spacing * (i, j, k)`` in P.
+        Elements outside the sector are zero.
     origin
         (3,) position in P of element [0, 0, 0], in m.
     spacing
-        (3,) distance between neighbouring elements along X, Y, Z, in m.
+        (3,) distances between neighbouring elements along X, Y, Z, in m.
     X_WP
         Pose of the probe in the world, at ``time``.
     time
-        Middle of the acquisition, in s.
+        Time of the middle of the acquisition, in s.
     motion
-        When and from where each frame was acquired; None if that is not known, and then the whole
-        volume counts as acquired at ``time`` from ``X_WP``.
+        Time and pose at which each frame was acquired. If it is unknown (None), the whole volume
+        counts as acquired at ``time`` from ``X_WP``.
     decibels_per_level
-        dB per unit of intensity.
+        Decibels per unit of intensity.
     point_spread
-        How wide a point's echo is, at every depth; None if that is not known.
+        Widths of a point's echo by depth; None if unknown.
 
     Raises
     ------
     ValueError
-        If a shape is wrong, the array is empty, a spacing is not above zero or a value is not
-        finite.
+        If a shape is wrong, an axis has fewer than 2 elements, a spacing is not above zero or a
+        value is not finite.
     """
 
     intensities: NDArray[np.uint8] | NDArray[np.float32]
@@ -59,7 +59,9 @@ class Volume(Immutable):
         array = np.asarray(self.intensities)
         dtype = np.uint8 if array.dtype == np.uint8 else np.float32
         array = read_only(array, "intensities", (None, None, None), dtype)
-        require(min(array.shape) >= 2, "intensities.shape", array.shape, "at least 2 each way")
+        require(
+            min(array.shape) >= 2, "intensities.shape", array.shape, "at least 2 along each axis"
+        )
         object.__setattr__(self, "intensities", array)
         object.__setattr__(self, "origin", read_only(self.origin, "origin", (3,)))
         object.__setattr__(self, "spacing", read_only(self.spacing, "spacing", (3,)))
@@ -73,11 +75,11 @@ class Volume(Immutable):
         return self.origin + self.spacing * (np.array(self.intensities.shape) - 1)
 
     def position(self, index: ArrayLike) -> NDArray[np.float64]:
-        """(..., 3) positions in P, in m, of elements (fractions allowed)."""
+        """Return the (..., 3) positions in P, in m, of elements; fractional indices are allowed."""
         return self.origin + self.spacing * np.asarray(index)
 
     def index(self, p_P: ArrayLike) -> NDArray[np.float64]:
-        """(..., 3) elements, fractions included, of positions in P, in m."""
+        """Return the (..., 3) fractional indices of positions in P, in m."""
         return np.asarray((np.asarray(p_P, dtype=float) - self.origin) / self.spacing)
 
     def sample(self, p_P: ArrayLike, outside: float | None = 0.0) -> NDArray[np.float32]:
@@ -92,12 +94,12 @@ class Volume(Immutable):
 
         Returns
         -------
-        (...) array.
+        (...) intensities.
         """
         return sample_grid(self.intensities, p_P, self.origin, self.spacing, outside)
 
     def at_once(self) -> "Volume":
-        """Return the same as if all of it had been acquired at ``time``, from ``X_WP``."""
+        """Return the same volume as if all of it had been acquired at ``time`` from ``X_WP``."""
         if self.motion is None:
             return self
         times = np.full_like(self.motion.times, self.time)
@@ -105,12 +107,17 @@ class Volume(Immutable):
         return replace(self, motion=replace(self.motion, times=times, X_WP=poses))
 
     def to_world(self, p_P: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Positions in W, in m, and times, in s, at which positions in P were acquired.
+        """Return the positions in W, and times, at which positions in P were acquired.
 
         Parameters
         ----------
         p_P
             (m, 3) positions in the probe frame, in m.
+
+        Returns
+        -------
+        p_W, times
+            (m, 3) positions in m, and (m,) times in s.
         """
         if self.motion is not None:
             return self.motion.to_world(p_P)
@@ -118,5 +125,5 @@ class Volume(Immutable):
         return self.X_WP.multiply(p_P.T).T.reshape(-1, 3), np.full(len(p_P), self.time)
 
     def to_probe(self, p_W: ArrayLike) -> NDArray[np.float64]:
-        """(m, 3) positions in P, in m, of positions in W, for the pose at ``time``."""
+        """Return the (m, 3) positions in P, in m, of positions in W, for the pose at ``time``."""
         return self.X_WP.inverse().multiply(np.asarray(p_W, dtype=float).T).T.reshape(-1, 3)

@@ -1,7 +1,8 @@
-"""From echoes to volumes, as a scanner's console does it.
+"""Processing of a scanner's console, from echoes to volumes.
 
-It holds transducers, beams, imaging settings and scan conversion; the room `simulation` in it
-holds the simulated scanner. It imports `signals`, `sampling` and `files`.
+This room holds transducers, beams, imaging settings, scan conversion and the reconstruction of
+volumes from 2D frames. Its room `simulation` holds the simulated scanner. It imports `signals`,
+`sampling` and `files`.
 """
 
 from lazy_loader import attach_stub

@@ -5,6 +5,8 @@ from .beam import elevation_width as elevation_width
 from .beam import lateral_width as lateral_width
 from .beam import point_spread as point_spread
 from .beam import transmitted_spectrum as transmitted_spectrum
+from .frame_reconstruction import PosedFrame as PosedFrame
+from .frame_reconstruction import reconstruct as reconstruct
 from .imaging import ImagingParameters as ImagingParameters
 from .imaging import sweep_geometry as sweep_geometry
 from .radio_frequency import detect_envelope as detect_envelope

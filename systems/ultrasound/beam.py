@@ -1,4 +1,4 @@
-"""How wide the scanner's beam is at every depth."""
+"""Width of a scanner's beam at every depth."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -34,11 +34,11 @@ class Beam(Immutable):
     Parameters
     ----------
     wavelength
-        At the transmit frequency, in m.
+        Wavelength at the transmit frequency, in m.
     axial
-        sigma_a in m.
+        Standard deviation sigma_a, in m.
     lateral, elevation
-        (samples,) sigma_l and sigma_e at every sample's depth, in m.
+        (samples,) standard deviations sigma_l and sigma_e at every sample's depth, in m.
     curvature
         (samples,) curvature of the wave fronts in elevation, in 1/m.
     side_lobes
@@ -54,14 +54,14 @@ class Beam(Immutable):
 
     @property
     def resolution_cell(self) -> NDArray[np.float64]:
-        """(samples,) integral of the squared Gaussian over space, in m^3."""
+        """Integral of the squared Gaussian over space, (samples,), in m^3."""
         return np.pi**1.5 * self.axial * self.lateral * self.elevation
 
 
 def transmitted_spectrum(
     frequency: NDArray[np.float64], centre: float, fractional_bandwidth: float
 ) -> NDArray[np.float64]:
-    """Two-way spectrum of one cycle of a sine through a transducer, not normalised.
+    """Return the two-way spectrum of one sine cycle through a transducer, not normalised.
 
     The transducer's response falls to a half at the edges of its band and to 1/126 at zero
     frequency (a generalised normal window, as in Garcia 2022, "SIMUS", section 2.4).
@@ -73,7 +73,7 @@ def transmitted_spectrum(
 
 
 def axial_width(centre: float, fractional_bandwidth: float, sound_speed: float) -> float:
-    """Full width at half maximum of the echo's envelope along a line, in m."""
+    """Return the full width at half maximum of an echo's envelope along a line, in m."""
     frequency = centre * np.linspace(0, 2, 801)[1:]
     spectrum = transmitted_spectrum(frequency, centre, fractional_bandwidth)
     distance = np.linspace(0, 4, 801) * sound_speed / centre
@@ -83,7 +83,7 @@ def axial_width(centre: float, fractional_bandwidth: float, sound_speed: float) 
 
 
 def _half_width(offsets: NDArray[np.float64], amplitude: NDArray[np.float64]) -> float:
-    """Last offset at which the amplitude crosses half its maximum."""
+    """Return the last offset at which the amplitude crosses half its maximum."""
     relative = amplitude / amplitude.max() - 0.5
     last = int(np.flatnonzero(relative >= 0)[-1])
     if last + 1 == len(offsets):
@@ -93,9 +93,9 @@ def _half_width(offsets: NDArray[np.float64], amplitude: NDArray[np.float64]) ->
 
 
 def _sum(waves: NDArray[np.complex128], weights: NDArray[Any]) -> NDArray[np.complex128]:
-    """Sum over elements: (points, elements) and (elements,) to (points,).
+    """Sum over elements: (points, elements) times (elements,) gives (points,).
 
-    So small a product is not worth the threads that the matrix product would start.
+    The product is too small to be worth the threads of a matrix product.
     """
     return np.einsum("pe,e->p", waves, weights)
 
@@ -103,7 +103,7 @@ def _sum(waves: NDArray[np.complex128], weights: NDArray[Any]) -> NDArray[np.com
 def _pulse_spectrum(
     transducer: Transducer, imaging: ImagingParameters
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Wavenumbers within the band in rad/m, and the spectrum's amplitude there."""
+    """Return wavenumbers within the band in rad/m, and the spectrum's amplitude there."""
     centre = imaging.transmit_frequency
     frequency = centre * (
         1 + transducer.fractional_bandwidth * np.linspace(-0.6, 0.6, _FREQUENCIES)
@@ -113,10 +113,11 @@ def _pulse_spectrum(
 
 
 def lateral_width(depth: float, transducer: Transducer, imaging: ImagingParameters) -> float:
-    """Full width at half amplitude of the pulse-echo beam along the array, in m.
+    """Return the full width at half amplitude of the pulse-echo beam along the array, in m.
 
-    Transmission with a fixed focus times reception with a Hann window and a focus that follows the
-    depth, summed over the elements of the arc with their directivity, and over the spectrum.
+    The beam is the product of transmission with a fixed focus and reception with a Hann window and
+    dynamic focusing. Both are summed over the elements of the arc with their directivity, and over
+    the spectrum.
     """
     position = (np.arange(transducer.elements) - (transducer.elements - 1) / 2) * (
         transducer.element_pitch
@@ -159,9 +160,10 @@ def lateral_width(depth: float, transducer: Transducer, imaging: ImagingParamete
 def elevation_width(
     depth: float, transducer: Transducer, imaging: ImagingParameters
 ) -> tuple[float, float]:
-    """Full width at half amplitude in m, and the wave front's curvature in 1/m, in elevation.
+    """Return the full width at half amplitude in m and the wave front's curvature in 1/m.
 
-    One aperture transmits and receives through one lens, so the pulse-echo beam is its square.
+    Both are in elevation. A single aperture transmits and receives through one lens, so the
+    pulse-echo beam is the square of its beam.
     """
     elements = 64
     height = transducer.element_height
@@ -187,7 +189,7 @@ def elevation_width(
 def beam_profile(
     transducer: Transducer, imaging: ImagingParameters, geometry: SweepGeometry
 ) -> Beam:
-    """Widths of the beam at every sample's depth."""
+    """Return the widths of the beam at every sample's depth."""
     sample_depths = geometry.sample_pitch * np.arange(geometry.samples)
     shallowest = 2 * imaging.wavelength
     depths = np.linspace(shallowest, max(geometry.depth, 2 * shallowest), _DEPTHS)
@@ -197,7 +199,7 @@ def beam_profile(
     )
 
     def resampled(values: NDArray[np.float64] | list[float]) -> NDArray[np.float64]:
-        # Near the face the width at half amplitude jumps between side lobes.
+        # Smoothed: near the face, the width at half amplitude jumps between side lobes.
         return np.interp(sample_depths, depths, gaussian_filter1d(values, 1.0))
 
     width = axial_width(
@@ -214,7 +216,7 @@ def beam_profile(
 
 
 def point_spread(beam: Beam, geometry: SweepGeometry) -> PointSpread:
-    """Return the widths of a beam as an image carries them, at fewer depths."""
+    """Return the widths of a beam as images carry them, at fewer depths."""
     samples = geometry.sample_pitch * np.arange(geometry.samples)
     depth = np.linspace(0, geometry.depth, _DEPTHS)
     lateral, elevation = (

@@ -1,4 +1,4 @@
-"""The settings of an ultrasound scanner."""
+"""Settings of an ultrasound scanner."""
 
 import math
 from dataclasses import dataclass
@@ -10,33 +10,33 @@ from sonoservo.systems.ultrasound.transducer import Transducer
 
 @dataclass(kw_only=True)
 class ImagingParameters:
-    """What the sonographer sets. The defaults are those of Chatelain 2013, Table I and fig. 5.
+    """Settings that a sonographer makes; the defaults follow Chatelain 2013, Table I and fig. 5.
 
     Parameters
     ----------
     gain
-        From 0 to 1, over 50 dB: at 0.42 a tissue of mean echo has the grey level 0.42 x 50 dB, or
-        89 of 255 where the dynamic range is 60 dB.
+        Gain from 0 to 1, over 50 dB. At 0.42, tissue of mean echo intensity has the grey level of
+        0.42 x 50 dB, which is 89 of 255 for a dynamic range of 60 dB.
     depth
-        From the face to the last sample, in m.
+        Distance from the face to the last sample, in m.
     sector
-        Share of the transducer's lines that are used, from 0 to 1.
+        Share of the transducer's lines that are used, above 0 and at most 1.
     transmit_frequency
-        In Hz.
+        Transmit frequency, in Hz.
     focus_depth
-        Of the transmitted beam, in m.
+        Depth of the transmitted beam's focus, in m.
     frame_pitch_deg
-        Angle between neighbouring frames of the sweep ("degrees per frame").
+        Angle between neighbouring frames of the sweep ("degrees per frame"), in deg.
     volume_rate
         Sweeps per second, in Hz.
     frames
-        Per sweep; None for the most that fit, an odd number.
+        Number of frames per sweep; None for the largest odd number that fits.
     sample_pitch
-        Between the samples of a line, in m.
+        Distance between the samples of a line, in m.
     dynamic_range_db
-        Range of echo amplitudes that the grey levels 0 to 255 show.
+        Range of echo amplitudes that the grey levels 0 to 255 show, in dB.
     sound_speed
-        In m/s.
+        Speed of sound, in m/s.
 
     Raises
     ------
@@ -77,7 +77,7 @@ class ImagingParameters:
 
     @property
     def wavelength(self) -> float:
-        """In m."""
+        """Wavelength at the transmit frequency, in m."""
         return self.sound_speed / self.transmit_frequency
 
     @property
@@ -97,15 +97,15 @@ class ImagingParameters:
 
 
 def sweep_geometry(transducer: Transducer, imaging: ImagingParameters) -> SweepGeometry:
-    """Where the samples of a sweep lie, and when they are acquired.
+    """Return the positions of a sweep's samples and the times of their acquisition.
 
-    Without a wish for a number of frames, it is the largest odd one for which the sound has time
-    to travel: 27 at 3.3 volumes a second and 15 at 5.7, for 96 lines 9 cm deep.
+    If the settings leave the number of frames open, it is the largest odd number for which the
+    sound has time to travel: 27 at 3.3 volumes per second and 15 at 5.7, for 96 lines 9 cm deep.
 
     Raises
     ------
     ValueError
-        If the sound has no time to travel, or the transducer cannot do what is wished.
+        If the sound has no time to travel, or the settings exceed the transducer's limits.
     """
     low, high = transducer.lowest_frequency, transducer.highest_frequency
     frequency = imaging.transmit_frequency

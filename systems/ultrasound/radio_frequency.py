@@ -1,4 +1,4 @@
-"""Radio-frequency sweeps, and the grey levels that a scanner makes of them."""
+"""Envelope detection of radio-frequency sweeps."""
 
 from dataclasses import replace
 from typing import Any
@@ -12,7 +12,7 @@ from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.signals.sweep import Sweep, SweepGeometry
 
 _DISCARDED_BITS = 16
-"""Of a single-precision number; the 7 bits of mantissa that are left resolve 0.05 dB."""
+"""Discarded bits of a single-precision number; the remaining 7 mantissa bits resolve 0.05 dB."""
 
 
 @njit(parallel=True, cache=True, nogil=True)
@@ -42,23 +42,24 @@ def detect_envelope(
     near: float = 0.0,
     far: float = np.inf,
 ) -> Sweep:
-    """Make grey levels of radio-frequency lines, on fewer samples.
+    """Convert radio-frequency lines to grey levels on fewer samples.
 
-    A peak detector: each sample is the largest magnitude within half a step before and behind it.
-    Over a step of a carrier's period or more it is at most 1 dB below the envelope.
+    This is a peak detector: each sample is the largest magnitude within half a step before and
+    after it. For steps of at least one period of the carrier, it is at most 1 dB below the
+    envelope.
 
     Parameters
     ----------
     sweep
-        To detect.
+        Sweep to detect.
     step
-        Samples of the lines for each sample of the result.
+        Number of samples of the lines per sample of the result.
     floor_db
-        Amplitude of grey level 0, over an echo of amplitude 1.
+        Amplitude of grey level 0 in dB, relative to an echo of amplitude 1.
     dynamic_range_db
-        Range of amplitudes that the grey levels 0 to 255 show.
+        Range of amplitudes that the grey levels 0 to 255 show, in dB.
     near, far
-        Depths in m between which the lines are looked at; elsewhere the result is 0.
+        Depths in m between which the lines are evaluated; elsewhere the result is 0.
     """
     require(step >= 1, "step", step, "1 or more")
     geometry = detected_geometry(sweep.motion.geometry, step)
@@ -77,6 +78,6 @@ def detect_envelope(
 
 
 def detected_geometry(geometry: SweepGeometry, step: int) -> SweepGeometry:
-    """Geometry of a sweep of which every ``step``-th sample is left."""
+    """Return the geometry of a sweep after keeping every ``step``-th sample."""
     samples = (geometry.samples - 1) // step + 1
     return replace(geometry, samples=samples, sample_pitch=step * geometry.sample_pitch)

@@ -12,7 +12,7 @@ WIDEST_ANGLE = 2 * np.arctan(0.8)
 """Largest angle in rad, 77 deg, from the middle of the sector that `_angle` covers."""
 
 POSES_PER_FRAME = 16
-"""Poses tabulated from one frame to the next: at 20 mm/s they are 0.01 mm apart."""
+"""Number of poses tabulated from one frame to the next; at 20 mm/s they are 0.01 mm apart."""
 
 _ZERO, _HALF, _ONE, _TWO = (np.float32(value) for value in (0, 0.5, 1, 2))
 # Minimax polynomial of the arc tangent on [-0.8, 0.8], to 3e-7.
@@ -21,24 +21,24 @@ _A3, _A5, _A7, _A9, _A11 = (
 )
 _BYTE = np.uint32(0xFF)
 _POSITIVE = np.uint32(0x7FFFFFFF)
-"""Mask that tells the compiler that an index has no sign."""
+"""Mask that tells the compiler that an index is not negative."""
 
 _PAGE, _CACHE_LINE = 1024, 16
-"""In elements of four bytes."""
+"""Sizes of a memory page and a cache line, in elements of four bytes."""
 
 
 Floats = NDArray[np.floating]
 
 
 class Sector(NamedTuple):
-    """Where the lines of a sweep are (see `SweepGeometry`), in float32; lengths in m."""
+    """Positions of a sweep's lines (see `SweepGeometry`) in float32; lengths in m."""
 
     array_radius: np.float32
     centre_offset: np.float32
     samples_per_metre: np.float32
     lines_per_radian: np.float32
     steps_per_radian: np.float32
-    """Steps for each radian about the motor's axis; the motor takes one from line to line."""
+    """Motor steps per radian about the motor's axis; the motor takes one step per line."""
     direction: np.float32
     lines: np.float32
     last_frame: np.float32
@@ -47,9 +47,10 @@ class Sector(NamedTuple):
 
 
 class Corners(NamedTuple):
-    """The samples in a part of a sweep, each with its neighbours in the frame in one number.
+    """Layout of packed samples: each number holds a sample and its neighbours in the frame.
 
-    So a processor reads the eight corners of a cell with two instructions, for several cells.
+    A processor can then read the eight corners of a cell with two instructions, for several cells
+    at a time.
     """
 
     frame_stride: np.int32
@@ -58,7 +59,7 @@ class Corners(NamedTuple):
     first_line: np.int32
     first_sample: np.int32
     last_frame: np.int32
-    """Of the last cell, as the next two."""
+    """Frame of the last cell; the next two are its line and its sample."""
     last_line: np.int32
     last_sample: np.int32
 
@@ -66,24 +67,24 @@ class Corners(NamedTuple):
 def pack_corners(
     samples: NDArray[np.uint8], first: tuple[int, ...], last: tuple[int, ...]
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint32], Corners]:
-    """Pack the samples of a sweep.
+    """Pack the samples of a sweep, each with its neighbours.
 
     Parameters
     ----------
     samples
-        (frames, lines, samples), log-compressed.
+        (frames, lines, samples) log-compressed samples.
     first, last
         Frame, line and sample at which the first and the last cell begin.
 
     Returns
     -------
     packed, beyond, corners
-        What is packed, the same from the second frame on, and how it is laid out. Bytes of a
-        number, lowest first: the sample, the next on its line, the sample on the next line, and
-        its next.
+        Packed samples, a view of them from the second frame on, and their layout. The bytes of a
+        number are, lowest first: the sample, the next one on its line, the sample on the next line,
+        and the one after that.
     """
     frames, lines, line_stride = (b - a + 1 for a, b in zip(first, last, strict=True))
-    # A frame's stride is no multiple of the page: else neighbours would evict one another from
+    # A frame's stride must not be a multiple of the page: neighbours would evict one another from
     # the cache.
     frame_stride = lines * line_stride
     frame_stride += (_CACHE_LINE - frame_stride) % _PAGE
@@ -117,22 +118,23 @@ def _pack(packed, corners, samples):  # type: ignore[no-untyped-def]
 def rows_in_sector(
     sector: Sector, margin: float, x: Floats, y: Floats, z: Floats
 ) -> NDArray[np.int32]:
-    """Which elements of each row along Z may lie in the sector, so that the others need no look.
+    """Return the elements of each row along Z that may lie in the sector; the others are skipped.
 
     Parameters
     ----------
     sector
-        Where the samples are.
+        Positions of the samples.
     margin
-        By which the sector is widened, in m.
+        Length in m by which the sector is widened.
     x, y, z
         Coordinates of the grid's elements, in m, with the origin on the motor's axis.
 
     Returns
     -------
-    (nx, ny, 2, 2): the row's first element, and the one after its last, on either side of a gap in
-    the middle, where the lines do not reach or the probe itself is. Of rows outside, and of the
-    second part where there is no gap, both are equal.
+    (nx, ny, 2, 2) array with the first element and the one after the last, for the two parts of
+    each row. The parts lie on either side of a gap in the middle, which the lines do not reach or
+    the probe occupies. Both numbers are equal for rows outside the sector, and for the second part
+    of rows without a gap.
     """
     x, y = np.abs(x[:, np.newaxis]), y[np.newaxis]
     far = sector.array_radius + sector.last_sample / sector.samples_per_metre + margin
@@ -160,9 +162,9 @@ def rows_in_sector(
     return np.stack([start, np.where(used, stop, start)], axis=-1).astype(np.int32)
 
 
-# The compiler makes the innermost loops treat several elements at a time, because their indices are
-# unsigned, nothing in them branches, and the arrays are the kernel's own arguments: it knows that
-# those of a parallel kernel do not overlap.
+# The compiler vectorises the innermost loops because their indices are unsigned, nothing in them
+# branches, and the arrays are the kernel's own arguments: it knows that the arguments of a parallel
+# kernel do not overlap.
 
 
 @njit(parallel=True, **OPTIONS)
@@ -172,16 +174,16 @@ def resample(volume, rows, packed, beyond, corners, sector, x, distance, step): 
     Parameters
     ----------
     volume
-        (nx, ny, nz) uint8, zeros.
+        (nx, ny, nz) uint8 zeros, overwritten inside the sector.
     rows
-        See `rows_in_sector`.
+        Elements to fill; see `rows_in_sector`.
     packed, beyond, corners, sector
-        The samples, and where they are.
+        Packed samples and their layout (`pack_corners`), and the positions of the lines.
     x
-        Float32 coordinates of the elements, in m.
+        (nx,) float32 coordinates of the elements, in m.
     distance, step
-        (ny, nz) float32: distance q from the array's centre of curvature within the plane of the
-        line, in m; steps of the motor from the middle.
+        (ny, nz) float32 distances q from the array's centre of curvature within the plane of the
+        line, in m, and steps of the motor from the middle.
     """
     for a in prange(volume.shape[0]):
         for b in range(volume.shape[1]):
@@ -195,7 +197,7 @@ def resample(volume, rows, packed, beyond, corners, sector, x, distance, step): 
 
 @njit(parallel=True, **OPTIONS)
 def resample_moving(volume, rows, packed, beyond, corners, sector, x, y, z, poses):  # type: ignore[no-untyped-def]
-    """Fill the part of a volume that the sweep of a moving probe has seen.
+    """Fill the part of a volume that the sweep of a moving probe covers.
 
     Parameters
     ----------
@@ -204,15 +206,15 @@ def resample_moving(volume, rows, packed, beyond, corners, sector, x, y, z, pose
     x, y, z
         Float32 coordinates of the elements, in m, with the origin on the motor's axis.
     poses
-        (`POSES_PER_FRAME` (frames - 1) + 1, 12) float32: the rows of a 3 x 4 matrix from the frame
-        of the volume to that of the probe then, both with the origin on the motor's axis.
+        (`POSES_PER_FRAME` (frames - 1) + 1, 12) float32 rows of 3 x 4 matrices, from the frame of
+        the volume to that of the probe at the time, both with the origin on the motor's axis.
     """
     for a in prange(volume.shape[0]):
         for b in range(volume.shape[1]):
             for part in range(2):
                 for n in range(np.uint64(rows[a, b, part, 0]), np.uint64(rows[a, b, part, 1])):
-                    # When a point was seen depends on where it was then; each pass errs by a
-                    # tenth of what the last one did.
+                    # The time at which a point was seen depends on its place at that time. Each
+                    # pass reduces the error to a tenth.
                     place = _project(x[a], y[b], z[n], sector)
                     place = _seen(x[a], y[b], z[n], place, poses, sector)
                     place = _seen(x[a], y[b], z[n], place, poses, sector)
@@ -223,7 +225,7 @@ def resample_moving(volume, rows, packed, beyond, corners, sector, x, y, z, pose
 
 @njit(**OPTIONS)
 def _angle(opposite, adjacent, hypotenuse):  # type: ignore[no-untyped-def]
-    """Angle in rad between a hypotenuse and its adjacent leg, up to `WIDEST_ANGLE`."""
+    """Return the angle in rad between a hypotenuse and its adjacent leg, up to `WIDEST_ANGLE`."""
     t = opposite / (adjacent + hypotenuse)
     v = t * t
     return _TWO * t * (_ONE + v * (_A3 + v * (_A5 + v * (_A7 + v * (_A9 + v * _A11)))))
@@ -231,17 +233,17 @@ def _angle(opposite, adjacent, hypotenuse):  # type: ignore[no-untyped-def]
 
 @njit(**OPTIONS)
 def _line(x, q, sector):  # type: ignore[no-untyped-def]
-    """Line, from the middle, and distance from the array's centre of curvature."""
+    """Return the line, from the middle, and the distance from the array's centre of curvature."""
     r = np.sqrt(q * q + x * x)
     return _angle(x, q, r) * sector.lines_per_radian, r
 
 
 @njit(**OPTIONS)
 def _project(x, y, z, sector):  # type: ignore[no-untyped-def]
-    """Step and line, from the middle, and distance from the array's centre of curvature."""
+    """Return step and line, from the middle, and distance from the array's centre of curvature."""
     rho = np.sqrt(y * y + z * z)
     line, r = _line(x, rho + sector.centre_offset, sector)
-    # Behind the axis, as a moving probe may have been, is as good as beside it: outside.
+    # A point behind the axis, possible with a moving probe, is outside the sector either way.
     return _angle(z, max(y, _ZERO), rho) * sector.steps_per_radian, line, r
 
 
@@ -252,7 +254,7 @@ def _frame(step, line, sector):  # type: ignore[no-untyped-def]
 
 @njit(**OPTIONS)
 def _seen(x, y, z, place, poses, sector):  # type: ignore[no-untyped-def]
-    """Where a point was for the probe when the sweep was at a place: see `_project`."""
+    """Project a point as the probe saw it at the time the sweep was at a place; see `_project`."""
     step, line, _ = place
     frame = min(max(_frame(step, line, sector), _ZERO), sector.last_frame)
     n = np.uint32(np.int32(np.float32(POSES_PER_FRAME) * frame + _HALF))
@@ -266,7 +268,7 @@ def _seen(x, y, z, place, poses, sector):  # type: ignore[no-untyped-def]
 
 @njit(**OPTIONS)
 def _interpolate(packed, beyond, corners, sector, step, line, r):  # type: ignore[no-untyped-def]
-    """Grey level at a place, rounded; zero where one of the motor's directions does not sweep."""
+    """Return the rounded grey level at a place; zero unless both motor directions sweep it."""
     i = (r - sector.array_radius) * sector.samples_per_metre
     j = line + _HALF * sector.last_line
     k = _frame(step, line, sector)

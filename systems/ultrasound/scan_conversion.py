@@ -1,4 +1,4 @@
-"""From the samples of a sweep to a Cartesian grid, and what is needed for it once per grid."""
+"""Scan conversion of a sweep's samples onto a Cartesian grid."""
 
 from dataclasses import dataclass
 
@@ -21,7 +21,7 @@ from sonoservo.systems.ultrasound.resampling import (
 )
 
 _SLACK = 1e-6
-"""Length in m that covers the rounding of single precision."""
+"""Length in m that exceeds the rounding errors of single precision."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,12 +41,12 @@ class CartesianGrid:
     shape: tuple[int, ...]
 
     def axis(self, which: int) -> NDArray[np.float64]:
-        """Positions of the elements along X (0), Y (1) or Z (2), in m."""
+        """Return the positions of the elements along X (0), Y (1) or Z (2), in m."""
         return self.origin[which] + self.spacing[which] * np.arange(self.shape[which])
 
 
 def sector_bounds(geometry: SweepGeometry) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Lower and upper corner, (3,) each in m in P, of the box around the swept sector."""
+    """Return the (3,) lower and upper corners of the swept sector's bounding box, in P, in m."""
     k, j, i = np.meshgrid(
         np.linspace(0, geometry.frames - 1, 41),
         np.linspace(0, geometry.lines - 1, 41),
@@ -68,12 +68,11 @@ def make_grid(
     Parameters
     ----------
     geometry
-        Of the sweeps that will be converted.
+        Geometry of the sweeps to convert.
     spacing
-        One distance in m, or one for each axis.
+        Distance between elements in m: one for all axes, or one for each.
     lower, upper
-        (3,) corners of the box in P, in m: a region of interest is converted as fast as it is
-        small.
+        (3,) corners of the box in P, in m. A smaller region of interest is converted faster.
 
     Raises
     ------
@@ -88,7 +87,7 @@ def make_grid(
     high = sector_upper if upper is None else np.asarray(upper, dtype=float)
     require(bool((high > low).all()), "upper", high.tolist(), f"above the lower corner {low}")
     shape = np.floor((high - low) / step + 1e-9).astype(int) + 1
-    # Centred, so that what is left over is shared by both sides.
+    # Centred, so that both sides share the remainder.
     origin = 0.5 * (low + high) - 0.5 * step * (shape - 1)
     return CartesianGrid(origin, step, tuple(int(n) for n in np.maximum(shape, 2)))
 
@@ -97,20 +96,20 @@ class ScanConversion:
     """Scan conversion of sweeps of one geometry onto one grid.
 
     An element's distance q from the array's centre of curvature, within the plane of its line, and
-    its angle about the motor's axis depend on Y and Z only: two tables of (ny, nz) numbers are all
-    that is prepared. Its line and its sample follow from X and q.
+    its angle about the motor's axis depend only on Y and Z. Two tables of (ny, nz) numbers are
+    therefore all that is precomputed. The element's line and sample follow from X and q.
 
     Parameters
     ----------
     geometry
-        Of the sweeps.
+        Geometry of the sweeps.
     grid
-        Of the volumes.
+        Grid of the volumes.
     compensate_motion
-        Whether a volume shows the tissue as a probe at rest would have seen it, from where the
-        probe was at the middle frame: every element is looked up in the frame that saw its place
-        in the world, from where the probe then was. It takes the tissue to be at rest. Otherwise
-        an element shows what was at its place in the probe's frame.
+        Whether a volume shows the tissue as a probe at rest at the pose of the middle frame would
+        have seen it. Every element is then looked up in the frame that saw its place in the world,
+        with the probe's pose at that time; the tissue is assumed to be at rest. Otherwise, an
+        element shows what was at its place in the probe's frame.
 
     Raises
     ------
@@ -155,8 +154,8 @@ class ScanConversion:
     def __call__(self, sweep: Sweep) -> Volume:
         """Convert a sweep; the volume's pose and time are those of the middle frame.
 
-        Where the motion is compensated, the volume's `motion` says that the probe rested there,
-        and still when every frame was acquired.
+        If the motion is compensated, the volume's `motion` has the middle frame's pose for every
+        frame, and keeps the times at which the frames were acquired.
         """
         motion = sweep.motion
         middle = self.geometry.frames // 2
@@ -178,18 +177,19 @@ class ScanConversion:
         )
 
     def convert(self, samples: NDArray[np.uint8], direction: int) -> NDArray[np.uint8]:
-        """Interpolate the samples of a probe at rest, trilinear and rounded.
+        """Interpolate the samples of a probe at rest, trilinearly and rounded.
 
         Parameters
         ----------
         samples
-            (frames, lines, samples).
+            (frames, lines, samples) samples of the sweep.
         direction
-            Of the motor: +1 towards +Z, -1 towards -Z.
+            Direction of the motor: +1 towards +Z, -1 towards -Z.
 
         Returns
         -------
-        (nx, ny, nz), zero outside the part of the sector that both motor directions sweep.
+        (nx, ny, nz) grey levels; zero outside the part of the sector that both motor directions
+        sweep.
         """
         volume = np.zeros(self.grid.shape, np.uint8)
         resample(
@@ -223,7 +223,7 @@ class ScanConversion:
     def _cells(
         self, x: NDArray[np.float64], q: NDArray[np.float64], step: NDArray[np.float64]
     ) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Frame, line and sample of the first and the last cell of samples that the grid needs."""
+        """Return frame, line and sample of the first and last cells that the grid needs."""
         geometry, sector = self.geometry, self._sector
         line = np.arctan2([[x[0]], [x[-1]]], [q.min(), q.max()]) * sector.lines_per_radian
         twist = np.abs(line).max()
@@ -245,11 +245,11 @@ class ScanConversion:
 
 
 def _relative_poses(motion: SweepMotion) -> NDArray[np.float64]:
-    """Transforms from the probe's frame at the middle frame to that at fractions of frames.
+    """Return transforms from the probe's frame at the middle frame to that at fractions of frames.
 
     Returns
     -------
-    (`POSES_PER_FRAME` (frames - 1) + 1, 3, 4), with the origins on the motor's axis.
+    (`POSES_PER_FRAME` (frames - 1) + 1, 3, 4) matrices, with the origins on the motor's axis.
     """
     geometry = motion.geometry
     frame = np.arange(POSES_PER_FRAME * (geometry.frames - 1) + 1) / POSES_PER_FRAME

@@ -1,4 +1,4 @@
-"""A system that turns sweeps into volumes."""
+"""The leaf that converts sweeps to volumes."""
 
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -15,16 +15,15 @@ from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_gr
 
 @dataclass(kw_only=True)
 class ScanConversionParameters:
-    """The grid of the volumes.
+    """Parameters of the scan conversion.
 
     Parameters
     ----------
     spacing
-        Voxel size along X, Y, Z in m.
+        Voxel size along X, Y and Z, in m.
     compensate_motion
         Whether a volume shows the tissue as a probe at rest would have seen it (see
-        `ScanConversion`). Without it, whoever looks at a volume finds in its `motion` where the
-        probe was when each frame was acquired.
+        `ScanConversion`). Otherwise, the volume's `motion` holds the probe's pose for each frame.
     """
 
     spacing: list[float] = field(default_factory=lambda: [0.7e-3, 0.7e-3, 0.7e-3])
@@ -40,7 +39,7 @@ class ScanConversionParameters:
 
 
 class ScanConverter(LeafSystem):
-    """Converts each sweep to a Cartesian volume; stateless, the result is cached.
+    """Converts each sweep to a Cartesian volume; stateless, with a cached result.
 
     .. pydrake_system::
 
@@ -50,20 +49,20 @@ class ScanConverter(LeafSystem):
         output_ports:
         - volume
 
-    ``sweep`` holds a `Sweep`, or a `NotFound` that is passed on; ``volume`` a `Volume`.
+    ``sweep`` holds a `Sweep`, or a `NotFound` that is passed on; ``volume`` holds a `Volume`.
 
     Parameters
     ----------
     geometry
-        Of the sweeps to come.
+        Geometry of the sweeps.
     parameters
-        The grid.
+        Parameters of the scan conversion.
     """
 
     def __init__(self, *, geometry: SweepGeometry, parameters: ScanConversionParameters) -> None:
         super().__init__()
         self.set_name("scan_converter")
-        # The framework marks all state as changed at every event; a sweep stays what it is.
+        # The framework marks all state as changed at every event, but a sweep is immutable.
         self._converter = lru_cache(maxsize=1)(
             ScanConversion(
                 geometry,

@@ -1,4 +1,4 @@
-"""A slice: one picture of the tissue, and how it is made from a sweep of a single frame."""
+"""Scan conversion of a sweep of a single frame to a slice."""
 
 import numpy as np
 from pydrake.math import RigidTransform
@@ -16,9 +16,9 @@ class SliceConversion:
     Parameters
     ----------
     geometry
-        Of the sweeps.
+        Geometry of the sweeps.
     spacing
-        Of the picture's elements, in m.
+        Distance between the slice's pixels, in m.
 
     Raises
     ------
@@ -34,7 +34,7 @@ class SliceConversion:
         corners = geometry.position(0, j, i, 1)[..., :2].reshape(-1, 2)
         low, high = corners.min(axis=0), corners.max(axis=0)
         shape = np.floor((high - low) / spacing + 1e-9).astype(int) + 1
-        # Centred across the beam; at the probe's face x and y are whole numbers of elements.
+        # Centred across the beam, and aligned with the shallowest sample in depth.
         self._origin = np.array([-0.5 * spacing * (shape[0] - 1), low[1]])
         self._spacing = np.full(2, spacing)
         x, y = np.meshgrid(

@@ -1,4 +1,4 @@
-"""A system that turns sweeps of a single frame into slices."""
+"""The leaf that converts sweeps of a single frame to slices."""
 
 from functools import lru_cache
 
@@ -12,7 +12,7 @@ from sonoservo.systems.ultrasound.slice_conversion import SliceConversion
 
 
 class SliceConverter(LeafSystem):
-    """Converts each sweep of a single frame to a Cartesian slice; stateless, the result is cached.
+    """Converts each sweep of a single frame to a slice; stateless, with a cached result.
 
     .. pydrake_system::
 
@@ -22,20 +22,20 @@ class SliceConverter(LeafSystem):
         output_ports:
         - slice
 
-    ``sweep`` holds a `Sweep`, or a `NotFound` that is passed on; ``slice`` an `ImageSlice`.
+    ``sweep`` holds a `Sweep`, or a `NotFound` that is passed on; ``slice`` holds an `ImageSlice`.
 
     Parameters
     ----------
     geometry
-        Of the sweeps to come.
+        Geometry of the sweeps.
     spacing
-        Of the picture's elements, in m.
+        Distance between the slice's pixels, in m.
     """
 
     def __init__(self, *, geometry: SweepGeometry, spacing: float) -> None:
         super().__init__()
         self.set_name("slice_converter")
-        # The framework marks all state as changed at every event; a sweep stays what it is.
+        # The framework marks all state as changed at every event, but a sweep is immutable.
         self._conversion = lru_cache(maxsize=1)(SliceConversion(geometry, spacing))
         sweep = self.DeclareAbstractInputPort("sweep", Value[object](NotFound("no sweep")))
         self.DeclareAbstractOutputPort(

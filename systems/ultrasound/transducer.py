@@ -1,4 +1,4 @@
-"""The hardware of a motorised ultrasound probe."""
+"""Hardware of a motorised ultrasound probe."""
 
 from dataclasses import dataclass
 
@@ -17,27 +17,27 @@ _LARGEST = {
 
 @dataclass(kw_only=True)
 class Transducer:
-    """The hardware of a motorised probe: an arc of elements under a lens, turned by a motor.
+    """Hardware of a motorised probe: an arc of elements under a lens, turned by a motor.
 
-    The defaults are the Ultrasonix 4DC7-3/40's; `load_transducer` reads others.
+    The defaults are those of the Ultrasonix 4DC7-3/40; `load_transducer` reads other probes.
 
     Parameters
     ----------
     array_radius, motor_radius
-        From the face to the array's centre of curvature and to the motor's axis, in m. Zero makes
-        the array flat, with its sector's apex in the middle of the face.
+        Distances from the face to the array's centre of curvature and to the motor's axis, in m. An
+        array radius of zero makes the array flat, with the sector's apex in the middle of the face.
     lines
-        Scan lines of the full sector.
+        Number of scan lines of the full sector.
     line_pitch_deg
-        Angle between neighbouring lines.
+        Angle between neighbouring lines, in deg.
     most_frames
-        Frames that the motor can sweep.
+        Maximum number of frames in a sweep.
     elements, element_pitch
         Number of elements, and distance between their centres along the face, in m.
     element_width
-        Along the face, in m.
+        Width of an element along the face, in m.
     element_height
-        In elevation, in m.
+        Height of the elements in elevation, in m.
     lens_focus
         Depth at which the lens focuses in elevation, in m.
     lowest_frequency, highest_frequency
@@ -45,14 +45,14 @@ class Transducer:
     fractional_bandwidth
         Width of the two-way spectrum at -6 dB, as a fraction of the transmit frequency.
     transmit_elements, receive_elements
-        Most elements that transmit, and that receive, together.
+        Maximum number of elements that transmit, and that receive, at the same time.
     transmit_f_number, receive_f_number
-        Depth over aperture's width. The receiving aperture grows with depth and is weighted by a
-        Hann window; its focus follows the depth.
+        Ratio of depth to aperture width. The receiving aperture grows with depth and is weighted by
+        a Hann window; its focus follows the depth.
     side_lobe_level
         Amplitude of a needle's echo through the beam's side lobes, relative to that through the
-        main lobe (0.0316 is -30 dB); 0 for none. Only bright things show them: they would change
-        the tissue's speckle by 0.01 dB.
+        main lobe (0.0316 is -30 dB); 0 for none. Side lobes are rendered for bright objects only:
+        they would change the tissue's speckle by 0.01 dB.
 
     Raises
     ------

@@ -3,7 +3,7 @@
 import numpy as np
 
 from sonoservo.diagrams.experiments.registry import load_scenario, make_experiment
-from sonoservo.systems.evaluation.run_log import read_log, write_log
+from sonoservo.systems.evaluation.log import read_log, write_log
 
 
 def test_a_scenario_runs_with_seven_joints_and_logs_them(tmp_path):
@@ -20,5 +20,5 @@ def test_a_scenario_runs_with_seven_joints_and_logs_them(tmp_path):
     assert log.contact_force[-1] > 1.0
     assert np.abs(log.joint_state[-1, :7] - log.joint_state[0, :7]).max() > 0.01
     path = write_log(tmp_path / "log.npz", log)
-    again = read_log(path)
+    again = read_log(path, type(log))
     np.testing.assert_array_equal(again.joint_state, log.joint_state)

@@ -1,2 +1,2 @@
 from .reproduction import reproduce as reproduce
-from .reproduction import run_needle as run_needle
+from .runs import run_needle as run_needle

@@ -1,7 +1,7 @@
 """The scanner's monitor: a page with the two slices through the needle.
 
 Its pictures are drawn in the probe frame, on a thread of their own. It imports `display` and
-what `display` imports.
+everything that `display` imports.
 """
 
 from lazy_loader import attach_stub

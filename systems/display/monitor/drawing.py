@@ -1,4 +1,4 @@
-"""What a scanner's monitor shows: two orthogonal planes through the needle, scales and figures."""
+"""Contents of a scanner's monitor: two planes through the needle, scales and readings."""
 
 from typing import Any
 
@@ -32,7 +32,7 @@ from sonoservo.systems.signals.volume import Volume
 Floats = NDArray[np.float64]
 
 _MIN_PIXEL = 0.5e-3
-"""Of the pictures, in m; else it is as large as a voxel."""
+"""Smallest pixel of the pictures, in m; otherwise a pixel is as large as a voxel."""
 
 # Lengths in M, the screen's frame: see `monitor_views`.
 _X_SCENE_M = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])
@@ -51,7 +51,7 @@ _TITLES = (
     ("lateral plane, Z = 0: depth, mm", "elevation plane, X = 0: depth, mm"),
     ("needle and beam: depth, mm", "needle, across the beam: mm from the middle"),
 )
-"""Of the two pictures, without and with a needle."""
+"""Titles of the two pictures, without and with a needle."""
 
 _LAYOUT: dict[str, tuple[list[float], float, Colour]] = {
     "volume": ([0, 0], 0.045, _BRIGHT),
@@ -61,7 +61,7 @@ _LAYOUT: dict[str, tuple[list[float], float, Colour]] = {
     "features": ([0, 0.255], 0.032, _DIM),
     "reason": ([0, 0.305], 0.026, _DIM),
 }
-"""Of the readings: left upper corner, size, colour."""
+"""Upper left corner, size and colour of each reading."""
 
 
 class MonitorScreen:
@@ -70,8 +70,8 @@ class MonitorScreen:
     Parameters
     ----------
     visualizer
-        Of meshcat, to draw with. The screen is 1.6 wide and 1 high, in the plane Y = 0 of its
-        scene, seen along Y.
+        Meshcat visualizer to draw with. The screen is 1.6 wide and 1 high, in the plane Y = 0 of
+        its scene, seen along Y.
     """
 
     def __init__(self, visualizer: Visualizer) -> None:
@@ -85,9 +85,9 @@ class MonitorScreen:
         Parameters
         ----------
         volume, estimate
-            What to show; without a needle, the probe's own planes.
+            Volume and estimate to show. Without a needle, the slices are the probe's own planes.
         number
-            Of the volume.
+            Number of the volume.
         """
         curve = estimate.curve if estimate is not None else None
         self._draw_readings(volume, estimate, number)
@@ -106,7 +106,7 @@ class MonitorScreen:
                 self._write(f"screen/{name}/title", title, at, 0.026, _DIM)
 
     def _draw_picture(self, name: str, view: View, volume: Volume) -> None:
-        """Draw a slice twice: flat, and where it is in P."""
+        """Draw a slice twice: flat on the screen, and at its place in P."""
         pixel = max(_MIN_PIXEL, float(volume.spacing.min()))
         png = encode_png(sample_plane(volume, view.plane, pixel), compression=1)
         size = np.array([view.plane.width, view.plane.height])
@@ -124,7 +124,7 @@ class MonitorScreen:
         if estimate is not None and estimate.curve is not None:
             points = volume.to_probe(estimate.curve.position(np.linspace(0, 1, 41)))
             needle = view.coordinates(points)
-            # The line ends where the ring begins: the echo of the tip is not hidden.
+            # The line ends where the ring begins, so that the echo of the tip is not hidden.
             outside = np.linalg.norm(needle - needle[-1], axis=1) >= _RING
             turns = np.linspace(0, 2 * np.pi, 33)
             ring = needle[-1] + _RING * np.stack([np.cos(turns), np.sin(turns)], axis=1)
@@ -145,7 +145,7 @@ class MonitorScreen:
         size = view.scale * (view.window[1] - view.window[0])
         for axis in (0, 1):
             low, high = view.window[:, axis]
-            # A scale that did not move by a pixel stays as it is.
+            # A scale that has moved by less than a pixel stays as it is.
             ends = round(PIXELS * view.scale * low), round(PIXELS * view.scale * high), step
             path = f"screen/{name}/{'xy'[axis]}_scale"
             if self._is_new(path, ends):
@@ -166,7 +166,7 @@ class MonitorScreen:
             self._write(f"screen/{name}", text, _READINGS + at, size, ink)
 
     def _draw_probe(self, volume: Volume) -> None:
-        """Draw the edges of what was swept, or of the grid, and the axes of P."""
+        """Draw the edges of the swept sector, or else of the grid, and the axes of P."""
         low, high = volume.origin, volume.upper
         geometry = volume.motion.geometry if volume.motion else None
         if not self._is_new("probe", (geometry, *low, *high)):
@@ -184,7 +184,7 @@ class MonitorScreen:
             self._write(f"screen/axis_{letter}", letter, at, 0.03, _DIM)
 
     def _write(self, path: str, text: str, at: Floats, size: float, colour: Colour) -> None:
-        """Write a line of text, given its left upper corner and its size on the screen."""
+        """Write a line of text, given its upper left corner and its size on the screen."""
         self._set_visible(path, bool(text))
         if text and self._is_new(path, (text, *at)):
             image = line_image(text, round(size * PIXELS))
@@ -200,7 +200,7 @@ class MonitorScreen:
             self._root[path].set_property("visible", visible)
 
     def _is_new(self, path: str, key: object) -> bool:
-        """Whether a path shows something else so far; from now on, this."""
+        """Return True if a path did not show this so far, and remember that it does now."""
         if self._drawn.get(path) == key:
             return False
         self._drawn[path] = key
@@ -208,9 +208,9 @@ class MonitorScreen:
 
 
 def readings(volume: Volume, estimate: NeedleEstimate | None, number: int) -> dict[str, str]:
-    """Return what a monitor says about a volume and the needle in it; empty where there is none.
+    """Return the readings for a volume and the needle in it; a reading without a value is empty.
 
-    The tip's depth is that below the middle of the probe's face; X, Z and Theta are the features
+    The tip's depth is measured from the middle of the probe's face. X, Z and Theta are the features
     that the visual servo drives to zero (`needle_features`).
     """
     said = {

@@ -1,4 +1,4 @@
-"""Lines of text and scales in mm, as white pictures with a clear background."""
+"""Lines of text and scales in mm, as white pictures on a transparent background."""
 
 from functools import cache
 from typing import Any
@@ -8,17 +8,17 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 PIXELS = 1000
-"""Of a text and of a scale, per length on the screen."""
+"""Pixels of a text or a scale per unit of length on the screen."""
 
 
 def line_image(text: str, height: int) -> NDArray[np.uint8]:
-    """Return a line of text as a (rows, columns, 2) picture; every line of a size is as high."""
+    """Return a line of text as a (rows, columns, 2) picture; rows depend on `height` alone."""
     return _white(np.concatenate([_letter(each, height) for each in text], axis=1))
 
 
 @cache
 def _letter(letter: str, height: int) -> NDArray[np.uint8]:
-    """(rows, columns) opacity; kept, because most of what is said anew is old letters."""
+    """Return a letter's (rows, columns) opacity; cached, since most new texts use old letters."""
     font = _font(height)
     image = Image.new("L", (round(font.getlength(letter)), int(np.ceil(1.25 * height))))
     ImageDraw.Draw(image).text((0, height), letter, 255, font, "ls")
@@ -33,15 +33,15 @@ def scale_image(
     Parameters
     ----------
     low, high, step
-        In m.
+        Ends and step of the scale, in m.
     length
-        From low to high on the screen.
+        Length from `low` to `high` on the screen.
     upright
-        Whether it stands at the left of a picture, low above, or lies below it.
+        Whether the scale stands to the left of a picture, with `low` at the top, or lies below it.
 
     Returns
     -------
-    (rows, columns, 2) picture, a little longer than the scale at both ends: it has its middle.
+    (rows, columns, 2) picture, longer than the scale by the same margin at both ends.
     """
     letters, margin, breadth = round(0.024 * PIXELS), round(0.03 * PIXELS), 0.055 * PIXELS
     pixels = round(length * PIXELS)
@@ -68,5 +68,5 @@ def _font(height: int) -> Any:
 
 
 def _white(opacity: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return white with an opacity; what draws it gives it a colour."""
+    """Return a white picture with an opacity; its material gives it a colour."""
     return np.stack([np.full_like(opacity, 255), opacity], axis=-1)

@@ -1,4 +1,4 @@
-"""The scanner's monitor: a web page of its own, in the probe frame."""
+"""The scanner's monitor: a separate web page, in the probe frame."""
 
 import gc
 from html import escape
@@ -11,31 +11,31 @@ from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.volume import Volume
 
 PORT = 7600
-"""Where a monitor is looked for first."""
+"""Port that a monitor tries first."""
 
 
 class Monitor:
     """Shows volumes, and the estimated needle in them, as a scanner does (Chatelain 2013, fig. 3).
 
-    The two orthogonal planes through the needle stand one above the other, and beside them where
-    they are in the probe frame P; with scales in mm, the volume's number and time, what the tracker
-    is doing, and how deep the tip is below the probe's face. A web page shows it, or a notebook in
-    which it is the last value of a cell.
+    The two orthogonal planes through the needle stand one above the other, and a view beside them
+    shows where they lie in the probe frame P. The monitor adds scales in mm, the volume's number
+    and time, the tracking mode and the depth of the tip below the probe's face. It is shown in a
+    web page, or in a notebook if it is the last value of a cell.
 
-    A page that is slow, closed or not there never holds up whoever shows a volume: a picture of the
-    newest one is drawn on a thread of its own when a page has drawn the last, and not before.
+    A slow, closed or missing page never delays the caller. The newest volume is drawn on a thread
+    of its own, and only once a page has drawn the previous picture.
 
     Parameters
     ----------
     host
         Name or address to listen on.
     port
-        To listen on; the next free one where it is in use.
+        Port to listen on, or the next free one if it is in use.
 
     Raises
     ------
     OSError
-        If nothing can listen there.
+        If the host is not an address of this machine, or no port is free.
     """
 
     def __init__(self, *, host: str = "localhost", port: int = PORT) -> None:
@@ -48,7 +48,7 @@ class Monitor:
 
     @property
     def web_url(self) -> str:
-        """Where it is to be seen."""
+        """Address of the monitor's page."""
         return self._server.web_url
 
     def show(
@@ -59,18 +59,18 @@ class Monitor:
         Parameters
         ----------
         volume
-            To show.
+            Volume to show.
         estimate
-            Of the needle in it, if a tracker has seen it.
+            Estimate of the needle in the volume, if a tracker has processed it.
         number
-            Of the volume; by default they are counted from 1.
+            Number of the volume; by default volumes are counted from 1.
         """
         self._shown = self._shown + 1 if number is None else number
         self._newest = volume, estimate, self._shown
         self._server.call(self._draw)
 
     def html(self) -> str:
-        """Return what it shows as one document, to keep or to send on."""
+        """Return the current page as one self-contained HTML document."""
 
         def document() -> str:
             self._draw(needed=True)
@@ -79,7 +79,7 @@ class Monitor:
         return self._server.ask(document)
 
     def close(self) -> None:
-        """Stop serving; open pages keep the last picture, and say so."""
+        """Stop serving; open pages keep the last picture and say that they are not connected."""
         self._server.close()
 
     def _draw(self, needed: bool = False) -> None:
@@ -89,8 +89,8 @@ class Monitor:
         self._drawn = newest
         if self._screen is None:
             self._screen = MonitorScreen(Visualizer(window=self._server))
-        # Drake aborts where a Meshcat ends on another thread than its own: none is to be found here
-        # and collected as garbage.
+        # Drake aborts if a Meshcat is destroyed on a thread other than its own, so garbage must not
+        # be collected on this thread.
         collects = gc.isenabled()
         gc.disable()
         try:

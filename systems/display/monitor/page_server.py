@@ -1,4 +1,4 @@
-"""Serves what the package meshcat draws to any number of web pages, from a thread of its own."""
+"""Server of a meshcat scene for any number of web pages, on a thread of its own."""
 
 import asyncio
 import atexit
@@ -24,10 +24,10 @@ from sonoservo.systems.signals.requirements import require
 T = TypeVar("T")
 
 _PORTS = 100
-"""Ports that are tried, one after the other."""
+"""Number of successive ports that are tried."""
 
 _FAREWELL = 0.05
-"""Time in s in which open pages are told that the server stops."""
+"""Time in s for telling open pages that the server stops."""
 
 _VIEWER = "main.min.js"
 _HANDLE = """
@@ -67,32 +67,36 @@ _DRAW = """
 
 
 class PageServer:
-    """Shows a meshcat scene in web pages; takes the place of the `window` of a `Visualizer`.
+    """Shows a meshcat scene in web pages; replaces the `window` of a `Visualizer`.
 
-    The package's own server listens on every network interface, is a process of its own that can
-    be left behind, makes the drawer wait for each command, and keeps all that it was ever sent for
-    a page that is slow. This one keeps the newest command for each object and property. A page that
-    opens, or has just drawn what it had, gets these and no older ones.
+    The package's own server listens on every network interface and runs as a separate process,
+    which can be left behind. It makes the sender wait for each command and, for a slow page, queues
+    everything it was ever sent. This one keeps only the newest command for each object and
+    property. A page that opens, or that has drawn everything it was sent, receives only these.
 
-    It ends with the process.
+    The server ends with the process.
 
     Parameters
     ----------
     page
-        HTML of the page. ``<!-- VIEWER -->`` in it becomes meshcat's script; ``/* FEED */`` becomes
-        what connects the variable ``viewer``, a ``MeshCat.Viewer``, with this server. Its element
-        ``waiting`` is shown until the first command comes, ``stopped`` while there is no server.
+        HTML of the page. ``<!-- VIEWER -->`` in it becomes meshcat's script. ``/* FEED */`` becomes
+        the script that connects the variable ``viewer``, a ``MeshCat.Viewer``, to this server. The
+        element ``waiting`` is shown until the first command arrives, and ``stopped`` while there is
+        no server.
     host
         Name or address to listen on.
     port
-        To listen on; the next free one where it is in use.
+        Port to listen on, or the next free one if it is in use.
     asked
-        Called on the server's thread when a page has opened, or has drawn all that it was sent.
+        Function called on the server's thread when a page has opened, or has drawn everything it
+        was sent.
 
     Raises
     ------
+    ValueError
+        If the port is not between 1 and 65535.
     OSError
-        If nothing can listen there.
+        If the host is not an address of this machine, or no port is free.
     """
 
     def __init__(
@@ -112,23 +116,23 @@ class PageServer:
 
     @property
     def web_url(self) -> str:
-        """Where the page is to be seen."""
+        """Address of the page."""
         anywhere = self._host in ("", "0.0.0.0", "::", "*")
         host = socket.gethostname() if anywhere else self._host
         return f"http://{f'[{host}]' if ':' in host else host}:{self._port}/"
 
     @property
     def wanted(self) -> bool:
-        """Whether a page is open that has drawn all that it was sent."""
+        """True if an open page has drawn everything it was sent."""
         return any(page.waits for page in self._pages)
 
     def call(self, function: Callable[[], None]) -> None:
-        """Have a function called on the server's thread, soon; return at once, also when closed."""
+        """Call a function on the server's thread soon; return at once, even if it is closed."""
         with suppress(RuntimeError):
             self._loop.call_soon_threadsafe(function)
 
     def ask(self, function: Callable[[], T]) -> T:
-        """Have a function called on the server's thread, and return what it returns."""
+        """Call a function on the server's thread, and return its result."""
 
         async def answer() -> T:
             return function()
@@ -136,7 +140,7 @@ class PageServer:
         return asyncio.run_coroutine_threadsafe(answer(), self._loop).result()
 
     def send(self, command: Any) -> None:
-        """Take a command of meshcat. Only on the server's thread."""
+        """Send a meshcat command to the pages. Call it on the server's thread only."""
         data = command.lower()
         key = data["type"], data["path"], data.get("property", "")
         self._scene[key] = umsgpack.packb(data)
@@ -144,7 +148,7 @@ class PageServer:
             page.send(key)
 
     def html(self) -> str:
-        """Return the page as it is now, as one document that needs no server."""
+        """Return the current page as one HTML document that needs no server."""
         script = _asset(_VIEWER).read_text().replace("</script", "<\\/script")
         batch = base64.b64encode(_batch(self._scene.values())).decode()
         return self._filled(f"<script>{script}</script>", _DRAW.replace("BATCH", batch))
@@ -193,7 +197,7 @@ class _Document(RequestHandler):
 
 
 class _Page(WebSocketHandler):
-    """An open page, and what it has still to be told."""
+    """An open page and the commands it has yet to receive."""
 
     def initialize(
         self,
@@ -203,7 +207,7 @@ class _Page(WebSocketHandler):
     ) -> None:
         self._scene, self._pages, self._asked = scene, pages, asked
         self._due: dict[tuple[str, str, str], None] = {}
-        self.waits = False  # whether it has drawn all that it was sent
+        self.waits = False  # True once it has drawn everything it was sent
 
     async def open(self) -> None:
         self._due = dict.fromkeys(self._scene)
@@ -220,17 +224,17 @@ class _Page(WebSocketHandler):
         self._due[key] = None
         if self.waits:
             self.waits = False
-            # Later, together with what else is drawn now.
+            # Sent later, together with everything else that is drawn now.
             self._sending = asyncio.create_task(self._send_due())
 
     async def _go_on(self) -> None:
-        """Send what is new since the page was sent something; it has drawn all that."""
+        """Send the new commands to a page that has drawn everything it was sent."""
         self.waits = True
         self._asked()
         await self._send_due()
 
     async def _send_due(self) -> None:
-        """Send what is due, together; the page answers when it has drawn it."""
+        """Send all due commands together; the page answers when it has drawn them."""
         due, self._due = self._due, {}
         if not due:
             return
@@ -242,12 +246,12 @@ class _Page(WebSocketHandler):
 
 
 def _batch(commands: Iterable[bytes]) -> bytes:
-    """Return commands as one message: each after its length, four bytes."""
+    """Return commands as one message, each preceded by its length in four bytes."""
     return b"".join(len(each).to_bytes(4) + each for each in commands)
 
 
 def _listen(host: str, port: int) -> list[socket.socket]:
-    """Return sockets that listen at the first free port."""
+    """Return sockets that listen on the first free port."""
     last = min(port + _PORTS - 1, 65535)
     for number in range(port, last + 1):
         try:
@@ -267,5 +271,5 @@ def _asset(name: str) -> Path:
 
 
 def read_page(name: str) -> str:
-    """Return the text of a page that lies beside this module."""
+    """Return the text of a page in this module's folder."""
     return (files("sonoservo.systems.display.monitor") / name).read_text()

@@ -11,7 +11,7 @@ from sonoservo.systems.signals.ports import evaluate
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 from sonoservo.systems.signals.volume import Volume
 
-if TYPE_CHECKING:  # a run that shows nothing does not wait for the package meshcat
+if TYPE_CHECKING:  # a run without a monitor does not import the package meshcat, which is slow
     from sonoservo.systems.display.monitor.monitor import Monitor
 
 
@@ -26,14 +26,15 @@ class ScannerMonitor(LeafSystem):
         - estimate (optional)
 
     `volume` is a `Volume`, or a `NotFound` while there is none, and `estimate` a `NeedleEstimate`.
-    Each run counts its volumes from 1.
+    Volumes are counted from 1 in each run.
 
     Parameters
     ----------
     monitor
-        To show them on.
+        Monitor to show the volumes on.
     period, offset
-        When to look for a new volume, in s: a moment after the tracker has.
+        Period of the checks for a new volume and time of the first one, in s: shortly after the
+        tracker's.
     """
 
     def __init__(self, *, monitor: "Monitor", period: float, offset: float = 0.0) -> None:

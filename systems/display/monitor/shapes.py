@@ -1,4 +1,4 @@
-"""What three.js draws, for the package meshcat: triangles, pictures, lines and lettering."""
+"""Objects for the package meshcat: triangles, pictures, lines and lettering."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -27,16 +27,16 @@ _QUAD = np.array([[0, 1, 2], [0, 2, 3]])
 
 
 class Triangles(Geometry):
-    """Triangles, with a place in a picture for each corner if they carry one.
+    """Triangles, with texture coordinates if they carry a picture.
 
     Parameters
     ----------
     vertices
         (m, 3) corners.
     faces
-        (k, 3) their numbers.
+        (k, 3) indices of the corners of each triangle.
     texture
-        (m, 2) places in the picture: from left to right and from its foot to its top, 0 to 1.
+        (m, 2) texture coordinates from 0 to 1, from left to right and from bottom to top.
     """
 
     def __init__(
@@ -46,7 +46,7 @@ class Triangles(Geometry):
         self._vertices, self._faces, self._texture = vertices, faces, texture
 
     def lower(self, object_data: Any) -> dict[str, Any]:
-        """Return what three.js reads."""
+        """Return the geometry in the form that three.js reads."""
         attributes = {"position": pack_numpy_array(self._vertices.T.astype(np.float32))}
         if self._texture is not None:
             attributes["uv"] = pack_numpy_array(self._texture.T.astype(np.float32))
@@ -56,31 +56,31 @@ class Triangles(Geometry):
 
 
 def rectangle(corner: ArrayLike, size: ArrayLike, z: float = 0.0) -> Floats:
-    """(4, 3) corners: left above, right above, right below, left below. Y runs down."""
+    """Return a rectangle's (4, 3) corners, clockwise from the upper left. Y runs down."""
     corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * np.asarray(size) + np.asarray(corner)
     return at_depth(corners, z)
 
 
 def at_depth(points: Floats, z: float = 0.0) -> Floats:
-    """(m, 3) points of (m, 2), all at the same Z."""
+    """Return (m, 2) points as (m, 3) points, all at the same Z."""
     return np.column_stack([points, np.full(len(points), z)])
 
 
 def picture(corners: Floats, image: NDArray[np.uint8] | bytes) -> Mesh:
-    """Return a picture on a rectangle, as bright as it is; what is less than half opaque is clear.
+    """Return an unlit picture on a rectangle; pixels less than half opaque are not drawn.
 
     Parameters
     ----------
     corners
-        (4, 3) left above, right above, right below and left below.
+        (4, 3) corners: upper left, upper right, lower right and lower left.
     image
-        As `encode_png` takes it, or encoded.
+        Array for `encode_png`, or the contents of a PNG file.
     """
     return _picture(corners, image, alphaTest=0.5)
 
 
 def lettering(corners: Floats, image: NDArray[np.uint8], colour: Colour) -> Mesh:
-    """Return a white picture with a clear background in a colour; parameters as of `picture`."""
+    """Return a white picture on a transparent background, coloured; parameters as in `picture`."""
     return _picture(corners, image, color=_hex(colour), transparent=True, depthWrite=False)
 
 
@@ -97,13 +97,13 @@ def patch(corners: Floats, colour: Colour) -> Mesh:
 
 
 def overlay(vertices: Floats, faces: NDArray[np.int64], colour: Colour) -> Mesh:
-    """Return triangles that nothing hides, (m, 3) corners and (k, 3) their numbers."""
+    """Return triangles that nothing hides, from (m, 3) corners and (k, 3) indices."""
     material = MeshBasicMaterial(color=_hex(colour), transparent=True, depthTest=False)
     return Mesh(Triangles(vertices, faces), material)
 
 
 def lines(polylines: Sequence[Floats], colour: Colour) -> LineSegments:
-    """Return (m, 3) polylines, a pixel thin."""
+    """Return (m, 3) polylines as lines one pixel wide."""
     ends = [point for polyline in polylines for pair in pairwise(polyline) for point in pair]
     points = PointsGeometry(np.array(ends, np.float32).T)
     return LineSegments(points, LineBasicMaterial(color=_hex(colour)))
@@ -112,7 +112,7 @@ def lines(polylines: Sequence[Floats], colour: Colour) -> LineSegments:
 def ribbons(
     polylines: Sequence[Floats], width: float
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """(m, 2) vertices and (k, 3) triangles of flat bands along (m, 2) polylines."""
+    """Return (m, 2) vertices and (k, 3) triangles of flat bands along (n, 2) polylines."""
     pairs = [(each[:-1], each[1:]) for each in polylines if len(each) > 1]
     if not pairs:
         return np.zeros((0, 2)), np.zeros((0, 3), np.int64)

@@ -1,4 +1,4 @@
-"""How the two planes through a needle lie on a monitor's screen."""
+"""Layout of the two planes through a needle on a monitor's screen."""
 
 from dataclasses import dataclass
 
@@ -12,27 +12,27 @@ from sonoservo.systems.signals.volume import Volume
 
 Floats = NDArray[np.float64]
 
-_WIDTH, _HEIGHT = 0.70, 0.41  # of a picture on the screen, at most
-_LEFT, _TOPS = -0.73, (-0.455, 0.045)  # of the pictures
+_WIDTH, _HEIGHT = 0.70, 0.41  # maximum size of a picture on the screen
+_LEFT, _TOPS = -0.73, (-0.455, 0.045)  # left and upper edges of the pictures
 
 
 @dataclass(frozen=True)
 class View:
-    """A plane as a monitor shows it: the part that fits, and how it lies on the screen.
+    """A plane on a monitor's screen: the part that fits, its place and its scale.
 
-    The screen's frame M has its origin in the middle of the screen, which is 1.6 wide and 1 high,
-    X to the right, Y down and Z away.
+    The screen is 1.6 wide and 1 high. Its frame M has its origin at the centre, X to the right, Y
+    down and Z away.
 
     Parameters
     ----------
     plane
-        The part of the slice that is shown, in P; its X is right and its Y down on the screen.
+        Visible part of the slice, in P; its X points right and its Y down on the screen.
     origin
-        (3,) of the coordinates in the plane, in P, in m; they run along the plane's own X and Y.
+        (3,) origin of the coordinates in the plane, in P, in m; they run along the plane's X and Y.
     window
-        (2, 2) coordinates, in m, of the left upper and the right lower corner of what would fit.
+        (2, 2) coordinates of the upper left and lower right corners of the area that fits, in m.
     corner
-        (2,) the same left upper corner on the screen, in M.
+        (2,) upper left corner of this area on the screen, in M.
     scale
         Length on the screen per m.
     """
@@ -44,38 +44,38 @@ class View:
     scale: float
 
     def coordinates(self, p_P: Floats) -> Floats:
-        """(..., 2) coordinates, in m, of (..., 3) points in P."""
+        """Return the (..., 2) coordinates in m of (..., 3) points in P, in m."""
         return (np.asarray(p_P) - self.origin) @ self.plane.X_PS.rotation().matrix()[:, :2]
 
     def on_screen(self, coordinates: Floats) -> Floats:
-        """(m, 2) points on the screen, in M, of (m, 2) coordinates."""
+        """Return the (m, 2) points on the screen, in M, of (m, 2) coordinates."""
         return self.corner + self.scale * (coordinates - self.window[0])
 
     def in_probe(self, coordinates: Floats) -> Floats:
-        """(m, 3) points of the plane, in P, of (m, 2) coordinates."""
+        """Return the (m, 3) points of the plane, in P, of (m, 2) coordinates."""
         X_PS = self.plane.X_PS
         offset = coordinates - self.coordinates(X_PS.translation())
         return X_PS.translation() + offset @ X_PS.rotation().matrix()[:, :2].T
 
     def holds(self, coordinates: Floats) -> NDArray[np.bool_]:
-        """(...,) whether (..., 2) coordinates are in the window."""
+        """Return (...,) booleans: True for (..., 2) coordinates inside the window."""
         low, high = self.window
         return np.all((coordinates >= low) & (coordinates <= high), axis=-1)
 
 
 def monitor_views(volume: Volume, curve: NeedleCurve | None = None) -> list[View]:
-    """Return how a monitor shows the two orthogonal planes through the needle.
+    """Return a monitor's views of the two orthogonal planes through the needle.
 
     See `slice_planes`. On the screen, X or else Z of P runs to the right, and the depth, or else Z,
-    runs down. Coordinates are those of P seen in the plane; along a needle that dips, zero is where
-    it is below the middle of the probe (from 60 deg on, the middle of the slice). Both pictures
-    have the same scale, which depends on the size of the volume alone. What does not fit is cut
-    off.
+    runs down. Coordinates are those of P seen in the plane. Along a needle that dips, zero is the
+    point below the middle of the probe, or the middle of the slice from a dip of 60 deg on. Both
+    pictures have the same scale, which depends on the size of the volume alone. Parts that do not
+    fit are cut off.
 
     Parameters
     ----------
     volume
-        To cut.
+        Volume to slice.
     curve
         Estimated needle in W; without one, the planes are those of the probe.
     """

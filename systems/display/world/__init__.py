@@ -1,7 +1,7 @@
 """The world view, drawn with Drake's Meshcat.
 
-It shows probe, phantom, needle, estimate and slices, and holds an operator's controls. It
-imports `display` and what `display` imports.
+It shows the probe, the phantom, the needle, its estimate and the slices, and it holds the
+operator's controls. It imports `display` and everything that `display` imports.
 """
 
 from lazy_loader import attach_stub

@@ -1,4 +1,4 @@
-"""How uncertain a position is, as an ellipsoid."""
+"""Confidence ellipsoid of a position."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,23 +13,23 @@ from sonoservo.systems.signals.requirements import require
 def confidence_ellipsoid(
     covariance: ArrayLike, probability: float = 0.95
 ) -> tuple[RotationMatrix, NDArray[np.float64]]:
-    """Return the ellipsoid that holds a normally distributed position with a probability.
+    """Return the ellipsoid that contains a normally distributed position with a given probability.
 
     Parameters
     ----------
     covariance
-        (3, 3) of the position, in m^2.
+        (3, 3) covariance of the position, in m^2.
     probability
-        Between 0 and 1.
+        Probability, between 0 and 1.
 
     Returns
     -------
-    Its axes, as columns, and its (3,) half axes in m, the shortest first.
+    Axes of the ellipsoid as columns, and its (3,) semi-axes in m, the shortest first.
 
     Raises
     ------
     ValueError
-        If the probability is none.
+        If the probability is not between 0 and 1.
     """
     require(0 < probability < 1, "probability", probability, "between 0 and 1")
     variances, axes = np.linalg.eigh(np.asarray(covariance, dtype=float))
@@ -40,26 +40,26 @@ def confidence_ellipsoid(
 
 
 class EllipsoidView:
-    """A translucent ellipsoid, true to scale. It is drawn over everything: nothing hides it.
+    """A translucent ellipsoid, true to scale and drawn in front of everything else.
 
     Parameters
     ----------
     meshcat, path
-        Where it is drawn.
+        Meshcat to draw in, and the path of the drawing.
     colour
-        Of it.
+        Colour and opacity of the ellipsoid.
     """
 
     def __init__(self, *, meshcat: Meshcat, path: str, colour: Rgba) -> None:
         self._meshcat, self._path = meshcat, path
         meshcat.SetObject(f"{path}/unit", Sphere(1.0), colour)
-        # It is smaller than the needle is thick, and would be lost in it.
+        # It is smaller than the needle's diameter, so the needle would hide it.
         meshcat.SetProperty(f"{path}/unit/<object>", "material.depthTest", False)
         meshcat.SetProperty(f"{path}/unit/<object>", "renderOrder", 1.0)
         self._switch = Switch(meshcat=meshcat, path=path)
 
     def show(self, centre: ArrayLike, covariance: ArrayLike, time: float) -> None:
-        """Show where a position is with 95 %: its mean in m and (3, 3) covariance in m^2, in W."""
+        """Show the 95 % ellipsoid of a mean in m and a (3, 3) covariance in m^2, both in W."""
         R, half_axes = confidence_ellipsoid(covariance)
         position = np.asarray(centre, dtype=float)
         self._meshcat.SetTransform(self._path, RigidTransform(R, position), time)
@@ -68,5 +68,5 @@ class EllipsoidView:
         self._switch.set(True, time)
 
     def hide(self, time: float) -> None:
-        """Do not draw it."""
+        """Hide the ellipsoid from a time on, in s."""
         self._switch.set(False, time)

@@ -1,4 +1,4 @@
-"""Slices that stay in Meshcat's recording."""
+"""Changing pictures that Meshcat's recording keeps."""
 
 import numpy as np
 from pydrake.geometry import Meshcat
@@ -6,23 +6,24 @@ from pydrake.geometry import Meshcat
 from sonoservo.systems.display.textured_quads import gltf_mesh
 
 _RECENT = 16
-"""Pictures held for pages that have not fetched them yet, where none is kept for a replay."""
+"""Number of pictures held for pages that have yet to fetch them, if no replay is kept."""
 
 
 class Film:
-    """A picture that changes, live and in a recording.
+    """A changing picture, shown live and in the recording.
 
-    Meshcat's recordings keep no new shapes. So each picture is kept as a shape of its own, hidden
-    from the live page, and the recording shows it from its time on until the next one's.
+    Meshcat's recordings cannot add shapes. Each picture is therefore kept as a shape of its own,
+    hidden from the live page. The recording shows it from its own time to that of the next one.
 
     Parameters
     ----------
     meshcat, path
-        Where it is drawn.
+        Meshcat to draw in, and the path of the drawing.
     frames
-        Most pictures kept; the last one then stays to the recording's end. None is kept at 0.
+        Maximum number of pictures kept; the last one stays until the end of the recording. At 0,
+        none is kept.
     period
-        Least time between pictures kept, in s.
+        Minimum time between two kept pictures, in s.
     """
 
     def __init__(self, *, meshcat: Meshcat, path: str, frames: int, period: float) -> None:
@@ -34,13 +35,15 @@ class Film:
     def show(self, gltf: str, time: float) -> None:
         """Draw a glTF document.
 
-        It has its place in itself: a transform would move what a slow page still shows.
+        The document contains its own pose: a transform in Meshcat would also move the previous
+        picture on a slow page.
         """
         live = f"{self._path}/live"
         mesh = gltf_mesh(gltf)
         self._meshcat.SetObject(live, mesh)
         if not self._frames:
-            # Meshcat forgets the textures of what has been replaced, and a slow page asks later.
+            # Meshcat drops the textures of a replaced object, but a slow page may still ask for
+            # them.
             recent = f"{self._path}/recent/{self._shown % _RECENT}"
             self._meshcat.SetObject(recent, mesh)
             self._meshcat.SetProperty(recent, "visible", False)
@@ -52,7 +55,7 @@ class Film:
         self._meshcat.SetProperty(path, "visible", False)
         recording = self._meshcat.get_mutable_recording()
         frame = recording.frame(time)
-        # A track holds its first value before its first key, so each one starts out hidden.
+        # A track holds its first value before its first key, so each shape starts hidden.
         recording.SetProperty(0, live, "visible", False)
         recording.SetProperty(0, path, "visible", False)
         recording.SetProperty(frame, path, "visible", True)

@@ -1,4 +1,4 @@
-"""A force as an arrow with its value."""
+"""A force drawn as an arrow with its value."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,18 +12,18 @@ from sonoservo.systems.display.world.rod import Rod
 _METRE_PER_NEWTON = 0.02
 _RADIUS, _HEAD = 2e-3, 0.012
 _LEAST = 0.05
-"""In N: less is not drawn."""
+"""Smallest force that is drawn, in N."""
 
 
 class ForceArrow:
-    """An arrow as long as a force is large, 20 mm a newton, and its value beyond its tail.
+    """An arrow whose length shows a force, 20 mm per newton, with the value beyond its tail.
 
     Parameters
     ----------
     meshcat, path
-        Where it is drawn.
+        Meshcat to draw in, and the path of the drawing.
     R_WLabel
-        How the value is turned: X along it, -Y upwards.
+        Orientation of the value: X along the text, -Y upwards.
     """
 
     def __init__(self, *, meshcat: Meshcat, path: str, R_WLabel: RotationMatrix) -> None:
@@ -39,13 +39,13 @@ class ForceArrow:
         Parameters
         ----------
         force
-            In N.
+            Magnitude of the force, in N.
         point
-            (3,) where the arrow ends, on the surface, in W, in m.
+            (3,) end of the arrow on the surface, in W, in m.
         outward
-            (3,) unit vector from the surface to where the force comes from.
+            (3,) unit vector from the surface towards the origin of the force, in W.
         time
-            In s.
+            Time in the recording, in s.
         """
         if not force > _LEAST:
             self._shaft.hide(time)

@@ -1,4 +1,4 @@
-"""A line of text that changes, live and in a recording."""
+"""A changing line of text, shown live and in the recording."""
 
 from collections.abc import Sequence
 
@@ -11,16 +11,17 @@ from sonoservo.systems.display.world.rod import Switch
 
 
 class Label:
-    """A line of text on a plate. Each new text becomes a plate of its own, shown while it holds.
+    """A changing line of text on a plate.
 
-    Its frame has X along the text and -Y upwards, its origin in the plate's centre.
+    Each new text gets a plate of its own, which is shown while the text holds. The label's frame
+    has X along the text, -Y upwards and its origin at the centre of the plate.
 
     Parameters
     ----------
     meshcat, path
-        Where it is drawn.
+        Meshcat to draw in, and the path of the drawing.
     height, width
-        Most of a plate, in m: a text that is too wide is written smaller.
+        Maximum height and width of a plate, in m. A text that is too wide is written smaller.
     """
 
     def __init__(
@@ -43,11 +44,11 @@ class Label:
         Parameters
         ----------
         text
-            To show.
+            Text to show.
         time
-            From when on, in s.
+            Time from which the text is shown, in s.
         colour, background
-            Red, green, blue from 0 to 1; a text keeps those that it is first shown in.
+            Red, green and blue from 0 to 1; a text keeps the colours in which it is first shown.
         """
         if text == self._shown:
             return

@@ -1,4 +1,4 @@
-"""What the colours and shapes of a view mean."""
+"""Legend of the colours and shapes in a view."""
 
 from collections.abc import Sequence
 
@@ -21,7 +21,7 @@ from sonoservo.systems.display.textured_quads import bytes_of, draw_picture
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 
 Entry = tuple[str, str, Sequence[float]]
-"""A text, the shape of its mark (line, needle, ellipse or arrow) and its colour."""
+"""Text, shape of its mark (line, needle, ellipse or arrow) and colour of the mark."""
 
 WORLD_LEGEND: Sequence[Sequence[Entry]] = (
     (
@@ -36,13 +36,13 @@ WORLD_LEGEND: Sequence[Sequence[Entry]] = (
         ("force on phantom", "arrow", FORCE),
     ),
 )
-"""Of the world view, by columns."""
+"""Legend of the world view, column by column."""
 
 _ROW, _TEXT, _SWATCH, _COLUMN = 44, 30, 64, 370  # pixels
 
 
 def legend_image(columns: Sequence[Sequence[Entry]]) -> NDArray[np.uint8]:
-    """Return the legend of some columns of entries as a (rows, columns, 4) picture."""
+    """Return a legend, given its columns of entries, as a (rows, columns, 4) picture."""
     size = (_COLUMN * len(columns), _ROW * max(map(len, columns)) + 16)
     image = Image.new("RGBA", size, bytes_of((0.93, 0.93, 0.93)))
     draw = ImageDraw.Draw(image)
@@ -77,18 +77,18 @@ def draw_legend(
     width: float,
     columns: Sequence[Sequence[Entry]],
 ) -> None:
-    """Draw the legend.
+    """Draw a legend.
 
     Parameters
     ----------
     meshcat, path
-        Where it is drawn.
+        Meshcat to draw in, and the path of the drawing.
     X_WL
-        Pose of the middle of its upper edge: X to its right, Y down.
+        Pose of the middle of the legend's upper edge: X to the right, Y down.
     width
-        In m.
+        Width of the legend, in m.
     columns
-        What it says.
+        Entries of the legend, column by column.
     """
     image = legend_image(columns)
     rows, columns, _ = image.shape

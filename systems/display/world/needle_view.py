@@ -1,4 +1,4 @@
-"""The needle and the tracker's belief about it, in Meshcat."""
+"""The true needle and its estimate, drawn in Meshcat."""
 
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform
@@ -10,16 +10,16 @@ from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMo
 
 
 class NeedleView:
-    """A whole needle: what is in the tissue, what is outside, and its hub.
+    """A whole needle: the part in the tissue, the part outside it, and the hub.
 
     Parameters
     ----------
     meshcat, path
-        Where it is drawn.
+        Meshcat to draw in, and the path of the drawing.
     length
-        Of the whole needle, in m.
+        Length of the whole needle, in m.
     radius
-        In m.
+        Radius of the needle, in m.
     """
 
     def __init__(self, *, meshcat: Meshcat, path: str, length: float, radius: float) -> None:
@@ -33,7 +33,7 @@ class NeedleView:
         self._hub = Rod(meshcat=meshcat, path=f"{path}/hub", radius=4 * radius, colour=rgba(HUB))
 
     def draw(self, needle: Needle, X_WT: RigidTransform, time: float) -> None:
-        """Draw a needle given in T; hide it where nobody knows where it is."""
+        """Draw a needle given in T; hide it if its position is unknown."""
         needle = needle.transformed(X_WT)
         axis = needle.shaft if needle else needle.aim
         if axis is None:
@@ -52,12 +52,12 @@ class NeedleView:
 
 
 class EstimateView:
-    """An estimated needle in the colour of its mode; while searching there is none.
+    """An estimated needle in the colour of its mode; hidden while searching.
 
     Parameters
     ----------
     meshcat, path
-        Where it is drawn.
+        Meshcat to draw in, and the path of the drawing.
     """
 
     def __init__(self, *, meshcat: Meshcat, path: str) -> None:
@@ -70,7 +70,7 @@ class EstimateView:
         }
 
     def draw(self, estimate: NeedleEstimate, time: float) -> None:
-        """Draw an estimate."""
+        """Draw an estimate, or hide it if it has no curve."""
         for mode, rod in self._rods.items():
             if estimate.curve is not None and mode == estimate.mode:
                 rod.show(estimate.curve.position([0.0, 0.25, 0.5, 0.75, 1.0]), time)

@@ -1,4 +1,4 @@
-"""Leaf: what an operator wants, from sliders, keys and a gamepad in the page of a Meshcat."""
+"""The leaf that reads an operator's sliders, keys and gamepad in a Meshcat page."""
 
 import math
 from collections.abc import Sequence
@@ -11,32 +11,32 @@ from pydrake.systems.framework import BasicVector, Context, DiscreteValues, Leaf
 from sonoservo.systems.signals.requirements import require_positive
 
 _DEAD_ZONE = 0.15
-"""Of a gamepad's sticks, which never rest exactly at zero."""
+"""Dead zone of a gamepad's sticks, which never rest exactly at zero."""
 
 _DEG = math.radians(1)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Control:
-    """A slider, its keys, and the stick of a gamepad that moves it too.
+    """A slider, its keys, and the gamepad axis that also moves it.
 
     Parameters
     ----------
     port
-        Output to which it belongs; its place there is the order of the controls.
+        Output port of the value. The values of a port are in the order of the controls.
     label
-        In the page, with the unit; of some 14 letters, as more are not shown.
+        Label in the page, with the unit. The page shows about 14 letters.
     unit
-        What 1 on the slider is, in SI.
+        Value of 1 on the slider, in SI units.
     least, most, step
-        Of the slider.
+        Range and step of the slider.
     start
-        Where it is at first.
+        Initial value of the slider.
     keys
-        That lower and raise it by a step, as the browser names them.
+        Keys that lower and raise the slider by a step, as the browser names them.
     axis, rate
-        Of the gamepad, and how fast it moves the slider at full deflection, per s; with a minus
-        sign where up or left raises it.
+        Axis of the gamepad, and the slider's speed at full deflection, in slider units per s. The
+        rate is negative if up or left raises the value.
     """
 
     port: str
@@ -54,16 +54,16 @@ class Control:
 def operator_controls(
     *, azimuth_deg: float, dip_deg: float, gain: float, force: float, min_force: float
 ) -> list[Control]:
-    """Return the controls of needle, phantom and controller.
+    """Return the controls of the needle, the phantom and the controller.
 
     Parameters
     ----------
     azimuth_deg, dip_deg
-        Of the needle at first, in deg.
+        Initial azimuth and dip of the needle, in deg.
     gain, force
-        Of the controller at first, in 1/s and N.
+        Initial gain and contact force of the controller, in 1/s and N.
     min_force
-        That can be asked for, in N.
+        Smallest contact force that can be set, in N.
     """
     return [
         Control(port="needle_target", label="depth (mm) S W", unit=1e-3, least=-5,
@@ -100,19 +100,20 @@ class OperatorPanel(LeafSystem):
         - phantom_target
         - controller_target
 
-    There is an output for each port that the controls name, in SI units. Every control is a wanted
-    position, not a speed: who lets go of it, closes the page or loses the connection leaves
-    everything at rest. Pages share the sliders. Whatever a page sends, the outputs are finite and
-    within the sliders' ranges. Each run begins with the sliders at their starts.
+    There is an output port, in SI units, for each port that the controls name. Every control sets a
+    target position, not a speed: everything comes to rest when the operator lets go, closes the
+    page or loses the connection. All pages share the sliders. The outputs are always finite and
+    within the sliders' ranges, whatever a page sends. Each run begins with the sliders at their
+    initial values.
 
     Parameters
     ----------
     meshcat
-        In whose page the controls are.
+        Meshcat whose page shows the controls.
     controls
-        In the order in which they are shown.
+        Controls, in the order in which they are shown.
     period
-        Between readings, in s.
+        Time between readings, in s.
     """
 
     def __init__(
@@ -159,7 +160,7 @@ class OperatorPanel(LeafSystem):
         wanted = []
         for number, control in enumerate(self._controls):
             value = before[number]
-            # A slider is where the last reading left it, unless someone has moved it since.
+            # A slider stays where the last reading left it unless someone has moved it since.
             moved = read[number] != self._shown[number]
             if moved:
                 value = within(control, read[number], value)
@@ -174,12 +175,12 @@ class OperatorPanel(LeafSystem):
         discrete_state.set_value(wanted)
 
     def _sticks(self) -> list[float]:
-        """Axes of the gamepad, each from -1 to 1; none while no page can tell of it."""
+        """Return the axes of the gamepad, each from -1 to 1; none while no page reports it."""
         pages, axes = (
             self._meshcat.GetNumActiveConnections(),
             tuple(self._meshcat.GetGamepad().axes),
         )
-        # The page that is gone may have left a stick pushed to the side.
+        # A closed page may have left a stick pushed to the side.
         if pages < self._pages:
             self._stale = axes
         self._pages = pages
@@ -189,14 +190,14 @@ class OperatorPanel(LeafSystem):
 
 
 def within(control: Control, value: float, otherwise: float) -> float:
-    """Return a value in the range of a control; something else in place of one not finite."""
+    """Return a value clamped to the range of a control, or `otherwise` if it is not finite."""
     if not math.isfinite(value):
         return otherwise
     return min(max(value, control.least), control.most)
 
 
 def deflection(axis: float) -> float:
-    """Return how far a stick is pushed, from -1 to 1; 0 within its dead zone or if not finite."""
+    """Return a stick's deflection, from -1 to 1; 0 within its dead zone or if not finite."""
     if not math.isfinite(axis) or abs(axis) <= _DEAD_ZONE:
         return 0.0
     return math.copysign((min(abs(axis), 1.0) - _DEAD_ZONE) / (1 - _DEAD_ZONE), axis)

@@ -10,12 +10,12 @@ from sonoservo.systems.display.shapes import resample, segment_pose
 
 
 class Switch:
-    """Shows and hides what is drawn at a path, live and in a recording. At first it is hidden.
+    """Shows and hides the object at a path, live and in the recording; hidden at first.
 
     Parameters
     ----------
     meshcat, path
-        What is shown or hidden.
+        Meshcat, and the path in it of the object to show or hide.
     """
 
     def __init__(self, *, meshcat: Meshcat, path: str) -> None:
@@ -25,11 +25,11 @@ class Switch:
         meshcat.SetProperty(path, "visible", False)
 
     def set(self, visible: bool, time: float) -> None:
-        """Show or hide it from a time on, in s."""
+        """Show or hide the object from a time on, in s."""
         if visible == self._visible:
             return
         if not self._recorded:
-            # A track holds its first value before its first key too: it has to begin hidden.
+            # A track holds its first value before its first key too, so it has to start hidden.
             self._meshcat.get_mutable_recording().SetProperty(0, self._path, "visible", False)
             self._recorded = True
         self._meshcat.SetProperty(self._path, "visible", visible, time)
@@ -39,18 +39,18 @@ class Switch:
 class Rod:
     """A polyline drawn as a fixed number of cylinders that are posed and stretched.
 
-    Meshcat's recordings keep transforms and properties but no new shapes, so nothing else may
-    change once the rod is made. A polyline of fewer pieces leaves cylinders unused, one of more is
-    resampled. A new rod is hidden.
+    Meshcat's recordings keep transforms and properties but cannot add shapes, so nothing else may
+    change once the rod is made. A polyline of fewer pieces leaves cylinders unused; a polyline of
+    more pieces is resampled. A new rod is hidden.
 
     Parameters
     ----------
     meshcat, path
-        Where it is drawn.
+        Meshcat to draw in, and the path of the drawing.
     radius
-        In m.
+        Radius of the cylinders, in m.
     colour
-        Of the cylinders.
+        Colour of the cylinders.
     segments
         Number of cylinders.
     """
@@ -67,7 +67,7 @@ class Rod:
     def show(
         self, polyline: ArrayLike, time: float, radii: NDArray[np.float64] | None = None
     ) -> None:
-        """Draw the rod along an (m, 3) polyline; (segments,) radii in m replace its own."""
+        """Draw the rod along an (m, 3) polyline in m; (segments,) radii in m replace its own."""
         points = np.asarray(polyline, dtype=float)
         if len(points) > self._segments + 1 or radii is not None:
             points = resample(points, self._segments + 1)
@@ -83,7 +83,7 @@ class Rod:
         self._switch.set(True, time)
 
     def hide(self, time: float) -> None:
-        """Do not draw it."""
+        """Hide the rod from a time on, in s."""
         self._switch.set(False, time)
 
     def _stretch(self, number: int, width: float, length: float, time: float) -> None:

@@ -1,4 +1,4 @@
-"""Buttons that steer a simulation, in the page of a Meshcat."""
+"""Buttons in a Meshcat page that control a simulation."""
 
 from collections.abc import Mapping
 
@@ -6,14 +6,14 @@ from pydrake.geometry import Meshcat
 
 
 class RunButtons:
-    """Buttons with keys; however often one is clicked between two looks, it counts once.
+    """Buttons with keyboard shortcuts; several clicks between two readings count once.
 
     Parameters
     ----------
     meshcat
-        In whose page they are.
+        Meshcat whose page shows the buttons.
     buttons
-        Label and key, as the browser names it, by name.
+        Label and key of each button, by its name; keys are named as the browser names them.
     """
 
     def __init__(self, *, meshcat: Meshcat, buttons: Mapping[str, tuple[str, str]]) -> None:
@@ -24,7 +24,7 @@ class RunButtons:
         self._seen = {name: meshcat.GetButtonClicks(label) for name, label in self._labels.items()}
 
     def pressed(self) -> set[str]:
-        """Return the names of the buttons that were pressed since the last look."""
+        """Return the names of the buttons that were pressed since the last call."""
         clicks = {
             name: self._meshcat.GetButtonClicks(label) for name, label in self._labels.items()
         }

@@ -1,4 +1,4 @@
-"""Where a view begins: camera and background."""
+"""Camera and background of a view."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -9,16 +9,16 @@ from pydrake.geometry import Meshcat
 def set_scene(
     meshcat: Meshcat, camera: Sequence[float], target: Sequence[float], field_of_view_deg: float
 ) -> None:
-    """Take Meshcat's axes and grid away, make the background light, and place the camera.
+    """Hide Meshcat's axes and grid, lighten the background and place the camera.
 
     Parameters
     ----------
     meshcat
-        Whose page it is.
+        Meshcat to set up.
     camera, target
-        Where the camera is, and what is in the middle of the view, in W, in m.
+        Position of the camera, and the point at the centre of its view, in W, in m.
     field_of_view_deg
-        From the lower edge of the view to the upper one.
+        Field of view from the lower edge of the view to the upper one, in deg.
     """
     for each in ("/Axes", "/Grid"):
         meshcat.SetProperty(each, "visible", False)

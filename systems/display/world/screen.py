@@ -1,4 +1,4 @@
-"""A screen that stands in the world and shows the slices upright."""
+"""A screen in the world that shows the slices upright."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -22,19 +22,19 @@ _MARGIN = 0.004
 class Screen:
     """A dark panel with one slice above the other.
 
-    The pictures keep the beam's axis, and the first one the probe's face, at a fixed place: only
-    what is seen moves.
+    The beam's axis stays at a fixed place in both pictures, and so does the probe's face in the
+    first one. Only the contents of the pictures move.
 
     Parameters
     ----------
     meshcat, path
-        Where it is drawn.
+        Meshcat to draw in, and the path of the drawing.
     X_WS
-        Pose of its centre: X to the right, Y down, Z away from who looks at it.
+        Pose of the panel's centre: X to the right, Y down, Z away from the viewer.
     width, height
-        Of the panel, in m.
+        Size of the panel, in m.
     frames, period
-        Of the film, see `Film`.
+        Parameters of the film; see `Film`.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class Screen:
     def show(
         self, volume: Volume, slices: Sequence[Plane], pictures: Sequence[bytes], time: float
     ) -> None:
-        """Show slices of a volume, at most two, and their pictures."""
+        """Show the pictures of at most two slices of a volume."""
         places = screen_planes(slices, volume.upper - volume.origin, *self._size)
         planes = [place.transformed(self._X_WS) for place in places]
         self._film.show(gltf_textured_quads(planes, pictures), time)
@@ -66,17 +66,18 @@ class Screen:
 def screen_planes(
     slices: Sequence[Plane], extent: ArrayLike, width: float, height: float
 ) -> list[Plane]:
-    """Return where the pictures of slices are on a screen, in its frame.
+    """Return the planes on a screen in which the pictures of slices lie, in its frame.
 
     Parameters
     ----------
     slices
-        In P; at most two. The first one has the beam's axis upright.
+        At most two planes in P. In the first one the beam's axis is upright.
     extent
-        (3,) of the volume along X, Y and Z of P, in m. What a sector shows in slices through it
-        fits, whatever their turn about the beam; their scale depends on nothing else.
+        (3,) extents of the volume along X, Y and Z of P, in m. The pictures of a sector fit at
+        every turn of the slices about the beam. For a given screen, their scale depends only on
+        these extents.
     width, height
-        Of the screen, in m.
+        Size of the screen, in m.
     """
     x, depth, z = np.asarray(extent, dtype=float)
     across, below = np.hypot(x, z), 0.8 * max(x, z)
@@ -93,10 +94,10 @@ def screen_planes(
 
 
 def facing(camera: Sequence[float], target: Sequence[float]) -> RotationMatrix:
-    """How a panel is turned that a camera sees as a rectangle: X right, Y down, Z away from it."""
+    """Return the rotation of a panel that faces a camera: X right, Y down, Z away from it."""
     away = np.subtract(target, camera)
     right = np.cross(away, [0.0, 0.0, 1.0])
-    if np.linalg.norm(right) <= 1e-9 * np.linalg.norm(away):  # it looks straight down, or up
+    if np.linalg.norm(right) <= 1e-9 * np.linalg.norm(away):  # it looks straight down or up
         right = np.array([1.0, 0.0, 0.0])
     axes: list[Any] = [each / np.linalg.norm(each) for each in (right, away)]
     return RotationMatrix(np.stack([axes[0], np.cross(axes[1], axes[0]), axes[1]], axis=1))

@@ -39,10 +39,10 @@ _LEGEND: Sequence[Sequence[Entry]] = (
 _LAYERS = ("tissue", "cross_section", "needle", "predicted", "tube", "slice", "legend")
 _CAMERA, _TARGET = (0.11, -0.122, 0.03), (0.01, 0.008, -0.028)
 _ROD = 0.75e-3
-"""Radius of the predicted needle in m: a little more than the true one's, which it may hide."""
+"""Radius of the predicted needle in m, slightly above that of the true one, which it may hide."""
 _SEGMENTS = 20
 _NEEDLE_LENGTH = 0.2
-"""In m: the paper's needles."""
+"""Length of the needles in the paper, in m."""
 
 
 class ShapeView(LeafSystem):
@@ -58,9 +58,9 @@ class ShapeView(LeafSystem):
         - cross_section
         - shape
 
-    ``needle`` is the true `Needle` in T, grey. The predicted shape is red, from the first slice to
-    the full depth; at each depth, the tube around it holds the needle with 95 %. A blue ball marks
-    the newest cross-section.
+    ``needle`` is the true `Needle` in T, drawn in grey. The predicted shape is red and reaches from
+    the first slice to the full depth. At each depth, the tube around it contains the needle with a
+    probability of 95 %. A blue ball marks the newest cross-section.
 
     Parameters
     ----------
@@ -71,9 +71,10 @@ class ShapeView(LeafSystem):
     depth
         Depth down to which the shape is drawn, in m.
     period, offset
-        Times of the pictures, in s: a moment after the estimator's events.
+        Period of the pictures and time of the first one, in s: shortly after the estimator's
+        events.
     path
-        Path of all that is drawn; by default the layers are at the top of the scene.
+        Path of everything that is drawn; by default the layers are at the top of the scene.
     """
 
     def __init__(
@@ -107,7 +108,7 @@ class ShapeView(LeafSystem):
         R_WL = facing(_CAMERA, _TARGET)
         X_WL = RigidTransform(R_WL, np.array(_TARGET)) @ RigidTransform([-0.04, -0.08, 0.0])
         draw_legend(meshcat, f"{path}/legend", X_WL, 0.12, _LEGEND)
-        # Edges only: of two clear things, one inside the other, a browser may hide the inner.
+        # Edges only: a browser may hide a translucent object that lies inside another one.
         edges = box_edges(self._size * [-0.5, -0.5, -1], self._size * [0.5, 0.5, 0])
         meshcat.SetObject(f"{path}/tissue", tubes(edges, 0.25e-3), _TISSUE)
         meshcat.SetObject(f"{path}/cross_section", Sphere(1.2e-3), rgba(_MEASURED))
@@ -159,7 +160,7 @@ class ShapeView(LeafSystem):
         X_WS = image.X_WP @ RigidTransform([*middle, 0.0])
         plane = Plane(X_WS, *(shape * image.spacing))
         grey = image.intensities.T
-        # Black speckle inside the picture is no hole in it.
+        # Black speckle inside the picture must not become a hole.
         opacity = np.where(binary_fill_holes(grey > 0), np.uint8(255), np.uint8(0))
         gltf = gltf_textured_quads([plane], [encode_webp(np.stack([grey, opacity], axis=-1))])
         self._film.show(gltf, time)

@@ -8,16 +8,16 @@ from sonoservo.systems.display.textured_quads import draw_picture, text_image
 
 
 class Sign:
-    """A line of text in Meshcat that may change.
+    """A changing line of text in Meshcat.
 
     Parameters
     ----------
     meshcat, path
-        Where it is drawn.
+        Meshcat to draw in, and the path of the drawing.
     X_WSign
-        Where it stands: its centre, X along it, -Y upwards.
+        Pose of the centre of its plate: X along the text, -Y upwards.
     height
-        Of its plate, in m.
+        Height of its plate, in m.
     """
 
     def __init__(
@@ -28,7 +28,7 @@ class Sign:
         self._text = ""
 
     def show(self, text: str, background: tuple[float, float, float] = (0.3, 0.3, 0.3)) -> None:
-        """Show a text in place of the last one."""
+        """Replace the text; an empty one removes the sign."""
         if text == self._text:
             return
         self._text = text

@@ -33,35 +33,35 @@ _LAYERS = (
 )  # fmt: skip
 _WAITING = "waiting for the first volume"
 _BESIDE = 0.045
-"""From the middle of the probe's face to the arrow of the force, in m: clear of the housing."""
+"""Distance from the middle of the probe's face to the force's arrow, in m: clear of the housing."""
 
 
 @dataclass(kw_only=True)
 class WorldViewParameters:
-    """How the world is shown.
+    """Parameters of the world view.
 
     Parameters
     ----------
     publish_period
-        Between two pictures, in s.
+        Time between two pictures, in s.
     pixel
-        Of the slices, in m.
+        Pixel size of the slices, in m.
     film_frames
-        Most slices kept for a replay, about 15 KB each; 0 where none is wanted.
+        Maximum number of pairs of slices kept for a replay, about 15 KB each; 0 keeps none.
     film_period
-        Least time between slices kept, in s: it bounds the size of the replay.
+        Minimum time between two kept pairs of slices, in s. It limits the size of the replay.
     needle_length
-        Of the whole needle, in m: what is not in the tissue is drawn outside it.
+        Length of the whole needle, in m. The part that is not in the tissue is drawn outside it.
     camera, camera_target
-        Where the view begins, in W, in m.
+        Initial position of the camera and the point at the centre of its view, in W, in m.
     field_of_view_deg
-        Of the camera, from the lower edge of the view to the upper one.
+        Field of view of the camera, from the lower edge of the view to the upper one, in deg.
     screen_position
-        Of the middle of the screen that shows the slices upright, in W, in m. Above it stands the
-        tracking mode, below it the legend. By default all three are clear of the open controls of a
-        page that is at least 1.6 times as wide as it is high, and 1280 pixels wide.
+        Centre of the screen that shows the slices upright, in W, in m. The tracking mode stands
+        above it and the legend below it. By default, all three are clear of the open controls on a
+        page that is at least 1280 pixels wide and at least 1.6 times as wide as it is high.
     screen_size
-        Its width and height, in m.
+        Width and height of the screen, in m.
     """
 
     publish_period: float = 3 / 32
@@ -91,13 +91,13 @@ class WorldViewParameters:
 
     @property
     def X_WScreen(self) -> RigidTransform:
-        """Pose of the screen: it shows the camera its face, X to the right, Y down."""
+        """Pose of the screen, which faces the camera: X to the right, Y down."""
         R = facing(self.camera, self.camera_target)
         return RigidTransform(R, np.array(self.screen_position))
 
 
 class WorldView(LeafSystem):
-    """Draws the needle, what the tracker believes, and slices through the needle in Meshcat.
+    """Draws the needle, its estimate and slices through the needle in Meshcat.
 
     .. pydrake_system::
 
@@ -110,31 +110,32 @@ class WorldView(LeafSystem):
         - volume (optional)
         - contact_force (optional)
 
-    Each layer has a path of its own, and in the page a box under "Open Controls" that switches it
-    off:
+    Each layer has a path of its own and, under "Open Controls" in the page, a checkbox that hides
+    it:
 
     - ``needle``: the true `needle` (a Needle in T), steel with a green hub
-    - ``estimate``: red while tracking, yellow while coasting, light blue when lost
-    - ``uncertainty``: the ellipsoid that holds the tip with 95 %, true to scale
+    - ``estimate``: the estimated needle, red while tracking, yellow while coasting and light blue
+      when lost
+    - ``uncertainty``: the 95 % confidence ellipsoid of the tip, true to scale
     - ``sector``: the outline of the sweep, which moves with the probe
-    - ``slices``: of each new `volume`, where it was acquired: one along needle and beam, one along
-      the needle across the beam (Chatelain 2013, fig. 3)
-    - ``screen``: both slices upright, the probe at their top
-    - ``phase``: what the tracker does, in the estimate's colour
-    - ``force``: the `contact_force` in N with which the probe presses, an arrow at its face
-    - ``legend``
+    - ``slices``: two slices of each new `volume` at the pose of its acquisition: one along the
+      needle and the beam, one along the needle across the beam (Chatelain 2013, fig. 3)
+    - ``screen``: both slices upright, with the probe at the top
+    - ``phase``: the tracking mode, in the estimate's colour
+    - ``force``: the `contact_force` in N with which the probe presses, as an arrow at its face
+    - ``legend``: the meaning of the colours
 
-    Arm, probe and phantom are for Drake's MeshcatVisualizer to draw. Slices are made only while a
-    browser is connected, or while a film is kept for the replay.
+    Drake's MeshcatVisualizer draws the arm, the probe and the phantom. Slices are made only while
+    a browser is connected or a film is kept for the replay.
 
     Parameters
     ----------
     meshcat
-        To draw in.
+        Meshcat to draw in.
     path
-        Of everything that is drawn; by default the layers are at the top of the scene.
+        Path of everything that is drawn; by default the layers are at the top of the scene.
     parameters
-        How it is drawn.
+        Parameters of the view.
     """
 
     def __init__(
@@ -229,8 +230,9 @@ class WorldView(LeafSystem):
             self._uncertainty.show(estimate.curve.tip, estimate.tip_covariance, time)
 
     def _draw_volume(self, context: Context, estimate: NeedleEstimate | None) -> None:
-        # The slices follow the needle as the tracker saw it in the volume, so they wait for it. To
-        # ask for a volume before, or even whether there is one, would make it for us alone.
+        # The slices follow the needle that the tracker found in the volume, so they wait for the
+        # tracker. Asking for the volume earlier, or only for its existence, would render it for
+        # the display alone.
         if estimate is not None and estimate.volume_time <= self._sliced:
             return
         if not self._connected(context, "volume"):

@@ -1,7 +1,7 @@
-"""What stands in for a real scanner: tissue, echoes, sweeps.
+"""Simulated scanner: tissue, echoes and sweeps.
 
 The renderer computes the sweep that a scanner would acquire of tissue and needle; the scanner
-emits it. This room imports `ultrasound` and what `ultrasound` imports.
+outputs it. This room imports `ultrasound` and everything that `ultrasound` imports.
 """
 
 from lazy_loader import attach_stub

@@ -1,4 +1,4 @@
-"""Acquires a sweep: renders its frames, and says when and from where each was acquired."""
+"""Simulated acquisition of a sweep: its samples, and the time and pose of each frame."""
 
 from collections.abc import Sequence
 
@@ -24,16 +24,16 @@ def acquire_sweep(
     Parameters
     ----------
     renderer
-        Of the probe over the tissue.
+        Renderer of the probe over the tissue.
     motion
-        When and from where each frame is acquired: `SweepMotion.at_rest`, or any other.
+        Time and pose of each frame: `SweepMotion.at_rest`, or any other motion.
     needles
-        (frames,) needle in T at each frame's time, possibly empty.
+        (frames,) needles in T at each frame's time, possibly empty.
     X_TP
-        (frames, 4, 4) pose of the probe in the tissue at each frame's time; by default the
-        tissue's frame T is the world.
+        (frames, 4, 4) poses of the probe in the tissue at each frame's time; by default, the
+        tissue's frame T is the world frame.
     number
-        Of the sweep; it selects the noise.
+        Number of the sweep, which selects the noise.
     """
     poses = motion.X_WP if X_TP is None else X_TP
     samples = renderer.render(poses, needles, motion.direction, number, motion.times)

@@ -13,7 +13,7 @@ _BALL_POINTS_PER_CELL = 8
 def inclusion_points(
     tissue: Tissue, beam: Beam, reference: int
 ) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
-    """Positions in T, (n, 3) in m, and complex amplitudes, (n,), of all inclusions."""
+    """Return the (n, 3) positions in T, in m, and (n,) complex amplitudes of all inclusions."""
     rng = np.random.default_rng([tissue.seed, 1])
     parts = [(np.zeros((0, 3)), np.zeros(0, complex))]
     parts += [_ball_points(ball, beam.resolution_cell[reference], rng) for ball in tissue.balls]

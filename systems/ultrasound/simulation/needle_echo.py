@@ -22,23 +22,24 @@ _WAVES = 12
 
 @dataclass(kw_only=True)
 class NeedleEchoParameters:
-    """How a steel needle echoes. Levels are amplitudes, where the lens focuses.
+    """Parameters of a steel needle's echo; levels are amplitudes at the lens's focus.
 
     Parameters
     ----------
     specular_db
-        At normal incidence, over the tissue's root mean square.
+        Level at normal incidence, relative to the tissue's root mean square.
     diffuse_db
-        Of what a rough surface scatters in all directions, relative to ``specular_db``.
+        Level of the part that the rough surface scatters in all directions, relative to
+        ``specular_db``.
     tip_db
-        Of what the bevel scatters in all directions, as if from one point, over the tissue's root
-        mean square.
+        Level of the part that the bevel scatters in all directions, as if from one point, relative
+        to the tissue's root mean square.
     bevel_deg
-        Between the bevel's face and the axis. Along the bevel the shaft's own echo fades.
+        Angle between the bevel's face and the axis. The shaft's own echo fades along the bevel.
     reverberation_db
-        Of each echo inside the needle, relative to the one before.
+        Level of each echo inside the needle, relative to the previous one.
     inner_diameter_ratio
-        Inner over outer diameter; sets the distance between those echoes.
+        Ratio of inner to outer diameter, which sets the distance between those echoes.
     shadow
         Share of the amplitude that is lost behind a needle in the middle of the beam.
     diffuse_lobe_deg
@@ -116,16 +117,16 @@ class NeedleEchoParameters:
 def needle_echo(
     parameters: NeedleEchoParameters, beam: Beam, reference: int, rng: np.random.Generator
 ) -> tuple[NeedleEcho, NDArray[np.float64]]:
-    """Amplitudes of a needle's points, and the phases that its rough surface gives them.
+    """Return the amplitudes of a needle's points, and the phases due to its rough surface.
 
     Parameters
     ----------
     parameters
-        Levels.
+        Levels of the needle's echo.
     beam, reference
-        Point spread function, and the sample where the levels hold.
+        Point spread function, and the sample at which the levels hold.
     rng
-        Draws the surface.
+        Generator that draws the surface.
     """
     spacing, specular, diffuse = rod_amplitudes(
         parameters.specular_db, parameters.diffuse_db, beam, reference
@@ -139,9 +140,9 @@ def needle_echo(
 def reverberations(
     parameters: NeedleEchoParameters, radius: float, sound_speed: float
 ) -> tuple[list[float], float]:
-    """Levels of the echoes from within a water-filled needle, and the distance between them in m.
+    """Return the levels of the echoes inside a water-filled needle, and their distance in m.
 
-    The first is the front wall's; they end 40 dB below it.
+    The first echo is the front wall's; the series ends 40 dB below it.
     """
     ratio = 10 ** (parameters.reverberation_db / 20)
     count = 1 + int(-40 / parameters.reverberation_db)

@@ -1,4 +1,4 @@
-"""A sweep of a motorised probe over tissue and needle, rendered frame by frame."""
+"""Renderer of sweeps of a motorised probe over tissue and needle."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,12 +13,6 @@ from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.ultrasound.beam import Beam, beam_profile, point_spread
 from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
 from sonoservo.systems.ultrasound.simulation.bright_points import inclusion_points
-from sonoservo.systems.ultrasound.simulation.frames import (
-    depth_tables,
-    frame_poses,
-    frame_rays,
-    line_rays,
-)
 from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import render_points
 from sonoservo.systems.ultrasound.simulation.kernels.echo import FADE, render_tissue
 from sonoservo.systems.ultrasound.simulation.kernels.image_formation import form_image, modulate
@@ -28,6 +22,12 @@ from sonoservo.systems.ultrasound.simulation.kernels.surface_echo import render_
 from sonoservo.systems.ultrasound.simulation.needle_echo import NeedleEchoParameters
 from sonoservo.systems.ultrasound.simulation.needle_renderer import FrameViews, NeedleRenderer
 from sonoservo.systems.ultrasound.simulation.pulses import PulseTables
+from sonoservo.systems.ultrasound.simulation.rays import (
+    depth_tables,
+    frame_poses,
+    line_rays,
+    projection_rays,
+)
 from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 from sonoservo.systems.ultrasound.simulation.scatterer_tile import scatterer_tile
 from sonoservo.systems.ultrasound.simulation.scene import Scene
@@ -51,24 +51,24 @@ class SweepRenderer:
     Parameters
     ----------
     transducer, imaging
-        The probe and the scanner's settings.
+        Hardware of the probe, and settings of the scanner.
     tissue
-        What is scanned.
+        Tissue to scan.
     parameters
-        Needle, gel and noise.
+        Parameters of needle, gel and noise.
     seed
-        Of the electronic noise and of the needle's surface.
+        Seed of the electronic noise and of the needle's surface.
 
     Attributes
     ----------
     geometry
-        Of the sweeps.
+        Geometry of the sweeps.
     beam
         Widths of the point spread function.
     point_spread
-        The same, as its sweeps carry them.
+        The same widths, in the form that sweeps carry.
     decibels_per_level
-        dB per grey level.
+        Scale of the image, in dB per grey level.
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class SweepRenderer:
         samples = np.arange(geometry.samples)
         depths = geometry.sample_pitch * samples
         cell = self.beam.resolution_cell
-        # Where the levels of bright points hold, relative to the tissue.
+        # Sample at which the levels of bright points hold, relative to the tissue.
         reference = int(np.abs(depths - transducer.lens_focus).argmin())
         self._tables, line_sigma = depth_tables(self.beam, geometry, reference)
         self._kernel = line_kernel(line_sigma, geometry.lines)
@@ -138,7 +138,7 @@ class SweepRenderer:
         loss_db = 2 * tissue.attenuation * 1e-6 * imaging.transmit_frequency * 1e2 * depths
         self._noise = (10 ** ((parameters.noise_db + loss_db) / 20)).astype(np.float32)
         self._lines = {direction: line_rays(geometry, direction) for direction in (1, -1)}
-        self._rays = {d: frame_rays(geometry, self.beam, d, pulses.lead) for d in (1, -1)}
+        self._rays = {d: projection_rays(geometry, self.beam, d, pulses.lead) for d in (1, -1)}
         # A sweep's worth of memory is taken once: the tissue's echoes, both ways, and the needle's.
         self._tissue = {direction: self._empty() for direction in (1, -1)}
         self._views: dict[int, FrameViews] = {}
@@ -176,14 +176,14 @@ class SweepRenderer:
         direction: int,
         times: NDArray[np.float64] | None = None,
     ) -> NDArray[np.complex64]:
-        """Echoes with the needle and its shadow, without noise; otherwise as `tissue_echo`.
+        """Return the echoes with the needle and its shadow, without noise, as `tissue_echo` does.
 
         Parameters
         ----------
         X_TP, direction, times
             See `tissue_echo`.
         needles
-            The needle in T at each frame's time, possibly empty.
+            Needle in T at each frame's time, possibly empty.
         """
         return self._render_echo(X_TP, needles, direction, times).copy()
 
@@ -194,10 +194,10 @@ class SweepRenderer:
         direction: int,
         times: NDArray[np.float64] | None = None,
     ) -> NDArray[np.float32]:
-        """Radio-frequency lines, (frames, lines, samples): `echo` on its carrier, without noise.
+        """Return radio-frequency lines, (frames, lines, samples): `echo` on its carrier.
 
-        The real part of echo exp(+2i k r), k = 2 pi / wavelength, r from the face; the sample
-        pitch must resolve it.
+        They are the real part of echo exp(+2i k r) with k = 2 pi / wavelength and the distance r
+        from the face, without noise. The sample pitch must resolve the carrier.
 
         Raises
         ------
@@ -211,8 +211,8 @@ class SweepRenderer:
         return self.on_carrier(self._render_echo(X_TP, needles, direction, times))
 
     def on_carrier(self, iq: NDArray[np.complex64]) -> NDArray[np.float32]:
-        """Radio-frequency lines of echoes: see `radio_frequency_lines`."""
-        step = 4 * np.pi / self.beam.wavelength * self.geometry.sample_pitch
+        """Return the radio-frequency lines of echoes; see `radio_frequency_lines`."""
+        step = 4 * np.pi / self.beam.wavelength * self._acoustic.sample_pitch
         phase = step * np.arange(self.geometry.samples)
         lines = np.empty(iq.shape, np.float32)
         modulate(lines, iq, np.cos(phase).astype(np.float32), np.sin(phase).astype(np.float32))
@@ -235,8 +235,8 @@ class SweepRenderer:
         X_TP, direction
             See `tissue_echo`.
         points, amplitudes
-            (n, 3) positions in T, in m, and (n,) amplitudes over the tissue's root mean square,
-            where the lens focuses.
+            (n, 3) positions in T, in m, and (n,) amplitudes relative to the tissue's root mean
+            square at the lens's focus.
         """
         X_FT, rays = frame_poses(self._acoustic, X_TP), self._rays[direction]
         view = self._scene.view(X_FT, float(rays.twist))[0]
@@ -250,14 +250,14 @@ class SweepRenderer:
         number: int,
         times: NDArray[np.float64] | None = None,
     ) -> NDArray[np.uint8]:
-        """Grey levels of a sweep, (frames, lines, samples).
+        """Return the grey levels of a sweep, (frames, lines, samples).
 
         Parameters
         ----------
         X_TP, needles, direction, times
             See `echo`.
         number
-            Of the sweep; it selects the noise.
+            Number of the sweep, which selects the noise.
         """
         grey = np.empty(self.geometry.shape, np.uint8)
         form_image(

@@ -1,4 +1,4 @@
-"""A scanner with a motorised probe, as a Drake system."""
+"""The leaf that simulates a scanner with a motorised probe."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -22,7 +22,7 @@ from sonoservo.systems.ultrasound.transducer import Transducer
 
 @dataclass(frozen=True, slots=True)
 class _Snapshot(Immutable):
-    """The world while a frame was acquired."""
+    """Poses and needle at the time of a frame's acquisition."""
 
     time: float
     X_WP: RigidTransform
@@ -32,14 +32,14 @@ class _Snapshot(Immutable):
 
 @dataclass(frozen=True, eq=False)
 class _Snapshots(Immutable):
-    """The frames of a sweep in the order of their acquisition, and the sweep's number from 0."""
+    """Frames of a sweep in the order of their acquisition, and the sweep's number from 0."""
 
     number: int
     frames: tuple[_Snapshot, ...] = ()
 
     @property
     def direction(self) -> int:
-        """The first sweep goes towards +Z, the next one back."""
+        """Direction of the motor: +1 for the first sweep, towards +Z, then alternating."""
         return 1 - 2 * (self.number % 2)
 
     def with_frame(self, frame: _Snapshot) -> "_Snapshots":
@@ -47,7 +47,7 @@ class _Snapshots(Immutable):
 
 
 class Scanner(LeafSystem):
-    """Acquires one sweep after the other while probe, tissue and needle move.
+    """Acquires one sweep after another while probe, tissue and needle move.
 
     .. pydrake_system::
 
@@ -59,27 +59,27 @@ class Scanner(LeafSystem):
         output_ports:
         - sweep
 
-    Every frame is rendered from the poses and the needle at the time it began: `X_WP` and `X_WT`
-    are poses (RigidTransform) of the probe and of the tissue, `needle` is a `Needle` in T, possibly
-    empty. `sweep` is the newest complete `Sweep`, or `NotFound`; it appears when the sweep's last
-    frame ends. Sweeps towards +Z and -Z alternate, +Z first. Only who looks at `sweep` pays for
-    rendering it, once.
+    `X_WP` and `X_WT` are poses (RigidTransform) of the probe and the tissue; `needle` is a `Needle`
+    in T, possibly empty. Every frame is rendered from the poses and the needle at the start of its
+    acquisition. `sweep` is the newest complete `Sweep`, or a `NotFound`; it is available when the
+    sweep's last frame ends. Sweeps towards +Z and -Z alternate, starting with +Z. A sweep is
+    rendered on demand, at most once.
 
     Parameters
     ----------
     transducer, imaging
-        The probe, and the scanner's settings.
+        Hardware of the probe, and settings of the scanner.
     tissue
-        What is scanned.
+        Tissue to scan.
     parameters
-        Needle, gel and noise.
+        Parameters of needle, gel and noise.
     seed
-        Of the noise.
+        Seed of the noise and of the needle's surface.
 
     Attributes
     ----------
     geometry
-        Of the sweeps.
+        Geometry of the sweeps.
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class Scanner(LeafSystem):
             seed=seed,
         )
         self.geometry: SweepGeometry = self._renderer.geometry
-        # The framework marks all state as changed at every event; a sweep stays what it is.
+        # The framework marks all state as changed at every event, but a sweep is immutable.
         self._rendered = lru_cache(maxsize=2)(self._render)
         self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
         self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
@@ -126,7 +126,7 @@ class Scanner(LeafSystem):
             acquiring = _Snapshots(acquiring.number + 1)
         frame = _Snapshot(
             context.get_time(),
-            # Copies: an input's value changes in place.
+            # Copied, because an input's value changes in place.
             RigidTransform(evaluate(self, context, "X_WP", RigidTransform)),
             RigidTransform(evaluate(self, context, "X_WT", RigidTransform)),
             evaluate(self, context, "needle", Needle),

@@ -8,17 +8,17 @@ from sonoservo.systems.ultrasound.simulation.needle_echo import NeedleEchoParame
 
 @dataclass(kw_only=True)
 class ScannerParameters:
-    """What the image shows besides the tissue.
+    """Parameters of the needle's echo, the gel and the electronic noise.
 
     Parameters
     ----------
     needle
-        How a needle echoes.
+        Parameters of the needle's echo.
     gel_thickness
         Widest gap between face and tissue that the gel bridges, along a line, in m.
     noise_db
-        Electronic noise at the face, over the tissue's root mean square. It grows with depth by
-        the attenuation that the time-gain compensation undoes.
+        Electronic noise at the face, relative to the tissue's root mean square. It grows with depth
+        by the attenuation that the time-gain compensation undoes.
     """
 
     needle: NeedleEchoParameters = field(default_factory=NeedleEchoParameters)

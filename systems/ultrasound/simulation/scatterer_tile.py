@@ -15,18 +15,18 @@ _MAX_BLOCK = 4e-3
 class ScattererTile(NamedTuple):
     """Scatterers that fill the tissue frame periodically.
 
-    The cube is cut in blocks, so that a thin slab of the tissue can be gathered without looking
-    at the rest, and the whole of it stays in a processor's cache.
+    The cube is divided into blocks, so that a thin slab of the tissue can be gathered without
+    visiting the rest. The whole tile stays in a processor's cache.
     """
 
     block_size: float
     """Edge of a block in m; the tile's edge is `BLOCKS` times that."""
     positions: NDArray[np.float32]
-    """(3, n) within the block, in m."""
+    """(3, n) positions within the block, in m."""
     ranks: NDArray[np.float32]
-    """(n,) uniform in [0, 1), rising within a block: those below p are a random share p."""
+    """(n,) uniform numbers in [0, 1), rising within a block: a random share p lies below p."""
     starts: NDArray[np.int64]
-    """(BLOCKS^3 + 1,) first scatterer of each block, x slowest."""
+    """(BLOCKS^3 + 1,) first scatterers of the blocks, with x varying slowest."""
 
 
 def scatterer_tile(density: float, rng: np.random.Generator) -> ScattererTile:
@@ -35,9 +35,9 @@ def scatterer_tile(density: float, rng: np.random.Generator) -> ScattererTile:
     Parameters
     ----------
     density
-        Scatterers per m^3.
+        Number of scatterers per m^3.
     rng
-        Draws their number, positions and ranks.
+        Generator that draws their number, positions and ranks.
     """
     block_size = min((_SCATTERERS_PER_BLOCK / density) ** (1 / 3), _MAX_BLOCK)
     counts = rng.poisson(density * block_size**3, BLOCKS**3)

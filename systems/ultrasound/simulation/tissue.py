@@ -1,4 +1,4 @@
-"""What the phantom is made of, as sound sees it."""
+"""Acoustic model of a phantom's tissue."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -34,11 +34,11 @@ class Ball:
     Parameters
     ----------
     centre
-        In T, in m.
+        Centre of the ball in T, in m.
     radius
-        In m.
+        Radius of the ball, in m.
     level_db
-        Mean echo intensity over the tissue's, at the depth where the lens focuses.
+        Mean echo intensity relative to the tissue's, at the depth of the lens's focus.
     """
 
     centre: list[float] = field(default_factory=lambda: [0.0, 0.0, -0.04])
@@ -52,14 +52,15 @@ class Ball:
 
 @dataclass(kw_only=True)
 class Fibre:
-    """A straight, thin, smooth inclusion: it mirrors sound as a needle does.
+    """A straight, thin, smooth inclusion that reflects sound as a needle does.
 
     Parameters
     ----------
     start, end
-        In T, in m.
+        Ends of the fibre in T, in m.
     level_db
-        Echo's amplitude at normal incidence over the tissue's, where the lens focuses.
+        Amplitude of the echo at normal incidence relative to the tissue's, at the depth of the
+        lens's focus.
     diffuse_db
         Level of the part that is scattered in all directions, relative to ``level_db``.
     """
@@ -77,20 +78,20 @@ class Fibre:
 
 @dataclass(kw_only=True)
 class RandomFibres:
-    """Fibres anywhere in the tissue, drawn with its seed: those of a muscle, or of a gland.
+    """Fibres at random places in the tissue, as in muscle or a gland, drawn with its seed.
 
     Parameters
     ----------
     per_cubic_centimetre
-        Mean number of their middles.
+        Mean number of fibre midpoints per cubic centimetre.
     shortest, longest
-        Limits of their lengths in m, uniformly distributed.
+        Limits of their uniformly distributed lengths, in m.
     dimmest_db, brightest_db
-        Limits of their levels in dB, uniformly distributed; see `Fibre`.
+        Limits of their uniformly distributed levels, in dB; see `Fibre`.
     direction
-        In T, about which they run.
+        Mean direction of the fibres in T.
     spread_deg
-        Standard deviation of their direction along each axis across it.
+        Standard deviation of their direction about each axis across it, in deg.
     """
 
     per_cubic_centimetre: float = 0.0
@@ -121,7 +122,7 @@ class RandomFibres:
         )
 
     def draw(self, size: Sequence[float], rng: np.random.Generator) -> list[Fibre]:
-        """Fibres in a box of tissue, (3,) extents in m; their ends may lie beyond its faces."""
+        """Draw the fibres in a box of (3,) extents in m; their ends may lie beyond its faces."""
         count = rng.poisson(self.per_cubic_centimetre * 1e6 * float(np.prod(size)))
         middle = (rng.random((count, 3)) - [0.5, 0.5, 1.0]) * size
         along = np.array(self.direction) / np.linalg.norm(self.direction)
@@ -142,17 +143,17 @@ class Tissue:
     Parameters
     ----------
     size
-        Extents along X, Y, Z of T, in m: the box is at z from -size[2] to 0.
+        Extents along X, Y and Z of T, in m; the box reaches from z = -size[2] to 0.
     scatterers_per_cell
         Effective number N of scatterers in a resolution cell, at every depth: the intensity's
         moments are <I^2> / <I>^2 = 2 + 1/N, those of a K distribution with nu = 2 N.
     attenuation
-        One way, in dB/(cm MHz). The scanner's time-gain compensation undoes it, so it shows as
-        noise that grows with depth.
+        One-way attenuation, in dB/(cm MHz). The scanner's time-gain compensation undoes it, so it
+        shows as noise that grows with depth.
     balls, fibres
         Bright inclusions.
     random_fibres
-        More fibres, anywhere.
+        Further fibres at random places.
     structures
         Bone, vessels, fascia, calcifications, gas, N-wires and needles at rest.
     anatomy
@@ -163,7 +164,7 @@ class Tissue:
     fat
         A layer on top, slower than the tissue.
     seed
-        Draws where the scatterers and the random fibres are.
+        Seed of the scatterers and the random fibres.
 
     Raises
     ------

@@ -3,30 +3,23 @@ import subprocess
 import sys
 
 import pytest
+from commands import sonoservo
 from typer.testing import CliRunner
 
 from sonoservo.diagrams.app.cli import app
+from sonoservo.diagrams.experiments.registry import list_scenarios, load_scenario
 from sonoservo.systems.files.typed_yaml import ConfigurationError
 
 runner = CliRunner()
-
-
-def sonoservo(*arguments):
-    """The command as a person runs it: a process of its own."""
-    return subprocess.run(
-        [sys.executable, "-c", "from sonoservo.diagrams.app.cli import main; main()", *arguments],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
 
 
 def test_list_names_every_scenario(tmp_path):
     result = runner.invoke(app, ["list", "--json", str(tmp_path / "list.json")])
     assert result.exit_code == 0
     assert "chatelain2013_fig5" in result.stdout
-    assert "chatelain2013_fig5" in json.loads((tmp_path / "list.json").read_text())
+    rows = json.loads((tmp_path / "list.json").read_text())
+    assert rows == {name: load_scenario(name).description for name in list_scenarios()}
+    assert all(rows.values())
 
 
 @pytest.mark.parametrize(
@@ -185,7 +178,7 @@ def test_what_is_recorded_is_tracked_and_its_needle_located(tmp_path):
     [
         ("a.seq.nrrd", b"", "it is empty"),
         ("a.seq.nrrd", None, "it is a folder"),
-        ("a.mha", b"NRRD0005\n", "no MetaImage file"),
+        ("a.mha", b"NRRD0005\n", "not a MetaImage file"),
     ],
 )
 def test_a_bad_recording_is_one_line_and_leaves_nothing(tmp_path, command, name, content, message):
@@ -208,7 +201,7 @@ def test_a_recording_cannot_have_another_suffix(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_help_loads_nothing_that_takes_long():
+def test_help_and_list_load_nothing_that_takes_long():
     code = """
 import sys
 from contextlib import suppress
@@ -217,9 +210,9 @@ with suppress(SystemExit):
     main()
 print([name for name in ("numpy", "scipy", "numba", "pydrake") if name in sys.modules])
 """
-    for arguments in (["--help"], ["run", "--help"]):
+    for arguments in (["--help"], ["run", "--help"], ["list"]):
         result = subprocess.run(
             [sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=True
         )
-        assert "Usage:" in result.stdout
+        assert ("scenario" if arguments == ["list"] else "Usage:") in result.stdout
         assert result.stdout.strip().splitlines()[-1] == "[]"

@@ -1,11 +1,10 @@
 import json
-import subprocess
-import sys
 
 import nrrd
 import numpy as np
 import pytest
 import yaml
+from commands import sonoservo
 from PIL import Image
 from pydrake.math import RigidTransform, RotationMatrix
 
@@ -17,16 +16,6 @@ from sonoservo.systems.ultrasound.simulation.anatomy import liver_label_map, wri
 from sonoservo.systems.ultrasound.simulation.anatomy.anatomies import LIVER_LABELS
 
 SCENARIO = "chatelain2013_fig5"
-
-
-def sonoservo(*arguments):
-    return subprocess.run(
-        [sys.executable, "-c", "from sonoservo.diagrams.app.cli import main; main()", *arguments],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
 
 
 @pytest.fixture(scope="module")

@@ -4,21 +4,26 @@ import csv
 import json
 import resource
 import time
+from dataclasses import dataclass
 
 import nrrd
 import numpy as np
 import pytest
+from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from recordings import tracked, write_meta_image, write_sequence_nrrd
 from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.diagrams import MakeNeedleTracker, load_scenario, run, track, track_recording
 from sonoservo.diagrams.app.track import tracker_parameters
+from sonoservo.diagrams.trackers.registry import TRACKERS
+from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
 from sonoservo.systems.files.typed_yaml import ConfigurationError
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.recording.recording_writer import RecordingWriter
 from sonoservo.systems.recording.volume_player import VolumePlayer
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
 
 
@@ -212,6 +217,31 @@ def test_an_interruption_keeps_what_was_tracked(tmp_path, volumes):
     assert result.summary["interrupted"]
     assert len(result.rows) == 4
     assert (tmp_path / "out" / "report.html").is_file()
+
+
+class BlindTracker(LeafSystem):
+    """A tracker that has the one output that every tracker must have."""
+
+    def __init__(self, *, parameters, period, offset, seed):
+        super().__init__()
+        self.DeclareAbstractInputPort("volume", Value[object]())
+        nothing = NeedleEstimate(TrackingMode.SEARCHING, time=0.0, reason="it is blind")
+        self.DeclareStateOutputPort("estimate", self.DeclareAbstractState(Value[object](nothing)))
+
+
+@dataclass(kw_only=True)
+class BlindTrackerParameters(TrackerParameters):
+    kind: str = "blind"
+
+
+def test_a_registered_tracker_needs_an_estimate_only(tmp_path, volumes, monkeypatch):
+    monkeypatch.setitem(TRACKERS, BlindTrackerParameters, BlindTracker)
+    path = tmp_path / "a.seq.nrrd"
+    with RecordingWriter(path) as writer:
+        for volume in volumes[:3]:
+            writer.append(volume)
+    result = track_recording(Recording(path), parameters=tracker_parameters("blind"), out=tmp_path)
+    assert [row["reason"] for row in result.rows] == 3 * ["it is blind"]
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,8 @@ import SimpleITK
 from pydrake.math import RigidTransform
 
 from sonoservo.diagrams import load_scenario
-from sonoservo.diagrams.studies.dataset import make_dataset, needle_mask
+from sonoservo.diagrams.studies.dataset import make_dataset
+from sonoservo.diagrams.studies.dataset_labels import needle_mask
 from sonoservo.systems.files.typed_yaml import ConfigurationError
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.signals.needle import Needle

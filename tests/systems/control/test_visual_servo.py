@@ -110,7 +110,9 @@ def test_leaf_refuses_what_is_no_estimate():
     context = servo.CreateDefaultContext()
     servo.GetInputPort("estimate").FixValue(context, Value[object](42))
     servo.GetInputPort("X_WP").FixValue(context, X_WP)
-    with pytest.raises(TypeError, match="'estimate'.*received a int; NeedleEstimate is wanted"):
+    with pytest.raises(
+        TypeError, match="'estimate'.*received a value of type int; expected NeedleEstimate"
+    ):
         servo.GetOutputPort("planar_velocity").Eval(context)
 
 

@@ -252,7 +252,7 @@ def test_an_unexpected_measurement_weighs_less(name):
     ("changes", "message"),
     [
         ({"rotations": [0.2]}, "within the insertion"),
-        ({"rotations": [0.06, 0.05]}, "rising order"),
+        ({"rotations": [0.06, 0.05]}, "ascending order"),
         ({"depth": 0.0}, "depth"),
         ({"mean_radius": -1.0}, "mean_radius"),
         ({"observe_until": -0.01}, "observe_until"),

@@ -105,7 +105,7 @@ def test_prediction_is_the_same_before_and_after_the_update_it_serves():
 
 def test_explanation_tells_how_far_the_measurement_lies_from_the_prediction():
     bench = Bench()
-    assert bench.output("explanation").reason == "no localizer is connected that explains itself"
+    assert bench.output("explanation").reason == "no explanation of a localizer is connected"
     bench.track_from()
     found = measurement(0.03, 0.9, y=0.02)
     explanation = LocalizationExplanation(0.9, NotFound(""), (), found)
@@ -115,7 +115,7 @@ def test_explanation_tells_how_far_the_measurement_lies_from_the_prediction():
     explained = bench.output("explanation")
     assert explained.measurement is found
     assert explained.innovation > explained.gate > 4
-    assert f"{explained.innovation:.1f} deviations" in estimate.reason
+    assert f"{explained.innovation:.1f} standard deviations" in estimate.reason
 
 
 def test_detection_then_confirmation():

@@ -25,7 +25,7 @@ def test_an_empty_log_survives_its_file(tmp_path, make_log):
 
 
 def test_no_file():
-    with pytest.raises(FileNotFoundError, match="no log at .*absent"):
+    with pytest.raises(FileNotFoundError, match="absent.npz: there is no such log"):
         read_log("absent.npz", RunLog)
 
 
@@ -34,7 +34,7 @@ def test_a_truncated_file_is_refused(tmp_path, insertion_log, kept):
     path = write_log(tmp_path / "log.npz", insertion_log)
     data = path.read_bytes()
     path.write_bytes(data[: kept if isinstance(kept, int) else int(kept * len(data))])
-    with pytest.raises(ValueError, match="log.npz is not a log, or only a part of one"):
+    with pytest.raises(ValueError, match="log.npz is not a log, or is incomplete"):
         read_log(path, RunLog)
 
 
@@ -43,7 +43,7 @@ def test_a_damaged_file_is_refused(tmp_path, insertion_log):
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 0xFF
     path.write_bytes(data)
-    with pytest.raises(ValueError, match="log.npz is not a log, or only a part of one"):
+    with pytest.raises(ValueError, match="log.npz is not a log, or is incomplete"):
         read_log(path, RunLog)
 
 
@@ -53,18 +53,18 @@ def test_other_files_are_refused(tmp_path):
     with pytest.raises(ValueError, match="format None"):
         read_log(path, RunLog)
     np.savez(path, format=FORMAT, time=np.zeros(3))
-    with pytest.raises(ValueError, match=r"lacks X_WP, X_WT, .*volume_time"):
+    with pytest.raises(ValueError, match=r"lacks the arrays X_WP, X_WT, .*volume_time"):
         read_log(path, RunLog)
 
 
 def test_a_log_of_another_kind_is_refused(tmp_path, insertion_log):
     path = write_log(tmp_path / "log.npz", insertion_log)
-    with pytest.raises(ValueError, match=r"lacks correlation, depth, .*tip_covariance"):
+    with pytest.raises(ValueError, match=r"lacks the arrays correlation, depth, .*tip_covariance"):
         read_log(path, ShapeLog)
 
 
 def test_arrays_must_agree(insertion_log):
-    with pytest.raises(ValueError, match=r"needle_tip has shape \(3, 3\); \(n, 3\) is wanted"):
+    with pytest.raises(ValueError, match=r"needle_tip has shape \(3, 3\); it must be \(n, 3\)"):
         replace(insertion_log, needle_tip=np.zeros((3, 3)))
 
 

@@ -110,7 +110,7 @@ def test_a_wrong_value_is_refused():
     context = connected(logger)
     logger.GetInputPort("needle").FixValue(context, Value[object](CURVE))
     with pytest.raises(
-        TypeError, match="port 'needle' .* received a NeedleCurve; Needle is wanted"
+        TypeError, match="port 'needle' .* received a value of type NeedleCurve; expected Needle"
     ):
         logger.ForcedPublish(context)
 

@@ -111,10 +111,10 @@ def test_a_brighter_echo_beside_does_not_take_over():
 @pytest.mark.parametrize(
     ("image", "expected", "reason"),
     [
-        (picture(seed=3), [0.0, 0.025], "over the tissue|correlation"),
+        (picture(seed=3), [0.0, 0.025], "above the tissue|correlation"),
         (picture([0.0, 0.025]), [0.0, 0.2], "left the image"),
         (picture([0.0, 0.025]), [-0.04, 0.025], "left the image"),
-        (picture([-0.0195, 0.025]), [-0.0175, 0.025], "edge|correlation|over"),
+        (picture([-0.0195, 0.025]), [-0.0175, 0.025], "edge|correlation|above"),
     ],
 )
 def test_a_needle_that_is_not_there_is_not_found(image, expected, reason):
@@ -146,7 +146,7 @@ def test_the_first_is_found_by_what_stays_or_where_a_person_points():
         picture(axis, seed=number, more=[(fibre, 45)] if number < 2 else [], time=number)
         for number in range(4)
     ]
-    assert "stays" in find_first(images[:3], PARAMETERS).reason
+    assert "being compared" in find_first(images[:3], PARAMETERS).reason
     assert np.allclose(find_first(images, PARAMETERS).centre, axis, atol=0.1e-3)
     pointed = CrossSectionParameters(start=list(axis + 0.3e-3))
     assert np.allclose(find_first(images[:1], pointed).centre, axis, atol=0.1e-3)
@@ -198,6 +198,6 @@ def test_localizer_has_no_state_and_says_what_it_waits_for():
     context = localizer.CreateDefaultContext()
     assert context.is_stateless()
     assert localize(CrossSectionTrack(), NotFound("no slice")).reason == "no slice yet"
-    assert "stays" in localize(CrossSectionTrack(), picture([0.0, 0.025])).reason
+    assert "being compared" in localize(CrossSectionTrack(), picture([0.0, 0.025])).reason
     with pytest.raises(TypeError, match="cross_section_track"):
         localize(NotFound("wrong"), picture())

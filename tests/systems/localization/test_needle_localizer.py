@@ -55,5 +55,5 @@ def test_a_wrong_input_is_named():
     bench = Bench()
     bench.fix("volume", Scene(seed=5, spacing=1e-3).volume(1))
     bench.fix("prediction", 3)
-    with pytest.raises(TypeError, match="NeedlePrediction or NotFound is wanted"):
+    with pytest.raises(TypeError, match="expected NeedlePrediction or NotFound"):
         bench.output("measurement")

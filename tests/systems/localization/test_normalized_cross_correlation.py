@@ -119,8 +119,8 @@ def test_constant_windows_correlate_with_nothing(level, dtype):
 @pytest.mark.parametrize(
     ("search", "kernel", "reason"),
     [
-        (np.eye(4), np.eye(5), "does not hold"),
-        (np.eye(4), np.ones(3), "does not hold"),
+        (np.eye(4), np.eye(5), "does not fit"),
+        (np.eye(4), np.ones(3), "does not fit"),
         (np.full((4, 4), np.nan), np.eye(2), "not finite"),
         (np.eye(4), np.array([[1, np.inf], [0, 1]]), "not finite"),
         (np.eye(4), np.ones((2, 2)), "kernel is constant"),

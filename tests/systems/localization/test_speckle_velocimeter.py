@@ -102,7 +102,7 @@ def test_what_matches_far_aside_is_not_believed():
     current = volume(0.5, (2.0, 0.0, 0.0))
     assert measure_velocity(current, volume(0.0), TIP, TIP, DIRECTION, PARAMETERS)
     found = measure_velocity(current, volume(0.0), TIP, TIP, DIRECTION, near)
-    assert "1.4 mm aside" in found.reason
+    assert "1.4 mm away" in found.reason
 
 
 GEOMETRY = SweepGeometry(

@@ -100,7 +100,7 @@ def test_many_paths_at_once_are_the_paths_one_by_one():
         ({"radius": 0.0}, "radius"),
         ({"radius": -1.0}, "radius"),
         ({"angle": 2.0}, "angle"),
-        ({"rotations": (0.06, 0.04)}, "rising order"),
+        ({"rotations": (0.06, 0.04)}, "ascending order"),
         ({"rotations": (0.0,)}, "above 0"),
     ],
 )

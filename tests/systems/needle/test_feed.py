@@ -130,9 +130,9 @@ def test_later_pushes_change_nothing_before_them():
     ("changes", "message"),
     [
         ({"rotations": [0.2]}, "within the insertion"),
-        ({"rotations": [0.06, 0.06]}, "rising order"),
+        ({"rotations": [0.06, 0.06]}, "ascending order"),
         ({"gauge": 19}, "gauge: 19"),
-        ({"bend_radius": 0.84}, "bend_radius: 0.84 .* bend_radius_spread subtracted"),
+        ({"bend_radius": 0.84}, "bend_radius: 0.84 .* after bend_radius_spread is subtracted"),
         ({"bend_angle_spread_deg": 30.0}, "bend_angle_spread_deg"),
         ({"curvature_wander": -0.1}, "curvature_wander"),
         ({"wander_length": 0.0}, "wander_length"),

@@ -187,9 +187,9 @@ FAULTS = {
     "empty.seq.nrrd": (lambda path: path.write_bytes(b""), "it is empty"),
     "folder.seq.nrrd": (lambda path: path.mkdir(), "it is a folder"),
     "missing.nrrd": (lambda path: None, "there is no such file"),
-    "misnamed.nrrd": (lambda path: path.write_bytes(b"PNG" * 99), "no NRRD file"),
-    "misnamed.mha": (lambda path: path.write_bytes(b"PNG" * 99), "no MetaImage file"),
-    "volume.png": (lambda path: path.write_bytes(b"PNG" * 99), "files of this kind"),
+    "misnamed.nrrd": (lambda path: path.write_bytes(b"PNG" * 99), "not an NRRD file"),
+    "misnamed.mha": (lambda path: path.write_bytes(b"PNG" * 99), "not a MetaImage file"),
+    "volume.png": (lambda path: path.write_bytes(b"PNG" * 99), "this file type"),
     "nan.seq.nrrd": (nan_filled, "volume 0 holds values that are not finite"),
     "cut.seq.nrrd": (
         lambda p: p.write_bytes(write_sequence_nrrd(p, ARRAYS, encoding="raw").read_bytes()[:-9]),

@@ -262,7 +262,7 @@ def test_damaged_side_files_are_one_line(recorded):
         ("", "damaged"),
         ("{}\n", "damaged"),
         ("\n".join([lines[0].replace('"format": 1', '"format": 9'), *lines[1:], ""]), "format 9"),
-        ("\n".join([*lines[:3], ""]), "belongs to another recording"),
+        ("\n".join([*lines[:3], ""]), "does not belong to the recording"),
         ("\n".join([lines[0], *[json.dumps({"time": 1})] * 4, ""]), "damaged"),
     ):
         side.write_text(text)

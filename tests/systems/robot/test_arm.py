@@ -78,7 +78,7 @@ def test_motors_and_speed_limits_that_the_model_lacks_are_added(own, tmp_path):
         ("viper_s850.urdf", "package://sonoservo/nowhere.urdf", "nowhere.urdf.* does not exist"),
         ("arm::base_link", "arm::base", "no Frame named 'base'.*base_link"),
         ("parent: world", "parent: wrld", "no Frame named 'wrld'"),
-        ("flange: flange", "flange: tool0", "flange: no frame 'tool0'.*link_6"),
+        ("flange: flange", "flange: tool0", "flange: the model has no frame 'tool0'.*link_6"),
         ("p: [2.0e5, ", "p: [", r"servo.p: .* must be 6 numbers, one for each joint"),
         ("d: [2.0e3, ", "d: [2.0e3, 2.0e3, ", r"servo.d: .* must be 6 numbers"),
         ("p: [2.0e5", "p: [-1", r"servo.p.0: -1.0"),

@@ -60,7 +60,7 @@ def test_sealed_arrays_and_what_values_keep_already_are_not_copied():
 @pytest.mark.parametrize(
     ("array", "message"),
     [
-        (np.zeros((2, 2)), r"points has shape \(2, 2\); \(any, 3\) is wanted"),
+        (np.zeros((2, 2)), r"points has shape \(2, 2\); expected \(any, 3\)"),
         (np.zeros(3), r"points has shape \(3,\)"),
         (np.full((2, 3), np.nan), "points holds values that are not finite"),
     ],
@@ -93,5 +93,7 @@ def test_a_wrong_value_on_a_wire_is_caught_where_it_enters():
     context = reader.CreateDefaultContext()
     reader.GetInputPort("curve").FixValue(context, Value[object](3))
     assert evaluate(reader, context, "curve", int) == 3
-    with pytest.raises(TypeError, match="'curve' of 'reader' received a int; NeedleCurve or Not"):
+    with pytest.raises(
+        TypeError, match="'curve' of 'reader' received a value of type int; expected NeedleCurve"
+    ):
         evaluate(reader, context, "curve", (NeedleCurve, NotFound))

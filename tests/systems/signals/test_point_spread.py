@@ -36,7 +36,7 @@ def test_elsewhere_they_follow_line_and_frame(k, j, i):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"depth": [0.08, 0.0]}, "depth: .* must be rising"),
+        ({"depth": [0.08, 0.0]}, "depth: .* must be ascending"),
         ({"depth": []}, "lateral has shape|depth"),
         ({"lateral": [1e-3]}, "lateral has shape"),
         ({"axial": [0.0, 1e-3]}, "axial: .* must be above 0"),

@@ -206,7 +206,7 @@ def test_leaf_gives_the_middle_pose_and_passes_on_what_is_missing():
     assert volume.X_WP.translation()[0] == pytest.approx(0.5e-3)
     assert volume.time == pytest.approx(0.12)
     port.FixValue(context, Value[object]("a wrong value"))
-    with pytest.raises(TypeError, match="received a str; Sweep or NotFound is wanted"):
+    with pytest.raises(TypeError, match="received a value of type str; expected Sweep or NotFound"):
         leaf.GetOutputPort("volume").Eval(context)
 
 

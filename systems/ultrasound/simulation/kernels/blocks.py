@@ -8,7 +8,7 @@ from sonoservo.systems.sampling.options import OPTIONS
 
 @njit(**OPTIONS)
 def frame_blocks(X_FT, box, block_size, depth, half_angle, thickness, rays):  # type: ignore[no-untyped-def]
-    """First and last block (exclusive) along T's axes that the frame's bounding box can meet."""
+    """Return the first and last block (exclusive) along T's axes that a frame can meet."""
     sine = np.sin(min(half_angle, np.pi / 2))
     cosine = np.cos(min(half_angle, np.pi / 2))
     nearest = rays.array_radius * cosine - rays.centre_offset
@@ -30,7 +30,7 @@ def frame_blocks(X_FT, box, block_size, depth, half_angle, thickness, rays):  # 
 
 @njit(**OPTIONS)
 def count_below(ranks, start, end, limit):  # type: ignore[no-untyped-def]
-    """How many of the sorted ranks from start to end are below a limit."""
+    """Return the number of sorted ranks from start to end that are below a limit."""
     first = start
     while first < end:
         middle = (first + end) // 2

@@ -1,4 +1,4 @@
-"""Echoes of bright points: needles and inclusions, with the shadow of the former."""
+"""Echoes of bright points: needles with their shadows, and inclusions."""
 
 from typing import NamedTuple
 
@@ -15,27 +15,27 @@ from sonoservo.systems.ultrasound.simulation.kernels.projection import (
 )
 
 SIDE_LOBE_WIDTH = 3
-"""Width of the side lobes, a second Gaussian, over the main lobe's."""
+"""Ratio of the width of the side lobes, a second Gaussian, to that of the main lobe."""
 
 _FURTHEST = (2.0 * SIDE_LOBE_WIDTH) ** 2 / 2
 """Side lobes end at two of their standard deviations, 17 dB below their middle."""
 
 
 class NeedleEcho(NamedTuple):
-    """What a needle's points echo."""
+    """Amplitudes of a needle's points."""
 
     spacing: float
-    """Between points along the shaft, in m."""
+    """Distance between points along the shaft, in m."""
     specular: float
     """Amplitude of each point, all in phase."""
     diffuse: float
-    """Amplitude of each point, in phases that the needle's surface fixes."""
+    """Amplitude of each point, with phases fixed by the needle's surface."""
     tip: float
-    """Amplitude of the bevel's points together."""
+    """Amplitude of all points of the bevel together."""
     bevel: float
-    """Length of the bevel over the needle's radius."""
+    """Ratio of the bevel's length to the needle's radius."""
     shadow: float
-    """Share of the amplitude that a needle in the middle of the beam takes away behind it."""
+    """Share of the amplitude that is lost behind a needle in the middle of the beam."""
 
 
 class NeedleView(NamedTuple):
@@ -60,22 +60,22 @@ class NeedleView(NamedTuple):
 def _add_point(  # type: ignore[no-untyped-def]
     layer, shadow, x, y, z, closer, real, imaginary, shadow_strength, rays, tables, pulse
 ):
-    """Add the echo of one bright point in F; return whether the frame sees it.
+    """Add the echo of one bright point in F; return True if the frame sees it.
 
     Parameters
     ----------
     layer
         (2, lines, samples + 2 taps) float32 real and imaginary parts, added to.
     shadow
-        (lines, samples) float32: greatest loss that begins at each sample; (0, 0) for none.
+        (lines, samples) float32 greatest loss that begins at each sample; (0, 0) for no shadow.
     x, y, z, closer
-        Position in F, and how much closer than that the reflecting surface is, in m.
+        Position in F, and the distance by which the reflecting surface is closer, in m.
     real, imaginary
         Amplitude of the point.
     shadow_strength
         Loss in the middle of the beam.
     rays, tables
-        Of the frame.
+        Quantities of the frame's lines and of each depth.
     pulse
         (2, FRACTIONS + 1, taps) float32 real and imaginary parts; it begins ``rays.lead`` samples
         before the echo.
@@ -109,7 +109,7 @@ def _add_point(  # type: ignore[no-untyped-def]
     for j in range(first, last + 1):
         distance = u + precision * (j - line) * (j - line)
         wide = np.exp(-distance / SIDE_LOBE_WIDTH**2)
-        # In quadrature, side lobes neither add to nor take from the main lobe's coherent sum.
+        # Side lobes are in quadrature, which leaves the main lobe's coherent sum unchanged.
         main = np.float32(wide ** (SIDE_LOBE_WIDTH**2))
         side = np.float32(rays.side_lobes * wide)
         a = main * re - side * im
@@ -134,7 +134,7 @@ def render_points(  # type: ignore[no-untyped-def]
     iq
         (frames, lines, samples) complex64, added to.
     X_FT
-        (frames, 3, 4) pose of the tissue in each F.
+        (frames, 3, 4) poses of the tissue in each frame's F.
     points, amplitudes
         (n, 3) positions in T and (n,) complex amplitudes.
     rays, tables, pulse
@@ -179,10 +179,10 @@ def render_needles(  # type: ignore[no-untyped-def]
     iq
         (frames, lines, samples) complex64, changed.
     X_FT
-        (frames, 3, 4) pose of the tissue in each F.
+        (frames, 3, 4) poses of the tissue in each frame's F.
     shafts, starts
-        (m, 3) points in T of the needle's axis, entry first, of all frames together, and
-        (frames + 1,) where each frame's begin.
+        (m, 3) points in T on the needle's axis, entry first, of all frames together, and
+        (frames + 1,) indices of each frame's first point.
     radius, echo, phases, rays, tables, pulse, view
         See `_add_needle`.
     transmission
@@ -219,7 +219,7 @@ def render_needles(  # type: ignore[no-untyped-def]
 def _add_needle(  # type: ignore[no-untyped-def]
     layer, shadow, X_FT, shaft, radius, echo, phases, rays, tables, pulse, view, frame
 ):
-    """Add the echo of a needle, point by point from the tip; return whether any point shows.
+    """Add the echo of a needle, point by point from the tip; return True if any point shows.
 
     Parameters
     ----------
@@ -230,13 +230,14 @@ def _add_needle(  # type: ignore[no-untyped-def]
     shaft
         (m, 3) points of the axis in T, entry first.
     radius
-        The sound is reflected by the front wall, this much closer than the axis, in m.
+        Radius of the needle, in m. The front wall, which reflects the sound, is closer than the
+        axis by this distance.
     echo
         `NeedleEcho`.
     phases
-        (n,) phase of each diffuse point in rad, tip first; used periodically.
+        (n,) phases of the diffuse points in rad, tip first; used periodically.
     rays, tables, pulse
-        Of the frame.
+        See `_add_point`.
     view, frame
         `NeedleView` or None, and the frame's number.
     """
@@ -260,7 +261,7 @@ def _add_needle(  # type: ignore[no-untyped-def]
                 shaft[segment, 1] + share * dy,
                 shaft[segment, 2] + share * dz,
             )
-            # Along the bevel the wall runs out, and its face scatters.
+            # Along the bevel the wall tapers off, and the bevel's face scatters.
             wall = min((number + 0.5) / bevel_points, 1.0)
             if view is None:
                 specular = wall * echo.specular
@@ -287,7 +288,7 @@ def _add_needle(  # type: ignore[no-untyped-def]
 
 @njit(**OPTIONS)
 def _cast_shadow(iq, shadow):  # type: ignore[no-untyped-def]
-    """Weaken echoes behind what casts a shadow: (lines, samples) each."""
+    """Weaken the (lines, samples) echoes that lie in the (lines, samples) shadow."""
     for j in range(iq.shape[0]):
         loss = np.float32(0)
         for i in range(iq.shape[1]):

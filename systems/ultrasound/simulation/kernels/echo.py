@@ -1,8 +1,8 @@
-"""Echoes of tissue: scatterers become samples along the scan lines.
+"""Echoes of tissue: projection of scatterers onto the samples of scan lines.
 
-COLE, the convolution of line echoes (Gao et al. 2009), in two stages. Every scatterer is projected
-on its three nearest scan lines and deposited there with its exact two-way phase and the pulse's
-envelope; then neighbouring lines are blurred to the beam's width, which depends on depth.
+The method is COLE (Gao et al. 2009) in two stages. Every scatterer is projected onto its three
+nearest scan lines and deposited there with its exact two-way phase and the pulse's envelope. Then
+neighbouring lines are blurred to the beam's width, which depends on depth.
 """
 
 import numpy as np
@@ -53,11 +53,11 @@ def render_tissue(  # type: ignore[no-untyped-def]
     iq
         (frames, lines, samples) complex64, written.
     X_FT
-        (frames, 3, 4) pose of the tissue in each F.
+        (frames, 3, 4) poses of the tissue in each frame's F.
     box, tile, rays, tables, pulse
         See `deposit_tissue`.
     kernel
-        From `line_kernel`.
+        Kernel from `line_kernel`.
     regions, radii
         `Regions` or None, and (frames, tubes) radii of their tubes in m.
     view
@@ -86,7 +86,7 @@ def render_tissue(  # type: ignore[no-untyped-def]
 
 @njit(**OPTIONS)
 def _gaussian(u):  # type: ignore[no-untyped-def]
-    """exp(-u) for u from 0 to 4.8."""
+    """Return exp(-u) for u from 0 to 4.8."""
     v = u * _EIGHTH
     w = _ONE + v * (_E1 + v * (_E2 + v * (_E3 + v * _E4)))
     w *= w
@@ -136,15 +136,15 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
     Parameters
     ----------
     accumulator
-        (lines + 2 pad, 2 (samples + 2 taps)) float32, real and imaginary parts by turns.
+        (lines + 2 pad, 2 (samples + 2 taps)) float32, real and imaginary parts alternating.
     X_FT
         (3, 4) pose of the tissue in F, float64.
     box
-        (2, 3) lower and upper corner of the tissue in T.
+        (2, 3) lower and upper corner of the tissue in T, in m.
     tile
-        `ScattererTile`.
+        Scatterers, a `ScattererTile`.
     rays, tables
-        Of the frame.
+        Quantities of the frame's lines and of each depth.
     pulse
         (FRACTIONS + 1, 2 taps) envelope around a scatterer, every value twice; a multiple of
         `LANES` wide.
@@ -231,7 +231,7 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                 slab = max(reach[at - span], reach[at + span]) + support + twist_slack
                 if abs(z - turn) > slab:
                     continue
-                # Within a block, what depends on depth does so linearly.
+                # Within a block, quantities that depend on depth are taken as linear in it.
                 per_metre = np.float32(rays.samples_per_metre / (2 * span))
                 middle = np.float32(at / rays.samples_per_metre) + rays.array_radius
                 precision = tables.elevation_precision[at]
@@ -258,7 +258,7 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                 ys = positions[1, start : start + n]
                 zs = positions[2, start : start + n]
                 rank = ranks[start : start + n]
-                # No branch within this loop: it runs several scatterers at a time.
+                # There is no branch in this loop, so the compiler can vectorise it.
                 for i in range(n):
                     tx = xs[i]
                     ty = ys[i]

@@ -1,4 +1,4 @@
-"""From echoes to grey levels: coupling, noise and log compression; and to their carrier."""
+"""Formation of grey levels (coupling, noise, log compression) and radio-frequency lines."""
 
 import numpy as np
 from numba import njit, prange
@@ -18,12 +18,12 @@ _L1, _L2, _L3, _L4, _L5, _L6 = (
 def form_image(  # type: ignore[no-untyped-def]
     grey, iq, X_TP, box, origins, directions, gel_thickness, noise, keys, grey_per_db, offset
 ):
-    """Turn every frame's echoes into grey levels.
+    """Convert every frame's echoes to grey levels.
 
     Parameters
     ----------
     grey, iq
-        (frames, lines, samples) uint8, written, and complex64.
+        (frames, lines, samples) uint8 grey levels, written, and complex64 echoes.
     X_TP, origins, directions
         (frames, 3, 4), (frames, lines, 3) and (frames, lines, 3): see `coupling`.
     box, gel_thickness
@@ -38,23 +38,23 @@ def form_image(  # type: ignore[no-untyped-def]
 
 @njit(**OPTIONS)
 def coupling(X_TP, origins, directions, box, gel_thickness):  # type: ignore[no-untyped-def]
-    """Share of the sound that reaches the tissue through each line of a frame.
+    """Return the share of the sound that reaches the tissue along each line of a frame.
 
     Parameters
     ----------
     X_TP
         (3, 4) pose of the probe in T.
     origins, directions
-        (lines, 3) where each line leaves the face and its unit direction, in P.
+        (lines, 3) points at which the lines leave the face, in m, and their unit directions, in P.
     box
-        (2, 3) corners of the tissue in T.
+        (2, 3) corners of the tissue in T, in m.
     gel_thickness
-        Longest way from the face to the tissue that the gel fills, in m; beyond it, sound fades
-        over 0.5 mm.
+        Longest path from the face to the tissue that the gel fills, in m; beyond it, the sound
+        fades over 0.5 mm.
 
     Returns
     -------
-    (lines,) float32 from 0 to 1.
+    (lines,) float32 shares from 0 to 1.
     """
     share = np.empty(len(origins), np.float32)
     for j in range(len(origins)):
@@ -94,7 +94,7 @@ def compress(grey, iq, share, noise, key, grey_per_db, offset):  # type: ignore[
     key
         uint64 that selects the noise; equal keys give equal noise.
     grey_per_db, offset
-        Grey level = grey_per_db x level in dB + offset.
+        Coefficients of the grey level: grey_per_db x level in dB + offset.
     """
     lines, samples = iq.shape
     power = np.empty(samples, np.float32)
@@ -107,7 +107,7 @@ def compress(grey, iq, share, noise, key, grey_per_db, offset):  # type: ignore[
     for j in range(lines):
         counter = key + np.uint64(j * samples) * np.uint64(0x9E3779B97F4A7C15)
         for i in range(samples):
-            # SplitMix64 (Steele et al. 2014) of the sample's number: the noise needs no state.
+            # SplitMix64 (Steele et al. 2014) of the sample's number, so the noise needs no state.
             counter += np.uint64(0x9E3779B97F4A7C15)
             z = counter
             z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -137,14 +137,14 @@ def compress(grey, iq, share, noise, key, grey_per_db, offset):  # type: ignore[
 
 @njit(parallel=True, **OPTIONS)
 def modulate(lines, iq, cosine, sine):  # type: ignore[no-untyped-def]
-    """Put echoes on their carrier.
+    """Modulate echoes onto their carrier.
 
     Parameters
     ----------
     lines, iq
-        (frames, lines, samples) float32, written, and complex64.
+        (frames, lines, samples) float32 lines, written, and complex64 echoes.
     cosine, sine
-        (samples,) float32 of the carrier's phase.
+        (samples,) float32 cosine and sine of the carrier's phase.
     """
     for frame in prange(len(lines)):
         for j in range(lines.shape[1]):

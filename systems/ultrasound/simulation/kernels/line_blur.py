@@ -1,4 +1,4 @@
-"""The beam's lateral width: a blur across lines that depends on depth."""
+"""Depth-dependent blur across lines, which models the beam's lateral width."""
 
 from typing import NamedTuple
 
@@ -12,19 +12,19 @@ _NEGLIGIBLE = 1e-4
 
 
 class LineKernel(NamedTuple):
-    """Weights of the neighbouring lines."""
+    """Weights of the neighbouring lines at every sample."""
 
     weights: NDArray[np.float32]
-    """(2 half + 1, 2 samples), each twice."""
+    """(2 half + 1, 2 samples) weights, each repeated for the real and the imaginary part."""
     ends: NDArray[np.int64]
-    """(2 half + 1,) where each row's weights end; beyond, the beam is too narrow for it."""
+    """(2 half + 1,) end of each row's weights, beyond which they are negligible."""
 
 
 def line_kernel(line_sigma: NDArray[np.float64], lines: int) -> LineKernel:
-    """Weights that widen the deposits' B-spline to the beam.
+    """Return the weights that widen the deposits' B-spline to the beam.
 
-    At every depth a sampled Gaussian is chosen so that the deposits' spline and it together have
-    the beam's energy and its correlation between neighbouring lines, averaged over all positions
+    At every depth, a sampled Gaussian is chosen. Together with the deposits' spline, it has the
+    beam's energy and the beam's correlation between neighbouring lines, averaged over all positions
     between lines.
     """
     half = min(int(np.ceil(3 * line_sigma.max())), lines // 4)
@@ -55,11 +55,11 @@ def blur_lines(iq, accumulator, kernel, taps):  # type: ignore[no-untyped-def]
     iq
         (lines, samples) complex64, written.
     accumulator
-        (lines + 2 pad, 2 (samples + 2 taps)) deposits, real and imaginary parts by turns.
+        (lines + 2 pad, 2 (samples + 2 taps)) deposits, real and imaginary parts alternating.
     kernel
-        From `line_kernel`; it reaches at most as many lines as the padding has.
+        Kernel from `line_kernel`; it reaches at most as many lines as the padding has.
     taps
-        Samples of padding.
+        Number of samples of padding at either end.
     """
     lines, samples = iq.shape
     pad = (accumulator.shape[0] - lines) // 2

@@ -1,8 +1,8 @@
-"""Where the lines of a frame are: from a point to its line, its elevation and its phase.
+"""Projection of a point onto a frame: its line, elevation offset and phase.
 
-Frame F of a frame of the sweep: origin on the motor's axis, X along the array, Y along the middle
-line of the frame, Z in elevation. All other lines of the frame are turned by ``twist`` for each
-line's distance from the middle, because the motor never stops.
+The coordinate frame F of a frame of the sweep has its origin on the motor's axis, X along the
+array, Y along the middle line of the frame and Z in elevation. The other lines are turned by
+``twist`` per line of distance from the middle, because the motor never stops.
 """
 
 from typing import NamedTuple
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sonoservo.systems.sampling.options import OPTIONS
 
 FRACTIONS = 64
-"""Fractions of a sample for which pulses are tabulated."""
+"""Number of fractions of a sample for which pulses are tabulated."""
 
 _HALF = np.float32(0.5)
 _ONE = np.float32(1)
@@ -28,7 +28,7 @@ _A3, _A5, _A7, _A9 = (np.float32(c) for c in (-0.33320355, 0.19732617, -0.123941
 
 
 class Rays(NamedTuple):
-    """Where the lines of a frame are, in float32."""
+    """Geometry and phase of a frame's lines, in float32."""
 
     array_radius: np.float32
     centre_offset: np.float32
@@ -38,30 +38,32 @@ class Rays(NamedTuple):
     samples_per_metre: np.float32
     turns_per_metre: np.float32
     lead: int
-    """Samples from the beginning of a pulse to the one before its middle."""
+    """Number of samples from the beginning of a pulse to the one before its middle."""
     side_lobes: np.float32
     """Amplitude of a bright point's side lobes, relative to its main lobe."""
 
 
 class DepthTables(NamedTuple):
-    """What depends on depth, at every sample."""
+    """Quantities that depend on depth, at every sample."""
 
     elevation_precision: NDArray[np.float32]
-    """1 / (2 sigma_e^2)."""
+    """Precision of the beam in elevation, 1 / (2 sigma_e^2), in 1/m^2."""
     curvature: NDArray[np.float32]
+    """Curvature of the wave fronts in elevation, in 1/m."""
     share: NDArray[np.float32]
-    """Of the tile's scatterers."""
+    """Share of the tile's scatterers that is used."""
     line_sigma: NDArray[np.float32]
-    """sigma_l, in lines."""
+    """Standard deviation sigma_l of the beam, in lines."""
     bright: NDArray[np.float32]
-    """Factor on bright points, which keeps them right relative to the tissue, always 0 dB."""
+    """Factor on the amplitude of bright points, since tissue is normalised to 0 dB at any depth."""
 
 
 @njit(**OPTIONS)
 def line_coordinates(x, y, z, rays):  # type: ignore[no-untyped-def]
-    """Fractional line, elevation offset and distance from the array's centre of a point in F.
+    """Return the fractional line, elevation offset and distance from the array's centre.
 
-    The lines' turns are small angles, so second order suffices: 0.1 um over a sweep's frame.
+    The point is in F, in m. The lines' turns are small angles, so second order suffices: the error
+    is 0.1 um over a frame of the sweep.
     """
     q = y + rays.centre_offset
     r = np.sqrt(q * q + x * x)
@@ -77,7 +79,7 @@ def line_coordinates(x, y, z, rays):  # type: ignore[no-untyped-def]
 
 @njit(**OPTIONS)
 def phasor(turns):  # type: ignore[no-untyped-def]
-    """Cosine and sine of an angle in turns (above -1024)."""
+    """Return the cosine and sine of an angle in turns (above -1024)."""
     h = turns - (np.float32(np.int32(turns + _HALF + _POSITIVE)) - _POSITIVE)
     h *= _PI
     v = h * h

@@ -1,4 +1,4 @@
-"""The one operation that the compiler would not do on several numbers at a time by itself."""
+"""Vectorised addition to three rows, which the compiler does not vectorise by itself."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ from numba.core import cgutils, types
 from numba.extending import intrinsic
 
 LANES = 8
-"""Numbers that `add_to_rows` treats at a time: four complex ones."""
+"""Number of floats that `add_to_rows` processes at a time: four complex numbers."""
 
 
 @intrinsic
@@ -25,11 +25,11 @@ def add_to_rows(  # type: ignore[no-untyped-def]
     Parameters
     ----------
     rows, table
-        1D float32 arrays; neither is checked for its bounds.
+        1D float32 arrays, accessed without checks of their bounds.
     at, width, start
-        int64.
+        int64 index of the first row's piece, distance between rows, and index into the table.
     real, imaginary, below, here, above
-        float32.
+        float32 parts of the amplitude, and weights of the three rows.
     """
     array = types.Array(types.float32, 1, "C")
     number, scalar = types.int64, types.float32

@@ -6,12 +6,9 @@ import pytest
 
 from sonoservo.diagrams.experiments.shape_prediction_scenario import ESTIMATORS
 from sonoservo.diagrams.papers.carriere2016 import reproduction as carriere2016
-from sonoservo.diagrams.papers.carriere2016.reproduction import (
-    SETS,
-    reproduce,
-    run_needle,
-    set_rows,
-)
+from sonoservo.diagrams.papers.carriere2016.report import set_rows
+from sonoservo.diagrams.papers.carriere2016.reproduction import reproduce
+from sonoservo.diagrams.papers.carriere2016.runs import SETS, UNEVEN, run_needle
 from sonoservo.diagrams.studies.study import Case, StudyOptions
 from sonoservo.diagrams.studies.study_report import write_study
 
@@ -45,14 +42,14 @@ def test_all_needles_run_with_all_estimators(study):
 def test_rows_name_the_paper_the_targets_and_the_truth(study):
     _, result = study
     rows = {(row.experiment, row.quantity): row for row in result.rows}
-    assert {row.experiment for row in result.rows} == {*SETS, carriere2016.UNEVEN}
+    assert {row.experiment for row in result.rows} == {*SETS, UNEVEN}
     tip = rows["d60", "tip error, particle filter, measured path"]
     assert (tip.paper, tip.target) == (0.497, 0.497)
     assert tip.estimated is not None
     assert rows["d60", "tip error, particle filter, true path"].true < 1.0
     assert rows["d60", "tip error, filter as printed, measured path"].target is None
     assert rows["patient", "cross-section's error, median over needles"].met
-    assert all(row.target is None for row in result.rows if row.experiment == carriere2016.UNEVEN)
+    assert all(row.target is None for row in result.rows if row.experiment == UNEVEN)
 
 
 def test_the_report_stands_by_itself(study, tmp_path):

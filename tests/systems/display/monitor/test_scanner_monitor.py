@@ -49,7 +49,9 @@ def test_no_tracker_is_needed(make_volume):
 
 def test_a_wrong_value_is_refused(make_volume):
     leaf = ScannerMonitor(monitor=Shown(), period=0.3)
-    with pytest.raises(TypeError, match="port 'volume' .* received a str; Volume or NotFound"):
+    with pytest.raises(
+        TypeError, match="port 'volume' .* received a value of type str; expected Volume"
+    ):
         publish(leaf, volume="volume")
     with pytest.raises(ValueError, match="period: 0 is not allowed"):
         ScannerMonitor(monitor=Shown(), period=0)

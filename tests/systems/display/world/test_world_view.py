@@ -215,7 +215,9 @@ def test_without_a_browser_or_film_no_slice_is_made(meshcat, make_volume):
 
 def test_a_wrong_value_is_refused(meshcat):
     view = WorldView(meshcat=meshcat, path="wrong")
-    with pytest.raises(TypeError, match="port 'needle' .* received a str; Needle is wanted"):
+    with pytest.raises(
+        TypeError, match="port 'needle' .* received a value of type str; expected Needle"
+    ):
         publish(view, 0.0, RigidTransform(), needle="needle")
 
 

@@ -159,7 +159,7 @@ def test_contact_shows_in_the_image():
 def test_wrong_needle_is_named():
     scanner = make_scanner()
     simulator, _ = run(scanner, needle=lambda time: "a needle")
-    with pytest.raises(TypeError, match="'needle'.*Needle is wanted"):
+    with pytest.raises(TypeError, match="'needle'.*expected Needle"):
         simulator.AdvanceTo(0.1)
 
 

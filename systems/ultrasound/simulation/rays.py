@@ -1,4 +1,4 @@
-"""Frames of a sweep as the kernels see them: their poses, and the rays in each."""
+"""Geometry of a sweep for the renderer: poses of its frames, rays of its lines."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +9,75 @@ from sonoservo.systems.ultrasound.beam import Beam
 from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import SIDE_LOBE_WIDTH
 from sonoservo.systems.ultrasound.simulation.kernels.echo import FADE
 from sonoservo.systems.ultrasound.simulation.kernels.projection import DepthTables, Rays
+
+
+def projection_rays(geometry: SweepGeometry, beam: Beam, direction: int, lead: int) -> Rays:
+    """Return the quantities with which the kernels project scatterers onto the lines of a sweep.
+
+    Parameters
+    ----------
+    geometry, beam
+        The sweep's geometry, and the widths of its point spread function.
+    direction
+        +1 for a sweep towards +Z, -1 towards -Z.
+    lead
+        Number of samples from the beginning of a pulse to the one before its middle.
+    """
+    steps = geometry.frames * geometry.lines - 1
+    return Rays(
+        array_radius=np.float32(geometry.array_radius),
+        centre_offset=np.float32(geometry.array_radius - geometry.motor_radius),
+        lines_per_radian=np.float32(1 / geometry.line_pitch),
+        middle_line=np.float32((geometry.lines - 1) / 2),
+        twist=np.float32(direction * geometry.frame_pitch * geometry.frames / steps),
+        samples_per_metre=np.float32(1 / geometry.sample_pitch),
+        turns_per_metre=np.float32(2 / beam.wavelength),
+        lead=lead,
+        side_lobes=np.float32(beam.side_lobes / SIDE_LOBE_WIDTH),
+    )
+
+
+def frame_poses(geometry: SweepGeometry, X_TP: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the pose of the tissue in each frame's F, (frames, 3, 4).
+
+    Parameters
+    ----------
+    geometry
+        Geometry of the sweep.
+    X_TP
+        (frames, 4, 4) pose of the probe in the tissue at each frame's time.
+    """
+    require(X_TP.shape == (geometry.frames, 4, 4), "X_TP", X_TP.shape, "(frames, 4, 4)")
+    theta = geometry.line_angles(1).mean(axis=1)
+    X_FP = np.zeros((geometry.frames, 4, 4))
+    X_FP[:, 0, 0] = X_FP[:, 3, 3] = 1
+    X_FP[:, 1, 1] = X_FP[:, 2, 2] = np.cos(theta)
+    X_FP[:, 1, 2] = np.sin(theta)
+    X_FP[:, 2, 1] = -np.sin(theta)
+    X_FP[:, :, 3] += X_FP[:, :, 1] * geometry.motor_radius
+    return np.ascontiguousarray((X_FP @ np.linalg.inv(X_TP))[:, :3])
+
+
+def line_rays(
+    geometry: SweepGeometry, direction: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the origin on the face and the unit direction of every line, in P.
+
+    Parameters
+    ----------
+    geometry
+        Geometry of the sweep.
+    direction
+        +1 for a sweep towards +Z, -1 towards -Z.
+
+    Returns
+    -------
+    Two arrays (frames, lines, 3).
+    """
+    frames, lines, _ = np.ogrid[: geometry.frames, : geometry.lines, :1]
+    start = geometry.position(frames, lines, 0, direction)[:, :, 0]
+    along = geometry.position(frames, lines, 1, direction)[:, :, 0] - start
+    return start, along / geometry.sample_pitch
 
 
 def depth_tables(
@@ -35,54 +104,3 @@ def depth_tables(
         bright=np.sqrt(cell[reference] / cell).astype(np.float32),
     )
     return tables, line_sigma
-
-
-def frame_rays(geometry: SweepGeometry, beam: Beam, direction: int, lead: int) -> Rays:
-    """Lines of every frame in F.
-
-    Parameters
-    ----------
-    geometry
-        Of the sweep; lengths are those in the tissue.
-    beam
-        Point spread function.
-    direction
-        +1 for a sweep towards +Z, -1 towards -Z.
-    lead
-        See `Rays`.
-    """
-    steps = geometry.frames * geometry.lines - 1
-    return Rays(
-        array_radius=np.float32(geometry.array_radius),
-        centre_offset=np.float32(geometry.array_radius - geometry.motor_radius),
-        lines_per_radian=np.float32(1 / geometry.line_pitch),
-        middle_line=np.float32((geometry.lines - 1) / 2),
-        twist=np.float32(direction * geometry.frame_pitch * geometry.frames / steps),
-        samples_per_metre=np.float32(1 / geometry.sample_pitch),
-        turns_per_metre=np.float32(2 / beam.wavelength),
-        lead=lead,
-        side_lobes=np.float32(beam.side_lobes / SIDE_LOBE_WIDTH),
-    )
-
-
-def frame_poses(geometry: SweepGeometry, X_TP: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(frames, 3, 4) pose of the tissue in each frame's F, from (frames, 4, 4) of P in T."""
-    require(X_TP.shape == (geometry.frames, 4, 4), "X_TP", X_TP.shape, "(frames, 4, 4)")
-    theta = geometry.line_angles(1).mean(axis=1)
-    X_FP = np.zeros((geometry.frames, 4, 4))
-    X_FP[:, 0, 0] = X_FP[:, 3, 3] = 1
-    X_FP[:, 1, 1] = X_FP[:, 2, 2] = np.cos(theta)
-    X_FP[:, 1, 2] = np.sin(theta)
-    X_FP[:, 2, 1] = -np.sin(theta)
-    X_FP[:, :, 3] += X_FP[:, :, 1] * geometry.motor_radius
-    return np.ascontiguousarray((X_FP @ np.linalg.inv(X_TP))[:, :3])
-
-
-def line_rays(
-    geometry: SweepGeometry, direction: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(frames, lines, 3) origin on the face and unit direction of every line, in P."""
-    frames, lines, _ = np.ogrid[: geometry.frames, : geometry.lines, :1]
-    start = geometry.position(frames, lines, 0, direction)[:, :, 0]
-    along = geometry.position(frames, lines, 1, direction)[:, :, 0] - start
-    return start, along / geometry.sample_pitch

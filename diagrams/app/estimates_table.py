@@ -1,0 +1,70 @@
+"""Estimates in a recording as a table: the rows of `estimates.csv`, in the file's coordinates."""
+
+import csv
+import io
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from pydrake.math import RigidTransform
+
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate
+from sonoservo.systems.signals.volume import Volume
+
+
+def estimate_row(
+    number: int, volume: Volume, estimate: NeedleEstimate, X_WL: RigidTransform, *, posed: bool
+) -> dict[str, Any]:
+    """Return an estimate as a row of ``estimates.csv``.
+
+    Parameters
+    ----------
+    number
+        Number of the volume.
+    volume, estimate
+        Volume and the estimate after it, in W, in m.
+    X_WL
+        Pose of the source's own frame L (LPS), in which the row is, at the time of the volume.
+    posed
+        Whether W differs from L; then the row tells the tip in W too.
+    """
+    row: dict[str, Any] = {
+        "volume": number,
+        "time_s": volume.time,
+        "mode": str(estimate.mode),
+        "estimate_time_s": estimate.time,
+    }
+    entry = middle = tip = velocity = w_tip = np.full(3, np.nan)
+    if estimate.curve is not None:
+        X_LW = X_WL.inverse()
+        entry, middle, tip = 1e3 * X_LW.multiply(estimate.curve.position([0, 0.5, 1]).T).T
+        velocity = 1e3 * (X_LW.rotation() @ estimate.tip_velocity)
+        w_tip = 1e3 * estimate.curve.tip
+    direction = (tip - entry) / np.linalg.norm(tip - entry) if estimate else tip
+    for name, vector, unit in (
+        ("tip", tip, "mm"),
+        ("entry", entry, "mm"),
+        ("middle", middle, "mm"),
+        ("direction", direction, ""),
+        ("tip_velocity", velocity, "mm_s"),
+    ):
+        for axis, value in zip("lps", vector, strict=True):
+            row["_".join(filter(None, (name, axis, unit)))] = float(value)
+    if posed:
+        for axis, value in zip("xyz", w_tip, strict=True):
+            row[f"world_tip_{axis}_mm"] = float(value)
+    row["reason"] = estimate.reason
+    return row
+
+
+def estimates_csv(rows: Sequence[dict[str, Any]]) -> str:
+    """Return rows as CSV; a number that is missing leaves its cell empty."""
+    text = io.StringIO()
+    if rows:
+        writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        for row in rows:
+            writer.writerow(
+                {k: "" if isinstance(v, float) and v != v else v for k, v in row.items()}
+            )
+    return text.getvalue()

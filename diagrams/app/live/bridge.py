@@ -1,0 +1,131 @@
+"""Between live connections and recordings: a stream becomes a file, a file becomes a scanner."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from sonoservo.diagrams.app.live.track_live import LiveLimits, live_volumes
+from sonoservo.diagrams.app.reconstruct import ReconstructedRecording
+from sonoservo.systems.live.connection.link import Link
+from sonoservo.systems.live.live_source import LiveSource
+from sonoservo.systems.live.volume_sender import IMAGE, volume_items
+from sonoservo.systems.recording.recording import Recording
+from sonoservo.systems.recording.recording_writer import RecordingWriter
+from sonoservo.systems.signals.requirements import require_not_negative
+
+QUEUE = 64
+"""Volumes that wait to be written before any is dropped."""
+
+_PATIENCE = 30.0
+
+
+def record_live(
+    source: LiveSource,
+    path: Path,
+    *,
+    limits: LiveLimits | None = None,
+    after_volume: Callable[[int], None] | None = None,
+    say: Callable[[str], None] = print,
+) -> dict[str, Any]:
+    """Record the volumes of a live connection, until a limit or an interruption.
+
+    Parameters
+    ----------
+    source
+        Of the volumes; it should keep `QUEUE` of them.
+    path
+        ``NAME.seq.nrrd``; what was written before an interruption is valid.
+    limits
+        When it ends by itself.
+    after_volume
+        Called after every volume with its number.
+    say
+        Called with each line for a person.
+
+    Returns
+    -------
+    How much was recorded.
+
+    Raises
+    ------
+    ValueError
+        If the path has another suffix.
+    """
+    writer: RecordingWriter | None = None
+    count, interrupted = 0, False
+    try:
+        for volume in live_volumes(source, limits or LiveLimits(), say):
+            if writer is None:
+                assert source.newest is not None
+                said = source.newest.acquisition
+                writer = RecordingWriter(path, said.settings if said else {})
+            writer.append(volume)
+            count += 1
+            if after_volume is not None:
+                after_volume(count - 1)
+    except KeyboardInterrupt:
+        interrupted = True
+    finally:
+        if writer is not None:
+            writer.close()
+    return {
+        "recording": str(path) if count else None,
+        "volumes": count,
+        "dropped": source.dropped,
+        "left_out": source.left_out,
+        "interrupted": interrupted,
+    }
+
+
+def play_live(
+    recording: Recording | ReconstructedRecording,
+    link: Link,
+    *,
+    speed: float = 1.0,
+    name: str = IMAGE,
+    after_volume: Callable[[int], None] | None = None,
+) -> dict[str, Any]:
+    """Send recorded volumes as a scanner would, to the end or until an interruption.
+
+    Parameters
+    ----------
+    recording
+        What to play.
+    link
+        Where to.
+    speed
+        1 for the pace at which it was recorded, 2 for twice that; 0 for as fast as the slowest
+        peer takes them, so that none is dropped on the way.
+    name
+        Of the images' device.
+    after_volume
+        Called after every volume with its number.
+
+    Returns
+    -------
+    How much was sent.
+    """
+    require_not_negative(speed=speed)
+    started = time.perf_counter()
+    count, interrupted = 0, False
+    try:
+        for number, volume in enumerate(recording):
+            if speed > 0:
+                due = (recording.times[number] - recording.times[0]) / speed
+                time.sleep(max(0.0, due - (time.perf_counter() - started)))
+            link.send(volume_items(volume, name, recording.settings), topic="volume", keep=2)
+            if speed == 0:
+                link.flush(_PATIENCE)
+            count += 1
+            if after_volume is not None:
+                after_volume(number)
+    except KeyboardInterrupt:
+        interrupted = True
+    return {
+        "recording": str(recording.path),
+        "volumes": count,
+        "dropped": link.dropped,
+        "peers": link.peers,
+        "interrupted": interrupted,
+    }

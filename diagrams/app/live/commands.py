@@ -1,0 +1,246 @@
+"""The commands that speak with other programs, as a person at a terminal sees them."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pydrake.systems.framework import System
+from rich.console import Console
+
+from sonoservo.diagrams.app.live.bridge import QUEUE, play_live, record_live
+from sonoservo.diagrams.app.live.serve import live_senders, opened
+from sonoservo.diagrams.app.live.track_live import LiveLimits, track_live
+from sonoservo.diagrams.app.reconstruct import ReconstructedRecording
+from sonoservo.diagrams.app.terminal import live_table
+from sonoservo.diagrams.scenario import Scenario
+from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
+from sonoservo.systems.files.typed_yaml import ConfigurationError, suggest
+from sonoservo.systems.live.connection.protocols import Address, is_address, parse_address
+from sonoservo.systems.live.estimate_items import NeedleNames
+from sonoservo.systems.live.frames_to_volumes import FramesToVolumes
+from sonoservo.systems.live.live_source import ImagesToVolumes, LiveSource
+from sonoservo.systems.live.motor_sweep import MotorSweepVolumes, load_motor_sweep
+from sonoservo.systems.live.volume_maker import VolumeMaker
+from sonoservo.systems.recording.recording import Recording
+
+if TYPE_CHECKING:
+    from sonoservo.systems.display.monitor.monitor import Monitor
+
+_NAMED = ("tip", "curve", "status", "covariance")
+
+
+def saying(console: Console) -> Callable[[str], None]:
+    """Return what prints a line as it is."""
+    return lambda line: console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+@contextmanager
+def serving(
+    console: Console, address: str | None, scenario: Scenario, wait_for: int = 0
+) -> Iterator[Mapping[str, System] | None]:
+    """Give what sends a scenario live while it runs; None without an address.
+
+    Parameters
+    ----------
+    console
+        Where to say what happens on the connection.
+    address
+        Where to send to.
+    scenario
+        That is run.
+    wait_for
+        Number of peers that must be connected first.
+    """
+    if address is None:
+        yield None
+        return
+    with opened(address, saying(console), wait_for=wait_for) as link:
+        yield live_senders(link, scenario)
+
+
+def needle_names(changes: Sequence[str], *, points: bool = False) -> NeedleNames:
+    """Return the device names of estimates, changed by texts such as ``tip=MyNeedle``.
+
+    Raises
+    ------
+    ConfigurationError
+        Naming what is not allowed.
+    """
+    names = NeedleNames(points=points)
+    for change in changes:
+        field, equals, name = change.partition("=")
+        if field not in _NAMED or not equals:
+            raise ConfigurationError(f"name: {change!r}; {suggest(field, _NAMED)}")
+        try:
+            changed: dict[str, Any] = {field: name}
+            names = replace(names, **changed)
+        except ValueError as error:
+            raise ConfigurationError(str(error)) from error
+    return names
+
+
+def make_maker(
+    *,
+    depth: str = "P",
+    window: tuple[float, float] | None = None,
+    dynamic_range_db: float | None = None,
+    reconstruct: bool = False,
+    motor: Path | None = None,
+    frames: int | None = None,
+    spacing: float = 7e-4,
+) -> ImagesToVolumes:
+    """Return what makes volumes of received images.
+
+    Parameters
+    ----------
+    depth, window, dynamic_range_db
+        See `VolumeMaker`; a motor's imaging tells its own dynamic range.
+    reconstruct
+        Whether the images are 2D frames.
+    motor
+        A file that says how a motor sweeps them; without it, by their poses.
+    frames, spacing
+        See `FramesToVolumes`.
+
+    Raises
+    ------
+    ConfigurationError
+        Naming what is not allowed.
+    """
+    try:
+        if motor is not None:
+            return MotorSweepVolumes(load_motor_sweep(motor), window=window)
+        if reconstruct:
+            return FramesToVolumes(
+                window=window, dynamic_range_db=dynamic_range_db, frames=frames, spacing=spacing
+            )
+        return VolumeMaker(depth=depth, window=window, dynamic_range_db=dynamic_range_db)
+    except ValueError as error:
+        raise ConfigurationError(str(error)) from error
+
+
+def track_address(
+    console: Console,
+    address: str,
+    *,
+    parameters: TrackerParameters,
+    maker: ImagesToVolumes,
+    poses: str | None,
+    seed: int | None,
+    monitor: "Monitor | None",
+    serve: Sequence[str],
+    names: NeedleNames,
+    limits: LiveLimits,
+    out: Path | None,
+) -> dict[str, Any]:
+    """Track live volumes until Ctrl-C or a limit, and show what came out; see `track_live`."""
+    say = saying(console)
+    place = parse_address(address)
+    folder = out or Path("out") / f"{_file_name(place)}_track"
+    source = LiveSource(place, maker=maker, poses=poses, report=say)
+    with ExitStack() as stack:
+        outlets = []
+        for each in serve:
+            own = str(parse_address(each)) == str(place)
+            outlets.append(source.link if own else stack.enter_context(opened(each, say)))
+        stack.enter_context(source)
+        if place.listens:
+            say(f"Waiting for a scanner on port {source.link.port}; Ctrl-C ends")
+        with console.status("waiting for the first volume") as status:
+            summary = track_live(
+                source,
+                parameters=parameters,
+                seed=seed,
+                outlets=outlets,
+                names=names,
+                monitor=monitor,
+                out=folder,
+                limits=limits,
+                after_volume=lambda number, estimate: status.update(
+                    f"volume {number + 1}  {estimate.mode}"
+                ),
+                say=say,
+            )
+    console.print(live_table(summary))
+    console.print(f"Results: {folder / 'estimates.csv'}", soft_wrap=True)
+    return summary
+
+
+def bridge_files(
+    console: Console,
+    source: str,
+    target: str,
+    *,
+    depth: str,
+    window: tuple[float, float] | None,
+    dynamic_range_db: float | None,
+    reconstruct: bool,
+    motor: Path | None,
+    frames: int | None,
+    spacing: float,
+    poses: str | None,
+    speed: float,
+    wait_for: int,
+    limits: LiveLimits,
+) -> dict[str, Any]:
+    """Record a live connection to a file, or play a file to one.
+
+    Raises
+    ------
+    ConfigurationError
+        Unless one of ``source`` and ``target`` is an address and the other one a file.
+    """
+    if is_address(source) == is_address(target):
+        raise ConfigurationError(
+            f"bridge: {source} and {target}: one must be an address (igtl://...), the other a file"
+        )
+    say = saying(console)
+    try:
+        if is_address(target):
+            recording: Recording | ReconstructedRecording
+            if reconstruct:
+                recording = ReconstructedRecording(
+                    Path(source),
+                    poses=poses,
+                    window=window,
+                    dynamic_range_db=dynamic_range_db,
+                    frames=frames,
+                    spacing=spacing,
+                )
+            else:
+                recording = Recording(
+                    source,
+                    depth=depth,
+                    window=window,
+                    dynamic_range_db=dynamic_range_db,
+                    poses=poses,
+                )
+            with opened(target, say, wait_for=wait_for) as link:
+                summary = play_live(recording, link, speed=speed)
+            say(f"{summary['volumes']} volumes sent")
+            return summary
+        place = parse_address(source)
+        maker = make_maker(
+            depth=depth,
+            window=window,
+            dynamic_range_db=dynamic_range_db,
+            reconstruct=reconstruct,
+            motor=motor,
+            frames=frames,
+            spacing=spacing,
+        )
+        with LiveSource(place, maker=maker, poses=poses, keep=QUEUE, report=say) as live:
+            if place.listens:
+                say(f"Waiting for a scanner on port {live.link.port}; Ctrl-C ends")
+            summary = record_live(live, Path(target), limits=limits, say=say)
+    except ValueError as error:
+        raise ConfigurationError(str(error)) from error
+    say(f"{summary['volumes']} volumes recorded, {summary['dropped']} dropped: {target}")
+    return summary
+
+
+def _file_name(address: Address) -> str:
+    host = address.host.replace(":", "_") or "localhost"
+    return f"{host}_{address.port}"

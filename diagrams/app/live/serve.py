@@ -1,0 +1,86 @@
+"""A simulated scanner that other programs connect to, as they would to a real one."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from pydrake.systems.framework import System
+
+from sonoservo.diagrams.experiments.following import observer_events, recording_settings
+from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams.scenario import Scenario, require_scenario
+from sonoservo.systems.live.connection.link import Link
+from sonoservo.systems.live.connection.protocols import parse_address
+from sonoservo.systems.live.estimate_items import NeedleNames
+from sonoservo.systems.live.image_matcher import DEFAULT_POSES
+from sonoservo.systems.live.needle_sender import NeedleSender
+from sonoservo.systems.live.slice_sender import SliceSender
+from sonoservo.systems.live.sweep_sender import SweepSender
+from sonoservo.systems.live.transform_sender import TransformSender
+from sonoservo.systems.live.truth_sender import TruthSender
+from sonoservo.systems.live.volume_sender import VolumeSender
+from sonoservo.systems.ultrasound.imaging import sweep_geometry
+from sonoservo.systems.ultrasound.transducer import load_transducer
+
+_POLL = 0.05
+"""Time in s between two looks at who is connected."""
+
+
+def live_senders(
+    link: Link, scenario: Scenario, names: NeedleNames | None = None
+) -> dict[str, System]:
+    """Return the systems that send all that a scenario makes: observers of a `FollowingExperiment`.
+
+    They send the volumes, the frames as acquired, the two slices through the needle, the probe's
+    pose, the estimate and the truth; each at the rate at which it arises.
+
+    Parameters
+    ----------
+    link
+        Where to.
+    scenario
+        That is run.
+    names
+        Of the estimate's devices.
+
+    Raises
+    ------
+    ConfigurationError
+        If the scenario makes no volumes.
+    """
+    scenario = require_scenario(scenario, FollowingScenario)
+    period, offset = observer_events(scenario).values()
+    frames = sweep_geometry(load_transducer(scenario.probe), scenario.imaging).frame_period
+    return {
+        "sweep_sender": SweepSender(outlet=link, period=period, offset=offset),
+        "volume_sender": VolumeSender(
+            outlet=link, settings=recording_settings(scenario), period=period, offset=offset
+        ),
+        "slice_sender": SliceSender(outlet=link, period=period, offset=offset),
+        "needle_sender": NeedleSender(outlet=link, names=names, period=period, offset=offset),
+        "pose_sender": TransformSender(outlet=link, name=DEFAULT_POSES, period=frames),
+        "truth_sender": TruthSender(outlet=link, period=frames),
+    }
+
+
+@contextmanager
+def opened(address: str, say: Callable[[str], None], *, wait_for: int = 0) -> Iterator[Link]:
+    """Open a connection to send to; at its end, what waits is sent for at most a second.
+
+    Parameters
+    ----------
+    address
+        Of it, as `parse_address` takes it.
+    say
+        Called with each line about it.
+    wait_for
+        Number of peers that must be connected before it is used.
+    """
+    with Link(parse_address(address), report=say) as link:
+        if link.address.listens:
+            host, _ = link.address.bound
+            say(f"Sending to whoever connects to {link.address.scheme}://{host}:{link.port}")
+        while link.peers < wait_for:
+            time.sleep(_POLL)
+        yield link
+        link.flush(1.0)

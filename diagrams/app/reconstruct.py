@@ -1,0 +1,110 @@
+"""A recording of tracked 2D frames as one of volumes, which are made when they are asked for."""
+
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydrake.math import RigidTransform
+
+from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.live.volume_maker import grey_scale
+from sonoservo.systems.recording.tracked_frames import TrackedFrames
+from sonoservo.systems.signals.reconstructed_volume import ReconstructedVolume
+from sonoservo.systems.ultrasound.frame_reconstruction import (
+    PosedFrame,
+    SweepSplitter,
+    reconstruct,
+)
+
+
+class ReconstructedRecording:
+    """Volumes of a file of 2D frames, one for each sweep of the probe; as `Recording` gives them.
+
+    The file's own frame L is the reference of its poses, and so is W.
+
+    Parameters
+    ----------
+    path
+        Of the file.
+    poses, window
+        See `TrackedFrames`.
+    dynamic_range_db
+        dB from black to white; 60 by default.
+    frames
+        Number of frames of each volume; by default a volume ends where the probe turns round.
+    spacing
+        Of the voxels, in m.
+
+    Raises
+    ------
+    ConfigurationError
+        Naming the file and the fault.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        poses: str | None = None,
+        window: tuple[float, float] | None = None,
+        dynamic_range_db: float | None = None,
+        frames: int | None = None,
+        spacing: float = 7e-4,
+    ) -> None:
+        self.path = path
+        self._spacing = spacing
+        try:
+            self._scale = grey_scale(dynamic_range_db)
+        except ValueError as error:
+            raise ConfigurationError(f"{path}: {error}") from error
+        self._frames = TrackedFrames(path, poses=poses, window=window)
+        self._sweeps = self._split(frames)
+        self.times = np.array([self._frames.times[s[len(s) // 2]] for s in self._sweeps])
+        self.skipped = self._frames.skipped
+        self.posed = False
+        self.settings: dict[str, Any] = {}
+        self._read = lru_cache(maxsize=1)(self._reconstruct)
+
+    def __len__(self) -> int:
+        return len(self._sweeps)
+
+    def __iter__(self) -> Iterator[ReconstructedVolume]:
+        return (self[k] for k in range(len(self)))
+
+    def __getitem__(self, number: int) -> ReconstructedVolume:
+        """Make a volume."""
+        return self._read(range(len(self))[number])
+
+    def X_WL(self, number: int) -> RigidTransform:
+        """Pose of L in W: identity."""
+        return RigidTransform()
+
+    def _split(self, count: int | None) -> list[list[int]]:
+        """Return the numbers of each sweep's frames."""
+        try:
+            splitter = SweepSplitter(frames=count, max_frames=len(self._frames))
+        except ValueError as error:
+            raise ConfigurationError(f"{self.path}: {error}") from error
+        # Its pixels do not matter for how a probe moves, only their number.
+        pixels = self._frames[0]
+        numbers = {time: k for k, time in enumerate(self._frames.times)}
+        sweeps = []
+        for X_WI, time in zip(self._frames.X_WI, self._frames.times, strict=True):
+            sweeps.append(splitter.add(PosedFrame(pixels, X_WI, time)))
+        sweeps.append(splitter.rest())
+        found = [[numbers[frame.time] for frame in sweep] for sweep in sweeps if sweep]
+        if not found:
+            raise ConfigurationError(f"{self.path}: the probe hardly moves: no volume can be made")
+        return found
+
+    def _reconstruct(self, number: int) -> ReconstructedVolume:
+        frames = [
+            PosedFrame(self._frames[k], self._frames.X_WI[k], float(self._frames.times[k]))
+            for k in self._sweeps[number]
+        ]
+        try:
+            return reconstruct(frames, spacing=self._spacing, decibels_per_level=self._scale)
+        except ValueError as error:
+            raise ConfigurationError(f"{self.path}: {error}") from error

@@ -1,0 +1,167 @@
+"""Random draws of a dataset: scanner, tissue, where the probe stands, and the needle."""
+
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.math import RigidTransform
+
+from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.systems.needle.insertion_parameters import InsertionParameters, Push
+from sonoservo.systems.signals.sweep import SweepGeometry
+from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
+from sonoservo.systems.ultrasound.simulation.tissue import Ball, Fibre, Tissue, load_tissue
+from sonoservo.systems.ultrasound.transducer import load_transducer
+
+_OUTSIDE = 15e-3
+"""Length of needle in the tissue before it enters the field of view, in m."""
+
+_INDENTATION = 4e-3
+"""How deep the probe sinks into the phantom, in m."""
+
+
+def draw_scanner(
+    scenario: FollowingScenario, transducers: list[str], rng: np.random.Generator
+) -> dict[str, Any]:
+    """Draw the transducer, the scanner's settings and the tissue.
+
+    Parameters
+    ----------
+    scenario
+        With the settings that are not drawn.
+    transducers
+        Names or paths to choose from.
+    rng
+        Source of the draws.
+
+    Returns
+    -------
+    The `renderer` made of them, and for the labels `transducer`, `imaging` and `tissue`.
+    """
+    name = transducers[rng.integers(len(transducers))]
+    transducer = load_transducer(name)
+    # What the makers do not publish.
+    transducer = replace(
+        transducer,
+        element_height=transducer.element_height * rng.uniform(0.8, 1.2),
+        lens_focus=transducer.lens_focus * rng.uniform(0.8, 1.25),
+        fractional_bandwidth=rng.uniform(0.5, 0.8),
+    )
+    low, high = transducer.lowest_frequency, transducer.highest_frequency
+    imaging = replace(
+        scenario.imaging,
+        gain=rng.uniform(0.34, 0.5),
+        transmit_frequency=rng.uniform(low, min(high, 1.3 * low)),
+        focus_depth=rng.uniform(0.025, 0.06),
+    )
+    tissue = _draw_tissue(load_tissue(scenario.phantom), rng)
+    renderer = SweepRenderer(
+        transducer=transducer,
+        imaging=imaging,
+        tissue=tissue,
+        parameters=scenario.scanner,
+        seed=int(rng.integers(1 << 31)),
+    )
+    return {
+        "renderer": renderer,
+        "transducer": {"name": name, **asdict(transducer)},
+        "imaging": asdict(imaging),
+        "tissue": asdict(tissue),
+    }
+
+
+def _draw_tissue(tissue: Tissue, rng: np.random.Generator) -> Tissue:
+    """Draw speckle, attenuation and bright inclusions."""
+    half = 0.5 * np.array(tissue.size) * [1, 1, 0]
+    low, high = -half - [0, 0, tissue.size[2]], half
+
+    def point() -> NDArray[np.float64]:
+        return rng.uniform(0.95 * low, 0.95 * high - [0, 0, 0.015])
+
+    fibres = []
+    for _ in range(rng.integers(3, 9)):
+        start = point()
+        step = rng.normal(size=3) * [1, 1, 0.2]
+        end = start + rng.uniform(5e-3, 15e-3) * step / np.linalg.norm(step)
+        fibres.append(
+            Fibre(start=start.tolist(), end=np.clip(end, low, high).tolist(), level_db=34.0)
+        )
+    return replace(
+        tissue,
+        scatterers_per_cell=rng.uniform(2, 8),
+        attenuation=rng.uniform(0.3, 0.7),
+        balls=[
+            Ball(
+                centre=point().tolist(),
+                radius=rng.uniform(0.8e-3, 1.8e-3),
+                level_db=rng.uniform(24, 32),
+            )
+            for _ in range(rng.integers(6, 16))
+        ],
+        fibres=fibres,
+        seed=int(rng.integers(1 << 31)),
+    )
+
+
+def draw_insertion(
+    scenario: FollowingScenario, geometry: SweepGeometry, volumes: int, rng: np.random.Generator
+) -> tuple[RigidTransform, InsertionParameters]:
+    """Draw where the probe stands, and a needle that comes into its view from the side.
+
+    Parameters
+    ----------
+    scenario
+        With the station, and the hand's settings that are not drawn.
+    geometry
+        Geometry of the sweeps.
+    volumes
+        Number of volumes during which the needle is pushed.
+    rng
+        Source of the draws.
+
+    Returns
+    -------
+    X_TP, and the parameters of the insertion.
+    """
+    station = scenario.station
+    X_TP = station.X_WT.InvertAndCompose(
+        station.probe_pose(
+            x=rng.uniform(-0.05, 0.05),
+            y=rng.uniform(-0.01, 0.01),
+            yaw_deg=rng.uniform(-90, 90),
+            height=-_INDENTATION,
+        )
+    )
+    side = rng.choice([0, geometry.lines - 1])
+    while True:
+        frame = (geometry.frames - 1) * rng.uniform(0.35, 0.65)
+        depth = geometry.depth * rng.uniform(0.2, 0.7)
+        p_PSide = geometry.position(frame, side, depth / geometry.sample_pitch, 1)
+        dip, turn = np.deg2rad([rng.uniform(0, 30), rng.uniform(-15, 15)])
+        inwards = 1 if side == 0 else -1
+        k = np.array(
+            [inwards * np.cos(turn) * np.cos(dip), np.sin(dip), np.cos(dip) * np.sin(turn)]
+        )
+        length = rng.uniform(10e-3, 80e-3)
+        if geometry.contains(p_PSide + np.outer([0.1 * length, length], k)).all():
+            break
+    entry, direction = X_TP.multiply(p_PSide - _OUTSIDE * k), X_TP.rotation() @ k
+    duration = (volumes + 1) * geometry.period
+    speed = min(length / duration, rng.uniform(2e-3, 12e-3))
+    # The first volume comes when all is in that the last ones do not see go in.
+    before = _OUTSIDE + length - speed * duration
+    return X_TP, replace(
+        scenario.hand,
+        gauge=int(rng.choice([17, 18, 20])),
+        entry=entry.tolist(),
+        entry_spread=[0.0, 0.0, 0.0],
+        angle_spread_deg=0.0,
+        azimuth_deg=float(np.rad2deg(np.arctan2(direction[1], direction[0]))),
+        dip_deg=float(np.rad2deg(-np.arcsin(direction[2]))),
+        bend_radius=float(rng.uniform(0.2, 0.6)) if rng.random() < 0.3 else None,
+        bend_roll_deg=float(rng.uniform(-180, 180)),
+        start=0.0,
+        pushes=[Push(duration=1.0, speed=before), Push(duration=duration, speed=speed)],
+        ramp=0.1,
+    )

@@ -1,0 +1,53 @@
+"""Labels of a dataset's volumes: the needle as it was acquired, its mask and its description."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.needle.insertion import Insertion
+from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.volume import Volume
+
+
+def needle_as_acquired(volume: Volume, insertion: Insertion) -> Needle:
+    """Return the needle in P, as deep as it was when the volume's frames saw its tip."""
+    time = volume.time
+    for _ in range(4):
+        needle = insertion.needle(time).transformed(volume.X_WP.inverse())
+        if needle:
+            time = float(volume.to_world(needle.tip[np.newaxis])[1][0])
+    return needle
+
+
+def needle_mask(volume: Volume, needle: Needle) -> NDArray[np.bool_]:
+    """Return the mask of the voxels that a needle, given in P, passes through and the image shows.
+
+    Their centres lie within its radius of the axis or, since it is thinner than some grids, within
+    0.75 of the largest spacing.
+    """
+    mask: NDArray[np.bool_] = np.zeros(volume.intensities.shape, dtype=bool)
+    radius = max(needle.radius, 0.75 * float(volume.spacing.max()))
+    last = np.array(volume.intensities.shape)
+    for a, b in zip(needle.shaft[:-1], needle.shaft[1:], strict=True):
+        low = (np.minimum(a, b) - radius - volume.origin) / volume.spacing
+        high = (np.maximum(a, b) + radius - volume.origin) / volume.spacing
+        first = np.clip(np.ceil(low), 0, last).astype(int)
+        stop = np.clip(np.floor(high) + 1, first, last).astype(int)
+        box = tuple(slice(int(i), int(j)) for i, j in zip(first, stop, strict=True))
+        index = np.stack(np.meshgrid(*map(np.arange, first, stop), indexing="ij"), axis=-1)
+        p_P, k = volume.position(index) - a, b - a
+        along = np.clip(p_P @ k / (k @ k), 0, 1)
+        mask[box] |= np.linalg.norm(p_P - along[..., np.newaxis] * k, axis=-1) <= radius
+    return mask & (volume.intensities > 0)
+
+
+def describe_needle(needle: Needle) -> dict[str, Any]:
+    """Return the labels of a volume in its own coordinates: LPS in mm, along the axes of P."""
+    if not needle:
+        return {"needle_lps_mm": [], "tip_lps_mm": None, "radius_mm": 1e3 * needle.radius}
+    return {
+        "needle_lps_mm": (1e3 * needle.shaft).tolist(),
+        "tip_lps_mm": (1e3 * needle.tip).tolist(),
+        "radius_mm": 1e3 * needle.radius,
+    }

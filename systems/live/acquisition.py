@@ -1,0 +1,108 @@
+"""How a volume was acquired, as text beside its image: what no message of the protocols tells.
+
+A scanner of this package sends it right before each volume, with the same time stamp. A receiver
+then knows the exact grid, and when and from where each frame of the sweep was acquired; others
+ignore it. It holds what the acquisition of a recording holds (`RecordingWriter`), in SI units.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.math import RigidTransform
+
+from sonoservo.systems.live.connection.items import TextItem
+from sonoservo.systems.recording.side_files import describe_acquisition, describe_grid
+from sonoservo.systems.signals.immutable import Immutable
+from sonoservo.systems.signals.point_spread import PointSpread
+from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL, SweepGeometry, SweepMotion
+from sonoservo.systems.signals.volume import Volume
+
+NAME = "Acquisition"
+
+_MAX_TEXT = 60000
+_GRID = ("origin", "spacing", "decibels_per_level", "point_spread", "geometry")
+_VOLUME = ("time", "X_WP", "direction", "frame_times", "frame_X_WP")
+
+
+@dataclass(frozen=True, eq=False)
+class VolumeAcquisition(Immutable):
+    """When and from where a volume was acquired.
+
+    Parameters
+    ----------
+    time
+        Of the volume in s, exactly; time stamps have steps of 2^-32 s.
+    origin, spacing
+        (3,) of its grid in P, in m.
+    X_WP
+        Pose of the probe.
+    motion
+        When and from where each frame was acquired; None if that is not known.
+    decibels_per_level
+        dB per grey level.
+    point_spread
+        How wide a point's echo is; None if that is not known.
+    settings
+        Of the scanner.
+    """
+
+    time: float
+    origin: NDArray[np.float64]
+    spacing: NDArray[np.float64]
+    X_WP: RigidTransform
+    motion: SweepMotion | None
+    decibels_per_level: float
+    point_spread: PointSpread | None
+    settings: Mapping[str, Any]
+
+
+def acquisition_item(volume: Volume, settings: Mapping[str, Any]) -> TextItem:
+    """Return the text that goes with a volume; of very long sweeps it leaves the frames out.
+
+    Parameters
+    ----------
+    volume
+        To be sent.
+    settings
+        Of the scanner: what a tracker has to know besides.
+    """
+    said = {**describe_grid(volume), **describe_acquisition(volume), **settings}
+    text = json.dumps(said, separators=(",", ":"))
+    if len(text) > _MAX_TEXT:
+        said = {key: value for key, value in said.items() if not key.startswith("frame_")}
+        text = json.dumps(said, separators=(",", ":"))
+    return TextItem(NAME, volume.time, text)
+
+
+def read_acquisition_item(item: TextItem) -> VolumeAcquisition:
+    """Read such a text.
+
+    Raises
+    ------
+    ValueError
+        If it is none.
+    """
+    try:
+        said = json.loads(item.text)
+        motion, spread = None, said.get("point_spread")
+        if said.get("geometry") and "frame_X_WP" in said:
+            geometry = SweepGeometry(**said["geometry"])
+            motion = SweepMotion(
+                geometry, said["direction"], said["frame_times"], said["frame_X_WP"]
+            )
+        return VolumeAcquisition(
+            float(said["time"]),
+            np.array(said["origin"], float),
+            np.array(said["spacing"], float),
+            RigidTransform(np.array(said["X_WP"], float)),
+            motion,
+            float(said.get("decibels_per_level", DECIBELS_PER_LEVEL)),
+            PointSpread(**spread) if spread else None,
+            {k: v for k, v in said.items() if k not in _GRID + _VOLUME},
+        )
+    except (LookupError, TypeError, AttributeError, ValueError, RuntimeError) as error:
+        raise ValueError(f"{item.name}: {' '.join(str(error).split())}") from error

@@ -1,0 +1,11 @@
+from .items import CovarianceItem as CovarianceItem
+from .items import CurveItem as CurveItem
+from .items import ImageItem as ImageItem
+from .items import Item as Item
+from .items import PointsItem as PointsItem
+from .items import PoseItem as PoseItem
+from .items import StatusItem as StatusItem
+from .items import TextItem as TextItem
+from .link import Link as Link
+from .protocols import Address as Address
+from .protocols import parse_address as parse_address

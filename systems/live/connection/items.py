@@ -1,0 +1,99 @@
+"""What travels over a live connection, whatever its protocol: in SI units, LPS where it is a place.
+
+The other program's frame is called L: LPS in m. Protocols convert from and to their own units and
+axes; nothing outside of them knows mm or RAS.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.math import RigidTransform
+
+from sonoservo.systems.signals.immutable import Immutable
+
+
+@dataclass(frozen=True, eq=False)
+class Item(Immutable):
+    """One message.
+
+    Parameters
+    ----------
+    name
+        Of the device it comes from, by which receivers tell messages apart.
+    time
+        When what it holds was measured, in s, by the sender's clock.
+    """
+
+    name: str
+    time: float
+
+
+@dataclass(frozen=True, eq=False)
+class ImageItem(Item):
+    """A volume, or a 2D frame with one layer.
+
+    Parameters
+    ----------
+    voxels
+        (ni, nj, nk) numbers, in any order of memory.
+    X_LI
+        (4, 4) from voxel indices (i, j, k, 1) to positions in L, in m.
+    """
+
+    voxels: NDArray[Any]
+    X_LI: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PoseItem(Item):
+    """A rigid motion: ``ProbeToReference`` maps positions in the probe's L to the reference's."""
+
+    X: RigidTransform
+
+
+@dataclass(frozen=True, eq=False)
+class CurveItem(Item):
+    """Points along a curve.
+
+    Parameters
+    ----------
+    points
+        (n, 3) in m.
+    """
+
+    points: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PointsItem(CurveItem):
+    """Points, each by itself."""
+
+
+@dataclass(frozen=True, eq=False)
+class TextItem(Item):
+    """A text."""
+
+    text: str
+
+
+@dataclass(frozen=True, eq=False)
+class StatusItem(Item):
+    """Whether all is well, and a sentence about it."""
+
+    good: bool
+    text: str
+
+
+@dataclass(frozen=True, eq=False)
+class CovarianceItem(Item):
+    """Covariance of a position.
+
+    Parameters
+    ----------
+    covariance
+        (3, 3) in m^2.
+    """
+
+    covariance: NDArray[np.float64]

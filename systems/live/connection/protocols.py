@@ -1,0 +1,125 @@
+"""The protocols of live connections, and the addresses that name them."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, Protocol, cast
+
+from sonoservo.systems.files.typed_yaml import ConfigurationError, suggest
+from sonoservo.systems.live.connection.items import Item
+
+_PROTOCOLS = {"igtl": "sonoservo.systems.live.connection.open_igt_link"}
+"""Modules with what `LiveProtocol` describes, by the scheme of their addresses."""
+
+_ADDRESS = re.compile(r"(\w+)://(\[[0-9a-fA-F:.]+\]|[^/:\s]*)(?::(\d{1,5}))?(?:/(.{0,20}))?")
+
+
+class StreamFramer(Protocol):
+    """Cuts the bytes of one connection into messages, as `Framer` does."""
+
+    @property
+    def buffer(self) -> memoryview:
+        """Where the next bytes belong."""
+        ...
+
+    def advance(self, count: int, now: float) -> Iterator[Any]:
+        """Take note of bytes in the buffer; give the messages that they complete."""
+        ...
+
+    def is_overdue(self, now: float) -> bool:
+        """Return whether the message that is under way takes too long."""
+        ...
+
+
+class LiveProtocol(Protocol):
+    """How items become bytes, and bytes items."""
+
+    DEFAULT_PORT: int
+
+    def make_framer(self) -> StreamFramer:
+        """Return what cuts the bytes of one connection into messages."""
+        ...
+
+    def encode(self, item: Item) -> bytes:
+        """Return the message for an item."""
+        ...
+
+    def decode(self, frame: Any) -> list[Item]:
+        """Return what a message holds."""
+        ...
+
+
+@dataclass(frozen=True)
+class Address:
+    """Where to connect to, or to listen.
+
+    Parameters
+    ----------
+    scheme
+        Name of the protocol.
+    host
+        To connect to; empty to listen on this machine alone. ``0.0.0.0`` and ``::`` listen on all
+        of its networks.
+    port
+        From 0 to 65535.
+    device
+        The device whose images are meant; empty for any.
+    """
+
+    scheme: str
+    host: str
+    port: int
+    device: str = ""
+
+    @property
+    def listens(self) -> bool:
+        """Whether others connect to us."""
+        return self.host in ("", "0.0.0.0", "::")
+
+    @property
+    def bound(self) -> tuple[str, int]:
+        """Host and port of the socket."""
+        return (self.host or "127.0.0.1", self.port)
+
+    def __str__(self) -> str:
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{self.scheme}://{host}:{self.port}"
+
+
+def is_address(text: str) -> bool:
+    """Return whether a text is meant as the address of a live connection, and not as a file."""
+    return "://" in text
+
+
+def parse_address(text: str) -> Address:
+    """Read an address: ``igtl://host:18944/DEVICE``, or ``igtl://:18944`` to listen.
+
+    Raises
+    ------
+    ConfigurationError
+        If it is none, or its protocol is not known.
+    """
+    match = _ADDRESS.fullmatch(text)
+    if match is None or int(match[3] or 0) > 65535:
+        raise ConfigurationError(
+            f"{text!r} is no address; igtl://host:18944/DEVICE connects, igtl://:18944 listens"
+        )
+    scheme, host, port, device = match.groups()
+    protocol = load_protocol(scheme)
+    return Address(
+        scheme, host.strip("[]"), protocol.DEFAULT_PORT if port is None else int(port), device or ""
+    )
+
+
+def load_protocol(scheme: str) -> LiveProtocol:
+    """Return the protocol with a scheme.
+
+    Raises
+    ------
+    ConfigurationError
+        If there is none, or a package that it needs is missing.
+    """
+    if scheme not in _PROTOCOLS:
+        raise ConfigurationError(f"unknown protocol {scheme!r}; {suggest(scheme, _PROTOCOLS)}")
+    return cast(LiveProtocol, import_module(_PROTOCOLS[scheme]))

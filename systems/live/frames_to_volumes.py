@@ -1,0 +1,97 @@
+"""From received 2D frames with poses to volumes, one for each sweep of the probe."""
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.math import RigidTransform
+
+from sonoservo.systems.live.image_matcher import PosedImage
+from sonoservo.systems.live.volume_maker import grey_scale
+from sonoservo.systems.recording.grey_levels import GreyWindow, choose_window
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.ultrasound.frame_reconstruction import (
+    PosedFrame,
+    SweepSplitter,
+    reconstruct,
+)
+
+
+class GreyFrames:
+    """Turns the numbers of frames into grey levels; the first frame decides how.
+
+    Parameters
+    ----------
+    window
+        Numbers that become 0 and 255; by default `choose_window` of the first.
+    """
+
+    def __init__(self, window: tuple[float, float] | None = None) -> None:
+        self._window = GreyWindow(*window) if window else None
+
+    def __call__(self, posed: PosedImage) -> NDArray[np.uint8] | NDArray[np.float32]:
+        """Return the (ni, nj) grey levels of a frame.
+
+        Raises
+        ------
+        ValueError
+            If a number is not finite.
+        """
+        pixels = posed.image.voxels[..., 0]
+        if pixels.dtype.kind == "f" and not np.isfinite(pixels).all():
+            raise ValueError("a frame holds values that are not finite")
+        if self._window is None:
+            self._window = choose_window(pixels)
+        return self._window.grey(pixels)
+
+
+class FramesToVolumes:
+    """Makes a volume of the frames between two turns of the probe, or of so many frames.
+
+    The second axis of a frame runs away from the probe. W is the frame that the poses lead to.
+
+    Parameters
+    ----------
+    window
+        See `GreyFrames`.
+    dynamic_range_db
+        dB from black to white; 60 by default.
+    frames
+        Number of frames of each volume; by default a volume ends where the probe turns round.
+    spacing
+        Of the voxels, in m.
+
+    Raises
+    ------
+    ValueError
+        If one of them is not allowed.
+    """
+
+    takes_frames = True
+
+    def __init__(
+        self,
+        *,
+        window: tuple[float, float] | None = None,
+        dynamic_range_db: float | None = None,
+        frames: int | None = None,
+        spacing: float = 7e-4,
+    ) -> None:
+        self._scale = grey_scale(dynamic_range_db)
+        self._grey = GreyFrames(window)
+        self._splitter = SweepSplitter(frames=frames)
+        self._spacing = spacing
+
+    def __call__(self, posed: PosedImage) -> Volume | NotFound:
+        """Take a frame; return the volume that it completes, or a reason, empty if it does not."""
+        try:
+            X_WI = posed.X_WL.GetAsMatrix4() @ posed.image.X_LI
+            sweep = self._splitter.add(PosedFrame(self._grey(posed), X_WI, posed.time))
+            if not sweep:
+                return NotFound("")
+            return reconstruct(sweep, spacing=self._spacing, decibels_per_level=self._scale)
+        except ValueError as error:
+            return NotFound(f"{posed.image.name}: {error}")
+
+    def X_WL(self, posed: PosedImage) -> RigidTransform:
+        """Pose in W of the frame that results are told in: the reference itself."""
+        return RigidTransform()

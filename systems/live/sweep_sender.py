@@ -1,0 +1,78 @@
+"""The leaf that sends the frames of each sweep as they were acquired."""
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import Context, LeafSystem
+
+from sonoservo.systems.live.connection.items import ImageItem, Item, PoseItem
+from sonoservo.systems.live.estimate_items import Outlet
+from sonoservo.systems.live.image_matcher import DEFAULT_POSES
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.requirements import require_not_negative, require_positive
+from sonoservo.systems.signals.sweep import Sweep
+
+FRAME = "Frame"
+
+_KEEP = 2
+
+
+def frame_items(sweep: Sweep, name: str = FRAME) -> list[Item]:
+    """Return the frames of a sweep in order of time, each after the pose of the probe then.
+
+    A frame is an image of (samples, lines, 1) numbers. As a sector is no grid, its matrix only
+    tells the distance between samples; its lines count as 1 mm apart.
+    """
+    X_LI = np.diag([sweep.geometry.sample_pitch, 1e-3, 1e-3, 1.0])
+    items: list[Item] = []
+    for number in np.argsort(sweep.motion.times):
+        time = float(sweep.motion.times[number])
+        X_WP = RigidTransform(sweep.motion.X_WP[number])
+        items.append(PoseItem(DEFAULT_POSES, time, X_WP))
+        items.append(ImageItem(name, time, sweep.samples[number].T[..., np.newaxis], X_LI))
+    return items
+
+
+class SweepSender(LeafSystem):
+    """Sends the frames of each new sweep, with their own times and poses.
+
+    .. pydrake_system::
+
+        name: SweepSender
+        input_ports:
+        - sweep
+
+    `sweep` is a `Sweep`, or a `NotFound` while there is none.
+
+    Parameters
+    ----------
+    outlet
+        Where they go.
+    name
+        Of the frames' device.
+    period, offset
+        When to look for a new sweep, in s.
+    """
+
+    def __init__(
+        self, *, outlet: Outlet, name: str = FRAME, period: float, offset: float = 0.0
+    ) -> None:
+        super().__init__()
+        require_positive(period=period)
+        require_not_negative(offset=offset)
+        self._outlet, self._name = outlet, name
+        self._start()
+        self.DeclareAbstractInputPort("sweep", Value[object]())
+        self.DeclareInitializationPublishEvent(publish=lambda context: self._start())
+        self.DeclarePeriodicPublishEvent(period, offset, self._publish)
+        self.DeclareForcedPublishEvent(self._publish)
+
+    def _start(self) -> None:
+        self._time = -float("inf")
+
+    def _publish(self, context: Context) -> None:
+        sweep = evaluate(self, context, "sweep", (Sweep, NotFound))
+        if isinstance(sweep, Sweep) and sweep.motion.time > self._time:
+            self._time = sweep.motion.time
+            self._outlet.send(frame_items(sweep, self._name), topic="frames", keep=_KEEP)

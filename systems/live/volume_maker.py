@@ -1,0 +1,143 @@
+"""From received images to volumes on one grid in the probe's frame."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.math import RigidTransform, RotationMatrix
+
+from sonoservo.systems.live.image_matcher import PosedImage
+from sonoservo.systems.recording.file_grid import FileGrid, make_file_grid
+from sonoservo.systems.recording.grey_levels import GreyWindow, choose_window
+from sonoservo.systems.signals.immutable import NotFound, seal
+from sonoservo.systems.signals.requirements import require_positive
+from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL
+from sonoservo.systems.signals.volume import Volume
+
+_RIGHT_ANGLE = 1e-3
+_SAME_GRID = 1e-7
+"""Difference in m that comes from single precision."""
+
+
+def grey_scale(dynamic_range_db: float | None) -> float:
+    """Return dB per grey level of images that show so many dB from black to white; 60 by default.
+
+    Raises
+    ------
+    ValueError
+        If that is not above 0.
+    """
+    if dynamic_range_db is None:
+        return DECIBELS_PER_LEVEL
+    require_positive(dynamic_range_db=dynamic_range_db)
+    return dynamic_range_db / 255
+
+
+class VolumeMaker:
+    """Turns posed images into volumes; the first one decides about grid and grey levels.
+
+    How a grid lies in the probe's frame is found as for a file (`make_file_grid`). An image whose
+    own matrix has moved since the first, as that of ``Image_Reference`` does, has its pose there.
+
+    Parameters
+    ----------
+    depth
+        Where the sound goes in L, as a letter of the body.
+    window
+        Numbers that become the grey levels 0 and 255; by default `choose_window` of the first.
+    dynamic_range_db
+        dB from black to white; by default what a scanner of this package says, or else 60.
+
+    Raises
+    ------
+    ValueError
+        If one of them is not allowed.
+    """
+
+    takes_frames = False
+
+    def __init__(
+        self,
+        *,
+        depth: str = "P",
+        window: tuple[float, float] | None = None,
+        dynamic_range_db: float | None = None,
+    ) -> None:
+        self._scale = None if dynamic_range_db is None else grey_scale(dynamic_range_db)
+        make_file_grid(np.eye(3), np.zeros(3), (2, 2, 2), depth)
+        self._depth = depth
+        self._window = GreyWindow(*window) if window else None
+        self._grid: FileGrid | None = None
+        self._shape: tuple[int, ...] = ()
+        self._X_LI: NDArray[np.float64] = np.eye(4)
+
+    def __call__(self, posed: PosedImage) -> Volume | NotFound:
+        """Return the volume of an image, or why there is none."""
+        try:
+            return self._make(posed)
+        except ValueError as error:
+            return NotFound(f"{posed.image.name}: {error}")
+
+    def X_WL(self, posed: PosedImage) -> RigidTransform:
+        """Pose of the sender's frame L in W, as the volume of an image has it."""
+        assert self._grid is not None
+        if posed.acquisition is not None:
+            return posed.X_WL @ self._grid.X_LP.inverse()
+        return posed.X_WL @ self._moved(posed.image.X_LI)
+
+    def _make(self, posed: PosedImage) -> Volume:
+        image = posed.image
+        if self._grid is None:
+            self._start(image.voxels.shape, image.X_LI)
+        assert self._grid is not None
+        if image.voxels.shape != self._shape:
+            raise ValueError(
+                f"a volume of {image.voxels.shape} numbers is left out; the first had {self._shape}"
+            )
+        voxels = self._grid.arrange(image.voxels)
+        if voxels.dtype.kind == "f" and not np.isfinite(voxels).all():
+            raise ValueError("a volume holds values that are not finite")
+        if self._window is None:
+            self._window = choose_window(voxels)
+        grey = seal(self._window.grey(voxels))
+        said = posed.acquisition
+        if said is not None:
+            motion = said.motion if posed.time == said.time else None
+            return Volume(
+                grey,
+                said.origin,
+                said.spacing,
+                posed.X_WL,
+                posed.time,
+                motion,
+                self._scale or said.decibels_per_level,
+                said.point_spread,
+            )
+        X_WP = posed.X_WL @ self._moved(image.X_LI) @ self._grid.X_LP
+        return Volume(
+            grey,
+            self._grid.origin,
+            self._grid.spacing,
+            X_WP,
+            posed.time,
+            decibels_per_level=self._scale or DECIBELS_PER_LEVEL,
+        )
+
+    def _start(self, shape: tuple[int, ...], X_LI: NDArray[np.float64]) -> None:
+        directions = 1e3 * X_LI[:3, :3]
+        unit = directions / np.linalg.norm(directions, axis=0)
+        if np.abs(unit.T @ unit - np.eye(3)).max() > _RIGHT_ANGLE:
+            raise ValueError("the directions of its axes are not at right angles")
+        count: Any = shape
+        self._grid = make_file_grid(directions, 1e3 * X_LI[:3, 3], count, self._depth)
+        self._shape, self._X_LI = shape, X_LI
+
+    def _moved(self, X_LI: NDArray[np.float64]) -> RigidTransform:
+        """Return the motion in L that takes the first image's grid to this one's."""
+        if np.abs(X_LI - self._X_LI).max() < _SAME_GRID:
+            return RigidTransform()
+        motion = X_LI @ np.linalg.inv(self._X_LI)
+        R = motion[:3, :3]
+        if np.abs(R.T @ R - np.eye(3)).max() > _RIGHT_ANGLE or np.linalg.det(R) < 0:
+            raise ValueError("a volume is left out: its grid is not the first one's, moved")
+        return RigidTransform(RotationMatrix.ProjectToRotationMatrix(R), motion[:3, 3])

@@ -1,0 +1,100 @@
+"""The leaf that sends each new volume over a live connection."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.systems.framework import Context, LeafSystem
+
+from sonoservo.systems.live.acquisition import acquisition_item
+from sonoservo.systems.live.connection.items import ImageItem, Item, PoseItem
+from sonoservo.systems.live.estimate_items import Outlet
+from sonoservo.systems.live.image_matcher import DEFAULT_POSES
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.requirements import require_not_negative, require_positive
+from sonoservo.systems.signals.volume import Volume
+
+IMAGE = "Image_Probe"
+"""In 3D Slicer and PLUS, an image whose coordinates are those of the probe."""
+
+_KEEP = 2
+
+
+def volume_items(
+    volume: Volume, name: str = IMAGE, settings: Mapping[str, Any] | None = None
+) -> list[Item]:
+    """Return a volume as messages: how it was acquired, the probe's pose, and the image itself.
+
+    Parameters
+    ----------
+    volume
+        To be sent; a voxel lies in L where it lies in P.
+    name
+        Of its device.
+    settings
+        Of the scanner.
+    """
+    X_LI = np.eye(4)
+    X_LI[:3] = np.column_stack([np.diag(volume.spacing), volume.origin])
+    return [
+        acquisition_item(volume, settings or {}),
+        PoseItem(DEFAULT_POSES, volume.time, volume.X_WP),
+        ImageItem(name, volume.time, volume.intensities, X_LI),
+    ]
+
+
+class VolumeSender(LeafSystem):
+    """Sends each new volume, the probe's pose with it, and how it was acquired.
+
+    .. pydrake_system::
+
+        name: VolumeSender
+        input_ports:
+        - volume
+
+    `volume` is a `Volume`, or a `NotFound` while there is none. A receiver that is too slow gets
+    the newest.
+
+    Parameters
+    ----------
+    outlet
+        Where they go.
+    name
+        Of the image's device.
+    settings
+        Of the scanner, for receivers of this package.
+    period, offset
+        When to look for a new volume, in s.
+    """
+
+    def __init__(
+        self,
+        *,
+        outlet: Outlet,
+        name: str = IMAGE,
+        settings: Mapping[str, Any] | None = None,
+        period: float,
+        offset: float = 0.0,
+    ) -> None:
+        super().__init__()
+        require_positive(period=period)
+        require_not_negative(offset=offset)
+        self._outlet, self._name, self._settings = outlet, name, settings
+        self._start()
+        self.DeclareAbstractInputPort("volume", Value[object]())
+        self.DeclareInitializationPublishEvent(publish=lambda context: self._start())
+        self.DeclarePeriodicPublishEvent(period, offset, self._publish)
+        self.DeclareForcedPublishEvent(self._publish)
+
+    def _start(self) -> None:
+        self._volume_time = -float("inf")
+
+    def _publish(self, context: Context) -> None:
+        volume = evaluate(self, context, "volume", (Volume, NotFound))
+        if isinstance(volume, Volume) and volume.time > self._volume_time:
+            self._volume_time = volume.time
+            self._outlet.send(
+                volume_items(volume, self._name, self._settings), topic="volume", keep=_KEEP
+            )

@@ -1,0 +1,127 @@
+"""Reader of tracked 2D frames as PLUS records them: ``.mha``, ``.igs.mha``."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.recording.grey_levels import GreyWindow, choose_window
+from sonoservo.systems.recording.meta_image import open_meta_image
+from sonoservo.systems.recording.recording import choose_transform, read_matrix
+
+_SUFFIXES = (".mha", ".mhd")
+_PREFERRED = "ImageToReferenceTransform"
+
+
+class TrackedFrames:
+    """2D frames with poses and times, read on demand, one at a time.
+
+    Parameters
+    ----------
+    path
+        Path of the file.
+    poses
+        Name of the transform that is the frames' pose; by default ``ImageToReference``, or the only
+        transform in the file. A transform whose name begins with ``Image`` maps pixels; others map
+        mm in the frame.
+    window
+        Numbers that become the grey levels 0 and 255; by default `choose_window` of the first
+        frame.
+
+    Attributes
+    ----------
+    times
+        (n,) times of the frames, in s.
+    X_WI
+        (n, 4, 4) transforms from pixels (i, j, 0, 1) to W, in m; W is the reference frame.
+    skipped
+        Number of frames skipped because the file marks them or their pose as invalid.
+
+    Raises
+    ------
+    ConfigurationError
+        If the file is not valid; the message names the file and the fault.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        poses: str | None = None,
+        window: tuple[float, float] | None = None,
+    ) -> None:
+        self.path = Path(path)
+        if not self.path.is_file() or self.path.suffix.lower() not in _SUFFIXES:
+            raise ConfigurationError(
+                f"{self.path}: not a file of 2D frames; give a file of type {', '.join(_SUFFIXES)}"
+            )
+        self._file = open_meta_image(self.path, frames=True)
+        fields = self._file.frame_fields()
+        wanted = _PREFERRED if poses is None and _PREFERRED in fields else poses
+        name = choose_transform(self.path, fields, wanted)
+        if name is None:
+            raise ConfigurationError(
+                f"{self.path}: its frames have no poses, which reconstruction needs"
+            )
+        statuses = [fields.get("ImageStatus", {}), fields.get(f"{name}Status", {})]
+        self._numbers = [
+            k
+            for k in range(self._file.count)
+            if k in fields[name] and all(s.get(k, "OK").upper() == "OK" for s in statuses)
+        ]
+        self.skipped = self._file.count - len(self._numbers)
+        if len(self._numbers) < 2:
+            raise ConfigurationError(
+                f"{self.path}: {len(self._numbers)} frames have a valid pose; at least 2 are needed"
+            )
+        self.X_WI = np.array([self._matrix(name, fields[name][k]) for k in self._numbers])
+        self.times = self._read_times(fields.get("Timestamp", {}))
+        try:
+            first = self._file.read(self._numbers[0])
+            self._window = GreyWindow(*window) if window else choose_window(first)
+        except ValueError as error:
+            raise ConfigurationError(f"{self.path}: {error}") from error
+
+    def __len__(self) -> int:
+        return len(self._numbers)
+
+    def __getitem__(self, number: int) -> NDArray[np.uint8] | NDArray[np.float32]:
+        """Read the (ni, nj) grey levels of a frame.
+
+        Raises
+        ------
+        ConfigurationError
+            If the file is damaged at that frame.
+        """
+        pixels = self._file.read(self._numbers[number])[..., 0]
+        if pixels.dtype.kind == "f" and not np.isfinite(pixels).all():
+            raise ConfigurationError(
+                f"{self.path}: frame {number} holds values that are not finite"
+            )
+        return self._window.grey(pixels)
+
+    def _matrix(self, name: str, text: str) -> NDArray[np.float64]:
+        matrix = read_matrix(self.path, name, text)
+        if not name.startswith("Image"):
+            header = np.eye(4)
+            header[:3, :3], header[:3, 3] = self._file.directions, self._file.origin
+            matrix = matrix @ header
+        across, depth = matrix[:3, 0], matrix[:3, 1]
+        sizes = np.linalg.norm([across, depth], axis=1)
+        sound = np.isfinite(matrix).all() and (sizes > 1e-6).all()
+        if not sound or abs(across @ depth) > 1e-3 * sizes.prod():
+            raise ConfigurationError(f"{self.path}: {name}: {text!r} is not a pose of a picture")
+        matrix[:3] *= 1e-3
+        return matrix
+
+    def _read_times(self, stamps: dict[int, str]) -> NDArray[np.float64]:
+        try:
+            times = np.array([float(stamps.get(k, "nan")) for k in self._numbers])
+        except ValueError as error:
+            raise ConfigurationError(f"{self.path}: Timestamp: {error}") from error
+        if not np.isfinite(times).all() or (np.diff(times) <= 0).any():
+            raise ConfigurationError(
+                f"{self.path}: the time of a frame is missing, or not later than the one before"
+            )
+        return times

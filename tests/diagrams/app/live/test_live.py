@@ -1,0 +1,362 @@
+"""Volumes over sockets: tracked, recorded, played and served, against the same in files."""
+
+import csv
+import signal
+import subprocess
+import sys
+import threading
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from live_items import FakeOutlet, wait_until
+from pydrake.geometry import Meshcat
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import Gain
+from synthetic_volumes import Scene, entry_on_side
+
+from sonoservo.diagrams import MakeNeedleTracker, load_scenario, run, track_recording
+from sonoservo.diagrams.app.drive import DrivenExperiment
+from sonoservo.diagrams.app.live.bridge import play_live, record_live
+from sonoservo.diagrams.app.live.commands import make_maker, needle_names
+from sonoservo.diagrams.app.live.serve import live_senders, opened
+from sonoservo.diagrams.app.live.track_live import LiveLimits, live_volumes, track_live
+from sonoservo.diagrams.app.track import tracker_parameters
+from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.live.connection.items import ImageItem, PoseItem, StatusItem, TextItem
+from sonoservo.systems.live.connection.link import Link
+from sonoservo.systems.live.connection.protocols import parse_address
+from sonoservo.systems.live.image_matcher import ImageMatcher
+from sonoservo.systems.live.live_source import LiveSource
+from sonoservo.systems.live.motor_sweep import MotorSweepParameters, MotorSweepVolumes
+from sonoservo.systems.live.needle_sender import NeedleSender
+from sonoservo.systems.live.volume_receiver import VolumeReceiver
+from sonoservo.systems.live.volume_sender import volume_items
+from sonoservo.systems.recording.recording import Recording
+from sonoservo.systems.recording.recording_writer import RecordingWriter
+from sonoservo.systems.recording.side_files import ACQUISITION, side_path
+from sonoservo.systems.signals.immutable import NotFound
+
+COUNT = 10
+ENTRY = entry_on_side()
+K = np.array([1, 0.25, 0.1]) / np.linalg.norm([1, 0.25, 0.1])
+COMMAND = [sys.executable, "-c", "from sonoservo.diagrams.app.cli import main; main()"]
+
+
+def needle(time):
+    return ENTRY, ENTRY + (0.015 + 4e-3 * time) * K
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    """A needle that is pushed in, seen from a probe that moves."""
+    path = tmp_path_factory.mktemp("played") / "a.seq.nrrd"
+    scene = Scene(seed=5, spacing=1.2e-3)
+    with RecordingWriter(path, {"tracker_seed": 101}) as writer:
+        for number in range(1, COUNT + 1):
+            X_WP = RigidTransform(RollPitchYaw(0, 0, 0.01 * number), [5e-4 * number, 0, 0])
+            writer.append(scene.volume(number, needle, X_WP))
+    return Recording(path)
+
+
+def anywhere():
+    return tracker_parameters(start="anywhere")
+
+
+@pytest.fixture(scope="module")
+def expected(recording):
+    return track_recording(recording, parameters=anywhere())
+
+
+def quiet(line):
+    """Say nothing."""
+
+
+@contextmanager
+def scanner(play):
+    """A source of what a function sends, on a thread, once the connection is there."""
+    with Link(parse_address("igtl://:0"), report=quiet) as server:
+
+        def start():
+            wait_until(lambda: server.peers)
+            play(server)
+
+        thread = threading.Thread(target=start)
+        thread.start()
+        address = parse_address(f"igtl://localhost:{server.port}")
+        with LiveSource(address, keep=COUNT, report=quiet) as source:
+            yield source
+        thread.join()
+
+
+def played(recording):
+    """A source of recorded volumes."""
+    return scanner(lambda link: play_live(recording, link, speed=0))
+
+
+def rows_of(folder):
+    with (folder / "estimates.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_live_estimates_are_those_of_the_recording_to_the_last_bit(recording, expected, tmp_path):
+    outlet = FakeOutlet()
+    with played(recording) as source:
+        summary = track_live(
+            source,
+            parameters=anywhere(),
+            outlets=[outlet],
+            out=tmp_path,
+            limits=LiveLimits(volumes=COUNT),
+        )
+    rows = rows_of(tmp_path)
+    assert summary["modes"].get("tracking", 0) >= COUNT - 3
+    assert len(rows) == COUNT
+    for row, other in zip(rows, expected.rows, strict=True):
+        for name, value in other.items():
+            shown = "" if isinstance(value, float) and value != value else str(value)
+            assert row[name] == shown, name
+    assert summary["latency_ms"]["besides_tracking"]["p99"] > 0
+    assert (tmp_path / "summary.json").is_file()
+    # What was sent is the same, with the time of the volume it belongs to.
+    status, tip, *_ = outlet.sent[-1][1]
+    assert isinstance(status, StatusItem)
+    assert tip.time == pytest.approx(recording.times[-1], abs=1e-9)
+    np.testing.assert_array_equal(tip.X.translation(), expected.estimates[-1].curve.tip)
+
+
+def test_stream_of_another_scanner_is_tracked_as_the_bridge_records_it(recording, tmp_path):
+    """It tells grid and pose as float32, and not when each frame was acquired."""
+    volumes = [recording[k] for k in range(COUNT)]
+
+    def play(link):
+        for volume in volumes:
+            link.send(volume_items(volume)[1:], topic="volume", keep=COUNT)
+
+    limits = LiveLimits(volumes=COUNT)
+    with scanner(play) as source:
+        record_live(source, tmp_path / "b.seq.nrrd", limits=limits)
+    recorded = Recording(tmp_path / "b.seq.nrrd")
+    for here, there in zip(recorded, volumes, strict=True):
+        np.testing.assert_array_equal(here.intensities, there.intensities)
+        np.testing.assert_allclose(here.origin, there.origin, atol=1e-8)
+        np.testing.assert_allclose(here.spacing, there.spacing, atol=1e-9)
+        assert here.X_WP.IsNearlyEqualTo(there.X_WP, 1e-6)
+        assert here.time == pytest.approx(there.time, abs=1e-9)
+    estimates = []
+    with scanner(play) as source:
+        track_live(
+            source,
+            parameters=anywhere(),
+            limits=limits,
+            after_volume=lambda number, estimate: estimates.append(estimate),
+        )
+    expected = track_recording(recorded, parameters=anywhere()).estimates
+    assert [each.mode for each in estimates] == [each.mode for each in expected]
+    assert sum(map(bool, estimates)) >= COUNT - 3
+    for here, there in zip(estimates, expected, strict=True):
+        if here:
+            points = here.curve.control_points, there.curve.control_points
+            np.testing.assert_array_equal(*points)
+
+
+def test_bridge_records_what_was_played(recording, tmp_path):
+    path = tmp_path / "copy.seq.nrrd"
+    with played(recording) as source:
+        summary = record_live(source, path, limits=LiveLimits(volumes=COUNT))
+    assert summary["volumes"] == COUNT
+    assert path.read_bytes() == recording.path.read_bytes()
+    there, here = (side_path(each, ACQUISITION).read_text() for each in (recording.path, path))
+    assert here == there
+
+
+def test_playing_keeps_the_pace(recording):
+    outlet = FakeOutlet()
+    outlet.dropped, outlet.peers = 0, 1
+    played = []
+    summary = play_live(recording, outlet, speed=200.0, after_volume=played.append)
+    assert summary["volumes"] == COUNT
+    assert played == list(range(COUNT))
+    assert [items[2].time for _, items in outlet.sent] == list(recording.times)
+
+
+def test_quiet_stream_ends_by_patience():
+    said = []
+    with Link(parse_address("igtl://:0"), report=quiet) as server:
+        address = parse_address(f"igtl://localhost:{server.port}")
+        with LiveSource(address, report=quiet) as source:
+            assert list(live_volumes(source, LiveLimits(patience=0.3), said.append)) == []
+    assert "for 0.3 s: ending" in said[-1]
+
+
+@pytest.fixture(scope="module")
+def served():
+    """Everything that a short run sends, and its volumes."""
+    scenario = load_scenario("chatelain2013_fig4", seed=103, changes=["duration=0.6"])
+    outlet = FakeOutlet()
+    run(scenario, observers=live_senders(outlet, scenario))
+    return scenario, [item for _, items in outlet.sent for item in items]
+
+
+def test_run_sends_all_that_it_makes_under_names_that_fit(served):
+    _, items = served
+    names = {item.name for item in items}
+    assert names == {
+        "Acquisition",
+        "Image_Probe",
+        "Frame",
+        "SliceA_Probe",
+        "SliceB_Probe",
+        "ProbeToReference",
+        "NeedleStatus",
+        "TrueTissueToRef",
+    }
+    assert max(len(name) for name in names) <= 20
+
+
+def test_frames_of_a_run_are_its_volumes(served):
+    scenario, items = served
+    parameters = MotorSweepParameters(
+        probe=scenario.probe,
+        imaging=scenario.imaging,
+        scan_conversion=scenario.scan_conversion,
+    )
+    frames = ImageMatcher(device="Frame", poses="ProbeToReference", layers=False, report=quiet)
+    maker = MotorSweepVolumes(parameters)
+    volumes = [
+        volume for item in items for posed in frames.feed(item, 0.0) if (volume := maker(posed))
+    ]
+    images = [item for item in items if isinstance(item, ImageItem) and item.name == "Image_Probe"]
+    assert len(volumes) == len(images) >= 2
+    for volume, image in zip(volumes, images, strict=True):
+        np.testing.assert_array_equal(volume.intensities, image.voxels)
+        assert volume.time == image.time
+
+
+def test_driving_is_sent_too():
+    scenario = load_scenario("drive", seed=103)
+    outlet = FakeOutlet()
+    driven = DrivenExperiment(scenario, Meshcat(), observers=live_senders(outlet, scenario))
+    driven.start()
+    driven.advance(0.4)
+    topics = [topic for topic, _ in outlet.sent]
+    assert {"volume", "frames", "slices", "estimate", "truth", ""} == set(topics)
+    driven.start()  # the operator begins anew
+    driven.advance(0.4)
+    assert [topic for topic, _ in outlet.sent].count("volume") == 2 * topics.count("volume")
+
+
+def test_observers_have_no_outputs():
+    scenario = load_scenario("chatelain2013_fig4")
+    with pytest.raises(ConfigurationError, match=r"observers\.gain: '1 outputs' is not allowed"):
+        run(scenario, observers={"gain": Gain(1.0, 1)})
+
+
+def test_receiver_tracker_and_sender_are_a_diagram(recording):
+    """Volumes come in at a simulator's steps, and estimates go out."""
+
+    class Source:
+        def __init__(self):
+            self.volumes = [recording[k] for k in range(4)]
+
+        def take(self, timeout=0.0):
+            return self.volumes.pop(0) if self.volumes else NotFound("nothing")
+
+    outlet, source = FakeOutlet(), Source()
+    builder = DiagramBuilder()
+    receiver = builder.AddSystem(VolumeReceiver(source=source))
+    tracker = builder.AddSystem(MakeNeedleTracker(parameters=anywhere(), period=0.1, offset=0.05))
+    sender = builder.AddSystem(NeedleSender(outlet=outlet, period=0.1, offset=0.09))
+    builder.Connect(receiver.GetOutputPort("volume"), tracker.GetInputPort("volume"))
+    builder.Connect(tracker.GetOutputPort("estimate"), sender.GetInputPort("estimate"))
+    simulator = Simulator(builder.Build())
+    simulator.AdvanceTo(1.0)
+    assert not source.volumes
+    assert outlet.sent[-1][1][0].time == pytest.approx(recording.times[3])
+
+
+def test_a_client_sees_a_run_as_it_goes():
+    said, items = [], []
+    with opened("igtl://:0", said.append) as link:
+        address = parse_address(f"igtl://localhost:{link.port}")
+        client = Link(address, lambda item, now: items.append(item), quiet)
+        with client:
+            wait_until(lambda: link.peers)
+            link.send([TextItem("Text", 1.0, "hello"), PoseItem("P", 1.0, RigidTransform())])
+            wait_until(lambda: len(items) == 2)
+    assert f"igtl://127.0.0.1:{address.port}" in said[0]
+
+
+def test_names_of_devices_can_be_set():
+    names = needle_names(["tip=Tip", "status="], points=True)
+    assert (names.tip, names.status, names.points) == ("Tip", "", True)
+    with pytest.raises(ConfigurationError, match="name: 'tap=x'; .*tip"):
+        needle_names(["tap=x"])
+    with pytest.raises(ConfigurationError, match="at most 20 bytes"):
+        needle_names(["tip=" + 21 * "x"])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"depth": "Z"}, "depth"),
+        ({"reconstruct": True, "frames": 1}, "frames"),
+        ({"window": (3, 1)}, "window"),
+    ],
+)
+def test_what_makes_no_volumes_is_refused(options, message):
+    with pytest.raises(ConfigurationError, match=message):
+        make_maker(**options)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["bridge", "a.seq.nrrd", "b.seq.nrrd"], "one must be an address (igtl://...)"),
+        (["bridge", "igtl://a", "igtl://b"], "one must be an address (igtl://...)"),
+        (["track", "igtl://a:99999"], "is no address"),
+        (["track", "udp://a"], "unknown protocol 'udp'"),
+        (
+            ["run", "carriere2016_d60", "--no-meshcat", "--serve", "igtl://:0"],
+            "one of 'following' is wanted here",
+        ),
+    ],
+)
+def test_mistakes_are_one_line(arguments, message, capsys, monkeypatch):
+    from sonoservo.diagrams.app import cli
+
+    monkeypatch.setattr(sys, "argv", ["sonoservo", *arguments])
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    assert stop.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert message in line
+
+
+def test_missing_package_is_one_line():
+    code = "import sys; sys.modules['pyigtl'] = None; " + COMMAND[2]
+    result = subprocess.run(
+        [sys.executable, "-c", code, "track", "igtl://localhost"], capture_output=True, text=True
+    )
+    assert result.returncode == 2
+    assert result.stderr.splitlines() == [
+        "sonoservo: OpenIGTLink needs the package pyigtl: pip install 'sonoservo[live]'"
+    ]
+
+
+def test_interruption_ends_at_once_and_leaves_what_is_valid(recording, tmp_path):
+    with Link(parse_address("igtl://:0"), report=quiet) as server:
+        command = ["track", f"igtl://localhost:{server.port}", "--out", str(tmp_path)]
+        with subprocess.Popen([*COMMAND, *command], stdout=subprocess.PIPE, text=True) as tracking:
+            wait_until(lambda: server.peers, 60)
+            play_live(recording, server, speed=0)
+            table = tmp_path / "estimates.csv"
+            wait_until(lambda: table.is_file() and len(rows_of(tmp_path)) >= 2, 60)
+            tracking.send_signal(signal.SIGINT)
+            printed, _ = tracking.communicate(timeout=20)
+    assert tracking.returncode == 0
+    assert "from the last byte to the estimate sent" in " ".join(printed.split())
+    assert all(None not in row.values() for row in rows_of(tmp_path))
+    assert (tmp_path / "summary.json").is_file()

@@ -1,0 +1,23 @@
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+from sonoservo.diagrams.papers import registry
+from sonoservo.diagrams.studies.study import StudyOptions
+from sonoservo.systems.files.typed_yaml import ConfigurationError
+
+
+def test_every_paper_is_registered():
+    folders = Path(registry.__file__).parent.glob("*/__init__.py")
+    assert set(registry.PAPERS) == {path.parent.name for path in folders}
+
+
+@pytest.mark.parametrize("paper", registry.PAPERS)
+def test_every_paper_hands_out_its_reproduction(paper):
+    assert callable(import_module(f"sonoservo.diagrams.papers.{paper}").reproduce)
+
+
+def test_an_unknown_paper_is_refused(tmp_path):
+    with pytest.raises(ConfigurationError, match="did you mean 'zhao2012'"):
+        registry.reproduce("zhao2021", StudyOptions(folder=tmp_path))

@@ -1,0 +1,118 @@
+import struct
+
+import numpy as np
+import pytest
+from live_items import X, decode_all
+from pyigtl.messages import CRC64, StringMessage
+
+from sonoservo.systems.live.connection.crc64 import crc64
+from sonoservo.systems.live.connection.framing import (
+    HEADER_SIZE,
+    MAX_BODY,
+    Framer,
+    FramingError,
+    MessageError,
+    pack_frame,
+    parse_header,
+)
+from sonoservo.systems.live.connection.items import PoseItem, TextItem
+from sonoservo.systems.live.connection.open_igt_link import encode, make_framer
+
+
+@pytest.mark.parametrize("size", [0, 1, 7, 8, 9, 64, 1001])
+def test_checksum_is_that_of_pyigtl(size):
+    data = np.random.default_rng(size).bytes(size)
+    assert crc64(data) == CRC64(data)
+    assert crc64(data[size // 3 :], crc64(data[: size // 3])) == CRC64(data)
+
+
+def test_header_holds_what_was_packed():
+    header = parse_header(pack_frame("STATUS", "Name", 1700000000.25, b"abc")[:HEADER_SIZE])
+    assert (header.version, header.type, header.device) == (1, "STATUS", "Name")
+    assert (header.time, header.size, header.crc) == (1700000000.25, 3, CRC64(b"abc"))
+
+
+@pytest.mark.parametrize("time", [0.0, 0.1, 1e-9, 12.34567, 1763762954.123])
+def test_time_stamps_have_steps_of_a_quarter_nanosecond(time):
+    assert parse_header(pack_frame("A", "B", time, b"")).time == pytest.approx(time, abs=1.2e-10)
+
+
+@pytest.mark.parametrize(("name", "time"), [("", 0), ("n" * 21, 0), ("n", -1), ("n", 2.0**32)])
+def test_what_cannot_be_sent_is_refused(name, time):
+    with pytest.raises(ValueError, match="is not allowed"):
+        pack_frame("STATUS", name, time, b"")
+
+
+@pytest.mark.parametrize("piece", [1, 7, 57, 58, 59, 1000])
+def test_messages_may_come_in_any_pieces(piece):
+    data = b"".join(encode(TextItem("T", k, f"text {k}")) for k in range(5))
+    assert [item.text for item in decode_all(data, piece)] == [f"text {k}" for k in range(5)]
+
+
+def test_unknown_types_are_skipped_without_being_stored():
+    framer = make_framer()
+    data = pack_frame("VIDEO", "V", 0, bytes(3_000_000)) + encode(PoseItem("P", 1, X))
+    assert [item.name for item in decode_all(data, framer=framer)] == ["P"]
+    head = pack_frame("VIDEO", "V", 0, bytes(200_000_000))[:HEADER_SIZE]
+    framer.buffer[:HEADER_SIZE] = head
+    assert list(framer.advance(HEADER_SIZE, 0)) == []
+    assert len(framer.buffer) < 1 << 20
+
+
+def test_message_with_a_wrong_checksum_is_left_out_and_the_next_one_is_read():
+    damaged = bytearray(encode(TextItem("T", 0, "damaged")))
+    damaged[-1] ^= 1
+    framer = make_framer()
+    with pytest.raises(MessageError, match="STRING 'T': the checksum is wrong"):
+        decode_all(bytes(damaged), framer=framer)
+    assert [item.text for item in decode_all(encode(TextItem("T", 0, "ok")), framer=framer)] == [
+        "ok"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        (slice(42, 50), struct.pack(">Q", 10**12), "a STRING of 1000000000000 bytes; at most"),
+        (slice(42, 50), struct.pack(">Q", 2**64 - 1), "a STRING of 18446744073709551615 bytes"),
+        (slice(0, 2), struct.pack(">H", 9), "not OpenIGTLink: version 9"),
+        (slice(2, 6), b"GET ", "not OpenIGTLink"),
+        (slice(2, 14), bytes(12), "not OpenIGTLink"),
+    ],
+)
+def test_header_that_makes_no_sense_ends_the_connection(field, value, message):
+    data = bytearray(encode(TextItem("T", 0, "text")))
+    data[field] = value
+    with pytest.raises(FramingError, match=message):
+        decode_all(bytes(data))
+
+
+def test_largest_body_is_announced_without_taking_memory():
+    framer = Framer({"IMAGE"})
+    head = struct.pack("> H 12s 20s I I Q Q", 1, b"IMAGE", b"I", 0, 0, MAX_BODY, 0)
+    framer.buffer[:] = head
+    assert list(framer.advance(HEADER_SIZE, 0)) == []
+    assert len(framer.buffer) <= 1 << 18
+
+
+def test_metadata_of_version_2_is_left_aside():
+    message = StringMessage("text", 5.5, "T")
+    message.header_version, message.metadata = 2, {"unit": "mm", "none": ""}
+    (item,) = decode_all(message.pack())
+    assert (item.text, item.time) == ("text", 5.5)
+
+
+@pytest.mark.parametrize("body", [b"", b"\0" * 11, struct.pack("> H H I I", 12, 9, 9, 0)])
+def test_wrong_extended_header_is_left_out(body):
+    data = bytearray(pack_frame("STRING", "T", 0, body))
+    data[1] = 2
+    with pytest.raises(MessageError, match="extended header"):
+        decode_all(bytes(data))
+
+
+def test_message_that_does_not_go_on_is_overdue():
+    framer = make_framer()
+    assert not framer.is_overdue(1e9)
+    list(framer.advance(1, 0.0))
+    assert not framer.is_overdue(4.0)
+    assert framer.is_overdue(6.0)

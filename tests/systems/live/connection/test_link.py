@@ -1,0 +1,324 @@
+import socket
+import subprocess
+import threading
+import time
+
+import numpy as np
+import pyigtl
+import pytest
+from live_items import X, make_volume, wait_until
+from openigtlink import EXAMPLES, compiled, free_port
+
+from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.live.connection import framing, link
+from sonoservo.systems.live.connection.items import PoseItem, TextItem
+from sonoservo.systems.live.connection.link import Link
+from sonoservo.systems.live.connection.open_igt_link import encode
+from sonoservo.systems.live.connection.outbox import Outbox
+from sonoservo.systems.live.connection.protocols import parse_address
+from sonoservo.systems.live.live_source import LiveSource
+from sonoservo.systems.live.volume_sender import volume_items
+
+
+class Ear:
+    """Keeps what a link receives and reports."""
+
+    def __init__(self):
+        self.items, self.lines = [], []
+
+    def receive(self, item, now):
+        self.items.append(item)
+
+    def open(self, address):
+        return Link(parse_address(address), self.receive, self.lines.append)
+
+    def said(self, text):
+        return [line for line in self.lines if text in line]
+
+
+@pytest.fixture
+def ear():
+    return Ear()
+
+
+@pytest.fixture
+def server(ear):
+    with ear.open("igtl://:0") as opened:
+        yield opened
+
+
+def plug(server):
+    return socket.create_connection(("127.0.0.1", server.port), timeout=20)
+
+
+def message(text, size=0):
+    return encode(TextItem("T", 1.0, text.ljust(size)))
+
+
+def test_address_is_read():
+    address = parse_address("igtl://host:123/Image")
+    assert (address.host, address.port, address.device) == ("host", 123, "Image")
+    assert not address.listens
+    assert parse_address("igtl://host").port == 18944
+    assert parse_address("igtl://[::1]:5").bound == ("::1", 5)
+    assert str(parse_address("igtl://[::1]:5/X")) == "igtl://[::1]:5"
+    for text, bound in (("igtl://:9", "127.0.0.1"), ("igtl://0.0.0.0:9", "0.0.0.0")):
+        assert parse_address(text).listens
+        assert parse_address(text).bound == (bound, 9)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("igtl:/host", "is no address; igtl://host:18944/DEVICE connects"),
+        ("igtl://host:99999", "is no address"),
+        ("igtl://host:12/" + 21 * "x", "is no address"),
+        ("igt://host", "unknown protocol 'igt'; .*igtl"),
+    ],
+)
+def test_wrong_address_is_refused(text, message):
+    with pytest.raises(ConfigurationError, match=message):
+        parse_address(text)
+
+
+def test_it_listens_on_this_machine_alone(server):
+    assert server._listener.getsockname()[0] == "127.0.0.1"
+
+
+def test_port_that_is_taken_is_one_line(server, ear):
+    with pytest.raises(OSError, match=rf"igtl://:{server.port}: cannot listen there: Address"):
+        ear.open(f"igtl://:{server.port}").start()
+
+
+def test_messages_go_both_ways(server, ear):
+    other = Ear()
+    with other.open(f"igtl://localhost:{server.port}") as client:
+        wait_until(lambda: server.peers and client.peers)
+        server.send([TextItem("A", 1.0, "down")])
+        client.send([PoseItem("B", 2.0, X), TextItem("C", 2.0, "up")])
+        wait_until(lambda: other.items and len(ear.items) == 2)
+    assert other.items[0].text == "down"
+    assert [item.name for item in ear.items] == ["B", "C"]
+
+
+def test_lost_connection_is_taken_up_again(ear):
+    port = free_port()
+    with ear.open(f"igtl://localhost:{port}") as client:
+        for number in range(2):
+            with Ear().open(f"igtl://:{port}") as server:
+                wait_until(lambda: server.peers and client.peers)
+                server.send([TextItem("T", 1.0, f"{number}")])
+                wait_until(lambda: len(ear.items) > number)  # noqa: B023
+    assert [item.text for item in ear.items] == ["0", "1"]
+    assert ear.said("connection lost")
+
+
+def test_two_clients_get_the_same_and_a_late_one_the_next(server):
+    ears = [Ear(), Ear(), Ear()]
+    address = f"igtl://localhost:{server.port}"
+    with ears[0].open(address), ears[1].open(address):
+        wait_until(lambda: server.peers == 2)
+        server.send([TextItem("T", 1.0, "first")])
+        with ears[2].open(address):
+            wait_until(lambda: server.peers == 3)
+            server.send([TextItem("T", 2.0, "second")])
+            wait_until(lambda: [len(each.items) for each in ears] == [2, 2, 1])
+    assert ears[2].items[0].text == "second"
+
+
+def test_slow_client_loses_old_volumes_and_holds_nobody_up(server):
+    fast = Ear()
+    with plug(server) as slow, fast.open(f"igtl://localhost:{server.port}"):
+        wait_until(lambda: server.peers == 2)
+        for number in range(20):
+            items = [TextItem("T", float(number), f"{number:<60000}")] * 50
+            server.send(items, topic="volume", keep=2)
+            wait_until(lambda: len(fast.items) == 50 * (number + 1))  # noqa: B023
+        assert server.dropped > 5
+        assert max(len(peer.outbox._waiting) for peer in server._peers) <= 2
+        # What it gets in the end is whole, in order, and the newest.
+        framer, stamps = framing.Framer({"STRING"}), []
+        while stamps.count(19) < 50:
+            count = slow.recv_into(framer.buffer)
+            stamps += [frame.header.time for frame in framer.advance(count, 0.0)]
+    assert stamps == sorted(stamps)
+    assert len(stamps) < 1000
+    assert all(stamps.count(stamp) == 50 for stamp in stamps)
+
+
+def test_hanging_client_is_given_up(server, ear, monkeypatch):
+    monkeypatch.setattr(link, "_HUNG", 0.3)
+    with plug(server):
+        wait_until(lambda: server.peers == 1)
+        for number in range(200):
+            server.send([TextItem("T", 1.0, f"{number:<60000}")], keep=200)
+        wait_until(lambda: server.peers == 0)
+    assert ear.said("it takes nothing of what it is sent")
+
+
+def test_byte_by_byte_is_too_slow(server, ear, monkeypatch):
+    monkeypatch.setattr(framing, "_HEADER_PATIENCE", 0.3)
+    with plug(server) as slow, pytest.raises(OSError):  # noqa: PT011, PT012
+        for byte in message("never arrives") * 10:
+            slow.sendall(bytes([byte]))
+            time.sleep(0.05)
+    assert ear.said("it is too slow to finish a message")
+    assert ear.said("127.0.0.1:")
+
+
+def test_silent_peer_may_stay(server, ear, monkeypatch):
+    monkeypatch.setattr(framing, "_HEADER_PATIENCE", 0.2)
+    with plug(server) as silent:
+        wait_until(lambda: server.peers == 1)
+        time.sleep(0.6)
+        silent.sendall(message("here I am"))
+        wait_until(lambda: ear.items)
+
+
+def test_nonsense_is_cut_off_and_others_go_on(server, ear):
+    with plug(server) as good, plug(server) as bad:
+        bad.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\nAccept: text/html,application/xml\r\n")
+        wait_until(lambda: server.peers == 1)
+        good.sendall(message("fine"))
+        wait_until(lambda: ear.items)
+    (line,) = ear.said("cut off")
+    assert line.startswith("127.0.0.1:")
+    assert "not OpenIGTLink" in line
+
+
+def test_wrong_checksum_costs_one_message(server, ear):
+    damaged = bytearray(message("damaged"))
+    damaged[-1] ^= 1
+    with plug(server) as peer:
+        peer.sendall(bytes(damaged) + message("whole"))
+        wait_until(lambda: ear.items)
+    assert [item.text for item in ear.items] == ["whole"]
+    assert ear.said("STRING 'T': the checksum is wrong")
+
+
+def test_torn_message_is_forgotten(server, ear):
+    with plug(server) as peer:
+        peer.sendall(message("torn")[:-2])
+    wait_until(lambda: ear.said("connection lost"))
+    with plug(server) as peer:
+        peer.sendall(message("whole"))
+        wait_until(lambda: ear.items)
+    assert [item.text for item in ear.items] == ["whole"]
+
+
+def test_a_hundred_connections(server, ear, monkeypatch):
+    monkeypatch.setattr(link, "_MAX_PEERS", 60)
+    peers = [plug(server) for _ in range(100)]
+    wait_until(lambda: server.peers == 60 and len(ear.said("refused")) > 0)
+    assert len(ear.lines) <= 5
+    peers[0].sendall(message("still there"))
+    wait_until(lambda: ear.items)
+    for peer in peers:
+        peer.close()
+    wait_until(lambda: server.peers == 0)
+
+
+def test_lines_about_one_peer_do_not_flood(server, ear):
+    damaged = bytearray(message("damaged"))
+    damaged[-1] ^= 1
+    with plug(server) as peer:
+        peer.sendall(bytes(damaged) * 300 + message("whole"))
+        wait_until(lambda: ear.items)
+    assert len(ear.lines) <= 5
+
+
+def test_close_ends_every_thread(ear):
+    before = threading.active_count()
+    with ear.open("igtl://:0") as server, Ear().open(f"igtl://localhost:{server.port}"):
+        wait_until(lambda: server.peers == 1)
+    assert threading.active_count() == before
+
+
+def test_outbox_drops_the_oldest_of_a_topic_and_never_what_is_under_way():
+    outbox = Outbox(keep=2)
+    outbox.put(b"begun", "a")
+    assert bytes(outbox.next()) == b"begun"
+    outbox.sent(2)
+    for number in range(4):
+        outbox.put(b"a%d" % number, "a")
+    outbox.put(b"other", "b")
+    sent = []
+    while outbox:
+        sent.append(bytes(outbox.next()))
+        outbox.sent(len(sent[-1]))
+    assert sent == [b"gun", b"a2", b"a3", b"other"]
+    assert outbox.dropped == {"a": 2}
+
+
+def test_source_gives_the_newest_and_counts_what_it_drops(server):
+    address = parse_address(f"igtl://localhost:{server.port}")
+    with LiveSource(address, report=lambda line: None) as source:
+        assert "no volume has come from igtl://localhost" in source.take().reason
+        wait_until(lambda: server.peers == 1)
+        for k in range(5):
+            server.send(volume_items(make_volume(1.0 + k)), topic=f"{k}")
+        wait_until(lambda: source.dropped == 4)
+        volume = source.take(5.0)
+    assert volume.time == 5.0
+    np.testing.assert_array_equal(volume.intensities, make_volume().intensities)
+    assert source.posed
+
+
+def test_client_of_pyigtl_receives_and_sends(server, ear):
+    client = pyigtl.OpenIGTLinkClient("127.0.0.1", server.port)
+    try:
+        wait_until(lambda: server.peers == 1)
+        volume = make_volume()
+        server.send(volume_items(volume))
+        image = client.wait_for_message("Image_Probe", timeout=20)
+        np.testing.assert_array_equal(image.image, volume.intensities.transpose(2, 1, 0))
+        client.send_message(pyigtl.StringMessage("hello", device_name="Hi"))
+        wait_until(lambda: ear.items)
+    finally:
+        client.stop()
+    assert (ear.items[0].name, ear.items[0].text) == ("Hi", "hello")
+
+
+def test_server_of_pyigtl_is_tracked():
+    server = pyigtl.OpenIGTLinkServer(port=free_port(), local_server=True)
+    try:
+        address = parse_address(f"igtl://127.0.0.1:{server.port}")
+        with LiveSource(address, poses="none", report=lambda line: None) as source:
+            wait_until(server.is_connected)
+            voxels = make_volume().intensities.transpose(2, 1, 0)
+            server.send_message(pyigtl.ImageMessage(voxels, np.eye(4), device_name="I"))
+            volume = source.take(20.0)
+    finally:
+        server.stop()
+    np.testing.assert_array_equal(volume.intensities, make_volume().intensities)
+
+
+def test_example_receiver_of_the_reference_library(server, tmp_path):
+    program = compiled(EXAMPLES / "Receiver/ReceiveClient.cxx", tmp_path)
+    command = [str(program), "127.0.0.1", str(server.port)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as client:
+        wait_until(lambda: server.peers == 1)
+        server.send(volume_items(make_volume(shape=(7, 6, 5))))
+        assert server.flush(20.0)
+        server.close()
+        _, printed = client.communicate(timeout=30)
+    assert "Device Name           : Image_Probe" in printed
+    assert "Dimensions            : (7, 6, 5)" in printed
+    assert "Spacing               : (0.7, 0.8, 0.9)" in printed
+    assert "Receiving TRANSFORM" in printed
+
+
+def test_example_sender_of_the_reference_library(tmp_path):
+    program = compiled(EXAMPLES / "Imager/ImagerServer.cxx", tmp_path)
+    port = free_port()
+    command = [str(program), str(port), "100", str(EXAMPLES / "Imager/img")]
+    ear = Ear()
+    with subprocess.Popen(command) as sender:
+        try:
+            with ear.open(f"igtl://127.0.0.1:{port}"):
+                wait_until(lambda: len(ear.items) >= 5)
+        finally:
+            sender.kill()
+    assert {item.voxels.shape for item in ear.items} == {(256, 256, 1)}
+    picture = np.fromfile(EXAMPLES / "Imager/img/igtlTestImage1.raw", np.uint8)
+    np.testing.assert_array_equal(ear.items[0].voxels.ravel(order="F"), picture)

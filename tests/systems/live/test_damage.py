@@ -1,0 +1,157 @@
+"""Damaged streams: whatever comes, the next sound volume is tracked."""
+
+import resource
+import socket
+import threading
+import time
+
+import numpy as np
+import pytest
+from live_items import X, make_estimate, make_volume, wait_until
+
+from sonoservo.systems.live.connection.framing import FramingError, MessageError, pack_frame
+from sonoservo.systems.live.connection.items import PoseItem, TextItem
+from sonoservo.systems.live.connection.link import Link
+from sonoservo.systems.live.connection.open_igt_link import decode, encode, make_framer
+from sonoservo.systems.live.connection.protocols import parse_address
+from sonoservo.systems.live.estimate_items import NeedleNames, needle_items
+from sonoservo.systems.live.image_matcher import ImageMatcher
+from sonoservo.systems.live.live_source import LiveSource
+from sonoservo.systems.live.volume_maker import VolumeMaker
+from sonoservo.systems.live.volume_sender import volume_items
+
+SOUND = [
+    *(encode(item) for item in volume_items(make_volume(5.0))),
+    *(encode(item) for item in needle_items(make_estimate(), NeedleNames(), 5.0)),
+    encode(TextItem("Acquisition", 5.0, "{}")),
+]
+
+
+def damaged(rng):
+    """A message with one of the faults that a broken or hostile sender can make."""
+    data = bytearray(SOUND[rng.integers(len(SOUND))])
+    kind = rng.integers(6)
+    if kind == 0:  # bits flip anywhere
+        for at in rng.integers(len(data), size=rng.integers(1, 8)):
+            data[at] ^= 1 << rng.integers(8)
+    elif kind == 1:  # torn
+        del data[rng.integers(len(data)) :]
+    elif kind == 2:  # sound frame, damaged content
+        content = bytearray(data[58:])
+        for at in rng.integers(max(len(content), 1), size=4):
+            content[at : at + 1] = rng.bytes(1)
+        name = data[2:14].rstrip(b"\0").decode()
+        return pack_frame(name, "Image_Probe", float(rng.uniform(0, 10)), bytes(content))
+    elif kind == 3:  # another length
+        content = bytes(data[58 : 58 + rng.integers(len(data))]) + rng.bytes(rng.integers(40))
+        name = ("IMAGE", "TRANSFORM", "TDATA", "STRING", "NDARRAY", "POINT")[rng.integers(6)]
+        return pack_frame(name, "Image_Probe", 5.0, content)
+    elif kind == 4:  # stamps that jump
+        stamp = (0.0, 1e-9, 4e9, 5.0)[rng.integers(4)]
+        return encode(PoseItem("ProbeToReference", stamp, X))
+    else:  # noise
+        return rng.bytes(rng.integers(200))
+    return bytes(data)
+
+
+def test_nothing_but_the_two_kinds_of_refusal_comes_out_of_damage():
+    rng = np.random.default_rng(100)
+    lines = []
+    for _ in range(600):
+        framer, data = make_framer(), damaged(rng) + damaged(rng)
+        matcher, maker = ImageMatcher(report=lines.append), VolumeMaker()
+        try:
+            while data:
+                count = min(len(framer.buffer), len(data))
+                framer.buffer[:count] = data[:count]
+                data = data[count:]
+                for frame in framer.advance(count, 0.0):
+                    for item in decode(frame):
+                        for posed in matcher.feed(item, 0.0):
+                            maker(posed)
+        except (FramingError, MessageError):
+            continue
+        for posed in matcher.release(10.0):
+            maker(posed)
+
+
+def send_damage(port, rng, count):
+    """Send damaged messages, on as many connections as it takes."""
+    peer = None
+    for _ in range(count):
+        try:
+            peer = peer or socket.create_connection(("127.0.0.1", port), timeout=20)
+            peer.sendall(damaged(rng))
+        except OSError:  # cut off
+            peer = None
+    if peer is not None:
+        peer.close()
+
+
+def check_damage(count):
+    """After so many damaged messages a volume still comes through, and no thread is left."""
+    threads, lines = threading.active_count(), []
+    with LiveSource(parse_address("igtl://:0"), report=lines.append) as source:
+        send_damage(source.link.port, np.random.default_rng(101), count)
+        with Link(
+            parse_address(f"igtl://localhost:{source.link.port}"), report=lambda _: None
+        ) as good:
+            wait_until(lambda: good.peers)
+            stamp = 4.29e9
+            while True:  # the first ones may have to show that the clock was set anew
+                stamp += 0.3
+                good.send(volume_items(make_volume(stamp)))
+                volume = source.take(0.5)
+                if volume and np.array_equal(volume.intensities, make_volume().intensities):
+                    break
+                assert stamp < 4.29e9 + 30
+    assert threading.active_count() == threads
+    assert len(lines) < 100 + count / 10
+    assert all(line.isprintable() for line in lines), lines
+
+
+def test_a_volume_comes_through_after_damage():
+    check_damage(200)
+
+
+@pytest.mark.slow
+def test_a_volume_comes_through_after_5000_damaged_messages():
+    check_damage(5000)
+
+
+@pytest.mark.slow
+def test_20_volumes_a_second_for_five_minutes_without_growth_of_memory():
+    seconds, rate = 300, 20
+    volume = make_volume(shape=(128, 120, 96))
+    memory, came = [], 0
+    with Link(parse_address("igtl://:0"), report=print) as server:
+        address = parse_address(f"igtl://localhost:{server.port}")
+        with LiveSource(address, keep=4, report=print) as source:
+            wait_until(lambda: server.peers)
+
+            def send():
+                start = time.perf_counter()
+                for number in range(seconds * rate):
+                    time.sleep(max(0.0, start + number / rate - time.perf_counter()))
+                    sent = type(volume)(
+                        volume.intensities, volume.origin, volume.spacing, X, 1.0 + number / rate
+                    )
+                    server.send(volume_items(sent), topic="volume", keep=2)
+
+            thread = threading.Thread(target=send)
+            thread.start()
+            while thread.is_alive() or source.take(0.5):
+                came += bool(source.take(0.5))
+                memory.append(resource_in_use())
+            thread.join()
+    settled = memory[len(memory) // 5 :]
+    growth = np.polyfit(np.arange(len(settled)), settled, 1)[0] * len(settled)
+    print(f"{came} of {seconds * rate} volumes, {source.dropped} dropped here, {growth:.1f} MB")
+    assert came > 0.98 * seconds * rate
+    assert growth < 5
+
+
+def resource_in_use():
+    """Memory of this process in MB."""
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * resource.getpagesize() / 1e6

@@ -1,0 +1,97 @@
+import numpy as np
+import pytest
+from live_items import X, make_volume
+from pydrake.math import RigidTransform, RotationMatrix
+
+from sonoservo.systems.live.acquisition import read_acquisition_item
+from sonoservo.systems.live.connection.items import ImageItem
+from sonoservo.systems.live.image_matcher import PosedImage
+from sonoservo.systems.live.volume_maker import VolumeMaker
+from sonoservo.systems.live.volume_sender import volume_items
+
+
+def posed(item, X_WL=None, acquisition=None, time=1.0):
+    return PosedImage(item, X_WL or RigidTransform(), acquisition, time, 0.0)
+
+
+def image(voxels, R=None, origin=(0, 0, 0), steps=(1e-3, 1e-3, 1e-3)):
+    X_LI = np.eye(4)
+    X_LI[:3, :3] = (np.eye(3) if R is None else R) * steps
+    X_LI[:3, 3] = origin
+    return ImageItem("Image", 1.0, voxels, X_LI)
+
+
+VOXELS = np.random.default_rng(0).integers(0, 255, (5, 4, 3), dtype=np.uint8)
+
+
+def test_image_of_our_own_is_the_volume_again():
+    volume = make_volume()
+    text, _, item = volume_items(volume)
+    made = VolumeMaker()(posed(item, X, read_acquisition_item(text)))
+    np.testing.assert_array_equal(made.intensities, volume.intensities)
+    np.testing.assert_array_equal(made.origin, volume.origin)
+    assert made.X_WP.IsExactlyEqualTo(X)
+    without = VolumeMaker()(posed(item, X))
+    np.testing.assert_allclose(without.origin, volume.origin, atol=1e-12)
+    assert without.X_WP.IsNearlyEqualTo(X, 1e-12)
+
+
+@pytest.mark.parametrize(
+    "order", [(0, 1, 2), (2, 0, 1), (1, 2, 0), (0, 2, 1)], ids=lambda order: str(order)
+)
+@pytest.mark.parametrize("sign", [1, -1])
+def test_axes_in_any_order_and_sign_are_the_same_volume(order, sign):
+    """The voxel at a place in L is there, however its array is stored."""
+    R = np.eye(3)[:, list(order)] * [sign, 1, sign]
+    item = image(VOXELS.transpose(order), R, steps=np.array([1e-3, 2e-3, 3e-3])[list(order)])
+    made = VolumeMaker()(posed(item, X))
+    i, j, k = 1, 2, 1
+    where = np.array([i, j, k])[list(order)]
+    p_L = (item.X_LI @ [*where, 1])[:3]
+    p_P = made.X_WP.inverse().multiply(X.multiply(p_L))
+    index = np.round(made.index(p_P), 6)
+    np.testing.assert_array_equal(index, index.round())
+    assert made.intensities[tuple(index.astype(int))] == VOXELS[i, j, k]
+
+
+def test_moved_image_is_a_moved_probe():
+    maker = VolumeMaker()
+    motion = RigidTransform(RotationMatrix.MakeXRotation(0.2), [0.01, 0.02, 0.03])
+    first = image(VOXELS, origin=[0.001, 0.002, 0.003])
+    moved = ImageItem("Image", 1.3, VOXELS, motion.GetAsMatrix4() @ first.X_LI)
+    start, end = maker(posed(first)), maker(posed(moved, time=1.3))
+    assert end.X_WP.IsNearlyEqualTo(motion @ start.X_WP, 1e-12)
+    np.testing.assert_array_equal(end.origin, start.origin)
+    assert maker.X_WL(posed(moved)).IsNearlyEqualTo(motion, 1e-12)
+
+
+def test_grid_that_changes_is_left_out():
+    maker = VolumeMaker()
+    maker(posed(image(VOXELS)))
+    assert "left out" in maker(posed(image(VOXELS[:-1]))).reason
+    assert "not the first one's" in maker(posed(image(VOXELS, steps=[2e-3, 1e-3, 1e-3]))).reason
+
+
+def test_grey_levels_are_those_of_the_first_volume_or_of_the_window():
+    maker = VolumeMaker()
+    numbers = np.linspace(-1000, 1000, 60).reshape(5, 4, 3).astype(np.int16)
+    made = maker(posed(image(numbers)))
+    assert (made.intensities.min(), made.intensities.max()) == (0, 255)
+    half = maker(posed(image((numbers // 2).astype(np.int16))))
+    assert half.intensities.max() == pytest.approx(191, abs=1)
+    fixed = VolumeMaker(window=(0, 1000))(posed(image(numbers)))
+    assert fixed.intensities[2, 2, 0] < 255
+
+
+def test_oblique_and_infinite_images_are_left_out():
+    R = np.eye(3)
+    R[0, 1] = 0.5
+    assert "right angles" in VolumeMaker()(posed(image(VOXELS, R))).reason
+    numbers = VOXELS.astype(np.float32)
+    numbers[0, 0, 0] = np.nan
+    assert "not finite" in VolumeMaker()(posed(image(numbers))).reason
+
+
+def test_depth_must_be_a_letter_of_the_body():
+    with pytest.raises(ValueError, match="depth"):
+        VolumeMaker(depth="Z")

@@ -1,0 +1,71 @@
+import numpy as np
+import pytest
+from tracked_frames import freehand, write_plus_file
+
+from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.recording.tracked_frames import TrackedFrames
+
+
+@pytest.fixture(scope="module")
+def frames():
+    return freehand(6, dtype=np.uint8)
+
+
+def test_frames_of_plus_come_back(tmp_path, frames):
+    read = TrackedFrames(write_plus_file(tmp_path / "f.igs.mha", frames))
+    assert len(read) == 6
+    for number, frame in enumerate(frames):
+        np.testing.assert_array_equal(read[number], frame.pixels)
+        np.testing.assert_allclose(read.X_WI[number], frame.X_WI, atol=1e-12)
+    np.testing.assert_allclose(read.times, [frame.time for frame in frames])
+
+
+def test_invalid_frames_are_left_out(tmp_path, frames):
+    read = TrackedFrames(write_plus_file(tmp_path / "f.mha", frames, bad=(0, 3)))
+    assert (len(read), read.skipped) == (4, 2)
+    np.testing.assert_array_equal(read[0], frames[1].pixels)
+
+
+def test_pose_of_a_probe_uses_the_spacing_of_the_header(tmp_path, frames):
+    path = write_plus_file(tmp_path / "f.mha", frames, name="ProbeToReference")
+    text = path.read_bytes().replace(b"ElementSpacing = 1 1 1", b"ElementSpacing = 2 3 1")
+    path.write_bytes(text)
+    read = TrackedFrames(path)
+    np.testing.assert_allclose(read.X_WI[0][:3, 0], 2 * frames[0].X_WI[:3, 0], atol=1e-12)
+    np.testing.assert_allclose(read.X_WI[0][:3, 1], 3 * frames[0].X_WI[:3, 1], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        (b"ImageToReferenceTransform =", b"Nothing =", "no poses"),
+        (b"Frame0001_Timestamp = 10.05", b"Frame0001_Timestamp = 10.00", "not later than"),
+        (b"Frame0001_Timestamp = 10.05", b"Frame0001_Timestamp = x", "Timestamp"),
+        (b"DimSize = 40 50 6", b"DimSize = 40 50 900000", "truncated"),
+        (b"DimSize = 40 50 6", b"DimSize = 40 1 300", "not 2D frames"),
+    ],
+)
+def test_damaged_file_is_refused(tmp_path, frames, before, after, message):
+    path = write_plus_file(tmp_path / "f.mha", frames)
+    path.write_bytes(path.read_bytes().replace(before, after))
+    with pytest.raises(ConfigurationError, match=message):
+        list(TrackedFrames(path))
+
+
+def test_pose_that_is_none_is_refused(tmp_path, frames):
+    path = write_plus_file(tmp_path / "f.mha", frames)
+    lines = path.read_bytes().split(b"\n", 40)
+    lines = [
+        line.split(b"=")[0] + b"= " + b"0 " * 16
+        if line.startswith(b"Seq_Frame0002_ImageToReferenceTransform ")
+        else line
+        for line in lines
+    ]
+    path.write_bytes(b"\n".join(lines))
+    with pytest.raises(ConfigurationError, match="not a pose of a picture"):
+        TrackedFrames(path)
+
+
+def test_other_files_are_refused(tmp_path):
+    with pytest.raises(ConfigurationError, match="not a file of 2D frames; give a file of type"):
+        TrackedFrames(tmp_path / "none.nrrd")
