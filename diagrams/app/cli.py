@@ -166,7 +166,14 @@ def drive_command(
 
 @app.command("scan")
 def scan_command(
-    scenario: ScenarioArgument,
+    scenario: Annotated[
+        str | None,
+        typer.Argument(help="A name from `sonoservo list`, or a YAML file; fig. 5 by default."),
+    ] = None,
+    phantom: Annotated[
+        str | None,
+        typer.Option(help="Another phantom: a name, a YAML file or a label map (NRRD, NIfTI)."),
+    ] = None,
     time: Annotated[
         float | None,
         typer.Option(help="Time of the sweep, in s; by default, when the needle is deepest."),
@@ -182,7 +189,12 @@ def scan_command(
     from sonoservo.diagrams.experiments.registry import load_scenario
     from sonoservo.diagrams.scenario import require_scenario
 
-    loaded = load_scenario(scenario, changes=changes, seed=seed)
+    changes = list(changes or [])
+    if phantom is not None:
+        changes.append(f"phantom={phantom}")
+    if scenario is None and time is None:
+        time = 0.0  # The phantom by itself, before the needle is put in.
+    loaded = load_scenario(scenario or "chatelain2013_fig5", changes=changes, seed=seed)
     following = require_scenario(loaded, FollowingScenario)
     result = scan(following, time=time)
     summary = summarize_scan(result, following)

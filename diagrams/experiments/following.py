@@ -118,9 +118,10 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         scenario = require_scenario(scenario, FollowingScenario)
         seeds = draw_seeds(scenario)
         transducer = load_transducer(scenario.probe)
-        tissue = replace(load_tissue(scenario.phantom), seed=seeds.tissue)
-        geometry = sweep_geometry(transducer, scenario.imaging)
         insertion = make_insertion(scenario)
+        tissue = load_tissue(scenario.phantom).placed(insertion.entry, insertion.direction)
+        tissue = replace(tissue, seed=seeds.tissue)
+        geometry = sweep_geometry(transducer, scenario.imaging)
         check_entry(scenario, tissue.size)
         if scenario.controller.visual_servo.gain > 0:
             check_followed(scenario, insertion)
