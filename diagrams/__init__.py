@@ -1,13 +1,13 @@
-"""How blocks are wired: station, tracker, controller; experiments and their scenarios.
+"""Diagrams made of the systems: station, tracker, controller, and experiments with scenarios.
 
-What a person runs is handed out here too:
+The package also exports the functions behind the commands:
 
 >>> from sonoservo.diagrams import load_scenario, run
 >>> result = run(load_scenario("chatelain2013_fig5", seed=1))
 >>> result.summary["servo"]["at_rest"]
 
-The rooms in it are `trackers`, `experiments`, `studies`, `papers` and `app`. It imports `systems`
-and `models`, and of its own rooms `trackers` only.
+Its rooms are `trackers`, `experiments`, `studies`, `papers` and `app`. The modules outside these
+rooms import `systems`, `models` and `trackers` only.
 """
 
 from lazy_loader import attach_stub

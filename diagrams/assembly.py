@@ -1,4 +1,4 @@
-"""Arm, probe and phantom by name: the models that a station and a controller are made of."""
+"""Arm, probe and phantom by name: the models behind a station and a controller."""
 
 from dataclasses import replace
 

@@ -65,7 +65,8 @@ def track(
 ) -> Iterator[NeedleEstimate]:
     """Track a needle through volumes in order of time, without a simulation.
 
-    Each estimate is there as soon as its volume is, so the volumes may come from a live scanner.
+    Each estimate is available as soon as its volume is, so the volumes may come from a live
+    scanner.
 
     Parameters
     ----------
@@ -80,7 +81,7 @@ def track(
     ------
     The estimate after each volume.
     """
-    # No event is ever due: one is forced for each volume.
+    # Time does not advance, so an event is forced for each volume.
     tracker = MakeNeedleTracker(parameters=parameters, period=1.0, seed=seed)
     context = tracker.CreateDefaultContext()
     for volume in volumes:

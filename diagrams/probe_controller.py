@@ -1,4 +1,4 @@
-"""The controller of the probe: visual servo, force law, twist to joints."""
+"""Controller of the probe: visual servo, force law and differential kinematics."""
 
 from dataclasses import dataclass, field
 
@@ -18,12 +18,12 @@ from sonoservo.systems.signals.requirements import require_positive
 
 @dataclass(kw_only=True)
 class ProbeControllerParameters:
-    """How the probe is moved.
+    """Parameters of the probe's controller.
 
     Parameters
     ----------
     time_step
-        Period of force law and joint commands, in s.
+        Period of the force law and the joint commands, in s.
     visual_servo, force, kinematics
         Parameters of the three blocks.
     """
@@ -40,7 +40,7 @@ class ProbeControllerParameters:
 
     @property
     def settings(self) -> ControllerSettings:
-        """Return the settings that may be changed at run time, as they are at the start."""
+        """Initial values of the settings that may be changed at run time."""
         return ControllerSettings(self.visual_servo.gain, self.force.force)
 
 
@@ -65,15 +65,15 @@ def MakeProbeController(
         - approach_velocity
         - pressing_force
 
-    `estimate` is the tracker's NeedleEstimate; the other inputs and `joint_command` fit the ports
-    of the station that bear their names. `gain` (lambda in 1/s) and `force_target` (in N) take the
-    place of the parameters'. The last three outputs are for logs: what the servo and the force law
-    ask for, and the filtered force they act on.
+    `estimate` is the tracker's NeedleEstimate. The inputs `X_WP`, `wrist_force` and `joint_state`
+    and the output `joint_command` match the station's ports of the same names. `gain` (lambda in
+    1/s) and `force_target` (in N) override the parameters. The last three outputs are for logs: the
+    commands of the servo and of the force law, and the filtered force on which that law acts.
 
     Parameters
     ----------
     parameters
-        How the probe is moved.
+        Parameters of the controller.
     arm, probe
         Names of files in models/robots and models/probes, or paths.
     """

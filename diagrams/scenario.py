@@ -1,4 +1,4 @@
-"""What the scenarios of all experiments have in common."""
+"""Base class of the scenarios of all experiments."""
 
 from dataclasses import dataclass, field
 from typing import TypeVar
@@ -9,24 +9,24 @@ from sonoservo.systems.signals.requirements import require
 
 @dataclass(kw_only=True)
 class Scenario:
-    """Common head of all scenarios; each experiment adds its own fields in a subclass.
+    """Fields common to all scenarios; each experiment adds its own in a subclass.
 
-    Every field has a default; a file states what differs.
+    Every field has a default; a file gives only the fields that differ.
 
     Parameters
     ----------
     experiment
-        Name of the experiment in the registry, `EXPERIMENTS`. A file that leaves it out describes
+        Name of the experiment in the registry, `EXPERIMENTS`. A file without it describes
         "following".
     name
-        Name of the scenario; the file's name if it came from a file.
+        Name of the scenario; by default, the name of its file.
     description
         One line for lists and reports.
     seed
-        Seed of everything random.
+        Random seed of the run.
     published_figures
-        Figures of the publication that the scenario reproduces, shown beside ours: dotted paths
-        into the summary.
+        Figures of the publication that the scenario reproduces, by their dotted paths into the
+        summary; they are shown beside the run's.
     """
 
     experiment: str = ""
@@ -56,23 +56,23 @@ ScenarioT = TypeVar("ScenarioT", bound=Scenario)
 
 
 def require_scenario(scenario: Scenario, wanted: type[ScenarioT]) -> ScenarioT:
-    """Return a scenario that must be of a certain experiment.
+    """Return a scenario after checking that it is of a certain experiment.
 
     Parameters
     ----------
     scenario
         Scenario of any experiment.
     wanted
-        Class of the scenarios that are possible here.
+        Class of the scenarios of the required experiment.
 
     Raises
     ------
     ConfigurationError
-        If it is of another experiment.
+        If the scenario is of another experiment.
     """
     if not isinstance(scenario, wanted):
         raise ConfigurationError(
             f"{scenario.name}: a scenario of the experiment {scenario.experiment!r}; "
-            f"one of {wanted.experiment!r} is wanted here"
+            f"one of {wanted.experiment!r} is needed here"
         )
     return scenario

@@ -1,4 +1,4 @@
-"""Seeds of the random parts of a run."""
+"""Random seeds of the parts of a run."""
 
 from dataclasses import dataclass
 
@@ -9,18 +9,18 @@ from sonoservo.diagrams.scenario import Scenario
 
 @dataclass(frozen=True)
 class Seeds:
-    """One seed for each random part of a run, so that none depends on how the others draw.
+    """Independent random seeds of the parts of a run.
 
     Parameters
     ----------
     tissue, insertion
-        Speckle of the phantom; needle and hand.
+        Seeds of the phantom's speckle, and of needle and hand.
     noise
-        Noise of the scanner.
+        Seed of the scanner's noise.
     station
-        Noise of the wrist sensor, or the shifts of the tissue.
+        Seed of the wrist sensor's noise, or of the tissue's shifts.
     tracker
-        Random choices of tracker or estimator.
+        Seed of the random choices of tracker or estimator.
     """
 
     tissue: int

@@ -1,4 +1,4 @@
-"""Shape predictor: slices in, a needle's cross-sections and its predicted shape out."""
+"""Shape predictor: diagram that turns slices into a needle's cross-sections and predicted shape."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -48,9 +48,9 @@ def MakeShapePredictor(
     shape_filter
         Filter of the shape estimator; None makes a particle filter with default parameters.
     X_WI
-        Pose in W of the insertion's frame, see `ShapeEstimator`.
+        Pose in W of the insertion's frame; see `ShapeEstimator`.
     period, offset
-        Period and offset in s of the events at which it takes note of a new slice.
+        Period and offset of the events at which it processes a new slice, in s.
     seed
         Seed of every random choice.
     """
@@ -63,7 +63,7 @@ def MakeShapePredictor(
     localize = builder.AddNamedSystem(
         "cross_section_localizer", CrossSectionLocalizer(parameters=parameters)
     )
-    # A start that a person points at needs one slice only.
+    # A start given by the user needs one slice only.
     start_slices = parameters.start_slices if parameters.start is None else 1
     memory = builder.AddNamedSystem(
         "cross_section_memory", CrossSectionMemory(start_slices=start_slices, **events)
@@ -97,7 +97,7 @@ def estimate_shape(
     -------
     The shape after each cross-section.
     """
-    # No event is ever due: one is forced for each cross-section.
+    # Time does not advance, so an event is forced for each cross-section.
     context = estimator.CreateDefaultContext()
     shapes: list[NeedleShape | NotFound] = []
     for each in cross_sections:

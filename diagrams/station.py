@@ -1,4 +1,4 @@
-"""The station: arm with probe, phantom, contact, joint servo and wrist force sensor."""
+"""Station: arm with probe, phantom, contact, joint servo and wrist force sensor."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -33,7 +33,7 @@ _ALLOWED = {
 
 @dataclass(kw_only=True)
 class ProbePlacement:
-    """Start of the probe over the phantom, looking straight down.
+    """Initial placement of the probe over the phantom, facing straight down.
 
     Parameters
     ----------
@@ -65,14 +65,14 @@ class StationParameters:
     arm
         Name of a file in models/robots, or a path.
     plant
-        Drake's settings of the plant. With the controller's, ``time_step`` may be 10 ms for
-        studies: twice as fast, and the force is held as well; or 1 ms to check forces. The
-        ``contact_model`` "point" is three times faster for the plant alone, and 1 mm shallower at
-        2 N.
+        Drake's settings of the plant. ``time_step``, together with the controller's, may be 10 ms
+        for studies, which is twice as fast and controls the force equally well, or 1 ms to check
+        forces. The ``contact_model`` "point" makes the plant alone three times as fast; the
+        indentation at 2 N is then 1 mm smaller.
     phantom_position
         (3,) position in W of the centre of the phantom's top face, in m, while it is at rest.
     probe
-        Start of the probe.
+        Initial placement of the probe.
     force_noise, torque_noise
         Standard deviation of the wrist force sensor's samples, in N and N m.
     display_period
@@ -102,7 +102,7 @@ class StationParameters:
         require(finite, "phantom_position", position, "three coordinates in m")
 
     def __eq__(self, other: object) -> bool:
-        # Drake's settings do not compare.
+        # Drake's settings have no equality.
         return isinstance(other, StationParameters) and dump_typed(self) == dump_typed(other)
 
     @property
@@ -118,7 +118,7 @@ class StationParameters:
         yaw_deg: float | None = None,
         height: float | None = None,
     ) -> RigidTransform:
-        """Pose X_WP of the probe at its start; what is given takes the place of the start's."""
+        """Return the initial pose X_WP of the probe; arguments override the placement's values."""
         start = self.probe
         return probe_pose(
             X_WT=self.X_WT,
@@ -130,12 +130,12 @@ class StationParameters:
 
 
 def start_posture(parameters: StationParameters, probe: str = PROBE) -> NDArray[np.float64]:
-    """Joint positions of the arm at the start.
+    """Return the initial joint positions of the arm.
 
     Parameters
     ----------
     parameters
-        The station.
+        Parameters of the station.
     probe
         Name of a file in models/probes, or a path.
 
@@ -162,7 +162,7 @@ def start_posture(parameters: StationParameters, probe: str = PROBE) -> NDArray[
 def check_reach(
     parameters: StationParameters, poses: Sequence[RigidTransform], probe: str = PROBE
 ) -> list[bool]:
-    """Return for each pose X_WP of the probe if the arm, from its start, reaches it.
+    """Return, for each pose X_WP of the probe, True if the arm can reach it from its start.
 
     Parameters
     ----------
@@ -204,22 +204,22 @@ def MakeStation(
         - contact_force
         - query_object
 
-    `joint_command` is the wanted positions, then velocities, of the arm's n joints, in rad and
-    rad/s; `phantom_command` is x, y, z, roll, pitch, yaw of X_WT and their 6 rates (see
-    `PhantomMotion`). Both must be connected. `X_WP` and `X_WT` are RigidTransforms, `joint_state`
-    has n positions and n velocities; `wrist_force` is what the sensor reads (see
-    `WristForceSensor`); `contact_force` is the true normal force in N, for logs only.
+    `joint_command` holds the desired positions, then velocities, of the arm's n joints, in rad and
+    rad/s. `phantom_command` holds x, y, z, roll, pitch, yaw of X_WT and their 6 rates (see
+    `PhantomMotion`). Both must be connected. `X_WP` and `X_WT` are RigidTransforms. `joint_state`
+    holds n positions and n velocities. `wrist_force` is the reading of the sensor (see
+    `WristForceSensor`). `contact_force` is the true normal force in N, for logs only.
 
     Parameters
     ----------
     parameters
-        Arm, plant and sensors, and where probe and phantom are at the start.
+        Parameters of arm, plant and sensors, and initial poses of probe and phantom.
     probe, phantom
         Names of files in models/probes and models/phantoms, or paths.
     seed
         Seed of the sensor's noise.
     meshcat
-        Where to draw arm, probe and phantom, if anywhere.
+        Meshcat in which arm, probe and phantom are drawn, if any.
 
     Raises
     ------
@@ -246,7 +246,7 @@ def MakeStation(
         ("phantom_command", placed.model_instance),
     ):
         port = plant.get_desired_state_input_port(instance)
-        # Drake lets a servo with no command go limp; a gain with no input says so instead.
+        # Drake lets a servo without a command go limp; a gain without an input raises an error.
         command = builder.AddNamedSystem(name, Gain(1.0, port.size()))
         builder.Connect(command.get_output_port(), port)
         builder.ExportInput(command.get_input_port(), name)
@@ -287,7 +287,7 @@ def MakeStation(
             MeshcatVisualizerParams(
                 publish_period=parameters.display_period,
                 prefix="",  # each model is a layer at the top of the scene
-                delete_on_initialization_event=False,  # there are others' things, too
+                delete_on_initialization_event=False,  # the scene holds other objects too
             ),
         )
     station = builder.Build()

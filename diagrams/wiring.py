@@ -1,4 +1,4 @@
-"""Wiring of a diagram by port names; it keeps the truth from trackers and controllers."""
+"""Wiring of a diagram by port names, which keeps the truth from trackers and controllers."""
 
 from collections.abc import Container, Mapping
 
@@ -15,7 +15,7 @@ TRUTH = frozenset(
         "query_object",
     }
 )
-"""Names of the ports that carry the truth: what the simulator knows and no scanner tells."""
+"""Names of the ports that carry the truth, which the simulator knows but no scanner provides."""
 
 
 def connect_by_name(
@@ -36,8 +36,8 @@ def connect_by_name(
     optional
         Names of input ports that stay unconnected if there is no such output.
     sees_truth
-        Names of the systems that may see the truth (`TRUTH`): world, renderer, logger and displays,
-        but never a tracker or a controller.
+        Names of the systems that may read the truth (`TRUTH`): world, renderer, logger and
+        displays, but never a tracker or a controller.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def connect_by_name(
             if wanted in TRUTH and name not in sees_truth:
                 raise ValueError(
                     f"{name} has an input {wanted!r}, which is the truth; "
-                    "it is kept from whatever tracks or controls"
+                    "trackers and controllers must not read it"
                 )
             if wanted in outputs:
                 builder.Connect(outputs[wanted][1], port)

@@ -1,10 +1,10 @@
 # %% [markdown]
 # # The loop in five minutes
 #
-# A robot presses a motorised 3D ultrasound probe on a phantom. A hand pushes a needle in, 40 deg
-# across the image. The probe finds the needle, turns, and follows its tip: fig. 5 of Chatelain,
-# Krupa and Marchal (ICRA 2013). Arm, contact, ultrasound and hand are simulated, so that the
-# truth is known; tracker and controller never see it.
+# A robot presses a motorised 3D ultrasound probe on a phantom. A hand pushes a needle in at 40 deg
+# to the image. The probe finds the needle, turns, and follows its tip, as in fig. 5 of Chatelain,
+# Krupa and Marchal (ICRA 2013). Arm, contact, ultrasound and hand are simulated, so the ground
+# truth is known; the tracker and the controller never see it.
 
 # %%
 # %matplotlib inline
@@ -42,9 +42,9 @@ for system in make_experiment(scenario).diagram.GetSystems():
     print(f"{', '.join(inputs) or '(none)':>60}  ->  {system.get_name()}  ->  {', '.join(outputs)}")
 
 # %% [markdown]
-# The scanner's monitor shows each volume as it comes: the two orthogonal planes through the
-# estimated needle, in red, with a ring around the tip. Run the next two cells and look here. (In
-# the terminal, `make run` shows the whole world besides.)
+# The scanner's monitor shows each volume as it is acquired: the two orthogonal planes through the
+# estimated needle, in red, with a ring around the tip. Run the next two cells and watch it here.
+# (In the terminal, `make run` also shows the whole world.)
 
 # %%
 monitor = Monitor()
@@ -54,23 +54,23 @@ monitor
 result = run(scenario, monitor=monitor)
 
 # %% [markdown]
-# The figures, beside the paper's. The paper could report only what it estimated; here the truth
-# stands beside it.
+# The figures of the run beside the paper's. The paper could report estimated errors only; here
+# they can be compared with ground truth.
 
 # %%
 Console(width=100).print(summary_table(result, scenario.published_figures))
 
 # %% [markdown]
-# Features that the servo drives to zero, tip, motion of the probe and force. Lines are the truth,
-# dashes the estimate; grey is the time in which no needle was found yet.
+# The features that the servo drives to zero, the tip, the motion of the probe and the force. Solid
+# lines show the truth, dashed lines the estimate. No needle had been found yet in the grey part.
 
 # %%
 plot_run(result.log, scenario.controller.force.force)
 
 # %% [markdown]
-# `result.log` holds every signal as an array, in SI units and in W (`systems/evaluation/README.md`
-# lists them). How far is the estimate after each volume from the truth? Across the needle a few
-# tenths of a millimetre, along it more: a beam 2 mm wide blurs the needle's end.
+# `result.log` holds every signal as an array, in SI units and in W (see the list in
+# `systems/evaluation/README.md`). The estimate after each volume is a few tenths of a millimetre
+# off across the needle, and more along it, because a beam 2 mm wide blurs the needle's end.
 
 # %%
 log, errors = result.log, estimate_errors(result.log)

@@ -1,9 +1,9 @@
 # %% [markdown]
-# # Your own tracker in place of ours
+# # Your own tracker
 #
 # A tracker is any Drake system with the input `volume` and the output `estimate`. Everything
-# else, robot, ultrasound, controller, log, figures, stays as it is. Here is one in 25 lines: it
-# seeks the needle in the whole of every volume and remembers nothing.
+# else (robot, ultrasound, controller, log, figures) stays the same. Here is a tracker in 25 lines:
+# it searches every volume as a whole and has no memory.
 
 # %%
 # %matplotlib inline
@@ -28,15 +28,15 @@ scenario = load_scenario(
 #   at its `time`), or a falsy `NotFound` before the first one.
 # * `estimate` carries a `NeedleEstimate`: a mode, the needle's curve in the world frame W (entry
 #   first, tip last), the velocity of its control points and their covariance.
-# * The estimate is a state, updated once a volume: the controller reads it a hundred times as
-#   often.
+# * The estimate is a state that is updated once per volume; the controller reads it about a hundred
+#   times as often.
 
 # %%
 SEARCHING = NeedleEstimate(TrackingMode.SEARCHING, time=0.0)
 
 
 class MemorylessTracker(LeafSystem):
-    """Seeks the needle in the whole of every volume."""
+    """Searches the whole of every volume for the needle."""
 
     def __init__(self, *, period, offset):
         super().__init__()
@@ -52,7 +52,7 @@ class MemorylessTracker(LeafSystem):
 
 
 def estimate_in(volume):
-    """Return what a single volume tells."""
+    """Return the estimate from a single volume."""
     found = locate_in(volume)
     if not found:
         return NeedleEstimate(
@@ -69,7 +69,8 @@ def estimate_in(volume):
 
 
 # %% [markdown]
-# `tracker_events` tells when volumes come: the period and the offset of the tracker's event.
+# `tracker_events` returns the times of the volumes, as the period and offset of the tracker's
+# event.
 
 # %%
 events = tracker_events(scenario)
@@ -82,8 +83,8 @@ runs = {
 }
 
 # %% [markdown]
-# Look at how soon the needle is found, at the error of the tip, and at what it does to the loop:
-# the true place of the tip in the image, which the servo wants at X = 0.
+# Compare how soon the needle is found, the error of the tip, and its effect on the loop: the true
+# position of the tip in the image, which the servo drives to X = 0.
 
 # %%
 figure, (error, place) = plt.subplots(2, 1, figsize=(9, 5), sharex=True)
@@ -103,10 +104,10 @@ for name, result in runs.items():
     print(
         f"{name}: {tracking['tracked']} of {tracking['volumes']} volumes, "
         f"tip {tracking['tip_error_mm']['median']:.2f} mm (median), "
-        f"{compute['median']:.1f} ms a volume"
+        f"{compute['median']:.1f} ms per volume"
     )
 
 # %% [markdown]
-# What is between the two: a detector that finds a short needle because it moves, a Kalman filter
-# that says where to look, and a velocity that the servo feeds forward. To write a tracker like
-# that, take `diagrams/trackers` apart: each block is a system of its own.
+# The first tracker has three more parts: a detector that finds a short needle by its motion, a
+# Kalman filter that predicts where to look, and a velocity that the servo feeds forward. To build
+# such a tracker, reuse the blocks in `diagrams/trackers`; each is a system of its own.

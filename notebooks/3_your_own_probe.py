@@ -1,8 +1,8 @@
 # %% [markdown]
 # # Your own probe
 #
-# A probe is a YAML file of its hardware. Write yours, see its beam and what it shows of a needle,
-# and give it to the robot. No file of the package changes.
+# A probe is described by a YAML file of its hardware. Write your own, look at its beam and at the
+# image of a needle, and give it to the robot. No file of the package needs to change.
 
 # %%
 # %matplotlib inline
@@ -21,11 +21,11 @@ from sonoservo.systems.ultrasound import elevation_width, lateral_width, load_tr
 QUICK = ["duration=7", "hand.start=1", "hand.pushes.0.speed=0.016"]
 
 # %% [markdown]
-# A probe is a transducer and a body. Fields that the file leaves out keep the values of the
-# Ultrasonix 4DC7-3/40 (Chatelain 2013); a body that it leaves out is assumed, with a dome that is
+# A probe has a transducer and a body. Fields missing from the file keep the values of the
+# Ultrasonix 4DC7-3/40 (Chatelain 2013). If the body is missing, it is assumed to have a dome
 # curved like the transducer's face.
-# Here: an abdominal probe, flatter and wider. Lengths are in m, frequencies in Hz. A mistake is
-# answered with the field, its value and what is allowed.
+# Here is an abdominal probe, which is flatter and wider. Lengths are in m, frequencies in Hz. After
+# a mistake, the error names the field, its value and what is allowed.
 
 # %%
 folder = tempfile.TemporaryDirectory()
@@ -41,8 +41,8 @@ transducer:
 probes = {"4DC7-3/40": "4dc7_3_40", "abdominal": str(file)}
 
 # %% [markdown]
-# Its beam: the full width at half amplitude (-6 dB, two-way) over depth, from the aperture
-# integrals. Where it is wide, a needle looks thick and its tip is blurred.
+# The full width of its beam at half amplitude (-6 dB, two-way) over depth follows from the aperture
+# integrals. Where the beam is wide, a needle looks thick and its tip is blurred.
 
 # %%
 imaging = load_scenario("chatelain2013_fig5").imaging
@@ -63,7 +63,7 @@ for axes in (lateral, elevation):
     axes.grid(alpha=0.3)
 
 # %% [markdown]
-# One sweep of each, over the same needle in the same tissue, without a robot.
+# One sweep with each probe over the same needle in the same tissue, without a robot:
 
 # %%
 scans = {
@@ -72,7 +72,7 @@ scans = {
 }
 
 # %% [markdown]
-# The planes Z = 0 and X = 0 of the probe, as the scanner's monitor shows them: grey levels span
+# The planes Z = 0 and X = 0 of the probe, as the scanner's monitor shows them. Grey levels span
 # 60 dB.
 
 # %%
@@ -96,8 +96,8 @@ for row, (name, shown) in zip(axes, scans.items(), strict=True):
     row[0].set_ylabel(f"{name}: depth (mm)")
 
 # %% [markdown]
-# In the loop: name the file as the scenario's probe. The volumes carry how wide the beam is at
-# every depth, so the tracker knows by how much the needle's end is blurred.
+# To use it in the loop, name the file as the scenario's probe. The volumes carry the width of the
+# beam at every depth, so the tracker knows how much the needle's end is blurred.
 
 # %%
 beam_width = lateral_width(0.05, load_transducer(file), imaging)

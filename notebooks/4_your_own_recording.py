@@ -1,8 +1,8 @@
 # %% [markdown]
 # # Your own recording
 #
-# The tracker takes volumes from anywhere: files of 3D Slicer and PLUS, or arrays of your own.
-# Here a simulated run stands in for your scanner; replace the file by yours and go on from there.
+# The tracker accepts volumes from any source: files of 3D Slicer and PLUS, or your own arrays.
+# Here, a simulated run stands in for your scanner; replace the file with yours and continue.
 
 # %%
 # %matplotlib inline
@@ -34,9 +34,9 @@ print(*(f"{each.name}: {each.stat().st_size / 1e6:.1f} MB" for each in path.pare
       sep="\n")  # fmt: skip
 
 # %% [markdown]
-# A `Recording` reads one volume at a time. A file tells its grid and times; what it does not tell
-# is said here: `depth` is where the sound goes in the file's space, `window` the numbers that
-# become black and white, `volume_rate` the volumes a second.
+# A `Recording` reads one volume at a time. A file contains its grid and times. Give whatever it
+# lacks as arguments: `depth` is the direction of the sound in the file's space, `window` the
+# numbers that become black and white, `volume_rate` the number of volumes per second.
 
 # %%
 recording = Recording(path)
@@ -45,7 +45,7 @@ print(f"{len(recording)} volumes of {volume.intensities.shape}, {1e3 * volume.sp
 print(f"from {recording.times[0]:.2f} to {recording.times[-1]:.2f} s; poses: {recording.posed}")
 
 # %% [markdown]
-# Track it, and watch the scanner's monitor while it goes on. In the terminal: `sonoservo track
+# Track the needle, and watch the scanner's monitor meanwhile. In the terminal, use `sonoservo track
 # mine.seq.nrrd --show`.
 
 # %%
@@ -57,8 +57,8 @@ tracked = track_recording(recording, monitor=monitor)
 print({name: count for name, count in tracked.summary["modes"].items()})
 
 # %% [markdown]
-# Estimates come in the world frame W, as `NeedleEstimate`s; `tracked.rows` has them in the file's
-# own coordinates (LPS, mm). Look at how the tip advances, and whether it ever jumps.
+# Estimates are `NeedleEstimate`s in the world frame W; `tracked.rows` holds them in the file's own
+# coordinates (LPS, mm). Check how the tip advances, and whether it ever jumps.
 
 # %%
 times = [row["time_s"] for row in tracked.rows]
@@ -70,8 +70,8 @@ plt.ylabel("estimated tip (mm)")
 plt.legend()
 plt.show()
 # %% [markdown]
-# The two orthogonal planes through the needle in a few volumes; along the beam above, across it
-# below.
+# The two orthogonal planes through the needle in a few volumes, along the beam (top) and across it
+# (bottom):
 
 # %%
 chosen = np.linspace(len(recording) // 3, len(recording) - 1, 4).astype(int)
@@ -83,9 +83,9 @@ plot_planes(
 )
 
 # %% [markdown]
-# Arrays of your own, without any file: index `[x, y, z]` with the depth along `y`, grey levels
-# from 0 to 255 over 60 dB, lengths in m. `locate` seeks the needle in one of them; `track`
-# follows it through many.
+# Your own arrays need no file. Their index is `[x, y, z]` with the depth along `y`, their grey
+# levels from 0 to 255 span 60 dB, and lengths are in m. `locate` finds the needle in one of them;
+# `track` follows it through many.
 
 # %%
 arrays = [each.intensities for each in recording]
@@ -95,5 +95,5 @@ volumes = (
     Volume(array, volume.origin, volume.spacing, RigidTransform(), time)
     for array, time in zip(arrays, recording.times, strict=True)
 )
-estimates = list(track(volumes))  # or one by one, as your scanner makes the volumes
+estimates = list(track(volumes))  # or one by one, as your scanner acquires the volumes
 print([str(estimate.mode) for estimate in estimates[-3:]], 1e3 * estimates[-1].curve.tip)

@@ -1,10 +1,10 @@
 # %% [markdown]
 # # Predicting a needle's shape
 #
-# A bevelled needle bends on its way. Carriere, Rossa, Usmani, Sloboda and Tavakoli (AIM 2016)
-# find its cross-section in axial slices, and predict from the first of them how it will lie when
-# it is fully inserted. Here the probe steps along the needle, the bevel is turned 60 mm deep, and
-# nothing below that is used.
+# A bevelled needle bends as it is inserted. Carriere, Rossa, Usmani, Sloboda and Tavakoli (AIM
+# 2016) find its cross-section in axial slices, and predict its fully inserted shape from the first
+# of them. Here, the probe steps along the needle, the bevel is turned at a depth of 60 mm, and only
+# the slices up to that depth are used.
 
 # %%
 # %matplotlib inline
@@ -19,8 +19,8 @@ from sonoservo.systems.evaluation import plot_shape
 COARSE = ["step=0.004"] if "SONOSERVO_QUICK" in os.environ else []
 
 # %% [markdown]
-# Three estimators: a particle filter on the bicycle model's radius, first angle and plane;
-# Bayesian least squares on the same; and the particle filter as it was published.
+# There are three estimators: a particle filter on the bicycle model's radius, first angle and
+# plane; Bayesian least squares on the same parameters; and the particle filter as published.
 
 # %%
 results = {
@@ -29,8 +29,8 @@ results = {
 }
 
 # %% [markdown]
-# The path across the depth. Left of the dashed line the slices were used, right of it the needle
-# is predicted; the band holds it with 95 %, if the bicycle model is true.
+# The path over depth. Left of the dashed line, the slices were used; right of it, the needle is
+# predicted. The band contains it with a probability of 95 % if the bicycle model holds.
 
 # %%
 result = results["particle_filter"]
@@ -38,7 +38,7 @@ shape = result.results["shape"]
 plot_shape(result.log, shape)
 
 # %% [markdown]
-# `shape` is a weighted set of paths: ask it for positions and for its own uncertainty anywhere.
+# `shape` is a weighted set of paths. It returns positions and their uncertainty at any depth.
 
 # %%
 depths = np.linspace(0, 0.14, 8)
@@ -48,7 +48,7 @@ for depth, position, deviation in zip(
     print(f"{1e3 * depth:4.0f} mm: {np.round(1e3 * position, 2)} mm, +- {1e3 * deviation:.2f} mm")
 
 # %% [markdown]
-# How the predicted tip settles while the slices come in, for each estimator, against the truth.
+# The error of the predicted tip against ground truth as the slices arrive, for each estimator:
 
 # %%
 plt.figure(figsize=(9, 3.5))
@@ -70,4 +70,4 @@ for name, each in results.items():
     )
 
 # %% [markdown]
-# A single needle proves nothing: `sonoservo reproduce carriere2016` compares the three over 330.
+# A single needle proves nothing; `sonoservo reproduce carriere2016` compares the three over 330.

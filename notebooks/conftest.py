@@ -1,4 +1,4 @@
-"""The tests run the notebooks in their short form."""
+"""Settings of the tests, which run the notebooks in a short form."""
 
 import os
 

@@ -1,10 +1,10 @@
-"""Gallery of needles, as a notebook (jupytext percent format) that also runs as a script."""
+"""Gallery of needles: a notebook (jupytext percent format) that also runs as a script."""
 
 # %% [markdown]
-# # What the scanner shows
+# # Images of the simulated scanner
 #
-# A needle under the probe at five angles to the beam, with and without what makes it hard to see,
-# and the same needle across the frames of a probe that moves during the sweep.
+# A needle under the probe at five angles to the beam's normal, with and without reverberation and
+# shadow, and the same needle across the frames of a probe that moves during the sweep.
 
 # %%
 from pathlib import Path
@@ -25,7 +25,7 @@ FINE = "scan_conversion.spacing=[0.0003, 0.0003, 0.0006]"
 
 # %%
 def needle_at(dip_deg, azimuth_deg, *changes, velocity=(0, 0, 0)):
-    """One sweep over a needle that reaches 15 mm beyond the middle of the beam."""
+    """Acquire one sweep over a needle that reaches 15 mm beyond the middle of the beam."""
     dip, azimuth = np.deg2rad([dip_deg, azimuth_deg])
     direction = np.array(
         [np.cos(dip) * np.cos(azimuth), np.cos(dip) * np.sin(azimuth), -np.sin(dip)]
@@ -45,8 +45,8 @@ def needle_at(dip_deg, azimuth_deg, *changes, velocity=(0, 0, 0)):
 
 
 # %% [markdown]
-# The image along needle and beam. Below each: level over the tissue, length that stands out by
-# 12 dB, thickness at -20 dB.
+# The image along needle and beam. The numbers below each image are the level above the tissue, the
+# length that stands out by 12 dB, and the thickness at -20 dB.
 
 # %%
 ROWS = {
@@ -64,8 +64,8 @@ figures = {
 }
 
 # %% [markdown]
-# The image across the beam, at the needle's depth, of a needle that lies across the frames, while
-# the probe moves along the array.
+# The image across the beam at the needle's depth, of a needle that lies across the frames while the
+# probe moves along the array.
 
 # %%
 MOVING = {
@@ -138,7 +138,7 @@ axes.tick_params(axis="y", direction="in", pad=-15)
 axes.spines[:].set_color(QUIET)
 axes.legend(frameon=False, labelcolor=INK, fontsize=8.5, ncols=5, loc="lower center")
 figure.suptitle(
-    "A needle at 0 to 40° to the normal of the beam. Below each: level over the tissue, "
+    "A needle at 0 to 40° to the normal of the beam. Below each image: level above the tissue, "
     "length that stands out by 12 dB, thickness at -20 dB",
     color=INK,
 )

@@ -1,4 +1,4 @@
-"""The screens of the README, from a real browser: `make pictures`."""
+"""Screenshots for the README, taken in a browser by `make pictures`."""
 
 import shutil
 import sys
@@ -16,7 +16,7 @@ NO_CHROMIUM = "no Chromium: install it with your package manager, or `playwright
 
 
 def launch(playwright) -> Browser:
-    """Start a headless Chromium that draws WebGL without a graphics chip."""
+    """Start a headless Chromium that draws WebGL without a graphics processor."""
     installed = shutil.which("chromium") or shutil.which("chromium-browser")
     arguments = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
     try:
@@ -28,7 +28,7 @@ def launch(playwright) -> Browser:
 
 
 def picture(page: Page, url: str, path: Path) -> None:
-    """Take a picture of a page when it has drawn everything."""
+    """Take a screenshot of a page after it has drawn everything."""
     page.goto(url)
     page.wait_for_timeout(5000)
     page.screenshot(path=path)
@@ -36,7 +36,7 @@ def picture(page: Page, url: str, path: Path) -> None:
 
 
 def main() -> None:
-    """Take them all, when the needle of fig. 5 is centred."""
+    """Take all screenshots once the needle of fig. 5 is centred."""
     with sync_playwright() as playwright, closing(Monitor()) as monitor:
         browser = launch(playwright)
         meshcat = Meshcat(MeshcatParams(host="localhost"))

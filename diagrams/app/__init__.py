@@ -1,7 +1,7 @@
-"""What a person types: the command line and its commands.
+"""The command line and its commands.
 
-The functions behind the commands, such as `run` and `locate`, are handed out by
-`sonoservo.diagrams`. This room may import every other.
+`sonoservo.diagrams` exports the functions behind the commands, such as `run` and `locate`. This
+room may import every other.
 """
 
 from lazy_loader import attach_stub

@@ -1,6 +1,6 @@
 """The command line of ``sonoservo``, and its commands on one scenario.
 
-A command imports what it needs when it is called, so that help comes at once.
+A command imports what it needs only when it is called, so that help appears at once.
 """
 
 import sys
@@ -37,13 +37,13 @@ app = typer.Typer(
 
 @app.command("list")
 def list_command(json_path: JsonOption = None) -> None:
-    """List the scenarios that come with the package."""
+    """List the built-in scenarios."""
     from rich.table import Table
 
     from sonoservo.diagrams.experiments.registry import describe_scenarios
 
     rows = describe_scenarios()
-    table = Table("scenario", "what happens")
+    table = Table("scenario", "description")
     for name, description in rows.items():
         table.add_row(name, description)
     console.print(table)
@@ -56,20 +56,20 @@ def run_command(
     changes: ChangesOption = None,
     seed: SeedOption = None,
     out: OutOption = None,
-    meshcat: Annotated[bool, typer.Option(help="Show the run in a browser, at real time.")] = True,
+    meshcat: Annotated[bool, typer.Option(help="Show the run in a browser, in real time.")] = True,
     host: HostOption = "localhost",
     record: Annotated[
-        Path | None, typer.Option(help="Record the volumes, with the truth: FILE.seq.nrrd.")
+        Path | None, typer.Option(help="Record the volumes and the truth to NAME.seq.nrrd.")
     ] = None,
     record_sweeps: Annotated[
-        bool, typer.Option("--record-sweeps", help="Record the sweeps too, as acquired.")
+        bool, typer.Option("--record-sweeps", help="Also record the sweeps as acquired.")
     ] = False,
     explain: ExplainOption = False,
     serve: ServeOption = None,
     wait_for: WaitOption = 0,
     json_path: JsonOption = None,
 ) -> None:
-    """Run a scenario; end with a table of figures and a folder of results."""
+    """Run a scenario, print its figures and write a folder of results."""
     from sonoservo.diagrams.app.live.commands import serving
     from sonoservo.diagrams.app.run import run
     from sonoservo.diagrams.app.terminal import (
@@ -101,7 +101,7 @@ def run_command(
             after_step=progress,
         )
     console.print(summary_table(result, loaded.published_figures))
-    console.print(f"Results, starting with the report: {folder / 'report.html'}", soft_wrap=True)
+    console.print(f"Report: {folder / 'report.html'}", soft_wrap=True)
     write_printed(json_path, result.summary)
     if result.summary["interrupted"]:
         raise typer.Exit(130)
@@ -112,7 +112,7 @@ def drive_command(
     scenario: ScenarioArgument = "drive",
     changes: ChangesOption = None,
     seed: SeedOption = None,
-    duration: Annotated[float, typer.Option(help="Longest simulated time, in s.")] = 600.0,
+    duration: Annotated[float, typer.Option(help="Maximum simulated time, in s.")] = 600.0,
     out: OutOption = None,
     host: HostOption = "localhost",
     serve: ServeOption = None,
@@ -120,8 +120,9 @@ def drive_command(
 ) -> None:
     """Push the needle, move the phantom and set the controller yourself, in a browser.
 
-    The scenario's own pushes, moves and changes are left out. What you do is kept as scenario.yaml,
-    which `sonoservo run` repeats. Finish in the page, or with Ctrl-C.
+    The scenario's own pushes, moves and changes are ignored. Your actions are saved as
+    scenario.yaml in the output folder; `sonoservo run` repeats them. Finish in the page or with
+    Ctrl-C.
     """
     from sonoservo.diagrams.app.drive import DRIVING, drive
     from sonoservo.diagrams.app.kept_run import refusing
@@ -157,30 +158,43 @@ def drive_command(
             show=progress.show,
         )
     console.print(summary_table(result))
-    console.print(f"Results, starting with the report: {folder / 'report.html'}", soft_wrap=True)
+    console.print(f"Report: {folder / 'report.html'}", soft_wrap=True)
     again = f"sonoservo run {folder / 'scenario.yaml'}"
-    console.print(f"The same again: {again}", soft_wrap=True)
+    console.print(f"To repeat this run: {again}", soft_wrap=True)
     write_printed(json_path, result.summary)
 
 
 @app.command("scan")
 def scan_command(
-    scenario: ScenarioArgument,
+    scenario: Annotated[
+        str | None,
+        typer.Argument(help="A name from `sonoservo list`, or a YAML file; fig. 5 by default."),
+    ] = None,
+    phantom: Annotated[
+        str | None,
+        typer.Option(help="Another phantom: a name, a YAML file or a label map (NRRD, NIfTI)."),
+    ] = None,
     time: Annotated[
-        float | None, typer.Option(help="When, in s; by default when the needle is deepest.")
+        float | None,
+        typer.Option(help="Time of the sweep, in s; by default, when the needle is deepest."),
     ] = None,
     changes: ChangesOption = None,
     seed: SeedOption = None,
     out: OutOption = None,
     json_path: JsonOption = None,
 ) -> None:
-    """Show what the scanner sees: one sweep, as a picture and as a volume for 3D Slicer."""
+    """Acquire one sweep; write it as a picture and as a volume for 3D Slicer."""
     from sonoservo.diagrams.app.scan import caption, scan, summarize_scan, write_scan
     from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
     from sonoservo.diagrams.experiments.registry import load_scenario
     from sonoservo.diagrams.scenario import require_scenario
 
-    loaded = load_scenario(scenario, changes=changes, seed=seed)
+    changes = list(changes or [])
+    if phantom is not None:
+        changes.append(f"phantom={phantom}")
+    if scenario is None and time is None:
+        time = 0.0  # The phantom by itself, before the needle is put in.
+    loaded = load_scenario(scenario or "chatelain2013_fig5", changes=changes, seed=seed)
     following = require_scenario(loaded, FollowingScenario)
     result = scan(following, time=time)
     summary = summarize_scan(result, following)
@@ -241,7 +255,7 @@ for _command in (
 
 
 def main() -> None:
-    """Run the command line; a user's mistake is one line and exit code 2."""
+    """Run the command line; a user's mistake gives one line of text and exit code 2."""
     try:
         app()
     except (ConfigurationError, OSError) as error:

@@ -1,4 +1,4 @@
-"""A scenario with an operator's hand in it: needle, phantom and controller driven from the page."""
+"""Teleoperated runs of a scenario: needle, phantom and controller are driven from a page."""
 
 import itertools
 import time
@@ -33,13 +33,13 @@ if TYPE_CHECKING:
     from sonoservo.systems.display.monitor.monitor import Monitor
 
 _STRIDE = 1 / 16
-"""Simulated time in s between two looks at the buttons, and real time while paused."""
+"""Time in s between two readings of the buttons: simulated, or real while paused."""
 
 _SAVE_EVERY = 10.0
-"""Simulated time in s after which what was driven is saved again."""
+"""Simulated time in s after which the driven scenario is saved again."""
 
 _MIN_TRY = 1.0
-"""What an operator does in less time, in s, has no file of its own: clicks may come in floods."""
+"""Shortest drive in s that is saved to a file of its own; clicks may follow one another quickly."""
 
 _BUTTONS = {
     "pause": ("pause / resume [space]", "Space"),
@@ -49,27 +49,27 @@ _BUTTONS = {
 }
 
 DRIVING = """\
-There, "Open Controls" shows the sliders (below "Scene": fold it away). Keys move them too:
+In the page, "Open Controls" shows the sliders (below "Scene", which you can fold). Keys:
   needle   W in, S out, A and D turn it about its axis
   phantom  L J along x, I K along y, Y H up and down, O U turn it
-  run      space pauses, R begins anew, V saves, F finishes (as Ctrl-C does here)"""
-"""How to drive, for a terminal."""
+  run      space pauses, R restarts, V saves, F finishes (as Ctrl-C does here)"""
+"""Instructions for the operator, shown in the terminal."""
 
 
 class DrivenExperiment(FollowingExperiment):
-    """Following, with an operator who drives needle, phantom and controller.
+    """Following experiment with a teleoperated needle, phantom and controller.
 
     Parameters
     ----------
     scenario
-        Scene of the run. Its pushes, moves of the phantom and changes of the controller are left
-        out; the operator's take their place.
+        Scene of the run. The operator's actions replace its pushes, moves of the phantom and
+        changes of the controller.
     meshcat
         Meshcat whose page the operator uses.
     monitor
         Monitor that shows the volumes, if any.
     observers
-        Systems that look on; see `FollowingExperiment`.
+        Observing systems; see `FollowingExperiment`.
     """
 
     def __init__(
@@ -116,12 +116,12 @@ class DrivenExperiment(FollowingExperiment):
         )
 
     def hint(self) -> str:
-        """Return a hint for the operator, or an empty text."""
+        """Return a hint for the operator; empty if there is none."""
         held = self._hand.is_held(self.context_of(self._hand))
         return "aim it when it is outside" if held else ""
 
     def happened(self) -> FollowingScenario:
-        """Return the scenario that does what the operator has done so far."""
+        """Return the scenario that repeats the operator's actions so far."""
         context_of = self.context_of
         pushes = self._hand.insertion(context_of(self._hand)).parameters.pushes
         moves = self._phantom_motion.moves(context_of(self._phantom_motion))
@@ -144,10 +144,10 @@ def drive(
     out: Path | None = None,
     show: Callable[[float, str], None] | None = None,
 ) -> RunResult:
-    """Let an operator drive, at real time, for the scenario's duration or until they finish.
+    """Let an operator drive in real time, for the scenario's duration or until they finish.
 
-    Whatever the operator does is kept as a scenario, which `run` repeats. No page need be open, and
-    however many are, they steer together.
+    The operator's actions are saved as a scenario, which `run` repeats. Any number of pages may be
+    open, including none; all of them control the run.
 
     Parameters
     ----------
@@ -158,13 +158,13 @@ def drive(
     monitor
         Monitor that shows the volumes, if any.
     observers
-        Systems that look on; see `FollowingExperiment`.
+        Observing systems; see `FollowingExperiment`.
     out
-        Folder for scenario.yaml (what was driven), scenario_1.yaml and so on (what was saved, given
-        up by a restart, or driven earlier into the same folder), summary.json, log.npz, plots and
-        report.html; None keeps nothing.
+        Folder for scenario.yaml (the drive), scenario_1.yaml and so on (drives that were saved,
+        abandoned by a restart, or made earlier in the same folder), summary.json, log.npz, plots
+        and report.html; None writes nothing.
     show
-        Called now and then with the simulated time in s, and what there is to say.
+        Function called regularly with the simulated time in s and a status text.
 
     Returns
     -------
@@ -238,13 +238,13 @@ def _pace(factor: float | None) -> str:
 
 
 def _next_name(out: Path | None) -> str:
-    """First name of the series scenario_1.yaml, scenario_2.yaml that is not taken yet."""
+    """Return the first unused name of the series scenario_1.yaml, scenario_2.yaml and so on."""
     numbers = itertools.count(1)
     names = (f"scenario_{number}.yaml" for number in numbers)
     return next(name for name in names if out is None or not (out / name).exists())
 
 
 def _sign(meshcat: Meshcat) -> Sign:
-    """The place of what there is to say about the run: below the view's legend."""
+    """Return the sign for the run's status, which stands below the view's legend."""
     below = RigidTransform([0.0, 0.21, 0.0])
     return Sign(meshcat=meshcat, path="/drive", X_WSign=WorldViewParameters().X_WScreen @ below)

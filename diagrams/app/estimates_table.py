@@ -1,4 +1,4 @@
-"""Estimates in a recording as a table: the rows of `estimates.csv`, in the file's coordinates."""
+"""Table of the estimates in a recording: the rows of `estimates.csv`, in the file's coordinates."""
 
 import csv
 import io
@@ -22,11 +22,11 @@ def estimate_row(
     number
         Number of the volume.
     volume, estimate
-        Volume and the estimate after it, in W, in m.
+        Volume, and the estimate after it in W, in m.
     X_WL
-        Pose of the source's own frame L (LPS), in which the row is, at the time of the volume.
+        Pose of the row's frame L, the source's own (LPS), at the time of the volume.
     posed
-        Whether W differs from L; then the row tells the tip in W too.
+        Whether W differs from L; the row then also contains the tip in W.
     """
     row: dict[str, Any] = {
         "volume": number,
@@ -58,7 +58,7 @@ def estimate_row(
 
 
 def estimates_csv(rows: Sequence[dict[str, Any]]) -> str:
-    """Return rows as CSV; a number that is missing leaves its cell empty."""
+    """Return rows as CSV; the cell of a missing number is empty."""
     text = io.StringIO()
     if rows:
         writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")

@@ -1,4 +1,4 @@
-"""Files that a run leaves behind, whatever its experiment."""
+"""Output files of a run of any experiment."""
 
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -19,12 +19,12 @@ from sonoservo.systems.files.typed_yaml import ConfigurationError
 from sonoservo.systems.files.writing import write_atomically, write_json
 
 _SAVE_EVERY = 10.0
-"""Wall-clock time in s after which the log is saved again while a run goes on."""
+"""Wall-clock time in s after which the log is saved again during a run."""
 
 
 @contextmanager
 def refusing(scenario: Scenario) -> Iterator[None]:
-    """Turn what a scenario's blocks refuse into a ConfigurationError that names the scenario."""
+    """Convert errors of a scenario's blocks to a ConfigurationError that names the scenario."""
     try:
         yield
     except (ValueError, FileNotFoundError) as error:
@@ -34,19 +34,19 @@ def refusing(scenario: Scenario) -> Iterator[None]:
 class KeptRun:
     """A run that writes its scenario at the start, its log in any case, and its results at the end.
 
-    As a context manager it surrounds the simulation: the clock runs inside it, and an interruption
+    It is a context manager around the simulation. Inside it, the clock runs, and an interruption
     from the keyboard ends the simulation but not the program.
 
     Parameters
     ----------
     scenario
-        Scenario that is run.
+        Scenario of the run.
     write_log
-        Function that writes what has been logged so far to a path.
+        Function that writes the log so far to a path.
     out
-        Folder of all files; None keeps nothing.
+        Folder of all files; None writes nothing.
     meshcat
-        Meshcat that draws the run, if any; it records what becomes the replay.
+        Meshcat that draws the run, if any; its recording becomes the replay.
 
     Attributes
     ----------
@@ -90,11 +90,11 @@ class KeptRun:
         return self.interrupted
 
     def begin(self) -> None:
-        """Start the clock; inside the context, start it anew."""
+        """Start the clock, or restart it inside the context."""
         self._started = time.perf_counter()
 
     def go_on(self) -> None:
-        """Save the log so far if that was long ago; call it now and then."""
+        """Save the log so far if the last time was long ago; call this regularly."""
         if time.perf_counter() - self._saved > _SAVE_EVERY:
             self._save()
 

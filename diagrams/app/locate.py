@@ -1,4 +1,4 @@
-"""The needle in a single volume."""
+"""Localization of the needle in a single volume."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -21,16 +21,16 @@ from sonoservo.systems.signals.volume import Volume
 
 @dataclass(frozen=True, eq=False)
 class LocatedNeedle(Immutable):
-    """A needle in a volume. Where there is none, a `NotFound` takes its place.
+    """A needle found in a volume; if none is found, a `NotFound` takes its place.
 
     Parameters
     ----------
     curve
-        From where it enters the field of view to its tip, in m.
+        Curve of the needle from its entry into the field of view to its tip, in m.
     inlier_count, inlier_ratio
-        Bright voxels on it, and their share of all bright voxels around.
+        Number of bright voxels on the needle, and their share of all bright voxels around it.
     evidence
-        Integral along it of what stands out from the surroundings, in dB m (`NeedleLine`).
+        Integral of the contrast with the surroundings along the needle, in dB m (`NeedleLine`).
     """
 
     curve: NeedleCurve
@@ -40,7 +40,7 @@ class LocatedNeedle(Immutable):
 
     @property
     def confidence(self) -> float:
-        """From 0.5, where the evidence just suffices, towards 1; it is no probability."""
+        """Confidence from 0.5, where the evidence just suffices, towards 1; not a probability."""
         return self.evidence / (self.evidence + MIN_EVIDENCE)
 
 
@@ -58,22 +58,22 @@ def locate(
     Parameters
     ----------
     intensities
-        (nx, ny, nz) grey levels from 0 to 255, log-compressed; zero outside the field of view. The
-        sound goes along the second axis.
+        (nx, ny, nz) log-compressed grey levels from 0 to 255; zero outside the field of view. The
+        sound travels along the second axis.
     spacing
-        (3,) between neighbouring elements, in m.
+        (3,) distances between neighbouring elements, in m.
     origin
         (3,) position of the first element, in m.
     order
-        2 for a straight needle, 3 for a bent one.
+        Order of the curve: 2 for a straight needle, 3 for a bent one.
     dynamic_range_db
-        Range of echo amplitudes that 0 to 255 show.
+        Range of echo amplitudes that the grey levels 0 to 255 show, in dB.
     seed
-        Of random samples.
+        Seed of the random samples.
 
     Returns
     -------
-    The needle in the array's coordinates, or a `NotFound` that says why there is none.
+    The needle in the array's coordinates, or a `NotFound` with the reason.
     """
     require_positive(dynamic_range_db=dynamic_range_db)
     volume = Volume(
@@ -88,7 +88,7 @@ def locate(
 
 
 def locate_in(volume: Volume, *, order: int = 2, seed: int = 0) -> LocatedNeedle | NotFound:
-    """Locate the needle in a `Volume`; in W. See `locate`."""
+    """Locate the needle in a `Volume`, in W; see `locate`."""
     require(order in (2, 3), "order", order, "2 or 3")
     anywhere = NeedlePrediction(order, volume.time, everywhere=True)
     explained = explain_localization(
@@ -106,15 +106,15 @@ def locate_in_recording(recording: Recording, number: int = 0, *, order: int = 2
     Parameters
     ----------
     recording
-        The file.
+        Recording with the volume.
     number
-        Of the volume.
+        Number of the volume.
     order
-        2 for a straight needle, 3 for a bent one.
+        Order of the curve: 2 for a straight needle, 3 for a bent one.
 
     Returns
     -------
-    What is printed: LPS in mm.
+    Figures to print; positions are in LPS, in mm.
 
     Raises
     ------
@@ -122,7 +122,9 @@ def locate_in_recording(recording: Recording, number: int = 0, *, order: int = 2
         If there is no such volume.
     """
     if not 0 <= number < len(recording):
-        raise ConfigurationError(f"{recording.path}: volume {number}: it has {len(recording)}")
+        raise ConfigurationError(
+            f"{recording.path}: volume {number} is out of range (0 to {len(recording) - 1})"
+        )
     found = locate_in(recording[number], order=order)
     result: dict[str, Any] = {"file": str(recording.path), "volume": number, "found": bool(found)}
     if isinstance(found, NotFound):

@@ -1,4 +1,4 @@
-"""Options that several commands of ``sonoservo`` take, and where they print."""
+"""Options shared by several commands of ``sonoservo``, and their console."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,34 +11,34 @@ from sonoservo.systems.files.writing import write_json
 console = Console()
 
 ScenarioArgument = Annotated[
-    str, typer.Argument(help="A name from `sonoservo list`, or a YAML file.")
+    str, typer.Argument(help="Name from `sonoservo list`, or path of a YAML file.")
 ]
 ChangesOption = Annotated[
-    list[str] | None, typer.Option("--set", help="Change a field: path.to.field=value.")
+    list[str] | None, typer.Option("--set", help="Change a field: path.to.field=value; repeatable.")
 ]
-SeedOption = Annotated[int | None, typer.Option(help="Seed of everything random.")]
+SeedOption = Annotated[int | None, typer.Option(help="Random seed of the run.")]
 OutOption = Annotated[Path | None, typer.Option(help="Folder for the results.")]
-JobsOption = Annotated[int, typer.Option(help="Processes; -1 means one for each core.")]
+JobsOption = Annotated[int, typer.Option(help="Number of processes; -1 for one per core.")]
 JsonOption = Annotated[
-    Path | None, typer.Option("--json", help="Also write what is printed to this file.")
+    Path | None, typer.Option("--json", help="Also write the printed figures to this file.")
 ]
 HostOption = Annotated[
-    str, typer.Option(help="Address that the page is served on; * for all of this machine's.")
+    str, typer.Option(help="Address to serve the page on; * for all addresses of this machine.")
 ]
 DepthOption = Annotated[
     str,
-    typer.Option(help="Where the sound goes in the file's space: L, R, P, A, S or I (the feet)."),
+    typer.Option(help="Direction of the sound in the file's space: L, R, P, A, S or I."),
 ]
 WindowOption = Annotated[
     tuple[float, float] | None,
-    typer.Option(help="Numbers that become black and white; by default from the first volume."),
+    typer.Option(help="Numbers shown as black and white; by default, from the first volume."),
 ]
-OrderOption = Annotated[int, typer.Option(help="2 for a straight needle, 3 for a bent one.")]
+OrderOption = Annotated[int, typer.Option(help="Order of the curve: 2 straight, 3 bent.")]
 DynamicRangeOption = Annotated[
-    float | None, typer.Option(help="dB from black to white; 60 unless the file tells it.")
+    float | None, typer.Option(help="dB from black to white; by default, from the file or 60.")
 ]
 RateOption = Annotated[
-    float | None, typer.Option(help="Volumes per second, for a file that tells no times.")
+    float | None, typer.Option(help="Volumes per second, for a file without times.")
 ]
 ExplainOption = Annotated[
     bool,
@@ -48,30 +48,33 @@ ExplainOption = Annotated[
 ]
 PosesOption = Annotated[
     str | None,
-    typer.Option(help="Transform that is the probe's pose (ProbeToTracker), or none."),
+    typer.Option(help="Transform to use as the probe's pose (ProbeToTracker), or none."),
 ]
 ServeOption = Annotated[
     str | None,
-    typer.Option(help="Send all of it live: igtl://:18944 lets programs on this machine connect."),
+    typer.Option(help="Send all data live; igtl://:18944 lets programs on this machine connect."),
 ]
-WaitOption = Annotated[int, typer.Option(help="Live: begin when so many peers are connected.")]
+WaitOption = Annotated[int, typer.Option(help="Live: number of peers to wait for.")]
 ReconstructOption = Annotated[
-    bool, typer.Option("--reconstruct", help="Make volumes of tracked 2D frames (PLUS: .igs.mha).")
+    bool,
+    typer.Option(
+        "--reconstruct", help="Reconstruct volumes from tracked 2D frames (PLUS .igs.mha)."
+    ),
 ]
 MotorOption = Annotated[
-    Path | None, typer.Option(help="Live 2D frames of a motorised probe: a YAML of its sweep.")
+    Path | None, typer.Option(help="Live 2D frames of a motorised probe: YAML file of its sweep.")
 ]
 FramesOption = Annotated[
-    int | None, typer.Option(help="Frames of each volume; by default one sweep to or fro.")
+    int | None, typer.Option(help="Frames per volume; by default, one sweep in either direction.")
 ]
-SpacingOption = Annotated[float, typer.Option(help="Of reconstructed voxels, in mm.")]
-VolumesOption = Annotated[int | None, typer.Option(help="Live: end after so many volumes.")]
+SpacingOption = Annotated[float, typer.Option(help="Size of reconstructed voxels, in mm.")]
+VolumesOption = Annotated[int | None, typer.Option(help="Live: number of volumes to end after.")]
 PatienceOption = Annotated[
-    float | None, typer.Option(help="Live: end when none has come for so long, in s.")
+    float | None, typer.Option(help="Live: time without a volume to end after, in s.")
 ]
 
 
 def write_printed(path: Path | None, data: Any) -> None:
-    """Write what a command printed, if ``--json`` names a file."""
+    """Write the figures that a command printed, if ``--json`` names a file."""
     if path is not None:
         write_json(path, data)

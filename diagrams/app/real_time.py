@@ -1,4 +1,4 @@
-"""Whether a simulation keeps up with real time."""
+"""Comparison of a simulation's speed with real time."""
 
 import time
 from collections import deque
@@ -6,16 +6,17 @@ from collections.abc import Callable
 
 
 class RealTime:
-    """Watches how far a simulation is behind real time, and how fast it has been of late.
+    """Measures a simulation's delay against real time, and its recent speed.
 
     Parameters
     ----------
     window
-        Over which the speed is measured, in s of real time.
+        Real time over which the speed is measured, in s.
     patience
-        Most delay that may be made up for, in s: a volume's computation is, a lasting lack is not.
+        Largest delay that the simulation may make up for, in s. It should cover the computation of
+        a volume, but not a persistent lack of speed.
     clock
-        Real time, in s.
+        Function that returns real time, in s.
     """
 
     def __init__(
@@ -29,14 +30,14 @@ class RealTime:
         self.start(0.0)
 
     def start(self, simulated: float) -> None:
-        """Begin anew at a simulated time in s: at the start, after a pause."""
+        """Restart at a simulated time in s, at the start or after a pause."""
         self._origin = (self._clock(), simulated)
         self._past = deque([self._origin])
 
     def is_late(self, simulated: float) -> bool:
-        """Note how far the simulation is, in s; whether it is further behind than is made up for.
+        """Record the simulated time in s; return True if the delay is too large to make up for.
 
-        What is lost is then forgiven.
+        The delay is then reset to zero.
         """
         now = (self._clock(), simulated)
         self._past.append(now)
@@ -49,7 +50,7 @@ class RealTime:
 
     @property
     def factor(self) -> float | None:
-        """Simulated by real time of late; None before a third of the window has passed."""
+        """Recent ratio of simulated to real time; None before a third of the window has passed."""
         (first, start), (last, end) = self._past[0], self._past[-1]
         if last - first < self._window / 3:
             return None

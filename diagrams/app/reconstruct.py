@@ -1,4 +1,4 @@
-"""A recording of tracked 2D frames as one of volumes, which are made when they are asked for."""
+"""Recording of tracked 2D frames, reconstructed to volumes on demand."""
 
 from collections.abc import Iterator
 from functools import lru_cache
@@ -20,27 +20,27 @@ from sonoservo.systems.ultrasound.frame_reconstruction import (
 
 
 class ReconstructedRecording:
-    """Volumes of a file of 2D frames, one for each sweep of the probe; as `Recording` gives them.
+    """Volumes of a file of 2D frames, one for each sweep, with the interface of `Recording`.
 
-    The file's own frame L is the reference of its poses, and so is W.
+    The file's own frame L and the world frame W are both the reference frame of its poses.
 
     Parameters
     ----------
     path
-        Of the file.
+        Path of the file.
     poses, window
         See `TrackedFrames`.
     dynamic_range_db
-        dB from black to white; 60 by default.
+        Range of echo amplitudes from black to white, in dB; 60 by default.
     frames
-        Number of frames of each volume; by default a volume ends where the probe turns round.
+        Number of frames per volume; by default, a volume ends where the probe turns back.
     spacing
-        Of the voxels, in m.
+        Distance between the voxels, in m.
 
     Raises
     ------
     ConfigurationError
-        Naming the file and the fault.
+        If the file is not valid; the message names the file and the fault.
     """
 
     def __init__(
@@ -74,11 +74,11 @@ class ReconstructedRecording:
         return (self[k] for k in range(len(self)))
 
     def __getitem__(self, number: int) -> ReconstructedVolume:
-        """Make a volume."""
+        """Reconstruct a volume."""
         return self._read(range(len(self))[number])
 
     def X_WL(self, number: int) -> RigidTransform:
-        """Pose of L in W: identity."""
+        """Return the pose of L in W, which is the identity."""
         return RigidTransform()
 
     def _split(self, count: int | None) -> list[list[int]]:
@@ -87,7 +87,7 @@ class ReconstructedRecording:
             splitter = SweepSplitter(frames=count, max_frames=len(self._frames))
         except ValueError as error:
             raise ConfigurationError(f"{self.path}: {error}") from error
-        # Its pixels do not matter for how a probe moves, only their number.
+        # The splitter needs only the number of pixels, not their values.
         pixels = self._frames[0]
         numbers = {time: k for k, time in enumerate(self._frames.times)}
         sweeps = []
@@ -96,7 +96,9 @@ class ReconstructedRecording:
         sweeps.append(splitter.rest())
         found = [[numbers[frame.time] for frame in sweep] for sweep in sweeps if sweep]
         if not found:
-            raise ConfigurationError(f"{self.path}: the probe hardly moves: no volume can be made")
+            raise ConfigurationError(
+                f"{self.path}: the probe hardly moves, so no volume can be reconstructed"
+            )
         return found
 
     def _reconstruct(self, number: int) -> ReconstructedVolume:

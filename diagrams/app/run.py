@@ -1,4 +1,4 @@
-"""One run of a scenario, from the first step to the files that remain."""
+"""One run of a scenario, from the first step to its output files."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -28,9 +28,9 @@ class RunResult:
     summary
         Figures, as in summary.json.
     log
-        Everything that was logged; its class depends on the experiment.
+        Log of the run; its class depends on the experiment.
     labels
-        Label of each figure of the summary that a table shows, by its dotted path.
+        Label of each figure of the summary that tables show, by its dotted path.
     results
         Further results of the experiment, by name: shape prediction has the last `shape`.
     """
@@ -62,26 +62,26 @@ def run(
         Scenario of any experiment.
     out
         Folder for scenario.yaml, summary.json, log.npz, plots, report.html and, with a Meshcat,
-        replay.html; None keeps nothing.
+        replay.html; None writes nothing.
     meshcat, monitor
-        Displays of the world and of the volumes, if any. With one of them, the run goes no faster
-        than real time.
+        Displays of the world and of the volumes, if any. With either, the run is limited to real
+        time.
     tracker
-        Tracker of one's own in place of the scenario's; see `FollowingExperiment`.
+        Custom tracker that replaces the scenario's; see `FollowingExperiment`.
     record
-        File to which the volumes are recorded as they come, ``NAME.seq.nrrd``, with the truth
-        beside it; None records nothing. What was recorded before an interruption stays.
+        File to which the volumes are recorded one by one, ``NAME.seq.nrrd``, with the truth beside
+        it; None records nothing. The recording survives an interruption.
     record_sweeps
-        Whether to record the sweeps too, as acquired.
+        Whether to also record the sweeps as acquired.
     explain
         Whether to keep, in the folder's subfolder ``explanation``, what the tracker looked at
         around a loss; see `ExplanationRecorder`.
     observers
-        Systems that look on; see `FollowingExperiment`. With them, too, the run goes no faster than
-        real time.
+        Observing systems; see `FollowingExperiment`. With them, the run is also limited to real
+        time.
     after_step
-        Called after every volume or slice with the experiment, which knows the time and what the
-        tracker does.
+        Function called after every volume or slice with the experiment, which provides the time and
+        the tracker's status.
 
     Raises
     ------
@@ -120,7 +120,7 @@ def run(
 
 
 def finish(kept: KeptRun, experiment: Experiment[Any]) -> RunResult:
-    """Sum up a run that has ended, and write what is to be kept of it.
+    """Summarise a run that has ended, and write its output files.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""One sweep of a scenario, without a robot: what the scanner shows."""
+"""Acquisition of one sweep of a scenario, without a robot."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,19 +28,19 @@ from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
 _INDENTATION = 4e-3
-"""How deep a dome of 40 mm radius sinks into the phantom at 2 N, in m."""
+"""Indentation of the phantom by a dome of 40 mm radius at 2 N, in m."""
 
 
 @dataclass(frozen=True)
 class Scan:
-    """What one sweep shows.
+    """A sweep, its volume and the true needle.
 
     Parameters
     ----------
     sweep, volume
-        As acquired, and on a Cartesian grid.
+        Sweep as acquired, and on a Cartesian grid.
     needle
-        The true needle in W at the middle of the sweep, possibly empty.
+        True needle in W at the middle of the sweep, possibly empty.
     """
 
     sweep: Sweep
@@ -55,22 +55,22 @@ def scan(
     X_TP: RigidTransform | None = None,
     velocity: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> Scan:
-    """Make one sweep towards +Z.
+    """Acquire one sweep towards +Z.
 
     Phantom, needle and tissue are those of a run with the same seed.
 
     Parameters
     ----------
     scenario
-        The robot's part of it is not used.
+        Scenario of following; its robot is not used.
     time
-        Of the middle of the sweep, in s; None for when the needle is deepest.
+        Time of the middle of the sweep, in s; None for the time at which the needle is deepest.
     X_TP
-        Pose of the probe in the phantom at that time. By default the probe is pressed on the
-        phantom as at 2 N, over the needle's tip (where the scenario starts, if no needle is in the
-        phantom), and turned as the scenario starts.
+        Pose of the probe in the phantom at that time. By default, the probe is pressed on the
+        phantom as at 2 N, over the needle's tip, with the scenario's initial orientation. If no
+        needle is in the phantom, it is over the scenario's initial position.
     velocity
-        (3,) of the probe during the sweep, along the axes of P, in m/s.
+        (3,) velocity of the probe during the sweep, along the axes of P, in m/s.
 
     Raises
     ------
@@ -95,10 +95,11 @@ def _scan(
     if time is None:
         time = float(max(np.linspace(0, scenario.duration, 200), key=insertion.depth))
     require_not_negative(time=time)
+    tissue = load_tissue(scenario.phantom).placed(insertion.entry, insertion.direction)
     renderer = SweepRenderer(
         transducer=load_transducer(scenario.probe),
         imaging=scenario.imaging,
-        tissue=replace(load_tissue(scenario.phantom), seed=seeds.tissue),
+        tissue=replace(tissue, seed=seeds.tissue),
         parameters=scenario.scanner,
         seed=seeds.noise,
     )
@@ -131,15 +132,15 @@ def write_scan(scan: Scan, scenario: FollowingScenario, out: Path) -> list[Path]
     Parameters
     ----------
     scan
-        To write.
+        Scan to write.
     scenario
-        That it was made of.
+        Scenario of the scan.
     out
-        Folder.
+        Folder for the files.
 
     Returns
     -------
-    The paths of the files.
+    Paths of the files.
     """
     figure = scan_sheet(
         scan.sweep,
@@ -154,7 +155,7 @@ def write_scan(scan: Scan, scenario: FollowingScenario, out: Path) -> list[Path]
 
 
 def caption(scan: Scan, scenario: FollowingScenario) -> str:
-    """Return a line that says what was scanned with what."""
+    """Return a line with the probe and the settings of a scan."""
     geometry, imaging = scan.sweep.geometry, scenario.imaging
     return (
         f"{Path(scenario.probe).stem} at {1e-6 * imaging.transmit_frequency:.1f} MHz:  "
@@ -164,7 +165,7 @@ def caption(scan: Scan, scenario: FollowingScenario) -> str:
 
 
 def summarize_scan(scan: Scan, scenario: FollowingScenario) -> dict[str, Any]:
-    """Return the figures that are printed: settings, needle and levels."""
+    """Return the figures to print: settings, voxels and needle."""
     geometry = scan.sweep.geometry
     needle = scan.needle
     return {

@@ -1,4 +1,4 @@
-"""Commands of many runs: a data set, a paper reproduced."""
+"""Commands that make many runs: data sets, and reproductions of papers."""
 
 import shlex
 from pathlib import Path
@@ -23,18 +23,18 @@ def dataset_command(
     scenario: ScenarioArgument,
     count: Annotated[int, typer.Option(help="Number of sequences.")],
     out: Annotated[Path, typer.Option(help="Folder for the sequences and manifest.json.")],
-    volumes: Annotated[int, typer.Option(help="In each sequence.")] = 10,
+    volumes: Annotated[int, typer.Option(help="Number of volumes in each sequence.")] = 10,
     transducers: Annotated[
-        list[str] | None, typer.Option("--transducer", help="One to choose from; again for more.")
+        list[str] | None, typer.Option("--transducer", help="Probe to draw from; repeatable.")
     ] = None,
     changes: ChangesOption = None,
-    seed: Annotated[int | None, typer.Option(help="Of the first sequence.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the first sequence.")] = None,
     jobs: JobsOption = -1,
     json_path: JsonOption = None,
 ) -> None:
     """Make labelled sequences of needles, tissues and probes drawn at random.
 
-    What is done is kept: the same command goes on where it was interrupted.
+    Finished sequences are kept; repeat the command to resume after an interruption.
     """
     from sonoservo.diagrams.experiments.registry import load_scenario
     from sonoservo.diagrams.studies.dataset import make_dataset
@@ -60,17 +60,19 @@ def dataset_command(
 
 
 def reproduce_command(
-    paper: Annotated[str, typer.Argument(help=f"One of {', '.join(PAPERS)}.")],
-    quick: Annotated[bool, typer.Option("--quick", help="A few short runs, in minutes.")] = False,
-    seeds: Annotated[int | None, typer.Option(help="Number of seeds of each experiment.")] = None,
-    first_seed: Annotated[int, typer.Option(help="The first of them.")] = 0,
+    paper: Annotated[str, typer.Argument(help=f"Paper to reproduce: {', '.join(PAPERS)}.")],
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Make a few short runs only (minutes).")
+    ] = False,
+    seeds: Annotated[int | None, typer.Option(help="Number of seeds per experiment.")] = None,
+    first_seed: Annotated[int, typer.Option(help="First seed.")] = 0,
     out: OutOption = None,
     jobs: JobsOption = -1,
     json_path: JsonOption = None,
 ) -> None:
-    """Repeat a paper's experiments over many seeds, beside its figures and the truth.
+    """Repeat a paper's experiments over many seeds, and compare with its figures and the truth.
 
-    What is done is kept: the same command goes on where it was interrupted.
+    Finished runs are kept; repeat the command to resume after an interruption.
     """
     from sonoservo.diagrams.app.terminal import study_table
     from sonoservo.diagrams.studies.study import StudyOptions
@@ -96,9 +98,9 @@ def reproduce_command(
     try:
         study = reproduce(paper, options)
     except KeyboardInterrupt:
-        console.print(f"Interrupted. What is done is in {folder}; the same command goes on.")
+        console.print(f"Interrupted. Finished runs are in {folder}; repeat the command to resume.")
         raise
     data = write_study(folder, study, shlex.join(command))
     console.print(study_table(study))
-    console.print(f"Results, starting with the report: {folder / 'report.html'}", soft_wrap=True)
+    console.print(f"Report: {folder / 'report.html'}", soft_wrap=True)
     write_printed(json_path, data)

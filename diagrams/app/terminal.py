@@ -1,4 +1,4 @@
-"""Output in the terminal: progress while a run goes on, figures when it ends."""
+"""Output in the terminal: progress during a run, and figures at its end."""
 
 import logging
 import math
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def look_up(summary: Mapping[str, Any], path: str) -> Any:
-    """Return the entry of a nested mapping at a dotted path; None where there is none."""
+    """Return the entry of a nested mapping at a dotted path; None if there is none."""
     node: Any = summary
     for key in path.split("."):
         node = node.get(key) if isinstance(node, Mapping) else None
@@ -99,7 +99,7 @@ def _make_bar(console: Console) -> RichProgress:
 
 
 class Progress:
-    """A bar that shows how far a run has come and what the tracker does.
+    """Progress bar of a run, with the tracker's status.
 
     Call it after every step with the experiment.
 
@@ -117,7 +117,7 @@ class Progress:
         self._name = scenario.name
         self._bar = _make_bar(console)
         self._task = self._bar.add_task(
-            "starting (the first run compiles for half a minute) ...",
+            "starting (the first run compiles kernels for half a minute) ...",
             total=scenario.duration,
             state="",
         )
@@ -139,7 +139,7 @@ class Progress:
         self.show(experiment.time, experiment.status)
 
     def show(self, time: float, state: str) -> None:
-        """Move the bar to a simulated time in s, and say what goes on."""
+        """Move the bar to a simulated time in s, and show a status text."""
         self._bar.update(
             self._task,
             description=self._name,
@@ -149,18 +149,18 @@ class Progress:
 
 
 class VolumeProgress:
-    """A bar that shows how far a recording has been tracked and what the tracker does.
+    """Progress bar of the tracking of a recording, with the tracker's mode.
 
     Call it after every volume with its number and the estimate.
 
     Parameters
     ----------
     console
-        Where to draw.
+        Console to draw in.
     name
-        Of the recording.
+        Name of the recording.
     count
-        Of its volumes.
+        Number of its volumes.
     """
 
     def __init__(self, console: Console, name: str, count: int) -> None:
@@ -187,9 +187,9 @@ def mode_table(summary: Mapping[str, Any]) -> Table:
     table.add_column("quantity")
     table.add_column("this recording", justify="right")
     table.add_row("volumes", str(summary["volumes"]))
-    table.add_row("skipped, because the file calls them invalid", str(summary["skipped"]))
+    table.add_row("skipped, because the file marks them as invalid", str(summary["skipped"]))
     for mode, count in summary["modes"].items():
-        table.add_row(f"volumes after which it was {mode}", str(count))
+        table.add_row(f"volumes after which the mode was {mode}", str(count))
     for path, label in LABELS.items():
         figure = look_up(summary, path)
         if figure is not None:
@@ -199,13 +199,13 @@ def mode_table(summary: Mapping[str, Any]) -> Table:
 
 _LIVE_ROWS = {
     "volumes": "volumes",
-    "dropped": "dropped, because newer ones had come",
-    "left_out": "left out, without a pose or out of order",
+    "dropped": "dropped, because newer ones had arrived",
+    "left_out": "left out, because they had no pose or were out of order",
     "compute_ms.track.median": "tracking, median, ms",
     "latency_ms.total.median": "from the last byte to the estimate sent, median, ms",
     "latency_ms.total.p99": "from the last byte to the estimate sent, 99 %, ms",
-    "latency_ms.besides_tracking.median": "of which besides tracking, median, ms",
-    "latency_ms.besides_tracking.p99": "of which besides tracking, 99 %, ms",
+    "latency_ms.besides_tracking.median": "the same without tracking, median, ms",
+    "latency_ms.besides_tracking.p99": "the same without tracking, 99 %, ms",
 }
 
 
@@ -217,19 +217,19 @@ def live_table(summary: Mapping[str, Any]) -> Table:
     for path, label in _LIVE_ROWS.items():
         table.add_row(label, format_figure(look_up(summary, path)))
     for mode, count in summary["modes"].items():
-        table.add_row(f"volumes after which it was {mode}", str(count))
+        table.add_row(f"volumes after which the mode was {mode}", str(count))
     return table
 
 
 def start_display(console: Console, host: str = "localhost") -> Meshcat:
-    """Start a Meshcat on the first free port from 7000 on, and say where it is to be seen.
+    """Start a Meshcat on the first free port from 7000 on, and print its address.
 
     Parameters
     ----------
     console
-        Where to say it.
+        Console to print to.
     host
-        Address to listen on; ``*`` for all of this machine's.
+        Address to listen on; ``*`` for all addresses of this machine.
 
     Raises
     ------
@@ -249,16 +249,16 @@ def start_display(console: Console, host: str = "localhost") -> Meshcat:
 
 
 def _is_news(record: logging.LogRecord) -> bool:
-    """Whether a record of Drake's tells more than that a page asked for a replaced picture.
+    """Return False for Drake's log records about a page that asked for a replaced picture.
 
-    A page that draws slowly asks for pictures when newer ones have taken their place, and gets
-    these next: nothing is amiss, and a line for each would tear the progress bar apart.
+    A slow page asks for pictures that newer ones have replaced, and gets these next. Nothing is
+    wrong, and a line for each would break the progress bar.
     """
     return "Unknown CAS key" not in record.getMessage()
 
 
 def start_monitor(console: Console, host: str = "localhost") -> "Monitor":
-    """Start a scanner's monitor, and say where it is to be seen; as `start_display` does."""
+    """Start a scanner's monitor, and print its address; see `start_display`."""
     from sonoservo.systems.display.monitor.monitor import Monitor
 
     try:
@@ -270,7 +270,7 @@ def start_monitor(console: Console, host: str = "localhost") -> "Monitor":
 
 
 def keep_shown(console: Console) -> None:
-    """Wait until the user at the terminal has seen enough; at once where nobody sits at one."""
+    """Wait until the user presses Enter; return at once if the terminal is not interactive."""
     if console.is_interactive and sys.stdin.isatty():
         console.print("The monitor keeps its last picture: press Enter to end.")
         with suppress(EOFError, KeyboardInterrupt):

@@ -1,4 +1,4 @@
-"""A tracker on recorded volumes: the needle in each, and the files that remain."""
+"""Tracking in recorded volumes, and its output files."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -44,23 +44,23 @@ if TYPE_CHECKING:
     from sonoservo.systems.display.monitor.monitor import Monitor
 
 _PICTURES = 6
-"""Volumes of a recording that the report shows."""
+"""Number of volumes of a recording that the report shows."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrackedRecording:
-    """What a tracker made of a recording.
+    """Results of tracking in a recording.
 
     Parameters
     ----------
     estimates
-        After each volume, in W.
+        Estimate after each volume, in W.
     rows
-        The same in the file's own coordinates, LPS in mm: what ``estimates.csv`` holds.
+        Rows of ``estimates.csv``: the estimates in the file's own coordinates, LPS in mm.
     summary
         Figures, as in summary.json.
     log
-        As of a run; the truth in it is what lay beside the recording.
+        Log like that of a run; its truth is the one beside the recording, if there is one.
     """
 
     estimates: list[NeedleEstimate]
@@ -71,7 +71,7 @@ class TrackedRecording:
 
 @dataclass
 class _Progress:
-    """What has come out so far."""
+    """Results so far."""
 
     times: list[float] = field(default_factory=list)
     estimates: list[NeedleEstimate] = field(default_factory=list)
@@ -90,15 +90,15 @@ def tracker_parameters(
     tracker
         Kind of one of the `TRACKERS`.
     order
-        2 for a straight needle, 3 for a bent one.
+        Order of the curve: 2 for a straight needle, 3 for a bent one.
     start
-        "search": the needle is found when it is pushed in. "anywhere": it is localized in the whole
-        volume from the first volume on, so that no insertion need be seen.
+        "search" to find the needle when it is pushed in; "anywhere" to localize it in the whole
+        volume from the first volume on, without seeing the insertion.
 
     Raises
     ------
     ConfigurationError
-        Naming what is not allowed.
+        If a value is not allowed; the message names it.
     """
     trackers = {each.kind: each for each in TRACKERS}
     starts = ("search", "anywhere")
@@ -126,31 +126,31 @@ def track_recording(
 ) -> TrackedRecording:
     """Track a needle through a recording, to its end or until interrupted from the keyboard.
 
-    A recording that `run` made gives the estimates that the run had, to the last bit, with the
-    run's tracker. Truth that lies beside a recording is compared with, never tracked with.
+    With the run's tracker, a recording made by `run` gives bit for bit the estimates of that run.
+    Ground truth beside a recording is used for comparison only, never for tracking.
 
     Parameters
     ----------
     recording
-        To track in.
+        Recording to track in.
     parameters
-        Which tracker, and its parts.
+        Parameters of the tracker, whose class selects it.
     seed
-        Of every random choice; by default the recorder's, or else 0.
+        Seed of every random choice; by default the recorder's, or else 0.
     real_time
-        Whether to go no faster than the volumes were acquired.
+        Whether to limit the pace to that of the acquisition.
     monitor
-        Where to show the volumes.
+        Monitor that shows the volumes, if any.
     out
         Folder for estimates.csv, estimates.json, summary.json, log.npz, plots and report.html; None
-        keeps nothing.
+        writes nothing.
     explain
         Whether to keep, in the folder's subfolder ``explanation``, what the tracker looked at
         around a loss; see `ExplanationRecorder`.
     command
-        That repeats this, for the report.
+        Command that repeats the tracking, for the report.
     after_volume
-        Called after every volume, with its number and the estimate.
+        Function called after every volume with its number and the estimate.
 
     Raises
     ------

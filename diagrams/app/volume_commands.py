@@ -1,4 +1,4 @@
-"""Commands on recorded and live volumes: track a needle, locate it in one, bridge the two."""
+"""Commands on recorded and live volumes: track, locate and bridge."""
 
 import shlex
 import sys
@@ -36,7 +36,7 @@ def track_command(
         str,
         typer.Argument(
             help="Recorded volumes: .seq.nrrd, .nrrd, .nhdr, .mha or .mhd; or live ones: "
-            "igtl://host:18944/DEVICE, or igtl://:18944 for a scanner that connects to us."
+            "igtl://host:18944/DEVICE, or igtl://:18944 to wait for a scanner to connect."
         ),
     ],
     tracker: Annotated[
@@ -45,16 +45,18 @@ def track_command(
     order: OrderOption = 2,
     start: Annotated[
         str,
-        typer.Option(help="search: wait until it is pushed in; anywhere: look in whole volumes."),
+        typer.Option(help="search: wait for an insertion; anywhere: look in whole volumes."),
     ] = "search",
     depth: DepthOption = "P",
     window: WindowOption = None,
     dynamic_range_db: DynamicRangeOption = None,
     volume_rate: RateOption = None,
     poses: PosesOption = None,
-    seed: Annotated[int | None, typer.Option(help="Seed; by default the recorder's.")] = None,
+    seed: Annotated[
+        int | None, typer.Option(help="Random seed; by default, the recorder's.")
+    ] = None,
     real_time: Annotated[
-        bool, typer.Option("--real-time", help="No faster than it was recorded.")
+        bool, typer.Option("--real-time", help="Limit the pace to that of the recording.")
     ] = False,
     show: Annotated[
         bool, typer.Option("--show", help="Show the volumes in a browser, as a scanner does.")
@@ -66,14 +68,14 @@ def track_command(
     spacing: SpacingOption = 0.7,
     serve: Annotated[
         list[str] | None,
-        typer.Option(help="Live: where to send estimates; the source's own address answers it."),
+        typer.Option(help="Live: address to send estimates to; the source's own to answer it."),
     ] = None,
     names: Annotated[
         list[str] | None,
-        typer.Option("--name", help="Live: a device's name: tip=, curve=, status=, covariance=."),
+        typer.Option("--name", help="Live: device names: tip=, curve=, status=, covariance=."),
     ] = None,
     points: Annotated[
-        bool, typer.Option("--points", help="Live: send control points (POINT), not a line.")
+        bool, typer.Option("--points", help="Live: send control points (POINT) in place of a line.")
     ] = False,
     volumes: VolumesOption = None,
     patience: PatienceOption = None,
@@ -81,7 +83,7 @@ def track_command(
     out: OutOption = None,
     json_path: JsonOption = None,
 ) -> None:
-    """Track a needle through recorded or live volumes; end with a folder of results."""
+    """Track a needle through recorded or live volumes, and write a folder of results."""
     from sonoservo.diagrams.app.live.commands import make_maker, needle_names, track_address
     from sonoservo.diagrams.app.live.track_live import LiveLimits
     from sonoservo.diagrams.app.reconstruct import ReconstructedRecording
@@ -161,7 +163,7 @@ def track_command(
             after_volume=progress,
         )
     console.print(mode_table(result.summary))
-    console.print(f"Results, starting with the report: {folder / 'report.html'}", soft_wrap=True)
+    console.print(f"Report: {folder / 'report.html'}", soft_wrap=True)
     write_printed(json_path, result.summary)
     if monitor is not None and not result.summary["interrupted"]:
         keep_shown(console)
@@ -170,8 +172,10 @@ def track_command(
 
 
 def bridge_command(
-    source: Annotated[str, typer.Argument(help="An address to record from, or a recording.")],
-    target: Annotated[str, typer.Argument(help="NAME.seq.nrrd, or an address to play to.")],
+    source: Annotated[str, typer.Argument(help="Address to record from, or a recording to play.")],
+    target: Annotated[
+        str, typer.Argument(help="NAME.seq.nrrd to record to, or address to play to.")
+    ],
     depth: DepthOption = "P",
     window: WindowOption = None,
     dynamic_range_db: DynamicRangeOption = None,
@@ -181,7 +185,7 @@ def bridge_command(
     frames: FramesOption = None,
     spacing: SpacingOption = 0.7,
     speed: Annotated[
-        float, typer.Option(help="Of playing; 0 for as fast as the slowest peer takes it.")
+        float, typer.Option(help="Playing speed; 0 for as fast as the slowest peer accepts.")
     ] = 1.0,
     wait_for: WaitOption = 1,
     volumes: VolumesOption = None,
@@ -214,21 +218,25 @@ def bridge_command(
 
 
 def locate_command(
-    volume: Annotated[Path, typer.Argument(help="A volume: .nrrd, .nhdr, .mha or .mhd.")],
-    number: Annotated[int, typer.Option(help="Which volume, if the file has several.")] = 0,
+    volume: Annotated[
+        Path, typer.Argument(help="File with the volume: .nrrd, .nhdr, .mha or .mhd.")
+    ],
+    number: Annotated[
+        int, typer.Option(help="Number of the volume, from 0, if the file has several.")
+    ] = 0,
     order: OrderOption = 2,
     depth: DepthOption = "P",
     window: WindowOption = None,
     dynamic_range_db: DynamicRangeOption = None,
     json_path: JsonOption = None,
 ) -> None:
-    """Find the needle in one volume, in the file's coordinates; exit code 1 if there is none."""
+    """Find the needle in one volume, in the file's coordinates; exit with 1 if there is none."""
     import numpy as np
 
     from sonoservo.diagrams.app.locate import locate_in_recording
     from sonoservo.systems.recording.recording import Recording
 
-    # Neither times nor poses matter for a single volume.
+    # Times and poses do not matter for a single volume.
     opened = Recording(
         volume,
         depth=depth,

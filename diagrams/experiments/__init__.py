@@ -1,6 +1,6 @@
-"""Experiments: a needle is followed, or its shape predicted; their scenarios and the registry.
+"""Experiments (following a needle, predicting its shape), their scenarios and registry.
 
-It imports the diagrams beside it, but neither `studies`, `papers` nor `app`.
+This room imports the diagrams outside it, but neither `studies`, `papers` nor `app`.
 """
 
 from lazy_loader import attach_stub

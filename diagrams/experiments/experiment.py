@@ -15,7 +15,7 @@ from sonoservo.diagrams.wiring import connect_by_name
 from sonoservo.systems.evaluation.log import Log
 
 INSTANT = 1e-6
-"""Time in s between an event and what is looked at just before or after it."""
+"""Time in s between an event and an observation just before or after it."""
 
 
 class Experiment(ABC, Generic[ScenarioT]):
@@ -34,7 +34,8 @@ class Experiment(ABC, Generic[ScenarioT]):
     systems
         Subsystems of the diagram, by name.
     period, offset
-        Times in s at which volumes or slices are due: those of the tracker's events.
+        Period of the volumes or slices and time of the first one, in s, as for the tracker's
+        events.
     stages
         Computation of a volume in stages, each timed: name of the stage, and the system and output
         port that are evaluated just before the event.
@@ -52,7 +53,7 @@ class Experiment(ABC, Generic[ScenarioT]):
     options
         Options that `make_experiment` may be given.
     labels
-        Label of each figure of the summary that a table shows, by its dotted path.
+        Label of each figure of the summary that tables show, by its dotted path.
 
     Raises
     ------
@@ -89,38 +90,38 @@ class Experiment(ABC, Generic[ScenarioT]):
         self._simulator = Simulator(self.diagram)
         self._begin()
 
-    # What each experiment gives.
+    # Defined by each experiment.
 
     @property
     @abstractmethod
     def status(self) -> str:
-        """What the tracker does now, in a word or two, for a progress bar."""
+        """Present status of the tracker, in a word or two, for a progress bar."""
 
     @abstractmethod
     def log(self) -> Log:
-        """Return what has been logged so far; empty before the first step."""
+        """Return the log so far; it is empty before the first step."""
 
     @abstractmethod
     def summarize(self, log: Any) -> dict[str, Any]:
-        """Return the figures that sum up a log of this experiment, as summary.json holds them."""
+        """Return the figures of a log of this experiment, as in summary.json."""
 
     @abstractmethod
     def plots(self, log: Any) -> dict[str, tuple[str, Figure]]:
-        """Return the plots of a log of this experiment: caption and figure by the file's name."""
+        """Return the plots of a log of this experiment: caption and figure by file name."""
 
     def results(self) -> dict[str, Any]:
         """Return results of the run that are neither in the log nor in the summary, by name."""
         return {}
 
     def happened(self) -> ScenarioT:
-        """Return the scenario that repeats what has happened so far."""
+        """Return the scenario that repeats the run so far."""
         return self.scenario
 
     def close(self) -> None:
         """Finish the files that the experiment itself writes, such as a recording."""
 
     def _after_step(self, number: int) -> None:
-        """Note what came out of a step; steps are counted from 0."""
+        """Record the results of a step; steps are counted from 0."""
 
     # The simulation.
 
@@ -132,29 +133,29 @@ class Experiment(ABC, Generic[ScenarioT]):
         Parameters
         ----------
         after_step
-            Called after every volume or slice with the experiment.
+            Function called after every volume or slice with the experiment.
         real_time
-            Whether to go no faster than real time.
+            Whether to limit the speed to real time.
         """
         self.start(real_time=real_time)
         self.advance(self.scenario.duration, after_step)
 
     def start(self, *, real_time: bool = False) -> None:
-        """Begin at time zero; after a run, begin anew with everything as it was before it.
+        """Start at time zero; after a run, restart from the initial state.
 
         Parameters
         ----------
         real_time
-            Whether to go no faster than real time.
+            Whether to limit the speed to real time.
         """
-        # A context of its own: a plant keeps its last contact forces in one that is only reset.
+        # A new context, because a plant keeps its last contact forces in one that is only reset.
         self._simulator.reset_context(self.diagram.CreateDefaultContext())
         self._begin()
         self._simulator.set_target_realtime_rate(1.0 if real_time else 0.0)
         self._simulator.Initialize()
 
     def advance(self, time: float, after_step: Callable[[Self], None] | None = None) -> None:
-        """Simulate up to a time in s; `start` comes first. A step due at that time is made, too."""
+        """Simulate up to a time in s, including a step due at that time; call `start` first."""
         while (due := self._offset + self._steps * self._period) < time + INSTANT:
             self._simulator.AdvanceTo(due - INSTANT)
             self._make_step(due)
@@ -165,7 +166,7 @@ class Experiment(ABC, Generic[ScenarioT]):
         self._simulator.AdvanceTo(max(time, self.time))
 
     def forgive_delay(self) -> None:
-        """Go on at real time from here, without making up for time that was lost."""
+        """Continue in real time from now on, without making up for lost time."""
         self._simulator.ResetStatistics()
 
     @property
@@ -179,23 +180,23 @@ class Experiment(ABC, Generic[ScenarioT]):
         return self._compute
 
     def context_of(self, system: System) -> Context:
-        """Return the context of one of the subsystems, as it is now."""
+        """Return the present context of one of the subsystems."""
         return system.GetMyContextFromRoot(self._simulator.get_context())
 
     def evaluate(self, system: System, port: str) -> Any:
-        """Return what an output port of one of the subsystems gives now."""
+        """Return the present value of an output port of one of the subsystems."""
         return system.GetOutputPort(port).Eval(self.context_of(system))
 
     def _begin(self) -> None:
-        """Forget the steps of an earlier run."""
+        """Clear the steps of an earlier run."""
         self._steps = 0
         self._compute: dict[str, list[float]] = {name: [] for name in (*self._stages, self._event)}
 
     def _make_step(self, due: float) -> None:
-        """Make the volume or slice and the estimate that are due, and time each stage.
+        """Compute the volume or slice and the estimate that are due, and time each stage.
 
-        The ports are evaluated just before the event that asks for them; it finds them in the
-        cache. In the instant of the event there is at most one step of the plant besides.
+        The ports are evaluated just before the event that needs them, which then finds them in the
+        cache. At the time of the event itself, the plant makes at most one step.
         """
         clock = [self._clock()]
         for system, port in self._stages.values():

@@ -1,4 +1,4 @@
-"""Following: the robot finds a needle in its volumes, keeps it centred and presses the probe."""
+"""Following: the robot finds a needle in volumes, keeps it centred and presses the probe."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -47,19 +47,19 @@ if TYPE_CHECKING:
     from sonoservo.systems.display.monitor.monitor import Monitor
 
 _OBSERVERS = ("scanner", "run_logger", "world_view", "volume_recorder")
-"""Systems that see the truth, besides the station and the sources that make it."""
+"""Systems that see the truth, apart from the station and the sources that produce it."""
 
 
 class FollowingExperiment(Experiment[FollowingScenario]):
-    """The loop of station, hand, scanner, tracker and controller.
+    """Closed loop of station, hand, scanner, tracker and controller.
 
     .. pydrake_system::
 
         name: (the scenario's)
 
     The subsystems are station, scanner, scan_converter, needle_tracker, probe_controller,
-    run_logger, the sources and, if wanted, world_view, scanner_monitor, volume_recorder and
-    explanation_recorder.
+    run_logger, the sources, the observers and, on request, world_view, scanner_monitor,
+    volume_recorder and explanation_recorder.
 
     Parameters
     ----------
@@ -72,9 +72,9 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         needle, phantom_command, gain and force_target. By default they are phantom_motion, hand and
         controller_settings, which follow the scenario.
     tracker
-        System that takes the place of the scenario's tracker, with the input volume and the output
-        estimate. The log keeps its outputs measurement and detection too, if it has them.
-        `tracker_events` tells when it should look for a volume.
+        System that replaces the scenario's tracker, with the input volume and the output estimate.
+        If it has outputs measurement and detection, they are logged too. `tracker_events` returns
+        the times at which it should look for a volume.
     monitor
         Monitor that shows the volumes, if any.
     film
@@ -82,12 +82,12 @@ class FollowingExperiment(Experiment[FollowingScenario]):
     record
         File to which the volumes are recorded, ``NAME.seq.nrrd``, if any. Call `close` at the end.
     record_sweeps
-        Whether to record the sweeps too.
+        Whether to also record the sweeps.
     explain
-        Folder of the run in which is kept what the tracker looked at around a loss, if any.
+        Folder of the run that keeps what the tracker looked at around a loss, if any.
     observers
-        Systems without outputs that look on, by name, such as senders of a live connection.
-        `observer_events` tells when they should look for a volume.
+        Observing systems without outputs, by name, such as senders of a live connection.
+        `observer_events` returns the times at which they should look for a volume.
 
     Raises
     ------
@@ -118,9 +118,10 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         scenario = require_scenario(scenario, FollowingScenario)
         seeds = draw_seeds(scenario)
         transducer = load_transducer(scenario.probe)
-        tissue = replace(load_tissue(scenario.phantom), seed=seeds.tissue)
-        geometry = sweep_geometry(transducer, scenario.imaging)
         insertion = make_insertion(scenario)
+        tissue = load_tissue(scenario.phantom).placed(insertion.entry, insertion.direction)
+        tissue = replace(tissue, seed=seeds.tissue)
+        geometry = sweep_geometry(transducer, scenario.imaging)
         check_entry(scenario, tissue.size)
         if scenario.controller.visual_servo.gain > 0:
             check_followed(scenario, insertion)
@@ -214,7 +215,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
 
     @property
     def estimate(self) -> NeedleEstimate:
-        """What the tracker estimates now."""
+        """Present estimate of the tracker."""
         return cast(NeedleEstimate, self.evaluate(self.needle_tracker, "estimate"))
 
     @property
@@ -223,11 +224,11 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         return str(self.estimate.mode)
 
     def log(self) -> RunLog:
-        """Return what has been logged so far."""
+        """Return the log so far."""
         return self.run_logger.log(self.context_of(self.run_logger), compute=self.compute)
 
     def summarize(self, log: RunLog) -> dict[str, Any]:
-        """Sum up a log, see `summarize`."""
+        """Summarise a log; see `summarize`."""
         return summarize(log, MetricsParameters(force_target=self._force_target()))
 
     def plots(self, log: RunLog) -> dict[str, tuple[str, Figure]]:
@@ -238,7 +239,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         }
 
     def _force_target(self) -> float | None:
-        """Force in N that the controller aims at; None if it changes on the way."""
+        """Return the controller's target force in N; None if it changes during the run."""
         happened = self.happened()
         changed = any(change.force is not None for change in happened.controller_changes)
         return None if changed else happened.controller.force.force
@@ -274,11 +275,11 @@ def tracker_events(scenario: Scenario) -> dict[str, float]:
 
 
 def observer_events(scenario: Scenario) -> dict[str, float]:
-    """Return when to look for a new volume and its estimate: period and offset, in s."""
+    """Return the period and offset in s at which to look for a new volume and its estimate."""
     events = tracker_events(scenario)
     return {"period": events["period"], "offset": events["offset"] + 2 * INSTANT}
 
 
 def recording_settings(scenario: FollowingScenario) -> dict[str, Any]:
-    """Return what a tracker of a scenario's volumes has to know besides them."""
+    """Return the settings that a tracker of a scenario's recorded volumes needs."""
     return {"tracker_seed": draw_seeds(scenario).tracker}

@@ -1,4 +1,4 @@
-"""The insertion of a scenario of following, and whether phantom and arm allow it."""
+"""Insertion of a scenario of following, and checks of it against phantom and arm."""
 
 from dataclasses import replace
 
@@ -18,28 +18,28 @@ def make_insertion(scenario: FollowingScenario, pushes: list[Push] | None = None
     Parameters
     ----------
     scenario
-        Tells the needle, the hand and the seed.
+        Scenario with the needle, the hand and the seed.
     pushes
-        Take the place of the scenario's.
+        Pushes that replace the scenario's.
     """
     hand = scenario.hand if pushes is None else replace(scenario.hand, pushes=pushes)
     return Insertion(hand, np.random.default_rng(draw_seeds(scenario).insertion))
 
 
 def check_entry(scenario: FollowingScenario, size: list[float]) -> None:
-    """Refuse a needle that enters beside the phantom.
+    """Check that the needle enters the phantom.
 
     Parameters
     ----------
     scenario
-        Tells where it enters.
+        Scenario with the entries of the needle.
     size
-        (3,) of the phantom, in m.
+        (3,) extents of the phantom, in m.
 
     Raises
     ------
     ValueError
-        Naming the field.
+        If an entry may lie outside the phantom; the message names the field.
     """
     half = np.array(size) / 2
     entries = {"hand.entry": scenario.hand.entry}
@@ -58,19 +58,19 @@ def check_entry(scenario: FollowingScenario, size: list[float]) -> None:
 
 
 def check_followed(scenario: FollowingScenario, insertion: Insertion) -> None:
-    """Refuse a needle that the arm cannot follow to where it goes deepest.
+    """Check that the arm can follow the needle to its deepest point.
 
     Parameters
     ----------
     scenario
-        Tells where the arm stands, and how long the run is.
+        Scenario with the station and the duration.
     insertion
-        Of the needle.
+        Insertion of the needle.
 
     Raises
     ------
     ValueError
-        Saying where that is.
+        If the arm cannot reach that point; the message gives it.
     """
     deepest = max(np.linspace(0, scenario.duration, 200), key=insertion.depth)
     needle = insertion.needle(deepest)
@@ -78,7 +78,7 @@ def check_followed(scenario: FollowingScenario, insertion: Insertion) -> None:
         return
     station, direction = scenario.station, needle.curve.direction
     start = station.probe.yaw_deg
-    # The needle's axis has no sense of direction: the probe turns to it the shorter way.
+    # The needle's axis has no sense, so the probe turns to it the shorter way.
     turn = (np.rad2deg(np.arctan2(direction[1], direction[0])) - start + 90) % 180 - 90
     x, y, _ = needle.tip
     pose = station.probe_pose(x=x, y=y, yaw_deg=start + turn, height=0.0)

@@ -14,43 +14,43 @@ from sonoservo.systems.robot.phantom_motion import PhantomMotionParameters
 from sonoservo.systems.signals.requirements import require, require_positive
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.scan_converter import ScanConversionParameters
-from sonoservo.systems.ultrasound.simulation.scanner import ScannerParameters
+from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 
 
 @dataclass(kw_only=True)
 class FollowingScenario(Scenario):
-    """All of a run in which the robot follows a needle.
+    """Scenario of a run in which the robot follows a needle.
 
     Parameters
     ----------
     experiment
-        "following".
+        Name of the experiment, "following".
     duration
-        Simulated time in s.
+        Simulated time, in s.
     station
-        Arm, plant, and where probe and phantom are at the start.
+        Arm, plant, and initial poses of probe and phantom.
     phantom
         Tissue and contact of the phantom: name of a file in models/phantoms, or a path.
     phantom_motion
         Motion of the phantom.
     hand
-        The needle and how it is pushed.
+        Needle, and how it is pushed.
     probe
         Transducer and body of the probe: name of a file in models/probes, or a path.
     imaging
-        The scanner's settings.
+        Settings of the scanner.
     scanner
-        Noise, coupling and artefacts.
+        Parameters of noise, coupling and artefacts.
     scan_conversion
-        Grid of the volumes.
+        Parameters of the scan conversion.
     tracker
-        Turns volumes into the estimated needle: the kind of one of the `TRACKERS`, or its fields.
+        Tracker: the kind of one of the `TRACKERS`, or its fields.
     controller
-        From the estimate to the probe's motion.
+        Controller of the probe.
     controller_changes
-        Changes of the controller's settings on the way, in order of time.
+        Changes of the controller's settings during the run, in order of time.
     processing_time
-        Time from the end of a sweep to the estimate that it gives, in s.
+        Time from the end of a sweep to the estimate made from it, in s.
     """
 
     experiment: str = "following"

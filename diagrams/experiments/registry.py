@@ -25,11 +25,11 @@ EXPERIMENTS: Mapping[str, str] = {
     "following": "FollowingExperiment",
     "shape_prediction": "ShapePredictionExperiment",
 }
-"""Class of each experiment, which is in the module of the experiment's name."""
+"""Class of each experiment, by the name of the experiment and of its module."""
 
 
 def experiment_class(name: str) -> type["Experiment[Any]"]:
-    """Return the class of an experiment by its name; its module is imported only now.
+    """Return the class of an experiment by its name; its module is imported on demand.
 
     Raises
     ------
@@ -51,12 +51,12 @@ def make_experiment(scenario: "Scenario", **options: Any) -> "Experiment[Any]":
     scenario
         Scenario of any experiment.
     options
-        Arguments of the experiment's class. None and False mean that an option is not asked for.
+        Arguments of the experiment's class. None and False mean that an option is not requested.
 
     Raises
     ------
     ConfigurationError
-        If the experiment does not have an option that is asked for.
+        If the experiment does not have a requested option.
     ValueError
         If the scenario cannot be carried out; the message names the field.
     """
@@ -74,13 +74,13 @@ def make_experiment(scenario: "Scenario", **options: Any) -> "Experiment[Any]":
 
 
 def list_scenarios() -> dict[str, Path]:
-    """Return the scenarios that come with the package: name and file."""
+    """Return the paths of the built-in scenarios, by name."""
     folder = Path(str(files("sonoservo.diagrams"))) / "scenarios"
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
 
 def describe_scenarios() -> dict[str, str]:
-    """Return the scenarios that come with the package: name and description, from their files."""
+    """Return the descriptions of the built-in scenarios, by name."""
     return {name: read_yaml(path)["description"] for name, path in list_scenarios().items()}
 
 
@@ -92,11 +92,11 @@ def load_scenario(
     Parameters
     ----------
     scenario
-        The name of one that comes with the package, or a path to a YAML file.
+        Name of a built-in scenario, or path of a YAML file.
     changes
-        ``path.to.field=value`` assignments on top.
+        Assignments ``path.to.field=value`` that change fields.
     seed
-        Replaces the scenario's own.
+        Seed that replaces the scenario's own.
 
     Returns
     -------
@@ -105,8 +105,8 @@ def load_scenario(
     Raises
     ------
     ConfigurationError
-        If there is no such scenario, or naming the field that is wrong, its value and what is
-        allowed.
+        If there is no such scenario, or a field is wrong; the message then names the field, its
+        value and what is allowed.
     """
     known = list_scenarios()
     path = known.get(str(scenario), Path(scenario))

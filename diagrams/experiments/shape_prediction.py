@@ -1,4 +1,4 @@
-"""Shape prediction: how a bevelled needle will lie is predicted from axial slices."""
+"""Shape prediction: the final shape of a bevelled needle is predicted from axial slices."""
 
 import time
 from dataclasses import replace
@@ -41,15 +41,15 @@ Floats = NDArray[np.float64]
 
 
 class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
-    """A hand, a probe that steps along the needle, a tracker and a shape estimator.
+    """Diagram of a hand, a probe that steps along the needle, a tracker and a shape estimator.
 
     .. pydrake_system::
 
         name: (the scenario's)
 
-    The subsystems are hand, probe_stepper, scanner, slice_converter, shape_predictor
-    and, with a Meshcat, shape_view. W and T are the same but for the tissue's
-    shifts. Computing times are those of this thread, whatever else the machine does.
+    The subsystems are hand, probe_stepper, scanner, slice_converter, shape_predictor and, with a
+    Meshcat, shape_view. W and T are the same except for the tissue's shifts. Computing times are
+    processor times of this thread, independent of the machine's other load.
 
     Parameters
     ----------
@@ -74,7 +74,9 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
         feed = replace(scenario.feed, depth=scenario.depth)
         hand = replace(scenario.hand, feed=feed, rotations=scenario.rotations)
         self.insertion = Insertion(hand, np.random.default_rng(seeds.insertion))
-        tissue = replace(load_tissue(scenario.phantom), seed=seeds.tissue)
+        tissue = load_tissue(scenario.phantom)
+        tissue = tissue.placed(self.insertion.entry, self.insertion.direction)
+        tissue = replace(tissue, seed=seeds.tissue)
         half = np.array(tissue.size) / 2
         end = hand.entry[0] + scenario.depth + feed.lead
         require(
@@ -159,7 +161,7 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
 
     @property
     def shape(self) -> NeedleShape | NotFound:
-        """Shape that the estimator expects now."""
+        """Present prediction of the needle's shape."""
         return cast(NeedleShape | NotFound, self.evaluate(self.shape_predictor, "shape"))
 
     def true_path(self, depths: Floats) -> Floats:
@@ -169,7 +171,7 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
 
     @property
     def status(self) -> str:
-        """What became of the newest slice."""
+        """Result of the search in the newest slice."""
         return "following" if self._rows and "cross_section" in self._rows[-1] else "not found"
 
     @property
@@ -178,19 +180,19 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
         return [row["cross_section"] for row in self._rows if "cross_section" in row]
 
     def log(self) -> ShapeLog:
-        """Return what has been seen so far."""
+        """Return the log so far."""
         return ShapeLog.from_rows(self._rows, self.true_path)
 
     def results(self) -> dict[str, Any]:
-        """Return `shape`, which the estimator believes at the end."""
+        """Return `shape`, the estimator's final prediction."""
         return {"shape": self.shape}
 
     def summarize(self, log: ShapeLog) -> dict[str, Any]:
-        """Sum up a log and the shape, see `summarize_shape`."""
+        """Summarise a log and the shape; see `summarize_shape`."""
         return {"estimator": self.scenario.estimator, **summarize_shape(log, self.shape)}
 
     def plots(self, log: ShapeLog) -> dict[str, tuple[str, Figure]]:
-        """Return the plot of the paths, if there are any."""
+        """Return the plot of the paths, if there are at least two slices."""
         if len(log.depth) < 2:
             return {}
         return {"shape.png": ("path, measured, true and predicted", plot_shape(log, self.shape))}
@@ -200,7 +202,7 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
         self._rows: list[Row] = []
 
     def _after_step(self, number: int) -> None:
-        """Note what was found in a slice, and how long it took."""
+        """Record the result of a slice, and its computing time."""
         found = self.evaluate(self.shape_predictor, "cross_section")
         row: Row = {"depth": number * self.scenario.step}
         row |= {f"{name}_s": self.compute[name][-1] for name in ("image", "estimate")}

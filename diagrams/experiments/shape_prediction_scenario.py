@@ -12,10 +12,10 @@ from sonoservo.systems.localization.cross_section import CrossSectionParameters
 from sonoservo.systems.needle.insertion_parameters import FeedParameters, InsertionParameters
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.simulation.rendering import ScannerParameters
+from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 
 ESTIMATORS = tuple(SHAPE_FILTERS)
-"""Names of the shape estimators; each is a field of `ShapeScenario` too."""
+"""Names of the shape estimators; each is also a field of `ShapePredictionScenario`."""
 
 
 def _hand() -> InsertionParameters:
@@ -47,45 +47,47 @@ def _imaging() -> ImagingParameters:
 
 @dataclass(kw_only=True)
 class ShapePredictionScenario(Scenario):
-    """All of a run in which a needle's shape is predicted from axial slices.
+    """Scenario of a run in which a needle's shape is predicted from axial slices.
 
     Parameters
     ----------
     experiment
-        "shape_prediction".
+        Name of the experiment, "shape_prediction".
     depth
-        Depth of the last slice, from the first, in m. It replaces the parts' own.
+        Depth of the last slice from the first, in m. It replaces the value in ``hand.feed`` and in
+        the estimator's parameters.
     rotations
-        Depths at which the bevel is turned by 180 deg, in m. They replace the parts' own.
+        Depths at which the bevel is turned by 180 deg, in m. They replace the values in ``hand``
+        and in the estimator's parameters.
     observe_until
-        Depth beyond which the estimator looks at no slice, in m: it then predicts (the paper's D).
-        None looks at all. It replaces the parts' own.
+        Depth beyond which the estimator uses no slice and only predicts (the paper's D), in m. None
+        uses all slices. It replaces the value in the estimator's parameters.
     step
-        Distance between slices, in m. With the feed's speed it gives the slices per second, which
-        replace ``imaging.volume_rate``.
+        Distance between slices, in m. Together with the feed's speed it sets the number of slices
+        per second, which replaces ``imaging.volume_rate``.
     pixel
         Spacing of the slices' pixels, in m.
     face
-        z in T of the probe's face, in m; below zero, the tissue surrounds the face.
+        Coordinate z in T of the probe's face, in m; below zero, the tissue surrounds the face.
     tissue_shift
         Standard deviation of the tissue's shift from slice to slice, along each of X and Y of P,
-        in m: nobody knows it.
+        in m; it is unknown to the estimator.
     phantom
         Tissue: name of a file in models/phantoms, or a path.
     probe
         Name of a file in models/probes, or a path.
     imaging, scanner
-        The scanner's settings; noise and artefacts.
+        Settings of the scanner, and parameters of its noise and artefacts.
     hand
-        The needle and its feed through a template.
+        Needle and its feed through a template.
     tracker
         Settings of the search for cross-sections.
     estimator
         Name of the shape estimator that guides the search, one of `ESTIMATORS`.
     particle_filter, least_squares, published
-        Parameters of each.
+        Parameters of each shape estimator.
     processing_time
-        Time from a slice to the estimate that it gives, in s.
+        Time from a slice to the estimate made from it, in s.
     """
 
     experiment: str = "shape_prediction"
@@ -163,10 +165,10 @@ class ShapePredictionScenario(Scenario):
 
     @property
     def steps(self) -> int:
-        """Number of the stepper's steps; there is one slice more."""
+        """Number of the stepper's steps, one less than the number of slices."""
         return round(self.depth / self.step)
 
     @property
     def duration(self) -> float:
-        """Simulated time in s; the last estimate is made at its end."""
+        """Simulated time in s, at the end of which the last estimate is made."""
         return (self.steps + 1) * self.period + self.processing_time

@@ -1,4 +1,4 @@
-"""Reproductions of published experiments, a package for each paper, and their registry.
+"""Reproductions of published experiments, one package per paper, and their registry.
 
 They import `studies`, `diagrams` and `systems`, but not `app`.
 """

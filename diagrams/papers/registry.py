@@ -1,7 +1,7 @@
 """Registry of the papers that ``sonoservo reproduce`` knows.
 
-A new paper is a package beside this module that hands out ``reproduce(options: StudyOptions) ->
-Study``, and its name here.
+A new paper is a package beside this module that exports ``reproduce(options: StudyOptions) ->
+Study``, and an entry here.
 """
 
 from importlib import import_module
@@ -24,14 +24,14 @@ def require_paper(paper: str) -> None:
 
 
 def reproduce(paper: str, options: "StudyOptions") -> "Study":
-    """Repeat a paper's experiments; its package is imported only now.
+    """Repeat a paper's experiments; its package is imported on demand.
 
     Parameters
     ----------
     paper
-        One of the `PAPERS`.
+        Name of one of the `PAPERS`.
     options
-        Folder, seeds and processes.
+        Folder, seeds and number of processes.
 
     Raises
     ------

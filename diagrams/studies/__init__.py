@@ -1,6 +1,6 @@
-"""Many runs: studies over seeds, their reports, and data sets.
+"""Studies over many seeds, their reports, and data sets.
 
-It imports `diagrams` and `systems`, but neither `papers` nor `app`.
+This room imports `diagrams` and `systems`, but neither `papers` nor `app`.
 """
 
 from lazy_loader import attach_stub

@@ -1,4 +1,4 @@
-"""Labelled sequences for people who train networks: volumes, needle, tip and mask."""
+"""Labelled sequences for training networks: volumes, needle, tip and mask."""
 
 import hashlib
 import json
@@ -36,11 +36,11 @@ from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
 FORMAT = 1
-"""Version of manifest.json and labels.json."""
+"""Format version of manifest.json and labels.json."""
 
 
 _FIRST_VOLUME = 1.1
-"""When the first volume begins, in s: the hand has then pushed in what no volume shows go in."""
+"""Start of the first volume in s, after the push that no volume shows."""
 
 
 def make_dataset(
@@ -53,35 +53,35 @@ def make_dataset(
     jobs: int = -1,
     console: Console | None = None,
 ) -> dict[str, Any]:
-    """Make labelled sequences, each of another needle, tissue and probe; the probe is held still.
+    """Make labelled sequences with a different needle, tissue and probe each.
 
-    The scenario gives the settings of the scanner, the grid and the arm's phantom; drawn are where
-    the needle enters, its angle, bend, gauge and speed, where the probe stands, the tissue with its
-    inclusions, the transducer and what is assumed of it, gain, frequency and focus. Whatever is
-    drawn follows from the sequence's seed, `scenario.seed` and up. What is made already is kept, if
-    it is whole.
+    The probe is held still. The scenario provides the settings of the scanner, the grid and the
+    phantom. Drawn at random are the entry, angle, bend, gauge and speed of the needle, the pose of
+    the probe, the tissue with its inclusions, the transducer with its unpublished properties, and
+    gain, frequency and focus. All draws follow from the sequence's seed, counted up from
+    `scenario.seed`. Complete sequences from an earlier call are kept.
 
     Parameters
     ----------
     scenario
-        With the seed of the first sequence.
+        Scenario of following, with the seed of the first sequence.
     out
         Folder: manifest.json, and for each sequence a folder with volumes.seq.nrrd,
         volumes.acquisition.jsonl, mask_000.seg.nrrd and so on, and labels.json.
     count
         Number of sequences.
     volumes
-        In each, at the scenario's rate.
+        Number of volumes in each sequence, at the scenario's rate.
     transducers
-        To choose from, by name or path; none means the scenario's.
+        Probes to draw from, by name or path; empty for the scenario's.
     jobs
-        Processes; -1 means one for each core.
+        Number of processes; -1 for one per core.
     console
-        Where to show progress.
+        Console on which to show progress, if any.
 
     Returns
     -------
-    The manifest.
+    Contents of manifest.json.
 
     Raises
     ------
@@ -131,7 +131,7 @@ def _folder(case: Case) -> str:
 
 
 def _is_whole(outcome: Path, folder: Path) -> bool:
-    """Whether all files of a sequence are there, as large as they were."""
+    """Return True if all files of a sequence exist and have their recorded sizes."""
     try:
         files = json.loads(outcome.read_text(encoding="utf-8"))["result"]["files"]
         return all((folder / name).stat().st_size == file["bytes"] for name, file in files.items())
@@ -189,7 +189,7 @@ def _acquire(
     X_TP: RigidTransform,
     number: int,
 ) -> Volume:
-    """Acquire a volume; the tissue's frame is the world's."""
+    """Acquire a volume; the tissue's frame is the world frame."""
     geometry, direction = renderer.geometry, 1 - 2 * (number % 2)
     begin = _FIRST_VOLUME + number * geometry.period
     times = geometry.frame_times(begin, direction)

@@ -1,4 +1,4 @@
-"""Random draws of a dataset: scanner, tissue, where the probe stands, and the needle."""
+"""Random draws of a data set: scanner, tissue, pose of the probe, and needle."""
 
 from dataclasses import asdict, replace
 from typing import Any
@@ -18,7 +18,7 @@ _OUTSIDE = 15e-3
 """Length of needle in the tissue before it enters the field of view, in m."""
 
 _INDENTATION = 4e-3
-"""How deep the probe sinks into the phantom, in m."""
+"""Indentation of the phantom by the probe, in m."""
 
 
 def draw_scanner(
@@ -29,19 +29,19 @@ def draw_scanner(
     Parameters
     ----------
     scenario
-        With the settings that are not drawn.
+        Scenario with the settings that are not drawn.
     transducers
-        Names or paths to choose from.
+        Names or paths of the probes to draw from.
     rng
-        Source of the draws.
+        Generator of the draws.
 
     Returns
     -------
-    The `renderer` made of them, and for the labels `transducer`, `imaging` and `tissue`.
+    The `renderer` with the drawn values and, for the labels, `transducer`, `imaging` and `tissue`.
     """
     name = transducers[rng.integers(len(transducers))]
     transducer = load_transducer(name)
-    # What the makers do not publish.
+    # Properties that manufacturers do not publish.
     transducer = replace(
         transducer,
         element_height=transducer.element_height * rng.uniform(0.8, 1.2),
@@ -107,22 +107,22 @@ def _draw_tissue(tissue: Tissue, rng: np.random.Generator) -> Tissue:
 def draw_insertion(
     scenario: FollowingScenario, geometry: SweepGeometry, volumes: int, rng: np.random.Generator
 ) -> tuple[RigidTransform, InsertionParameters]:
-    """Draw where the probe stands, and a needle that comes into its view from the side.
+    """Draw the pose of the probe, and a needle that enters its view from the side.
 
     Parameters
     ----------
     scenario
-        With the station, and the hand's settings that are not drawn.
+        Scenario with the station, and with the settings of the hand that are not drawn.
     geometry
         Geometry of the sweeps.
     volumes
         Number of volumes during which the needle is pushed.
     rng
-        Source of the draws.
+        Generator of the draws.
 
     Returns
     -------
-    X_TP, and the parameters of the insertion.
+    Pose X_TP of the probe, and the parameters of the insertion.
     """
     station = scenario.station
     X_TP = station.X_WT.InvertAndCompose(
@@ -149,7 +149,7 @@ def draw_insertion(
     entry, direction = X_TP.multiply(p_PSide - _OUTSIDE * k), X_TP.rotation() @ k
     duration = (volumes + 1) * geometry.period
     speed = min(length / duration, rng.uniform(2e-3, 12e-3))
-    # The first volume comes when all is in that the last ones do not see go in.
+    # The first push inserts the length that is not inserted during the volumes.
     before = _OUTSIDE + length - speed * duration
     return X_TP, replace(
         scenario.hand,

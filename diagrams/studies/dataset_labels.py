@@ -1,4 +1,4 @@
-"""Labels of a dataset's volumes: the needle as it was acquired, its mask and its description."""
+"""Labels of a data set's volumes: the needle as acquired, its mask and its description."""
 
 from typing import Any
 
@@ -21,10 +21,10 @@ def needle_as_acquired(volume: Volume, insertion: Insertion) -> Needle:
 
 
 def needle_mask(volume: Volume, needle: Needle) -> NDArray[np.bool_]:
-    """Return the mask of the voxels that a needle, given in P, passes through and the image shows.
+    """Return the mask of the non-zero voxels through which a needle, given in P, passes.
 
-    Their centres lie within its radius of the axis or, since it is thinner than some grids, within
-    0.75 of the largest spacing.
+    Their centres lie within the needle's radius of its axis or, because a needle may be thinner
+    than the grid, within 0.75 of the largest spacing.
     """
     mask: NDArray[np.bool_] = np.zeros(volume.intensities.shape, dtype=bool)
     radius = max(needle.radius, 0.75 * float(volume.spacing.max()))

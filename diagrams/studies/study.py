@@ -1,4 +1,4 @@
-"""Many runs on all cores: each is kept as it ends, none is made twice, none can end the rest."""
+"""Runs of a study on all cores, with results kept on disk and failures isolated."""
 
 import hashlib
 import json
@@ -24,30 +24,31 @@ from sonoservo.systems.signals.requirements import require
 Work = Callable[["Case"], Mapping[str, Any]]
 
 _SHOWS_RESULTS = ("display", "cli", "terminal", "plots", "report", "page", "analysis")
-"""Ends of the names of folders and modules that change no result."""
+"""Endings of the names of folders and modules that do not affect results."""
 
 _CASES_PER_PROCESS = 10
-"""An experiment leaves some 20 MB behind that Drake never frees."""
+"""Number of cases after which a process is replaced, as Drake leaks some 20 MB per experiment."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class StudyOptions:
-    """What a person may choose about the reproduction of any paper.
+    """Options of the reproduction of any paper.
 
     Parameters
     ----------
     folder
-        For whatever the study keeps.
+        Folder of the study's files.
     quick
-        A few short runs: whether all works, not what the figures are.
+        Whether to make a few short runs only, as a functional check.
     seeds
-        Number of seeds of each experiment; None leaves it to the study.
+        Number of seeds of each experiment; None for the study's own number.
     first_seed
-        Of each experiment. Seeds below 100 are for reporting; parameters are tuned on others.
+        First seed of each experiment. Seeds below 100 are for reporting; parameters are tuned on
+        others.
     jobs
-        Processes; -1 means one for each core.
+        Number of processes; -1 for one per core.
     console
-        Where to show progress; None shows none.
+        Console on which to show progress, if any.
     """
 
     folder: Path
@@ -64,23 +65,23 @@ class StudyOptions:
         require(self.jobs >= 1 or self.jobs == -1, "jobs", self.jobs, "1 or more, or -1")
 
     def seed_range(self, number: int, quick_number: int) -> range:
-        """Return an experiment's seeds, given how many it has of its own, and how many if quick."""
+        """Return an experiment's seeds, given their default numbers for full and quick studies."""
         own = quick_number if self.quick else number
         return range(self.first_seed, self.first_seed + (self.seeds or own))
 
 
 @dataclass(frozen=True)
 class Case:
-    """One run of a study. Hashable, and equal to another with the same contents.
+    """One run of a study; it is hashable, and compares by its contents.
 
     Parameters
     ----------
     experiment
-        Which of the study's experiments it belongs to.
+        Name of the study's experiment that it belongs to.
     seed
-        Of everything random in it.
+        Random seed of the run.
     settings
-        Whatever else the run needs to know, in types that JSON has.
+        Further settings of the run, in types that JSON has.
 
     Raises
     ------
@@ -100,30 +101,30 @@ class Case:
 
     @property
     def key(self) -> str:
-        """The contents as one text."""
+        """Contents as one text."""
         return json.dumps(asdict(self), sort_keys=True)
 
     @property
     def name(self) -> str:
-        """What its files are called: readable, and different for different contents."""
+        """Name of its files: readable, and different for different contents."""
         digest = hashlib.sha256(self.key.encode()).hexdigest()[:8]
         return f"{self.experiment}_seed{self.seed:03d}_{digest}"
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a case. Falsy where it failed.
+    """Outcome of a case; falsy if the case failed.
 
     Parameters
     ----------
     case
-        What was run.
+        Case that was run.
     result
-        What the work returned, as JSON holds it; empty where it failed.
+        Return value of the work, in types that JSON has; empty if it failed.
     error
-        What it failed of; empty where it did not.
+        Error message; empty if it did not fail.
     wall_s
-        How long it took, in s.
+        Wall-clock time of the run, in s.
     """
 
     case: Case
@@ -139,8 +140,8 @@ class Outcome:
 def code_fingerprint() -> str:
     """Return a digest of the package's files and of Drake's version.
 
-    What only shows results (`_SHOWS_RESULTS`) is left out: a better plot does not make runs out of
-    date.
+    Code that only displays results (`_SHOWS_RESULTS`) is excluded: a better plot does not make runs
+    out of date.
     """
     digest = hashlib.sha256(f"sonoservo {version('sonoservo')}, drake {version('drake')}".encode())
     for part in ("systems", "models", "diagrams"):
@@ -163,23 +164,24 @@ def run_cases(
 ) -> list[Outcome]:
     """Run every case that has not been run yet, several at a time.
 
-    Each outcome is written to a file of its own in ``folder`` as it comes. One that is there
-    already is read instead, if it was made by the same code with the same settings. Each process
+    Each outcome is written to a file of its own in ``folder`` as soon as it is known. An existing
+    outcome is read instead if it was made by the same code with the same settings. Each process
     computes with one thread.
 
     Parameters
     ----------
     work
-        Runs a case and returns what is to be kept, in types that JSON or NumPy has. It must be
-        importable, or a partial of what is. Whatever it raises makes the case a failure.
+        Function that runs a case and returns the result to keep, in types that JSON or NumPy has.
+        It must be importable, or a partial of an importable function. Any exception makes the case
+        a failure.
     cases
-        To run; no two alike.
+        Cases to run, all different.
     folder
-        For the outcomes.
+        Folder of the outcomes.
     jobs
-        Processes; -1 means one for each core, 1 runs the cases in this process.
+        Number of processes; -1 for one per core, 1 to run the cases in this process.
     console
-        Where to show progress; None shows none.
+        Console on which to show progress, if any.
 
     Returns
     -------
@@ -187,12 +189,14 @@ def run_cases(
 
     Raises
     ------
+    ValueError
+        If two cases are equal.
     KeyboardInterrupt
-        If interrupted; what was finished is kept.
+        If interrupted; finished outcomes are kept.
     """
     outcomes = {case: _read(_path(folder, case), case) for case in cases}
     if len(outcomes) < len(cases):
-        raise ValueError("two of the cases are alike")
+        raise ValueError(f"{len(cases)} cases, of which {len(outcomes)} differ; all must differ")
     pending = [case for case, outcome in outcomes.items() if outcome is None]
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     console = console or Console(quiet=True)
@@ -210,8 +214,8 @@ def run_cases(
 def _run_all(work: Work, cases: list[Case], folder: Path, jobs: int) -> Iterator[Outcome]:
     """Run cases in rounds, each in fresh processes.
 
-    Drake's Python systems are never freed, so a process must not live for ever. A case that kills
-    its process is found out by being run again alone.
+    Drake's Python systems are never freed, so a process must be replaced from time to time. A case
+    that kills its process is identified by running the cases again one by one.
     """
     pending = dict.fromkeys(cases)
     most = together = _CASES_PER_PROCESS * effective_n_jobs(jobs)
@@ -244,7 +248,7 @@ def _run_round(work: Work, cases: list[Case], folder: Path, jobs: int) -> Iterat
 
 
 def _leave_alone() -> None:
-    """Leave Ctrl-C, which every process receives, to the one that started the others."""
+    """Ignore Ctrl-C, which every process receives; the parent process handles it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
@@ -269,7 +273,7 @@ def _keep(outcome: Outcome, folder: Path) -> Outcome:
 
 
 def _read(path: Path, case: Case) -> Outcome | None:
-    """Read a case's outcome; None where there is none of the present code."""
+    """Read a case's outcome; None if there is none by the present code."""
     try:
         kept = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""What a study found, and the files that tell it: JSON, pictures, one web page."""
+"""Results of a study, and their files: JSON, pictures and a web page."""
 
 import html
 from collections.abc import Mapping, Sequence
@@ -17,22 +17,23 @@ from sonoservo.systems.files.writing import write_atomically, write_json
 
 @dataclass(frozen=True, kw_only=True)
 class StudyRow:
-    """One quantity: what the paper reports, what we find, what is to be reached.
+    """One quantity of a study: published and simulated values, and the target.
 
     Parameters
     ----------
     experiment, quantity, unit
-        What it is, for a person.
+        Experiment, quantity and unit to display.
     paper
-        Published figure; None where there is none.
+        Published figure; None if there is none.
     estimated
-        Ours, by what a tracker or controller knows itself: what an experiment could report.
+        Simulated value from the estimates of tracker or controller, as a real experiment could
+        report it.
     true
-        Ours, by the simulator's truth.
+        Simulated value from ground truth.
     target
-        What is to be reached: by the truth, where it is known.
+        Target, for the true value or, without one, for the estimated value.
     wanted
-        On which side of the target.
+        Side of the target on which the value must lie.
     """
 
     experiment: str
@@ -46,7 +47,7 @@ class StudyRow:
 
     @property
     def met(self) -> bool | None:
-        """Whether the target is met, which nothing does not; None where there is no target."""
+        """True if the target is met, False if it is missed or there is no value, else None."""
         if self.target is None:
             return None
         value = self.estimated if self.true is None else self.true
@@ -57,7 +58,7 @@ class StudyRow:
 
 @dataclass(frozen=True, kw_only=True)
 class StudyFigure:
-    """A figure, and what it shows; ``name`` is that of its file."""
+    """A figure with its caption; ``name`` is the name of its file."""
 
     name: str
     caption: str
@@ -66,24 +67,24 @@ class StudyFigure:
 
 @dataclass(frozen=True, kw_only=True)
 class Study:
-    """What a reproduction of a paper found.
+    """Results of the reproduction of a paper.
 
     Parameters
     ----------
     paper
-        As the command names it.
+        Name of the paper's package.
     title
-        Authors, title, where it was published.
+        Authors, title and place of publication.
     rows
-        In the order in which they are shown.
+        Rows, in the order in which they are shown.
     outcomes
-        Of every case, failures included.
+        Outcomes of all cases, including failures.
     figures
-        In the order in which they are shown.
+        Figures, in the order in which they are shown.
     compute_ms
-        Computing time in ms: by what was computed, {"median": ..., "max": ...}.
+        Computing times in ms, by stage: {"median": ..., "max": ...}.
     notes
-        What a reader must know to judge the rows, a paragraph each.
+        Notes needed to interpret the rows, one paragraph each.
     """
 
     paper: str
@@ -96,7 +97,7 @@ class Study:
 
     @property
     def experiments(self) -> dict[str, dict[str, Any]]:
-        """By experiment: its `seeds`, how many `cases` it has, and how many of them `failed`."""
+        """Seeds (`seeds`), number of cases (`cases`) and of failures (`failed`) by experiment."""
         names = dict.fromkeys(each.case.experiment for each in self.outcomes)
         summary = {}
         for name in names:
@@ -109,7 +110,7 @@ class Study:
         return summary
 
     def as_json(self, command: str) -> dict[str, Any]:
-        """Return all but the pictures, for a JSON file."""
+        """Return everything except the pictures, for a JSON file."""
         return {
             "paper": self.paper,
             "title": self.title,
@@ -140,15 +141,15 @@ def write_study(folder: Path, study: Study, command: str) -> dict[str, Any]:
     Parameters
     ----------
     folder
-        Where to.
+        Folder for the files.
     study
-        What was found.
+        Study to write.
     command
-        That repeats it.
+        Command that repeats the study.
 
     Returns
     -------
-    What study.json holds.
+    Contents of study.json.
     """
     data = study.as_json(command)
     write_json(folder / "study.json", data)
@@ -161,16 +162,16 @@ def write_study(folder: Path, study: Study, command: str) -> dict[str, Any]:
 
 
 def study_page(study: Study, command: str, pictures: Mapping[str, bytes]) -> str:
-    """Return a study as one HTML page that needs no other file.
+    """Return a study as one self-contained HTML page.
 
     Parameters
     ----------
     study
-        What was found.
+        Study to show.
     command
-        That repeats it.
+        Command that repeats the study.
     pictures
-        PNG files by caption.
+        Contents of PNG files by caption.
     """
     judged = [row.met for row in study.rows if row.met is not None]
     met = f"{sum(judged)} of {len(judged)} targets met"
@@ -190,7 +191,7 @@ def study_page(study: Study, command: str, pictures: Mapping[str, bytes]) -> str
 
 
 def target_text(row: StudyRow) -> str:
-    """Return a row's target with its side: "≤ 0.7"; empty where there is none."""
+    """Return a row's target with its side, such as "≤ 0.7"; empty if there is none."""
     if row.target is None:
         return ""
     return f"{'≤' if row.wanted == 'at most' else '≥'} {row.target:g}"
@@ -231,7 +232,7 @@ def _failures_table(study: Study) -> str:
         [html.escape(each.case.name), str(each.case.seed), html.escape(each.error)]
         for each in failed
     ]
-    return "<h2>Runs that failed</h2>" + _table(["", "seed", "what it failed of"], lines)
+    return "<h2>Failed runs</h2>" + _table(["", "seed", "error"], lines)
 
 
 def _table(heads: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
@@ -244,7 +245,7 @@ def _table(heads: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
 
 
 def _ranges(numbers: Sequence[int]) -> str:
-    """[0, 1, 2, 5] -> 0-2, 5."""
+    """Return numbers as ranges: [0, 1, 2, 5] becomes "0-2, 5"."""
     starts = [n for n in numbers if n - 1 not in numbers]
     ends = [n for n in numbers if n + 1 not in numbers]
     return ", ".join(

@@ -1,6 +1,6 @@
-"""Needle trackers: what each is made of, and the registry among which a scenario chooses.
+"""Needle trackers, and the registry from which a scenario selects one.
 
-A new tracker is a file here and a line in `registry`. It imports `systems` only.
+A new tracker is a file here and a line in `registry`. This room imports `systems` only.
 """
 
 from lazy_loader import attach_stub

@@ -1,4 +1,4 @@
-"""Registry of the needle trackers, among which a scenario's field ``tracker`` chooses."""
+"""Registry of the needle trackers, from which a scenario's field ``tracker`` selects one."""
 
 from collections.abc import Callable
 from functools import reduce
@@ -18,10 +18,10 @@ TRACKERS: dict[type[TrackerParameters], Callable[..., Diagram]] = {
     Chatelain2013TrackerParameters: MakeChatelain2013Tracker,
     Zhao2012TrackerParameters: MakeZhao2012Tracker,
 }
-"""Parameters of each tracker and the function that makes it; a new one is a file and a line."""
+"""Function that makes each tracker, by the class of its parameters."""
 
 if TYPE_CHECKING:
     AnyTrackerParameters = TrackerParameters
 else:
     AnyTrackerParameters = reduce(or_, TRACKERS)
-    """Type of a field of a YAML file whose ``kind`` chooses the tracker."""
+    """Type of a YAML field whose ``kind`` selects the tracker."""

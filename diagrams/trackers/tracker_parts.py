@@ -1,4 +1,4 @@
-"""Parts that the needle trackers have in common, and their wiring."""
+"""Parts common to the needle trackers, and their wiring."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -20,24 +20,24 @@ from sonoservo.systems.signals.requirements import require, require_not_negative
 
 @dataclass(kw_only=True)
 class TrackerParameters:
-    """Parameters of the parts that the needle trackers have in common.
+    """Parameters of the parts common to the needle trackers.
 
     Parameters
     ----------
     kind
         Name of the tracker.
     order
-        Number n of control points of the needle's curve: 2 straight, 3 bent.
+        Number n of control points of the needle's curve: 2 for a straight needle, 3 for a bent one.
     look_back
-        Least age of the volume with which the present one is compared to detect an insertion, in
+        Minimum age of the volume with which the present one is compared to detect an insertion, in
         s. Chatelain 2013 compares consecutive volumes (0), in which a slow needle moves too little.
     same_direction
-        Whether only sweeps of the same direction are compared. A motorised probe samples the
-        tissue differently on its way back, so that neighbouring volumes differ everywhere.
+        Whether only sweeps in the same direction are compared. A motorised probe samples the tissue
+        differently on its way back, which makes neighbouring volumes differ everywhere.
     detector, localizer
         Parameters of the detector and of the localizer.
     track
-        Rules by which a track begins, goes on and ends.
+        Rules by which a track begins, continues and ends.
     """
 
     kind: str = ""
@@ -55,7 +55,7 @@ class TrackerParameters:
 
 
 def require_order(order: int, needle_filter: NeedleFilter[Any]) -> None:
-    """Raise ValueError unless a filter takes curves of an order."""
+    """Raise ValueError unless a filter supports curves of an order."""
     orders = needle_filter.orders
     names = {2: "straight", 3: "bent"}
     allowed = " or ".join(f"{each} ({names[each]})" for each in orders)
@@ -71,7 +71,7 @@ def add_tracker_parts(
     offset: float,
     seed: int,
 ) -> TrackManager:
-    """Add memory, detector, localizer and track manager, wired and with a tracker's ports.
+    """Add and connect memory, detector, localizer and track manager, and export a tracker's ports.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def add_tracker_parts(
 
     Returns
     -------
-    The track manager, to which more can be connected.
+    The track manager, for further connections.
     """
     memory = builder.AddNamedSystem(
         "volume_memory",

@@ -1,4 +1,4 @@
-"""Tracker of Zhao 2012: a filter on axis and tip that is told the velocity of the tip's speckle."""
+"""Tracker of Zhao 2012: a filter on axis and tip that uses the velocity of the tip's speckle."""
 
 from dataclasses import dataclass, field
 
@@ -22,14 +22,14 @@ from sonoservo.systems.localization.speckle_velocimeter import (
 class Zhao2012TrackerParameters(TrackerParameters):
     """Parameters of the tracker of Zhao 2012; see `TrackerParameters` for the other fields.
 
-    The paper does not say how a needle is found first: that is done as in Chatelain 2013.
+    The paper does not describe the initial detection of a needle, which follows Chatelain 2013.
 
     Parameters
     ----------
     kind
         "zhao2012".
     velocimeter
-        Parameters of the measurement of the tip's velocity from speckle.
+        Parameters of the velocimeter, which measures the tip's velocity from speckle.
     filter
         Filter of the track: by default "axis_tip", the paper's.
     """
@@ -58,8 +58,8 @@ def MakeZhao2012Tracker(
     parameters, period, offset, seed
         See `MakeNeedleTracker`.
     speckle_port
-        Whether the velocimeter has an input port ``speckle`` of its own, for the
-        `RadioFrequencySweep` of each volume; otherwise it looks at the volumes.
+        Whether the velocimeter has its own input port ``speckle``, for the `RadioFrequencySweep` of
+        each volume; otherwise it uses the volumes.
     """
     events = {"period": period, "offset": offset}
     builder = DiagramBuilder()

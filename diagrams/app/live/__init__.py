@@ -1,6 +1,6 @@
-"""What a person runs to speak with other programs: serve a run, track and bridge live volumes.
+"""Commands that exchange data with other programs: serve a run, track and bridge live volumes.
 
-Only the command line's modules import it.
+Only the command line's modules import this room.
 """
 
 from lazy_loader import attach_stub

@@ -1,4 +1,4 @@
-"""Between live connections and recordings: a stream becomes a file, a file becomes a scanner."""
+"""Bridge between live connections and recordings: record a stream, or play a file to one."""
 
 import time
 from collections.abc import Callable
@@ -15,7 +15,7 @@ from sonoservo.systems.recording.recording_writer import RecordingWriter
 from sonoservo.systems.signals.requirements import require_not_negative
 
 QUEUE = 64
-"""Volumes that wait to be written before any is dropped."""
+"""Maximum number of volumes waiting to be written; beyond it, volumes are dropped."""
 
 _PATIENCE = 30.0
 
@@ -33,19 +33,20 @@ def record_live(
     Parameters
     ----------
     source
-        Of the volumes; it should keep `QUEUE` of them.
+        Source of the volumes; it should keep `QUEUE` of them.
     path
-        ``NAME.seq.nrrd``; what was written before an interruption is valid.
+        Path of the recording, ``NAME.seq.nrrd``; it is valid even after an interruption.
     limits
-        When it ends by itself.
+        Conditions under which the recording ends by itself.
     after_volume
-        Called after every volume with its number.
+        Function called after every volume with its number.
     say
-        Called with each line for a person.
+        Function called with each line of text for the user.
 
     Returns
     -------
-    How much was recorded.
+    Summary of the recording: its path, the numbers of volumes recorded, dropped and left out, and
+    whether it was interrupted.
 
     Raises
     ------
@@ -91,20 +92,21 @@ def play_live(
     Parameters
     ----------
     recording
-        What to play.
+        Recording to play.
     link
-        Where to.
+        Connection to send to.
     speed
-        1 for the pace at which it was recorded, 2 for twice that; 0 for as fast as the slowest
-        peer takes them, so that none is dropped on the way.
+        Speed relative to the recording's own. At 0, volumes are sent as fast as the slowest peer
+        takes them, and none is dropped on the way.
     name
-        Of the images' device.
+        Device name of the images.
     after_volume
-        Called after every volume with its number.
+        Function called after every volume with its number.
 
     Returns
     -------
-    How much was sent.
+    Summary: the recording, the numbers of volumes sent and dropped, the number of peers, and
+    whether playing was interrupted.
     """
     require_not_negative(speed=speed)
     started = time.perf_counter()

@@ -1,4 +1,4 @@
-"""The commands that speak with other programs, as a person at a terminal sees them."""
+"""Terminal output and argument checks of the commands that exchange data with other programs."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -32,7 +32,7 @@ _NAMED = ("tip", "curve", "status", "covariance")
 
 
 def saying(console: Console) -> Callable[[str], None]:
-    """Return what prints a line as it is."""
+    """Return a function that prints a line without markup."""
     return lambda line: console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
@@ -40,16 +40,16 @@ def saying(console: Console) -> Callable[[str], None]:
 def serving(
     console: Console, address: str | None, scenario: Scenario, wait_for: int = 0
 ) -> Iterator[Mapping[str, System] | None]:
-    """Give what sends a scenario live while it runs; None without an address.
+    """Yield the systems that send a scenario live while it runs; None without an address.
 
     Parameters
     ----------
     console
-        Where to say what happens on the connection.
+        Console for messages about the connection.
     address
-        Where to send to.
+        Address to send to.
     scenario
-        That is run.
+        Scenario of the run.
     wait_for
         Number of peers that must be connected first.
     """
@@ -66,7 +66,7 @@ def needle_names(changes: Sequence[str], *, points: bool = False) -> NeedleNames
     Raises
     ------
     ConfigurationError
-        Naming what is not allowed.
+        If a change is not allowed; the message names it.
     """
     names = NeedleNames(points=points)
     for change in changes:
@@ -91,23 +91,24 @@ def make_maker(
     frames: int | None = None,
     spacing: float = 7e-4,
 ) -> ImagesToVolumes:
-    """Return what makes volumes of received images.
+    """Return the converter of received images to volumes.
 
     Parameters
     ----------
     depth, window, dynamic_range_db
-        See `VolumeMaker`; a motor's imaging tells its own dynamic range.
+        See `VolumeMaker`; a motor's file contains its own dynamic range.
     reconstruct
-        Whether the images are 2D frames.
+        Whether the images are 2D frames with poses.
     motor
-        A file that says how a motor sweeps them; without it, by their poses.
+        File that describes the sweep of a motorised probe, whose images are 2D frames without
+        poses.
     frames, spacing
         See `FramesToVolumes`.
 
     Raises
     ------
     ConfigurationError
-        Naming what is not allowed.
+        If a value is not allowed; the message names it.
     """
     try:
         if motor is not None:
@@ -135,7 +136,7 @@ def track_address(
     limits: LiveLimits,
     out: Path | None,
 ) -> dict[str, Any]:
-    """Track live volumes until Ctrl-C or a limit, and show what came out; see `track_live`."""
+    """Track live volumes until Ctrl-C or a limit, and print the figures; see `track_live`."""
     say = saying(console)
     place = parse_address(address)
     folder = out or Path("out") / f"{_file_name(place)}_track"
@@ -190,7 +191,7 @@ def bridge_files(
     Raises
     ------
     ConfigurationError
-        Unless one of ``source`` and ``target`` is an address and the other one a file.
+        Unless exactly one of ``source`` and ``target`` is an address.
     """
     if is_address(source) == is_address(target):
         raise ConfigurationError(

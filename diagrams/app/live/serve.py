@@ -1,4 +1,4 @@
-"""A simulated scanner that other programs connect to, as they would to a real one."""
+"""Simulated scanner to which other programs connect as they would to a real one."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -23,30 +23,30 @@ from sonoservo.systems.ultrasound.imaging import sweep_geometry
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
 _POLL = 0.05
-"""Time in s between two looks at who is connected."""
+"""Time in s between two checks of the number of peers."""
 
 
 def live_senders(
     link: Link, scenario: Scenario, names: NeedleNames | None = None
 ) -> dict[str, System]:
-    """Return the systems that send all that a scenario makes: observers of a `FollowingExperiment`.
+    """Return systems that send all data of a scenario, as observers of a `FollowingExperiment`.
 
     They send the volumes, the frames as acquired, the two slices through the needle, the probe's
-    pose, the estimate and the truth; each at the rate at which it arises.
+    pose, the estimate and the truth, each at its own rate.
 
     Parameters
     ----------
     link
-        Where to.
+        Connection to send to.
     scenario
-        That is run.
+        Scenario of the run.
     names
-        Of the estimate's devices.
+        Device names of the estimate.
 
     Raises
     ------
     ConfigurationError
-        If the scenario makes no volumes.
+        If the scenario is not one of following.
     """
     scenario = require_scenario(scenario, FollowingScenario)
     period, offset = observer_events(scenario).values()
@@ -65,21 +65,21 @@ def live_senders(
 
 @contextmanager
 def opened(address: str, say: Callable[[str], None], *, wait_for: int = 0) -> Iterator[Link]:
-    """Open a connection to send to; at its end, what waits is sent for at most a second.
+    """Open a connection to send to; on exit, wait at most 1 s for queued messages to be sent.
 
     Parameters
     ----------
     address
-        Of it, as `parse_address` takes it.
+        Address of the connection; see `parse_address`.
     say
-        Called with each line about it.
+        Function called with each line of text about the connection.
     wait_for
         Number of peers that must be connected before it is used.
     """
     with Link(parse_address(address), report=say) as link:
         if link.address.listens:
             host, _ = link.address.bound
-            say(f"Sending to whoever connects to {link.address.scheme}://{host}:{link.port}")
+            say(f"Sending to all peers that connect to {link.address.scheme}://{host}:{link.port}")
         while link.peers < wait_for:
             time.sleep(_POLL)
         yield link

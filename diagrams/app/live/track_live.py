@@ -1,4 +1,4 @@
-"""A tracker on a live connection: the needle in each volume, sent on as soon as it is known."""
+"""Tracking on a live connection: the estimate for each volume is sent as soon as it is known."""
 
 import csv
 import time
@@ -26,22 +26,22 @@ if TYPE_CHECKING:
     from sonoservo.systems.display.monitor.monitor import Monitor
 
 _LOOK = 0.25
-"""Time in s after which it looks whether it should end."""
+"""Time in s between two checks of the limits."""
 
 _TIMED = 20_000
-"""Volumes, at most, whose delays are in the summary."""
+"""Maximum number of volumes whose delays enter the summary."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LiveLimits:
-    """When live tracking or recording ends by itself.
+    """Conditions under which live tracking or recording ends by itself.
 
     Parameters
     ----------
     volumes
-        After so many; None never.
+        Maximum number of volumes; None for no limit.
     patience
-        When no volume has come for so long, in s; None never.
+        Maximum time without a new volume, in s; None for no limit.
     """
 
     volumes: int | None = None
@@ -49,7 +49,7 @@ class LiveLimits:
 
 
 def live_volumes(source: LiveSource, limits: LiveLimits, say: Callable[[str], None] = print) -> Any:
-    """Yield the volumes of a source until a limit is reached; waits for them."""
+    """Yield the volumes of a source as they arrive, until a limit is reached."""
     count, since, quiet = 0, time.perf_counter(), False
     while limits.volumes is None or count < limits.volumes:
         volume = source.take(_LOOK)
@@ -84,34 +84,35 @@ def track_live(
     Parameters
     ----------
     source
-        Of the volumes.
+        Source of the volumes.
     parameters
-        Which tracker, and its parts.
+        Parameters of the tracker, whose class selects it.
     seed
-        Seed of every random choice; by default what a scanner of this package says, or else 0.
+        Seed of every random choice; by default the one that a scanner of this package sends, or
+        else 0.
     outlets
-        Where the estimates are sent to.
+        Connections to which the estimates are sent.
     names
-        Of their devices.
+        Device names of the estimates.
     monitor
-        Where to show the volumes.
+        Monitor that shows the volumes, if any.
     out
-        Folder for estimates.csv, which grows line by line, and at the end summary.json.
+        Folder for estimates.csv, which grows line by line, and summary.json, written at the end.
     limits
-        When it ends by itself.
+        Conditions under which tracking ends by itself.
     after_volume
-        Called after every volume, with its number and the estimate.
+        Function called after every volume with its number and the estimate.
     say
-        Called with each line for a person.
+        Function called with each line of text for the user.
 
     Returns
     -------
-    What summary.json holds.
+    Contents of summary.json.
     """
     names = names or NeedleNames()
     started = time.perf_counter()
     modes: Counter[str] = Counter()
-    # Time in s to track a volume, and all between its last byte and the sending of its estimate.
+    # Time in s to track a volume, and total time from its last byte to the sending of its estimate.
     track_s: deque[float] = deque(maxlen=_TIMED)
     total_s: deque[float] = deque(maxlen=_TIMED)
     tracker: Any = None
@@ -175,7 +176,7 @@ def track_live(
 
 
 def _spread(seconds: Any) -> dict[str, float | None]:
-    """Return median, 99 % and maximum of times, in ms."""
+    """Return the median, 99th percentile and maximum of times in s, in ms."""
     ms = 1e3 * np.array(seconds, float)
     if not len(ms):
         return {"median": None, "p99": None, "max": None}
@@ -187,7 +188,7 @@ def _spread(seconds: Any) -> dict[str, float | None]:
 
 
 class _Table:
-    """A file of comma-separated values that is valid after every line."""
+    """CSV file that is valid after every line."""
 
     def __init__(self, path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)

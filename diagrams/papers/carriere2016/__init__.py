@@ -1,4 +1,4 @@
-"""Carriere et al. (AIM 2016) reproduced: the shape of needles, predicted."""
+"""Reproduction of Carriere et al. (AIM 2016): prediction of the shape of needles."""
 
 from lazy_loader import attach_stub
 

@@ -1,4 +1,4 @@
-"""Pictures of the reproduction of Carriere 2016."""
+"""Plots of the reproduction of Carriere 2016."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -11,14 +11,14 @@ from sonoservo.systems.evaluation.shape_metrics import plane_of
 
 Results = Mapping[str, Sequence[Mapping[str, Any]]]
 
-# Okabe and Ito's colours: people who see fewer colours tell them apart too.
+# Okabe and Ito's colours stay distinguishable for colour-blind readers.
 _COLOURS = {"particle_filter": "#D55E00", "least_squares": "#0072B2", "published": "#808080"}
 _MEASURED = "#56B4E9"
 _NEEDLES = 6
 
 
 def plot_paths(results: Results) -> Figure:
-    """Return a figure like figs. 8 and 9: six needles a set, one above the other."""
+    """Return a figure like figs. 8 and 9: six needles of each set, one above another."""
     figure = Figure(figsize=(10, 3.4 * len(results)), layout="constrained")
     rows = figure.subplots(len(results), 1, squeeze=False)[:, 0]
     for axes, (name, needles) in zip(rows, results.items(), strict=True):
@@ -48,7 +48,7 @@ def plot_paths(results: Results) -> Figure:
 
 
 def plot_error_against_depth(results: Results, names: Mapping[str, str]) -> Figure:
-    """Return a figure like fig. 7: error of the predicted tip against the depth that was seen."""
+    """Return a figure like fig. 7: error of the predicted tip against the depth observed."""
     figure = Figure(figsize=(11, 4), layout="constrained")
     columns = figure.subplots(1, len(results), squeeze=False)[0]
     for axes, (name, needles) in zip(columns, results.items(), strict=True):
@@ -69,7 +69,7 @@ def plot_error_against_depth(results: Results, names: Mapping[str, str]) -> Figu
             axes.plot(depth, np.nanmedian(bound[:, known], axis=0), color=colour, linestyle="--",
                       linewidth=1)  # fmt: skip
         axes.set_yscale("log")
-        # The bound of the filter as printed falls to nothing.
+        # The bound of the filter as printed falls to zero.
         axes.set_ylim(bottom=1e-2)
         axes.set_title(name, loc="left", fontsize="medium")
         axes.set_xlabel("depth seen (mm)")
@@ -83,7 +83,7 @@ def plot_error_against_depth(results: Results, names: Mapping[str, str]) -> Figu
 def _by_depth(
     needles: Sequence[Mapping[str, Any]], estimator: str, key: str, grid: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """(needles, depths) values at the last slice up to each depth; NaN before the first."""
+    """Return (needles, depths) values at the last slice up to each depth; NaN before the first."""
     rows = []
     for needle in needles:
         if estimator in needle["estimators"]:

@@ -1,4 +1,4 @@
-"""The study of Carriere 2016: its rows beside the paper's and the targets, figures and notes."""
+"""Report of the reproduction of Carriere 2016: rows with targets, figures and notes."""
 
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
@@ -31,27 +31,28 @@ _PAPER = {  # Tables I and II, and the peak of section V
 _PEAK = 9.5
 
 NOTES = (
-    "Errors are means over needles. 'Estimated' is against the measured path, as the paper has it; "
-    "'true' against the simulated needle. Tip error is |u - u^| at the last slice, shape error the "
-    "integral of |u - u^| over depth (eq. 8), u in the plane of most deflection. A prediction is "
-    "made, and counts, whether or not the needle was followed to the end.",
-    "The needles: R uniform in 0.8 to 2.4 m, theta_0 uniform within 2 deg, any plane. All "
-    "estimators believe R normal (1.5, 0.6 m) and theta_0 normal (0, 5 deg), as published. The "
-    "tissue shifts by 0.1 mm (one deviation) from slice to slice, besides what speckle and fibres "
-    "do. The tracker finds the first cross-section by itself.",
+    "Errors are means over needles. 'Estimated' errors are against the measured path, as in the "
+    "paper; 'true' errors are against the simulated needle. The tip error is |u - u^| at the last "
+    "slice. The shape error is the integral of |u - u^| over depth (eq. 8), with u in the plane of "
+    "largest deflection. Every prediction counts, whether or not the needle was followed to the "
+    "end.",
+    "The needles have R uniform between 0.8 and 2.4 m, theta_0 uniform within 2 deg, and any "
+    "plane. All estimators assume R normal (1.5, 0.6 m) and theta_0 normal (0, 5 deg), as "
+    "published. The tissue shifts by 0.1 mm (standard deviation) from slice to slice, in addition "
+    "to the effects of speckle and fibres. The tracker finds the first cross-section by itself.",
     "Not published: the full depth (here 140 mm in beef, 60 mm in the patient), gamma (0.3), and "
-    "which way u points: the filter as printed is told the bevel's direction to within "
-    f"{BEVEL_MARK_DEG:.0f} deg, the others are not.",
-    "The bound is the mean error that the Bayesian least squares expect of themselves, from their "
-    "posterior at the last slice used and the scatter of the measured path.",
-    f"'{UNEVEN}' repeats the first set with a curvature that wanders by 10 % along the path. No "
-    "estimator knows that; it has no target.",
-    "Computing time is processor time of one thread.",
+    "the direction of u. The filter as printed is given the bevel's direction to within "
+    f"{BEVEL_MARK_DEG:.0f} deg; the other estimators are not.",
+    "The bound is the mean error that the Bayesian least squares predict for themselves, from "
+    "their posterior at the last slice used and the scatter of the measured path.",
+    f"'{UNEVEN}' repeats the first set with a curvature that wanders by 10 % along the path, which "
+    "no estimator models. It has no targets.",
+    "Computing time is the processor time of one thread.",
 )
 
 
 def make_study(outcomes: Sequence[Outcome]) -> Study:
-    """Make the study of the runs of all sets of needles."""
+    """Return the study of the runs of all sets of needles."""
     return Study(
         paper="carriere2016",
         title="Carriere, Rossa, Sloboda, Usmani, Tavakoli: Real-time needle shape prediction in "
@@ -65,7 +66,7 @@ def make_study(outcomes: Sequence[Outcome]) -> Study:
 
 
 def set_rows(name: str, outcomes: Sequence[Outcome]) -> list[StudyRow]:
-    """Rows of one set of needles; a run that failed counts as one that was not followed."""
+    """Return the rows of one set of needles; a failed run counts as a needle not followed."""
     results = [each.result for each in outcomes if each]
     paper: dict[str, float | None] = {**_PAPER.get(name, dict.fromkeys(_PAPER["d60"]))}
     judged = name in SETS
@@ -107,7 +108,7 @@ def _error_rows(
     figures: Sequence[dict[str, Any]],
     paper: dict[str, float | None],
 ) -> list[StudyRow]:
-    """Rows of one estimator: errors, what it expects of itself, coverage."""
+    """Return the rows of one estimator: errors, bounds and coverage."""
 
     def mean(key: str) -> float | None:
         values = [each[key] for each in figures if each.get(key) is not None]
@@ -167,14 +168,14 @@ def _figures(outcomes: Sequence[Outcome]) -> list[StudyFigure]:
     figures = [
         StudyFigure(
             name="paths",
-            caption="As the paper's figs. 8 and 9: six needles of each set, measured and predicted "
-            "path (particle filter). Dashed: the last slice that was used.",
+            caption="Like figs. 8 and 9 of the paper: six needles of each set, measured and "
+            "predicted path (particle filter). Dashed: last slice used.",
             figure=plot_paths(results),
         ),
         StudyFigure(
             name="error_against_depth",
-            caption="As fig. 7: error of the predicted tip against the depth seen; median and 90 % "
-            "of the needles, and the median of the 95 % bounds that the estimates state.",
+            caption="Like fig. 7: error of the predicted tip against the depth observed; median "
+            "and 90 % range of the needles, and median of the estimates' 95 % bounds.",
             figure=plot_error_against_depth(results, NAMES),
         ),
         StudyFigure(
@@ -188,9 +189,9 @@ def _figures(outcomes: Sequence[Outcome]) -> list[StudyFigure]:
         figures.append(
             StudyFigure(
                 name="particles",
-                caption="As fig. 6: particles before the first slice, five slices after 10 mm, and "
-                "at the end, of one needle. The cross is the truth; the faint one is the path that "
-                "starts alike and bends to the other side.",
+                caption="Like fig. 6: particles of one needle before the first slice, five slices "
+                "after 10 mm, and at the end. The cross is the truth; the faint cross is the path "
+                "that starts alike and bends to the other side.",
                 figure=plot_particles(kept["particles"], kept["truth"], NAMES),
             )
         )

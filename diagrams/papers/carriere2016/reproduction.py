@@ -1,9 +1,9 @@
-"""Carriere 2016 reproduced: the shape of needles predicted before they get there.
+"""Reproduction of Carriere 2016: prediction of the final shape of needles.
 
 Every case is one needle, with its own tissue, radius, first angle, plane and noise. The truth is
-drawn from R uniform in 0.8 to 2.4 m and theta_0 uniform within 2 deg, which is not the estimators'
-prior (R normal, 1.5 and 0.6 m; theta_0 normal, 5 deg). The particle filter guides the tracker; the
-other two estimators then get the same cross-sections.
+drawn with R uniform between 0.8 and 2.4 m and theta_0 uniform within 2 deg. This differs from the
+estimators' prior (R normal, 1.5 and 0.6 m; theta_0 normal, 5 deg). The particle filter guides the
+tracker; the other two estimators then receive the same cross-sections.
 """
 
 from typing import Any
@@ -22,7 +22,7 @@ def reproduce(options: StudyOptions) -> Study:
     Parameters
     ----------
     options
-        Folder, number of needles, processes.
+        Folder, number of needles and number of processes.
     """
     cases = [
         Case(name, seed, _settings(name, seed == options.first_seed))

@@ -1,4 +1,4 @@
-"""Runs of the reproduction of Carriere 2016: one needle, seen by every estimator."""
+"""Runs of the reproduction of Carriere 2016: one needle, with every estimator."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -23,10 +23,10 @@ Floats = NDArray[np.float64]
 SETS = ("d60", "d80", "patient")
 
 UNEVEN = "d60_uneven"
-"""The first set again, in tissue that the model does not describe."""
+"""Name of the first set repeated with a curvature that the estimators do not model."""
 
 BEVEL_MARK_DEG = 60.0
-"""The printed filter is told to which side the bevel bends to within this angle."""
+"""Accuracy in deg with which the filter as printed is given the bevel's direction."""
 
 
 def run_needle(case: Case) -> dict[str, Any]:
@@ -34,7 +34,7 @@ def run_needle(case: Case) -> dict[str, Any]:
 
     Returns
     -------
-    What the summary of a run has, `estimators` with the figures of each, and what the plots need.
+    Summary of the run, `estimators` with the figures of each, and the data of the plots.
     """
     _warm_up()
     experiment = _experiment(case.settings["scenario"], case.seed, case.settings["changes"])
@@ -75,7 +75,7 @@ def _experiment(name: str, seed: int, changes: Sequence[str] = ()) -> ShapePredi
     experiment = ShapePredictionExperiment(load_scenario(name, changes=list(changes), seed=seed))
     mark = np.random.default_rng([seed, 1]).uniform(-BEVEL_MARK_DEG, BEVEL_MARK_DEG)
     assert experiment.insertion.path is not None
-    # The path's roll is measured from up, the plane from X of P, which points beside the needle.
+    # The path's roll is measured from the upward direction, the plane from the lateral X of P.
     plane = np.rad2deg(experiment.insertion.path.roll) - 90
     experiment.scenario.published.bevel_direction_deg = float(plane + mark)
     return experiment
@@ -83,15 +83,15 @@ def _experiment(name: str, seed: int, changes: Sequence[str] = ()) -> ShapePredi
 
 @cache
 def _warm_up() -> None:
-    """Have everything compiled before the first time that is taken."""
+    """Compile everything before the first time is measured."""
     _experiment("carriere2016_patient", 100).run()
 
 
 def expected_errors(log: ShapeLog, shape: NeedleShape) -> dict[str, float]:
-    """Mean errors that an estimate expects of itself, in the plane of most deflection.
+    """Return the mean errors that an estimate predicts for itself, in the plane of most deflection.
 
-    The mean of |e| is sqrt(2 / pi) deviations where e is normal. Against the measured path, the
-    scatter of the measurements adds to it.
+    The mean of |e| is sqrt(2 / pi) standard deviations for a normal e. Against the measured path,
+    the scatter of the measurements adds to the variance.
     """
     plane = plane_of(log.true)
     mean, covariance = shape.predict(log.depth)
@@ -107,7 +107,7 @@ def expected_errors(log: ShapeLog, shape: NeedleShape) -> dict[str, float]:
 
 
 def _errors_by_depth(shapes: Sequence[object], log: ShapeLog) -> dict[str, Floats]:
-    """Error of the predicted tip, and the 95 % bound that is stated, after each slice, in mm."""
+    """Return the error of the predicted tip and its stated 95 % bound after each slice, in mm."""
     rows: list[tuple[float, float, float]] = []
     for shape in shapes:
         if isinstance(shape, NeedleShape) and (not rows or shape.observed > rows[-1][0]):
@@ -121,7 +121,7 @@ def _errors_by_depth(shapes: Sequence[object], log: ShapeLog) -> dict[str, Float
 def _particles(
     experiment: ShapePredictionExperiment, found: Sequence[CrossSection]
 ) -> dict[str, Any]:
-    """R in m and theta_0 in deg of the particles: first, 5 slices after 10 mm, and last."""
+    """Return R in m and theta_0 in deg of the particles: first, 5 slices after 10 mm, and last."""
     scenario = experiment.scenario
     points = [experiment.X_WP.inverse().multiply(each.position) for each in found]
     if scenario.observe_until is not None:

@@ -1,4 +1,4 @@
-"""Chatelain, Krupa and Marchal (ICRA 2013) reproduced: needles found and followed."""
+"""Reproduction of Chatelain, Krupa and Marchal (ICRA 2013): needles are found and followed."""
 
 from lazy_loader import attach_stub
 

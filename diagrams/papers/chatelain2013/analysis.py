@@ -1,4 +1,4 @@
-"""What finished runs of Chatelain 2013's experiments tell, read from their logs."""
+"""Analysis of finished runs of Chatelain 2013's experiments from their logs."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -21,25 +21,25 @@ from sonoservo.systems.signals.needle_estimate import TrackingMode
 Floats = NDArray[np.float64]
 
 ENOUGH_IN_VIEW = 20e-3
-"""Errors count from this length of needle in the image on, in m."""
+"""Length of needle in the image from which on errors count, in m."""
 
 _NOT_TO_BE_LOST = 15e-3
-"""A needle is lost where the tracker searches for it with more than this in the image, in m."""
+"""Length in the image above which a needle counts as lost while the tracker searches, in m."""
 
 _OUT_OF_VIEW = 2e-3
-"""One insertion ends and the next begins where less than this is in the image, in m."""
+"""Length in the image below which one insertion ends and the next begins, in m."""
 
 _RIGHT_PLACE = 10e-3
-"""A needle is found where the estimated tip lies within this of the true one, in m."""
+"""Distance from the estimated to the true tip within which a needle counts as found, in m."""
 
 _CENTRED = np.array([2e-3, 2e-3, np.deg2rad(2)])
-"""The needle is centred again below these errors of X, Z and Theta, in m and rad."""
+"""Errors of X, Z and Theta below which the needle is centred again, in m and rad."""
 
 _STAYS = 0.5
-"""Time in s for which it must be."""
+"""Time in s for which it must stay centred."""
 
 _LAG_TIME = 2.0
-"""The lag is that in the last seconds of a push, when it has built up."""
+"""Time in s before the end of a push over which the fully developed lag is measured."""
 
 
 @dataclass(frozen=True)
@@ -49,9 +49,9 @@ class Run:
     Parameters
     ----------
     outcome
-        Of the study; one that has not failed.
+        Outcome of a run of the study that has not failed.
     logs
-        Folder of its log.
+        Folder of the logs.
     """
 
     outcome: Outcome
@@ -59,17 +59,17 @@ class Run:
 
     @property
     def log(self) -> RunLog:
-        """Read anew each time: a study has more of them than fit in memory."""
+        """Log of the run, read each time, because the logs of a study do not fit in memory."""
         return read_log(self.logs / f"{self.outcome.case.name}.npz", RunLog)
 
     @property
     def summary(self) -> dict[str, Any]:
-        """As in summary.json."""
+        """Figures of the run, as in summary.json."""
         return dict(self.outcome.result["summary"])
 
     @cached_property
     def scenario(self) -> FollowingScenario:
-        """What was run."""
+        """Scenario of the run."""
         case = self.outcome.case
         loaded = load_scenario(
             case.settings["scenario"], seed=case.seed, changes=case.settings["changes"]
@@ -84,17 +84,17 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class Volumes:
-    """A run by its v volumes; infinite errors where there is no estimate.
+    """Data of a run for each of its v volumes; errors are infinite without an estimate.
 
     Parameters
     ----------
     enough
-        (v,) whether more than `ENOUGH_IN_VIEW` of the needle is in the image.
+        (v,) mask of the volumes with at least `ENOUGH_IN_VIEW` of the needle in the image.
     tracked
-        (v,) whether the volume confirmed the needle.
+        (v,) mask of the volumes that confirmed the needle.
     lost
-        (v,) whether the tracker searched, once it had found it, for what is well in the image;
-        what it only coasts over is not lost.
+        (v,) mask of the volumes after which the tracker searched again for a needle that was well
+        in the image. Coasting does not count as lost.
     tip, axis, curve
         (v,) errors of the tip in m, of the direction in rad, and along the curve in m.
     true, estimated
@@ -119,7 +119,7 @@ class Volumes:
 
 
 def volumes(log: RunLog, curve_deviation: Floats) -> Volumes:
-    """Sum up a log by volume, at the time for which the estimate holds."""
+    """Return a log's data for each volume, at the time for which the estimate holds."""
     dated = np.isfinite(log.volume_estimate_time)
     time = np.where(dated, log.volume_estimate_time, log.volume_time)
     visible = np.nan_to_num(at_times(log, log.visible_length, time))
@@ -153,16 +153,16 @@ def _or_infinite(errors: Floats) -> Floats:
 
 
 def pooled(runs: Sequence[Run], failed: int, values: Callable[[Volumes], Floats]) -> Floats:
-    """Values of all volumes with enough of the needle in view, over all runs.
+    """Return the values of all volumes with enough of the needle in view, over all runs.
 
     Parameters
     ----------
     runs
-        The finished ones.
+        Finished runs.
     failed
-        Number of others. Each counts as one more run of usual length without any estimate.
+        Number of failed runs. Each counts as one more run of median length without any estimate.
     values
-        (v,) of a run.
+        Function that returns the (v,) values of a run.
     """
     each = [values(run.volumes)[run.volumes.enough] for run in runs]
     usual = int(np.median([len(one) for one in each])) if each else 0
@@ -170,18 +170,18 @@ def pooled(runs: Sequence[Run], failed: int, values: Callable[[Volumes], Floats]
 
 
 def quantile(values: Sequence[float] | Floats, q: float) -> float | None:
-    """Quantile that is one of the values, so that infinite ones do no harm; None of nothing."""
+    """Return a quantile that is one of the values, which may be infinite; None without values."""
     if len(values) == 0:
         return None
     return float(np.quantile(np.asarray(values), q, method="inverted_cdf"))
 
 
 def found_after(log: RunLog) -> list[tuple[float, float]]:
-    """Length of needle in the image, and in the tissue, when it was found, in m.
+    """Return the lengths of needle in the image and in the tissue when it was found, in m.
 
     Returns
     -------
-    For each insertion of more than `ENOUGH_IN_VIEW`; infinite where it was not found.
+    Both lengths for each insertion of at least `ENOUGH_IN_VIEW`; infinite if it was not found.
     """
     time = log.volume_estimate_time
     tracked = log.volume_estimate_mode == TrackingMode.TRACKING
@@ -202,10 +202,11 @@ def found_after(log: RunLog) -> list[tuple[float, float]]:
 
 
 def centred(log: RunLog, straight: bool = True) -> NDArray[np.bool_]:
-    """(n,) whether the needle is tracked, and truly centred and in line.
+    """Return an (n,) mask of the samples at which the needle is tracked, centred and aligned.
 
-    Of a needle that is not straight only the tip is judged: its direction from where it enters the
-    tissue, which the image does not show, is not the one that the servo aligns.
+    Ground truth decides. For a needle that is not straight, only the tip counts: the true
+    direction starts at the entry into the tissue, which the image does not show, and is not the one
+    that the servo aligns.
     """
     true = np.abs(features(log.X_WP, log.needle_tip, log.needle_entry))
     tracked = log.estimate_mode == TrackingMode.TRACKING
@@ -214,14 +215,15 @@ def centred(log: RunLog, straight: bool = True) -> NDArray[np.bool_]:
 
 
 def converged(log: RunLog, straight: bool = True) -> bool:
-    """Whether the needle was centred all through the last second."""
+    """Return True if the needle was centred throughout the last second."""
     return bool(centred(log, straight)[log.time >= log.time[-1] - 1.0].all())
 
 
 def recovery_times(log: RunLog, scenario: FollowingScenario) -> list[float]:
-    """Time from the end of each move of the phantom until the needle is centred again, in s.
+    """Return the time from the end of each move of the phantom until the needle is centred, in s.
 
-    It must stay so for `_STAYS`, and before the next move starts; infinite where it does not.
+    The needle must stay centred for `_STAYS` before the next move starts; otherwise the time is
+    infinite.
     """
     good = centred(log)
     moves = scenario.phantom_motion.moves
@@ -239,7 +241,7 @@ def recovery_times(log: RunLog, scenario: FollowingScenario) -> list[float]:
 
 
 def lag(log: RunLog, scenario: FollowingScenario) -> float:
-    """Mean |X| of the true tip at the end of the last push, in m; NaN where the run ends before."""
+    """Return the mean |X| of the true tip at the end of the last push, in m; NaN if not reached."""
     hand = scenario.hand
     end = hand.start + sum(push.duration for push in hand.pushes)
     during = (log.time >= end - _LAG_TIME) & (log.time <= end)

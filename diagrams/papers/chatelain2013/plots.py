@@ -1,4 +1,4 @@
-"""Pictures of Chatelain 2013's reproduction: laid out like its figs. 4 to 6, errors, ablations."""
+"""Plots of the reproduction of Chatelain 2013: figs. 4 to 6, errors and ablations."""
 
 from collections.abc import Mapping, Sequence
 from operator import attrgetter
@@ -32,15 +32,15 @@ def study_figures(groups: Groups, ablations: Sequence[str]) -> list[StudyFigure]
     groups
         Finished runs by experiment.
     ablations
-        What was switched off in the experiments "fig5, what" and "fig6, what".
+        Names of the ablations, as in the experiments "fig5, NAME" and "fig6, NAME".
     """
     figures = []
     if groups.get("fig4"):
         figures.append(
             StudyFigure(
                 name="fig4",
-                caption="Fig. 4 of the paper: the tip while the probe is still. Above one run, "
-                "true and estimated; below the error over all runs.",
+                caption="Fig. 4 of the paper: the tip while the probe is still. Top: one run, "
+                "true and estimated. Bottom: error over all runs.",
                 figure=plot_fig4(groups["fig4"]),
             )
         )
@@ -81,7 +81,7 @@ def study_figures(groups: Groups, ablations: Sequence[str]) -> list[StudyFigure]
                 StudyFigure(
                     name=f"{name}_ablations",
                     caption=f"Fig. {name[-1]} with one part switched off at a time: a point for "
-                    "each seed, a bar for all volumes of all of them.",
+                    "each seed, and a bar for the volumes of all seeds.",
                     figure=plot_ablations(variants),
                 )
             )
@@ -151,13 +151,13 @@ def plot_features(groups: Groups, name: str) -> Figure:
 
 
 def plot_errors(groups: Groups) -> Figure:
-    """Plot the distribution of the errors of tip, axis and curve, an experiment a line."""
+    """Plot the distribution of the errors of tip, axis and curve, with a line per experiment."""
     figure = Figure(figsize=(9, 3.8), layout="constrained")
     for axes, (error, label, factor) in zip(
         figure.subplots(1, 3, sharey=True), _ERRORS, strict=True
     ):
         for name, colour in zip(("fig4", "fig5", "fig6", "bent"), _COLOURS, strict=True):
-            # Of a bent needle the direction from entry to tip depends on where the entry is.
+            # Omitted for bent needles, whose direction from entry to tip depends on the entry.
             if groups.get(name) and (name, error) != ("bent", "axis"):
                 values = pooled(groups[name], 0, attrgetter(error))
                 values = np.sort(factor * values)
@@ -200,7 +200,7 @@ def plot_ablations(variants: Groups) -> Figure:
         axes.barh(range(len(rows)), np.minimum(totals, edge), color=BLUE, alpha=0.35)
         for height, each in enumerate(singles):
             for x in each:
-                # Beyond the edge: more volumes are without an estimate than the quantile leaves.
+                # Infinite values are drawn at the edge: too many volumes lack an estimate.
                 marker = "o" if np.isfinite(x) else ">"
                 axes.plot(min(x, edge), height, marker, color=BLUE, markersize=4, clip_on=False)
         axes.set_xlim(0, edge)
@@ -213,7 +213,7 @@ def plot_ablations(variants: Groups) -> Figure:
 
 
 def _figure_of(runs: Sequence[Run], name: str, factor: float, q: float | None) -> float:
-    """A quantile of a pooled quantity; without q the percentage of volumes in which it is false."""
+    """Return a quantile of a pooled quantity, or, without q, the percentage that is false."""
     values = pooled(runs, 0, attrgetter(name))
     if len(values) == 0:
         return float("nan")
@@ -221,7 +221,7 @@ def _figure_of(runs: Sequence[Run], name: str, factor: float, q: float | None) -
 
 
 def _band(axes: Axes, columns: Sequence[Floats], colour: str, label: str) -> None:
-    """Draw the median over runs and from 5 to 95 %, volume by volume; NaN counts as nothing."""
+    """Draw the median over runs and the range from 5 to 95 % for each volume; NaN is ignored."""
     table = np.full((len(columns), max(map(len, columns))), np.nan)
     for row, column in zip(table, columns, strict=True):
         row[: len(column)] = column

@@ -1,4 +1,4 @@
-"""The figures of Chatelain 2013's reproduction: ours beside the paper's and the targets."""
+"""Report of the reproduction of Chatelain 2013: rows beside the paper's figures and the targets."""
 
 from collections.abc import Sequence
 from operator import attrgetter
@@ -25,25 +25,25 @@ TITLE = (
     "servoed 3D ultrasound probe (ICRA 2013)"
 )
 _NOTES = (
-    "The paper shows one run of each experiment, on one phantom, and estimated errors only. Here "
-    "truth is what the simulator knows and neither tracker nor controller reads.",
+    "The paper shows one run of each experiment, on one phantom, and estimated errors only. Here, "
+    "ground truth comes from the simulator; neither tracker nor controller reads it.",
     "Errors are those of the estimate after each volume, at the time for which it holds, pooled "
     "over all volumes of all runs with at least 20 mm of the needle in the image. A volume without "
-    "an estimate counts as infinitely wrong, and a run that failed as one more run of such "
-    "volumes. Lost: not tracked with more than 15 mm in the image.",
-    "Converged: |X| and |Z| below 2 mm and |Theta| below 2 deg, in truth, during the whole last "
-    "second of the run, the needle being tracked (bent: of X and Z). Back after a move of the "
-    "phantom: the same, for half a second, before the next move.",
+    "an estimate counts as an infinite error, and a failed run as one more run of such volumes. "
+    "Lost: the tracker searches although more than 15 mm are in the image.",
+    "Converged: the needle is tracked, and its true |X| and |Z| are below 2 mm and |Theta| below "
+    "2 deg throughout the last second of the run (bent: X and Z only). Back after a move of the "
+    "phantom: the same for half a second, before the next move.",
     "Bent: fig. 5 with a needle of bevel radius 150 to 400 mm, bent to any side, 0 to 40 deg out "
-    "of the horizontal, and a curve of order 3. The deviation is the largest distance between true "
-    "and estimated curve in the image, either way, from the estimated entry on.",
-    "Computing times are those of one thread beside as many others as the study had processes.",
+    "of the horizontal, and a curve of order 3. The deviation is the largest distance between the "
+    "true and the estimated curve in the image, in both directions, from the estimated entry on.",
+    "Computing times are those of one thread while the study's other processes run.",
 )
 _MM, _DEG = 1e3, float(np.rad2deg(1))
 
 
 class _Group:
-    """The runs of one experiment, and the rows made of them."""
+    """Runs of one experiment, and the rows made from them."""
 
     def __init__(self, name: str, outcomes: Sequence[Outcome], logs: Path) -> None:
         self.name = name
@@ -59,7 +59,7 @@ class _Group:
         self.rows.append(StudyRow(experiment=self.name, quantity=quantity, unit=unit, **values))
 
     def each(self, *path: str) -> list[Any]:
-        """A figure of every run's summary."""
+        """Return a figure of every run's summary."""
         values = []
         for run in self.runs:
             node: Any = run.summary
@@ -73,19 +73,19 @@ class _Group:
         return float(np.mean(known)) if known else None
 
     def count(self, quantity: str, number: int, **values: Any) -> None:
-        """Return a row of a number of runs, all of which are wanted."""
+        """Add a row with a number of runs; the more the better."""
         total = len(self.runs) + self.failed
         self.row(f"{quantity}, of {total}", true=number, wanted="at least", **values)
 
     def errors(self, name: str, quantity: str, unit: str, factor: float, **targets: float) -> None:
-        """Rows of a pooled error: median, 95 % and largest."""
+        """Add the rows of a pooled error: median, 95 % and largest."""
         values = factor * pooled(self.runs, self.failed, attrgetter(name))
         for what, q in (("median", 0.5), ("95 %", 0.95), ("largest", 1.0)):
             target = targets.get({"median": "median", "95 %": "p95"}.get(what, ""))
             self.row(f"{quantity}, {what}", unit, true=quantile(values, q), target=target)
 
     def reliability(self, target: float | None = None) -> None:
-        """Rows of what should not happen."""
+        """Add the rows of tracking failures."""
         untracked = pooled(self.runs, self.failed, lambda v: np.where(v.tracked, 0.0, 100.0))
         self.row("volumes not tracked", "%", true=_mean(np.minimum(untracked, 100)))
         lost = sum(np.sum(np.diff(run.volumes.lost.astype(int)) > 0) for run in self.runs)
@@ -93,22 +93,22 @@ class _Group:
         self.false_starts(target)
 
     def false_starts(self, target: float | None = None) -> None:
-        """Row of how often tracking began without a needle."""
+        """Add the row of false starts."""
         starts = int(np.sum(self.each("detection", "false_starts")))
         self.row("false starts, all runs", true=starts, target=target)
 
 
 def report(outcomes: Sequence[Outcome], logs: Path, ablations: Sequence[str]) -> Study:
-    """Make a study of finished runs.
+    """Return the study of finished runs.
 
     Parameters
     ----------
     outcomes
-        Of all experiments.
+        Outcomes of all experiments.
     logs
         Folder of their logs.
     ablations
-        What was switched off in some experiments: those are named "fig5, what".
+        Names of the ablations, as in the experiments "fig5, NAME" and "fig6, NAME".
     """
     names = list(dict.fromkeys(each.case.experiment for each in outcomes))
     groups = {name: _Group(name, outcomes, logs) for name in names}
@@ -136,7 +136,7 @@ def _fig4(group: _Group) -> None:
     track = [1e3 * run.volumes.track_time for run in group.runs]
     times = np.concatenate(track) if track else np.zeros(0)
     group.row("tracking a volume, median", "ms", paper=175, true=quantile(times, 0.5), target=10)
-    # A process spends its first volumes on loading, or even compiling, what is compiled.
+    # A process loads or even compiles the kernels during its first volumes.
     group.row("tracking a volume, 99 %", "ms", paper=175, true=quantile(times, 0.99), target=175)
     found = [found_after(run.log) for run in group.runs]
     for k, which in enumerate(("first", "second")):
@@ -205,7 +205,7 @@ def _fig6(group: _Group) -> None:
 
 
 def _recovery(group: _Group, share: float | None = None, median: float | None = None) -> None:
-    """Rows of how soon the needle is centred again; targets: share of runs, median time in s."""
+    """Add the rows of recovery after moves; targets: share of runs, and median time in s."""
     times = [recovery_times(run.log, run.scenario) for run in group.runs]
     total = len(group.runs) + group.failed
     back = sum(bool(np.isfinite(each).all()) for each in times)
@@ -246,7 +246,7 @@ def _ablation(group: _Group) -> None:
 
 
 def _compute_ms(runs: Sequence[Run]) -> dict[str, dict[str, float | None]]:
-    """Of rendering, conversion and tracking: median over all volumes, and largest."""
+    """Return the median and largest times of rendering, conversion and tracking, in ms."""
     columns: dict[str, list[Any]] = {}
     for run in runs:
         for name, times in run.log.compute.items():
@@ -267,7 +267,7 @@ def _mean(values: Any) -> float | None:
 
 
 def _largest(values: Sequence[float | None]) -> float | None:
-    """Largest; infinite where one is unknown; None of nothing."""
+    """Return the largest value; infinite if one is unknown, None if there are none."""
     if not values:
         return None
     return max(np.inf if value is None else value for value in values)

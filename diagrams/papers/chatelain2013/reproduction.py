@@ -1,7 +1,7 @@
-"""Chatelain, Krupa and Marchal (ICRA 2013): their experiments over seeds, with the truth beside.
+"""Reproduction of Chatelain, Krupa and Marchal (ICRA 2013) over many seeds, with ground truth.
 
-Beside figs. 4, 5 and 6 there are bent needles, volumes without a needle, and the same experiments
-with one part of the method switched off.
+In addition to figs. 4, 5 and 6, there are bent needles, volumes without a needle, and the same
+experiments with one part of the method switched off.
 """
 
 from collections.abc import Mapping, Sequence
@@ -34,8 +34,8 @@ ABLATIONS: Mapping[str, Sequence[str]] = {
         "tracker.track.probe_frame=true",
     ],
 }
-"""What is switched off, and how. A velocity in the probe's frame is none to feed forward, so the
-last one compares with the one before."""
+"""Changes of the scenario by name of the ablation. A velocity in the probe's frame cannot be fed
+forward, so the last ablation is to be compared with the one before."""
 
 _NO_NEEDLE = ["hand.pushes=[]", "duration=44.5"]
 _NUDGES = [
@@ -48,18 +48,18 @@ _NUDGES = [
 
 @dataclass(frozen=True)
 class Protocol:
-    """One experiment.
+    """Protocol of one experiment.
 
     Parameters
     ----------
     scenario
-        By its name.
+        Name of the scenario.
     seeds
-        Their number.
+        Number of seeds.
     quick
-        Their number, and the duration in s, where all shall be quick.
+        Number of seeds and duration in s of a quick study.
     changes
-        To the scenario.
+        Changes of the scenario.
     """
 
     scenario: str
@@ -73,7 +73,7 @@ PROTOCOLS: Mapping[str, Protocol] = {
     "fig5": Protocol("chatelain2013_fig5", 20, (2, 24.0)),
     "fig6": Protocol("chatelain2013_fig6", 50, (2, 25.0)),
     "bent": Protocol("chatelain2013_fig5", 20, (2, 16.0), ["tracker.order=3"]),
-    # Approaching, the probe stops as soon as it touches.
+    # During the approach, the probe stops as soon as it touches.
     "no needle, probe still": Protocol(
         "chatelain2013_fig4",
         4,
@@ -109,7 +109,7 @@ def reproduce(options: StudyOptions) -> Study:
     Parameters
     ----------
     options
-        How many runs, and where they are kept.
+        Number of runs, folder and number of processes.
     """
     outcomes = run_cases(
         partial(run_case, logs=options.folder / "logs"),
@@ -122,7 +122,7 @@ def reproduce(options: StudyOptions) -> Study:
 
 
 def study_cases(options: StudyOptions) -> list[Case]:
-    """Return what is to be run."""
+    """Return the cases to run."""
     cases = []
     for name, protocol in PROTOCOLS.items():
         seeds, duration = protocol.quick
@@ -137,11 +137,11 @@ def study_cases(options: StudyOptions) -> list[Case]:
 
 
 def bent_insertion(seed: int) -> list[str]:
-    """Draw a bent needle, and return the changes that make it of fig. 5's.
+    """Draw a bent needle, and return the changes that turn fig. 5's needle into it.
 
-    The bevel's radius is from 150 to 400 mm, the elevation from 0 to 40 deg out of the horizontal,
-    the bend to any side. The tip ends where fig. 5's does, as long a needle as the phantom has
-    room for behind it; it is pushed in the same time.
+    The bevel's radius is between 150 and 400 mm, the elevation between 0 and 40 deg out of the
+    horizontal, and the bend to any side. The tip ends at the same point as in fig. 5. The needle is
+    as long as the phantom allows, and is pushed in the same time.
     """
     rng = np.random.default_rng([2013, seed])
     radius, dip, roll = rng.uniform([0.15, 0.0, -180.0], [0.4, 40.0, 180.0])
@@ -174,13 +174,13 @@ def run_case(case: Case, *, logs: Path) -> dict[str, Any]:
     Parameters
     ----------
     case
-        Its settings name a `scenario` and `changes` to it.
+        Case whose settings name a `scenario` and `changes` to it.
     logs
         Folder for the log.
 
     Returns
     -------
-    `summary`: as in summary.json; `curve_deviation`: see `curve_deviations`, in m.
+    `summary`: figures as in summary.json; `curve_deviation`: see `curve_deviations`, in m.
     """
     scenario = load_scenario(
         case.settings["scenario"], seed=case.seed, changes=case.settings["changes"]

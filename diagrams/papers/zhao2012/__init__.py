@@ -1,4 +1,4 @@
-"""Zhao, Liebgott and Cachard (Acoustics 2012) reproduced: a needle's axis and tip."""
+"""Reproduction of Zhao, Liebgott and Cachard (Acoustics 2012): a needle's axis and tip."""
 
 from lazy_loader import attach_stub
 

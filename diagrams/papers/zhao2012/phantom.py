@@ -1,4 +1,4 @@
-"""The simulated phantom of Zhao, Liebgott and Cachard 2012, section 3."""
+"""Simulated phantom of Zhao, Liebgott and Cachard 2012, section 3."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,8 @@ from sonoservo.systems.signals.radio_frequency_sweep import RadioFrequencySweep
 from sonoservo.systems.signals.requirements import require_positive
 from sonoservo.systems.signals.sweep import SweepMotion
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.simulation.rendering import ScannerParameters, SweepRenderer
+from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
+from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
@@ -25,14 +26,14 @@ IMAGING = ImagingParameters(
     frames=53,
     sample_pitch=2.8519e-5,
 )
-"""The scanner's settings of Table 1: 53 x 71 x 2608 samples; 1 volume/s follows from 16 volumes in
-which a needle at 1 mm/s grows from 5 to 20 mm."""
+"""Settings of the scanner in Table 1: 53 x 71 x 2608 samples. The rate of 1 volume/s follows from
+16 volumes in which a needle at 1 mm/s grows from 5 to 20 mm."""
 
 SIZE = (0.05, 0.05, 0.03)
 """Extents of the phantom in m."""
 
 FACE_HEIGHT = 0.035
-"""Of the probe over the phantom in m, so that the focus lies in its middle; not published."""
+"""Height of the probe over the phantom in m, with the focus at its centre; not published."""
 
 DIRECTION = np.array([0.94, 0.0, -0.34]) / np.hypot(0.94, 0.34)
 """Published direction of the needle, in T: its third component points into the phantom."""
@@ -64,22 +65,22 @@ class StraightNeedle:
     direction: NDArray[np.float64]
 
     def tip(self, length: float) -> NDArray[np.float64]:
-        """(3,) position of the tip in T, in m, of a needle of this length in m."""
+        """Return the (3,) position of the tip in T, in m, for a length of the needle in m."""
         return self.start + length * self.direction
 
 
 class Phantom:
-    """A phantom with a needle, and the probe that looks at it from above, at rest.
+    """A phantom with a needle, and a probe at rest above it.
 
-    T is the world. The needle consists of scatterers that move with it, 22 dB over the tissue's
-    where the beam lies inside; the tissue does not give way.
+    T is the world frame. The needle consists of scatterers that move with it, 22 dB above the
+    tissue's where the beam lies inside the needle. The tissue does not deform.
 
     Parameters
     ----------
     needle
-        Where it is.
+        Needle in the phantom.
     seed
-        Of the tissue's and of the needle's scatterers.
+        Seed of the tissue's and the needle's scatterers.
     """
 
     def __init__(self, needle: StraightNeedle, seed: int) -> None:
@@ -111,7 +112,7 @@ class Phantom:
         self._amplitude = np.sqrt(contrast / (_NEEDLE_DENSITY * cell))
 
     def sweep(self, length: float, time: float) -> RadioFrequencySweep:
-        """Acquire radio-frequency lines, all at once, of a needle of this length in m."""
+        """Acquire all radio-frequency lines at one time in s, for a length of the needle in m."""
         require_positive(length=length)
         k = self.needle.direction
         basis = np.linalg.svd(k[np.newaxis])[2][1:]

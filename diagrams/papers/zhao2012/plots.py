@@ -38,13 +38,13 @@ def plot_rmse(
     Parameters
     ----------
     experiment
-        "static" or "dynamic" and what its runs have in common.
+        Name of the experiment: "static" or "dynamic", then the kind of its volumes.
     lengths
-        (m,) of the needle in mm.
+        (m,) lengths of the needle, in mm.
     rmse
-        (m, estimators, quantities) in degrees and mm.
+        (m, estimators, quantities) root mean square errors, in deg and mm.
     names
-        Of the estimators, for a person.
+        Names of the estimators to display.
     """
     figures = []
     motion = experiment.split(",")[0]
@@ -79,9 +79,9 @@ def plot_velocimeter(speeds: NDArray[np.float64], measured: NDArray[np.float64])
     Parameters
     ----------
     speeds
-        (m,) true, in mm/s.
+        (m,) true speeds, in mm/s.
     measured
-        (runs, m) along the needle, in mm/s; NaN where nothing was found.
+        (runs, m) measured speeds along the needle, in mm/s; NaN if nothing was found.
     """
     figure = Figure(figsize=(9, 4), layout="constrained")
     error, found = figure.subplots(1, 2)
@@ -105,6 +105,6 @@ def plot_velocimeter(speeds: NDArray[np.float64], measured: NDArray[np.float64])
         panel.grid(alpha=0.3)
     return StudyFigure(
         name="velocimeter",
-        caption="The velocimeter by itself: its search is centred 0.1 mm (one deviation) off",
+        caption="The velocimeter alone, with its search centred 0.1 mm off (standard deviation)",
         figure=figure,
     )

@@ -1,4 +1,4 @@
-"""Zhao, Liebgott and Cachard (Acoustics 2012): their simulations, and their tracker in our loop.
+"""Reproduction of Zhao, Liebgott and Cachard (Acoustics 2012), and their tracker in a closed loop.
 
 >>> sonoservo reproduce zhao2012 --quick
 """
@@ -21,28 +21,29 @@ TITLE = (
 )
 
 TABLE_2 = {"static": (58, 68, 40, 40, 36, 40), "dynamic": (37, 36, 30, 24, 30, 30)}
-"""Published average improvement by RANSAC and Kalman over RANSAC, in percent: `QUANTITIES`."""
+"""Published mean improvement of RANSAC and Kalman over RANSAC for the `QUANTITIES`, in percent."""
 
 SPEEDS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 5.0)
-"""In mm/s, of the velocimeter's trial."""
+"""True speeds in the velocimeter's trial, in mm/s."""
 
 LONG = 15
-"""Length in mm from which on the absolute errors are judged."""
+"""Length in mm from which on the absolute errors have targets."""
 
 NOTES = (
-    "RANSAC is the published one: the brightest voxels of the whole volume, the line through two "
-    "of them with most others nearby, optimized on those, and the tip where the intensity along it "
-    "falls. Its best sample alone is shown too. Ours is the RANSAC within the tracker: it seeks "
-    "near the prediction and refits three times. Kalman filters ours.",
-    "Fresh speckle: each run has a phantom of its own. Same volumes: all runs see one phantom, and "
-    "differ by RANSAC's draws only; that is probably what the paper did. A resting needle is shown "
-    "8 times over, unchanged.",
-    "Errors count from the third volume on: before, the paper's filter gives what RANSAC gives. A "
-    "reduction compares the means over the lengths, or volumes, of the root mean square over runs.",
-    "The paper publishes neither the noise of the filter, nor the thresholds, nor the angles' "
-    "definition, nor where the needle lies: alpha is the azimuth from the array towards elevation, "
-    "beta the angle from the depth. The velocimeter compares envelopes, in the published windows, "
-    "centred on the predicted displacement.",
+    "'RANSAC' is the published method. Among the brightest voxels of the whole volume, it finds "
+    "the line through two of them with the most others nearby, optimizes it on those, and places "
+    "the tip where the intensity along the line falls. Its best sample alone is shown too. 'Our "
+    "RANSAC' is the one in the tracker: it searches near the prediction and refits three times. "
+    "The Kalman filter uses our RANSAC.",
+    "Fresh speckle: each run has a phantom of its own. Same volumes: all runs share one phantom "
+    "and differ only in RANSAC's draws, as probably in the paper. A needle at rest is shown 8 "
+    "times, unchanged.",
+    "Errors count from the third volume on; before, the paper's filter returns RANSAC's result. A "
+    "reduction compares the means, over lengths or volumes, of the root mean square over runs.",
+    "The paper does not publish the noise of the filter, the thresholds, the definition of the "
+    "angles or the position of the needle. Here, alpha is the azimuth from the array towards "
+    "elevation, and beta the angle from the depth. The velocimeter compares envelopes in the "
+    "published windows, centred on the predicted displacement.",
 )
 
 _NAMES = {
@@ -117,16 +118,16 @@ def _cases(options: StudyOptions) -> list[Case]:
 
 @dataclass(frozen=True)
 class _Errors:
-    """What an experiment's runs found.
+    """Errors of an experiment over its runs.
 
     Parameters
     ----------
     lengths
-        (m,) of the needle in mm.
+        (m,) lengths of the needle, in mm.
     rmse
-        (m, estimators, quantities) over runs; NaN where no run found anything.
+        (m, estimators, quantities) root mean square errors over runs; NaN if no run found a needle.
     missing
-        (estimators,) share of the volumes in which nothing was found, from 0 to 1.
+        (estimators,) shares of the volumes in which nothing was found, from 0 to 1.
     """
 
     lengths: NDArray[np.floating[Any]]
@@ -143,7 +144,7 @@ def _errors(outcomes: list[Outcome], experiment: str) -> _Errors | None:
         lengths = np.arange(5.0, 5.0 + VOLUMES)
     else:
         lengths = np.array(mine[0].case.settings["lengths_mm"], dtype=float)
-        # Volumes of one length are runs like the others, once the filter is active.
+        # Once the filter is active, the volumes of one length count as separate runs.
         errors = np.concatenate(np.moveaxis(errors[:, :, 2:], 2, 0))
     found = np.ma.masked_invalid(errors)
     rmse = np.sqrt((found**2).mean(axis=0)).filled(np.nan)
@@ -151,7 +152,7 @@ def _errors(outcomes: list[Outcome], experiment: str) -> _Errors | None:
 
 
 def _tracking_rows(experiment: str, errors: _Errors | None) -> list[StudyRow]:
-    """Table 2 beside ours, and the absolute errors."""
+    """Return the rows that compare with Table 2, and those of the absolute errors."""
     if errors is None:
         return []
     lengths, rmse = errors.lengths, errors.rmse
@@ -217,7 +218,7 @@ def _tracking_rows(experiment: str, errors: _Errors | None) -> list[StudyRow]:
 
 
 def _velocity_rows(outcomes: list[Outcome]) -> list[StudyRow]:
-    """The velocimeter within the tracker, at 1 mm/s."""
+    """Return the rows of the velocimeter in the tracker, at 1 mm/s."""
     name = "dynamic, fresh speckle"
     found = [e.result["velocities_mm_s"] for e in outcomes if e and e.case.experiment == name]
     if not found:
@@ -241,14 +242,14 @@ def _velocity_rows(outcomes: list[Outcome]) -> list[StudyRow]:
 
 
 def _velocimeter_trial(outcomes: list[Outcome]) -> NDArray[np.float64]:
-    """(runs, speeds) measured speeds along the needle in mm/s; NaN where there is none."""
+    """Return (runs, speeds) measured speeds along the needle in mm/s; NaN if not measured."""
     mine = [each for each in outcomes if each and each.case.experiment == "velocimeter"]
     found = np.array([each.result["velocities_mm_s"] for each in mine], dtype=float)
     return found[..., :3] @ DIRECTION if len(found) else found
 
 
 def _closed_loop_rows(outcomes: list[Outcome]) -> list[StudyRow]:
-    """Both trackers in Chatelain 2013's fig. 5, on the same seeds."""
+    """Return the rows of both trackers in Chatelain 2013's fig. 5, on the same seeds."""
     rows = []
     for tracker in ("chatelain2013", "zhao2012"):
         name = f"closed loop, {tracker}"

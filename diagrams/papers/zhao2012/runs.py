@@ -1,4 +1,4 @@
-"""The runs of which the reproduction of Zhao 2012 consists, and their errors."""
+"""Runs of the reproduction of Zhao 2012, and their errors."""
 
 import time
 from collections.abc import Mapping
@@ -28,17 +28,17 @@ from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 from sonoservo.systems.signals.volume import Volume
 
 ESTIMATORS = ("ransac_sample", "ransac", "ours", "kalman", "kalman_velocity")
-"""RANSAC's best sample alone; RANSAC with the published local optimization; RANSAC in the tracker;
-the same with the Kalman filter; and with the speckle's velocity."""
+"""Estimators: the best sample of RANSAC alone; RANSAC with the published local optimization; RANSAC
+in the tracker; the same with the Kalman filter; and with the velocity of the speckle as well."""
 
 QUANTITIES = ("alpha", "beta", "x", "y", "z", "tip")
-"""Angles in degrees; along the array, in elevation, in depth, and the distance, in mm."""
+"""Errors: angles in deg; tip along the array, in elevation, in depth, and its distance in mm."""
 
 VOLUMES = 16
-"""Of the published insertion."""
+"""Number of volumes of the published insertion."""
 
 _START = np.array([-9.4e-3, 0.0, -11.6e-3])
-"""Of the needle, in T: at 20 mm it lies in the middle of the image; not published."""
+"""Rear end of the needle in T, in m: at 20 mm, it is centred in the image; not published."""
 _SPREAD = 0.3e-3
 _LATERAL_ELEVATION_DEPTH = np.diag([1.0, 1.0, -1.0])
 _PREDICTION_DEVIATION = 0.1e-3
@@ -50,13 +50,16 @@ def _b_mode(geometry: SweepGeometry) -> BMode:
 
 
 def _phantom(seed: int) -> Phantom:
-    """Return a phantom of its own speckle, its needle by up to 0.3 mm aside: grids are no help."""
+    """Return a phantom with speckle of its own and its needle shifted by up to 0.3 mm.
+
+    The shift prevents the needle from being aligned with the grid.
+    """
     aside = np.random.default_rng([seed, 4]).uniform(-_SPREAD, _SPREAD, 3)
     return Phantom(StraightNeedle(_START + aside, DIRECTION), seed)
 
 
 def _errors(curve: NeedleCurve | None, needle: StraightNeedle, length: float) -> list[float | None]:
-    """Errors of an estimate: `QUANTITIES`."""
+    """Return the errors of an estimate for the `QUANTITIES`."""
     if curve is None:
         return [None] * len(QUANTITIES)
     image = _LATERAL_ELEVATION_DEPTH
@@ -67,14 +70,14 @@ def _errors(curve: NeedleCurve | None, needle: StraightNeedle, length: float) ->
 
 
 class _Estimators:
-    """All `ESTIMATORS`, on sweeps of needles of known lengths, and what they find.
+    """All `ESTIMATORS` on sweeps of needles of known lengths, and their errors.
 
     Parameters
     ----------
     needle
-        The truth, which only the errors know.
+        True needle, used for the errors only.
     seed
-        Of the random samples.
+        Seed of the random samples.
     """
 
     def __init__(self, needle: StraightNeedle, seed: int) -> None:
@@ -106,7 +109,7 @@ class _Estimators:
 
 
 def run_dynamic(case: Case) -> Mapping[str, Any]:
-    """Track a needle that is pushed at 1 mm/s from 5 mm on, 16 volumes, one a second."""
+    """Track a needle pushed at 1 mm/s from 5 mm on, with one volume per second."""
     phantom = _phantom(case.settings["phantom"])
     b_mode = _b_mode(phantom.renderer.geometry)
     estimators = _Estimators(phantom.needle, case.seed)
@@ -126,7 +129,7 @@ def run_dynamic(case: Case) -> Mapping[str, Any]:
 
 
 def run_static(case: Case) -> Mapping[str, Any]:
-    """Localize and track resting needles of several lengths, the same volume again and again."""
+    """Localize and track needles of several lengths at rest, in repetitions of the same volume."""
     phantom = _phantom(case.settings["phantom"])
     b_mode = _b_mode(phantom.renderer.geometry)
     errors = []
@@ -145,7 +148,7 @@ def run_static(case: Case) -> Mapping[str, Any]:
 
 
 def run_velocimeter(case: Case) -> Mapping[str, Any]:
-    """Measure the speed of needles between two volumes, the search centred 0.1 mm off."""
+    """Measure the speed of needles between two volumes, with the search centred 0.1 mm off."""
     phantom, rng = _phantom(case.settings["phantom"]), np.random.default_rng([case.seed, 6])
     length = 10e-3
     before = phantom.sweep(length, 0.0)
@@ -185,5 +188,5 @@ RUNS = {
 
 
 def run_case(case: Case) -> Mapping[str, Any]:
-    """Run a case of any experiment: the first part of its name says of which."""
+    """Run a case of the experiment that the first part of its name selects."""
     return RUNS[case.experiment.split(",")[0]](case)

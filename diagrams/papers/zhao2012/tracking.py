@@ -42,13 +42,13 @@ VELOCIMETER = SpeckleVelocimeterParameters(
     displacement_std=[0.2, 0.2, 0.3],
     min_speed_std=0.05e-3,
 )
-"""The published windows: planes, lines, samples."""
+"""Parameters with the published windows, in planes, lines and samples."""
 
 
 def tracker_parameters() -> Zhao2012TrackerParameters:
     """Return the tracker's parameters for a beam 1 mm wide and a hand that pushes evenly.
 
-    The paper publishes the windows only. The rest was found on seeds from 100 on.
+    The paper publishes only the windows. The other values were tuned on seeds from 100 on.
     """
     return Zhao2012TrackerParameters(
         same_direction=False,
@@ -65,7 +65,7 @@ def tracker_parameters() -> Zhao2012TrackerParameters:
             tip_std=0.15e-3,
             entry_std=0.3e-3,
             systematic_std=0.02e-3,
-            # This needle is a cloud of scatterers: it has no wall that would reflect.
+            # This needle is a cloud of scatterers, without a wall that would reflect.
             echo_offset=0.0,
         ),
         velocimeter=VELOCIMETER,
@@ -80,12 +80,12 @@ def tracker_parameters() -> Zhao2012TrackerParameters:
 
 
 class BMode:
-    """Grey volumes of the phantom, 0.4 mm fine, from radio-frequency sweeps.
+    """Conversion of the phantom's radio-frequency sweeps to grey volumes of 0.4 mm voxels.
 
     Parameters
     ----------
     geometry
-        Of the sweeps.
+        Geometry of the sweeps.
     """
 
     _STEP = 4
@@ -99,7 +99,7 @@ class BMode:
         self._convert = ScanConversion(detected, make_grid(detected, 0.4e-3, lower, upper))
 
     def __call__(self, sweep: RadioFrequencySweep) -> Volume:
-        """Detect the envelope, 60 dB from 20 dB under the tissue's mean, and convert it."""
+        """Detect the envelope over 60 dB from 20 dB below the tissue's mean, and convert it."""
         near, far = self._DEPTHS[0] - 1e-3, self._DEPTHS[1] + 1e-3
         return self._convert(
             # The grid's corners are farther from the array than its depth.
@@ -110,19 +110,19 @@ class BMode:
 def localize_as_published(
     volume: Volume, towards: NDArray[np.float64], refits: int, rng: np.random.Generator
 ) -> NeedleMeasurement | NotFound:
-    """Localize the needle by RANSAC in the whole volume: see `localize_in_whole_volume`.
+    """Localize the needle by RANSAC in the whole volume; see `localize_in_whole_volume`.
 
     Parameters
     ----------
     volume
-        To search.
+        Volume to search.
     towards
-        (3,) direction in W, of whose ends the one farther in it is the tip.
+        (3,) rough direction in W from entry to tip, which decides which end is the tip.
     refits
-        Least-squares refits of the winner: 0 the best sample alone, 1 with the published local
-        optimization.
+        Number of least-squares refits of the best sample: 0 for the sample alone, 1 for the
+        published local optimization.
     rng
-        Draws samples.
+        Generator that draws the samples.
     """
     parameters = WholeVolumeRansacParameters(ransac=replace(_RANSAC, refits=refits), tip=_TIP)
     found = localize_in_whole_volume(volume, towards, parameters, rng)
@@ -134,14 +134,14 @@ def localize_as_published(
 
 @dataclass(frozen=True, eq=False)
 class Tracked:
-    """What a tracker says after a volume.
+    """Results of the tracker after a volume.
 
     Parameters
     ----------
     estimate
-        RANSAC and Kalman.
+        Estimate of RANSAC and Kalman filter.
     measurement, velocity
-        What RANSAC and the velocimeter found.
+        Results of RANSAC and of the velocimeter.
     """
 
     estimate: NeedleEstimate
@@ -150,16 +150,16 @@ class Tracked:
 
 
 class Tracking:
-    """The tracker, fed by hand.
+    """Tracker that is called for each volume, without a simulation.
 
     Parameters
     ----------
     towards
         (3,) rough direction in W from entry to tip.
     seed
-        Of the random samples.
+        Seed of the random samples.
     with_velocity
-        Whether the filter is told the velocity.
+        Whether the filter receives the velocity.
     """
 
     def __init__(self, towards: NDArray[np.float64], seed: int, with_velocity: bool = True) -> None:
@@ -173,9 +173,9 @@ class Tracking:
         self._started = False
 
     def __call__(self, sweep: RadioFrequencySweep, volume: Volume) -> Tracked:
-        """Track the needle in the next sweep and the volume that was made of it.
+        """Track the needle in the next sweep and the volume made from it.
 
-        The first one starts the tracker, by RANSAC in the whole volume.
+        The first volume starts the tracker by RANSAC in the whole volume.
         """
         speckle = sweep if self._with_velocity else NotFound("the velocity is not measured")
         for port, value in (("volume", volume), ("speckle", speckle)):

@@ -55,7 +55,7 @@ def test_a_mistake_is_one_line_and_exit_code_2(arguments, message, tmp_path):
 def test_what_needs_a_robot_refuses_other_scenarios(command):
     result = runner.invoke(app, [command[0], "carriere2016_d60", *command[1:]])
     assert isinstance(result.exception, ConfigurationError)
-    assert "one of 'following' is wanted here" in str(result.exception)
+    assert "one of 'following' is needed here" in str(result.exception)
 
 
 def test_a_short_run_leaves_its_files_and_its_summary(tmp_path):

@@ -48,9 +48,7 @@ def test_freehand_sweeps_are_tracked_where_the_needle_is(tmp_path):
 
 def test_frames_without_the_option_are_refused_with_a_hint(tmp_path):
     path = write_plus_file(tmp_path / "f.igs.mha", freehand(5, dtype=np.uint8))
-    with pytest.raises(
-        ConfigurationError, match="2D frames; make volumes of them with --reconstruct"
-    ):
+    with pytest.raises(ConfigurationError, match="make volumes of them with --reconstruct"):
         Recording(path)
 
 

@@ -159,5 +159,5 @@ def test_what_needs_a_scenario_of_following_says_so(use):
         use(load_scenario("carriere2016_d80"))
     assert str(error.value) == (
         "carriere2016_d80: a scenario of the experiment 'shape_prediction'; "
-        "one of 'following' is wanted here"
+        "one of 'following' is needed here"
     )

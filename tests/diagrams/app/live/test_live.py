@@ -320,7 +320,7 @@ def test_what_makes_no_volumes_is_refused(options, message):
         (["track", "udp://a"], "unknown protocol 'udp'"),
         (
             ["run", "carriere2016_d60", "--no-meshcat", "--serve", "igtl://:0"],
-            "one of 'following' is wanted here",
+            "one of 'following' is needed here",
         ),
     ],
 )
