@@ -46,6 +46,7 @@ notebooks: $(VENV)/.dev
 pictures: $(VENV)/.dev
 	@$(BIN)/python notebooks/screenshots.py
 	@cd notebooks && $(abspath $(BIN))/python gallery.py
+	@cd notebooks && $(abspath $(BIN))/python gallery_of_dials.py
 
 # mypy and import-linter find packages by folder: the links give them the name that pyproject.toml
 # maps to this folder.

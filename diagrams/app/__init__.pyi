@@ -1,5 +1,8 @@
 from .drive import DrivenExperiment as DrivenExperiment
 from .estimates_table import estimates_csv as estimates_csv
+from .explain import ExplainedRun as ExplainedRun
+from .explain import explanation_table as explanation_table
+from .explain import read_explained_run as read_explained_run
 from .kept_run import KeptRun as KeptRun
 from .locate import LocatedNeedle as LocatedNeedle
 from .locate import locate_in as locate_in

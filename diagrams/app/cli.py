@@ -12,6 +12,7 @@ import typer
 
 from sonoservo.diagrams.app.options import (
     ChangesOption,
+    ExplainOption,
     HostOption,
     JsonOption,
     OutOption,
@@ -63,6 +64,7 @@ def run_command(
     record_sweeps: Annotated[
         bool, typer.Option("--record-sweeps", help="Also record the sweeps as acquired.")
     ] = False,
+    explain: ExplainOption = False,
     serve: ServeOption = None,
     wait_for: WaitOption = 0,
     json_path: JsonOption = None,
@@ -94,6 +96,7 @@ def run_command(
             monitor=monitor,
             record=record,
             record_sweeps=record_sweeps,
+            explain=explain,
             observers=observers,
             after_step=progress,
         )
@@ -163,7 +166,14 @@ def drive_command(
 
 @app.command("scan")
 def scan_command(
-    scenario: ScenarioArgument,
+    scenario: Annotated[
+        str | None,
+        typer.Argument(help="A name from `sonoservo list`, or a YAML file; fig. 5 by default."),
+    ] = None,
+    phantom: Annotated[
+        str | None,
+        typer.Option(help="Another phantom: a name, a YAML file or a label map (NRRD, NIfTI)."),
+    ] = None,
     time: Annotated[
         float | None,
         typer.Option(help="Time of the sweep, in s; by default, when the needle is deepest."),
@@ -179,7 +189,12 @@ def scan_command(
     from sonoservo.diagrams.experiments.registry import load_scenario
     from sonoservo.diagrams.scenario import require_scenario
 
-    loaded = load_scenario(scenario, changes=changes, seed=seed)
+    changes = list(changes or [])
+    if phantom is not None:
+        changes.append(f"phantom={phantom}")
+    if scenario is None and time is None:
+        time = 0.0  # The phantom by itself, before the needle is put in.
+    loaded = load_scenario(scenario or "chatelain2013_fig5", changes=changes, seed=seed)
     following = require_scenario(loaded, FollowingScenario)
     result = scan(following, time=time)
     summary = summarize_scan(result, following)
@@ -192,6 +207,41 @@ def scan_command(
         soft_wrap=True,
     )
     write_printed(json_path, summary)
+
+
+@app.command("explain")
+def explain_command(
+    folder: Annotated[Path, typer.Argument(help="Folder of a run made with --explain.")],
+    time: Annotated[
+        float | None, typer.Option(help="Draw the kept volume nearest to this time, in s.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Picture, FILE.png; by default in the run's folder.")
+    ] = None,
+    json_path: JsonOption = None,
+) -> None:
+    """Show why an estimate was wrong: what the tracker looked at, beside the truth.
+
+    Without --time the volumes that were kept are listed.
+    """
+    from sonoservo.diagrams.app.explain import explanation_table, read_explained_run
+    from sonoservo.systems.evaluation.explanation.explanation_sheet import describe
+    from sonoservo.systems.evaluation.plots import png
+    from sonoservo.systems.files.writing import write_atomically
+
+    explained_run = read_explained_run(folder)
+    if time is None:
+        rows = explained_run.rows()
+        console.print(explanation_table(rows))
+        console.print(f"Draw one of them: sonoservo explain {folder} --time T", soft_wrap=True)
+        write_printed(json_path, rows)
+        return
+    explained = explained_run.nearest(time)
+    path = out or folder / f"explanation_{float(explained.volume_time):.2f}s.png"
+    write_atomically(path, png(explained_run.sheet(explained)))
+    console.print(describe(explained, explained_run.tip_error(explained)), soft_wrap=True)
+    console.print(f"Drawn: {path}", soft_wrap=True)
+    write_printed(json_path, explained_run.row(explained))
 
 
 for _command in (

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from pydrake.geometry import Meshcat
 
 from sonoservo.diagrams.scenario import Scenario
+from sonoservo.systems.evaluation.explanation.explanation_files import clear_explanations
 from sonoservo.systems.evaluation.plots import png
 from sonoservo.systems.evaluation.report import save_replay, write_report
 from sonoservo.systems.files.typed_yaml import ConfigurationError
@@ -70,6 +71,7 @@ class KeptRun:
     def __enter__(self) -> Self:
         if self.out is not None:
             write_atomically(self.out / "scenario.yaml", self._scenario.to_yaml())
+            clear_explanations(self.out)
         if self._meshcat is not None:
             self._meshcat.StartRecording(set_visualizations_while_recording=True)
         self._saved = time.perf_counter()

@@ -40,6 +40,12 @@ DynamicRangeOption = Annotated[
 RateOption = Annotated[
     float | None, typer.Option(help="Volumes per second, for a file without times.")
 ]
+ExplainOption = Annotated[
+    bool,
+    typer.Option(
+        "--explain", help="Keep what the tracker saw around a loss; see `sonoservo explain`."
+    ),
+]
 PosesOption = Annotated[
     str | None,
     typer.Option(help="Transform to use as the probe's pose (ProbeToTracker), or none."),

@@ -13,6 +13,7 @@ from sonoservo.diagrams.experiments.experiment import Experiment
 from sonoservo.diagrams.experiments.registry import make_experiment
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.evaluation.log import write_log
+from sonoservo.systems.files.typed_yaml import ConfigurationError
 
 if TYPE_CHECKING:
     from sonoservo.systems.display.monitor.monitor import Monitor
@@ -49,6 +50,7 @@ def run(
     tracker: System | None = None,
     record: Path | None = None,
     record_sweeps: bool = False,
+    explain: bool = False,
     observers: Mapping[str, System] | None = None,
     after_step: Callable[[Experiment[Any]], None] | None = None,
 ) -> RunResult:
@@ -71,6 +73,9 @@ def run(
         it; None records nothing. The recording survives an interruption.
     record_sweeps
         Whether to also record the sweeps as acquired.
+    explain
+        Whether to keep, in the folder's subfolder ``explanation``, what the tracker looked at
+        around a loss; see `ExplanationRecorder`.
     observers
         Observing systems; see `FollowingExperiment`. With them, the run is also limited to real
         time.
@@ -81,8 +86,11 @@ def run(
     Raises
     ------
     ConfigurationError
-        If the scenario cannot be carried out, or its experiment does not have an option.
+        If the scenario cannot be carried out, its experiment does not have an option, or there is
+        no folder for what is to be explained.
     """
+    if explain and out is None:
+        raise ConfigurationError("explain: there is no folder to keep explanations in; give out")
     with refusing(scenario):
         experiment = make_experiment(
             scenario,
@@ -91,6 +99,7 @@ def run(
             tracker=tracker,
             record=record,
             record_sweeps=record_sweeps,
+            explain=out if explain else None,
             observers=observers,
         )
     kept = KeptRun(

@@ -95,10 +95,11 @@ def _scan(
     if time is None:
         time = float(max(np.linspace(0, scenario.duration, 200), key=insertion.depth))
     require_not_negative(time=time)
+    tissue = load_tissue(scenario.phantom).placed(insertion.entry, insertion.direction)
     renderer = SweepRenderer(
         transducer=load_transducer(scenario.probe),
         imaging=scenario.imaging,
-        tissue=replace(load_tissue(scenario.phantom), seed=seeds.tissue),
+        tissue=replace(tissue, seed=seeds.tissue),
         parameters=scenario.scanner,
         seed=seeds.noise,
     )

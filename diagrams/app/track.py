@@ -19,6 +19,8 @@ from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
 from sonoservo.diagrams.trackers.registry import TRACKERS
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
 from sonoservo.systems.estimation.track import TrackParameters
+from sonoservo.systems.evaluation.explanation.explanation_files import clear_explanations
+from sonoservo.systems.evaluation.explanation.explanation_recorder import ExplanationRecorder
 from sonoservo.systems.evaluation.log import write_log
 from sonoservo.systems.evaluation.metrics import summarize
 from sonoservo.systems.evaluation.plots import plot_errors, png
@@ -118,6 +120,7 @@ def track_recording(
     real_time: bool = False,
     monitor: "Monitor | None" = None,
     out: Path | None = None,
+    explain: bool = False,
     command: str = "",
     after_volume: Callable[[int, NeedleEstimate], None] | None = None,
 ) -> TrackedRecording:
@@ -141,6 +144,9 @@ def track_recording(
     out
         Folder for estimates.csv, estimates.json, summary.json, log.npz, plots and report.html; None
         writes nothing.
+    explain
+        Whether to keep, in the folder's subfolder ``explanation``, what the tracker looked at
+        around a loss; see `ExplanationRecorder`.
     command
         Command that repeats the tracking, for the report.
     after_volume
@@ -149,8 +155,11 @@ def track_recording(
     Raises
     ------
     ConfigurationError
-        If the recording, or the truth beside it, is damaged.
+        If the recording, or the truth beside it, is damaged, or there is no folder for what is to
+        be explained.
     """
+    if explain and out is None:
+        raise ConfigurationError("explain: there is no folder to keep explanations in; give out")
     seed = int(recording.settings.get("tracker_seed", 0)) if seed is None else seed
     truth_path = side_path(recording.path, TRUTH)
     truth = read_truth(truth_path) if truth_path.is_file() else None
@@ -165,6 +174,15 @@ def track_recording(
         if tracker.HasOutputPort(port):
             builder.Connect(tracker.GetOutputPort(port), logger.GetInputPort(port))
     builder.ExportInput(tracker.GetInputPort("volume"), "volume")
+    if out is not None:
+        clear_explanations(out)
+    if explain and out is not None:
+        if not tracker.HasOutputPort("explanation"):
+            raise ConfigurationError("explain: this tracker has no output 'explanation'")
+        recorder = builder.AddNamedSystem("explanation_recorder", ExplanationRecorder(folder=out))
+        for port in ("estimate", "explanation", "detection"):
+            builder.Connect(tracker.GetOutputPort(port), recorder.GetInputPort(port))
+        builder.ConnectInput("volume", recorder.GetInputPort("volume"))
     for port in ("X_WP", "X_WT", "needle", "contact_force"):
         builder.ExportInput(logger.GetInputPort(port), port)
     diagram = builder.Build()

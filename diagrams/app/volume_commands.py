@@ -10,6 +10,7 @@ import typer
 from sonoservo.diagrams.app.options import (
     DepthOption,
     DynamicRangeOption,
+    ExplainOption,
     FramesOption,
     HostOption,
     JsonOption,
@@ -27,6 +28,7 @@ from sonoservo.diagrams.app.options import (
     console,
     write_printed,
 )
+from sonoservo.systems.files.typed_yaml import ConfigurationError
 
 
 def track_command(
@@ -77,6 +79,7 @@ def track_command(
     ] = False,
     volumes: VolumesOption = None,
     patience: PatienceOption = None,
+    explain: ExplainOption = False,
     out: OutOption = None,
     json_path: JsonOption = None,
 ) -> None:
@@ -96,6 +99,11 @@ def track_command(
 
     parameters = tracker_parameters(tracker, order=order, start=start)
     if is_address(source):
+        if explain:
+            raise ConfigurationError(
+                "explain: not possible with live volumes; record them (sonoservo bridge), "
+                "and track the recording with --explain"
+            )
         maker = make_maker(
             depth=depth,
             window=window,
@@ -150,6 +158,7 @@ def track_command(
             real_time=real_time,
             monitor=monitor,
             out=folder,
+            explain=explain,
             command=shlex.join(["sonoservo", *sys.argv[1:]]),
             after_volume=progress,
         )

@@ -25,6 +25,7 @@ from sonoservo.systems.control.controller_schedule import ControllerSchedule
 from sonoservo.systems.control.scheduled_settings import ScheduledSettings
 from sonoservo.systems.display.monitor.scanner_monitor import ScannerMonitor
 from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
+from sonoservo.systems.evaluation.explanation.explanation_recorder import ExplanationRecorder
 from sonoservo.systems.evaluation.metrics import LABELS, MetricsParameters, summarize
 from sonoservo.systems.evaluation.plots import plot_errors, plot_run
 from sonoservo.systems.evaluation.run_log import RunLog
@@ -57,8 +58,8 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         name: (the scenario's)
 
     The subsystems are station, scanner, scan_converter, needle_tracker, probe_controller,
-    run_logger, the sources, the observers and, on request, world_view, scanner_monitor and
-    volume_recorder.
+    run_logger, the sources, the observers and, on request, world_view, scanner_monitor,
+    volume_recorder and explanation_recorder.
 
     Parameters
     ----------
@@ -82,6 +83,8 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         File to which the volumes are recorded, ``NAME.seq.nrrd``, if any. Call `close` at the end.
     record_sweeps
         Whether to also record the sweeps.
+    explain
+        Folder of the run that keeps what the tracker looked at around a loss, if any.
     observers
         Observing systems without outputs, by name, such as senders of a live connection.
         `observer_events` returns the times at which they should look for a volume.
@@ -93,7 +96,9 @@ class FollowingExperiment(Experiment[FollowingScenario]):
     """
 
     scenario_class = FollowingScenario
-    options = frozenset({"meshcat", "monitor", "observers", "record", "record_sweeps", "tracker"})
+    options = frozenset(
+        {"explain", "meshcat", "monitor", "observers", "record", "record_sweeps", "tracker"}
+    )
     labels = LABELS
 
     def __init__(
@@ -107,14 +112,16 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         film: bool = True,
         record: Path | None = None,
         record_sweeps: bool = False,
+        explain: Path | None = None,
         observers: Mapping[str, System] | None = None,
     ) -> None:
         scenario = require_scenario(scenario, FollowingScenario)
         seeds = draw_seeds(scenario)
         transducer = load_transducer(scenario.probe)
-        tissue = replace(load_tissue(scenario.phantom), seed=seeds.tissue)
-        geometry = sweep_geometry(transducer, scenario.imaging)
         insertion = make_insertion(scenario)
+        tissue = load_tissue(scenario.phantom).placed(insertion.entry, insertion.direction)
+        tissue = replace(tissue, seed=seeds.tissue)
+        geometry = sweep_geometry(transducer, scenario.imaging)
         check_entry(scenario, tissue.size)
         if scenario.controller.visual_servo.gain > 0:
             check_followed(scenario, insertion)
@@ -187,6 +194,10 @@ class FollowingExperiment(Experiment[FollowingScenario]):
                 sweeps=record_sweeps,
                 truth_period=geometry.frame_period,
                 **a_moment_later,
+            )
+        if explain is not None:
+            systems["explanation_recorder"] = ExplanationRecorder(
+                folder=explain, period=period, offset=a_moment_later["offset"]
             )
         super().__init__(
             scenario,

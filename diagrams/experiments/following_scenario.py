@@ -14,7 +14,7 @@ from sonoservo.systems.robot.phantom_motion import PhantomMotionParameters
 from sonoservo.systems.signals.requirements import require, require_positive
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.scan_converter import ScanConversionParameters
-from sonoservo.systems.ultrasound.simulation.scanner import ScannerParameters
+from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 
 
 @dataclass(kw_only=True)

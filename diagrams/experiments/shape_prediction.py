@@ -74,7 +74,9 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
         feed = replace(scenario.feed, depth=scenario.depth)
         hand = replace(scenario.hand, feed=feed, rotations=scenario.rotations)
         self.insertion = Insertion(hand, np.random.default_rng(seeds.insertion))
-        tissue = replace(load_tissue(scenario.phantom), seed=seeds.tissue)
+        tissue = load_tissue(scenario.phantom)
+        tissue = tissue.placed(self.insertion.entry, self.insertion.direction)
+        tissue = replace(tissue, seed=seeds.tissue)
         half = np.array(tissue.size) / 2
         end = hand.entry[0] + scenario.depth + feed.lead
         require(

@@ -12,7 +12,7 @@ from sonoservo.systems.localization.cross_section import CrossSectionParameters
 from sonoservo.systems.needle.insertion_parameters import FeedParameters, InsertionParameters
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.simulation.rendering import ScannerParameters
+from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 
 ESTIMATORS = tuple(SHAPE_FILTERS)
 """Names of the shape estimators; each is also a field of `ShapePredictionScenario`."""

@@ -16,7 +16,8 @@ def model_file(folder: str, name: str) -> Path:
     folder
         Folder of `sonoservo.models` that contains models of this kind.
     name
-        Name of a model in the folder, or path of a user's file, which has a suffix.
+        Name of a model in the folder, or path of a user's file, which has a suffix. A file that is
+        not YAML, such as a label map, stands for the YAML file of the same name beside it.
 
     Raises
     ------
@@ -26,6 +27,13 @@ def model_file(folder: str, name: str) -> Path:
     own = Path(name)
     if own.suffix and not own.is_file():
         raise FileNotFoundError(f"{folder.removesuffix('s')}: there is no file {name}")
+    if own.suffix and own.suffix not in (".yaml", ".yml"):
+        own, data = own.with_name(own.name.split(".")[0] + ".yaml"), own
+        if not own.is_file():
+            raise FileNotFoundError(
+                f"{folder.removesuffix('s')}: {data} needs a file {own.name} beside it that says "
+                "what it is made of"
+            )
     return own if own.suffix else model_path(f"{folder}/{name}.yaml")
 
 

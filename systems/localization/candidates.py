@@ -9,7 +9,6 @@ from numba import njit
 from numpy.typing import NDArray
 
 from sonoservo.systems.localization.axis import Axis
-from sonoservo.systems.signals.radio_frequency_sweep import RadioFrequencySweep
 from sonoservo.systems.signals.volume import Volume
 
 
@@ -147,19 +146,3 @@ def select_candidates(
     span = value[first[number]] - value[last]
     weights = (value - value[last] + 0.1 * span + 1e-9) / (1.1 * span + 1e-9)
     return Candidates(volume.position(index[chosen]), weights[chosen])
-
-
-def acquired_from(
-    volume: Volume | RadioFrequencySweep, p_W: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return the (m, 3) positions in P, in m, at which a volume shows positions in W.
-
-    This is the inverse of `to_world`. Two steps of a fixed-point iteration are enough, as the probe
-    moves little while a volume is acquired.
-    """
-    p_P = volume.to_probe(p_W)
-    if volume.motion is not None:
-        R_PW = volume.X_WP.rotation().matrix().T
-        for _ in range(2):
-            p_P = p_P + (p_W - volume.to_world(p_P)[0]) @ R_PW.T
-    return p_P

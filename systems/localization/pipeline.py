@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from sonoservo.systems.localization.axis import axis_through
 from sonoservo.systems.localization.axis_fit import AxisFit, fit_axis
-from sonoservo.systems.localization.candidates import acquired_from, select_candidates
+from sonoservo.systems.localization.candidates import select_candidates
 from sonoservo.systems.localization.line_search import bright_lines
 from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.localization.needle_line import localize_line
@@ -20,6 +20,7 @@ from sonoservo.systems.localization.search_region import (
     predicted_region,
 )
 from sonoservo.systems.localization.tip import axis_profile, find_extent
+from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.localization_explanation import (
     AxisProfile,

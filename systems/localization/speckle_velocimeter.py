@@ -8,8 +8,8 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem
 from scipy.signal import hilbert
 
-from sonoservo.systems.localization.candidates import acquired_from
 from sonoservo.systems.localization.normalized_cross_correlation import best_match
+from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.signals.ports import evaluate

@@ -10,8 +10,8 @@ from scipy.ndimage import uniform_filter1d
 from scipy.special import ndtri
 
 from sonoservo.systems.localization.axis import Axis
-from sonoservo.systems.localization.candidates import acquired_from
 from sonoservo.systems.sampling.interpolation import trilinear
+from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.blur import blur_covariance
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.localization_explanation import AxisProfile, NeedleExtent
@@ -139,6 +139,7 @@ def axis_profile(
         np.nanmedian(beside, axis=0) * volume.decibels_per_level,
         seen,
         _blur_along(volume, p_P, along),
+        parameters.contrast,
     )
 
 

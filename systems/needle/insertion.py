@@ -70,6 +70,11 @@ class Insertion(Immutable):
             require(bool(reached), "feed.depth", parameters.feed.depth, allowed)
 
     @property
+    def entry(self) -> Floats:
+        """(3,) point in T where the needle is first put in, in m."""
+        return np.add(self._aims[0][1].entry, self._offset)
+
+    @property
     def direction(self) -> Floats:
         """(3,) unit vector in T along which the needle is first aimed."""
         return self._aims[0][1].axes(self._tilt)[0]

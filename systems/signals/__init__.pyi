@@ -1,3 +1,5 @@
+from .acquisition import Acquired as Acquired
+from .acquisition import acquired_from as acquired_from
 from .blur import blur_covariance as blur_covariance
 from .cross_section import CrossSection as CrossSection
 from .cross_section_track import CrossSectionTrack as CrossSectionTrack

@@ -62,6 +62,9 @@ class AxisProfile(Immutable):
         (m,) flags of the samples in the field of view.
     beam_width
         (m,) full width at half maximum of the needle's blurred end, in m; None if unknown.
+    contrast
+        Level over the background that speaks neither for nor against a needle, in dB; None if
+        unknown.
     """
 
     a: NDArray[np.float64]
@@ -70,6 +73,7 @@ class AxisProfile(Immutable):
     background: NDArray[np.float64]
     seen: NDArray[np.bool_]
     beam_width: NDArray[np.float64] | None = None
+    contrast: float | None = None
 
     def __post_init__(self) -> None:
         m = len(self.a)

@@ -25,11 +25,15 @@ class Needle(Immutable):
     aim
         (2, 3) tip and a point at which the needle is aimed while it is outside, in m. None while it
         is inside, or if unknown. It is used for display only.
+    roll
+        Angle of the bevel's face about the axis in rad: at 0 it looks up, at pi/2 across the
+        needle, to the left as seen along it. It matters to how the tip echoes.
     """
 
     shaft: NDArray[np.float64]
     radius: float
     aim: NDArray[np.float64] | None = None
+    roll: float = 0.0
 
     def __post_init__(self) -> None:
         shaft = read_only(self.shaft, "shaft", (None, 3))
@@ -67,7 +71,7 @@ class Needle(Immutable):
     def transformed(self, X: RigidTransform) -> "Needle":
         """Return the needle expressed in another frame."""
         if self:
-            return Needle(X.multiply(self.shaft.T).T, self.radius)
+            return Needle(X.multiply(self.shaft.T).T, self.radius, roll=self.roll)
         if self.aim is not None:
             return Needle(self.shaft, self.radius, X.multiply(self.aim.T).T)
         return self

@@ -3,6 +3,7 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
+import pytest
 from PIL import Image
 
 GALLERY = Path(__file__).parents[2] / "notebooks" / "gallery.py"
@@ -26,3 +27,13 @@ def test_gallery_runs_and_its_figures_say_what_they_should(tmp_path, monkeypatch
     # What echoes within the needle comes later and makes it look thicker.
     assert steel[0].thickness > 2 * echoes["no reverberation"][0].thickness
     assert all(20e-3 < echo.visible_length < 60e-3 for echo in steel)
+
+
+@pytest.mark.slow
+def test_every_dial_is_drawn_at_three_strengths(tmp_path, monkeypatch):
+    matplotlib.use("Agg")
+    monkeypatch.chdir(tmp_path)
+    drawn = runpy.run_path(str(GALLERY.with_name("gallery_of_dials.py")))
+    assert all(len(shown) == 3 for shown in drawn["ROWS"].values())
+    with Image.open(tmp_path / "gallery_of_dials.png") as picture:
+        assert min(picture.size) > 600

@@ -1,8 +1,8 @@
 from .acquisition import acquire_sweep as acquire_sweep
-from .bright_points import NeedleEchoParameters as NeedleEchoParameters
-from .rendering import ScannerParameters as ScannerParameters
+from .needle_echo import NeedleEchoParameters as NeedleEchoParameters
 from .rendering import SweepRenderer as SweepRenderer
 from .scanner import Scanner as Scanner
+from .scanner_parameters import ScannerParameters as ScannerParameters
 from .tissue import Ball as Ball
 from .tissue import Fibre as Fibre
 from .tissue import RandomFibres as RandomFibres

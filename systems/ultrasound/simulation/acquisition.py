@@ -36,5 +36,5 @@ def acquire_sweep(
         Number of the sweep, which selects the noise.
     """
     poses = motion.X_WP if X_TP is None else X_TP
-    samples = renderer.render(poses, needles, motion.direction, number)
+    samples = renderer.render(poses, needles, motion.direction, number, motion.times)
     return Sweep(seal(samples), motion, renderer.decibels_per_level, renderer.point_spread)

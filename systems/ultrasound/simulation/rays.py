@@ -7,7 +7,8 @@ from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.ultrasound.beam import Beam
 from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import SIDE_LOBE_WIDTH
-from sonoservo.systems.ultrasound.simulation.kernels.projection import Rays
+from sonoservo.systems.ultrasound.simulation.kernels.echo import FADE
+from sonoservo.systems.ultrasound.simulation.kernels.projection import DepthTables, Rays
 
 
 def projection_rays(geometry: SweepGeometry, beam: Beam, direction: int, lead: int) -> Rays:
@@ -77,3 +78,29 @@ def line_rays(
     start = geometry.position(frames, lines, 0, direction)[:, :, 0]
     along = geometry.position(frames, lines, 1, direction)[:, :, 0] - start
     return start, along / geometry.sample_pitch
+
+
+def depth_tables(
+    beam: Beam, geometry: SweepGeometry, reference: int
+) -> tuple[DepthTables, NDArray[np.float64]]:
+    """What depends on depth, and the beam's lateral sigma in lines, (samples,).
+
+    Parameters
+    ----------
+    beam, geometry
+        Point spread function, and geometry of the sweeps with lengths in the tissue.
+    reference
+        Sample where the levels of bright points hold.
+    """
+    depths = geometry.sample_pitch * np.arange(geometry.samples)
+    radii = np.maximum(geometry.array_radius + depths, geometry.sample_pitch)
+    line_sigma = beam.lateral / (geometry.line_pitch * radii)
+    cell = beam.resolution_cell
+    tables = DepthTables(
+        elevation_precision=(0.5 / beam.elevation**2).astype(np.float32),
+        curvature=beam.curvature.astype(np.float32),
+        share=(cell.min() / cell / (1 + FADE)).astype(np.float32),
+        line_sigma=line_sigma.astype(np.float32),
+        bright=np.sqrt(cell[reference] / cell).astype(np.float32),
+    )
+    return tables, line_sigma

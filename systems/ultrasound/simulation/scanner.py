@@ -14,11 +14,10 @@ from sonoservo.systems.signals.ports import evaluate
 from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation.acquisition import acquire_sweep
-from sonoservo.systems.ultrasound.simulation.rendering import ScannerParameters, SweepRenderer
+from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
+from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 from sonoservo.systems.ultrasound.transducer import Transducer
-
-__all__ = ["Scanner", "ScannerParameters"]
 
 
 @dataclass(frozen=True, slots=True)

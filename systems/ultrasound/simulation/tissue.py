@@ -1,15 +1,30 @@
 """Acoustic model of a phantom's tissue."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
 from sonoservo.systems.files.model_file import model_file, read_section
 from sonoservo.systems.files.typed_yaml import load_typed
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.ultrasound.simulation.anatomy.anatomies import (
+    LabelMapAnatomy,
+    LiverAnatomy,
+)
+from sonoservo.systems.ultrasound.simulation.anatomy.label_map import is_label_map
+from sonoservo.systems.ultrasound.simulation.structures.bone import Bone
+from sonoservo.systems.ultrasound.simulation.structures.calcification import Calcification
+from sonoservo.systems.ultrasound.simulation.structures.fascia import Fascia
+from sonoservo.systems.ultrasound.simulation.structures.fat_layer import FatLayer
+from sonoservo.systems.ultrasound.simulation.structures.gas import Gas
+from sonoservo.systems.ultrasound.simulation.structures.n_wires import NWires
+from sonoservo.systems.ultrasound.simulation.structures.resting_needle import RestingNeedle
+from sonoservo.systems.ultrasound.simulation.structures.vessel import Vessel
+
+AnyStructure = Bone | Vessel | Fascia | Calcification | Gas | NWires | RestingNeedle
+"""Kinds of structures, which the field ``kind`` tells apart."""
 
 
 @dataclass(kw_only=True)
@@ -139,6 +154,15 @@ class Tissue:
         Bright inclusions.
     random_fibres
         Further fibres at random places.
+    structures
+        Bone, vessels, fascia, calcifications, gas, N-wires and needles at rest.
+    anatomy
+        A label map that fills the box, whose size is then the map's; None for even tissue.
+    sound_speed
+        In m/s; None for the one that the scanner takes all tissue to have. With another one,
+        things appear deeper or shallower by the ratio of the two.
+    fat
+        A layer on top, slower than the tissue.
     seed
         Seed of the scatterers and the random fibres.
 
@@ -154,6 +178,10 @@ class Tissue:
     balls: list[Ball] = field(default_factory=list)
     fibres: list[Fibre] = field(default_factory=list)
     random_fibres: RandomFibres = field(default_factory=RandomFibres)
+    structures: list[AnyStructure] = field(default_factory=list)
+    anatomy: LabelMapAnatomy | LiverAnatomy | None = None
+    sound_speed: float | None = None
+    fat: FatLayer = field(default_factory=FatLayer)
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -168,11 +196,26 @@ class Tissue:
         )
         require_not_negative(attenuation=self.attenuation, seed=self.seed)
         require(max(self.size) <= 2, "size", self.size, "at most 2 m each; lengths are in m")
+        if self.sound_speed is not None:
+            allowed = 1300 <= self.sound_speed <= 1800
+            require(allowed, "sound_speed", self.sound_speed, "from 1300 to 1800 m/s")
         for number, ball in enumerate(self.balls):
             self._require_within(f"balls[{number}].centre", ball.centre)
         for number, fibre in enumerate(self.fibres):
             self._require_within(f"fibres[{number}].start", fibre.start)
             self._require_within(f"fibres[{number}].end", fibre.end)
+
+    def placed(self, entry: ArrayLike, direction: ArrayLike) -> "Tissue":
+        """Return the tissue with all structures where they are wanted beside the needle's way.
+
+        Parameters
+        ----------
+        entry, direction
+            (3,) where the needle enters, in m, and the direction of its axis, in T.
+        """
+        if all(each.beside_needle is None for each in self.structures):
+            return self
+        return replace(self, structures=[e.placed(entry, direction) for e in self.structures])
 
     def _require_within(self, name: str, point: list[float]) -> None:
         width, length, height = self.size
@@ -182,60 +225,33 @@ class Tissue:
 
 
 def load_tissue(name: str) -> Tissue:
-    """Read the tissue of a phantom from YAML.
+    """Read the tissue of a phantom.
 
     Parameters
     ----------
     name
-        Name of a file in ``models/phantoms`` ("agar"), or a path.
+        Name of a file in ``models/phantoms`` ("agar"), or a path to such a YAML file, or to a label
+        map (NRRD or NIfTI) that has a YAML file of the same name beside it, which tells what its
+        labels are: ``tissue: {anatomy: {labels: [{label: 1, level_db: -6}, ...]}}``.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If a value, or the label map, is not allowed.
     """
     path = model_file("phantoms", name)
     content = read_section(path, "tissue", ("tissue", "contact"))
-    return load_typed(Tissue, content, f"{path}: tissue")
-
-
-BLOCKS = 8
-"""Blocks along an edge of the scatterer tile."""
-
-_SCATTERERS_PER_BLOCK = 160
-_MAX_BLOCK = 4e-3
-
-
-class ScattererTile(NamedTuple):
-    """Scatterers that fill the tissue frame periodically.
-
-    The cube is divided into blocks, so that a thin slab of the tissue can be gathered without
-    visiting the rest. The whole tile stays in a processor's cache.
-    """
-
-    block_size: float
-    """Edge of a block in m; the tile's edge is `BLOCKS` times that."""
-    positions: NDArray[np.float32]
-    """(3, n) positions within the block, in m."""
-    ranks: NDArray[np.float32]
-    """(n,) uniform numbers in [0, 1), rising within a block: a random share p lies below p."""
-    starts: NDArray[np.int64]
-    """(BLOCKS^3 + 1,) first scatterers of the blocks, with x varying slowest."""
-
-
-def scatterer_tile(density: float, rng: np.random.Generator) -> ScattererTile:
-    """Fill a tile with independent scatterers.
-
-    Parameters
-    ----------
-    density
-        Number of scatterers per m^3.
-    rng
-        Generator that draws their number, positions and ranks.
-    """
-    block_size = min((_SCATTERERS_PER_BLOCK / density) ** (1 / 3), _MAX_BLOCK)
-    counts = rng.poisson(density * block_size**3, BLOCKS**3)
-    starts = np.concatenate([[0], np.cumsum(counts)])
-    ranks = rng.random(starts[-1], dtype=np.float32)
-    block = np.repeat(np.arange(BLOCKS**3), counts)
-    return ScattererTile(
-        block_size=block_size,
-        positions=(rng.random((3, starts[-1])) * block_size).astype(np.float32),
-        ranks=ranks[np.lexsort((ranks, block))],
-        starts=starts,
-    )
+    if is_label_map(name):
+        anatomy = content.get("anatomy") or {}
+        require(isinstance(anatomy, dict), "anatomy", anatomy, "a mapping with a table of labels")
+        content["anatomy"] = {"kind": "label_map", **anatomy, "file": name}
+    tissue = load_typed(Tissue, content, f"{path}: tissue")
+    if isinstance(tissue.anatomy, LabelMapAnatomy):
+        own = path.parent / tissue.anatomy.file
+        if own.is_file():
+            tissue = replace(tissue, anatomy=replace(tissue.anatomy, file=str(own)))
+    if tissue.anatomy is not None:
+        tissue = replace(tissue, size=tissue.anatomy.grid().size)
+    return tissue

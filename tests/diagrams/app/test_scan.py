@@ -3,6 +3,7 @@ import json
 import nrrd
 import numpy as np
 import pytest
+import yaml
 from commands import sonoservo
 from PIL import Image
 from pydrake.math import RigidTransform, RotationMatrix
@@ -11,6 +12,8 @@ from sonoservo.diagrams.app.scan import caption, scan, summarize_scan
 from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.systems.evaluation.scan_sheet import scan_sheet
 from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.ultrasound.simulation.anatomy import liver_label_map, write_label_map
+from sonoservo.systems.ultrasound.simulation.anatomy.anatomies import LIVER_LABELS
 
 SCENARIO = "chatelain2013_fig5"
 
@@ -139,3 +142,19 @@ def test_a_moving_probe_s_sweep_can_be_compensated():
     # 20 mm/s for 303 ms, while the sweep goes over 43 mm of elevation at that depth.
     assert slopes[False] == pytest.approx(-0.142, abs=0.03)
     assert slopes[True] == pytest.approx(0, abs=0.02)
+
+
+def test_a_label_map_is_scanned_by_itself(tmp_path):
+    labels = liver_label_map(2)
+    write_label_map(tmp_path / "mine.nrrd", labels)
+    table = [vars(each) for each in LIVER_LABELS]
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump({"tissue": {"anatomy": {"labels": table}}}))
+    out = tmp_path / "out"
+    result = sonoservo("scan", "--phantom", str(tmp_path / "mine.nrrd"), "--out", str(out))
+    assert result.returncode == 0, result.stderr
+    assert (out / "scan.png").stat().st_size > 50_000
+    (tmp_path / "mine.yaml").write_text("tissue: {anatomy: {labels: []}}")
+    result = sonoservo("scan", "--phantom", str(tmp_path / "mine.nrrd"), "--out", str(out))
+    assert result.returncode == 2
+    assert "[1, 2, 3, 4, 5]" in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1

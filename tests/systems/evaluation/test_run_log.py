@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from sonoservo.systems import evaluation
+from sonoservo.systems.evaluation.explanation.explained_volume import ExplainedVolume
 from sonoservo.systems.evaluation.log import FORMAT, column_table, columns, read_log, write_log
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.shape_log import ShapeLog
@@ -72,3 +73,4 @@ def test_the_readme_names_every_array():
     readme = Path(evaluation.__file__).with_name("README.md").read_text()
     assert column_table(RunLog) in readme
     assert column_table(ShapeLog) in readme
+    assert column_table(ExplainedVolume) in readme

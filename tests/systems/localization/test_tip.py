@@ -7,7 +7,7 @@ from scipy.special import ndtr
 from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.systems.localization.axis import axis_through
-from sonoservo.systems.localization.candidates import acquired_from, select_candidates
+from sonoservo.systems.localization.candidates import select_candidates
 from sonoservo.systems.localization.tip import (
     TipParameters,
     axis_profile,
@@ -135,19 +135,6 @@ def test_candidates_outside_the_volume():
     axis = axis_through(np.array([[1.0, 0, 0], [2.0, 0, 0]]))
     options = {"start": 0, "stop": 0.02, "radius": 5e-3, "cross_section": 4e-6, "slab": 2e-3}
     assert len(select_candidates(volume, axis, rng=RNG, **options).p_P) == 0
-
-
-def test_acquired_from_inverts_a_moving_probe():
-    volume = Scene(seed=3, spacing=1.0e-3).volume(0)
-    motion = volume.motion
-    poses = motion.X_WP.copy()
-    poses[:, 0, 3] += np.linspace(-3e-3, 3e-3, len(poses))
-    moving = type(motion)(motion.geometry, motion.direction, motion.times, poses)
-    volume = type(volume)(
-        volume.intensities, volume.origin, volume.spacing, volume.X_WP, volume.time, moving
-    )
-    p_W = RNG.uniform([-0.02, 0.02, -0.01], [0.02, 0.06, 0.01], (50, 3))
-    np.testing.assert_allclose(volume.to_world(acquired_from(volume, p_W))[0], p_W, atol=2e-5)
 
 
 @pytest.mark.parametrize("dip_deg", [0, 30])

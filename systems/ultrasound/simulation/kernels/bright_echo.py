@@ -4,8 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
+from numpy.typing import NDArray
 
 from sonoservo.systems.sampling.options import OPTIONS
+from sonoservo.systems.ultrasound.simulation.kernels.medium import look_up
 from sonoservo.systems.ultrasound.simulation.kernels.projection import (
     FRACTIONS,
     line_coordinates,
@@ -34,6 +36,24 @@ class NeedleEcho(NamedTuple):
     """Ratio of the bevel's length to the needle's radius."""
     shadow: float
     """Share of the amplitude that is lost behind a needle in the middle of the beam."""
+
+
+class NeedleView(NamedTuple):
+    """How every frame sees a needle whose echo varies along it, with the angle and in time."""
+
+    specular: NDArray[np.float64]
+    """(frames, nodes) factor on the specular amplitude along the shaft, from the tip."""
+    diffuse: NDArray[np.float64]
+    """(frames, nodes) factor on the diffuse amplitude."""
+    tips: NDArray[np.float64]
+    """(frames,) factor on the tip's amplitude."""
+    points_per_node: float
+    dimple: float
+    """Amplitude of a dimple."""
+    dimple_step: int
+    """Points from one dimple to the next."""
+    dimpled: int
+    """Points behind the tip among which there are dimples."""
 
 
 @njit(**OPTIONS)
@@ -104,7 +124,9 @@ def _add_point(  # type: ignore[no-untyped-def]
 
 
 @njit(parallel=True, **OPTIONS)
-def render_points(iq, X_FT, points, amplitudes, rays, tables, pulse):  # type: ignore[no-untyped-def]
+def render_points(  # type: ignore[no-untyped-def]
+    iq, X_FT, points, amplitudes, rays, tables, pulse, view
+):
     """Add inclusions to every frame.
 
     Parameters
@@ -117,6 +139,8 @@ def render_points(iq, X_FT, points, amplitudes, rays, tables, pulse):  # type: i
         (n, 3) positions in T and (n,) complex amplitudes.
     rays, tables, pulse
         See `_add_point`.
+    view
+        See `View`, or None.
     """
     frames, lines, samples = iq.shape
     taps = pulse.shape[2]
@@ -124,14 +148,19 @@ def render_points(iq, X_FT, points, amplitudes, rays, tables, pulse):  # type: i
     furthest = rays.array_radius + samples / rays.samples_per_metre
     slab = np.sqrt(_FURTHEST / tables.elevation_precision.min())
     slab += abs(rays.twist) * rays.middle_line * furthest
+    if view is not None:
+        slab += view.aside
     for frame in prange(frames):
         layer = np.zeros((2, lines, samples + 2 * taps), np.float32)
         no_shadow = np.empty((0, 0), np.float32)
+        node = np.empty(15)
         seen = False
         for i in range(len(points)):
             x, y, z = _transformed(X_FT[frame], points[i, 0], points[i, 1], points[i, 2])
             if abs(z) > slab:
                 continue
+            if view is not None:
+                x, y, z = look_up(x, y, z, view, frame, node)
             re = amplitudes[i].real
             im = amplitudes[i].imag
             seen |= _add_point(layer, no_shadow, x, y, z, 0.0, re, im, 0.0, rays, tables, pulse)
@@ -141,7 +170,7 @@ def render_points(iq, X_FT, points, amplitudes, rays, tables, pulse):  # type: i
 
 @njit(parallel=True, **OPTIONS)
 def render_needles(  # type: ignore[no-untyped-def]
-    iq, X_FT, shafts, starts, radius, echo, phases, rays, tables, pulse
+    iq, X_FT, shafts, starts, radius, echo, phases, rays, tables, pulse, view, transmission
 ):
     """Add the needle to every frame, with its shadow.
 
@@ -154,8 +183,10 @@ def render_needles(  # type: ignore[no-untyped-def]
     shafts, starts
         (m, 3) points in T on the needle's axis, entry first, of all frames together, and
         (frames + 1,) indices of each frame's first point.
-    radius, echo, phases, rays, tables, pulse
+    radius, echo, phases, rays, tables, pulse, view
         See `_add_needle`.
+    transmission
+        (frames, lines, samples) float32 factor on echoes from behind structures, or None.
     """
     frames, lines, samples = iq.shape
     taps = pulse.shape[2]
@@ -165,15 +196,28 @@ def render_needles(  # type: ignore[no-untyped-def]
             layer = np.zeros((2, lines, samples + 2 * taps), np.float32)
             shadow = np.zeros((lines, samples), np.float32)
             if _add_needle(
-                layer, shadow, X_FT[frame], shaft, radius, echo, phases, rays, tables, pulse
+                layer,
+                shadow,
+                X_FT[frame],
+                shaft,
+                radius,
+                echo,
+                phases,
+                rays,
+                tables,
+                pulse,
+                view,
+                frame,
             ):
                 _cast_shadow(iq[frame], shadow)
+                if transmission is not None:
+                    _weaken_layer(layer, transmission[frame], taps)
                 _add_layer(iq[frame], layer, taps)
 
 
 @njit(**OPTIONS)
 def _add_needle(  # type: ignore[no-untyped-def]
-    layer, shadow, X_FT, shaft, radius, echo, phases, rays, tables, pulse
+    layer, shadow, X_FT, shaft, radius, echo, phases, rays, tables, pulse, view, frame
 ):
     """Add the echo of a needle, point by point from the tip; return True if any point shows.
 
@@ -194,9 +238,13 @@ def _add_needle(  # type: ignore[no-untyped-def]
         (n,) phases of the diffuse points in rad, tip first; used periodically.
     rays, tables, pulse
         See `_add_point`.
+    view, frame
+        `NeedleView` or None, and the frame's number.
     """
     bevel_points = max(int(echo.bevel * radius / echo.spacing), 1)
     bevel = echo.tip / np.sqrt(bevel_points)
+    if view is not None:
+        bevel *= view.tips[frame]
     number = 0
     along = 0.0
     seen = False
@@ -215,9 +263,19 @@ def _add_needle(  # type: ignore[no-untyped-def]
             )
             # Along the bevel the wall tapers off, and the bevel's face scatters.
             wall = min((number + 0.5) / bevel_points, 1.0)
-            diffuse = wall * echo.diffuse + (bevel if number < bevel_points else 0.0)
+            if view is None:
+                specular = wall * echo.specular
+                diffuse = wall * echo.diffuse + (bevel if number < bevel_points else 0.0)
+            else:
+                node = min(np.int64(number / view.points_per_node), view.specular.shape[1] - 1)
+                specular = wall * echo.specular * view.specular[frame, node]
+                diffuse = wall * echo.diffuse * view.diffuse[frame, node]
+                if number < bevel_points:
+                    diffuse += bevel
+                elif number < view.dimpled and number % view.dimple_step == 0:
+                    diffuse += view.dimple
             phase = phases[number % len(phases)]
-            real = wall * echo.specular + diffuse * np.cos(phase)
+            real = specular + diffuse * np.cos(phase)
             imaginary = diffuse * np.sin(phase)
             seen |= _add_point(
                 layer, shadow, x, y, z, radius, real, imaginary, echo.shadow, rays, tables, pulse
@@ -236,6 +294,15 @@ def _cast_shadow(iq, shadow):  # type: ignore[no-untyped-def]
         for i in range(iq.shape[1]):
             iq[j, i] *= np.float32(1) - loss
             loss = max(loss, shadow[j, i])
+
+
+@njit(**OPTIONS)
+def _weaken_layer(layer, transmission, taps):  # type: ignore[no-untyped-def]
+    """Weaken a layer by a frame's (lines, samples) transmission."""
+    for j in range(transmission.shape[0]):
+        for i in range(transmission.shape[1]):
+            layer[0, j, i + taps] *= transmission[j, i]
+            layer[1, j, i + taps] *= transmission[j, i]
 
 
 @njit(**OPTIONS)

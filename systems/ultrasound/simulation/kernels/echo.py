@@ -9,14 +9,17 @@ import numpy as np
 from numba import njit, prange
 
 from sonoservo.systems.sampling.options import OPTIONS
+from sonoservo.systems.ultrasound.simulation.kernels.blocks import count_below, frame_blocks
 from sonoservo.systems.ultrasound.simulation.kernels.line_blur import blur_lines
+from sonoservo.systems.ultrasound.simulation.kernels.medium import look_up
 from sonoservo.systems.ultrasound.simulation.kernels.projection import (
     FRACTIONS,
     line_coordinates,
     phasor,
 )
+from sonoservo.systems.ultrasound.simulation.kernels.regions import weigh_scatterers
 from sonoservo.systems.ultrasound.simulation.kernels.vector_addition import LANES, add_to_rows
-from sonoservo.systems.ultrasound.simulation.tissue import BLOCKS
+from sonoservo.systems.ultrasound.simulation.scatterer_tile import BLOCKS
 
 FADE = 0.1
 """Half width, relative to the share of scatterers used at a depth, over which more fade in."""
@@ -34,12 +37,15 @@ _FADE_OUT = np.float32(1 + FADE)
 _FADE_WIDTH = np.float32(2 * FADE)
 _FRACTIONS = np.float32(FRACTIONS)
 _HALF_DIAGONAL = 3**0.5 / 2
+_BENT = 1.15
 # Minimax polynomial of exp(-v) on [0, 0.6], to 1e-6.
 _E1, _E2, _E3, _E4 = (np.float32(c) for c in (-0.99994248, 0.49904756, -0.16171851, 0.03126755))
 
 
 @njit(parallel=True, **OPTIONS)
-def render_tissue(iq, X_FT, box, tile, rays, tables, pulse, kernel):  # type: ignore[no-untyped-def]
+def render_tissue(  # type: ignore[no-untyped-def]
+    iq, X_FT, box, tile, rays, tables, pulse, kernel, regions, radii, view
+):
     """Render the tissue's echoes in every frame.
 
     Parameters
@@ -52,13 +58,29 @@ def render_tissue(iq, X_FT, box, tile, rays, tables, pulse, kernel):  # type: ig
         See `deposit_tissue`.
     kernel
         Kernel from `line_kernel`.
+    regions, radii
+        `Regions` or None, and (frames, tubes) radii of their tubes in m.
+    view
+        `View` or None.
     """
     frames, lines, samples = iq.shape
     pad = len(kernel.ends) // 2 + 1
     taps = pulse.shape[1] // 2
     for frame in prange(frames):
         accumulator = np.zeros((lines + 2 * pad, 2 * (samples + 2 * taps)), np.float32)
-        deposit_tissue(accumulator, X_FT[frame], box, tile, rays, tables, pulse)
+        deposit_tissue(
+            accumulator,
+            X_FT[frame],
+            box,
+            tile,
+            rays,
+            tables,
+            pulse,
+            regions,
+            radii[frame],
+            view,
+            frame,
+        )
         blur_lines(iq[frame], accumulator, kernel, taps)
 
 
@@ -70,41 +92,6 @@ def _gaussian(u):  # type: ignore[no-untyped-def]
     w *= w
     w *= w
     return w * w
-
-
-@njit(**OPTIONS)
-def _frame_blocks(X_FT, box, block_size, depth, half_angle, thickness, rays):  # type: ignore[no-untyped-def]
-    """Return the first and last block (exclusive) along T's axes that a frame can meet."""
-    sine = np.sin(min(half_angle, np.pi / 2))
-    cosine = np.cos(min(half_angle, np.pi / 2))
-    nearest = rays.array_radius * cosine - rays.centre_offset
-    furthest = depth + rays.array_radius - rays.centre_offset
-    middle = (0.0, (nearest + furthest) / 2, 0.0)
-    half = ((depth + rays.array_radius) * sine, (furthest - nearest) / 2, thickness)
-    first = np.empty(3, np.int64)
-    last = np.empty(3, np.int64)
-    for axis in range(3):
-        centre = 0.0
-        extent = 0.0
-        for other in range(3):
-            centre += X_FT[other, axis] * (middle[other] - X_FT[other, 3])
-            extent += abs(X_FT[other, axis]) * half[other]
-        first[axis] = np.int64(np.floor(max(centre - extent, box[0, axis]) / block_size))
-        last[axis] = np.int64(np.ceil(min(centre + extent, box[1, axis]) / block_size))
-    return first, last
-
-
-@njit(**OPTIONS)
-def _count_below(ranks, start, end, limit):  # type: ignore[no-untyped-def]
-    """Return the number of sorted ranks from start to end that are below a limit."""
-    first = start
-    while first < end:
-        middle = (first + end) // 2
-        if ranks[middle] < limit:
-            first = middle + 1
-        else:
-            end = middle
-    return first - start
 
 
 @njit(**OPTIONS)
@@ -142,7 +129,7 @@ def _deposit(accumulator, chosen, count, line, sample, cosine, sine, pulse):  # 
 
 @njit(**OPTIONS)
 def deposit_tissue(  # type: ignore[no-untyped-def]
-    accumulator, X_FT, box, tile, rays, tables, pulse
+    accumulator, X_FT, box, tile, rays, tables, pulse, regions, radii, view, frame
 ):
     """Deposit the scatterers that a frame's beam meets.
 
@@ -161,6 +148,8 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
     pulse
         (FRACTIONS + 1, 2 taps) envelope around a scatterer, every value twice; a multiple of
         `LANES` wide.
+    regions, radii, view, frame
+        See `render_tissue`; the frame's number.
     """
     block_size, positions, ranks, starts = tile
     lines = accumulator.shape[0]
@@ -182,7 +171,18 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
     thickness = reach.max() + abs(twist_per_radian) * half_angle * (depth + rays.array_radius)
     edge_cosine = np.cos(min(half_angle, np.pi / 2))
     edge_sine = np.sin(min(half_angle, np.pi / 2))
-    first, last = _frame_blocks(X_FT, box, block_size, depth, half_angle, thickness, rays)
+    A = X_FT
+    widest = half_angle
+    if view is not None:
+        # Lines that are bent outwards reach further, and what is slower appears deeper.
+        widest *= _BENT
+        straight_reach = thickness
+        thickness += view.aside
+        node = np.empty(15)
+        widest_slope = np.tan(min(widest, 1.5))
+        bent = np.empty((3, 3))
+        A = bent
+    first, last = frame_blocks(X_FT, box, block_size, depth, widest, thickness, rays)
     largest = 0
     for block in range(starts.size - 1):
         largest = max(largest, starts[block + 1] - starts[block])
@@ -203,6 +203,21 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                     continue
                 x = X_FT[0, 0] * px + X_FT[0, 1] * py + X_FT[0, 2] * pz + X_FT[0, 3]
                 y = X_FT[1, 0] * px + X_FT[1, 1] * py + X_FT[1, 2] * pz + X_FT[1, 3]
+                if view is not None:
+                    if abs(x) - (y + rays.centre_offset) * widest_slope > 2 * radius:
+                        continue
+                    # Within a block, what bends the lines does so linearly.
+                    x, y, z = look_up(x, y, z, view, frame, node)
+                    if abs(z) > straight_reach + support:
+                        continue
+                    for i in range(3):
+                        for j in range(3):
+                            bent[i, j] = (
+                                node[3 + 3 * i] * X_FT[0, j]
+                                + node[4 + 3 * i] * X_FT[1, j]
+                                + node[5 + 3 * i] * X_FT[2, j]
+                            )
+                            R[i, j] = bent[i, j]
                 q = y + rays.centre_offset
                 if abs(x) * edge_cosine - q * edge_sine > radius:
                     continue
@@ -229,10 +244,10 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                 block = ((bx % BLOCKS) * BLOCKS + by % BLOCKS) * BLOCKS + bz % BLOCKS
                 start = starts[block]
                 most = max(tables.share[at + span], tables.share[at - span], share) * (1 + FADE)
-                n = _count_below(ranks, start, starts[block + 1], np.float32(most))
-                ox = np.float32(x - (X_FT[0, 0] + X_FT[0, 1] + X_FT[0, 2]) * block_size / 2)
-                oy = np.float32(y - (X_FT[1, 0] + X_FT[1, 1] + X_FT[1, 2]) * block_size / 2)
-                oz = np.float32(z - (X_FT[2, 0] + X_FT[2, 1] + X_FT[2, 2]) * block_size / 2)
+                n = count_below(ranks, start, starts[block + 1], np.float32(most))
+                ox = np.float32(x - (A[0, 0] + A[0, 1] + A[0, 2]) * block_size / 2)
+                oy = np.float32(y - (A[1, 0] + A[1, 1] + A[1, 2]) * block_size / 2)
+                oz = np.float32(z - (A[2, 0] + A[2, 1] + A[2, 2]) * block_size / 2)
                 low_x = np.float32(box[0, 0] - bx * block_size)
                 low_y = np.float32(box[0, 1] - by * block_size)
                 low_z = np.float32(box[0, 2] - bz * block_size)
@@ -285,4 +300,26 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                 for i in range(n):
                     chosen[number] = i
                     number += kept[i]
+                if regions is not None:
+                    content = regions.content[
+                        bx - regions.first_block[0],
+                        by - regions.first_block[1],
+                        bz - regions.first_block[2],
+                    ]
+                    if content >= 0:
+                        number = weigh_scatterers(
+                            chosen,
+                            number,
+                            xs,
+                            ys,
+                            zs,
+                            bx * block_size,
+                            by * block_size,
+                            bz * block_size,
+                            content,
+                            cosine,
+                            sine,
+                            regions,
+                            radii,
+                        )
                 _deposit(accumulator, chosen, number, line, sample, cosine, sine, pulse)

@@ -10,7 +10,7 @@ from renderers import DEEP, DOWN, NOWHERE, make_renderer, needle_through, still
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.ultrasound.beam import FWHM_PER_SIGMA
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.simulation.bright_points import NeedleEchoParameters
+from sonoservo.systems.ultrasound.simulation.needle_echo import NeedleEchoParameters
 from sonoservo.systems.ultrasound.simulation.tissue import Fibre
 from sonoservo.systems.ultrasound.transducer import Transducer
 

@@ -7,7 +7,8 @@ import pytest
 from renderers import DEEP, DOWN, about, correlation, make_renderer, shift, still
 
 from sonoservo.systems.ultrasound.simulation import rendering
-from sonoservo.systems.ultrasound.simulation.tissue import BLOCKS, Ball, ScattererTile, Tissue
+from sonoservo.systems.ultrasound.simulation.scatterer_tile import BLOCKS, ScattererTile
+from sonoservo.systems.ultrasound.simulation.tissue import Ball, Tissue
 from sonoservo.systems.ultrasound.transducer import Transducer
 
 

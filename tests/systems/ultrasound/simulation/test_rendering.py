@@ -5,7 +5,8 @@ import pytest
 from renderers import DOWN, NOWHERE, make_renderer, needle_through, still
 
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.simulation.rendering import ScannerParameters, SweepRenderer
+from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
+from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 from sonoservo.systems.ultrasound.transducer import Transducer
 

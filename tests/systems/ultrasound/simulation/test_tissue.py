@@ -2,15 +2,15 @@ import numpy as np
 import pytest
 
 from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.ultrasound.simulation.scatterer_tile import BLOCKS
+from sonoservo.systems.ultrasound.simulation.scatterer_tile import scatterer_tile as make_tile
 from sonoservo.systems.ultrasound.simulation.tissue import (
-    BLOCKS,
     Ball,
     Fibre,
     RandomFibres,
     Tissue,
     load_tissue,
 )
-from sonoservo.systems.ultrasound.simulation.tissue import scatterer_tile as make_tile
 
 
 def test_tile_is_a_uniform_poisson_process():

@@ -1,0 +1,134 @@
+"""Gallery of structures and dials, as a notebook (percent format) that also runs as a script."""
+
+# %% [markdown]
+# # What makes an image hard
+#
+# Each structure, and each dial of the needle and of the acoustics, at three strengths beside the
+# clean image: the middle frame of one sweep.
+
+# %%
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.ultrasound.imaging import ImagingParameters
+from sonoservo.systems.ultrasound.simulation import (
+    NeedleEchoParameters,
+    ScannerParameters,
+    SweepRenderer,
+    Tissue,
+    load_tissue,
+)
+from sonoservo.systems.ultrasound.simulation.structures import (
+    Bone,
+    Calcification,
+    Fascia,
+    FatLayer,
+    Gas,
+    NWires,
+    RestingNeedle,
+    Vessel,
+)
+from sonoservo.systems.ultrasound.transducer import load_transducer
+
+ON_TOP = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, -0.004], [0, 0, 0, 1.0]])
+IMAGING = ImagingParameters(frames=3, volume_rate=20, gain=0.36)
+PLAIN, ECHO = Tissue(seed=1), NeedleEchoParameters()
+NONE = Needle(np.zeros((0, 3)), 0.635e-3)
+
+
+def held(dip_deg):
+    """A needle whose tip is below the middle of the probe."""
+    dip = np.deg2rad(dip_deg)
+    tip = np.array([0.012, 0, -0.047])
+    return Needle(np.array([tip - 0.055 * np.array([np.cos(dip), 0, -np.sin(dip)]), tip]), 0.635e-3)
+
+
+def frame(tissue, needle=NONE, echo=ECHO, x=0.0):
+    """The middle frame of a sweep, and where its samples lie in mm."""
+    renderer = SweepRenderer(
+        transducer=load_transducer("4dc7_3_40"),
+        imaging=IMAGING,
+        tissue=tissue,
+        parameters=ScannerParameters(needle=echo),
+        seed=0,
+    )
+    X = np.repeat(ON_TOP[np.newaxis], 3, axis=0)
+    X[:, 0, 3] = x
+    grey = renderer.render(X, [needle] * 3, 1, 0)[1]
+    j, i = np.indices(grey.shape)
+    return grey, 1e3 * renderer.geometry.position(1, j, i, 1)
+
+
+def having(*structures, **changes):
+    """The middle frame of plain tissue with structures."""
+    return frame(replace(PLAIN, structures=list(structures), **changes))
+
+
+# %%
+FLAT = Fascia(centre=[0, 0, -0.05], wave_height=0)
+ROWS = {
+    "bone: 4, 12, 40 mm wide": [
+        having(Bone(start=[0, -0.03, -0.04], end=[0, 0.03, -0.04], width=w))
+        for w in (0.004, 0.012, 0.04)
+    ],
+    "vessel: radius 1.5, 3, 6 mm": [having(Vessel(radius=r)) for r in (1.5e-3, 3e-3, 6e-3)],
+    "fascia: dip 0, 10, 25 deg": [having(Fascia(dip_deg=d)) for d in (0, 10, 25)],
+    "calcification: radius 0.5, 1.5, 4 mm": [
+        having(Calcification(radius=r)) for r in (0.5e-3, 1.5e-3, 4e-3)
+    ],
+    "gas: 5, 15, 40 mm": [having(Gas(size=[s, s])) for s in (0.005, 0.015, 0.04)],
+    "N-wires: level 24, 34, 44 dB": [having(NWires(level_db=d)) for d in (24, 34, 44)],
+    "needle at rest: 0.5, 0.9, 1.8 mm": [
+        having(RestingNeedle(diameter=d)) for d in (0.5e-3, 0.9e-3, 1.8e-3)
+    ],
+    "fat: 5, 10, 20 mm over a flat sheet": [
+        having(FLAT, fat=FatLayer(thickness=t)) for t in (0.005, 0.01, 0.02)
+    ],
+    "tissue at 1540, 1500, 1463 m/s": [
+        having(FLAT, sound_speed=c) for c in (1540.0, 1500.0, 1463.0)
+    ],
+    "needle fades by 3, 6, 12 dB": [
+        frame(PLAIN, held(8), replace(ECHO, fading_db=d)) for d in (3.0, 6.0, 12.0)
+    ],
+    "polished to 40, 20, 10 deg": [
+        frame(PLAIN, held(40), replace(ECHO, diffuse_lobe_deg=d)) for d in (40.0, 20.0, 10.0)
+    ],
+    "dimples at 16, 22, 28 dB": [
+        frame(PLAIN, held(40), replace(ECHO, diffuse_lobe_deg=15.0, dimples_db=d))
+        for d in (16.0, 22.0, 28.0)
+    ],
+    "tip: bevel up, bevel down, blunt": [
+        frame(PLAIN, held(8), replace(ECHO, tip=tip, tip_roll_deg=roll))
+        for tip, roll in (("bevel", 0.0), ("bevel", 180.0), ("blunt", 0.0))
+    ],
+    "a synthetic liver": [frame(load_tissue("liver"), x=x) for x in (-0.03, 0.0, 0.045)],
+}
+
+# %%
+INK, PAPER = "#F2F2F2", "#0E1116"
+clean = {name: having() for name in ROWS}
+clean["needle fades by 3, 6, 12 dB"] = frame(PLAIN, held(8))
+clean["tip: bevel up, bevel down, blunt"] = frame(PLAIN, held(8))
+for name in ("polished to 40, 20, 10 deg", "dimples at 16, 22, 28 dB"):
+    clean[name] = frame(PLAIN, held(40))
+figure, axes = plt.subplots(
+    len(ROWS), 4, figsize=(11, 2.3 * len(ROWS)), facecolor=PAPER, layout="constrained"
+)
+for row, (name, shown) in zip(axes, ROWS.items(), strict=True):
+    for panel, (grey, place) in zip(row, [clean[name], *shown], strict=True):
+        panel.pcolormesh(
+            *np.moveaxis(place[..., :2], -1, 0), grey, cmap="gray", vmin=0, vmax=255,
+            shading="gouraud", rasterized=True,
+        )  # fmt: skip
+        panel.set(xlim=(-45, 45), ylim=(85, 0), aspect="equal", xticks=[], yticks=[])
+        panel.set_facecolor(PAPER)
+        panel.spines[:].set_visible(False)
+    row[0].set_title("clean", color=INK, fontsize=8, loc="left")
+    row[1].set_title(name, color=INK, fontsize=9, loc="left")
+figure.savefig("gallery_of_dials.png", dpi=80, pil_kwargs={"optimize": True})
+plt.close(figure)
+print(f"written: {Path('gallery_of_dials.png').resolve()}")

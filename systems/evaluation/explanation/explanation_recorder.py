@@ -1,0 +1,158 @@
+"""The leaf that keeps what a tracker looked at around a loss."""
+
+from collections import deque
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from pydrake.common.value import Value
+from pydrake.systems.framework import Context, LeafSystem, ValueProducer
+
+from sonoservo.systems.evaluation.explanation.explained_volume import explain_volume
+from sonoservo.systems.evaluation.explanation.explanation_files import (
+    FOLDER,
+    clear_explanations,
+    write_explanation,
+)
+from sonoservo.systems.evaluation.explanation.occasion import AFTER, BEFORE, find_occasion
+from sonoservo.systems.signals.immutable import Immutable, NotFound
+from sonoservo.systems.signals.localization_explanation import LocalizationExplanation
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate
+from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.volume import Volume
+
+
+@dataclass(frozen=True, eq=False)
+class _Look(Immutable):
+    """A volume that was looked at, and the estimates before and after it."""
+
+    volume: Volume
+    explanation: LocalizationExplanation
+    before: NeedleEstimate | None
+    after: NeedleEstimate
+
+
+@dataclass
+class _Run:
+    """What a run remembers: the volumes that may yet be written, and how many will be."""
+
+    waiting: deque[_Look] = field(default_factory=deque)
+    following: int = 0
+    estimate: NeedleEstimate | None = None
+    detected: bool = False
+    begun: bool = False
+
+
+class ExplanationRecorder(LeafSystem):
+    """Keeps what a tracker looked at in the volumes around a loss, one file for each.
+
+    .. pydrake_system::
+
+        name: ExplanationRecorder
+        input_ports:
+        - volume
+        - estimate
+        - explanation
+        - detection (optional)
+
+    A volume is kept when the tracker's mode changes, when an insertion is first detected and when
+    the estimated tip jumps (`find_occasion`), together with some volumes before and after it. They
+    are written at once, so an interrupted run has them too; in memory are never more than the
+    volumes that may turn out to come before such an occasion.
+
+    `explanation` is the tracker's `LocalizationExplanation` of the volume at the input. It is asked
+    for after the tracker's update, when the gate has judged the measurement: the needle is then
+    localized once more. No port carries the truth; it is in the log of the run.
+
+    What a run remembers is kept in its context. Each run begins anew: it removes the files of a run
+    before it.
+
+    Parameters
+    ----------
+    folder
+        Folder of the run; the files are in its subfolder ``explanation``.
+    before, after
+        Numbers of volumes that are kept before and after an occasion.
+    max_jump
+        Distance in m up to which the tip may lie from where it was expected to go.
+    period, offset
+        Times in s at which to look for a new volume: a moment after the tracker has.
+    """
+
+    def __init__(
+        self,
+        *,
+        folder: Path,
+        before: int = 2,
+        after: int = 2,
+        max_jump: float = 3e-3,
+        period: float = 1.0,
+        offset: float = 0.0,
+    ) -> None:
+        super().__init__()
+        require_positive(period=period, max_jump=max_jump)
+        require_not_negative(offset=offset)
+        for name, count in (("before", before), ("after", after)):
+            require(count >= 0, name, count, "0 or more")
+        self._folder = folder
+        self._before, self._after, self._max_jump = before, after, max_jump
+        for port in ("volume", "estimate", "explanation", "detection"):
+            self.DeclareAbstractInputPort(port, Value[object]())
+        self._run = self.DeclareCacheEntry(
+            "run",
+            ValueProducer(lambda: Value[object](_Run()), ValueProducer.NoopCalc),
+            {self.nothing_ticket()},
+        )
+        self.DeclareInitializationPublishEvent(self._start)
+        self.DeclarePeriodicPublishEvent(period, offset, self._look)
+        self.DeclareForcedPublishEvent(self._look)
+
+    def _run_of(self, context: Context) -> _Run:
+        run = self._run.get_mutable_cache_entry_value(context).GetMutableValueOrThrow()
+        assert isinstance(run, _Run)
+        return run
+
+    def _start(self, context: Context) -> None:
+        vars(self._run_of(context)).update(vars(_Run()))
+
+    def _look(self, context: Context) -> None:
+        """Look at the volume if the estimate was made with it, and is new."""
+        run = self._run_of(context)
+        if not run.begun:
+            clear_explanations(self._folder)
+            (self._folder / FOLDER).mkdir(parents=True, exist_ok=True)
+            run.begun = True
+        volume = evaluate(self, context, "volume", (Volume, NotFound))
+        after = evaluate(self, context, "estimate", NeedleEstimate)
+        before = run.estimate
+        if not isinstance(volume, Volume) or volume.time != after.volume_time:
+            return
+        if before is not None and before.volume_time >= volume.time:
+            return
+        explanation = evaluate(self, context, "explanation", (LocalizationExplanation, NotFound))
+        if not isinstance(explanation, LocalizationExplanation):
+            return
+        first = self._detects(context) and not run.detected
+        occasion = find_occasion(before, after, detected=first, max_jump=self._max_jump)
+        run.detected |= first
+        run.estimate = after
+        run.waiting.append(_Look(volume, explanation, before, after))
+        if occasion:
+            while len(run.waiting) > 1:
+                self._write(run.waiting.popleft(), BEFORE)
+            run.following = self._after + 1
+        if run.following:
+            self._write(run.waiting.popleft(), occasion or AFTER)
+            run.following -= 1
+        elif len(run.waiting) > self._before:
+            run.waiting.popleft()
+
+    def _detects(self, context: Context) -> bool:
+        port = self.GetInputPort("detection")
+        return port.HasValue(context) and bool(evaluate(self, context, "detection", object))
+
+    def _write(self, look: _Look, occasion: str) -> None:
+        explained = explain_volume(
+            look.volume, look.explanation, before=look.before, after=look.after, occasion=occasion
+        )
+        write_explanation(self._folder, explained)

@@ -1,0 +1,298 @@
+"""A sheet that shows what a tracker looked at in one volume, beside the truth."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Ellipse
+from pydrake.math import RigidTransform
+from scipy.stats import chi2
+
+from sonoservo.systems.evaluation.explanation.explained_volume import ExplainedVolume
+from sonoservo.systems.evaluation.explanation.occasion import AFTER, BEFORE
+from sonoservo.systems.evaluation.log import Array
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_estimate import TrackingMode
+
+TRUE, PREDICTED, MEASURED, ESTIMATED = "#00C08B", "#56B4E9", "#FF7F2A", "#D779A7"
+_QUIET = "0.45"
+_ACROSS = {"beam": "along", "cross": "across"}
+_SIDE = {"beam": "lateral", "cross": "elevation"}
+_OTHER = {"beam": "elevation", "cross": "lateral"}
+_MARGIN = 8.0
+"""Distance in mm from what is drawn in a slice to its edge."""
+
+
+def plot_explanation(
+    explained: ExplainedVolume,
+    *,
+    kept: Sequence[ExplainedVolume] = (),
+    needle: Array | None = None,
+    tip_error: float = np.nan,
+) -> Figure:
+    """Return a sheet of what a tracker looked at in a volume.
+
+    On the left are two orthogonal slices through the needle, with all that was looked at projected
+    onto them; on the right are the intensity along the axis that was found, and the distances of
+    measurements from their predictions.
+
+    Parameters
+    ----------
+    explained
+        Volume to show.
+    kept
+        All volumes kept of the run, for the distances from the predictions.
+    needle
+        (m, 3) points of the true needle in P as the volume shows it (`imaged_needle`), entry to
+        tip, in m; None if it is not known.
+    tip_error
+        Distance from the estimated tip to the true one, in m; NaN if it is not known.
+    """
+    needle = np.zeros((0, 3)) if needle is None else needle
+    figure = Figure(figsize=(15, 9.5), layout="constrained")
+    grid = figure.subplots(2, 2, width_ratios=[1.35, 1])
+    slices = list(grid[:, 0])
+    for axes, name in zip(slices, ("beam", "cross"), strict=True):
+        _draw_slice(axes, explained, name, needle)
+    if len(explained.candidates) and slices[0].collections:
+        weights = slices[0].collections[0]
+        figure.colorbar(
+            weights, ax=slices, location="left", shrink=0.5, aspect=40, label="candidate's weight"
+        )
+    _draw_profile(grid[0, 1], explained, needle)
+    _draw_gate(grid[1, 1], explained, kept or [explained])
+    entries = {
+        label: handle
+        for axes in slices
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    if entries:
+        dark = {"facecolor": "0.3", "labelcolor": "white", "fancybox": False}
+        figure.legend(entries.values(), entries.keys(), loc="outside lower left", ncols=5, **dark)
+    figure.suptitle(describe(explained, tip_error), fontsize=12.5)
+    return figure
+
+
+def describe(explained: ExplainedVolume, tip_error: float = np.nan) -> str:
+    """Return what became of a volume in words, on one or two lines; see `plot_explanation`."""
+    before, after = str(explained.mode_before), str(explained.mode_after)
+    changed = bool(before) and before != after
+    mode = f"{before} → {after}" if changed else after
+    confirmed = after == TrackingMode.TRACKING
+    nothing = "the needle was confirmed" if confirmed else "the needle is yet to be confirmed"
+    facts = []
+    if not changed and explained.occasion not in (BEFORE, AFTER):
+        facts.append(str(explained.occasion))
+    if np.isfinite(tip_error):
+        facts.append(f"estimated tip {1e3 * tip_error:.1f} mm from the true one")
+    if np.isfinite(explained.innovation):
+        facts.append(f"innovation {explained.innovation:.1f}, gate {explained.gate:.1f}")
+    if explained.leaves:
+        facts.append("the needle goes on beyond what was searched, so its tip was not seen")
+    if len(explained.attempt_reasons) > 1:
+        facts.append(f"{len(explained.attempt_reasons)} searches, the deciding one shown")
+    title = f"{float(explained.volume_time):.2f} s, {mode}: {str(explained.reason) or nothing}"
+    return "\n".join([title, *filter(None, ["; ".join(facts)])])
+
+
+def _draw_slice(axes: Axes, explained: ExplainedVolume, name: str, needle: Array) -> None:
+    """Draw the slice "beam" or "cross", and what was looked at."""
+    levels, X_PS = getattr(explained, f"{name}_slice"), getattr(explained, f"{name}_X_PS")
+    through = str(explained.sliced)
+    title = f"Slice {_ACROSS[name]} the beam, through the {through} needle"
+    if through == "none":
+        title = f"Slice at {_OTHER[name]} 0"
+    axes.set_title(title, loc="left", fontsize=11)
+    if not levels.size:
+        axes.text(0.5, 0.5, "it misses the volume", ha="center", transform=axes.transAxes)
+        axes.set_axis_off()
+        return
+    # Depth is that in P, and the other axes begin at the tip of the curve in the slice.
+    upright = abs(X_PS[1, 1]) > 1 - 1e-9
+    origin = explained.slice_origin * ([1, 0, 1] if upright else [1, 1, 1])
+    u, v = X_PS[:3, 0], X_PS[:3, 1]
+
+    def project(p_P: Array) -> Array:
+        return 1e3 * (p_P - origin) @ np.stack([u, v], axis=1)
+
+    def show(p_W: Array) -> Array:
+        return project(explained.to_probe(p_W))
+
+    half = 500 * getattr(explained, f"{name}_size")
+    x, y = project(X_PS[:3, 3])
+    extent = (x - half[0], x + half[0], y + half[1], y - half[1])
+    axes.imshow(levels, cmap="gray", vmin=0, vmax=255, extent=extent)
+    drawn = [_draw_search(axes, explained, show)]
+    if len(explained.profile):
+        fitted = show(explained.profile)
+        axes.plot(*fitted.T, color=MEASURED, linestyle=":", linewidth=1.2, label="fitted axis")
+    for points, colour, style, label in (
+        (explained.before, ESTIMATED, ":", "estimate before"),
+        (explained.after, ESTIMATED, "-", "estimate after"),
+        (explained.predicted, PREDICTED, "-.", "predicted needle"),
+        (explained.measured, MEASURED, "-", "measured needle"),
+    ):
+        if len(points):
+            line = show(_curve(points))
+            axes.plot(*line.T, color=colour, linestyle=style, linewidth=1.3, label=label)
+            axes.plot(*line[-1], marker="o", color=colour, markersize=4)
+            drawn.append(line)
+    if len(explained.measured):
+        _draw_tip(axes, explained, np.stack([u, v]), show(explained.measured[-1:])[0])
+    if len(needle):
+        line = project(needle)
+        axes.plot(*line.T, color=TRUE, linestyle="--", linewidth=1.5, label="true needle (truth)")
+        axes.plot(*line[-1], marker="x", color=TRUE, markersize=8, markeredgewidth=1.8)
+        drawn.append(line)
+    _frame(axes, np.concatenate(drawn) if through != "none" else np.zeros((0, 2)), extent)
+    tip = f"along the {through} needle, mm from its tip"
+    axes.set_xlabel(f"{_SIDE[name]}, mm" if through == "none" else tip)
+    axes.set_ylabel("depth, mm" if upright else "across the needle, mm")
+
+
+def _draw_search(axes: Axes, explained: ExplainedVolume, show: object) -> Array:
+    """Draw region and candidates; return the corners of the region."""
+    assert callable(show)
+    corners = np.zeros((0, 2))
+    if len(explained.region):
+        corners = _outline(show(_reaching(explained)), 1e3 * float(explained.region_radius))
+        axes.fill(
+            *corners.T, fill=False, edgecolor=PREDICTED, linewidth=1.0, label="region searched"
+        )
+    if len(explained.candidates):
+        at = show(explained.candidates)
+        order = np.argsort(explained.weights)
+        axes.scatter(
+            *at[order].T, c=explained.weights[order], s=5, cmap="plasma", vmin=0, vmax=1,
+            linewidths=0, alpha=0.55, label="candidates",
+        )  # fmt: skip
+        inliers = at[explained.inliers]
+        axes.scatter(
+            *inliers.T, s=5, marker="o", facecolors="none", edgecolors="white",
+            linewidths=0.35, alpha=0.6, label="consensus inliers",
+        )  # fmt: skip
+    return corners
+
+
+def _draw_tip(axes: Axes, explained: ExplainedVolume, R_SP: Array, tip: Array) -> None:
+    """Draw the ellipse that has the measured tip with a probability of 95 %."""
+    R_SW = R_SP @ RigidTransform(explained.X_WP).rotation().matrix().T
+    values, vectors = np.linalg.eigh(R_SW @ explained.measured_tip_covariance @ R_SW.T)
+    width, height = 2e3 * np.sqrt(chi2.ppf(0.95, 2) * values[::-1])
+    angle = np.degrees(np.arctan2(vectors[1, -1], vectors[0, -1]))
+    ellipse = Ellipse(
+        (tip[0], tip[1]), width, height, angle=angle, fill=False, edgecolor=MEASURED,
+        linewidth=1.5, label="measured tip, 95 %",
+    )  # fmt: skip
+    axes.add_patch(ellipse)
+
+
+def _draw_profile(axes: Axes, explained: ExplainedVolume, needle: Array) -> None:
+    """Draw the intensity along the axis."""
+    axes.set_title("Intensity along the axis that was found", loc="left", fontsize=11)
+    if not len(explained.profile):
+        axes.text(0.5, 0.5, "no axis was found", ha="center", transform=axes.transAxes)
+        axes.set_axis_off()
+        return
+    first = explained.profile_a[0]
+    a = 1e3 * (explained.profile_a - first)
+    unseen = ~explained.profile_seen
+    level, background = (
+        np.where(unseen, np.nan, each)
+        for each in (explained.profile_level, explained.profile_background)
+    )
+    axes.plot(a, level, color="0.1", linewidth=1.3, label="level")
+    axes.plot(a, background, color=_QUIET, linewidth=1.0, label="background")
+    if np.isfinite(explained.contrast):
+        axes.plot(
+            a, background + explained.contrast, color=_QUIET, linestyle="--", linewidth=1.0,
+            label=f"threshold: {float(explained.contrast):.0f} dB over it",
+        )  # fmt: skip
+    axes.fill_between(
+        a, 0, 1, where=unseen, transform=axes.get_xaxis_transform(), color="0.9", linewidth=0,
+        label="unseen" if unseen.any() else None,
+    )  # fmt: skip
+    if np.isfinite(explained.tip):
+        start, tip = 1e3 * (np.array([explained.start, explained.tip]) - first)
+        axes.axvspan(start, tip, color=MEASURED, alpha=0.12, label="taken for the needle")
+        axes.axvline(tip, color=MEASURED, linewidth=1.4, label="tip found")
+    edges = [a[0], a[-1]]
+    if len(explained.predicted):
+        at = _abscissa(a, 1e3 * explained.profile, 1e3 * explained.predicted[-1])
+        axes.axvline(at, color=PREDICTED, linestyle="-.", linewidth=1.4, label="tip predicted")
+        edges.append(at + 1)
+    if len(needle):
+        at = _abscissa(a, 1e3 * explained.to_probe(explained.profile), 1e3 * needle[-1])
+        axes.axvline(at, color=TRUE, linestyle="--", linewidth=1.6, label="true tip (truth)")
+        edges.append(at + 1)
+    axes.set_xlim(min(edges), max(edges))
+    axes.set_xlabel("distance along the axis, mm")
+    axes.set_ylabel("echo, dB")
+    axes.grid(alpha=0.3)
+    bottom, top = axes.get_ylim()
+    axes.set_ylim(bottom, top + 0.3 * (top - bottom))
+    axes.legend(fontsize=8, ncols=3, loc="upper center")
+
+
+def _draw_gate(axes: Axes, explained: ExplainedVolume, kept: Sequence[ExplainedVolume]) -> None:
+    """Draw the distances of measurements from their predictions, and the gate."""
+    axes.set_title("Measurement against prediction", loc="left", fontsize=11)
+    now = float(explained.volume_time)
+    near = [each for each in kept if abs(each.volume_time - now) < 5]
+    times = np.array([float(each.volume_time) for each in near])
+    distance = np.array([float(each.innovation) for each in near])
+    gate = float(explained.gate)
+    axes.plot(times, distance, "o", color="0.3", markersize=5, label="measurement")
+    nothing = times[np.isnan(distance)]
+    axes.plot(
+        nothing, np.zeros(len(nothing)), "|", color="0.3", markersize=9, label="none compared"
+    )
+    if np.isfinite(gate):
+        axes.axhline(gate, color=MEASURED, linestyle="--", linewidth=1.3, label=f"gate {gate:.1f}")
+    axes.axvline(now, color=PREDICTED, linewidth=6, alpha=0.3, label="this volume")
+    axes.set_ylim(bottom=0, top=1.15 * max(np.nanmax([0, *distance]), gate if gate > 0 else 1))
+    axes.set_xlabel("time of the kept volumes, s")
+    axes.set_ylabel("Mahalanobis distance")
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=8, loc="best")
+
+
+def _curve(points: Array) -> Array:
+    """Points along a curve through control points."""
+    return NeedleCurve(points).position(np.linspace(0, 1, 31))
+
+
+def _reaching(explained: ExplainedVolume) -> Array:
+    """Points along the axis of the region, from where it begins to where it ends."""
+    curve = NeedleCurve(explained.region)
+    chord = max(curve.chord, 1e-6)
+    first = -float(explained.region_before) / chord
+    last = 1 + float(explained.region_beyond) / chord
+    return curve.position(np.linspace(first, last, 31))
+
+
+def _outline(line: Array, radius: float) -> Array:
+    """Outline of a tube with round ends around a line in a plane."""
+    forward = np.gradient(line, axis=0)
+    length = np.linalg.norm(forward, axis=1, keepdims=True)
+    aside = radius * np.stack([-forward[:, 1], forward[:, 0]], axis=1) / np.maximum(length, 1e-9)
+    return np.concatenate([line + aside, (line - aside)[::-1]])
+
+
+def _frame(axes: Axes, drawn: Array, extent: tuple[float, float, float, float]) -> None:
+    """Limit a slice to what is drawn in it."""
+    left, right, bottom, top = extent
+    if len(drawn):
+        low, high = drawn.min(axis=0) - _MARGIN, drawn.max(axis=0) + _MARGIN
+        left, right = max(left, low[0]), min(right, high[0])
+        top, bottom = max(top, low[1]), min(bottom, high[1])
+    axes.set_xlim(left, right)
+    axes.set_ylim(bottom, top)
+
+
+def _abscissa(a: Array, points: Array, point: Array) -> float:
+    """Abscissa of a point's foot on a line through points, beyond its ends too."""
+    number = int(np.linalg.norm(points - point, axis=1).argmin())
+    tangent = np.gradient(points, a, axis=0)[number]
+    return float(a[number] + (point - points[number]) @ tangent)

@@ -1,0 +1,273 @@
+"""Segmented anatomy as a phantom: what each label scatters, and the surfaces between labels."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import affine_transform, find_objects, gaussian_filter
+
+from sonoservo.systems.signals.immutable import Immutable
+from sonoservo.systems.signals.requirements import require, require_not_negative
+from sonoservo.systems.ultrasound.simulation.anatomy.label_map import LabelMap
+from sonoservo.systems.ultrasound.simulation.anatomy.level_surface import level_surface
+from sonoservo.systems.ultrasound.simulation.structures.structure import (
+    require_level,
+    require_levels,
+)
+from sonoservo.systems.ultrasound.simulation.structures.surface import Surface, SurfaceEcho
+
+_SMOOTHING = 0.7
+_MARGIN = 4
+_MAX_CUBES = 30_000_000
+_TOPS = {
+    "S": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+    "I": ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
+    "A": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
+    "P": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
+    "L": ((0, 0, -1), (0, 1, 0), (1, 0, 0)),
+    "R": ((0, 0, 1), (0, 1, 0), (-1, 0, 0)),
+}
+"""X, Y and Z of T in the patient's frame, by the side of the patient that the probe is on."""
+
+
+@dataclass(kw_only=True)
+class LabelProperties:
+    """What one label of a map is made of, as sound sees it.
+
+    Parameters
+    ----------
+    label, name
+        Number in the map, and a word for people.
+    level_db
+        Mean echo intensity over that of plain tissue.
+    density
+        Scatterers relative to plain tissue's: fewer of them give coarser speckle (a K distribution
+        of a smaller nu) at the same mean level.
+    attenuation
+        One way, in dB/(cm MHz); None for plain tissue's.
+    sound_speed
+        In m/s; None for plain tissue's.
+    boundary_db
+        Specular level of its surface, see `SurfaceEcho`; None for none.
+    diffuse_db, shadow
+        Of its surface, see `SurfaceEcho`. A surface that takes more than half of the sound echoes
+        only on the side that faces the probe.
+    reverberation_db
+        See `SurfaceEcho`.
+    """
+
+    label: int = 0
+    name: str = ""
+    level_db: float = 0.0
+    density: float = 1.0
+    attenuation: float | None = None
+    sound_speed: float | None = None
+    boundary_db: float | None = None
+    diffuse_db: float = -14.0
+    shadow: float = 0.0
+    reverberation_db: float | None = None
+
+    def __post_init__(self) -> None:
+        require(0 <= self.label <= 65535, "label", self.label, "from 0 to 65535")
+        require(-100 <= self.level_db <= 40, "level_db", self.level_db, "from -100 to 40 dB")
+        require(0.02 <= self.density <= 1, "density", self.density, "from 0.02 to 1")
+        if self.attenuation is not None:
+            require_not_negative(attenuation=self.attenuation)
+            require(self.attenuation <= 30, "attenuation", self.attenuation, "at most 30 dB/cm/MHz")
+        if self.sound_speed is not None:
+            allowed = 300 <= self.sound_speed <= 6000
+            require(allowed, "sound_speed", self.sound_speed, "from 300 to 6000 m/s")
+        if self.boundary_db is not None:
+            require_level(boundary_db=self.boundary_db)
+        if self.reverberation_db is not None:
+            allowed = self.reverberation_db <= -3
+            require(allowed, "reverberation_db", self.reverberation_db, "at most -3 dB")
+        require_levels(self.diffuse_db, self.shadow)
+
+    @property
+    def echo(self) -> SurfaceEcho | None:
+        """How its surface reflects, or None."""
+        if self.boundary_db is None and self.shadow == 0:
+            return None
+        return SurfaceEcho(
+            level_db=-100.0 if self.boundary_db is None else self.boundary_db,
+            diffuse_db=self.diffuse_db,
+            shadow=self.shadow,
+            one_sided=self.shadow > 0.5,
+            reverberation_db=self.reverberation_db,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class AnatomyGrid(Immutable):
+    """A label map in the tissue frame T.
+
+    Parameters
+    ----------
+    numbers
+        (nx, ny, nz) uint8: number of each cube's entry in ``properties``.
+    origin, spacing
+        (3,) corner of the first cube in T, and edge of a cube, in m.
+    properties
+        Of the labels.
+    surfaces
+        With their echoes.
+    """
+
+    numbers: NDArray[np.uint8]
+    origin: NDArray[np.float64]
+    spacing: float
+    properties: tuple[LabelProperties, ...]
+    surfaces: tuple[tuple[Surface, SurfaceEcho], ...]
+
+    @property
+    def size(self) -> list[float]:
+        """Extents along X, Y and Z of T, in m; T's origin is the middle of the top face."""
+        return [float(n * self.spacing) for n in self.numbers.shape]
+
+
+@dataclass(kw_only=True)
+class AnatomyParameters:
+    """Where a label map goes, and what its labels are.
+
+    Parameters
+    ----------
+    top
+        Side of the patient that the probe is on: A(nterior), P(osterior), L(eft), R(ight),
+        S(uperior) or I(nferior). Z of T points there.
+    spacing
+        Edge of the cubes that the map is resampled to, in m.
+    surface_spacing
+        Distance between the pieces of surfaces, in m.
+    labels
+        A table with an entry for every label of the map but 0, which is plain tissue.
+    """
+
+    top: str = "A"
+    spacing: float = 0.6e-3
+    surface_spacing: float = 1.2e-3
+    labels: list[LabelProperties] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        require(self.top in _TOPS, "top", self.top, f"one of {', '.join(_TOPS)}")
+        for name in ("spacing", "surface_spacing"):
+            value = getattr(self, name)
+            require(1e-4 <= value <= 5e-3, name, value, "from 1e-4 to 5e-3 m")
+        numbers = [each.label for each in self.labels]
+        require(len(set(numbers)) == len(numbers), "labels", numbers, "different from each other")
+        require(len(numbers) < 255, "labels", len(numbers), "at most 254 entries")
+
+
+def anatomy_grid(label_map: LabelMap, parameters: AnatomyParameters) -> AnatomyGrid:
+    """Turn a label map into cubes of the tissue frame, and extract the surfaces of its labels.
+
+    Each label's smoothed share of the voxels around decides, so that neither coarse nor oblique
+    voxels show as steps.
+
+    Raises
+    ------
+    ValueError
+        If the map has a label that the table lacks, or is too large.
+    """
+    table = {each.label: each for each in parameters.labels}
+    table.setdefault(0, LabelProperties(label=0, name="tissue"))
+    present = np.flatnonzero(np.bincount(label_map.labels.ravel()))
+    unknown = [int(label) for label in present if label not in table]
+    require(
+        not unknown,
+        "labels",
+        unknown,
+        f"in the table of labels, which has {', '.join(map(str, sorted(table)))}",
+    )
+    properties = tuple(table[int(label)] for label in {0: 0} | dict.fromkeys(present))
+
+    X_TV, extent = _pose_in_tissue(label_map, parameters.top)
+    shape = np.maximum(np.floor(extent / parameters.spacing + 1e-6).astype(int), 2)
+    require(
+        int(np.prod(shape)) <= _MAX_CUBES,
+        "spacing",
+        parameters.spacing,
+        f"so that there are at most {_MAX_CUBES:,} cubes; the map is {_in_mm(extent)} mm large",
+    )
+    require(float(extent.max()) <= 2, "anatomy", extent.tolist(), "at most 2 m large")
+    size = shape * parameters.spacing
+    origin = np.array([-size[0] / 2, -size[1] / 2, -size[2]])
+    # From indices of cubes to those of voxels.
+    cubes = np.eye(4)
+    cubes[:3, :3] *= parameters.spacing
+    cubes[:3, 3] = origin + parameters.spacing / 2
+    to_voxel = np.linalg.inv(X_TV) @ cubes
+    numbers = np.zeros(shape, np.uint8)
+    best = np.zeros(shape, np.float32)
+    plain = np.ones(shape, np.float32)
+    boxes = find_objects(label_map.labels)
+    surfaces: list[tuple[Surface, SurfaceEcho]] = []
+    for number, each in enumerate(properties):
+        if each.label == 0:
+            continue
+        first, share = _share(label_map, each.label, boxes[each.label - 1], to_voxel, shape)
+        part = tuple(slice(low, low + n) for low, n in zip(first, share.shape, strict=True))
+        plain[part] -= share
+        here = share > best[part]
+        numbers[part][here] = number
+        best[part][here] = share[here]
+        if each.echo is not None:
+            middle = origin + parameters.spacing * (first + 0.5)
+            stride = max(round(parameters.surface_spacing / parameters.spacing), 1)
+            coarse = share[::stride, ::stride, ::stride]
+            surface = level_surface(coarse, middle, stride * parameters.spacing)
+            surfaces.append((surface, each.echo))
+    numbers[plain > best] = 0
+    return AnatomyGrid(numbers, origin, parameters.spacing, properties, tuple(surfaces))
+
+
+def _share(
+    label_map: LabelMap,
+    label: int,
+    box: tuple[slice, ...],
+    to_voxel: NDArray[np.float64],
+    shape: NDArray[np.int64],
+) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """Index of the first cube that a label reaches, and its smoothed share of those cubes."""
+    labels = label_map.labels
+    low = np.maximum([each.start - _MARGIN for each in box], 0)
+    high = np.minimum([each.stop + _MARGIN for each in box], labels.shape)
+    inside = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+    smooth = gaussian_filter((labels[inside] == label).astype(np.float32), _SMOOTHING)
+    ends = np.stack(np.meshgrid(*zip(low, high - 1, strict=True), indexing="ij"), axis=-1)
+    inverse = np.linalg.inv(to_voxel)
+    corners = ends.reshape(-1, 3) @ inverse[:3, :3].T + inverse[:3, 3]
+    first = np.clip(np.floor(corners.min(axis=0)).astype(int), 0, shape - 1)
+    last = np.clip(np.ceil(corners.max(axis=0)).astype(int) + 1, first + 1, shape)
+    share = affine_transform(
+        smooth,
+        to_voxel[:3, :3],
+        to_voxel[:3, :3] @ first + to_voxel[:3, 3] - low,
+        output_shape=tuple(last - first),
+        order=1,
+        mode="nearest",
+    )
+    return first, share
+
+
+def _pose_in_tissue(
+    label_map: LabelMap, top: str
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(4, 4) from voxels to T, and (3,) extents in T in m."""
+    turn = np.eye(4)
+    turn[:3, :3] = np.array(_TOPS[top])
+    X = turn @ label_map.X_LV
+    corners = _corners(label_map.labels.shape) @ X[:3, :3].T + X[:3, 3]
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    X[:3, 3] -= [*((low + high) / 2)[:2], high[2]]
+    return X, high - low
+
+
+def _in_mm(extent: NDArray[np.float64]) -> str:
+    return " x ".join(f"{1e3 * each:.0f}" for each in extent)
+
+
+def _corners(shape: Sequence[int]) -> NDArray[np.float64]:
+    ends = [(-0.5, size - 0.5) for size in shape]
+    return np.stack(np.meshgrid(*ends, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -1,0 +1,338 @@
+"""Sound's way through layers of different speed: from where a thing is to where it appears.
+
+A scanner takes all tissue to have one speed of sound and its lines to be straight. A layer of fat
+on the top of the tissue is slower, and refracts every line that meets its lower face at an angle
+(Snell's law). Behind it a point appears on the line that is bent to it, at the depth that the time
+of flight gives. Tissues of other speeds add to that time along the line.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from sonoservo.systems.sampling.options import OPTIONS
+
+_STEPS = 3
+_PROBE = 1e-3
+_LEAST_COSINE = 0.1
+
+
+class Medium(NamedTuple):
+    """Layers in front of and around the structures; every frame has its own view of them."""
+
+    normals: NDArray[np.float64]
+    """(frames, 3) unit normal in F of the lower face of the fat, away from the probe."""
+    offsets: NDArray[np.float64]
+    """(frames,) distance in m of that face from F's origin along the normal; -1e9 for no fat."""
+    ratio: float
+    """Speed of sound in fat over that of the tissue."""
+    array_radius: float
+    centre_offset: float
+    delays: NDArray[np.float32]
+    """(frames, lines, nodes) path in m by which echoes appear deeper; (frames, 0, 0) for none."""
+    lines_per_radian: float
+    nodes_per_metre: float
+
+
+class View(NamedTuple):
+    """Where points in F appear, for every frame, tabulated over angle and depth."""
+
+    table: NDArray[np.float64]
+    """(frames, angles, depths, 15): apparent less true position, the derivative of the apparent
+    position by the true one, and the direction in which sound arrives."""
+    angles_per_radian: float
+    middle: float
+    """Index of the angle 0."""
+    nearest: float
+    """Distance in m from the array's centre of the first depth."""
+    depths_per_metre: float
+    centre_offset: float
+    aside: float
+    """Most that anything near a frame's plane appears further from it or nearer, in m."""
+
+
+@njit(**OPTIONS)
+def interpolated(table, line, node):  # type: ignore[no-untyped-def]
+    """Value of a (lines, nodes) table between its entries; constant beyond its edges."""
+    line = min(max(line, 0.0), table.shape[0] - 1.0)
+    node = min(max(node, 0.0), table.shape[1] - 1.0)
+    j = min(np.int64(line), table.shape[0] - 2)
+    k = min(np.int64(node), table.shape[1] - 2)
+    a = line - j
+    b = node - k
+    near = (1 - b) * table[j, k] + b * table[j, k + 1]
+    return (1 - a) * near + a * ((1 - b) * table[j + 1, k] + b * table[j + 1, k + 1])
+
+
+@njit(**OPTIONS)
+def true_position(x, y, z, medium, frame):  # type: ignore[no-untyped-def]
+    """Where in F what appears at a point in F really is, in m."""
+    delays = medium.delays[frame]
+    dy = y + medium.centre_offset
+    r = np.sqrt(x * x + dy * dy)
+    ux = x / r
+    uy = dy / r
+    path = r - medium.array_radius
+    if delays.shape[0] > 0:
+        line = np.arctan2(x, dy) * medium.lines_per_radian + 0.5 * (delays.shape[0] - 1)
+        path -= interpolated(delays, line, path * medium.nodes_per_metre)
+    ox = medium.array_radius * ux
+    oy = medium.array_radius * uy - medium.centre_offset
+    offset = medium.offsets[frame]
+    nx = medium.normals[frame, 0]
+    ny = medium.normals[frame, 1]
+    nz = medium.normals[frame, 2]
+    ahead = offset - (nx * ox + ny * oy + nz * z)
+    cosine = nx * ux + ny * uy
+    if ahead <= 0 or cosine <= _LEAST_COSINE:
+        return ox + path * ux, oy + path * uy, z
+    way = ahead / cosine
+    if path * medium.ratio <= way:
+        way = path * medium.ratio
+        return ox + way * ux, oy + way * uy, z
+    eta = 1 / medium.ratio
+    sine_squared = min(eta * eta * (1 - cosine * cosine), 1 - _LEAST_COSINE**2)
+    along = np.sqrt(1 - sine_squared) - eta * cosine
+    rest = path - way / medium.ratio
+    return (
+        ox + way * ux + rest * (eta * ux + along * nx),
+        oy + way * uy + rest * (eta * uy + along * ny),
+        z + rest * along * nz,
+    )
+
+
+@njit(**OPTIONS)
+def apparent_position(x, y, z, medium, frame):  # type: ignore[no-untyped-def]
+    """Where in F a point in F appears, in m: the inverse of `true_position`."""
+    ax = x
+    ay = y
+    az = z
+    for _ in range(_STEPS):
+        tx, ty, tz = true_position(ax, ay, az, medium, frame)
+        ax += x - tx
+        ay += y - ty
+        az += z - tz
+    return ax, ay, az
+
+
+@njit(**OPTIONS)
+def linear_view(x, y, z, medium, frame, slope):  # type: ignore[no-untyped-def]
+    """Where a point in F appears, and how what is near it does.
+
+    Parameters
+    ----------
+    x, y, z
+        The point, in m.
+    medium, frame
+        See `Medium`.
+    slope
+        (3, 3) written: derivative of the apparent position by the true one.
+
+    Returns
+    -------
+    The apparent position in F, in m.
+    """
+    ax, ay, az = apparent_position(x, y, z, medium, frame)
+    x0, y0, z0 = true_position(ax, ay, az, medium, frame)
+    J = np.empty((3, 3))
+    for axis in range(3):
+        dx = _PROBE if axis == 0 else 0.0
+        dy = _PROBE if axis == 1 else 0.0
+        dz = _PROBE if axis == 2 else 0.0
+        x1, y1, z1 = true_position(ax + dx, ay + dy, az + dz, medium, frame)
+        J[0, axis] = (x1 - x0) / _PROBE
+        J[1, axis] = (y1 - y0) / _PROBE
+        J[2, axis] = (z1 - z0) / _PROBE
+    determinant = 0.0
+    for i in range(3):
+        j = (i + 1) % 3
+        k = (i + 2) % 3
+        determinant += J[0, i] * (J[1, j] * J[2, k] - J[1, k] * J[2, j])
+    for i in range(3):
+        for j in range(3):
+            a = (i + 1) % 3
+            b = (i + 2) % 3
+            c = (j + 1) % 3
+            d = (j + 2) % 3
+            slope[j, i] = (J[a, c] * J[b, d] - J[a, d] * J[b, c]) / determinant
+    # One step of Newton's method from where the iteration ended.
+    ax += slope[0, 0] * (x - x0) + slope[0, 1] * (y - y0) + slope[0, 2] * (z - z0)
+    ay += slope[1, 0] * (x - x0) + slope[1, 1] * (y - y0) + slope[1, 2] * (z - z0)
+    az += slope[2, 0] * (x - x0) + slope[2, 1] * (y - y0) + slope[2, 2] * (z - z0)
+    return ax, ay, az
+
+
+@njit(parallel=True, **OPTIONS)
+def tabulate_views(table, medium, view):  # type: ignore[no-untyped-def]
+    """Tabulate `linear_view` over the middle plane of every frame.
+
+    Parameters
+    ----------
+    table
+        (frames, angles, depths, 15) float64, written: see `View`.
+    medium, view
+        See `Medium` and `View`.
+    """
+    for frame in prange(len(table)):
+        slope = np.empty((3, 3))
+        for j in range(table.shape[1]):
+            phi = (j - view.middle) / view.angles_per_radian
+            for k in range(table.shape[2]):
+                r = view.nearest + k / view.depths_per_metre
+                x = r * np.sin(phi)
+                y = r * np.cos(phi) - view.centre_offset
+                node = table[frame, j, k]
+                ax, ay, az = linear_view(x, y, 0.0, medium, frame, slope)
+                node[0] = ax - x
+                node[1] = ay - y
+                node[2] = az
+                for row in range(3):
+                    for column in range(3):
+                        node[3 + 3 * row + column] = slope[row, column]
+                dy = ay + view.centre_offset
+                there = np.sqrt(ax * ax + dy * dy)
+                x0, y0, z0 = true_position(
+                    ax - _PROBE * ax / there, ay - _PROBE * dy / there, az, medium, frame
+                )
+                length = np.sqrt((x - x0) ** 2 + (y - y0) ** 2 + z0 * z0)
+                node[12] = (x - x0) / length
+                node[13] = (y - y0) / length
+                node[14] = -z0 / length
+
+
+@njit(**OPTIONS)
+def look_up(x, y, z, view, frame, node):  # type: ignore[no-untyped-def]
+    """Interpolate a frame's view of a point.
+
+    Parameters
+    ----------
+    x, y, z
+        The point in F, in m.
+    view, frame
+        See `View`; the frame's number.
+    node
+        (15,) written.
+
+    Returns
+    -------
+    Where the point appears in F, in m.
+    """
+    table = view.table
+    dy = y + view.centre_offset
+    r = np.sqrt(x * x + dy * dy)
+    u = np.arctan2(x, dy) * view.angles_per_radian + view.middle
+    v = (r - view.nearest) * view.depths_per_metre
+    u = min(max(u, 0.0), table.shape[1] - 1.001)
+    v = min(max(v, 0.0), table.shape[2] - 1.001)
+    j = np.int64(u)
+    k = np.int64(v)
+    a = u - j
+    b = v - k
+    for i in range(15):
+        node[i] = (1 - a) * (
+            (1 - b) * table[frame, j, k, i] + b * table[frame, j, k + 1, i]
+        ) + a * ((1 - b) * table[frame, j + 1, k, i] + b * table[frame, j + 1, k + 1, i])
+    return x + node[0] + node[5] * z, y + node[1] + node[8] * z, node[2] + node[11] * z
+
+
+@njit(**OPTIONS)
+def apparent_points(points, view, frame):  # type: ignore[no-untyped-def]
+    """Where (n, 3) points in F appear in a frame, (n, 3) in F, in m."""
+    seen = np.empty_like(points)
+    node = np.empty(15)
+    for i in range(len(points)):
+        seen[i] = look_up(points[i, 0], points[i, 1], points[i, 2], view, frame, node)
+    return seen
+
+
+@njit(parallel=True, **OPTIONS)
+def integrate_paths(  # type: ignore[no-untyped-def]
+    gains,
+    delays,
+    X_TF,
+    medium,
+    labels,
+    origin,
+    per_metre,
+    loss_rate,
+    delay_rate,
+    line_pitch,
+    twist,
+):
+    """Add up, along every line, what attenuation and speed of sound do to what lies behind.
+
+    Parameters
+    ----------
+    gains, delays
+        (frames, lines, nodes) float32 written: factor on the amplitude of echoes, and path in m by
+        which they appear deeper.
+    X_TF
+        (frames, 3, 4) pose of each F in T.
+    medium
+        See `Medium`; its own delays are not used.
+    labels, origin, per_metre
+        (nx, ny, nz) uint8 labels of cubes, the first one's corner in T in m, and cubes per metre.
+    loss_rate, delay_rate
+        (labels,) both ways' attenuation in nepers per m, and path by path, over the tissue's.
+    line_pitch, twist
+        Angle from one line to the next, along the array and about the motor's axis, in rad.
+    """
+    frames, lines, nodes = gains.shape
+    nx, ny, nz = labels.shape
+    step = 1 / medium.nodes_per_metre
+    for frame in prange(frames):
+        X = X_TF[frame]
+        bends = medium.offsets[frame] > -1e6
+        for j in range(lines):
+            from_middle = j - 0.5 * (lines - 1)
+            sine = np.sin(line_pitch * from_middle)
+            cosine = np.cos(line_pitch * from_middle)
+            loss = 0.0
+            late = 0.0
+            for k in range(nodes):
+                gains[frame, j, k] = np.exp(-loss)
+                delays[frame, j, k] = late
+                r = medium.array_radius + (k + 0.5) * step
+                y = r * cosine - medium.centre_offset
+                x = r * sine
+                z = y * twist * from_middle
+                if bends:
+                    x, y, z = true_position(x, y, z, medium, frame)
+                a = np.int64(np.floor(per_metre * (_row(X[0], x, y, z) - origin[0])))
+                b = np.int64(np.floor(per_metre * (_row(X[1], x, y, z) - origin[1])))
+                c = np.int64(np.floor(per_metre * (_row(X[2], x, y, z) - origin[2])))
+                if 0 <= a < nx and 0 <= b < ny and 0 <= c < nz:
+                    label = labels[a, b, c]
+                    loss += loss_rate[label] * step
+                    late += delay_rate[label] * step
+
+
+@njit(**OPTIONS)
+def _row(row, x, y, z):  # type: ignore[no-untyped-def]
+    """One coordinate of a transformed point."""
+    return row[0] * x + row[1] * y + row[2] * z + row[3]
+
+
+@njit(parallel=True, **OPTIONS)
+def expand_gains(transmission, gains, nodes_per_sample):  # type: ignore[no-untyped-def]
+    """Interpolate gains to samples.
+
+    Parameters
+    ----------
+    transmission, gains
+        (frames, lines, samples) float32, written, and (frames, lines, nodes).
+    nodes_per_sample
+        Nodes from one sample to the next.
+    """
+    frames, lines, samples = transmission.shape
+    last = gains.shape[2] - 2
+    for frame in prange(frames):
+        for j in range(lines):
+            for i in range(samples):
+                node = i * nodes_per_sample
+                k = min(np.int64(node), last)
+                near = gains[frame, j, k]
+                share = np.float32(min(node - k, 1.0))
+                transmission[frame, j, i] = near + share * (gains[frame, j, k + 1] - near)

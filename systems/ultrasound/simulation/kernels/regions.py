@@ -1,0 +1,116 @@
+"""Parts of the tissue that scatter more, or less: labels of an anatomy, lumens of vessels, fat."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from sonoservo.systems.sampling.options import OPTIONS
+
+_GOLDEN = 0.6180339887498949
+
+
+class Regions(NamedTuple):
+    """What scatters as other tissue than the rest."""
+
+    first_block: NDArray[np.int64]
+    """(3,) number of the first block, see `ScattererTile`."""
+    content: NDArray[np.int32]
+    """(bx, by, bz): -1 where a block is plain tissue, else the number of its list of segments."""
+    starts: NDArray[np.int32]
+    """(lists + 1,) where each list begins in ``members``."""
+    members: NDArray[np.int32]
+    """Segments of tubes that may pass through a block."""
+    ends: NDArray[np.float64]
+    """(segments, 2, 3) ends of the tubes' segments in T, in m."""
+    tubes: NDArray[np.int32]
+    """(segments,) tube that each belongs to."""
+    tube_amplitudes: NDArray[np.float32]
+    """(tubes,) factor on the amplitude of scatterers within each."""
+    labels: NDArray[np.uint8]
+    """(nx, ny, nz) labels of cubes."""
+    origin: NDArray[np.float64]
+    """(3,) corner of the first cube in T, in m."""
+    per_metre: float
+    """Cubes per metre."""
+    amplitudes: NDArray[np.float32]
+    """(labels,) factor on the amplitude of scatterers."""
+    shares: NDArray[np.float32]
+    """(labels,) of the scatterers that are there; the amplitude makes up for the others."""
+    fat_thickness: float
+    """From the tissue's top, in m."""
+    fat_amplitude: float
+
+
+@njit(**OPTIONS)
+def weigh_scatterers(  # type: ignore[no-untyped-def]
+    chosen, count, xs, ys, zs, x0, y0, z0, block_list, cosine, sine, regions, radii
+):
+    """Weigh the scatterers of one block by the region that they lie in.
+
+    Parameters
+    ----------
+    chosen, count
+        Numbers of the block's scatterers, and how many of them count; those that the region lacks
+        are removed.
+    xs, ys, zs, x0, y0, z0
+        Positions within the block, and its corner, in T, in m.
+    block_list
+        The block's entry in ``regions.content``.
+    cosine, sine
+        Amplitudes by scatterer, changed.
+    regions, radii
+        See `Regions`; (tubes,) radii in m at the frame's time.
+
+    Returns
+    -------
+    How many are left.
+    """
+    nx, ny, nz = regions.labels.shape
+    left = 0
+    for number in range(count):
+        i = chosen[number]
+        x = x0 + xs[i]
+        y = y0 + ys[i]
+        z = z0 + zs[i]
+        label = 0
+        a = np.int64(np.floor((x - regions.origin[0]) * regions.per_metre))
+        b = np.int64(np.floor((y - regions.origin[1]) * regions.per_metre))
+        c = np.int64(np.floor((z - regions.origin[2]) * regions.per_metre))
+        if 0 <= a < nx and 0 <= b < ny and 0 <= c < nz:
+            label = regions.labels[a, b, c]
+        # Scatterers are where they are at random: any rule that ignores their places thins them.
+        mark = np.float64(i) * _GOLDEN
+        if mark - np.floor(mark) >= regions.shares[label]:
+            continue
+        factor = regions.amplitudes[label]
+        if z > -regions.fat_thickness:
+            factor *= np.float32(regions.fat_amplitude)
+        for k in range(regions.starts[block_list], regions.starts[block_list + 1]):
+            segment = regions.members[k]
+            tube = regions.tubes[segment]
+            if _within(x, y, z, regions.ends[segment], radii[tube]):
+                factor = regions.tube_amplitudes[tube]
+        cosine[i] *= factor
+        sine[i] *= factor
+        chosen[left] = i
+        left += 1
+    return left
+
+
+@njit(**OPTIONS)
+def _within(x, y, z, ends, radius):  # type: ignore[no-untyped-def]
+    """Whether a point lies within a radius of a straight segment, (2, 3)."""
+    ax = ends[1, 0] - ends[0, 0]
+    ay = ends[1, 1] - ends[0, 1]
+    az = ends[1, 2] - ends[0, 2]
+    px = x - ends[0, 0]
+    py = y - ends[0, 1]
+    pz = z - ends[0, 2]
+    share = (px * ax + py * ay + pz * az) / (ax * ax + ay * ay + az * az)
+    share = min(max(share, 0.0), 1.0)
+    px -= share * ax
+    py -= share * ay
+    pz -= share * az
+    return px * px + py * py + pz * pz < radius * radius

@@ -1,0 +1,46 @@
+"""Shadows of surfaces, and how a layer of echoes joins those of the tissue."""
+
+import numpy as np
+from numba import njit
+
+from sonoservo.systems.sampling.options import OPTIONS
+
+_OPAQUE = np.float32(0.02)
+
+
+@njit(**OPTIONS)
+def cast_shadows(transmission, layer, loss, touched, margin, pad):  # type: ignore[no-untyped-def]
+    """Weaken a frame's transmission, (lines, samples), and its layer behind what takes sound.
+
+    A surface does not shade its own echo: what it takes counts in the layer only ``margin``
+    samples behind.
+    """
+    lines, samples = loss.shape
+    for j in range(lines):
+        if not touched[j]:
+            continue
+        taken = np.float32(0)
+        late = np.float32(0)
+        for i in range(samples):
+            through = transmission[j, i] * max(np.float32(1) - late, np.float32(0))
+            layer[0, j, i + pad] *= through
+            layer[1, j, i + pad] *= through
+            through = np.float32(1) - taken
+            # Pieces cover an opaque surface to within a per cent.
+            transmission[j, i] *= through if through > _OPAQUE else np.float32(0)
+            taken += loss[j, i]
+            if i >= margin:
+                late += loss[j, i - margin]
+
+
+@njit(**OPTIONS)
+def join_layer(iq, transmission, layer, touched, weakened, pad):  # type: ignore[no-untyped-def]
+    """Weaken a frame's echoes and add its layer, on the lines that either touches."""
+    for j in range(iq.shape[0]):
+        if touched[j]:
+            for i in range(iq.shape[1]):
+                echo = complex(layer[0, j, i + pad], layer[1, j, i + pad])
+                iq[j, i] = iq[j, i] * transmission[j, i] + echo
+        elif weakened:
+            for i in range(iq.shape[1]):
+                iq[j, i] *= transmission[j, i]

@@ -1,0 +1,139 @@
+"""A needle's echo in every frame: shaft, tip, reverberation and shadow."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.sweep import SweepGeometry
+from sonoservo.systems.ultrasound.beam import Beam
+from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import render_needles
+from sonoservo.systems.ultrasound.simulation.kernels.medium import View, apparent_points
+from sonoservo.systems.ultrasound.simulation.kernels.projection import DepthTables, Rays
+from sonoservo.systems.ultrasound.simulation.needle_echo import (
+    NeedleEchoParameters,
+    NeedleFading,
+    needle_echo,
+    needle_view,
+    reverberations,
+)
+from sonoservo.systems.ultrasound.simulation.pulses import PulseTables
+
+_BENT_STEP = 1e-3
+
+
+class FrameViews(NamedTuple):
+    """How the frames of a sweep see the tissue."""
+
+    X_FT: NDArray[np.float64]
+    """(frames, 3, 4) pose of the tissue in each F."""
+    rays: Rays
+    tables: DepthTables
+    bent: View | None
+    """Where points appear; None if that is where they are."""
+    transmission: NDArray[np.float32] | None
+    """(frames, lines, samples) factor on echoes from behind structures."""
+    times: NDArray[np.float64]
+    """(frames,) in s."""
+
+
+class NeedleRenderer:
+    """Adds the echoes of one kind of needle to those of the tissue.
+
+    Parameters
+    ----------
+    parameters
+        How it echoes.
+    beam, geometry
+        Point spread function, and geometry of the sweeps with lengths in the tissue.
+    reference
+        Sample where the levels hold.
+    pulses
+        Of the beam.
+    seeds
+        Draw the needle's surface.
+    """
+
+    def __init__(
+        self,
+        parameters: NeedleEchoParameters,
+        beam: Beam,
+        geometry: SweepGeometry,
+        reference: int,
+        pulses: PulseTables,
+        seeds: Sequence[int],
+    ) -> None:
+        self._parameters = parameters
+        self._beam = beam
+        self._geometry = geometry
+        self._tables = pulses
+        rng = np.random.default_rng(list(seeds))
+        self._echo = needle_echo(parameters, beam, reference, rng)
+        self._fading = NeedleFading(parameters, rng)
+        self._pulses = lru_cache(maxsize=8)(self._pulse)
+
+    @property
+    def varies(self) -> bool:
+        """Whether its echo changes with time."""
+        return self._parameters.fading_db > 0
+
+    def add(self, iq: NDArray[np.complex64], needles: Sequence[Needle], views: FrameViews) -> None:
+        """Add a needle's echoes to (frames, lines, samples) echoes, with its shadow.
+
+        Parameters
+        ----------
+        iq
+            Changed.
+        needles
+            The needle in T at each frame's time, possibly empty; all have one radius.
+        views
+            How the frames see the tissue.
+        """
+        parameters, X_FT = self._parameters, views.X_FT
+        view = None
+        if parameters.varies:
+            offset = self._geometry.array_radius - self._geometry.motor_radius
+            view = needle_view(
+                parameters, self._fading, self._beam, needles, X_FT, offset, views.times
+            )
+        shafts = [needle.shaft for needle in needles]
+        if views.bent is not None:
+            shafts = [
+                _apparent(needle, X, views.bent, frame)
+                for frame, (needle, X) in enumerate(zip(needles, X_FT, strict=True))
+            ]
+        radius = needles[0].radius
+        render_needles(
+            iq,
+            X_FT,
+            np.concatenate(shafts),
+            np.concatenate([[0], np.cumsum([len(shaft) for shaft in shafts])]),
+            radius,
+            *self._echo,
+            views.rays,
+            views.tables,
+            self._pulses(radius),
+            view,
+            views.transmission,
+        )
+
+    def _pulse(self, radius: float) -> NDArray[np.float32]:
+        """Pulse with the reverberations within a needle of this radius."""
+        levels, distance = reverberations(self._parameters, radius, self._geometry.sound_speed)
+        return self._tables.tabulate(levels, [n * distance for n in range(len(levels))])
+
+
+def _apparent(
+    needle: Needle, X_FT: NDArray[np.float64], view: View, frame: int
+) -> NDArray[np.float64]:
+    """Points along a needle in T, (m, 3) in m, where a frame shows them."""
+    if not needle:
+        return needle.shaft
+    count = max(int(np.ceil(needle.length / _BENT_STEP)), 1) + 1
+    points = needle.position(np.linspace(0, needle.length, count))
+    R, p = X_FT[:, :3], X_FT[:, 3]
+    seen = apparent_points(points @ R.T + p, view, frame)
+    return (seen - p) @ R

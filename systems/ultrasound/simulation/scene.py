@@ -1,0 +1,262 @@
+"""The tissue's structures, prepared for the kernels."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.signals.requirements import require
+from sonoservo.systems.signals.sweep import SweepGeometry
+from sonoservo.systems.ultrasound.beam import Beam
+from sonoservo.systems.ultrasound.simulation.kernels.medium import (
+    Medium,
+    View,
+    integrate_paths,
+    tabulate_views,
+)
+from sonoservo.systems.ultrasound.simulation.kernels.regions import Regions
+from sonoservo.systems.ultrasound.simulation.kernels.surface_echo import Pieces
+from sonoservo.systems.ultrasound.simulation.path_labels import PathLabels, path_labels
+from sonoservo.systems.ultrasound.simulation.pulses import PulseTables, stacked
+from sonoservo.systems.ultrasound.simulation.scatterer_regions import scatterer_regions
+from sonoservo.systems.ultrasound.simulation.structures.structure import Tube
+from sonoservo.systems.ultrasound.simulation.structures.surface import Surface, SurfaceEcho
+from sonoservo.systems.ultrasound.simulation.tissue import Tissue
+
+_DENSITY = 1.4
+_MAX_PIECES = 3_000_000
+_NODE = 2e-3
+_NO_FAT = -1e9
+_VIEW_ANGLE = 0.1
+_VIEW_DEPTH = 5e-3
+_ASIDE = 0.5e-3
+
+
+@dataclass(frozen=True)
+class _Pulse:
+    """Of a surface: how far it goes out, and how often."""
+
+    amplitude: float = 0.0
+    rate: float = 1.0
+
+    def at(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
+        return self.amplitude * np.sin(2 * np.pi * self.rate * times)
+
+
+class Scene:
+    """Structures of a tissue as one beam sees them.
+
+    Parameters
+    ----------
+    tissue
+        What is scanned.
+    beam, geometry
+        Point spread function, and geometry of the sweeps with lengths in the tissue.
+    reference
+        Sample where the levels of surfaces hold.
+    pulses
+        Of the beam.
+    block_size
+        Edge of the scatterer tile's blocks, in m.
+    sound_speed
+        Of the tissue, in m/s.
+    frequency
+        Transmitted, in Hz.
+
+    Attributes
+    ----------
+    regions, pieces
+        See the kernels; None if there are none.
+    pulses, taps
+        See `render_surfaces`.
+    """
+
+    def __init__(
+        self,
+        tissue: Tissue,
+        *,
+        beam: Beam,
+        geometry: SweepGeometry,
+        reference: int,
+        pulses: PulseTables,
+        block_size: float,
+        sound_speed: float,
+        frequency: float,
+    ) -> None:
+        unplaced = [each.kind for each in tissue.structures if each.beside_needle is not None]
+        require(not unplaced, "beside_needle", unplaced, "placed by the way of a needle")
+        rng = np.random.default_rng([tissue.seed, 2])
+        grid = tissue.anatomy.grid() if tissue.anatomy is not None else None
+        self._tubes: list[Tube] = [t for each in tissue.structures for t in each.tubes()]
+        self.regions: Regions | None = scatterer_regions(tissue, grid, self._tubes, block_size)
+        self._paths: PathLabels | None = path_labels(
+            tissue, grid, self._tubes, sound_speed, frequency
+        )
+        self._geometry = geometry
+        self._fat = tissue.fat
+        self._fat_ratio = tissue.fat.sound_speed / sound_speed
+        spacing = _DENSITY * float(beam.lateral[beam.lateral.size // 8 :].min())
+        surfaces: list[tuple[Surface, SurfaceEcho]] = []
+        self._growth: list[_Pulse] = []
+        for each in tissue.structures:
+            own = each.surfaces(spacing, rng)
+            tubes = each.tubes()
+            beat = (
+                _Pulse(tubes[0].radius * tubes[0].pulsation, tubes[0].rate) if tubes else _Pulse()
+            )
+            surfaces += own
+            self._growth += [beat] * len(own)
+        if grid is not None:
+            surfaces += grid.surfaces
+            self._growth += [_Pulse()] * len(grid.surfaces)
+        self.pieces: Pieces | None = None
+        tables = [pulses.tabulate([1.0], [0.0])]
+        if surfaces or self._paths is not None:
+            self.pieces = _pieces(surfaces, beam, reference, rng)
+            for number, (_, echo) in enumerate(surfaces):
+                if echo.ring_down_db is not None:
+                    self.pieces.pulses[number] = len(tables)
+                    length = echo.ring_down_length
+                    tables.append(pulses.ring_down(echo.ring_down_db, length, geometry.depth, rng))
+        self.pulses, self.taps = stacked(tables)
+
+    @property
+    def varies(self) -> bool:
+        """Whether anything pulsates."""
+        return any(beat.amplitude > 0 for beat in self._growth)
+
+    def radii(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(frames, tubes) radius in m of every lumen at (frames,) times in s."""
+        radii = [
+            tube.radius * (1 + tube.pulsation * np.sin(2 * np.pi * tube.rate * times))
+            for tube in self._tubes
+        ]
+        return np.stack(radii, axis=-1) if radii else np.zeros((len(times), 0))
+
+    def growth(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(frames, surfaces) way in m by which surfaces lie further out."""
+        ways = [beat.at(times) for beat in self._growth]
+        return np.stack(ways, axis=-1) if ways else np.zeros((len(times), 0))
+
+    def view(
+        self, X_FT: NDArray[np.float64], twist: float
+    ) -> tuple[View | None, NDArray[np.float32] | None, float]:
+        """What the way through the tissue does to every frame's echoes.
+
+        Parameters
+        ----------
+        X_FT
+            (frames, 3, 4) pose of the tissue in each F.
+        twist
+            Angle in rad by which the motor turns from one line to the next.
+
+        Returns
+        -------
+        How lines bend and echoes are late, or None; (frames, lines, nodes) factor on amplitudes, or
+        None; and nodes per metre.
+        """
+        if self._fat.thickness == 0 and self._paths is None:
+            return None, None, 1 / _NODE
+        geometry = self._geometry
+        frames = len(X_FT)
+        normals = np.zeros((frames, 3))
+        offsets = np.full(frames, _NO_FAT)
+        if self._fat.thickness > 0 and self._fat_ratio != 1:
+            normals = np.ascontiguousarray(-X_FT[:, :, 2])
+            lower = X_FT[:, :, 3] - self._fat.thickness * X_FT[:, :, 2]
+            offsets = np.einsum("fi,fi->f", normals, lower)
+        medium = Medium(
+            normals=normals,
+            offsets=offsets,
+            ratio=self._fat_ratio,
+            array_radius=geometry.array_radius,
+            centre_offset=geometry.array_radius - geometry.motor_radius,
+            delays=np.zeros((frames, 0, 0), np.float32),
+            lines_per_radian=1 / geometry.line_pitch,
+            nodes_per_metre=1 / _NODE,
+        )
+        if self._paths is None:
+            return self._tabulated(medium), None, 1 / _NODE
+        nodes = max(int(np.ceil(geometry.depth / _NODE)) + 1, 2)
+        gains = np.empty((frames, geometry.lines, nodes), np.float32)
+        delays = np.empty_like(gains)
+        R = np.swapaxes(X_FT[:, :, :3], 1, 2)
+        X_TF = np.ascontiguousarray(np.concatenate([R, -R @ X_FT[:, :, 3:]], axis=2))
+        paths = self._paths
+        integrate_paths(
+            gains,
+            delays,
+            X_TF,
+            medium,
+            paths.labels,
+            paths.origin,
+            1 / paths.spacing,
+            paths.loss_rate,
+            paths.delay_rate,
+            geometry.line_pitch,
+            twist,
+        )
+        if paths.delay_rate.any():
+            medium = medium._replace(delays=delays)
+        return self._tabulated(medium), gains, 1 / _NODE
+
+    def _tabulated(self, medium: Medium) -> View | None:
+        """Where points appear, or None if that is where they are."""
+        if not medium.delays.size and not (medium.offsets > _NO_FAT).any():
+            return None
+        geometry = self._geometry
+        half = 1.1 * geometry.line_pitch * geometry.lines / 2 + 0.05
+        angles = 2 * int(np.ceil(half / _VIEW_ANGLE)) + 1
+        nearest = max(geometry.array_radius - 2e-3, 1e-3)
+        depths = int(np.ceil((geometry.depth + 0.008) / _VIEW_DEPTH)) + 1
+        view = View(
+            table=np.empty((len(medium.offsets), angles, depths, 15)),
+            angles_per_radian=1 / _VIEW_ANGLE,
+            middle=float(angles // 2),
+            nearest=nearest,
+            depths_per_metre=1 / _VIEW_DEPTH,
+            centre_offset=medium.centre_offset,
+            aside=0.0,
+        )
+        tabulate_views(view.table, medium, view)
+        return view._replace(aside=float(np.abs(view.table[..., 2]).max()) + _ASIDE)
+
+
+def _pieces(
+    surfaces: list[tuple[Surface, SurfaceEcho]],
+    beam: Beam,
+    reference: int,
+    rng: np.random.Generator,
+) -> Pieces:
+    """Amplitudes of the surfaces' pieces: in phase, those under the beam add up to the level."""
+    counts = [len(surface.areas) for surface, _ in surfaces]
+    require(sum(counts) <= _MAX_PIECES, "structures", sum(counts), "smaller: 3,000,000 pieces")
+    none = [Surface(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))]
+    parts = [surface for surface, _ in surfaces] + none
+    areas = np.concatenate([part.areas for part in parts])
+
+    def spread(values: list[float]) -> NDArray[np.float64]:
+        return np.repeat(np.array(values, dtype=float), counts)
+
+    section = 2 * np.pi * beam.lateral[reference] * beam.elevation[reference]
+    levels = spread([10 ** (e.level_db / 20) if e.specular else 0.0 for _, e in surfaces])
+    rough = spread([10 ** ((e.level_db + e.diffuse_db) / 20) for _, e in surfaces])
+    phases = np.exp(2j * np.pi * rng.random(len(areas)))
+    largest = spread([part.areas.max(initial=0.0) for part in parts[:-1]])
+    return Pieces(
+        points=np.concatenate([part.points for part in parts]),
+        normals=np.concatenate([part.normals for part in parts]),
+        surfaces=np.repeat(np.arange(len(surfaces)), counts),
+        specular=levels * areas / section,
+        diffuse=rough * np.sqrt(2 * areas / section) * phases,
+        blocked=spread([e.shadow for _, e in surfaces]) * areas,
+        steps=np.sqrt(largest),
+        one_sided=np.array([e.one_sided for _, e in surfaces], dtype=np.bool_),
+        reverberation=np.array(
+            [
+                0.0 if e.reverberation_db is None else 10 ** (e.reverberation_db / 20)
+                for _, e in surfaces
+            ]
+        ),
+        pulses=np.zeros(len(surfaces), np.int64),
+    )

@@ -1,0 +1,10 @@
+from .bone import Bone as Bone
+from .calcification import Calcification as Calcification
+from .fascia import Fascia as Fascia
+from .fat_layer import FatLayer as FatLayer
+from .gas import Gas as Gas
+from .n_wires import NWires as NWires
+from .resting_needle import RestingNeedle as RestingNeedle
+from .structure import BesideNeedle as BesideNeedle
+from .structure import Structure as Structure
+from .vessel import Vessel as Vessel

@@ -1,0 +1,83 @@
+"""Sheets of fascia: thin, bright, mirror-like layers."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.ultrasound.simulation.structures.structure import (
+    Structure,
+    require_level,
+    require_levels,
+)
+from sonoservo.systems.ultrasound.simulation.structures.surface import (
+    Surface,
+    SurfaceEcho,
+    parametric,
+)
+
+
+@dataclass(kw_only=True)
+class Fascia(Structure):
+    """A rectangular, wavy sheet.
+
+    Parameters
+    ----------
+    centre
+        In T, in m.
+    size
+        Extents in m, along X and Y of T before it is turned.
+    azimuth_deg, dip_deg
+        The sheet falls by ``dip_deg`` towards ``azimuth_deg`` (from +X_T towards +Y_T).
+    wave_height, wave_length
+        Amplitude and length of its waves, in m.
+    level_db, diffuse_db, shadow
+        See `SurfaceEcho`.
+    """
+
+    kind: str = "fascia"
+    centre: list[float] = field(default_factory=lambda: [0.0, 0.0, -0.03])
+    size: list[float] = field(default_factory=lambda: [0.06, 0.04])
+    azimuth_deg: float = 0.0
+    dip_deg: float = 0.0
+    wave_height: float = 0.2e-3
+    wave_length: float = 0.02
+    level_db: float = 28.0
+    diffuse_db: float = -12.0
+    shadow: float = 0.05
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require(len(self.size) == 2 and min(self.size) > 0, "size", self.size, "two lengths in m")
+        require(abs(self.dip_deg) <= 90, "dip_deg", self.dip_deg, "from -90 to 90 deg")
+        require_not_negative(wave_height=self.wave_height)
+        require_positive(wave_length=self.wave_length)
+        require_level(level_db=self.level_db)
+        require_levels(self.diffuse_db, self.shadow)
+
+    def surfaces(
+        self, spacing: float, rng: np.random.Generator
+    ) -> list[tuple[Surface, SurfaceEcho]]:
+        """The sheet; its waves begin at random."""
+        phase = rng.uniform(0, 2 * np.pi, 2)
+        R = turned(self.azimuth_deg, self.dip_deg)
+
+        def position(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+            x, y = (u - 0.5) * self.size[0], (v - 0.5) * self.size[1]
+            rate = 2 * np.pi / self.wave_length
+            height = np.sin(rate * x + phase[0]) + np.sin(rate * y + phase[1])
+            flat = np.stack([x, y, self.wave_height / 2 * height], axis=-1)
+            return self.centre + flat @ R.T
+
+        sheet = parametric(position, (self.size[0], self.size[1]), spacing)
+        echo = SurfaceEcho(level_db=self.level_db, diffuse_db=self.diffuse_db, shadow=self.shadow)
+        return [(sheet, echo)]
+
+
+def turned(azimuth_deg: float, dip_deg: float) -> NDArray[np.float64]:
+    """Rotation of a level sheet that makes it fall by ``dip_deg`` towards ``azimuth_deg``."""
+    (ca, sa), (cd, sd) = ((np.cos(a), np.sin(a)) for a in np.deg2rad([azimuth_deg, dip_deg]))
+    about_z = np.array([[ca, -sa, 0], [sa, ca, 0], [0, 0, 1]])
+    about_y = np.array([[cd, 0, sd], [0, 1, 0], [-sd, 0, cd]])
+    return about_z @ about_y @ about_z.T

@@ -1,0 +1,37 @@
+"""A layer of fat on top of the tissue: slower than it, and refracting."""
+
+from dataclasses import dataclass
+
+from sonoservo.systems.signals.requirements import require, require_not_negative
+
+
+@dataclass(kw_only=True)
+class FatLayer:
+    """Fat from the top of the tissue down to a level face. The probe lies directly on it.
+
+    Parameters
+    ----------
+    thickness
+        In m; 0 for no fat.
+    sound_speed
+        In m/s; 1430 to 1480 in fat (Duck 1990).
+    level_db
+        Of its scatterers, over the tissue's.
+    attenuation
+        One way, in dB/(cm MHz); None for the tissue's.
+    """
+
+    thickness: float = 0.0
+    sound_speed: float = 1450.0
+    level_db: float = -4.0
+    attenuation: float | None = None
+
+    def __post_init__(self) -> None:
+        require_not_negative(thickness=self.thickness)
+        require(self.thickness <= 0.2, "thickness", self.thickness, "at most 0.2 m")
+        allowed = 1300 <= self.sound_speed <= 1700
+        require(allowed, "sound_speed", self.sound_speed, "from 1300 to 1700 m/s")
+        require(-100 <= self.level_db <= 40, "level_db", self.level_db, "from -100 to 40 dB")
+        if self.attenuation is not None:
+            require_not_negative(attenuation=self.attenuation)
+            require(self.attenuation <= 30, "attenuation", self.attenuation, "at most 30 dB/cm/MHz")

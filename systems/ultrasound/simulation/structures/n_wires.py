@@ -1,0 +1,64 @@
+"""N-wires: three wires that show every frame where it is, as in calibration phantoms."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.signals.requirements import require_positive
+from sonoservo.systems.ultrasound.simulation.structures.structure import (
+    Rod,
+    Structure,
+    require_level,
+    require_levels,
+)
+
+
+@dataclass(kw_only=True)
+class NWires(Structure):
+    """Two parallel wires and one from the first one's start to the second one's end.
+
+    A plane across them meets the middle wire at the same share of the width as of the length
+    (Comeau et al. 1998), which is how a frame finds its place.
+
+    Parameters
+    ----------
+    centre
+        Of the N, which is level, in T, in m.
+    length, width
+        Of the parallel wires, and distance between them, in m.
+    azimuth_deg
+        Direction of the parallel wires, from +X_T towards +Y_T.
+    level_db, diffuse_db
+        See `Fibre`.
+    """
+
+    kind: str = "n_wires"
+    centre: list[float] = field(default_factory=lambda: [0.0, 0.0, -0.05])
+    length: float = 0.04
+    width: float = 0.02
+    azimuth_deg: float = 90.0
+    level_db: float = 34.0
+    diffuse_db: float = -20.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_positive(length=self.length, width=self.width)
+        require_level(level_db=self.level_db)
+        require_levels(self.diffuse_db, 0.0)
+
+    def ends(self) -> NDArray[np.float64]:
+        """(3, 2, 3) start and end of each wire in T, in m; the slanting one is the second."""
+        angle = np.deg2rad(self.azimuth_deg)
+        along = 0.5 * self.length * np.array([np.cos(angle), np.sin(angle), 0])
+        across = 0.5 * self.width * np.array([-np.sin(angle), np.cos(angle), 0])
+        corners = [
+            [-along - across, along - across],
+            [-along - across, along + across],
+            [-along + across, along + across],
+        ]
+        return np.array(corners) + self.centre
+
+    def rods(self) -> list[Rod]:
+        """The three wires."""
+        return [Rod(start, end, self.level_db, self.diffuse_db) for start, end in self.ends()]

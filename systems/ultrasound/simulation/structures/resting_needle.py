@@ -1,0 +1,48 @@
+"""A second needle, or a guide wire, at rest in the tissue."""
+
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+
+from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.requirements import require
+from sonoservo.systems.ultrasound.simulation.needle_echo import NeedleEchoParameters
+from sonoservo.systems.ultrasound.simulation.structures.structure import Structure
+
+
+@dataclass(kw_only=True)
+class RestingNeedle(Structure):
+    """A straight needle that nobody moves; a thin one without reverberation is a guide wire.
+
+    Parameters
+    ----------
+    start, end
+        Entry and tip in T, in m.
+    diameter
+        Outer diameter in m; 1.27 mm is gauge 18, 0.89 mm a guide wire.
+    echo
+        See `NeedleEchoParameters`.
+    """
+
+    POINTS: ClassVar[tuple[str, ...]] = ("start", "end")
+
+    kind: str = "needle"
+    start: list[float] = field(default_factory=lambda: [-0.04, 0.0, -0.03])
+    end: list[float] = field(default_factory=lambda: [0.02, 0.0, -0.05])
+    diameter: float = 1.27e-3
+    echo: NeedleEchoParameters = field(default_factory=NeedleEchoParameters)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require(0 < self.diameter <= 5e-3, "diameter", self.diameter, "above 0, at most 5e-3 m")
+        require(self.start != self.end, "end", self.end, "another point than start")
+
+    @property
+    def reach(self) -> float:
+        """Radius in m."""
+        return self.diameter / 2
+
+    def needle(self) -> Needle:
+        """Return the needle in T."""
+        return Needle(np.array([self.start, self.end]), self.diameter / 2)

@@ -1,0 +1,106 @@
+"""Smooth surfaces as pieces small enough for the beam: points, normals and areas."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.requirements import require
+
+MAX_PIECES = 2_000_000
+"""Largest number of pieces of one surface."""
+
+
+@dataclass(frozen=True, eq=False)
+class Surface(Immutable):
+    """Pieces of a surface.
+
+    Parameters
+    ----------
+    points, normals
+        (n, 3) middles in T, in m, and outward unit normals.
+    areas
+        (n,) in m^2.
+    """
+
+    points: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    areas: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        count = len(self.points)
+        object.__setattr__(self, "points", read_only(self.points, "points", (count, 3)))
+        object.__setattr__(self, "normals", read_only(self.normals, "normals", (count, 3)))
+        object.__setattr__(self, "areas", read_only(self.areas, "areas", (count,)))
+
+
+@dataclass(frozen=True)
+class SurfaceEcho(Immutable):
+    """How a surface reflects.
+
+    Parameters
+    ----------
+    level_db
+        Echo's amplitude of a flat, large surface at normal incidence over the tissue's root mean
+        square, where the lens focuses.
+    diffuse_db
+        Level of the part that a rough surface scatters in all directions, relative to
+        ``level_db``.
+    shadow
+        Share of the amplitude that is lost behind the surface, both ways.
+    one_sided
+        Whether only the side that faces the probe reflects.
+    specular
+        Whether the surface is smooth enough to mirror sound; if not, all of the echo is diffuse.
+    reverberation_db
+        Level of each echo that returns once more by way of the probe's face, relative to the one
+        before; None for no such echoes.
+    ring_down_db, ring_down_length
+        Level at which the reverberation behind the surface begins, relative to the surface's echo,
+        and depth in m over which it falls by 20 dB; None for none.
+    """
+
+    level_db: float
+    diffuse_db: float = -20.0
+    shadow: float = 0.0
+    one_sided: bool = False
+    specular: bool = True
+    reverberation_db: float | None = None
+    ring_down_db: float | None = None
+    ring_down_length: float = 0.02
+
+
+def parametric(
+    position: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]],
+    lengths: tuple[float, float],
+    spacing: float,
+) -> Surface:
+    """Cut a parametric surface into near-square pieces.
+
+    Parameters
+    ----------
+    position
+        Points (n, 3) in m at parameters u and v, (n,) each from 0 to 1; the normal is the cross
+        product of the derivatives by u and by v.
+    lengths
+        Longest extents in m along u and v.
+    spacing
+        Largest distance between pieces, in m.
+    """
+    counts = [max(int(np.ceil(length / spacing)), 3) for length in lengths]
+    require(counts[0] * counts[1] <= MAX_PIECES, "surface", lengths, "smaller, in m")
+    u, v = (
+        axis.ravel()
+        for axis in np.meshgrid(
+            *((np.arange(count) + 0.5) / count for count in counts), indexing="ij"
+        )
+    )
+    step = 1e-5
+    along = (position(u + step, v) - position(u - step, v)) / (2 * step)
+    across = (position(u, v + step) - position(u, v - step)) / (2 * step)
+    normals = np.cross(along, across)
+    stretch = np.linalg.norm(normals, axis=1)
+    normals /= np.maximum(stretch, 1e-30)[:, np.newaxis]
+    return Surface(position(u, v), normals, stretch / len(u))

@@ -1,0 +1,130 @@
+"""Blood vessels: a dark lumen that pulsates between bright walls."""
+
+import itertools
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.ultrasound.simulation.axes import frame_along
+from sonoservo.systems.ultrasound.simulation.structures.structure import (
+    Structure,
+    Tube,
+    require_level,
+    require_levels,
+)
+from sonoservo.systems.ultrasound.simulation.structures.surface import (
+    Surface,
+    SurfaceEcho,
+    parametric,
+)
+
+
+@dataclass(kw_only=True)
+class Vessel(Structure):
+    """A vessel along a polyline.
+
+    Parameters
+    ----------
+    path
+        Points of its axis in T, in m.
+    radius
+        Mean inner radius, in m.
+    lumen_db
+        Level of the blood over the tissue.
+    level_db, diffuse_db, shadow
+        Of its wall, see `SurfaceEcho`.
+    pulsation, heart_rate
+        Amplitude of the radius relative to its mean (0.05 in a carotid artery, 0 in a vein), and
+        its frequency in Hz.
+    attenuation
+        Of blood, one way, in dB/(cm MHz): less than tissue's, so the tissue behind is brighter.
+    """
+
+    POINTS: ClassVar[tuple[str, ...]] = ("path",)
+
+    kind: str = "vessel"
+    path: list[list[float]] = field(
+        default_factory=lambda: [[-0.03, 0.0, -0.045], [0.03, 0.0, -0.045]]
+    )
+    radius: float = 3e-3
+    lumen_db: float = -35.0
+    level_db: float = 36.0
+    diffuse_db: float = -16.0
+    shadow: float = 0.0
+    pulsation: float = 0.05
+    heart_rate: float = 1.2
+    attenuation: float = 0.18
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require(len(self.path) >= 2, "path", self.path, "at least two points")
+        steps = np.linalg.norm(np.diff(self.path, axis=0), axis=1)
+        require(bool((steps > 1e-6).all()), "path", self.path, "points apart from each other")
+        require_positive(radius=self.radius, heart_rate=self.heart_rate)
+        require(self.radius <= 0.05, "radius", self.radius, "at most 0.05 m")
+        require_not_negative(pulsation=self.pulsation, attenuation=self.attenuation)
+        require(self.pulsation <= 0.5, "pulsation", self.pulsation, "at most 0.5")
+        require_level(level_db=self.level_db, lumen_db=self.lumen_db)
+        require_levels(self.diffuse_db, self.shadow)
+
+    @property
+    def reach(self) -> float:
+        """Radius in m."""
+        return self.radius
+
+    def surfaces(
+        self, spacing: float, rng: np.random.Generator
+    ) -> list[tuple[Surface, SurfaceEcho]]:
+        """The wall of each straight piece."""
+        echo = SurfaceEcho(level_db=self.level_db, diffuse_db=self.diffuse_db, shadow=self.shadow)
+        walls = []
+        ends = np.array(self.path)
+        for start, end in itertools.pairwise(ends):
+            wall = _wall(start, end - start, self.radius, spacing)
+            # Where two pieces meet, what lies within the other one is no wall.
+            outside = np.ones(len(wall.points), bool)
+            for other, stop in itertools.pairwise(ends):
+                if other is not start and not np.array_equal(other, start):
+                    distance = distance_to_segment(wall.points, other, stop)
+                    outside &= distance > 0.98 * self.radius
+            walls.append(Surface(wall.points[outside], wall.normals[outside], wall.areas[outside]))
+        return [(wall, echo) for wall in walls]
+
+    def tubes(self) -> list[Tube]:
+        """The lumen."""
+        return [
+            Tube(
+                np.array(self.path),
+                self.radius,
+                self.lumen_db,
+                self.attenuation,
+                self.pulsation,
+                self.heart_rate,
+            )
+        ]
+
+
+def distance_to_segment(
+    points: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Distances in m of points (..., 3) from a straight segment."""
+    axis = end - start
+    share = np.clip((points - start) @ axis / (axis @ axis), 0, 1)
+    return np.linalg.norm(points - start - share[..., np.newaxis] * axis, axis=-1)
+
+
+def _wall(
+    start: NDArray[np.float64], axis: NDArray[np.float64], radius: float, spacing: float
+) -> Surface:
+    _, across, up = frame_along(axis)
+
+    def position(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+        angle = -2 * np.pi * v[:, np.newaxis]
+        around = radius * (np.cos(angle) * across + np.sin(angle) * up)
+        return start + u[:, np.newaxis] * axis + around
+
+    lengths = (float(np.linalg.norm(axis)), 2 * np.pi * radius)
+    return parametric(position, lengths, spacing)

@@ -1,0 +1,186 @@
+import weakref
+
+import numpy as np
+import pytest
+from explanations import NEEDLE, empty_look, estimate, small_volume
+from pydrake.common.value import Value
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
+
+from sonoservo.systems.evaluation.explanation.explanation_files import FOLDER, read_explanations
+from sonoservo.systems.evaluation.explanation.explanation_recorder import ExplanationRecorder
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.needle_estimate import TrackingMode
+
+TRACKING, COASTING = TrackingMode.TRACKING, TrackingMode.COASTING
+SEARCHING = TrackingMode.SEARCHING
+NOTHING = NotFound("nothing was looked for")
+
+
+class Bench:
+    """A recorder and a context of it, given one volume after the other."""
+
+    def __init__(self, folder, **options):
+        self.recorder = ExplanationRecorder(folder=folder, **options)
+        self.context = self.recorder.CreateDefaultContext()
+
+    def fix(self, port, value):
+        self.recorder.GetInputPort(port).FixValue(self.context, Value[object](value))
+
+    def see(self, time, after, **more):
+        given = {"volume": small_volume(time), "estimate": after}
+        given["explanation"] = empty_look(time, NOTHING)
+        for port, value in (given | more).items():
+            self.fix(port, value)
+        self.recorder.ForcedPublish(self.context)
+
+
+def occasions(folder):
+    return [(float(each.volume_time), str(each.occasion)) for each in read_explanations(folder)]
+
+
+def test_volumes_around_a_change_of_mode_are_kept_at_once(tmp_path):
+    bench = Bench(tmp_path, before=2, after=1)
+    for time in range(5):
+        bench.see(time, estimate(time, SEARCHING))
+        assert occasions(tmp_path) == []
+    bench.see(5, estimate(5))
+    assert occasions(tmp_path) == [(3, "before"), (4, "before"), (5, "searching to tracking")]
+    bench.see(6, estimate(6))
+    bench.see(7, estimate(7))
+    bench.see(8, estimate(8))
+    assert occasions(tmp_path)[3:] == [(6, "after")]
+    bench.see(9, estimate(9, COASTING))
+    bench.see(10, estimate(10))
+    bench.see(11, estimate(11))
+    assert occasions(tmp_path)[4:] == [
+        (7, "before"),
+        (8, "before"),
+        (9, "tracking to coasting"),
+        (10, "coasting to tracking"),
+        (11, "after"),
+    ]
+    kept = read_explanations(tmp_path)[3]
+    assert (kept.mode_before, kept.mode_after, kept.before_time) == ("tracking", "tracking", 5)
+
+
+def test_the_first_detection_and_jumps_are_kept(tmp_path):
+    bench = Bench(tmp_path, before=0, after=0, max_jump=2e-3)
+    bench.see(0, estimate(0, SEARCHING), detection=NotFound("nothing changed"))
+    bench.see(1, estimate(1, SEARCHING), detection="something")
+    bench.see(2, estimate(2, SEARCHING), detection="something")
+    bench.see(3, estimate(3))
+    bench.see(4, estimate(4, tip=NEEDLE[1] + [1e-3, 0, 0]))
+    bench.see(5, estimate(5, tip=NEEDLE[1] + [4e-3, 0, 0]))
+    assert occasions(tmp_path) == [
+        (1, "first detection"),
+        (3, "searching to tracking"),
+        (5, "tip jumped 3.0 mm"),
+    ]
+
+
+def test_a_volume_counts_once_and_only_once_it_was_tracked_in(tmp_path):
+    bench = Bench(tmp_path, before=5)
+    bench.see(0, estimate(0, SEARCHING), volume=NotFound("no sweep is complete"))
+    bench.see(1, estimate(0, SEARCHING))  # the tracker has yet to look at it
+    bench.see(1, estimate(1, SEARCHING))
+    bench.see(1, estimate(1, SEARCHING))
+    bench.see(2, estimate(2, SEARCHING), explanation=NotFound("the tracker does not explain"))
+    bench.see(3, estimate(3))
+    assert occasions(tmp_path) == [(1, "before"), (3, "searching to tracking")]
+
+
+def test_no_more_volumes_are_in_memory_than_may_be_written(tmp_path):
+    bench = Bench(tmp_path, before=2, after=2)
+    seen = []
+    for time in range(40):
+        volume = small_volume(time)
+        seen.append(weakref.ref(volume))
+        mode = COASTING if time % 11 == 10 else TRACKING
+        bench.see(time, estimate(time, mode), volume=volume)
+        del volume
+        assert sum(each() is not None for each in seen) <= 3
+
+
+class Loop(LeafSystem):
+    """Volumes, and a tracker that loses the needle in every fifth of them."""
+
+    def __init__(self):
+        super().__init__()
+        for port, make in (
+            ("volume", small_volume),
+            ("explanation", lambda time: empty_look(time, NOTHING)),
+            ("estimate", lambda t: estimate(t, COASTING if round(t) % 5 == 4 else TRACKING)),
+        ):
+            self.DeclareAbstractOutputPort(
+                port,
+                lambda: Value[object](),
+                lambda context, output, make=make: output.set_value(
+                    make(float(np.floor(context.get_time())))
+                ),
+            )
+
+
+def simulate(folder):
+    builder = DiagramBuilder()
+    loop = builder.AddSystem(Loop())
+    recorder = builder.AddSystem(
+        ExplanationRecorder(folder=folder, before=0, after=0, period=1.0, offset=0.5)
+    )
+    for port in ("volume", "estimate", "explanation"):
+        builder.Connect(loop.GetOutputPort(port), recorder.GetInputPort(port))
+    return Simulator(builder.Build())
+
+
+def test_each_run_begins_anew_and_removes_the_files_of_the_one_before(tmp_path):
+    simulator = simulate(tmp_path)
+    simulator.AdvanceTo(10)
+    first = occasions(tmp_path)
+    assert first == [
+        (0, "first volume"),
+        (4, "tracking to coasting"),
+        (5, "coasting to tracking"),
+        (9, "tracking to coasting"),
+    ]
+    simulator.get_mutable_context().SetTime(0.0)
+    simulator.Initialize()
+    simulator.AdvanceTo(5)
+    assert occasions(tmp_path) == first[:2]
+
+
+def test_contexts_of_one_diagram_remember_for_themselves(tmp_path):
+    bench = Bench(tmp_path, before=1, after=0)
+    bench.see(0, estimate(0, SEARCHING))
+    context = bench.context
+    bench.context = bench.context.Clone()
+    bench.see(1, estimate(1, SEARCHING))
+    bench.context = context
+    bench.see(2, estimate(2))
+    assert occasions(tmp_path) == [(0, "before"), (2, "searching to tracking")]
+
+
+def test_a_run_in_which_nothing_happens_leaves_an_empty_folder(tmp_path):
+    bench = Bench(tmp_path / "run")
+    for time in range(5):
+        bench.see(time, estimate(time, SEARCHING))
+    assert [path.name for path in (tmp_path / "run").rglob("*")] == [FOLDER]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"before": -1}, "before: -1"),
+        ({"after": -1}, "after: -1"),
+        ({"max_jump": 0.0}, "max_jump: 0.0"),
+        ({"period": 0.0}, "period: 0.0"),
+    ],
+)
+def test_parameters_are_checked(tmp_path, options, message):
+    with pytest.raises(ValueError, match=message):
+        ExplanationRecorder(folder=tmp_path, **options)
+
+
+def test_a_wrong_value_is_refused(tmp_path):
+    bench = Bench(tmp_path)
+    with pytest.raises(TypeError, match=r"'explanation' .* received a NeedleEstimate"):
+        bench.see(0, estimate(0), explanation=estimate(0))

@@ -1,0 +1,181 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from explanations import ENTRY, NEEDLE, SCENE, empty_look, estimate, explained, predicted
+from matplotlib.patches import Ellipse
+from scipy.stats import chi2
+
+from sonoservo.systems.evaluation.explanation.explained_volume import explain_volume
+from sonoservo.systems.evaluation.explanation.explanation_sheet import describe, plot_explanation
+from sonoservo.systems.evaluation.plots import png
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.needle_estimate import TrackingMode
+
+
+def line(axes, label):
+    """(m, 2) data of the line of a label."""
+    (found,) = [each for each in axes.lines if each.get_label() == label]
+    return np.column_stack(found.get_data()).astype(float)
+
+
+def labels(axes):
+    return set(axes.get_legend_handles_labels()[1])
+
+
+@pytest.fixture(scope="module")
+def found():
+    return explained(occasion="first detection")
+
+
+@pytest.fixture(scope="module")
+def failed():
+    return explained(found=False)
+
+
+def draw(volume, **options):
+    figure = plot_explanation(volume, **options)
+    beam, profile, cross, gate, *_ = figure.axes
+    return figure, beam, cross, profile, gate
+
+
+def test_slices_show_the_needle_in_mm(found):
+    figure, beam, cross, _, _ = draw(found, needle=found.to_probe(NEEDLE))
+    truth = line(beam, "true needle (truth)")
+    # Depth in P, and the distance from the measured tip; 30 mm long, seen from its side.
+    depth = 1e3 * found.to_probe(NEEDLE)[:, 1]
+    np.testing.assert_allclose(truth[:, 1], depth)
+    assert abs(truth[-1, 0]) < 2
+    np.testing.assert_allclose(np.linalg.norm(np.diff(truth, axis=0)), 30, atol=0.3)
+    measured = line(beam, "measured needle")
+    assert np.linalg.norm(measured[-1] - truth[-1]) < 2
+    np.testing.assert_allclose(measured[-1, 0], 0, atol=1e-9)
+    np.testing.assert_allclose(line(cross, "measured needle")[-1], 0, atol=1e-9)
+    assert beam.get_ylabel() == "depth, mm"
+    assert beam.get_xlabel() == "along the measured needle, mm from its tip"
+    for axes in (beam, cross):
+        left, right, bottom, top = axes.images[0].get_extent()
+        assert left < -25 < 0 < right
+        assert bottom > top  # the probe is at the top
+        assert axes.get_xlim()[0] >= left
+    assert labels(beam) >= {
+        "region searched",
+        "candidates",
+        "consensus inliers",
+        "fitted axis",
+        "predicted needle",
+        "measured needle",
+        "measured tip, 95 %",
+        "true needle (truth)",
+    }
+    assert len(png(figure)) > 10_000
+
+
+def test_candidates_inliers_and_region(found):
+    _, beam, _, _, _ = draw(found)
+    candidates, inliers = beam.collections[:2]
+    assert len(candidates.get_offsets()) == len(found.candidates)
+    np.testing.assert_allclose(np.sort(found.weights), candidates.get_array())
+    assert len(inliers.get_offsets()) == found.inliers.sum() > 10
+    (region,) = [each for each in beam.patches if each.get_label() == "region searched"]
+    outline = region.get_xy()
+    curve = 1e3 * NEEDLE
+    width = np.linalg.norm(outline[0] - outline[-2])
+    np.testing.assert_allclose(width, 2e3 * found.region_radius, rtol=1e-3)
+    reach = 30 + 1e3 * (found.region_before + found.region_beyond)
+    shown = np.linalg.norm(curve[1] - curve[0]) / 30 * reach
+    np.testing.assert_allclose(np.linalg.norm(outline[30] - outline[0]), shown, rtol=0.02)
+    assert "true needle (truth)" not in labels(beam)
+
+
+def test_the_ellipse_has_the_tip_with_95_percent(found):
+    _, beam, _, _, _ = draw(found)
+    (ellipse,) = [each for each in beam.patches if isinstance(each, Ellipse)]
+    X_PS = found.beam_X_PS
+    R_SW = X_PS[:3, :2].T @ found.X_WP[:3, :3].T
+    covariance = 1e6 * R_SW @ found.measured_tip_covariance @ R_SW.T
+    points = np.random.default_rng(0).multivariate_normal(ellipse.center, covariance, 20_000)
+    angle = np.radians(ellipse.angle)
+    turned = (points - ellipse.center) @ [
+        [np.cos(angle), -np.sin(angle)],
+        [np.sin(angle), np.cos(angle)],
+    ]
+    inside = np.sum((turned / [ellipse.width / 2, ellipse.height / 2]) ** 2, axis=1) < 1
+    assert inside.mean() == pytest.approx(0.95, abs=0.01)
+    area = np.pi * chi2.ppf(0.95, 2) * np.sqrt(np.linalg.det(covariance))
+    assert np.pi / 4 * ellipse.width * ellipse.height == pytest.approx(area)
+
+
+def test_profile_against_distance(found):
+    _, _, _, profile, _ = draw(found, needle=found.to_probe(NEEDLE))
+    level, threshold = line(profile, "level"), line(profile, "threshold: 3 dB over it")
+    background = line(profile, "background")
+    np.testing.assert_allclose(level[:, 0], 1e3 * (found.profile_a - found.profile_a[0]))
+    seen = found.profile_seen
+    np.testing.assert_array_equal(level[seen, 1], found.profile_level[seen])
+    assert np.isnan(level[~seen, 1]).all()
+    np.testing.assert_allclose(threshold[seen, 1], background[seen, 1] + 3)
+    tip = line(profile, "tip found")[0, 0]
+    assert tip == pytest.approx(1e3 * (found.tip - found.profile_a[0]))
+    assert line(profile, "true tip (truth)")[0, 0] == pytest.approx(tip, abs=1.5)
+    assert line(profile, "tip predicted")[0, 0] == pytest.approx(tip, abs=1.5)
+    assert {"unseen", "taken for the needle"} <= labels(profile)
+    assert profile.get_xlabel() == "distance along the axis, mm"
+
+
+def test_a_true_tip_beyond_the_profile_is_shown_there(found):
+    far = found.to_probe([ENTRY, NEEDLE[1] + 40e-3 * (NEEDLE[1] - NEEDLE[0]) / 30e-3])
+    _, _, _, profile, _ = draw(found, needle=far)
+    found_at, true_at = (line(profile, name)[0, 0] for name in ("tip found", "true tip (truth)"))
+    assert true_at - found_at == pytest.approx(40, abs=1.5)
+    assert profile.get_xlim()[1] > true_at > 1e3 * np.ptp(found.profile_a)
+
+
+def test_distances_from_the_predictions_against_the_gate(found):
+    kept = [
+        replace(found, volume_time=time, innovation=distance, gate=5.3)
+        for time, distance in ((0.0, 1.5), (0.303, np.nan), (12.0, 3.0))
+    ]
+    _, _, _, _, gate = draw(kept[0], kept=kept)
+    near = line(gate, "measurement")
+    np.testing.assert_allclose(near, [[0, 1.5], [0.303, np.nan]])
+    np.testing.assert_allclose(line(gate, "none compared"), [[0.303, 0]])
+    assert line(gate, "gate 5.3")[0, 1] == 5.3
+    assert line(gate, "this volume")[0, 0] == 0
+
+
+def test_a_failure_shows_what_there_is(failed):
+    figure, beam, _, _, gate = draw(failed)
+    assert "measured needle" not in labels(beam)
+    assert beam.get_title(loc="left") == "Slice along the beam, through the predicted needle"
+    assert "gate" not in str(labels(gate))
+    assert figure.get_suptitle() == describe(failed)
+
+
+def test_before_anything_was_searched_there_are_two_slices_and_the_reason():
+    volume = SCENE.volume(0)
+    reason = NotFound("no needle has been detected")
+    after = estimate(volume.time, TrackingMode.SEARCHING)
+    kept = explain_volume(
+        volume, empty_look(volume.time, reason), before=None, after=after, occasion="before"
+    )
+    figure, beam, cross, profile, _ = draw(kept)
+    assert beam.get_title(loc="left") == "Slice at elevation 0"
+    assert (cross.get_xlabel(), cross.get_ylabel()) == ("elevation, mm", "depth, mm")
+    assert profile.texts[0].get_text() == "no axis was found"
+    assert png(figure)
+
+
+def test_a_prediction_outside_the_volume_is_said_so():
+    kept = explained(found=False, prediction=predicted(shift=1.0))
+    _, beam, cross, _, _ = draw(kept)
+    assert "it misses the volume" in [
+        text.get_text() for axes in (beam, cross) for text in axes.texts
+    ]
+
+
+def test_the_reason_in_words(found, failed):
+    first, second = describe(found, 2.34e-3).splitlines()
+    assert first == "0.00 s, tracking: the needle was confirmed"
+    assert second == "first detection; estimated tip 2.3 mm from the true one"
+    assert describe(failed).startswith("0.00 s, tracking → coasting: ")
