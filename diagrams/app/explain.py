@@ -1,4 +1,4 @@
-"""What a tracker looked at in the volumes that a run kept: a table, and a sheet of each."""
+"""Explanations of a tracker's decisions in the kept volumes of a run, as a table and as figures."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,21 +20,21 @@ from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.files.typed_yaml import ConfigurationError
 
 _TOLERANCE = 1.0
-"""Time in s before the first and after the last kept volume that still counts as near them."""
+"""Time in s before the first and after the last kept volume that is still accepted."""
 
 
 @dataclass(frozen=True, eq=False)
 class ExplainedRun:
-    """The explained volumes of a run.
+    """Explained volumes of a run.
 
     Parameters
     ----------
     folder
         Folder of the run.
     kept
-        Volumes that were kept, in order of time; at least one.
+        Kept volumes in order of time; at least one.
     log
-        Log of the run, which has the truth; None if there is none.
+        Log of the run, which contains the truth; None if there is none.
     """
 
     folder: Path
@@ -42,7 +42,7 @@ class ExplainedRun:
     log: RunLog | None
 
     def tip_error(self, explained: ExplainedVolume) -> float:
-        """Distance from the estimated to the true tip after a volume in m; NaN if not known."""
+        """Return the distance from the estimated to the true tip after a volume, in m, or NaN."""
         if self.log is None or not len(self.log.volume_time):
             return float("nan")
         number = int(np.abs(self.log.volume_time - explained.volume_time).argmin())
@@ -71,12 +71,12 @@ class ExplainedRun:
         }
 
     def nearest(self, time: float) -> ExplainedVolume:
-        """Return the kept volume that is nearest to a time in s.
+        """Return the kept volume nearest to a time in s.
 
         Raises
         ------
         ConfigurationError
-            If the time lies before the first or after the last of them.
+            If the time lies before the first or after the last kept volume.
         """
         times = np.array([float(each.volume_time) for each in self.kept])
         if not times[0] - _TOLERANCE <= time <= times[-1] + _TOLERANCE:
@@ -87,7 +87,7 @@ class ExplainedRun:
         return self.kept[int(np.abs(times - time).argmin())]
 
     def sheet(self, explained: ExplainedVolume) -> Figure:
-        """Return the sheet of a kept volume; see `plot_explanation`."""
+        """Return the figure of a kept volume; see `plot_explanation`."""
         needle = imaged_needle(self.log, explained) if self.log is not None else None
         return plot_explanation(
             explained, kept=self.kept, needle=needle, tip_error=self.tip_error(explained)
@@ -105,7 +105,7 @@ def read_explained_run(folder: Path) -> ExplainedRun:
     Raises
     ------
     ConfigurationError
-        If there is no such folder, or nothing was kept in it; the message says what to do.
+        If there is no such folder, or it has no kept volumes; the message says what to do.
     """
     if not folder.is_dir():
         raise ConfigurationError(

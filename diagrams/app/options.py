@@ -68,9 +68,9 @@ FramesOption = Annotated[
     int | None, typer.Option(help="Frames per volume; by default, one sweep in either direction.")
 ]
 SpacingOption = Annotated[float, typer.Option(help="Size of reconstructed voxels, in mm.")]
-VolumesOption = Annotated[int | None, typer.Option(help="Live: number of volumes to end after.")]
+VolumesOption = Annotated[int | None, typer.Option(help="Live: end after this many volumes.")]
 PatienceOption = Annotated[
-    float | None, typer.Option(help="Live: time without a volume to end after, in s.")
+    float | None, typer.Option(help="Live: end if no volume arrives for this long, in s.")
 ]
 
 

@@ -68,7 +68,7 @@ def track_command(
     spacing: SpacingOption = 0.7,
     serve: Annotated[
         list[str] | None,
-        typer.Option(help="Live: address to send estimates to; the source's own to answer it."),
+        typer.Option(help="Live: address to send estimates to; the source's own is allowed."),
     ] = None,
     names: Annotated[
         list[str] | None,

@@ -1,6 +1,6 @@
-"""What a tracker looked at around a loss: kept while it runs, drawn afterwards.
+"""Explanations of a tracker's decisions around a loss: recorded during a run, drawn afterwards.
 
-It imports the log of a run from the room around it, `signals` and `files`.
+This room imports the log of a run from `evaluation`, and `signals`.
 """
 
 from lazy_loader import attach_stub

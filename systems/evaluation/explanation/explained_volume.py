@@ -1,4 +1,4 @@
-"""What a tracker looked at in one volume, as it is kept in a file."""
+"""Record of a tracker's search in one volume, in the form stored in a file."""
 
 from dataclasses import astuple, dataclass
 from typing import Annotated, Any, get_type_hints
@@ -26,11 +26,11 @@ _PIXEL = 0.5e-3
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ExplainedVolume(Log):
-    """Everything that a tracker looked at in one volume, and what it made of it.
+    """Record of a tracker's search in one volume, and of its result.
 
-    Positions are in m in the world frame W unless a column says otherwise. Of several searches in
-    the volume, region, candidates and profile are those of the one that decided. Steps that it did
-    not reach, and curves that are not there, have no rows or are NaN.
+    Positions are in m in the world frame W unless a column says otherwise. If there were several
+    searches in the volume, region, candidates and profile are those of the deciding one. Steps that
+    it did not reach, and curves that do not exist, have no rows or are NaN.
     """
 
     volume_time: Annotated[Array, Column("middle of the volume's acquisition", "s", ())]
@@ -93,7 +93,7 @@ class ExplainedVolume(Log):
 
     @property
     def motion(self) -> SweepMotion | None:
-        """When and from where each frame was acquired; None if that is not known."""
+        """Time and pose of each frame's acquisition; None if unknown."""
         if not len(self.frame_times):
             return None
         kinds = get_type_hints(SweepGeometry)
@@ -103,13 +103,13 @@ class ExplainedVolume(Log):
         return SweepMotion(geometry, int(self.direction), self.frame_times, self.frame_X_WP)
 
     def to_probe(self, p_W: Array) -> Array:
-        """Return (m, 3) positions in P at which the volume shows (m, 3) positions in W, in m."""
+        """Return the (m, 3) positions in P, in m, at which the volume shows positions in W."""
         return acquired_from(_Picture(RigidTransform(self.X_WP), self.motion), p_W)
 
 
 @dataclass(frozen=True)
 class _Picture:
-    """When and from where a volume was acquired, and nothing else of it."""
+    """Pose and motion of a volume's acquisition, without its intensities."""
 
     X_WP: RigidTransform
     motion: SweepMotion | None
@@ -118,8 +118,8 @@ class _Picture:
 def deciding_attempt(explanation: LocalizationExplanation) -> LocalizationAttempt | None:
     """Return the search that gave the measurement.
 
-    Without a measurement it is the search that came furthest, the last one of several; None if
-    nothing was searched.
+    Without a measurement, it is the search that got furthest, or the last of several such; None if
+    there was no search.
     """
     for attempt in explanation.attempts:
         if attempt.measurement is explanation.measurement:
@@ -140,18 +140,18 @@ def explain_volume(
     after: NeedleEstimate,
     occasion: str,
 ) -> ExplainedVolume:
-    """Describe what a tracker looked at in a volume.
+    """Return the record of a tracker's search in a volume.
 
     Parameters
     ----------
     volume
-        Volume that was looked at.
+        Volume that was searched.
     explanation
         Account of the search for the needle in it.
     before, after
-        Estimates before and after it; None before the first volume.
+        Estimates before and after the volume; None before the first one.
     occasion
-        Why it is kept.
+        Reason for keeping the record.
     """
     predicted, measured = explanation.prediction, explanation.measurement
     expected = predicted.curve if isinstance(predicted, NeedlePrediction) else None
@@ -186,7 +186,7 @@ def explain_volume(
 
 
 def _missing(column: Column) -> Array:
-    """An array of a column that nothing is known of."""
+    """Return the array of a column without data."""
     shape = [extent if isinstance(extent, int) else 0 for extent in column.shape]
     if column.dtype == "U":
         return np.full(shape, "")
@@ -194,7 +194,7 @@ def _missing(column: Column) -> Array:
 
 
 def _acquisition(volume: Volume) -> dict[str, Any]:
-    """When and from where a volume was acquired."""
+    """Return the times and poses of a volume's acquisition."""
     arrays: dict[str, Any] = {"X_WP": volume.X_WP.GetAsMatrix4()}
     if volume.motion is not None:
         arrays["frame_times"] = volume.motion.times
@@ -205,7 +205,7 @@ def _acquisition(volume: Volume) -> dict[str, Any]:
 
 
 def _slices(volume: Volume, curve: NeedleCurve | None) -> dict[str, Any]:
-    """The two orthogonal slices through a curve as the volume shows it."""
+    """Return the two orthogonal slices through a curve as the volume shows it."""
     arrays: dict[str, Any] = {"slice_origin": np.zeros(3)}
     if curve is not None:
         shown = NeedleCurve(acquired_from(volume, curve.control_points))
@@ -219,7 +219,7 @@ def _slices(volume: Volume, curve: NeedleCurve | None) -> dict[str, Any]:
 
 
 def _search(explanation: LocalizationExplanation) -> dict[str, Any]:
-    """What the search that decided looked at."""
+    """Return the steps of the deciding search."""
     compared = {"innovation": explanation.innovation, "gate": explanation.gate}
     arrays: dict[str, Any] = {name: value for name, value in compared.items() if value is not None}
     attempt = deciding_attempt(explanation)

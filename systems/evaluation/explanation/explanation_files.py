@@ -1,4 +1,4 @@
-"""Files in which explained volumes are kept: one for each, in a folder of the run's own."""
+"""Reader and writer of explained volumes: one file for each, in a subfolder of the run's folder."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ from sonoservo.systems.evaluation.explanation.explained_volume import ExplainedV
 from sonoservo.systems.evaluation.log import read_log, write_log
 
 FOLDER = "explanation"
-"""Folder of the explained volumes, in the folder of a run."""
+"""Name of the subfolder of the explained volumes."""
 
 _FILES = "*s.npz"
 

@@ -1,4 +1,4 @@
-"""The leaf that keeps what a tracker looked at around a loss."""
+"""The leaf that records a tracker's search in the volumes around a loss."""
 
 from collections import deque
 from dataclasses import dataclass, field
@@ -24,7 +24,7 @@ from sonoservo.systems.signals.volume import Volume
 
 @dataclass(frozen=True, eq=False)
 class _Look(Immutable):
-    """A volume that was looked at, and the estimates before and after it."""
+    """A volume that was searched, and the estimates before and after it."""
 
     volume: Volume
     explanation: LocalizationExplanation
@@ -34,7 +34,7 @@ class _Look(Immutable):
 
 @dataclass
 class _Run:
-    """What a run remembers: the volumes that may yet be written, and how many will be."""
+    """Memory of a run: the volumes that may still be written, and the number that will be."""
 
     waiting: deque[_Look] = field(default_factory=deque)
     following: int = 0
@@ -44,7 +44,7 @@ class _Run:
 
 
 class ExplanationRecorder(LeafSystem):
-    """Keeps what a tracker looked at in the volumes around a loss, one file for each.
+    """Records a tracker's search in the volumes around a loss, in one file for each.
 
     .. pydrake_system::
 
@@ -56,27 +56,28 @@ class ExplanationRecorder(LeafSystem):
         - detection (optional)
 
     A volume is kept when the tracker's mode changes, when an insertion is first detected and when
-    the estimated tip jumps (`find_occasion`), together with some volumes before and after it. They
-    are written at once, so an interrupted run has them too; in memory are never more than the
-    volumes that may turn out to come before such an occasion.
+    the estimated tip jumps (`find_occasion`), together with some volumes before and after it. The
+    records are written immediately, so an interrupted run has them too. Memory holds only the
+    volumes that may still turn out to precede such an occasion.
 
-    `explanation` is the tracker's `LocalizationExplanation` of the volume at the input. It is asked
-    for after the tracker's update, when the gate has judged the measurement: the needle is then
-    localized once more. No port carries the truth; it is in the log of the run.
+    `explanation` is the tracker's `LocalizationExplanation` of the volume at the input. It is
+    evaluated after the tracker's update, when the gate has judged the measurement, which localizes
+    the needle once more. No port carries the truth; it is in the log of the run.
 
-    What a run remembers is kept in its context. Each run begins anew: it removes the files of a run
-    before it.
+    The memory of a run is kept in its context. Each run starts with an empty memory, and removes
+    the files of an earlier run.
 
     Parameters
     ----------
     folder
         Folder of the run; the files are in its subfolder ``explanation``.
     before, after
-        Numbers of volumes that are kept before and after an occasion.
+        Numbers of volumes to keep before and after an occasion.
     max_jump
-        Distance in m up to which the tip may lie from where it was expected to go.
+        Largest distance of the tip from its expected position that is not a jump, in m.
     period, offset
-        Times in s at which to look for a new volume: a moment after the tracker has.
+        Period of the checks for a new volume and time of the first one, in s: shortly after the
+        tracker's.
     """
 
     def __init__(
@@ -116,7 +117,7 @@ class ExplanationRecorder(LeafSystem):
         vars(self._run_of(context)).update(vars(_Run()))
 
     def _look(self, context: Context) -> None:
-        """Look at the volume if the estimate was made with it, and is new."""
+        """Process the volume if it is new and the estimate was made from it."""
         run = self._run_of(context)
         if not run.begun:
             clear_explanations(self._folder)

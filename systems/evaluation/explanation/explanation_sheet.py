@@ -1,4 +1,4 @@
-"""A sheet that shows what a tracker looked at in one volume, beside the truth."""
+"""Figure of a tracker's search in one volume, beside ground truth."""
 
 from collections.abc import Sequence
 
@@ -21,7 +21,7 @@ _ACROSS = {"beam": "along", "cross": "across"}
 _SIDE = {"beam": "lateral", "cross": "elevation"}
 _OTHER = {"beam": "elevation", "cross": "lateral"}
 _MARGIN = 8.0
-"""Distance in mm from what is drawn in a slice to its edge."""
+"""Margin in mm around the lines drawn in a slice."""
 
 
 def plot_explanation(
@@ -31,23 +31,23 @@ def plot_explanation(
     needle: Array | None = None,
     tip_error: float = np.nan,
 ) -> Figure:
-    """Return a sheet of what a tracker looked at in a volume.
+    """Return a figure of a tracker's search in a volume.
 
-    On the left are two orthogonal slices through the needle, with all that was looked at projected
-    onto them; on the right are the intensity along the axis that was found, and the distances of
-    measurements from their predictions.
+    On the left are two orthogonal slices through the needle, with the region, the candidates and
+    the curves projected onto them. On the right are the intensity along the fitted axis, and the
+    distances of measurements from their predictions.
 
     Parameters
     ----------
     explained
         Volume to show.
     kept
-        All volumes kept of the run, for the distances from the predictions.
+        All kept volumes of the run, for the distances from the predictions.
     needle
         (m, 3) points of the true needle in P as the volume shows it (`imaged_needle`), entry to
-        tip, in m; None if it is not known.
+        tip, in m; None if unknown.
     tip_error
-        Distance from the estimated tip to the true one, in m; NaN if it is not known.
+        Distance from the estimated to the true tip, in m; NaN if unknown.
     """
     needle = np.zeros((0, 3)) if needle is None else needle
     figure = Figure(figsize=(15, 9.5), layout="constrained")
@@ -75,7 +75,7 @@ def plot_explanation(
 
 
 def describe(explained: ExplainedVolume, tip_error: float = np.nan) -> str:
-    """Return what became of a volume in words, on one or two lines; see `plot_explanation`."""
+    """Return a text of one or two lines about the result; parameters as in `plot_explanation`."""
     before, after = str(explained.mode_before), str(explained.mode_after)
     changed = bool(before) and before != after
     mode = f"{before} → {after}" if changed else after
@@ -89,7 +89,7 @@ def describe(explained: ExplainedVolume, tip_error: float = np.nan) -> str:
     if np.isfinite(explained.innovation):
         facts.append(f"innovation {explained.innovation:.1f}, gate {explained.gate:.1f}")
     if explained.leaves:
-        facts.append("the needle goes on beyond what was searched, so its tip was not seen")
+        facts.append("the needle extends beyond the region searched, so its tip was not seen")
     if len(explained.attempt_reasons) > 1:
         facts.append(f"{len(explained.attempt_reasons)} searches, the deciding one shown")
     title = f"{float(explained.volume_time):.2f} s, {mode}: {str(explained.reason) or nothing}"
@@ -97,7 +97,7 @@ def describe(explained: ExplainedVolume, tip_error: float = np.nan) -> str:
 
 
 def _draw_slice(axes: Axes, explained: ExplainedVolume, name: str, needle: Array) -> None:
-    """Draw the slice "beam" or "cross", and what was looked at."""
+    """Draw the slice "beam" or "cross", with the search projected onto it."""
     levels, X_PS = getattr(explained, f"{name}_slice"), getattr(explained, f"{name}_X_PS")
     through = str(explained.sliced)
     title = f"Slice {_ACROSS[name]} the beam, through the {through} needle"
@@ -105,10 +105,10 @@ def _draw_slice(axes: Axes, explained: ExplainedVolume, name: str, needle: Array
         title = f"Slice at {_OTHER[name]} 0"
     axes.set_title(title, loc="left", fontsize=11)
     if not levels.size:
-        axes.text(0.5, 0.5, "it misses the volume", ha="center", transform=axes.transAxes)
+        axes.text(0.5, 0.5, "the slice misses the volume", ha="center", transform=axes.transAxes)
         axes.set_axis_off()
         return
-    # Depth is that in P, and the other axes begin at the tip of the curve in the slice.
+    # Depth is measured in P; the other axes start at the tip of the curve in the slice.
     upright = abs(X_PS[1, 1]) > 1 - 1e-9
     origin = explained.slice_origin * ([1, 0, 1] if upright else [1, 1, 1])
     u, v = X_PS[:3, 0], X_PS[:3, 1]
@@ -152,7 +152,7 @@ def _draw_slice(axes: Axes, explained: ExplainedVolume, name: str, needle: Array
 
 
 def _draw_search(axes: Axes, explained: ExplainedVolume, show: object) -> Array:
-    """Draw region and candidates; return the corners of the region."""
+    """Draw region and candidates, and return the corners of the region."""
     assert callable(show)
     corners = np.zeros((0, 2))
     if len(explained.region):
@@ -176,7 +176,7 @@ def _draw_search(axes: Axes, explained: ExplainedVolume, show: object) -> Array:
 
 
 def _draw_tip(axes: Axes, explained: ExplainedVolume, R_SP: Array, tip: Array) -> None:
-    """Draw the ellipse that has the measured tip with a probability of 95 %."""
+    """Draw the 95 % confidence ellipse of the measured tip."""
     R_SW = R_SP @ RigidTransform(explained.X_WP).rotation().matrix().T
     values, vectors = np.linalg.eigh(R_SW @ explained.measured_tip_covariance @ R_SW.T)
     width, height = 2e3 * np.sqrt(chi2.ppf(0.95, 2) * values[::-1])
@@ -190,7 +190,7 @@ def _draw_tip(axes: Axes, explained: ExplainedVolume, R_SP: Array, tip: Array) -
 
 def _draw_profile(axes: Axes, explained: ExplainedVolume, needle: Array) -> None:
     """Draw the intensity along the axis."""
-    axes.set_title("Intensity along the axis that was found", loc="left", fontsize=11)
+    axes.set_title("Intensity along the fitted axis", loc="left", fontsize=11)
     if not len(explained.profile):
         axes.text(0.5, 0.5, "no axis was found", ha="center", transform=axes.transAxes)
         axes.set_axis_off()
@@ -259,12 +259,12 @@ def _draw_gate(axes: Axes, explained: ExplainedVolume, kept: Sequence[ExplainedV
 
 
 def _curve(points: Array) -> Array:
-    """Points along a curve through control points."""
+    """Return points along a curve, given its control points."""
     return NeedleCurve(points).position(np.linspace(0, 1, 31))
 
 
 def _reaching(explained: ExplainedVolume) -> Array:
-    """Points along the axis of the region, from where it begins to where it ends."""
+    """Return points along the region's axis, from one end of the region to the other."""
     curve = NeedleCurve(explained.region)
     chord = max(curve.chord, 1e-6)
     first = -float(explained.region_before) / chord
@@ -273,7 +273,7 @@ def _reaching(explained: ExplainedVolume) -> Array:
 
 
 def _outline(line: Array, radius: float) -> Array:
-    """Outline of a tube with round ends around a line in a plane."""
+    """Return the outline of a band of a given radius around a line in a plane."""
     forward = np.gradient(line, axis=0)
     length = np.linalg.norm(forward, axis=1, keepdims=True)
     aside = radius * np.stack([-forward[:, 1], forward[:, 0]], axis=1) / np.maximum(length, 1e-9)
@@ -281,7 +281,7 @@ def _outline(line: Array, radius: float) -> Array:
 
 
 def _frame(axes: Axes, drawn: Array, extent: tuple[float, float, float, float]) -> None:
-    """Limit a slice to what is drawn in it."""
+    """Limit a slice to the lines drawn in it."""
     left, right, bottom, top = extent
     if len(drawn):
         low, high = drawn.min(axis=0) - _MARGIN, drawn.max(axis=0) + _MARGIN
@@ -292,7 +292,7 @@ def _frame(axes: Axes, drawn: Array, extent: tuple[float, float, float, float]) 
 
 
 def _abscissa(a: Array, points: Array, point: Array) -> float:
-    """Abscissa of a point's foot on a line through points, beyond its ends too."""
+    """Return the abscissa of a point's projection onto a polyline, extended beyond its ends."""
     number = int(np.linalg.norm(points - point, axis=1).argmin())
     tangent = np.gradient(points, a, axis=0)[number]
     return float(a[number] + (point - points[number]) @ tangent)

@@ -1,17 +1,17 @@
-"""Occasions at which a volume is worth explaining."""
+"""Occasions on which a volume is worth explaining."""
 
 import numpy as np
 
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 
 BEFORE, AFTER = "before", "after"
-"""Occasions of the volumes that are kept because they lie around one."""
+"""Names for the volumes kept because they precede or follow an occasion."""
 
 
 def find_occasion(
     before: NeedleEstimate | None, after: NeedleEstimate, *, detected: bool, max_jump: float
 ) -> str:
-    """Return why a volume is worth explaining; an empty text if it is not.
+    """Return the reason why a volume is worth explaining; an empty text if it is not.
 
     Parameters
     ----------
@@ -20,7 +20,7 @@ def find_occasion(
     detected
         Whether this is the first volume in which an insertion was detected.
     max_jump
-        Distance in m up to which the tip may lie from where it was expected to go.
+        Largest distance of the tip from its expected position that is not a jump, in m.
     """
     if before is None:
         return "first volume" if after.mode == TrackingMode.TRACKING else ""
@@ -33,7 +33,7 @@ def find_occasion(
 
 
 def tip_jump(before: NeedleEstimate, after: NeedleEstimate) -> float:
-    """Distance in m of a tip from where the estimate before let it expect; 0 without either."""
+    """Return the distance in m of a tip from its expected position; 0 if there is no curve."""
     if before.curve is None or after.curve is None:
         return 0.0
     expected = before.curve.tip + before.tip_velocity * (after.time - before.time)

@@ -8,11 +8,11 @@ from sonoservo.systems.evaluation.run_errors import at_times
 from sonoservo.systems.evaluation.run_log import RunLog
 
 _POINTS_EACH = 4
-"""Points between neighbouring ones of the log."""
+"""Number of segments between neighbouring points of the log."""
 
 
 def imaged_needle(log: RunLog, explained: ExplainedVolume) -> Array:
-    """Return the true needle where a volume shows it, each point at the time it was acquired.
+    """Return the true needle as a volume shows it, with each point at the time of its acquisition.
 
     Parameters
     ----------
@@ -23,13 +23,14 @@ def imaged_needle(log: RunLog, explained: ExplainedVolume) -> Array:
 
     Returns
     -------
-    (m, 3) points along the needle in P, entry to tip, in m; none if it is outside or not known.
+    (m, 3) points along the needle in P, entry to tip, in m; none if it is outside the tissue or
+    unknown.
     """
     logged = np.linspace(0, 1, log.needle_points.shape[1])
     u = np.linspace(0, 1, _POINTS_EACH * (len(logged) - 1) + 1)
     times = np.full(len(u), float(explained.volume_time))
     p_P = np.zeros((0, 3))
-    for _ in range(3):  # where a point is depends on when it was acquired, and that on where it is
+    for _ in range(3):  # position and time of a point's acquisition depend on each other
         needles = at_times(log, log.needle_points, times)
         if not np.isfinite(needles).all():
             return np.zeros((0, 3))

@@ -1,13 +1,13 @@
-"""Axes along a direction, level across it and up from it."""
+"""Orthogonal axes along a direction, horizontally across it, and upwards from it."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 
 def frame_along(direction: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(3, 3) rows along a direction, level and across it, and up from it, in T.
+    """Return (3, 3) axes in T as rows: along a direction, horizontally across it, and upwards.
 
-    A vertical direction takes +X of T as across.
+    For a vertical direction, +X of T is the second axis.
     """
     along = direction / np.linalg.norm(direction)
     across = np.cross([0.0, 0.0, 1.0], along)

@@ -1,4 +1,4 @@
-"""Bright points that stand for the tissue's inclusions, wires and surfaces."""
+"""Bright points that represent the tissue's inclusions and wires."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ def inclusion_points(
     parts += [_ball_points(ball, beam.resolution_cell[reference], rng) for ball in tissue.balls]
     fibres = tissue.fibres + tissue.random_fibres.draw(tissue.size, rng)
     parts += [_fibre_points(fibre, beam, reference, rng) for fibre in fibres]
-    # Points a third of a wavelength apart mirror sound as a line does, at every angle.
+    # Points a third of a wavelength apart reflect sound like a line at every angle.
     parts += [
         _fibre_points(
             Fibre(

@@ -1,4 +1,4 @@
-"""How a steel needle echoes: along its shaft, at its tip, from every angle."""
+"""Echo of a steel needle along its shaft and at its tip, from every angle."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -43,19 +43,21 @@ class NeedleEchoParameters:
     shadow
         Share of the amplitude that is lost behind a needle in the middle of the beam.
     diffuse_lobe_deg
-        Angle to the normal at which the rough surface's echo has fallen to a half: a polished
-        needle is invisible at a steep angle. None for an echo in all directions alike.
+        Angle to the normal at which the rough surface's echo has fallen to one half. With a small
+        angle, as for a polished needle, a steep needle is invisible. None for the same echo in all
+        directions.
     fading_db, fading_length, fading_period
-        Standard deviation of the shaft's level along it and over time, in dB; 0 for none. Distance
-        in m and time in s over which it changes.
+        Standard deviation of the shaft's level along it and over time, in dB (0 for no fading), and
+        the distance in m and time in s over which the level changes.
     dimples_db, dimple_spacing, dimpled_length
-        Level of each dimple of an echogenic needle, over the tissue's root mean square, at every
-        angle alike; None for a smooth needle. Distance in m between rings of dimples, and length
-        in m of the shaft behind the tip that has them.
+        Level of each dimple of an echogenic needle, relative to the tissue's root mean square and
+        the same at every angle (None for a smooth needle), distance in m between rings of dimples,
+        and length in m of the dimpled part behind the tip.
     tip, tip_roll_deg
-        "plain" scatters alike in all directions. "bevel" is bright where its face looks at the
-        probe, "diamond" has three such faces and "blunt" one straight ahead. The angle turns the
-        faces about the axis, beyond the needle's own roll; at 0 the first one looks up.
+        Kind of tip, and rotation of its faces about the axis, in addition to the needle's own roll.
+        "plain" scatters equally in all directions. "bevel" is bright if its face is turned to the
+        probe, "diamond" has three such faces, and "blunt" has one facing forwards. At 0 deg, the
+        first face looks up.
     """
 
     specular_db: float = 40.0
@@ -100,12 +102,12 @@ class NeedleEchoParameters:
 
     @property
     def bevel_length(self) -> float:
-        """Length of the bevel over the needle's radius."""
+        """Ratio of the bevel's length to the needle's radius."""
         return 0.0 if self.tip == "blunt" else float(2 / np.tan(np.deg2rad(self.bevel_deg)))
 
     @property
     def varies(self) -> bool:
-        """Whether the echo depends on more than the place of the needle's points."""
+        """True if the echo depends on more than the position of the needle's points."""
         return (
             self.tip != "plain"
             or self.fading_db > 0
@@ -152,14 +154,14 @@ def reverberations(
 
 
 class NeedleFading:
-    """Level of a needle's shaft along it and over time: a smooth random field.
+    """Smooth random field of the shaft's level along a needle and over time.
 
     Parameters
     ----------
     parameters
-        Its strength, length and period.
+        Parameters with the strength, length and period of the fading.
     rng
-        Draws it.
+        Generator that draws the field.
     """
 
     def __init__(self, parameters: NeedleEchoParameters, rng: np.random.Generator) -> None:
@@ -170,7 +172,7 @@ class NeedleFading:
         self._level = parameters.fading_db * np.sqrt(2 / _WAVES)
 
     def level_db(self, from_tip: NDArray[np.float64], time: float) -> NDArray[np.float64]:
-        """Level in dB at distances (n,) in m from the tip, at a time in s."""
+        """Return the (n,) levels in dB at distances in m from the tip, at a time in s."""
         turns = np.multiply.outer(from_tip, self._along) + self._in_time * time + self._phase
         return self._level * np.cos(turns).sum(axis=-1)
 
@@ -184,22 +186,22 @@ def needle_view(
     centre_offset: float,
     times: NDArray[np.float64],
 ) -> NeedleView:
-    """How every frame sees the needle: what depends on angle, time and the tip's roll.
+    """Return the factors on a needle's echo in every frame, by angle, time and the tip's roll.
 
     Parameters
     ----------
     parameters, fading
-        Of the needle.
+        Parameters of the needle's echo, and its fading.
     beam
         Point spread function.
     needles
-        In T at each frame's time; empty ones are not seen.
+        Needle in T at each frame's time; empty ones are ignored.
     X_FT
-        (frames, 3, 4) pose of the tissue in each F.
+        (frames, 3, 4) poses of the tissue in each frame's F.
     centre_offset
         Distance in m from F's origin back to the array's centre of curvature.
     times
-        (frames,) in s.
+        (frames,) times of the frames, in s.
     """
     longest = max(needle.length for needle in needles if needle)
     nodes = int(np.ceil(longest / _NODE)) + 2
@@ -247,18 +249,20 @@ def _tip_factor(
     ray: NDArray[np.float64],
     roll: float,
 ) -> float:
-    """Amplitude of the tip's echo, relative to that of a face that looks at the probe.
+    """Return the amplitude of the tip's echo, relative to that of a face turned to the probe.
+
+    A matt face's echo falls with the square of the angle's cosine.
 
     Parameters
     ----------
     parameters
-        Tell the tip's faces. A matt face's echo falls with the square of the angle's cosine.
+        Parameters with the kind of tip.
     axes
-        (3, 3) rows along the needle, across and up from it, in F.
+        (3, 3) axes in F as rows: along the needle, across it, and upwards.
     ray
         (3,) direction in which sound arrives, in F.
     roll
-        Of the first face about the axis in rad; at 0 it looks up.
+        Rotation of the first face about the axis in rad; at 0 it looks up.
     """
     if parameters.tip == "plain":
         return 1.0
@@ -277,13 +281,13 @@ def _tip_factor(
 def rod_amplitudes(
     level_db: float, diffuse_db: float, beam: Beam, reference: int, points_per_wavelength: int = 8
 ) -> tuple[float, float, float]:
-    """Spacing in m, specular and diffuse amplitude of the points of a thin rod."""
+    """Return the spacing in m and the specular and diffuse amplitudes of a thin rod's points."""
     spacing = beam.wavelength / points_per_wavelength
     width = beam.lateral[reference]
-    # In phase, the points under the beam add up.
+    # The amplitudes of points in phase add up under the beam.
     length = np.sqrt(2 * np.pi) * width
     specular = 10 ** (level_db / 20) * spacing / length
-    # Out of phase, their intensities do.
+    # The intensities of points with random phases add up.
     length = np.sqrt(np.pi) * width
     diffuse = 10 ** ((level_db + diffuse_db) / 20) * np.sqrt(spacing / length)
     return spacing, specular, diffuse

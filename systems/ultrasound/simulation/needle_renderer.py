@@ -1,4 +1,4 @@
-"""A needle's echo in every frame: shaft, tip, reverberation and shadow."""
+"""Renderer of a needle's echo in every frame: shaft, tip, reverberation and shadow."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -26,18 +26,18 @@ _BENT_STEP = 1e-3
 
 
 class FrameViews(NamedTuple):
-    """How the frames of a sweep see the tissue."""
+    """Geometry and propagation of a sweep's frames, as needed to render a needle."""
 
     X_FT: NDArray[np.float64]
-    """(frames, 3, 4) pose of the tissue in each F."""
+    """(frames, 3, 4) poses of the tissue in each frame's F."""
     rays: Rays
     tables: DepthTables
     bent: View | None
-    """Where points appear; None if that is where they are."""
+    """Apparent positions of points; None if they equal the true ones."""
     transmission: NDArray[np.float32] | None
-    """(frames, lines, samples) factor on echoes from behind structures."""
+    """(frames, lines, samples) factors on echoes from behind structures."""
     times: NDArray[np.float64]
-    """(frames,) in s."""
+    """(frames,) times of the frames, in s."""
 
 
 class NeedleRenderer:
@@ -46,15 +46,15 @@ class NeedleRenderer:
     Parameters
     ----------
     parameters
-        How it echoes.
+        Parameters of the needle's echo.
     beam, geometry
         Point spread function, and geometry of the sweeps with lengths in the tissue.
     reference
-        Sample where the levels hold.
+        Sample at which the levels hold.
     pulses
-        Of the beam.
+        Pulses of the beam.
     seeds
-        Draw the needle's surface.
+        Random seeds of the needle's surface.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class NeedleRenderer:
 
     @property
     def varies(self) -> bool:
-        """Whether its echo changes with time."""
+        """True if the echo changes with time."""
         return self._parameters.fading_db > 0
 
     def add(self, iq: NDArray[np.complex64], needles: Sequence[Needle], views: FrameViews) -> None:
@@ -86,11 +86,11 @@ class NeedleRenderer:
         Parameters
         ----------
         iq
-            Changed.
+            Echoes, changed.
         needles
-            The needle in T at each frame's time, possibly empty; all have one radius.
+            Needle in T at each frame's time, possibly empty; all have the same radius.
         views
-            How the frames see the tissue.
+            Geometry and propagation of the frames.
         """
         parameters, X_FT = self._parameters, views.X_FT
         view = None
@@ -121,7 +121,7 @@ class NeedleRenderer:
         )
 
     def _pulse(self, radius: float) -> NDArray[np.float32]:
-        """Pulse with the reverberations within a needle of this radius."""
+        """Return the pulse with the reverberations inside a needle of this radius."""
         levels, distance = reverberations(self._parameters, radius, self._geometry.sound_speed)
         return self._tables.tabulate(levels, [n * distance for n in range(len(levels))])
 
@@ -129,7 +129,7 @@ class NeedleRenderer:
 def _apparent(
     needle: Needle, X_FT: NDArray[np.float64], view: View, frame: int
 ) -> NDArray[np.float64]:
-    """Points along a needle in T, (m, 3) in m, where a frame shows them."""
+    """Return the (m, 3) apparent positions in T, in m, of points along a needle in a frame."""
     if not needle:
         return needle.shaft
     count = max(int(np.ceil(needle.length / _BENT_STEP)), 1) + 1

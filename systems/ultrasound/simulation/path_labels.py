@@ -1,4 +1,4 @@
-"""Where sound is weakened or slowed differently than in plain tissue, in cubes."""
+"""Labels of cubes in which attenuation or speed of sound differ from those of plain tissue."""
 
 from typing import NamedTuple
 
@@ -14,17 +14,17 @@ _SPACING = 1e-3
 
 
 class PathLabels(NamedTuple):
-    """Labels of cubes, and what each does to sound on its way."""
+    """Labels of cubes, and the effects of each label on propagating sound."""
 
     labels: NDArray[np.uint8]
-    """(nx, ny, nz)."""
+    """(nx, ny, nz) labels."""
     origin: NDArray[np.float64]
     """(3,) corner of the first cube in T, in m."""
     spacing: float
     loss_rate: NDArray[np.float64]
-    """(labels,) attenuation both ways over the tissue's, in nepers per m."""
+    """(labels,) two-way attenuations relative to the tissue's, in nepers per m."""
     delay_rate: NDArray[np.float64]
-    """(labels,) path in m by which echoes appear deeper, for each m."""
+    """(labels,) path in m by which echoes appear deeper, per m of path."""
 
 
 def path_labels(
@@ -34,18 +34,18 @@ def path_labels(
     sound_speed: float,
     frequency: float,
 ) -> PathLabels | None:
-    """Label the cubes in which attenuation or speed differ; None if they do so nowhere.
+    """Label the cubes in which attenuation or speed differ; return None if there are none.
 
     Parameters
     ----------
     tissue
-        Tells attenuation, box and fat.
+        Tissue with its attenuation, box and fat.
     grid, tubes
         Labels in T or None, and lumens.
     sound_speed
-        Of plain tissue, in m/s.
+        Speed of sound in plain tissue, in m/s.
     frequency
-        Transmitted, in Hz.
+        Transmit frequency, in Hz.
     """
     plain = tissue.attenuation
     properties = () if grid is None else grid.properties
@@ -103,7 +103,7 @@ def _paint(
     radius: float,
     label: int,
 ) -> None:
-    """Label the cubes whose middles lie in a tube's straight piece."""
+    """Label the cubes whose centres lie in a straight piece of a tube."""
     low = np.floor((np.minimum(start, end) - radius - origin) / spacing).astype(int)
     high = np.ceil((np.maximum(start, end) + radius - origin) / spacing).astype(int)
     low, high = np.maximum(low, 0), np.minimum(high, labels.shape)

@@ -20,12 +20,12 @@ class PulseTables:
     beam
         Point spread function.
     pitch
-        Between samples, in m.
+        Distance between samples, in m.
 
     Attributes
     ----------
     lead
-        Samples from the beginning of a pulse to the one before its middle.
+        Number of samples from the beginning of a pulse to the one before its middle.
     """
 
     def __init__(self, beam: Beam, pitch: float) -> None:
@@ -38,7 +38,7 @@ class PulseTables:
     def tabulate(
         self, levels: Sequence[complex], distances: Sequence[float]
     ) -> NDArray[np.float32]:
-        """Echoes of given amplitudes at given distances in m: (2, FRACTIONS + 1, taps)."""
+        """Return a (2, FRACTIONS + 1, taps) pulse with echoes at given distances in m."""
         pitch = self._pitch
         taps = self._taps + int(np.ceil(distances[-1] / pitch))
         fraction = np.arange(FRACTIONS + 1)[:, np.newaxis] / FRACTIONS
@@ -53,16 +53,16 @@ class PulseTables:
     def ring_down(
         self, level_db: float, length: float, depth: float, rng: np.random.Generator
     ) -> NDArray[np.float32]:
-        """Noise-like reverberation behind an echo.
+        """Return the pulse of a noise-like reverberation behind an echo.
 
         Parameters
         ----------
         level_db, length
             See `SurfaceEcho`.
         depth
-            Deepest sample, in m.
+            Depth of the deepest sample, in m.
         rng
-            Draws the reverberation.
+            Generator that draws the reverberation.
         """
         distances = np.arange(1, min(_RING_DOWN_DECADES * length, depth) / _RING_DOWN_STEP)
         distances = distances * _RING_DOWN_STEP
@@ -74,7 +74,7 @@ class PulseTables:
 
 
 def stacked(tables: Sequence[NDArray[np.float32]]) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Join pulses of different lengths: (kinds, 2, FRACTIONS + 1, longest), and their lengths."""
+    """Stack pulses to (kinds, 2, FRACTIONS + 1, longest); return also their (kinds,) lengths."""
     taps = np.array([table.shape[2] for table in tables])
     joint = np.zeros((len(tables), *tables[0].shape[:2], taps.max()), np.float32)
     for place, table in zip(joint, tables, strict=True):

@@ -83,14 +83,14 @@ def line_rays(
 def depth_tables(
     beam: Beam, geometry: SweepGeometry, reference: int
 ) -> tuple[DepthTables, NDArray[np.float64]]:
-    """What depends on depth, and the beam's lateral sigma in lines, (samples,).
+    """Return the depth tables, and the beam's (samples,) lateral standard deviation in lines.
 
     Parameters
     ----------
     beam, geometry
         Point spread function, and geometry of the sweeps with lengths in the tissue.
     reference
-        Sample where the levels of bright points hold.
+        Sample at which the levels of bright points hold.
     """
     depths = geometry.sample_pitch * np.arange(geometry.samples)
     radii = np.maximum(geometry.array_radius + depths, geometry.sample_pitch)

@@ -39,14 +39,14 @@ from sonoservo.systems.ultrasound.transducer import Transducer
 class SweepRenderer:
     """Renders sweeps of one transducer over one tissue.
 
-    It models the motion of probe, tissue and needle within a sweep, to the phase of every
-    scatterer; the beam's width in all directions as it changes with depth; side lobes,
-    reverberation and shadow of the needle; structures and anatomy with their surfaces, shadows and
-    attenuation; another speed of sound than the scanner's, and a layer of fat that refracts; loss
-    of contact, attenuation as noise, and log compression. It does not model refraction elsewhere,
-    what wrong speeds do to the focus, multiple scattering other than between a surface and the
-    face, what the beam loses at the ends of the array, and, along the array, wave fronts that are
-    not centred on the array's own centre.
+    It models the motion of probe, tissue and needle within a sweep, down to the phase of every
+    scatterer; the depth-dependent width of the beam in all directions; side lobes, reverberation
+    and shadow of the needle; structures and anatomy with their surfaces, shadows and attenuation; a
+    speed of sound other than the scanner's, and a refracting layer of fat; loss of contact;
+    attenuation, as noise; and log compression. It does not model refraction elsewhere, the effect
+    of wrong speeds on the focus, multiple scattering other than between a surface and the face, the
+    loss of beam at the ends of the array or, along the array, wave fronts that are not centred on
+    the array's own centre.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ class SweepRenderer:
         width, length, height = tissue.size
         self._box = np.array([[-width / 2, -length / 2, -height], [width / 2, length / 2, 0]])
         sound_speed = tissue.sound_speed or imaging.sound_speed
-        # A sample is a time; lengths in the tissue are those of its own speed of sound.
+        # Samples are times; lengths in the tissue follow from its own speed of sound.
         ratio = sound_speed / imaging.sound_speed
         geometry = self.geometry
         if ratio != 1:
@@ -139,7 +139,7 @@ class SweepRenderer:
         self._noise = (10 ** ((parameters.noise_db + loss_db) / 20)).astype(np.float32)
         self._lines = {direction: line_rays(geometry, direction) for direction in (1, -1)}
         self._rays = {d: projection_rays(geometry, self.beam, d, pulses.lead) for d in (1, -1)}
-        # A sweep's worth of memory is taken once: the tissue's echoes, both ways, and the needle's.
+        # Sweep-sized memory is allocated once: tissue echoes in both directions, and needle echoes.
         self._tissue = {direction: self._empty() for direction in (1, -1)}
         self._views: dict[int, FrameViews] = {}
         self._tissue_keys = {1: b"", -1: b""}
@@ -148,7 +148,7 @@ class SweepRenderer:
     def tissue_echo(
         self, X_TP: NDArray[np.float64], direction: int, times: NDArray[np.float64] | None = None
     ) -> NDArray[np.complex64]:
-        """Echoes of the tissue and what is in it, without needle or noise.
+        """Return the echoes of the tissue and its contents, without the moving needle or noise.
 
         Parameters
         ----------
@@ -157,7 +157,7 @@ class SweepRenderer:
         direction
             +1 for a sweep towards +Z, -1 towards -Z.
         times
-            (frames,) in s, for what pulsates or fades; None for 0.
+            (frames,) times in s, for pulsation and fading; None for 0.
 
         Returns
         -------
@@ -284,7 +284,7 @@ class SweepRenderer:
         direction: int,
         times: NDArray[np.float64],
     ) -> FrameViews:
-        """Render all but the needle; return what the needle's echo needs besides."""
+        """Render everything except the needle; return the views needed for the needle's echo."""
         X_FT, rays = frame_poses(self._acoustic, X_TP), self._rays[direction]
         scene, tables = self._scene, self._tables
         view, gains, nodes_per_metre = scene.view(X_FT, float(rays.twist))
@@ -313,10 +313,10 @@ class SweepRenderer:
         direction: int,
         times: NDArray[np.float64] | None,
     ) -> NDArray[np.complex64]:
-        """See `echo`; the next call overwrites the result."""
+        """Return the echoes as `echo` does, in memory that the next call overwrites."""
         if times is None:
             times = np.zeros(len(X_TP))
-        # Rounded to 10 nm, 0.0003 rad of phase, so that a probe at rest finds its echoes again.
+        # Rounded to 10 nm, or 0.0003 rad of phase, so that a probe at rest reuses its echoes.
         X_TP = np.round(X_TP, 8)
         tissue = self._tissue[direction]
         key = X_TP.tobytes() + (times.tobytes() if self._varies else b"")
@@ -332,5 +332,5 @@ class SweepRenderer:
 
     @property
     def _varies(self) -> bool:
-        """Whether what is at rest looks different from one time to the next."""
+        """True if the image of a scene at rest changes over time."""
         return self._scene.varies or any(renderer.varies for _, renderer in self._resting)

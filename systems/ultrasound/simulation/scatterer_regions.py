@@ -1,4 +1,4 @@
-"""Where scatterers are stronger, weaker or fewer than in plain tissue, block by block."""
+"""Regions in which scatterers are stronger, weaker or fewer than in plain tissue, by block."""
 
 import itertools
 
@@ -15,16 +15,16 @@ from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 def scatterer_regions(
     tissue: Tissue, grid: AnatomyGrid | None, tubes: list[Tube], block_size: float
 ) -> Regions | None:
-    """Prepare lumens, labels and fat for the scatterers' kernel; None if all tissue is plain.
+    """Prepare lumens, labels and fat for the scatterers' kernel; return None for plain tissue.
 
     Parameters
     ----------
     tissue
-        Tells the box and the fat.
+        Tissue with its box and fat.
     grid
         Labels in T, or None.
     tubes
-        Lumens.
+        Lumens of vessels.
     block_size
         Edge of a block of scatterers in m; block (0, 0, 0) begins at T's origin.
     """
@@ -85,11 +85,11 @@ def _pairs(
 def _mixed_blocks(
     grid: AnatomyGrid, first: NDArray[np.int64], count: NDArray[np.int64], block_size: float
 ) -> NDArray[np.bool_]:
-    """(bx, by, bz) blocks in which some label is not plain tissue."""
+    """Return a (bx, by, bz) mask of the blocks with a label other than plain tissue."""
     special = np.array([each.level_db != 0 or each.density != 1 for each in grid.properties])
     mixed = special[grid.numbers]
     for axis in range(3):
-        # A cube counts for all blocks that it reaches into.
+        # A cube counts for all blocks that it overlaps.
         edges = (first[axis] + np.arange(count[axis] + 1)) * block_size
         cubes = (edges - grid.origin[axis]) / grid.spacing
         starts = np.clip(np.floor(cubes[:-1]).astype(int), 0, mixed.shape[axis] - 1)

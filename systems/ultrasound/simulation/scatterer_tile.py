@@ -1,4 +1,4 @@
-"""Scatterers that fill the tissue: a periodic tile, cut in blocks."""
+"""Scatterers that fill the tissue: a periodic tile, divided into blocks."""
 
 from typing import NamedTuple
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 BLOCKS = 8
-"""Blocks along an edge of the scatterer tile."""
+"""Number of blocks along an edge of the scatterer tile."""
 
 _SCATTERERS_PER_BLOCK = 160
 _MAX_BLOCK = 4e-3

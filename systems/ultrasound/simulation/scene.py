@@ -1,4 +1,4 @@
-"""The tissue's structures, prepared for the kernels."""
+"""Structures of a tissue, prepared for the kernels."""
 
 from dataclasses import dataclass
 
@@ -34,7 +34,7 @@ _ASIDE = 0.5e-3
 
 @dataclass(frozen=True)
 class _Pulse:
-    """Of a surface: how far it goes out, and how often."""
+    """Pulsation of a surface: amplitude in m and rate in Hz."""
 
     amplitude: float = 0.0
     rate: float = 1.0
@@ -44,29 +44,29 @@ class _Pulse:
 
 
 class Scene:
-    """Structures of a tissue as one beam sees them.
+    """Structures of a tissue, prepared for one beam.
 
     Parameters
     ----------
     tissue
-        What is scanned.
+        Tissue to scan.
     beam, geometry
         Point spread function, and geometry of the sweeps with lengths in the tissue.
     reference
-        Sample where the levels of surfaces hold.
+        Sample at which the levels of surfaces hold.
     pulses
-        Of the beam.
+        Pulses of the beam.
     block_size
         Edge of the scatterer tile's blocks, in m.
     sound_speed
-        Of the tissue, in m/s.
+        Speed of sound in the tissue, in m/s.
     frequency
-        Transmitted, in Hz.
+        Transmit frequency, in Hz.
 
     Attributes
     ----------
     regions, pieces
-        See the kernels; None if there are none.
+        Regions of other scattering and pieces of surfaces, for the kernels; None if there are none.
     pulses, taps
         See `render_surfaces`.
     """
@@ -122,11 +122,11 @@ class Scene:
 
     @property
     def varies(self) -> bool:
-        """Whether anything pulsates."""
+        """True if any structure pulsates."""
         return any(beat.amplitude > 0 for beat in self._growth)
 
     def radii(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(frames, tubes) radius in m of every lumen at (frames,) times in s."""
+        """Return the (frames, tubes) radii in m of all lumens at (frames,) times in s."""
         radii = [
             tube.radius * (1 + tube.pulsation * np.sin(2 * np.pi * tube.rate * times))
             for tube in self._tubes
@@ -134,26 +134,26 @@ class Scene:
         return np.stack(radii, axis=-1) if radii else np.zeros((len(times), 0))
 
     def growth(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(frames, surfaces) way in m by which surfaces lie further out."""
+        """Return the (frames, surfaces) outward displacements of surfaces at times in s, in m."""
         ways = [beat.at(times) for beat in self._growth]
         return np.stack(ways, axis=-1) if ways else np.zeros((len(times), 0))
 
     def view(
         self, X_FT: NDArray[np.float64], twist: float
     ) -> tuple[View | None, NDArray[np.float32] | None, float]:
-        """What the way through the tissue does to every frame's echoes.
+        """Return the effects of propagation through the tissue on every frame's echoes.
 
         Parameters
         ----------
         X_FT
-            (frames, 3, 4) pose of the tissue in each F.
+            (frames, 3, 4) poses of the tissue in each frame's F.
         twist
             Angle in rad by which the motor turns from one line to the next.
 
         Returns
         -------
-        How lines bend and echoes are late, or None; (frames, lines, nodes) factor on amplitudes, or
-        None; and nodes per metre.
+        Apparent positions from refraction and delay, or None; (frames, lines, nodes) factors on
+        amplitudes, or None; and nodes per metre.
         """
         if self._fat.thickness == 0 and self._paths is None:
             return None, None, 1 / _NODE
@@ -201,7 +201,7 @@ class Scene:
         return self._tabulated(medium), gains, 1 / _NODE
 
     def _tabulated(self, medium: Medium) -> View | None:
-        """Where points appear, or None if that is where they are."""
+        """Return the apparent positions of points; None if they equal the true ones."""
         if not medium.delays.size and not (medium.offsets > _NO_FAT).any():
             return None
         geometry = self._geometry
@@ -228,7 +228,7 @@ def _pieces(
     reference: int,
     rng: np.random.Generator,
 ) -> Pieces:
-    """Amplitudes of the surfaces' pieces: in phase, those under the beam add up to the level."""
+    """Return the surfaces' pieces, whose amplitudes under the beam add up in phase to the level."""
     counts = [len(surface.areas) for surface, _ in surfaces]
     require(sum(counts) <= _MAX_PIECES, "structures", sum(counts), "smaller: 3,000,000 pieces")
     none = [Surface(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))]

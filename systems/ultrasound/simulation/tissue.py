@@ -24,7 +24,7 @@ from sonoservo.systems.ultrasound.simulation.structures.resting_needle import Re
 from sonoservo.systems.ultrasound.simulation.structures.vessel import Vessel
 
 AnyStructure = Bone | Vessel | Fascia | Calcification | Gas | NWires | RestingNeedle
-"""Kinds of structures, which the field ``kind`` tells apart."""
+"""Kinds of structures, which the field ``kind`` selects."""
 
 
 @dataclass(kw_only=True)
@@ -157,12 +157,12 @@ class Tissue:
     structures
         Bone, vessels, fascia, calcifications, gas, N-wires and needles at rest.
     anatomy
-        A label map that fills the box, whose size is then the map's; None for even tissue.
+        Label map that fills the box, whose size is then the map's; None for homogeneous tissue.
     sound_speed
-        In m/s; None for the one that the scanner takes all tissue to have. With another one,
-        things appear deeper or shallower by the ratio of the two.
+        Speed of sound, in m/s; None for the one that the scanner assumes. With any other, objects
+        appear deeper or shallower by the ratio of the two.
     fat
-        A layer on top, slower than the tissue.
+        Layer of fat on top, with a lower speed of sound.
     seed
         Seed of the scatterers and the random fibres.
 
@@ -206,12 +206,12 @@ class Tissue:
             self._require_within(f"fibres[{number}].end", fibre.end)
 
     def placed(self, entry: ArrayLike, direction: ArrayLike) -> "Tissue":
-        """Return the tissue with all structures where they are wanted beside the needle's way.
+        """Return the tissue with its structures moved to their positions beside the needle's path.
 
         Parameters
         ----------
         entry, direction
-            (3,) where the needle enters, in m, and the direction of its axis, in T.
+            (3,) entry of the needle, in m, and (3,) direction of its axis, both in T.
         """
         if all(each.beside_needle is None for each in self.structures):
             return self
@@ -230,9 +230,9 @@ def load_tissue(name: str) -> Tissue:
     Parameters
     ----------
     name
-        Name of a file in ``models/phantoms`` ("agar"), or a path to such a YAML file, or to a label
-        map (NRRD or NIfTI) that has a YAML file of the same name beside it, which tells what its
-        labels are: ``tissue: {anatomy: {labels: [{label: 1, level_db: -6}, ...]}}``.
+        Name of a file in ``models/phantoms`` ("agar"), or path of such a YAML file or of a label
+        map (NRRD or NIfTI). Beside a label map, a YAML file of the same name must describe its
+        labels: ``tissue: {anatomy: {labels: [{label: 1, level_db: -6}, ...]}}``.
 
     Raises
     ------

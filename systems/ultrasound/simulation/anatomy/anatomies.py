@@ -1,4 +1,4 @@
-"""Anatomies by where they come from: a file of labels, or one that is made here."""
+"""Kinds of anatomy: a label map from a file, and a synthetic liver."""
 
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -40,12 +40,12 @@ LIVER_LABELS = (
 
 @dataclass(kw_only=True)
 class LabelMapAnatomy(AnatomyParameters):
-    """The anatomy of a file of labels.
+    """Anatomy from a label map in a file.
 
     Parameters
     ----------
     file
-        Path to NRRD or NIfTI.
+        Path of the NRRD or NIfTI file.
     """
 
     kind: str = "label_map"
@@ -66,7 +66,7 @@ class LiverAnatomy(AnatomyParameters):
     Parameters
     ----------
     seed
-        Draws how the veins run.
+        Random seed of the veins' course.
     """
 
     kind: str = "liver"
@@ -85,12 +85,12 @@ class LiverAnatomy(AnatomyParameters):
 def liver_label_map(seed: int = 0) -> LabelMap:
     """Return a synthetic liver, 160 x 80 x 120 mm, in voxels of 1 mm.
 
-    Labels are those of `LIVER_LABELS`, and 0 is parenchyma. The abdominal wall is in front.
+    The labels are those of `LIVER_LABELS`, and 0 is parenchyma. The abdominal wall is anterior.
 
     Parameters
     ----------
     seed
-        Draws how the veins run.
+        Random seed of the veins' course.
     """
     rng = np.random.default_rng([seed, 7])
     shape, step = (160, 80, 120), 1e-3
@@ -125,7 +125,7 @@ def liver_label_map(seed: int = 0) -> LabelMap:
 def _veins(
     rng: np.random.Generator,
 ) -> list[tuple[NDArray[np.float64], NDArray[np.float64], float]]:
-    """Segments of the hepatic veins, which branch away from where they leave the liver."""
+    """Return the segments of the hepatic veins, which branch from the point where they leave."""
     segments = []
     root = np.array([0.0, 0.060, 0.055])
     open_ends = [(root, np.array([heading, -0.12, -1.0]), 0.0042) for heading in (-0.75, 0.0, 0.7)]

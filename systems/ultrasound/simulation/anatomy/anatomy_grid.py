@@ -1,4 +1,4 @@
-"""Segmented anatomy as a phantom: what each label scatters, and the surfaces between labels."""
+"""Segmented anatomy as a phantom: acoustic properties of labels, and surfaces between them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -28,33 +28,33 @@ _TOPS = {
     "L": ((0, 0, -1), (0, 1, 0), (1, 0, 0)),
     "R": ((0, 0, 1), (0, 1, 0), (-1, 0, 0)),
 }
-"""X, Y and Z of T in the patient's frame, by the side of the patient that the probe is on."""
+"""Axes X, Y and Z of T in the patient's frame, by the side of the patient the probe is on."""
 
 
 @dataclass(kw_only=True)
 class LabelProperties:
-    """What one label of a map is made of, as sound sees it.
+    """Acoustic properties of one label of a map.
 
     Parameters
     ----------
     label, name
-        Number in the map, and a word for people.
+        Number of the label in the map, and its name.
     level_db
-        Mean echo intensity over that of plain tissue.
+        Mean echo intensity relative to that of plain tissue.
     density
-        Scatterers relative to plain tissue's: fewer of them give coarser speckle (a K distribution
-        of a smaller nu) at the same mean level.
+        Density of scatterers relative to plain tissue. Fewer scatterers give coarser speckle (a K
+        distribution with a smaller nu) at the same mean level.
     attenuation
-        One way, in dB/(cm MHz); None for plain tissue's.
+        One-way attenuation, in dB/(cm MHz); None for plain tissue's.
     sound_speed
-        In m/s; None for plain tissue's.
+        Speed of sound, in m/s; None for plain tissue's.
     boundary_db
-        Specular level of its surface, see `SurfaceEcho`; None for none.
+        Specular level of the label's surface (see `SurfaceEcho`); None for no surface.
     diffuse_db, shadow
-        Of its surface, see `SurfaceEcho`. A surface that takes more than half of the sound echoes
-        only on the side that faces the probe.
+        Diffuse level and shadow of the surface (see `SurfaceEcho`). A surface that blocks more than
+        half of the sound reflects only on the side that faces the probe.
     reverberation_db
-        See `SurfaceEcho`.
+        Level of the reverberation between surface and probe (see `SurfaceEcho`).
     """
 
     label: int = 0
@@ -87,7 +87,7 @@ class LabelProperties:
 
     @property
     def echo(self) -> SurfaceEcho | None:
-        """How its surface reflects, or None."""
+        """Return the reflection of the label's surface; None if it has no surface."""
         if self.boundary_db is None and self.shadow == 0:
             return None
         return SurfaceEcho(
@@ -106,13 +106,13 @@ class AnatomyGrid(Immutable):
     Parameters
     ----------
     numbers
-        (nx, ny, nz) uint8: number of each cube's entry in ``properties``.
+        (nx, ny, nz) uint8 indices of the cubes' entries in ``properties``.
     origin, spacing
         (3,) corner of the first cube in T, and edge of a cube, in m.
     properties
-        Of the labels.
+        Properties of the labels.
     surfaces
-        With their echoes.
+        Surfaces of the labels, with their echoes.
     """
 
     numbers: NDArray[np.uint8]
@@ -129,19 +129,19 @@ class AnatomyGrid(Immutable):
 
 @dataclass(kw_only=True)
 class AnatomyParameters:
-    """Where a label map goes, and what its labels are.
+    """Orientation and resampling of a label map, and the table of its labels.
 
     Parameters
     ----------
     top
-        Side of the patient that the probe is on: A(nterior), P(osterior), L(eft), R(ight),
-        S(uperior) or I(nferior). Z of T points there.
+        Side of the patient the probe is on, towards which Z of T points: A(nterior), P(osterior),
+        L(eft), R(ight), S(uperior) or I(nferior).
     spacing
-        Edge of the cubes that the map is resampled to, in m.
+        Edge of the cubes to which the map is resampled, in m.
     surface_spacing
         Distance between the pieces of surfaces, in m.
     labels
-        A table with an entry for every label of the map but 0, which is plain tissue.
+        Entries for every label of the map except 0, which is plain tissue.
     """
 
     top: str = "A"
@@ -160,10 +160,10 @@ class AnatomyParameters:
 
 
 def anatomy_grid(label_map: LabelMap, parameters: AnatomyParameters) -> AnatomyGrid:
-    """Turn a label map into cubes of the tissue frame, and extract the surfaces of its labels.
+    """Resample a label map to cubes of the tissue frame, and extract the surfaces of its labels.
 
-    Each label's smoothed share of the voxels around decides, so that neither coarse nor oblique
-    voxels show as steps.
+    The label of a cube is the one with the largest smoothed share of the voxels around it, so
+    coarse or oblique voxels leave no visible steps.
 
     Raises
     ------
@@ -229,7 +229,7 @@ def _share(
     to_voxel: NDArray[np.float64],
     shape: NDArray[np.int64],
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Index of the first cube that a label reaches, and its smoothed share of those cubes."""
+    """Return the index of the first cube that a label reaches, and its smoothed shares of cubes."""
     labels = label_map.labels
     low = np.maximum([each.start - _MARGIN for each in box], 0)
     high = np.minimum([each.stop + _MARGIN for each in box], labels.shape)
@@ -254,7 +254,7 @@ def _share(
 def _pose_in_tissue(
     label_map: LabelMap, top: str
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(4, 4) from voxels to T, and (3,) extents in T in m."""
+    """Return the (4, 4) transform from voxels to T, and the (3,) extents in T in m."""
     turn = np.eye(4)
     turn[:3, :3] = np.array(_TOPS[top])
     X = turn @ label_map.X_LV

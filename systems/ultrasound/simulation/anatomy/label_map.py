@@ -12,7 +12,7 @@ from sonoservo.systems.signals.immutable import Immutable, read_only
 from sonoservo.systems.signals.requirements import require
 
 MAX_VOXELS = 150_000_000
-"""Largest number of voxels that is read."""
+"""Largest number of voxels that a file may have."""
 
 LABEL_MAP_SUFFIXES = (".nrrd", ".nhdr", ".nii", ".nii.gz")
 
@@ -29,15 +29,15 @@ _SPACES = {
 
 @dataclass(frozen=True, eq=False)
 class LabelMap(Immutable):
-    """Labels of voxels, and where these lie.
+    """Labels of voxels, with their positions.
 
     Parameters
     ----------
     labels
-        (nx, ny, nz) uint16.
+        (nx, ny, nz) uint16 labels.
     X_LV
-        (4, 4) from a voxel's indices to its middle in the patient's frame L (axes to the left, to
-        the back and to the head), in m.
+        (4, 4) transform from a voxel's indices to its centre in the patient's frame L (axes to the
+        left, to the back and to the head), in m.
 
     Raises
     ------
@@ -66,7 +66,7 @@ class LabelMap(Immutable):
 
 
 def is_label_map(path: str | Path) -> bool:
-    """Whether a file's name is that of a label map."""
+    """Return True if a file's name has the suffix of a label map."""
     return str(path).lower().endswith(LABEL_MAP_SUFFIXES)
 
 
@@ -76,14 +76,14 @@ def read_label_map(path: str | Path) -> LabelMap:
     Parameters
     ----------
     path
-        To a file that ends in .nrrd, .nhdr, .nii or .nii.gz.
+        Path of a file that ends in .nrrd, .nhdr, .nii or .nii.gz.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     ValueError
-        Saying in one line why the file holds no label map.
+        If the file contains no valid label map; the message gives the reason in one line.
     """
     path = Path(path)
     if not path.is_file():
@@ -100,7 +100,7 @@ def write_label_map(path: str | Path, label_map: LabelMap) -> Path:
 
     Returns
     -------
-    The path.
+    Path of the file.
     """
     header = {
         "space": "left-posterior-superior",

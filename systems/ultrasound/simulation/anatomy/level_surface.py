@@ -1,4 +1,4 @@
-"""The surface at which a sampled field is one half, in pieces."""
+"""Extraction of the surface at which a sampled field is one half, in pieces."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,9 @@ def level_surface(
 ) -> Surface:
     """Extract the surface at which a field is 1/2, with normals towards smaller values.
 
-    Every cell between eight samples in which the field crosses 1/2 gives one piece. Within a cell
-    the field is taken as linear: f0 + g . x, x from 0 to 1. The area of its level set there is the
-    derivative of the volume below the level, which Scardovelli and Zaleski (2000) give,
+    Every cell between eight samples in which the field crosses 1/2 gives one piece. Within a cell,
+    the field is taken as linear: f0 + g . x, with x from 0 to 1. The area of its level set is the
+    derivative of the volume below the level (Scardovelli and Zaleski 2000),
 
         A = |g| / (2 g1 g2 g3) sum over corners s of (-1)^|s| max(c - g . s, 0)^2
 
@@ -26,7 +26,7 @@ def level_surface(
     Parameters
     ----------
     field
-        (nx, ny, nz) samples.
+        (nx, ny, nz) samples of the field.
     origin, spacing
         (3,) position of the first sample, and distance between samples, in m.
     """
@@ -55,7 +55,7 @@ def level_surface(
 
 
 def _crossed(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Cells whose corners are not all alike."""
+    """Return a mask of the cells whose corners are not all alike."""
     some, every = inside, inside
     for axis in range(3):
         low = [slice(None)] * 3
@@ -67,14 +67,14 @@ def _crossed(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _section(normal: NDArray[np.float64], offset: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Area in which a plane cuts the unit cube.
+    """Return the areas in which planes cut the unit cube.
 
     Parameters
     ----------
     normal
-        (n, 3) of unit length, not negative.
+        (n, 3) unit normals without negative components.
     offset
-        (n,) distance of the plane from the cube's middle along the normal.
+        (n,) distances of the planes from the cube's centre along the normals.
     """
     g = np.maximum(normal, _LEAST_SLOPE)
     level = offset + g.sum(axis=1) / 2

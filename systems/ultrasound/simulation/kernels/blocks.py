@@ -1,4 +1,4 @@
-"""Blocks of the scatterer tile that a frame meets, and the scatterers of one that count."""
+"""Selection of the scatterer tile's blocks that a frame meets, and of scatterers in a block."""
 
 import numpy as np
 from numba import njit

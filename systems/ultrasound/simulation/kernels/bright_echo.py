@@ -39,21 +39,21 @@ class NeedleEcho(NamedTuple):
 
 
 class NeedleView(NamedTuple):
-    """How every frame sees a needle whose echo varies along it, with the angle and in time."""
+    """Factors on a needle's echo in every frame, which vary along it, with angle and in time."""
 
     specular: NDArray[np.float64]
-    """(frames, nodes) factor on the specular amplitude along the shaft, from the tip."""
+    """(frames, nodes) factors on the specular amplitude along the shaft, from the tip."""
     diffuse: NDArray[np.float64]
-    """(frames, nodes) factor on the diffuse amplitude."""
+    """(frames, nodes) factors on the diffuse amplitude."""
     tips: NDArray[np.float64]
-    """(frames,) factor on the tip's amplitude."""
+    """(frames,) factors on the tip's amplitude."""
     points_per_node: float
     dimple: float
     """Amplitude of a dimple."""
     dimple_step: int
-    """Points from one dimple to the next."""
+    """Number of points from one dimple to the next."""
     dimpled: int
-    """Points behind the tip among which there are dimples."""
+    """Number of points behind the tip in the dimpled part."""
 
 
 @njit(**OPTIONS)
@@ -140,7 +140,7 @@ def render_points(  # type: ignore[no-untyped-def]
     rays, tables, pulse
         See `_add_point`.
     view
-        See `View`, or None.
+        Displacements by refraction, a `View`, or None.
     """
     frames, lines, samples = iq.shape
     taps = pulse.shape[2]
@@ -186,7 +186,7 @@ def render_needles(  # type: ignore[no-untyped-def]
     radius, echo, phases, rays, tables, pulse, view
         See `_add_needle`.
     transmission
-        (frames, lines, samples) float32 factor on echoes from behind structures, or None.
+        (frames, lines, samples) float32 factors on echoes from behind structures, or None.
     """
     frames, lines, samples = iq.shape
     taps = pulse.shape[2]
@@ -233,13 +233,13 @@ def _add_needle(  # type: ignore[no-untyped-def]
         Radius of the needle, in m. The front wall, which reflects the sound, is closer than the
         axis by this distance.
     echo
-        `NeedleEcho`.
+        Amplitudes of the needle's points.
     phases
         (n,) phases of the diffuse points in rad, tip first; used periodically.
     rays, tables, pulse
         See `_add_point`.
     view, frame
-        `NeedleView` or None, and the frame's number.
+        Factors on the echo, a `NeedleView` or None, and the frame's number.
     """
     bevel_points = max(int(echo.bevel * radius / echo.spacing), 1)
     bevel = echo.tip / np.sqrt(bevel_points)

@@ -59,9 +59,9 @@ def render_tissue(  # type: ignore[no-untyped-def]
     kernel
         Kernel from `line_kernel`.
     regions, radii
-        `Regions` or None, and (frames, tubes) radii of their tubes in m.
+        Regions of other scattering or None, and (frames, tubes) radii of their tubes in m.
     view
-        `View` or None.
+        Displacements by refraction, a `View`, or None.
     """
     frames, lines, samples = iq.shape
     pad = len(kernel.ends) // 2 + 1
@@ -149,7 +149,7 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
         (FRACTIONS + 1, 2 taps) envelope around a scatterer, every value twice; a multiple of
         `LANES` wide.
     regions, radii, view, frame
-        See `render_tissue`; the frame's number.
+        See `render_tissue`, and the frame's number.
     """
     block_size, positions, ranks, starts = tile
     lines = accumulator.shape[0]
@@ -174,7 +174,7 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
     A = X_FT
     widest = half_angle
     if view is not None:
-        # Lines that are bent outwards reach further, and what is slower appears deeper.
+        # Lines bent outwards reach further, and slower tissue appears deeper.
         widest *= _BENT
         straight_reach = thickness
         thickness += view.aside
@@ -206,7 +206,7 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                 if view is not None:
                     if abs(x) - (y + rays.centre_offset) * widest_slope > 2 * radius:
                         continue
-                    # Within a block, what bends the lines does so linearly.
+                    # Within a block, the displacement by refraction is taken as linear.
                     x, y, z = look_up(x, y, z, view, frame, node)
                     if abs(z) > straight_reach + support:
                         continue

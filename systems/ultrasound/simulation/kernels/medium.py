@@ -1,9 +1,9 @@
-"""Sound's way through layers of different speed: from where a thing is to where it appears.
+"""Propagation of sound through layers of different speed: true and apparent positions.
 
-A scanner takes all tissue to have one speed of sound and its lines to be straight. A layer of fat
-on the top of the tissue is slower, and refracts every line that meets its lower face at an angle
-(Snell's law). Behind it a point appears on the line that is bent to it, at the depth that the time
-of flight gives. Tissues of other speeds add to that time along the line.
+A scanner assumes a single speed of sound and straight lines. A layer of fat on top of the tissue is
+slower, and refracts every line that meets its lower face at an angle (Snell's law). A point behind
+it appears on the line that is bent towards it, at the depth given by the time of flight. Tissues
+with other speeds change that time along the line.
 """
 
 from typing import NamedTuple
@@ -20,42 +20,42 @@ _LEAST_COSINE = 0.1
 
 
 class Medium(NamedTuple):
-    """Layers in front of and around the structures; every frame has its own view of them."""
+    """Layers in front of and around the structures, in the coordinates of every frame."""
 
     normals: NDArray[np.float64]
-    """(frames, 3) unit normal in F of the lower face of the fat, away from the probe."""
+    """(frames, 3) unit normals in F of the lower face of the fat, away from the probe."""
     offsets: NDArray[np.float64]
-    """(frames,) distance in m of that face from F's origin along the normal; -1e9 for no fat."""
+    """(frames,) distances in m of that face from F's origin along the normal; -1e9 for no fat."""
     ratio: float
-    """Speed of sound in fat over that of the tissue."""
+    """Ratio of the speed of sound in fat to that in the tissue."""
     array_radius: float
     centre_offset: float
     delays: NDArray[np.float32]
-    """(frames, lines, nodes) path in m by which echoes appear deeper; (frames, 0, 0) for none."""
+    """(frames, lines, nodes) paths in m by which echoes appear deeper; (frames, 0, 0) for none."""
     lines_per_radian: float
     nodes_per_metre: float
 
 
 class View(NamedTuple):
-    """Where points in F appear, for every frame, tabulated over angle and depth."""
+    """Apparent positions of points in F for every frame, tabulated over angle and depth."""
 
     table: NDArray[np.float64]
-    """(frames, angles, depths, 15): apparent less true position, the derivative of the apparent
-    position by the true one, and the direction in which sound arrives."""
+    """(frames, angles, depths, 15) entries: apparent minus true position, derivative of the
+    apparent position by the true one, and direction in which sound arrives."""
     angles_per_radian: float
     middle: float
     """Index of the angle 0."""
     nearest: float
-    """Distance in m from the array's centre of the first depth."""
+    """Distance in m of the first depth from the array's centre of curvature."""
     depths_per_metre: float
     centre_offset: float
     aside: float
-    """Most that anything near a frame's plane appears further from it or nearer, in m."""
+    """Largest change of the distance from a frame's plane for points near it, in m."""
 
 
 @njit(**OPTIONS)
 def interpolated(table, line, node):  # type: ignore[no-untyped-def]
-    """Value of a (lines, nodes) table between its entries; constant beyond its edges."""
+    """Interpolate a (lines, nodes) table, held constant beyond its edges."""
     line = min(max(line, 0.0), table.shape[0] - 1.0)
     node = min(max(node, 0.0), table.shape[1] - 1.0)
     j = min(np.int64(line), table.shape[0] - 2)
@@ -68,7 +68,7 @@ def interpolated(table, line, node):  # type: ignore[no-untyped-def]
 
 @njit(**OPTIONS)
 def true_position(x, y, z, medium, frame):  # type: ignore[no-untyped-def]
-    """Where in F what appears at a point in F really is, in m."""
+    """Return the true position in F, in m, of an object that appears at a point in F."""
     delays = medium.delays[frame]
     dy = y + medium.centre_offset
     r = np.sqrt(x * x + dy * dy)
@@ -105,7 +105,7 @@ def true_position(x, y, z, medium, frame):  # type: ignore[no-untyped-def]
 
 @njit(**OPTIONS)
 def apparent_position(x, y, z, medium, frame):  # type: ignore[no-untyped-def]
-    """Where in F a point in F appears, in m: the inverse of `true_position`."""
+    """Return the apparent position in F, in m, of a point in F: the inverse of `true_position`."""
     ax = x
     ay = y
     az = z
@@ -119,20 +119,20 @@ def apparent_position(x, y, z, medium, frame):  # type: ignore[no-untyped-def]
 
 @njit(**OPTIONS)
 def linear_view(x, y, z, medium, frame, slope):  # type: ignore[no-untyped-def]
-    """Where a point in F appears, and how what is near it does.
+    """Return the apparent position of a point in F, and write its derivative.
 
     Parameters
     ----------
     x, y, z
-        The point, in m.
+        Coordinates of the point in F, in m.
     medium, frame
-        See `Medium`.
+        Layers, and the frame's number.
     slope
-        (3, 3) written: derivative of the apparent position by the true one.
+        (3, 3) derivative of the apparent position by the true one, written.
 
     Returns
     -------
-    The apparent position in F, in m.
+    Apparent position in F, in m.
     """
     ax, ay, az = apparent_position(x, y, z, medium, frame)
     x0, y0, z0 = true_position(ax, ay, az, medium, frame)
@@ -157,7 +157,7 @@ def linear_view(x, y, z, medium, frame, slope):  # type: ignore[no-untyped-def]
             c = (j + 1) % 3
             d = (j + 2) % 3
             slope[j, i] = (J[a, c] * J[b, d] - J[a, d] * J[b, c]) / determinant
-    # One step of Newton's method from where the iteration ended.
+    # One step of Newton's method from the end of the iteration.
     ax += slope[0, 0] * (x - x0) + slope[0, 1] * (y - y0) + slope[0, 2] * (z - z0)
     ay += slope[1, 0] * (x - x0) + slope[1, 1] * (y - y0) + slope[1, 2] * (z - z0)
     az += slope[2, 0] * (x - x0) + slope[2, 1] * (y - y0) + slope[2, 2] * (z - z0)
@@ -171,9 +171,9 @@ def tabulate_views(table, medium, view):  # type: ignore[no-untyped-def]
     Parameters
     ----------
     table
-        (frames, angles, depths, 15) float64, written: see `View`.
+        (frames, angles, depths, 15) float64 table of the `View`, written.
     medium, view
-        See `Medium` and `View`.
+        Layers, and the view that defines the table's axes.
     """
     for frame in prange(len(table)):
         slope = np.empty((3, 3))
@@ -204,20 +204,20 @@ def tabulate_views(table, medium, view):  # type: ignore[no-untyped-def]
 
 @njit(**OPTIONS)
 def look_up(x, y, z, view, frame, node):  # type: ignore[no-untyped-def]
-    """Interpolate a frame's view of a point.
+    """Interpolate a frame's view at a point.
 
     Parameters
     ----------
     x, y, z
-        The point in F, in m.
+        Coordinates of the point in F, in m.
     view, frame
-        See `View`; the frame's number.
+        View to interpolate, and the frame's number.
     node
-        (15,) written.
+        (15,) interpolated entries, written.
 
     Returns
     -------
-    Where the point appears in F, in m.
+    Apparent position of the point in F, in m.
     """
     table = view.table
     dy = y + view.centre_offset
@@ -239,7 +239,7 @@ def look_up(x, y, z, view, frame, node):  # type: ignore[no-untyped-def]
 
 @njit(**OPTIONS)
 def apparent_points(points, view, frame):  # type: ignore[no-untyped-def]
-    """Where (n, 3) points in F appear in a frame, (n, 3) in F, in m."""
+    """Return the (n, 3) apparent positions of (n, 3) points in a frame, both in F, in m."""
     seen = np.empty_like(points)
     node = np.empty(15)
     for i in range(len(points)):
@@ -261,21 +261,22 @@ def integrate_paths(  # type: ignore[no-untyped-def]
     line_pitch,
     twist,
 ):
-    """Add up, along every line, what attenuation and speed of sound do to what lies behind.
+    """Integrate the effects of attenuation and speed of sound along every line.
 
     Parameters
     ----------
     gains, delays
-        (frames, lines, nodes) float32 written: factor on the amplitude of echoes, and path in m by
-        which they appear deeper.
+        (frames, lines, nodes) float32 factors on the amplitude of echoes, and paths in m by which
+        they appear deeper; both written.
     X_TF
-        (frames, 3, 4) pose of each F in T.
+        (frames, 3, 4) poses of each F in T.
     medium
-        See `Medium`; its own delays are not used.
+        Layers; their own delays are not used.
     labels, origin, per_metre
-        (nx, ny, nz) uint8 labels of cubes, the first one's corner in T in m, and cubes per metre.
+        (nx, ny, nz) uint8 labels of cubes, corner of the first cube in T in m, and cubes per metre.
     loss_rate, delay_rate
-        (labels,) both ways' attenuation in nepers per m, and path by path, over the tissue's.
+        (labels,) two-way attenuation in nepers per m and additional path per path, both relative to
+        the tissue.
     line_pitch, twist
         Angle from one line to the next, along the array and about the motor's axis, in rad.
     """
@@ -311,7 +312,7 @@ def integrate_paths(  # type: ignore[no-untyped-def]
 
 @njit(**OPTIONS)
 def _row(row, x, y, z):  # type: ignore[no-untyped-def]
-    """One coordinate of a transformed point."""
+    """Return one coordinate of a transformed point."""
     return row[0] * x + row[1] * y + row[2] * z + row[3]
 
 
@@ -322,9 +323,9 @@ def expand_gains(transmission, gains, nodes_per_sample):  # type: ignore[no-unty
     Parameters
     ----------
     transmission, gains
-        (frames, lines, samples) float32, written, and (frames, lines, nodes).
+        (frames, lines, samples) float32 transmission, written, and (frames, lines, nodes) gains.
     nodes_per_sample
-        Nodes from one sample to the next.
+        Number of nodes from one sample to the next.
     """
     frames, lines, samples = transmission.shape
     last = gains.shape[2] - 2

@@ -1,4 +1,4 @@
-"""Parts of the tissue that scatter more, or less: labels of an anatomy, lumens of vessels, fat."""
+"""Parts of the tissue with other scattering: labels of an anatomy, lumens of vessels, and fat."""
 
 from typing import NamedTuple
 
@@ -12,60 +12,61 @@ _GOLDEN = 0.6180339887498949
 
 
 class Regions(NamedTuple):
-    """What scatters as other tissue than the rest."""
+    """Regions of the tissue with other scattering."""
 
     first_block: NDArray[np.int64]
-    """(3,) number of the first block, see `ScattererTile`."""
+    """(3,) number of the first block; see `ScattererTile`."""
     content: NDArray[np.int32]
-    """(bx, by, bz): -1 where a block is plain tissue, else the number of its list of segments."""
+    """(bx, by, bz) numbers of the blocks' lists of segments; -1 for plain tissue."""
     starts: NDArray[np.int32]
-    """(lists + 1,) where each list begins in ``members``."""
+    """(lists + 1,) start of each list in ``members``."""
     members: NDArray[np.int32]
     """Segments of tubes that may pass through a block."""
     ends: NDArray[np.float64]
     """(segments, 2, 3) ends of the tubes' segments in T, in m."""
     tubes: NDArray[np.int32]
-    """(segments,) tube that each belongs to."""
+    """(segments,) number of the tube that each segment belongs to."""
     tube_amplitudes: NDArray[np.float32]
-    """(tubes,) factor on the amplitude of scatterers within each."""
+    """(tubes,) factors on the amplitude of scatterers within each tube."""
     labels: NDArray[np.uint8]
     """(nx, ny, nz) labels of cubes."""
     origin: NDArray[np.float64]
     """(3,) corner of the first cube in T, in m."""
     per_metre: float
-    """Cubes per metre."""
+    """Number of cubes per metre."""
     amplitudes: NDArray[np.float32]
-    """(labels,) factor on the amplitude of scatterers."""
+    """(labels,) factors on the amplitude of scatterers."""
     shares: NDArray[np.float32]
-    """(labels,) of the scatterers that are there; the amplitude makes up for the others."""
+    """(labels,) shares of the scatterers that are kept; the amplitude compensates for the rest."""
     fat_thickness: float
-    """From the tissue's top, in m."""
+    """Thickness of the fat from the tissue's top, in m."""
     fat_amplitude: float
+    """Factor on the amplitude of scatterers in the fat."""
 
 
 @njit(**OPTIONS)
 def weigh_scatterers(  # type: ignore[no-untyped-def]
     chosen, count, xs, ys, zs, x0, y0, z0, block_list, cosine, sine, regions, radii
 ):
-    """Weigh the scatterers of one block by the region that they lie in.
+    """Weight the scatterers of one block by the region that they lie in.
 
     Parameters
     ----------
     chosen, count
-        Numbers of the block's scatterers, and how many of them count; those that the region lacks
-        are removed.
+        Indices of the block's scatterers, and the number of valid ones; scatterers that a region
+        lacks are removed.
     xs, ys, zs, x0, y0, z0
         Positions within the block, and its corner, in T, in m.
     block_list
-        The block's entry in ``regions.content``.
+        Entry of the block in ``regions.content``.
     cosine, sine
-        Amplitudes by scatterer, changed.
+        Amplitudes of the scatterers, changed.
     regions, radii
-        See `Regions`; (tubes,) radii in m at the frame's time.
+        Regions, and (tubes,) radii in m at the frame's time.
 
     Returns
     -------
-    How many are left.
+    Number of scatterers left.
     """
     nx, ny, nz = regions.labels.shape
     left = 0
@@ -80,7 +81,7 @@ def weigh_scatterers(  # type: ignore[no-untyped-def]
         c = np.int64(np.floor((z - regions.origin[2]) * regions.per_metre))
         if 0 <= a < nx and 0 <= b < ny and 0 <= c < nz:
             label = regions.labels[a, b, c]
-        # Scatterers are where they are at random: any rule that ignores their places thins them.
+        # Positions are random, so any rule that ignores them thins the scatterers at random.
         mark = np.float64(i) * _GOLDEN
         if mark - np.floor(mark) >= regions.shares[label]:
             continue
@@ -101,7 +102,7 @@ def weigh_scatterers(  # type: ignore[no-untyped-def]
 
 @njit(**OPTIONS)
 def _within(x, y, z, ends, radius):  # type: ignore[no-untyped-def]
-    """Whether a point lies within a radius of a straight segment, (2, 3)."""
+    """Return True if a point lies within a radius of a straight segment, (2, 3)."""
     ax = ends[1, 0] - ends[0, 0]
     ay = ends[1, 1] - ends[0, 1]
     az = ends[1, 2] - ends[0, 2]

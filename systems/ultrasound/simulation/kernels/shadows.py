@@ -1,4 +1,4 @@
-"""Shadows of surfaces, and how a layer of echoes joins those of the tissue."""
+"""Shadows of surfaces, and the addition of a layer of echoes to those of the tissue."""
 
 import numpy as np
 from numba import njit
@@ -10,10 +10,10 @@ _OPAQUE = np.float32(0.02)
 
 @njit(**OPTIONS)
 def cast_shadows(transmission, layer, loss, touched, margin, pad):  # type: ignore[no-untyped-def]
-    """Weaken a frame's transmission, (lines, samples), and its layer behind what takes sound.
+    """Weaken a frame's (lines, samples) transmission, and its layer, behind surfaces.
 
-    A surface does not shade its own echo: what it takes counts in the layer only ``margin``
-    samples behind.
+    A surface does not shadow its own echo: its loss affects the layer only from ``margin`` samples
+    behind it.
     """
     lines, samples = loss.shape
     for j in range(lines):
@@ -26,7 +26,7 @@ def cast_shadows(transmission, layer, loss, touched, margin, pad):  # type: igno
             layer[0, j, i + pad] *= through
             layer[1, j, i + pad] *= through
             through = np.float32(1) - taken
-            # Pieces cover an opaque surface to within a per cent.
+            # Pieces cover an opaque surface to within one per cent.
             transmission[j, i] *= through if through > _OPAQUE else np.float32(0)
             taken += loss[j, i]
             if i >= margin:

@@ -1,4 +1,4 @@
-"""Echoes of smooth surfaces, with their shadow, their reverberation and their ring-down."""
+"""Echoes of smooth surfaces, with shadow, reverberation and ring-down."""
 
 from typing import NamedTuple
 
@@ -28,33 +28,33 @@ class Pieces(NamedTuple):
     """Pieces of surfaces."""
 
     points: NDArray[np.float64]
-    """(n, 3) in T, in m."""
+    """(n, 3) positions in T, in m."""
     normals: NDArray[np.float64]
-    """(n, 3) outward, in T."""
+    """(n, 3) outward normals in T."""
     surfaces: NDArray[np.int64]
-    """(n,) surface that each belongs to."""
+    """(n,) number of the surface that each piece belongs to."""
     specular: NDArray[np.float64]
-    """(n,) amplitudes, all in phase."""
+    """(n,) specular amplitudes, all in phase."""
     diffuse: NDArray[np.complex128]
-    """(n,) amplitudes, in phases that the surface fixes."""
+    """(n,) diffuse amplitudes, with phases fixed by the surface."""
     blocked: NDArray[np.float64]
-    """(n,) area in m^2 that lets no sound through, both ways."""
+    """(n,) areas in m^2 that let no sound through, both ways."""
     steps: NDArray[np.float64]
-    """(n,) distance to the next piece in m."""
+    """(n,) distances to the next piece, in m."""
     one_sided: NDArray[np.bool_]
-    """(surfaces,) whether only the outer side reflects."""
+    """(surfaces,) True if only the outer side reflects."""
     reverberation: NDArray[np.float64]
-    """(surfaces,) amplitude of each echo by way of the face, relative to the one before."""
+    """(surfaces,) amplitude of each echo by way of the face, relative to the previous one."""
     pulses: NDArray[np.int64]
-    """(surfaces,) which pulse follows the echo of each; 0 for none."""
+    """(surfaces,) number of the pulse that follows the echo; 0 for none."""
 
 
 @njit(**OPTIONS)
 def _is_turned_away(i, X_FT, pieces, rays):  # type: ignore[no-untyped-def]
-    """Whether a piece that reflects on one side only surely faces away from the probe."""
+    """Return True if a piece that reflects on one side only certainly faces away from the probe."""
     if not pieces.one_sided[pieces.surfaces[i]]:
         return False
-    # The array's centre in T, from which sound comes.
+    # The array's centre in T, from which the sound comes.
     ahead = 0.0
     for axis in range(3):
         centre = 0.0
@@ -67,7 +67,7 @@ def _is_turned_away(i, X_FT, pieces, rays):  # type: ignore[no-untyped-def]
 
 @njit(**OPTIONS)
 def _in_frame(i, X_FT, pieces, growth, view, frame, node, rays):  # type: ignore[no-untyped-def]
-    """Apparent position in F of a piece, and the cosine of the sound's angle to its normal."""
+    """Return a piece's apparent position in F and the cosine of the sound's angle to its normal."""
     surface = pieces.surfaces[i]
     nx = pieces.normals[i, 0]
     ny = pieces.normals[i, 1]
@@ -113,25 +113,25 @@ def _add_piece(  # type: ignore[no-untyped-def]
     tables,
     pulse,
 ):
-    """Add one piece's echo, or its echo after ``times`` ways to the face and back.
+    """Add one piece's echo, or its echo after ``times`` round trips between face and surface.
 
     Parameters
     ----------
     layer
         (2, lines, samples + 2 taps) float32, added to.
     loss
-        (lines, samples) float32: share of the amplitude that each sample takes from those behind
+        (lines, samples) float32 shares of the amplitude that each sample takes from those behind
         it, added to; (0, 0) for none.
     touched
-        (lines,) set where the layer or the loss is added to.
+        (lines,) flags of the lines on which the layer or the loss changes, set.
     x, y, z
-        Apparent position in F.
+        Apparent position in F, in m.
     times
-        1 for the first echo, 2 for the one that went twice, ...
+        Number of round trips: 1 for the first echo, 2 for the next, and so on.
     specular, diffuse, blocked, step
         See `Pieces`.
     sine
-        Of the sound's angle to the normal.
+        Sine of the sound's angle to the normal.
     rays, tables, pulse
         See `bright_echo`.
     """
@@ -153,8 +153,8 @@ def _add_piece(  # type: ignore[no-untyped-def]
     k = np.int64(sample)
     if sample < 0 or k >= samples:
         return
-    # In phase from piece to piece, the echoes make the angle's law by themselves, as long as the
-    # pieces are dense enough for the angle; beyond, mirrored sound is long gone.
+    # Echoes in phase from piece to piece produce the dependence on angle by themselves, as long as
+    # the pieces are dense enough for the angle. Beyond it, specular sound has long vanished.
     turns = 2 * times * rays.turns_per_metre * step * sine / 0.8
     squared = turns * turns
     smooth = np.exp(-(squared ** (_NYQUIST_POWER // 2)))
@@ -164,7 +164,7 @@ def _add_piece(  # type: ignore[no-untyped-def]
     real = specular * smooth + diffuse.real
     re = np.float32(bright * (real * c + diffuse.imag * s))
     im = np.float32(bright * (diffuse.imag * c - real * s))
-    # A piece's echo ends where it drowns in the tissue's; its shadow needs less.
+    # A piece's echo ends where the tissue's hides it; its shadow needs a smaller range.
     loudness = np.sqrt(re * re + im * im)
     furthest = min(np.log(loudness / _FAINT_PIECE + 1e-9), _FURTHEST)
     if loss.size > 0 and blocked > 0:
@@ -177,7 +177,7 @@ def _add_piece(  # type: ignore[no-untyped-def]
     first = np.int64(max(np.ceil(line - reach), 0.0))
     last = np.int64(min(np.floor(line + reach), lines - 1.0))
     share = blocked * np.sqrt(precision_e * precision) / np.pi
-    # What lies beyond the furthest counts as within.
+    # Parts beyond the furthest count as within.
     share *= rays.lines_per_radian / max(r, 1e-3) / (1 - np.exp(-furthest))
     start = k - rays.lead + pad
     audible = loudness > 0.1 * _FAINT_PIECE
@@ -203,29 +203,29 @@ def _add_piece(  # type: ignore[no-untyped-def]
 def render_surfaces(  # type: ignore[no-untyped-def]
     iq, transmission, X_FT, pieces, growth, rays, tables, pulses, taps, view, weakened
 ):
-    """Add surfaces to every frame, and weaken what lies behind them.
+    """Add surfaces to every frame, and weaken the echoes behind them.
 
     Parameters
     ----------
     iq
         (frames, lines, samples) complex64, changed.
     transmission
-        (frames, lines, samples) float32, changed: factor on echoes from each sample.
+        (frames, lines, samples) float32 factors on echoes from each sample, changed.
     X_FT
-        (frames, 3, 4) pose of the tissue in each F.
+        (frames, 3, 4) poses of the tissue in each frame's F.
     pieces
-        See `Pieces`.
+        Pieces of the surfaces.
     growth
-        (frames, surfaces) way in m by which each surface lies further out.
+        (frames, surfaces) distances in m by which each surface is displaced outwards.
     rays, tables
-        Of the frames.
+        Quantities of the frames' lines and of each depth.
     pulses, taps
-        (kinds, 2, FRACTIONS + 1, longest) float32 pulses, and (kinds,) how long each is. The first
-        one is the echo, the others follow it.
+        (kinds, 2, FRACTIONS + 1, longest) float32 pulses, and (kinds,) their lengths. The first one
+        is the echo; the others follow it.
     view
-        See `View`, or None.
+        Displacements by refraction, a `View`, or None.
     weakened
-        Whether the transmission is below 1 anywhere at first.
+        Whether the transmission is initially below 1 anywhere.
     """
     frames, lines, samples = iq.shape
     pad = pulses.shape[3]
@@ -287,7 +287,7 @@ def render_surfaces(  # type: ignore[no-untyped-def]
                 if cosine > 0 and pieces.one_sided[surface]:
                     continue
                 sine = np.sqrt(max(1 - cosine * cosine, 0.0))
-                # What comes after the first echo is not in the surface's own shadow.
+                # Echoes after the first one are not in the surface's own shadow.
                 diffuse = pieces.diffuse[i] * abs(cosine) if kind > 0 else 0j
                 times = 1.0 if kind > 0 else 2.0
                 again = 1.0 if kind > 0 else level

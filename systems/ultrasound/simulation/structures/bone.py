@@ -1,4 +1,4 @@
-"""Bone: a bright surface, a full shadow, and echoes between it and the probe."""
+"""Bone: a bright surface with a full shadow, and echoes between it and the probe."""
 
 from dataclasses import dataclass, field
 from typing import ClassVar
@@ -22,17 +22,17 @@ from sonoservo.systems.ultrasound.simulation.structures.surface import (
 
 @dataclass(kw_only=True)
 class Bone(Structure):
-    """A long bone, a rib or a pubic ramus: a cylinder whose cross section is an ellipse.
+    """A long bone, a rib or a pubic ramus: a cylinder with an elliptical cross-section.
 
     Parameters
     ----------
     start, end
-        Of its axis in T, in m.
+        Ends of the axis in T, in m.
     width, thickness
-        Of the ellipse, level and upright, in m. A wide, thin one is a flat bone.
+        Horizontal and vertical axes of the ellipse, in m. A wide, thin ellipse is a flat bone.
     level_db, diffuse_db, shadow, reverberation_db
         See `SurfaceEcho`. Cortical bone reflects about -6 dB of the sound at normal incidence and
-        soft tissue scatters -50 to -60 dB of it, so bone stands 45 to 50 dB out.
+        soft tissue scatters -50 to -60 dB of it, so bone stands out by 45 to 50 dB.
     """
 
     POINTS: ClassVar[tuple[str, ...]] = ("start", "end")
@@ -59,13 +59,13 @@ class Bone(Structure):
 
     @property
     def reach(self) -> float:
-        """Half of its thinner side, in m."""
+        """Half of the shorter axis, in m."""
         return min(self.width, self.thickness) / 2
 
     def surfaces(
         self, spacing: float, rng: np.random.Generator
     ) -> list[tuple[Surface, SurfaceEcho]]:
-        """The bone's hull without its ends."""
+        """Return the bone's hull without its ends."""
         start, axis = np.array(self.start), np.subtract(self.end, self.start)
         _, across, up = frame_along(axis)
 
@@ -87,7 +87,7 @@ class Bone(Structure):
 
 
 def _outward(hull: Surface, start: NDArray[np.float64], axis: NDArray[np.float64]) -> Surface:
-    """The hull with normals that point away from its axis."""
+    """Return the hull with normals that point away from its axis."""
     share = (hull.points - start) @ axis / (axis @ axis)
     outward = np.einsum("ij,ij->i", hull.normals, hull.points - start - share[:, None] * axis)
     return Surface(hull.points, hull.normals * np.sign(outward)[:, None], hull.areas)

@@ -1,4 +1,4 @@
-"""Calcifications: small, bright, with a shadow."""
+"""Calcifications: small and bright, with a shadow."""
 
 from dataclasses import dataclass, field
 
@@ -18,16 +18,17 @@ from sonoservo.systems.ultrasound.simulation.structures.surface import (
 
 @dataclass(kw_only=True)
 class Calcification(Structure):
-    """A rough grain.
+    """A rough grain of calcium.
 
     Parameters
     ----------
     centre
-        In T, in m.
+        Centre of the grain in T, in m.
     radius
-        In m.
+        Radius of the grain, in m.
     level_db
-        Echo's amplitude over the tissue's where the lens focuses, for a grain that fills the beam.
+        Amplitude of the echo relative to the tissue's at the lens's focus, for a grain that fills
+        the beam.
     shadow
         See `SurfaceEcho`.
     """
@@ -47,13 +48,13 @@ class Calcification(Structure):
 
     @property
     def reach(self) -> float:
-        """Radius in m."""
+        """Radius of the grain, in m."""
         return self.radius
 
     def surfaces(
         self, spacing: float, rng: np.random.Generator
     ) -> list[tuple[Surface, SurfaceEcho]]:
-        """A sphere that scatters in all directions."""
+        """Return a sphere that scatters in all directions."""
         step = min(spacing / 1.5, self.radius / 3)
         count = int(np.ceil(4 * np.pi * (self.radius / step) ** 2))
         # A golden spiral spreads points evenly on a sphere.

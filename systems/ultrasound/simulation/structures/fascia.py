@@ -1,4 +1,4 @@
-"""Sheets of fascia: thin, bright, mirror-like layers."""
+"""Sheets of fascia: thin, bright, specular layers."""
 
 from dataclasses import dataclass, field
 
@@ -25,13 +25,13 @@ class Fascia(Structure):
     Parameters
     ----------
     centre
-        In T, in m.
+        Centre of the sheet in T, in m.
     size
-        Extents in m, along X and Y of T before it is turned.
+        Extents in m, along X and Y of T before the sheet is tilted.
     azimuth_deg, dip_deg
-        The sheet falls by ``dip_deg`` towards ``azimuth_deg`` (from +X_T towards +Y_T).
+        Direction in which the sheet falls, from +X_T towards +Y_T, and angle by which it falls.
     wave_height, wave_length
-        Amplitude and length of its waves, in m.
+        Amplitude and length of the waves, in m.
     level_db, diffuse_db, shadow
         See `SurfaceEcho`.
     """
@@ -59,7 +59,7 @@ class Fascia(Structure):
     def surfaces(
         self, spacing: float, rng: np.random.Generator
     ) -> list[tuple[Surface, SurfaceEcho]]:
-        """The sheet; its waves begin at random."""
+        """Return the sheet, whose waves have random phases."""
         phase = rng.uniform(0, 2 * np.pi, 2)
         R = turned(self.azimuth_deg, self.dip_deg)
 
@@ -76,7 +76,7 @@ class Fascia(Structure):
 
 
 def turned(azimuth_deg: float, dip_deg: float) -> NDArray[np.float64]:
-    """Rotation of a level sheet that makes it fall by ``dip_deg`` towards ``azimuth_deg``."""
+    """Return the rotation that makes a level sheet fall by ``dip_deg`` towards ``azimuth_deg``."""
     (ca, sa), (cd, sd) = ((np.cos(a), np.sin(a)) for a in np.deg2rad([azimuth_deg, dip_deg]))
     about_z = np.array([[ca, -sa, 0], [sa, ca, 0], [0, 0, 1]])
     about_y = np.array([[cd, 0, sd], [0, 1, 0], [-sd, 0, cd]])

@@ -1,4 +1,4 @@
-"""A layer of fat on top of the tissue: slower than it, and refracting."""
+"""A refracting layer of fat on top of the tissue, with a lower speed of sound."""
 
 from dataclasses import dataclass
 
@@ -12,13 +12,13 @@ class FatLayer:
     Parameters
     ----------
     thickness
-        In m; 0 for no fat.
+        Thickness of the layer, in m; 0 for no fat.
     sound_speed
-        In m/s; 1430 to 1480 in fat (Duck 1990).
+        Speed of sound, in m/s; 1430 to 1480 in fat (Duck 1990).
     level_db
-        Of its scatterers, over the tissue's.
+        Level of the layer's scatterers relative to the tissue's.
     attenuation
-        One way, in dB/(cm MHz); None for the tissue's.
+        One-way attenuation, in dB/(cm MHz); None for the tissue's.
     """
 
     thickness: float = 0.0

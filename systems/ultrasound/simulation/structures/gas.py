@@ -26,13 +26,13 @@ class Gas(Structure):
     Parameters
     ----------
     centre, size
-        Middle in T and extents along X and Y of T, in m.
+        Centre in T and extents along X and Y of T, in m.
     roughness, bump_length
         Standard deviation of the surface's height and distance between its bumps, in m.
     level_db, diffuse_db, shadow
         See `SurfaceEcho`.
     ring_down_db, ring_down_length
-        See `SurfaceEcho`: the shadow is dirty.
+        Ring-down, which makes the shadow dirty; see `SurfaceEcho`.
     """
 
     kind: str = "gas"
@@ -59,7 +59,7 @@ class Gas(Structure):
     def surfaces(
         self, spacing: float, rng: np.random.Generator
     ) -> list[tuple[Surface, SurfaceEcho]]:
-        """The upper face."""
+        """Return the upper face."""
         counts = [min(int(np.ceil(size / self.bump_length)) + 4, 200) for size in self.size]
         heights = self.roughness * rng.normal(size=counts)
         bumps = RectBivariateSpline(*(np.linspace(0, 1, n) for n in counts), heights)
@@ -69,7 +69,7 @@ class Gas(Structure):
             return self.centre + np.stack([x, y, bumps(u, v, grid=False)], axis=-1)
 
         face = parametric(position, (self.size[0], self.size[1]), spacing)
-        # The patch is oval: no straight edge shows.
+        # The patch is oval, so that no straight edge is visible.
         offsets = (face.points - self.centre)[:, :2] / np.array(self.size)
         oval = (offsets**2).sum(axis=1) <= 0.25
         echo = SurfaceEcho(

@@ -1,4 +1,4 @@
-"""N-wires: three wires that show every frame where it is, as in calibration phantoms."""
+"""N-wires: three wires from which the pose of a frame follows, as in calibration phantoms."""
 
 from dataclasses import dataclass, field
 
@@ -16,17 +16,17 @@ from sonoservo.systems.ultrasound.simulation.structures.structure import (
 
 @dataclass(kw_only=True)
 class NWires(Structure):
-    """Two parallel wires and one from the first one's start to the second one's end.
+    """Two parallel wires and one from the start of the first to the end of the second.
 
-    A plane across them meets the middle wire at the same share of the width as of the length
-    (Comeau et al. 1998), which is how a frame finds its place.
+    A plane across them meets the diagonal wire at the same share of the width as of the length
+    (Comeau et al. 1998), which gives the position of the plane.
 
     Parameters
     ----------
     centre
-        Of the N, which is level, in T, in m.
+        Centre of the horizontal N in T, in m.
     length, width
-        Of the parallel wires, and distance between them, in m.
+        Length of the parallel wires, and distance between them, in m.
     azimuth_deg
         Direction of the parallel wires, from +X_T towards +Y_T.
     level_db, diffuse_db
@@ -48,7 +48,7 @@ class NWires(Structure):
         require_levels(self.diffuse_db, 0.0)
 
     def ends(self) -> NDArray[np.float64]:
-        """(3, 2, 3) start and end of each wire in T, in m; the slanting one is the second."""
+        """Return the (3, 2, 3) ends of the wires in T, in m; the diagonal wire is the second."""
         angle = np.deg2rad(self.azimuth_deg)
         along = 0.5 * self.length * np.array([np.cos(angle), np.sin(angle), 0])
         across = 0.5 * self.width * np.array([-np.sin(angle), np.cos(angle), 0])
@@ -60,5 +60,5 @@ class NWires(Structure):
         return np.array(corners) + self.centre
 
     def rods(self) -> list[Rod]:
-        """The three wires."""
+        """Return the three wires."""
         return [Rod(start, end, self.level_db, self.diffuse_db) for start, end in self.ends()]

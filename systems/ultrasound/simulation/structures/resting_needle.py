@@ -13,16 +13,16 @@ from sonoservo.systems.ultrasound.simulation.structures.structure import Structu
 
 @dataclass(kw_only=True)
 class RestingNeedle(Structure):
-    """A straight needle that nobody moves; a thin one without reverberation is a guide wire.
+    """A straight needle at rest; a thin one without reverberation represents a guide wire.
 
     Parameters
     ----------
     start, end
         Entry and tip in T, in m.
     diameter
-        Outer diameter in m; 1.27 mm is gauge 18, 0.89 mm a guide wire.
+        Outer diameter, in m; 1.27 mm is gauge 18, 0.89 mm is a guide wire.
     echo
-        See `NeedleEchoParameters`.
+        Parameters of the needle's echo.
     """
 
     POINTS: ClassVar[tuple[str, ...]] = ("start", "end")
@@ -40,7 +40,7 @@ class RestingNeedle(Structure):
 
     @property
     def reach(self) -> float:
-        """Radius in m."""
+        """Radius of the needle, in m."""
         return self.diameter / 2
 
     def needle(self) -> Needle:

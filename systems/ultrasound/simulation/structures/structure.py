@@ -1,4 +1,4 @@
-"""The face that all structures in the tissue share, and their placement beside a needle."""
+"""Base class of the structures in the tissue, and their placement beside a needle."""
 
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple, Self
@@ -15,7 +15,7 @@ from sonoservo.systems.ultrasound.simulation.structures.surface import (
 
 
 class Rod(NamedTuple):
-    """A thin, straight reflector: ends in T in m, and levels as `Fibre` has them."""
+    """A thin, straight reflector: ends in T in m, and levels as in `Fibre`."""
 
     start: NDArray[np.float64]
     end: NDArray[np.float64]
@@ -30,29 +30,30 @@ class Tube(NamedTuple):
     """
 
     path: NDArray[np.float64]
-    """(m, 3) points of its axis in T, in m."""
+    """(m, 3) points of the axis in T, in m."""
     radius: float
     level_db: float
-    """Of its scatterers, over the tissue's."""
+    """Level of the scatterers relative to the tissue's."""
     attenuation: float
-    """One way, in dB/(cm MHz)."""
+    """One-way attenuation, in dB/(cm MHz)."""
     pulsation: float
     rate: float
-    """In Hz."""
+    """Rate of the pulsation, in Hz."""
 
 
 @dataclass(kw_only=True)
 class BesideNeedle:
-    """A place beside the way of the needle.
+    """A position beside the path of the needle.
 
     Parameters
     ----------
     distance
-        From the needle's axis to the structure's nearest surface, in m.
+        Distance from the needle's axis to the structure's nearest surface, in m.
     along
         Depth along the needle from its entry, in m.
     angle_deg
-        About the needle's axis: 0 is level with it, on its left as seen along it; 90 is above it.
+        Angle about the needle's axis: 0 is level with the needle, to its left as seen along it; 90
+        is above it.
     """
 
     distance: float = 3e-3
@@ -67,14 +68,14 @@ class BesideNeedle:
     def resolve(
         self, entry: ArrayLike, direction: ArrayLike, reach: float = 0.0
     ) -> NDArray[np.float64]:
-        """Return the place in T, (3,) in m, of the middle of a structure.
+        """Return the (3,) position in T, in m, of the centre of a structure.
 
         Parameters
         ----------
         entry, direction
-            (3,) where the needle enters, in m, and the direction of its axis, in T.
+            (3,) entry of the needle, in m, and (3,) direction of its axis, both in T.
         reach
-            Distance from the structure's middle to its surface, in m.
+            Distance from the structure's centre to its surface, in m.
         """
         along, across, up = frame_along(np.asarray(direction, dtype=float))
         angle = np.deg2rad(self.angle_deg)
@@ -84,12 +85,13 @@ class BesideNeedle:
 
 @dataclass(kw_only=True)
 class Structure:
-    """Something in the tissue that reflects, or that is darker or brighter than it.
+    """A structure in the tissue that reflects, or that is darker or brighter than the tissue.
 
     Parameters
     ----------
     beside_needle
-        Moves the structure so that its middle lies beside the needle's way; None leaves it.
+        Position beside the needle's path to which the centre is moved; None leaves the structure in
+        place.
     """
 
     POINTS: ClassVar[tuple[str, ...]] = ("centre",)
@@ -105,16 +107,16 @@ class Structure:
 
     @property
     def middle(self) -> NDArray[np.float64]:
-        """(3,) middle in T, in m."""
+        """Centre of the structure in T, (3,), in m."""
         return np.mean([np.atleast_2d(getattr(self, n)).mean(axis=0) for n in self.POINTS], axis=0)
 
     @property
     def reach(self) -> float:
-        """Distance from the middle to the nearest surface, in m."""
+        """Distance from the centre to the nearest surface, in m."""
         return 0.0
 
     def moved(self, offset: ArrayLike) -> Self:
-        """Return the structure, moved by (3,) m in T."""
+        """Return the structure moved by a (3,) offset in T, in m."""
         changes: dict[str, Any] = {
             name: (np.asarray(getattr(self, name), dtype=float) + offset).tolist()
             for name in self.POINTS
@@ -122,7 +124,7 @@ class Structure:
         return replace(self, beside_needle=None, **changes)
 
     def placed(self, entry: ArrayLike, direction: ArrayLike) -> Self:
-        """Return the structure where `beside_needle` wants it; see `BesideNeedle.resolve`."""
+        """Return the structure at the position of `beside_needle`; see `BesideNeedle.resolve`."""
         if self.beside_needle is None:
             return self
         place = self.beside_needle.resolve(entry, direction, self.reach)
@@ -131,15 +133,15 @@ class Structure:
     def surfaces(
         self, spacing: float, rng: np.random.Generator
     ) -> list[tuple[Surface, SurfaceEcho]]:
-        """Surfaces in pieces of at most ``spacing`` m; ``rng`` draws what is irregular."""
+        """Return the surfaces in pieces of at most ``spacing`` m; ``rng`` draws irregularities."""
         return []
 
     def rods(self) -> list[Rod]:
-        """Thin reflectors."""
+        """Return the thin reflectors."""
         return []
 
     def tubes(self) -> list[Tube]:
-        """Lumens."""
+        """Return the lumens."""
         return []
 
 
@@ -150,6 +152,6 @@ def require_levels(diffuse_db: float, shadow: float) -> None:
 
 
 def require_level(**levels: float) -> None:
-    """Raise ValueError unless levels over the tissue are in range."""
+    """Raise ValueError unless levels relative to the tissue are in range."""
     for name, value in levels.items():
         require(-100 <= value <= 80, name, value, "from -100 to 80 dB")

@@ -1,4 +1,4 @@
-"""Smooth surfaces as pieces small enough for the beam: points, normals and areas."""
+"""Smooth surfaces as pieces that are small compared with the beam: points, normals and areas."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,9 +20,9 @@ class Surface(Immutable):
     Parameters
     ----------
     points, normals
-        (n, 3) middles in T, in m, and outward unit normals.
+        (n, 3) centres of the pieces in T, in m, and outward unit normals.
     areas
-        (n,) in m^2.
+        (n,) areas of the pieces, in m^2.
     """
 
     points: NDArray[np.float64]
@@ -38,13 +38,13 @@ class Surface(Immutable):
 
 @dataclass(frozen=True)
 class SurfaceEcho(Immutable):
-    """How a surface reflects.
+    """Acoustic properties of a surface.
 
     Parameters
     ----------
     level_db
-        Echo's amplitude of a flat, large surface at normal incidence over the tissue's root mean
-        square, where the lens focuses.
+        Amplitude of the echo of a large, flat surface at normal incidence, relative to the tissue's
+        root mean square, at the lens's focus.
     diffuse_db
         Level of the part that a rough surface scatters in all directions, relative to
         ``level_db``.
@@ -53,13 +53,14 @@ class SurfaceEcho(Immutable):
     one_sided
         Whether only the side that faces the probe reflects.
     specular
-        Whether the surface is smooth enough to mirror sound; if not, all of the echo is diffuse.
+        Whether the surface is smooth enough for specular reflection; if not, the whole echo is
+        diffuse.
     reverberation_db
-        Level of each echo that returns once more by way of the probe's face, relative to the one
-        before; None for no such echoes.
+        Level of each echo after another round trip between surface and probe, relative to the
+        previous one; None for no such echoes.
     ring_down_db, ring_down_length
-        Level at which the reverberation behind the surface begins, relative to the surface's echo,
-        and depth in m over which it falls by 20 dB; None for none.
+        Initial level of the reverberation behind the surface, relative to the surface's echo (None
+        for no ring-down), and depth in m over which it falls by 20 dB.
     """
 
     level_db: float
@@ -77,15 +78,15 @@ def parametric(
     lengths: tuple[float, float],
     spacing: float,
 ) -> Surface:
-    """Cut a parametric surface into near-square pieces.
+    """Divide a parametric surface into nearly square pieces.
 
     Parameters
     ----------
     position
-        Points (n, 3) in m at parameters u and v, (n,) each from 0 to 1; the normal is the cross
-        product of the derivatives by u and by v.
+        Function that returns (n, 3) points in m at parameters u and v, (n,) each, from 0 to 1. The
+        normal is the cross product of the derivatives by u and by v.
     lengths
-        Longest extents in m along u and v.
+        Largest extents along u and v, in m.
     spacing
         Largest distance between pieces, in m.
     """

@@ -1,4 +1,4 @@
-"""Blood vessels: a dark lumen that pulsates between bright walls."""
+"""Blood vessels: a dark, pulsating lumen between bright walls."""
 
 import itertools
 from dataclasses import dataclass, field
@@ -29,18 +29,19 @@ class Vessel(Structure):
     Parameters
     ----------
     path
-        Points of its axis in T, in m.
+        Points of the axis in T, in m.
     radius
         Mean inner radius, in m.
     lumen_db
-        Level of the blood over the tissue.
+        Level of the blood relative to the tissue.
     level_db, diffuse_db, shadow
-        Of its wall, see `SurfaceEcho`.
+        Levels and shadow of the wall; see `SurfaceEcho`.
     pulsation, heart_rate
         Amplitude of the radius relative to its mean (0.05 in a carotid artery, 0 in a vein), and
         its frequency in Hz.
     attenuation
-        Of blood, one way, in dB/(cm MHz): less than tissue's, so the tissue behind is brighter.
+        One-way attenuation of the blood, in dB/(cm MHz). It is below that of tissue, so the tissue
+        behind the vessel is brighter.
     """
 
     POINTS: ClassVar[tuple[str, ...]] = ("path",)
@@ -72,19 +73,19 @@ class Vessel(Structure):
 
     @property
     def reach(self) -> float:
-        """Radius in m."""
+        """Mean inner radius of the vessel, in m."""
         return self.radius
 
     def surfaces(
         self, spacing: float, rng: np.random.Generator
     ) -> list[tuple[Surface, SurfaceEcho]]:
-        """The wall of each straight piece."""
+        """Return the wall of each straight piece."""
         echo = SurfaceEcho(level_db=self.level_db, diffuse_db=self.diffuse_db, shadow=self.shadow)
         walls = []
         ends = np.array(self.path)
         for start, end in itertools.pairwise(ends):
             wall = _wall(start, end - start, self.radius, spacing)
-            # Where two pieces meet, what lies within the other one is no wall.
+            # Where two pieces meet, the part inside the other piece is not wall.
             outside = np.ones(len(wall.points), bool)
             for other, stop in itertools.pairwise(ends):
                 if other is not start and not np.array_equal(other, start):
@@ -94,7 +95,7 @@ class Vessel(Structure):
         return [(wall, echo) for wall in walls]
 
     def tubes(self) -> list[Tube]:
-        """The lumen."""
+        """Return the lumen."""
         return [
             Tube(
                 np.array(self.path),
@@ -110,7 +111,7 @@ class Vessel(Structure):
 def distance_to_segment(
     points: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Distances in m of points (..., 3) from a straight segment."""
+    """Return the distances in m of (..., 3) points from a straight segment."""
     axis = end - start
     share = np.clip((points - start) @ axis / (axis @ axis), 0, 1)
     return np.linalg.norm(points - start - share[..., np.newaxis] * axis, axis=-1)

@@ -169,7 +169,7 @@ def test_before_anything_was_searched_there_are_two_slices_and_the_reason():
 def test_a_prediction_outside_the_volume_is_said_so():
     kept = explained(found=False, prediction=predicted(shift=1.0))
     _, beam, cross, _, _ = draw(kept)
-    assert "it misses the volume" in [
+    assert "the slice misses the volume" in [
         text.get_text() for axes in (beam, cross) for text in axes.texts
     ]
 
