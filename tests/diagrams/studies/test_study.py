@@ -167,7 +167,7 @@ def test_cases_are_told_apart_and_named():
 
 
 def test_two_cases_alike_are_refused(tmp_path):
-    with pytest.raises(ValueError, match="alike"):
+    with pytest.raises(ValueError, match="all must differ"):
         run_cases(square, [Case("e", 0), Case("e", 0)], tmp_path)
 
 
