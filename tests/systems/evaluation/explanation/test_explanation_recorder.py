@@ -182,5 +182,7 @@ def test_parameters_are_checked(tmp_path, options, message):
 
 def test_a_wrong_value_is_refused(tmp_path):
     bench = Bench(tmp_path)
-    with pytest.raises(TypeError, match=r"'explanation' .* received a value of type NeedleEstimate"):
+    with pytest.raises(
+        TypeError, match=r"'explanation' .* received a value of type NeedleEstimate"
+    ):
         bench.see(0, estimate(0), explanation=estimate(0))
