@@ -11,13 +11,14 @@ STRAIGHT = ["hand.entry_spread=[0, 0, 0]", "hand.angle_spread_deg=0", "hand.dip_
 PUSHED = [*STRAIGHT, "hand.start=2.5", "hand.pushes=[{duration: 9, speed: 0.008}]"]
 
 FIBRES = """
-size: [0.24, 0.16, 0.08]
-scatterers_per_cell: 4
-attenuation: 0.5
-fibres:
-  - {start: [-0.11, 0.006, -0.040], end: [-0.055, 0.007, -0.044], level_db: 38}
-  - {start: [-0.09, -0.007, -0.050], end: [-0.040, -0.006, -0.046], level_db: 36}
-  - {start: [-0.10, 0.001, -0.034], end: [-0.060, 0.000, -0.033], level_db: 36}
+tissue:
+  size: [0.24, 0.16, 0.08]
+  scatterers_per_cell: 4
+  attenuation: 0.5
+  fibres:
+    - {start: [-0.11, 0.006, -0.040], end: [-0.055, 0.007, -0.044], level_db: 38}
+    - {start: [-0.09, -0.007, -0.050], end: [-0.040, -0.006, -0.046], level_db: 36}
+    - {start: [-0.10, 0.001, -0.034], end: [-0.060, 0.000, -0.033], level_db: 36}
 """
 
 

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import nrrd
 import numpy as np
@@ -115,7 +116,7 @@ print("written", flush=True)
 time.sleep(60)
 """
     path = tmp_path / "a.seq.nrrd"
-    folder = str(__file__).rpartition("/systems/")[0]
+    folder = str(Path(__file__).parents[2] / "helpers")
     with subprocess.Popen(
         [sys.executable, "-c", script, str(path), folder], stdout=subprocess.PIPE
     ) as process:
