@@ -1,7 +1,4 @@
 from .acquisition import VolumeAcquisition as VolumeAcquisition
-from .estimate_items import NeedleNames as NeedleNames
-from .estimate_items import needle_items as needle_items
-from .estimate_items import tip_pose as tip_pose
 from .frames_to_volumes import FramesToVolumes as FramesToVolumes
 from .image_matcher import ImageMatcher as ImageMatcher
 from .image_matcher import PosedImage as PosedImage
@@ -9,8 +6,13 @@ from .live_source import LiveSource as LiveSource
 from .motor_sweep import MotorSweepParameters as MotorSweepParameters
 from .motor_sweep import MotorSweepVolumes as MotorSweepVolumes
 from .motor_sweep import load_motor_sweep as load_motor_sweep
+from .needle_sender import NeedleNames as NeedleNames
 from .needle_sender import NeedleSender as NeedleSender
+from .needle_sender import needle_items as needle_items
+from .needle_sender import tip_pose as tip_pose
 from .pose_history import PoseHistory as PoseHistory
+from .sender import Outlet as Outlet
+from .sender import Sender as Sender
 from .slice_sender import SliceSender as SliceSender
 from .sweep_sender import SweepSender as SweepSender
 from .transform_sender import TransformSender as TransformSender

@@ -2,22 +2,19 @@
 
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.systems.framework import Context, LeafSystem
+from pydrake.systems.framework import Context
 
 from sonoservo.systems.live.connection.items import ImageItem, Item
-from sonoservo.systems.live.estimate_items import Outlet
+from sonoservo.systems.live.sender import KEEP, Outlet, Sender
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.planes import sample_plane, slice_planes
 from sonoservo.systems.signals.ports import evaluate
-from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 from sonoservo.systems.signals.volume import Volume
 
 SLICES = ("SliceA_Probe", "SliceB_Probe")
 """Device names: the slice across the beam that contains the needle's depth, and the other one."""
-
-_KEEP = 2
 
 
 def slice_items(volume: Volume, curve: NeedleCurve | None = None) -> list[Item]:
@@ -43,7 +40,7 @@ def slice_items(volume: Volume, curve: NeedleCurve | None = None) -> list[Item]:
     return items
 
 
-class SliceSender(LeafSystem):
+class SliceSender(Sender):
     """Sends the two slices through each new volume that contain the estimated needle.
 
     .. pydrake_system::
@@ -62,23 +59,12 @@ class SliceSender(LeafSystem):
     """
 
     def __init__(self, *, outlet: Outlet, period: float, offset: float = 0.0) -> None:
-        super().__init__()
-        require_positive(period=period)
-        require_not_negative(offset=offset)
-        self._outlet = outlet
-        self._start()
+        super().__init__(outlet=outlet, period=period, offset=offset)
         for name in ("volume", "estimate"):
             self.DeclareAbstractInputPort(name, Value[object]())
-        self.DeclareInitializationPublishEvent(publish=lambda context: self._start())
-        self.DeclarePeriodicPublishEvent(period, offset, self._publish)
-        self.DeclareForcedPublishEvent(self._publish)
-
-    def _start(self) -> None:
-        self._volume_time = -float("inf")
 
     def _publish(self, context: Context) -> None:
         volume = evaluate(self, context, "volume", (Volume, NotFound))
         estimate = evaluate(self, context, "estimate", NeedleEstimate)
-        if isinstance(volume, Volume) and volume.time > self._volume_time:
-            self._volume_time = volume.time
-            self._outlet.send(slice_items(volume, estimate.curve), topic="slices", keep=_KEEP)
+        if isinstance(volume, Volume) and self._is_new(volume.time):
+            self._outlet.send(slice_items(volume, estimate.curve), topic="slices", keep=KEEP)

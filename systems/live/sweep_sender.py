@@ -3,19 +3,16 @@
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, LeafSystem
+from pydrake.systems.framework import Context
 
 from sonoservo.systems.live.connection.items import ImageItem, Item, PoseItem
-from sonoservo.systems.live.estimate_items import Outlet
 from sonoservo.systems.live.image_matcher import DEFAULT_POSES
+from sonoservo.systems.live.sender import KEEP, Outlet, Sender
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.ports import evaluate
-from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 from sonoservo.systems.signals.sweep import Sweep
 
 FRAME = "Frame"
-
-_KEEP = 2
 
 
 def frame_items(sweep: Sweep, name: str = FRAME) -> list[Item]:
@@ -34,7 +31,7 @@ def frame_items(sweep: Sweep, name: str = FRAME) -> list[Item]:
     return items
 
 
-class SweepSender(LeafSystem):
+class SweepSender(Sender):
     """Sends the frames of each new sweep, with their own times and poses.
 
     .. pydrake_system::
@@ -58,21 +55,11 @@ class SweepSender(LeafSystem):
     def __init__(
         self, *, outlet: Outlet, name: str = FRAME, period: float, offset: float = 0.0
     ) -> None:
-        super().__init__()
-        require_positive(period=period)
-        require_not_negative(offset=offset)
-        self._outlet, self._name = outlet, name
-        self._start()
+        super().__init__(outlet=outlet, period=period, offset=offset)
+        self._name = name
         self.DeclareAbstractInputPort("sweep", Value[object]())
-        self.DeclareInitializationPublishEvent(publish=lambda context: self._start())
-        self.DeclarePeriodicPublishEvent(period, offset, self._publish)
-        self.DeclareForcedPublishEvent(self._publish)
-
-    def _start(self) -> None:
-        self._time = -float("inf")
 
     def _publish(self, context: Context) -> None:
         sweep = evaluate(self, context, "sweep", (Sweep, NotFound))
-        if isinstance(sweep, Sweep) and sweep.motion.time > self._time:
-            self._time = sweep.motion.time
-            self._outlet.send(frame_items(sweep, self._name), topic="frames", keep=_KEEP)
+        if isinstance(sweep, Sweep) and self._is_new(sweep.motion.time):
+            self._outlet.send(frame_items(sweep, self._name), topic="frames", keep=KEEP)

@@ -2,15 +2,14 @@
 
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, LeafSystem
+from pydrake.systems.framework import Context
 
 from sonoservo.systems.live.connection.items import PoseItem
-from sonoservo.systems.live.estimate_items import Outlet
+from sonoservo.systems.live.sender import Outlet, Sender
 from sonoservo.systems.signals.ports import evaluate
-from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 
 
-class TransformSender(LeafSystem):
+class TransformSender(Sender):
     """Sends a pose at a fixed rate.
 
     .. pydrake_system::
@@ -40,13 +39,9 @@ class TransformSender(LeafSystem):
         period: float,
         offset: float = 0.0,
     ) -> None:
-        super().__init__()
-        require_positive(period=period)
-        require_not_negative(offset=offset)
-        self._outlet, self._name, self._port = outlet, name, port
+        super().__init__(outlet=outlet, period=period, offset=offset)
+        self._name, self._port = name, port
         self.DeclareAbstractInputPort(port, Value(RigidTransform()))
-        self.DeclarePeriodicPublishEvent(period, offset, self._publish)
-        self.DeclareForcedPublishEvent(self._publish)
 
     def _publish(self, context: Context) -> None:
         # A copy: an input's value changes in place.

@@ -2,13 +2,12 @@
 
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.systems.framework import Context, LeafSystem
+from pydrake.systems.framework import Context
 
 from sonoservo.systems.live.connection.items import CurveItem, Item, PoseItem
-from sonoservo.systems.live.estimate_items import Outlet
+from sonoservo.systems.live.sender import Outlet, Sender
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.ports import evaluate
-from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 
 TIP, NEEDLE, TISSUE = "TrueTipToReference", "TrueNeedle", "TrueTissueToRef"
 """Device names; trackers take none that begins with True."""
@@ -40,7 +39,7 @@ def truth_items(needle: Needle, X_WT: RigidTransform, time: float) -> list[Item]
     return items
 
 
-class TruthSender(LeafSystem):
+class TruthSender(Sender):
     """Sends the true needle and the tissue's pose, under names that say so.
 
     .. pydrake_system::
@@ -59,14 +58,9 @@ class TruthSender(LeafSystem):
     """
 
     def __init__(self, *, outlet: Outlet, period: float, offset: float = 0.0) -> None:
-        super().__init__()
-        require_positive(period=period)
-        require_not_negative(offset=offset)
-        self._outlet = outlet
+        super().__init__(outlet=outlet, period=period, offset=offset)
         self.DeclareAbstractInputPort("needle", Value[object]())
         self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
-        self.DeclarePeriodicPublishEvent(period, offset, self._publish)
-        self.DeclareForcedPublishEvent(self._publish)
 
     def _publish(self, context: Context) -> None:
         needle = evaluate(self, context, "needle", Needle)

@@ -5,21 +5,18 @@ from typing import Any
 
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.systems.framework import Context, LeafSystem
+from pydrake.systems.framework import Context
 
 from sonoservo.systems.live.acquisition import acquisition_item
 from sonoservo.systems.live.connection.items import ImageItem, Item, PoseItem
-from sonoservo.systems.live.estimate_items import Outlet
 from sonoservo.systems.live.image_matcher import DEFAULT_POSES
+from sonoservo.systems.live.sender import KEEP, Outlet, Sender
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.ports import evaluate
-from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 from sonoservo.systems.signals.volume import Volume
 
 IMAGE = "Image_Probe"
 """In 3D Slicer and PLUS, an image whose coordinates are those of the probe."""
-
-_KEEP = 2
 
 
 def volume_items(
@@ -45,7 +42,7 @@ def volume_items(
     ]
 
 
-class VolumeSender(LeafSystem):
+class VolumeSender(Sender):
     """Sends each new volume, the probe's pose with it, and how it was acquired.
 
     .. pydrake_system::
@@ -78,23 +75,13 @@ class VolumeSender(LeafSystem):
         period: float,
         offset: float = 0.0,
     ) -> None:
-        super().__init__()
-        require_positive(period=period)
-        require_not_negative(offset=offset)
-        self._outlet, self._name, self._settings = outlet, name, settings
-        self._start()
+        super().__init__(outlet=outlet, period=period, offset=offset)
+        self._name, self._settings = name, settings
         self.DeclareAbstractInputPort("volume", Value[object]())
-        self.DeclareInitializationPublishEvent(publish=lambda context: self._start())
-        self.DeclarePeriodicPublishEvent(period, offset, self._publish)
-        self.DeclareForcedPublishEvent(self._publish)
-
-    def _start(self) -> None:
-        self._volume_time = -float("inf")
 
     def _publish(self, context: Context) -> None:
         volume = evaluate(self, context, "volume", (Volume, NotFound))
-        if isinstance(volume, Volume) and volume.time > self._volume_time:
-            self._volume_time = volume.time
+        if isinstance(volume, Volume) and self._is_new(volume.time):
             self._outlet.send(
-                volume_items(volume, self._name, self._settings), topic="volume", keep=_KEEP
+                volume_items(volume, self._name, self._settings), topic="volume", keep=KEEP
             )

@@ -18,10 +18,10 @@ from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
 from sonoservo.systems.files.typed_yaml import ConfigurationError, suggest
 from sonoservo.systems.live.connection.protocols import Address, is_address, parse_address
-from sonoservo.systems.live.estimate_items import NeedleNames
 from sonoservo.systems.live.frames_to_volumes import FramesToVolumes
 from sonoservo.systems.live.live_source import ImagesToVolumes, LiveSource
 from sonoservo.systems.live.motor_sweep import MotorSweepVolumes, load_motor_sweep
+from sonoservo.systems.live.needle_sender import NeedleNames
 from sonoservo.systems.live.volume_maker import VolumeMaker
 from sonoservo.systems.recording.recording import Recording
 

@@ -11,9 +11,8 @@ from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.systems.live.connection.link import Link
 from sonoservo.systems.live.connection.protocols import parse_address
-from sonoservo.systems.live.estimate_items import NeedleNames
 from sonoservo.systems.live.image_matcher import DEFAULT_POSES
-from sonoservo.systems.live.needle_sender import NeedleSender
+from sonoservo.systems.live.needle_sender import NeedleNames, NeedleSender
 from sonoservo.systems.live.slice_sender import SliceSender
 from sonoservo.systems.live.sweep_sender import SweepSender
 from sonoservo.systems.live.transform_sender import TransformSender

@@ -17,8 +17,8 @@ from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
 from sonoservo.systems.files.writing import write_json
 from sonoservo.systems.live.connection.link import Link
-from sonoservo.systems.live.estimate_items import NeedleNames, needle_items
 from sonoservo.systems.live.live_source import LiveSource
+from sonoservo.systems.live.needle_sender import NeedleNames, needle_items
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.volume import Volume
 

@@ -14,9 +14,9 @@ from sonoservo.systems.live.connection.items import PoseItem, TextItem
 from sonoservo.systems.live.connection.link import Link
 from sonoservo.systems.live.connection.open_igt_link import decode, encode, make_framer
 from sonoservo.systems.live.connection.protocols import parse_address
-from sonoservo.systems.live.estimate_items import NeedleNames, needle_items
 from sonoservo.systems.live.image_matcher import ImageMatcher
 from sonoservo.systems.live.live_source import LiveSource
+from sonoservo.systems.live.needle_sender import NeedleNames, needle_items
 from sonoservo.systems.live.volume_maker import VolumeMaker
 from sonoservo.systems.live.volume_sender import volume_items
 

@@ -9,8 +9,7 @@ from pydrake.systems.primitives import ConstantValueSource
 
 from sonoservo.systems.live.acquisition import read_acquisition_item
 from sonoservo.systems.live.connection.items import PointsItem
-from sonoservo.systems.live.estimate_items import NeedleNames, needle_items, tip_pose
-from sonoservo.systems.live.needle_sender import NeedleSender
+from sonoservo.systems.live.needle_sender import NeedleNames, NeedleSender, needle_items, tip_pose
 from sonoservo.systems.live.slice_sender import SliceSender
 from sonoservo.systems.live.sweep_sender import SweepSender
 from sonoservo.systems.live.transform_sender import TransformSender
