@@ -20,6 +20,7 @@ from sonoservo.systems.robot.body_pose import BodyPose
 from sonoservo.systems.robot.contact_force import ContactForce
 from sonoservo.systems.robot.phantom import AddPhantom, load_contact
 from sonoservo.systems.robot.posture import probe_pose, reachable, solve_posture
+from sonoservo.systems.robot.sensor_faults import SensorFault, SensorFaults
 from sonoservo.systems.robot.wrist_force_sensor import WristForceSensor
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
@@ -75,6 +76,8 @@ class StationParameters:
         Initial placement of the probe.
     force_noise, torque_noise
         Standard deviation of the wrist force sensor's samples, in N and N m.
+    sensor_faults
+        Faults of the wrist force sensor, to test what the robot does then.
     display_period
         Time between pictures sent to Meshcat, in s of the simulation.
     """
@@ -87,6 +90,7 @@ class StationParameters:
     probe: ProbePlacement = field(default_factory=ProbePlacement)
     force_noise: float = 0.02
     torque_noise: float = 0.001
+    sensor_faults: list[SensorFault] = field(default_factory=list)
     display_period: float = 3 / 32
 
     def __post_init__(self) -> None:
@@ -269,7 +273,19 @@ def MakeStation(
         ),
     )
     builder.Connect(plant.get_reaction_forces_output_port(), sensor.get_input_port())
-    builder.ExportOutput(sensor.get_output_port(), "wrist_force")
+    reading = sensor.get_output_port()
+    if parameters.sensor_faults:
+        faults = builder.AddNamedSystem(
+            "sensor_faults",
+            SensorFaults(
+                faults=parameters.sensor_faults,
+                period=parameters.plant.time_step,
+                noise=parameters.force_noise,
+            ),
+        )
+        builder.Connect(reading, faults.get_input_port())
+        reading = faults.get_output_port()
+    builder.ExportOutput(reading, "wrist_force")
 
     contact = builder.AddNamedSystem("contact_force", ContactForce())
     builder.Connect(

@@ -35,6 +35,7 @@ from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.recording.volume_recorder import VolumeRecorder
 from sonoservo.systems.robot.phantom import PhantomMotion
 from sonoservo.systems.robot.phantom_motion import phantom_trajectory
+from sonoservo.systems.signals.guard_status import GuardStatus
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.ultrasound.imaging import sweep_geometry
@@ -161,7 +162,10 @@ class FollowingExperiment(Experiment[FollowingScenario]):
             seed=seeds.tracker,
         )
         self.probe_controller = MakeProbeController(
-            parameters=scenario.controller, arm=scenario.station.arm, probe=scenario.probe
+            parameters=scenario.controller,
+            arm=scenario.station.arm,
+            probe=scenario.probe,
+            surface=scenario.station.phantom_position,
         )
         self.run_logger = RunLogger(
             volume_period=period,
@@ -209,7 +213,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
                 "convert": (self.scan_converter, "volume"),
             },
             event="track",
-            optional=("measurement", "detection"),
+            optional=("measurement", "detection", "guard", "volume_check"),
             sees_truth={"station", *sources, *_OBSERVERS, *observers},
         )
 
@@ -220,7 +224,11 @@ class FollowingExperiment(Experiment[FollowingScenario]):
 
     @property
     def status(self) -> str:
-        """Mode of the tracker."""
+        """Mode of the tracker, or the reason for which the guard stops the robot."""
+        if self.probe_controller.HasOutputPort("guard"):
+            guard: GuardStatus = self.evaluate(self.probe_controller, "guard")
+            if guard.stopped:
+                return f"stopped: {guard.reason}"
         return str(self.estimate.mode)
 
     def log(self) -> RunLog:

@@ -1,4 +1,4 @@
-"""Metrics of a run in the blocks `detection`, `tracking`, `servo`, `force` and `compute_ms`."""
+"""Metrics of a run, in blocks: detection, tracking, servo, force, guard and computing times."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -39,6 +39,8 @@ LABELS = {
     "force.mean_n": "contact force, mean, N",
     "force.rms_error_n": "contact force, RMS error, N",
     "force.max_n": "contact force, largest, N",
+    "guard.interventions": "times stopped by the guard",
+    "guard.volumes_refused": "volumes refused as implausible",
     "compute_ms.render.median": "rendering a sweep, median, ms",
     "compute_ms.convert.median": "scan conversion, median, ms",
     "compute_ms.track.median": "tracking, median, ms",
@@ -111,6 +113,7 @@ def summarize(log: RunLog, parameters: MetricsParameters | None = None) -> dict[
         "tracking": tracking(log, parameters),
         "servo": servo(log, parameters),
         "force": force(log, parameters),
+        "guard": guard(log),
         "compute_ms": {
             name: {"median": _number(_median(1e3 * t)), "max": _number(_max(1e3 * t))}
             for name, t in sorted(log.compute.items())
@@ -243,6 +246,28 @@ def force(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
         "rms_error_n": _number(np.sqrt(_mean(error**2))),
         "max_n": _number(_max(value)),
         "contact_lost_s": _seconds(~touching & (log.time >= first), log.time),
+    }
+
+
+def guard(log: RunLog) -> dict[str, Any]:
+    """Summarise the interventions of the guard, and the volumes refused before the tracker.
+
+    Returns
+    -------
+    `interventions`, `stopped_s`: how often and how long the guard stopped the robot;
+    `reasons`: the reasons in order, separated by semicolons;
+    `stopped_at_end`: reason for which the robot stands still at the end;
+    `volumes_refused`, `refusal`: number of volumes refused, and the last reason.
+    """
+    stopped = log.guard_reason != ""
+    refusals = log.refusal_reason[log.refusal_reason != ""]
+    return {
+        "interventions": int(np.sum(_begins(stopped))),
+        "stopped_s": _seconds(stopped, log.time),
+        "reasons": "; ".join(dict.fromkeys(log.guard_reason[stopped].tolist())) or None,
+        "stopped_at_end": str(log.guard_reason[-1]) if stopped[-1:].any() else None,
+        "volumes_refused": int(np.nan_to_num(_max(log.volumes_refused))),
+        "refusal": str(refusals[-1]) if len(refusals) else None,
     }
 
 

@@ -26,4 +26,6 @@ from .probe_body import AssumedBody as AssumedBody
 from .probe_body import ProbeBody as ProbeBody
 from .probe_body import dome_semi_axes as dome_semi_axes
 from .probe_stepper import ProbeStepper as ProbeStepper
+from .sensor_faults import SensorFault as SensorFault
+from .sensor_faults import SensorFaults as SensorFaults
 from .wrist_force_sensor import WristForceSensor as WristForceSensor
