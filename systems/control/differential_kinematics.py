@@ -178,7 +178,8 @@ class DifferentialKinematics(LeafSystem):
 
     def _update_joint_command(self, context: Context, discrete_state: DiscreteValues) -> None:
         if self._sent.HasValue(context):
-            q, v = np.split(self._sent.Eval(context), 2)
+            sent = self._sent.Eval(context)
+            q, v = sent[: len(sent) // 2], sent[len(sent) // 2 :]
         else:
             q, v = self._joint_command(context)
         plant, frame = self._plant, self._probe

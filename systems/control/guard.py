@@ -25,6 +25,7 @@ from sonoservo.systems.control.guard_rules import (
     Mode,
     Vector,
     contact_force,
+    keeps_limits,
     outside,
     reason,
     region,
@@ -124,8 +125,10 @@ class Guard(LeafSystem):
             ),
             prerequisites_of_calc={self.nothing_ticket()},
         )
-        # The command sent at the last check and its time, and the memory.
-        self._command = self.DeclareDiscreteState(np.full(2 * n + 1, np.nan))
+        # The command sent at the last check, its time and the mode since then; and the memory.
+        nothing = np.full(2 * n + 2, np.nan)
+        nothing[-1] = Mode.MONITORING
+        self._command = self.DeclareDiscreteState(nothing)
         self._memory = self.DeclareDiscreteState(np.array(GuardMemory().pack()))
         self._sent = self.DeclareVectorOutputPort(
             "joint_command",
@@ -144,7 +147,7 @@ class Guard(LeafSystem):
 
     def _initialize(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
         q = self._joint_state.Eval(context)[: self._joints]
-        command = np.concatenate([q, np.zeros_like(q), [context.get_time()]])
+        command = np.concatenate([q, np.zeros_like(q), [context.get_time(), Mode.MONITORING]])
         discrete_state.set_value(self._command, command)
         discrete_state.set_value(self._memory, GuardMemory().pack())
         return EventStatus.Succeeded()
@@ -152,20 +155,17 @@ class Guard(LeafSystem):
     def _memory_in(self, context: Context) -> GuardMemory:
         return unpack(context.get_discrete_state(self._memory).value().tolist())
 
-    def _mode(self, context: Context) -> float:
-        return float(context.get_discrete_state(self._memory).value()[0])
-
     def _calc_joint_command(self, context: Context, output: BasicVector) -> None:
-        sent = context.get_discrete_state(self._command).value()
-        if self._mode(context) == Mode.MONITORING:
+        last, n = context.get_discrete_state(self._command).value(), self._joints
+        q, v, (time, mode) = last[:n], last[n:-2], last[-2:]
+        if mode == Mode.MONITORING:
             wanted = self._wanted.Eval(context)
-            if self._accepts(wanted, sent[:-1]):
+            if self._accepts(wanted, last):
                 output.SetFromVector(wanted)
             else:
-                output.SetFromVector(np.concatenate([sent[: self._joints], 0 * self._max_speed]))
-            return
-        q, v = np.split(sent[:-1], 2)
-        output.SetFromVector(np.concatenate([q + (context.get_time() - sent[-1]) * v, v]))
+                output.SetFromVector(np.concatenate([q, np.zeros(n)]))
+        else:
+            output.SetFromVector(np.concatenate([q + (context.get_time() - time) * v, v]))
 
     def _calc_guard(self, context: Context, output: Value) -> None:
         memory = self._memory_in(context)
@@ -178,28 +178,25 @@ class Guard(LeafSystem):
         output.set_value(status)
 
     def _accepts(self, wanted: NDArray[np.float64], sent: NDArray[np.float64]) -> bool:
-        """Return True if a command keeps the joints' limits and continues the one sent last.
-
-        Before the first check, the last command is NaN, and nothing has to be continued.
-        """
-        inside = (wanted >= self._lowest) & (wanted <= self._highest)
-        return bool(inside.all() and not (np.abs(wanted - sent) > self._reach).any())
+        """Return True if a command keeps the joints' limits and continues the one sent last."""
+        return bool(keeps_limits(wanted, sent, self._lowest, self._highest, self._reach))
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> None:
         before = self._memory_in(context)
         sent = self._sent.Eval(context)
         seen = self._observe(context, before, sent)
         memory = next_memory(before, seen, self._limits, self._region, self._time_step)
-        command = np.empty(len(sent) + 1)
-        command[:-1], command[-1] = sent, seen.time
+        command = np.empty(len(sent) + 2)
+        command[:-2], command[-2] = sent, seen.time
         if memory.mode != Mode.MONITORING:
-            v = command[self._joints : -1]
+            v = command[self._joints : -2]
             if memory.mode == Mode.RETREATING:
                 v[:] = self._retreat(context, sent[: self._joints], memory.speed)
                 if not v.any():  # the arm cannot retreat further
                     memory = memory._replace(mode=Mode.HOLDING, speed=0.0)
             else:
                 v *= self._slowed(memory, v)
+        command[-1] = memory.mode
         discrete_state.set_value(self._command, command)
         discrete_state.set_value(self._memory, memory.pack())
 

@@ -74,12 +74,16 @@ class GuardMemory(NamedTuple):
 
 def unpack(numbers: list[float]) -> GuardMemory:
     """Return the memory from the numbers that `GuardMemory.pack` returned."""
-    vectors = iter(numbers[_SCALARS:])
-    p, velocity, start = (tuple(next(vectors) for _ in range(3)) for _ in range(3))
-    last, trusted = tuple(next(vectors) for _ in range(6)), tuple(next(vectors) for _ in range(3))
-    sensor = SensorMemory(last, trusted, *vectors)  # type: ignore[arg-type]
-    scalars = numbers[:_SCALARS]
-    return GuardMemory(*scalars, p, velocity, start, sensor)  # type: ignore[arg-type]
+    n = _SCALARS
+    p, velocity, start, last, trusted = (
+        tuple(numbers[n : n + 3]),
+        tuple(numbers[n + 3 : n + 6]),
+        tuple(numbers[n + 6 : n + 9]),
+        tuple(numbers[n + 9 : n + 15]),
+        tuple(numbers[n + 15 : n + 18]),
+    )
+    sensor = SensorMemory(last, trusted, *numbers[n + 18 :])  # type: ignore[arg-type]
+    return GuardMemory(*numbers[:n], p, velocity, start, sensor)  # type: ignore[arg-type]
 
 
 class Observation(NamedTuple):
@@ -218,8 +222,11 @@ def _breach_of_motion(
             return breach
     if seen.p_ahead is None or seen.axis_ahead is None:
         return NO_BREACH
-    speed = math.dist(seen.p_ahead, seen.p) / seen.seconds_ahead
-    if memory.mode == Mode.HOLDING and speed > limits.max_speed:
-        return Breach(Cause.SPEED, speed)
+    if memory.mode == Mode.HOLDING:
+        share = time_step / seen.seconds_ahead
+        step = tuple(share * (a - b) for a, b in zip(seen.p_ahead, seen.p, strict=True))
+        breach = moving_too_fast(step, 3 * (0.0,), time_step, limits)
+        if breach is not NO_BREACH:
+            return breach
     now = outside(seen.p, seen.axis, allowed)
     return leaving(now, outside(seen.p_ahead, seen.axis_ahead, allowed))

@@ -7,7 +7,9 @@ looks. Both are tuples of numbers, because the rules run at every step of the co
 import math
 from collections.abc import Sequence
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+from numba import njit
 
 from sonoservo.systems.control.guard_parameters import GuardParameters
 from sonoservo.systems.control.wrist_sensor_check import SensorFault
@@ -185,6 +187,29 @@ def moving_too_fast(
     if acceleration > limits.max_acceleration:
         return Breach(Cause.ACCELERATION, acceleration)
     return NO_BREACH
+
+
+@njit(cache=True)
+def keeps_limits(  # pragma: no cover - compiled
+    wanted: Any, last: Any, lowest: Any, highest: Any, reach: Any
+) -> bool:
+    """Return True if a command keeps the limits of the joints and continues the last one.
+
+    Parameters
+    ----------
+    wanted
+        (2n,) joint positions and velocities, in rad and rad/s.
+    last
+        At least (2n,) numbers: those sent last. Nothing has to be continued where they are NaN.
+    lowest, highest
+        (2n,) limits.
+    reach
+        (2n,) largest changes from one command to the next.
+    """
+    for i in range(len(wanted)):
+        if not lowest[i] <= wanted[i] <= highest[i] or abs(wanted[i] - last[i]) > reach[i]:
+            return False
+    return True
 
 
 def contact_force(wrist_force: Vector, down_P: Vector, weight: float) -> Vector:
