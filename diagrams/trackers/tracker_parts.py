@@ -126,7 +126,6 @@ def add_tracker_parts(
         ),
     )
     builder.ExportInput(gate.GetInputPort("volume"), "volume")
-    builder.ExportOutput(gate.GetOutputPort("volume_check"), "volume_check")
     for each in (memory, detector, localizer, manager):
         builder.Connect(gate.GetOutputPort("volume"), each.GetInputPort("volume"))
     for source, port, target in (
@@ -144,4 +143,5 @@ def add_tracker_parts(
         ("explanation", "explanation"),
     ):
         builder.ExportOutput(manager.GetOutputPort(port), name)
+    builder.ExportOutput(gate.GetOutputPort("volume_check"), "volume_check")
     return manager

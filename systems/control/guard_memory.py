@@ -1,7 +1,7 @@
 """Memory of the guard, and its next value after an observation."""
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 from sonoservo.systems.control.guard_parameters import GuardParameters
 from sonoservo.systems.control.guard_rules import (
@@ -37,7 +37,7 @@ class GuardMemory(NamedTuple):
     interventions
         Number of interventions.
     over
-        Number of successive samples with too much force.
+        Number of successive samples with too much force, or with force where nothing can be.
     speed
         Speed of the retreat, in m/s.
     free
@@ -68,7 +68,7 @@ class GuardMemory(NamedTuple):
     def pack(self) -> list[float]:
         """Return all numbers in one list."""
         last, trusted, *rest = self.sensor
-        scalars = self[:_SCALARS]
+        scalars = cast(Vector, self[:_SCALARS])
         return [*scalars, *self.p, *self.velocity, *self.start, *last, *trusted, *rest]
 
 
@@ -82,8 +82,8 @@ def unpack(numbers: list[float]) -> GuardMemory:
         tuple(numbers[n + 9 : n + 15]),
         tuple(numbers[n + 15 : n + 18]),
     )
-    sensor = SensorMemory(last, trusted, *numbers[n + 18 :])  # type: ignore[arg-type]
-    return GuardMemory(*numbers[:n], p, velocity, start, sensor)  # type: ignore[arg-type]
+    sensor = SensorMemory._make([last, trusted, *numbers[n + 18 :]])
+    return GuardMemory._make([*numbers[:n], p, velocity, start, sensor])
 
 
 class Observation(NamedTuple):
@@ -130,22 +130,25 @@ def next_memory(
     time_step: float,
 ) -> GuardMemory:
     """Return the memory after one more observation, `time_step` seconds after the last one."""
-    force = math.hypot(*seen.contact)
+    force, pressing = math.hypot(*seen.contact), -seen.contact[1]
     sensor = next_sensor_memory(
         memory.sensor,
         seen.wrist_force,
-        -seen.contact[1],
+        pressing,
         seen.time,
         limits.wrist_sensor,
         moving=memory.mode == Mode.RETREATING,
     )
+    in_air = seen.p[2] > allowed.contact_top and pressing > limits.wrist_sensor.max_pull
+    fine = force <= limits.max_force and not in_air
     doubted = sensor.suspicion or not sensor.started
-    over = 0 if doubted or force <= limits.max_force else memory.over + 1
+    over = 0 if doubted or fine else memory.over + 1
     breach = NO_BREACH
     if sensor.fault:
-        breach = Breach(Cause(int(Cause.FORCE + sensor.fault)), -seen.contact[1])
+        breach = Breach(Cause(int(Cause.FORCE + sensor.fault)), pressing)
     elif over >= 2:  # one sample may be the inertia of a sudden motion
-        breach = Breach(Cause.FORCE, force)
+        too_much = force > limits.max_force
+        breach = Breach(Cause.FORCE, force) if too_much else Breach(Cause.SENSOR_IN_AIR, pressing)
     else:
         breach = _breach_of_motion(memory, seen, limits, allowed, time_step)
     step = tuple(a - b for a, b in zip(seen.p, memory.p, strict=True))

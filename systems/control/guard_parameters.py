@@ -69,6 +69,9 @@ class GuardParameters:
         station, an empty list leaves workspace and depth unguarded.
     max_depth
         Largest depth of the probe's face below the height of that point, in m.
+    max_rise
+        Largest height above that point at which the body can be felt, in m. A force that is felt
+        higher up counts as a bias of the sensor.
     workspace_min, workspace_max
         (3,) corners of the box in which the probe's face may be, along the axes of W and relative
         to that point, in m.
@@ -99,6 +102,7 @@ class GuardParameters:
     max_force: float = 10.0
     surface: list[float] = field(default_factory=list)
     max_depth: float = 0.02
+    max_rise: float = 0.06
     workspace_min: list[float] = field(default_factory=lambda: [-0.25, -0.25, -0.1])
     workspace_max: list[float] = field(default_factory=lambda: [0.25, 0.25, 0.12])
     max_tilt_deg: float = 30.0
@@ -131,6 +135,7 @@ class GuardParameters:
         require(0 < self.max_tilt_deg <= 90, "max_tilt_deg", self.max_tilt_deg, "from 0 to 90 deg")
         require_positive(
             max_depth=self.max_depth,
+            max_rise=self.max_rise,
             max_speed=self.max_speed,
             max_acceleration=self.max_acceleration,
             max_joint_acceleration=self.max_joint_acceleration,

@@ -46,6 +46,7 @@ class Cause(IntEnum):
     SENSOR_FROZEN = 10 + SensorFault.FROZEN
     SENSOR_JUMPED = 10 + SensorFault.JUMPED
     SENSOR_PULLING = 10 + SensorFault.PULLING
+    SENSOR_IN_AIR = 16
 
 
 class Breach(NamedTuple):
@@ -84,6 +85,8 @@ def reason(cause: int, value: float, limits: GuardParameters) -> str:
         Cause.SENSOR_JUMPED: f"the wrist sensor jumped by more than {sensor.max_jump:g} N",
         Cause.SENSOR_PULLING: f"the wrist sensor reads a pull of {-value:.1f} N, but contact can "
         "only push; is it biased?",
+        Cause.SENSOR_IN_AIR: f"the wrist sensor reads {value:.1f} N more than "
+        f"{1e3 * limits.max_rise:g} mm above the configured surface; is it biased?",
     }
     return texts[Cause(cause)]
 
@@ -97,6 +100,8 @@ class Region(NamedTuple):
         (3,) corners of the workspace in W, in m.
     floor
         Lowest height of the probe's face, in m.
+    contact_top
+        Highest height at which it can touch the body, in m.
     axis
         (3,) direction from which the tilt counts, in W.
     min_cosine
@@ -106,6 +111,7 @@ class Region(NamedTuple):
     low: Vector
     high: Vector
     floor: float
+    contact_top: float
     axis: Vector
     min_cosine: float
 
@@ -125,12 +131,13 @@ def region(limits: GuardParameters, surface: Sequence[float], axis: Sequence[flo
     cosine = math.cos(math.radians(limits.max_tilt_deg))
     if not len(surface):
         nowhere = 3 * (math.inf,)
-        return Region(3 * (-math.inf,), nowhere, -math.inf, tuple(axis), cosine)
+        return Region(3 * (-math.inf,), nowhere, -math.inf, math.inf, tuple(axis), cosine)
     low, high = (
         tuple(s + d for s, d in zip(surface, corner, strict=True))
         for corner in (limits.workspace_min, limits.workspace_max)
     )
-    return Region(low, high, surface[2] - limits.max_depth, tuple(axis), cosine)
+    floor, top = surface[2] - limits.max_depth, surface[2] + limits.max_rise
+    return Region(low, high, floor, top, tuple(axis), cosine)
 
 
 def outside(p: Vector, axis: Vector, allowed: Region) -> Breach:

@@ -35,7 +35,8 @@ class SensorMemory(NamedTuple):
     changed
         Time at which the sample last changed, in s.
     suspicion, suspected
-        Fault that the last sample suggests, and the time in s since which samples suggest one.
+        Fault that the last sample suggests, and the time in s since which samples suggest one
+        again and again.
     cleared
         Last time at which a sample was implausible, in s.
     fault
@@ -94,11 +95,13 @@ def next_memory(
             force if started else memory.trusted,
             changed,
             suspicion,
-            time,
+            memory.suspected,
             memory.cleared,
             SensorFault.NONE if settled else memory.fault,
         )
-    since = memory.suspected if memory.suspicion else time
+    # Good samples in between do not count, if implausible ones keep coming.
+    again = memory.suspicion or time - memory.cleared < limits.confirmed_after
+    since = memory.suspected if again else time
     late = time - since >= limits.confirmed_after - _ROUNDING
     confirmed = late or memory.fault or suspicion == SensorFault.FROZEN
     # After a jump that lasts, further samples are compared with the new level.

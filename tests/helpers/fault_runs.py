@@ -205,6 +205,17 @@ def sensor_cases():
         yield FaultCase(name=name, phase=phase, sensor=fault, duration=duration)
 
 
+def double_cases():
+    kinds = ("nan", "frozen", "dead", "bias", "jumping")
+    for kind, value in zip(kinds, (0, 0, 0, -10, 20), strict=True):
+        yield FaultCase(
+            name=f"sensor {kind} while the phantom comes 20 mm up at 10 cm/s",
+            sensor=SensorFault(kind=kind, value=value),
+            move=phantom_move(0.02, 0.1),
+            duration=1.5,
+        )
+
+
 def pose_cases():
     for pose, phase, duration in product(("nan", "frozen", "jump"), PHASES, (0.01, 1.0)):
         yield FaultCase(
@@ -264,7 +275,9 @@ def ceiling_cases():
 
 def fault_cases() -> list[FaultCase]:
     """All cases."""
-    return [*sensor_cases(), *pose_cases(), *phantom_cases(), *ceiling_cases()]
+    return [
+        *sensor_cases(), *double_cases(), *pose_cases(), *phantom_cases(), *ceiling_cases(),
+    ]  # fmt: skip
 
 
 def run_faults(cases: Iterable[FaultCase], contact_model: str = "point") -> list[FaultResult]:

@@ -69,6 +69,14 @@ def test_a_jump_that_lasts_is_a_fault_and_a_spike_is_none():
     assert set(judge(spiked)) == {SensorFault.NONE}
 
 
+def test_a_sensor_that_jumps_to_and_fro_is_a_fault():
+    good, off = samples(40), samples(40, pressing=22.0)
+    alternating = [each for pair in zip(good, off, strict=True) for each in pair]
+    faults = judge([*samples(20, seed=3), *alternating])
+    assert faults[30] is SensorFault.JUMPED
+    assert SensorFault.NONE not in faults[30:]
+
+
 def test_a_pull_is_a_bias_unless_the_guard_itself_moves_the_probe():
     pulled = [*samples(20, pressing=0.0), *samples(20, pressing=-3.0)]
     assert judge(pulled)[-1] is SensorFault.PULLING
