@@ -55,8 +55,10 @@ class Insertion(Immutable):
     """
 
     def __init__(self, parameters: InsertionParameters, rng: np.random.Generator) -> None:
-        self.parameters = parameters
         start = parameters.start or 0.0
+        entry = list(DEFAULT_ENTRY) if parameters.entry is None else parameters.entry
+        parameters = replace(parameters, start=start, entry=entry, aim=None)
+        self.parameters = parameters
         path = _draw_path(parameters, rng)
         if parameters.feed is None:
             self._tilt = np.deg2rad(parameters.angle_spread_deg) * rng.uniform(-1, 1, 2)
@@ -168,8 +170,7 @@ class Insertion(Immutable):
         parameters = self.parameters
         durations = [push.duration for push in parameters.pushes]
         starts = (parameters.start or 0.0) + np.cumsum([0.0, *durations])
-        entry = list(DEFAULT_ENTRY) if parameters.entry is None else parameters.entry
-        aim = _Aim(entry, parameters.azimuth_deg, parameters.dip_deg)
+        aim = _Aim(parameters.entry or [], parameters.azimuth_deg, parameters.dip_deg)
         self._aims.append(_Stage(-np.inf, -np.inf, aim, aim))
         for number, (push, start) in enumerate(zip(parameters.pushes, starts, strict=False)):
             if push.aim:

@@ -212,7 +212,7 @@ def test_the_part_in_the_tissue_at_the_start_was_cut_before_the_needle_was_turne
     from_inside = make(**BENT, initial_depth=30e-3, pushes=[*turn, push])
     s = np.linspace(0, 60e-3, 13)
     one, other = (each.needle(60).position(s) for each in (from_outside, from_inside))
-    np.testing.assert_allclose(one, other, atol=1e-9)
+    np.testing.assert_allclose(one, other, atol=5e-6)  # of their chords
 
 
 def test_a_partly_withdrawn_needle_turns_about_its_entry():
@@ -241,7 +241,7 @@ def test_a_partly_withdrawn_needle_turns_about_its_entry():
     [
         ({}, {"azimuth_deg": 60.0}, "azimuth_deg: 60.0 .* within 45 deg of the present direction"),
         ({"bend_radius": 0.2}, {"dip_deg": 5.0}, "dip_deg: 5.0 .* 15.0 mm in the tissue; withdraw"),
-        ({"initial_depth": 0.01}, {"dip_deg": 5.0}, "25.0 mm in the tissue; withdraw it to 20 mm"),
+        ({"initial_depth": 0.01}, {"dip_deg": 5.0}, "dip_deg: 5.0 .* 25.0 mm in the tissue; withdraw it to 20 mm"),
     ],
 )
 def test_a_needle_that_cannot_be_turned_in_the_tissue_is_refused(changes, aim, message):
