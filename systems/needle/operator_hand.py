@@ -162,9 +162,7 @@ def next_push(
         duration=period,
         speed=_limited((depth - driven.depth) / period, parameters.speed),
         turning_deg=_limited((turn_deg - driven.turn_deg) / period, parameters.turning_deg),
-        **(
-            new_aim(driven.insertion, target) if _can_follow(driven.insertion, target, time) else {}
-        ),
+        **aim,
     )
 
 

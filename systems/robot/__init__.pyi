@@ -25,7 +25,7 @@ from .posture import solve_posture as solve_posture
 from .probe_body import AddProbeBody as AddProbeBody
 from .probe_body import AssumedBody as AssumedBody
 from .probe_body import ProbeBody as ProbeBody
-from .probe_body import dome_semi_axes as dome_semi_axes
 from .probe_body import distance_to_probe as distance_to_probe
+from .probe_body import dome_semi_axes as dome_semi_axes
 from .probe_stepper import ProbeStepper as ProbeStepper
 from .wrist_force_sensor import WristForceSensor as WristForceSensor

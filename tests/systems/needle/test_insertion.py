@@ -241,7 +241,11 @@ def test_a_partly_withdrawn_needle_turns_about_its_entry():
     [
         ({}, {"azimuth_deg": 60.0}, "azimuth_deg: 60.0 .* within 45 deg of the present direction"),
         ({"bend_radius": 0.2}, {"dip_deg": 5.0}, "dip_deg: 5.0 .* 15.0 mm in the tissue; withdraw"),
-        ({"initial_depth": 0.01}, {"dip_deg": 5.0}, "dip_deg: 5.0 .* 25.0 mm in the tissue; withdraw it to 20 mm"),
+        (
+            {"initial_depth": 0.01},
+            {"dip_deg": 5.0},
+            "dip_deg: 5.0 .* 25.0 mm in the tissue; withdraw it to 20 mm",
+        ),
     ],
 )
 def test_a_needle_that_cannot_be_turned_in_the_tissue_is_refused(changes, aim, message):
@@ -259,7 +263,7 @@ def test_the_shorter_way_round_is_taken_across_north():
 
 
 def test_turning_the_needle_rolls_its_bevel():
-    """Turned by 90 deg from up to the right as seen along it, the face of a straight one does so."""
+    """Turned by 90 deg from up to the right, as seen along the needle."""
     turned = make(start=0.0, initial_depth=0.03, pushes=[Push(duration=1, turning_deg=90)])
     assert turned.needle(0.0).roll == 0
     assert turned.needle(9.0).roll == pytest.approx(-np.pi / 2)
