@@ -51,9 +51,7 @@ def slide(surface, *, friction=0.0, velocity=(0, 0, 0), y=0.0):
 @pytest.mark.parametrize("surface", [BOX, LIMB, ABDOMEN], ids=lambda each: each.shape)
 @pytest.mark.parametrize("friction", [0.02, 0.3])
 def test_a_sliding_probe_drags_by_coulomb_s_share_of_its_force(surface, friction):
-    """The contact is a bowl, not a plane: the pressure on its slopes adds more to the friction than to the
-    normal force, up to 4 % here.
-    """
+    """The contact is a bowl, not a plane, whose slopes add up to 4 % more to the friction."""
     (to, pressed, _), (fro, _, _) = (
         slide(surface, friction=friction, velocity=(speed, 0.0, 0.0)) for speed in (5e-3, -5e-3)
     )
