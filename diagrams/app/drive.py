@@ -80,17 +80,19 @@ class DrivenExperiment(FollowingExperiment):
         observers: Mapping[str, System] | None = None,
     ) -> None:
         scenario = require_scenario(scenario, FollowingScenario)
+        hand, controller = placed_hand(scenario), scenario.controller
+        depth = round(hand.initial_depth or 0.0, 3)  # as the slider has it, in whole mm
         still = replace(
             scenario,
-            hand=replace(placed_hand(scenario), start=0.0, pushes=[]),
+            hand=replace(hand, start=0.0, pushes=[], initial_depth=depth),
             phantom_motion=PhantomMotionParameters(),
             controller_changes=[],
         )
-        hand, controller = scenario.hand, scenario.controller
         start = controller.settings
         panel = OperatorPanel(
             meshcat=meshcat,
             controls=operator_controls(
+                depth=depth,
                 azimuth_deg=hand.azimuth_deg,
                 dip_deg=hand.dip_deg,
                 gain=start.gain,

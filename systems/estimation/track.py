@@ -49,6 +49,9 @@ class TrackParameters:
     filtering
         Whether measurements are filtered. If not, each one starts the track anew, without a
         velocity for the prediction and without a gate on the innovation.
+    max_approach
+        Largest motion of the probe along its axis during a sweep, in m, at which a needle may be
+        found anywhere. A probe that lands shows the edge of its contact, which looks like a needle.
     probe_frame
         Whether the needle's state is kept in the probe's frame, as in Chatelain 2013. The state
         then moves along with the probe, and its velocity is that in the image, which suits only the
@@ -64,6 +67,7 @@ class TrackParameters:
     withdrawn_length: float = 6e-3
     seconds_to_give_up: float = 10.0
     filtering: bool = True
+    max_approach: float = 0.5e-3
     probe_frame: bool = False
 
     def __post_init__(self) -> None:
@@ -74,6 +78,7 @@ class TrackParameters:
             gate=self.gate,
             withdrawn_length=self.withdrawn_length,
             seconds_to_give_up=self.seconds_to_give_up,
+            max_approach=self.max_approach,
         )
         require(self.gate < 1, "gate", self.gate, "below 1")
         for name in ("volumes_to_confirm", "volumes_to_lose"):

@@ -161,7 +161,11 @@ class TrackManager(LeafSystem):
         velocity: VelocityMeasurement | NotFound = NotFound("the velocity is not measured")
         if track.mode == TrackingMode.SEARCHING:
             detection = evaluate(self, context, "detection", (InsertionDetection, NotFound))
-        if isinstance(prediction, NeedlePrediction):
+        approach = 0.0 if track else _approach(volume)
+        if isinstance(prediction, NeedlePrediction) and approach > self._parameters.max_approach:
+            moved = f"the probe moved {1e3 * approach:.1f} mm along its axis during the sweep"
+            measurement = NotFound(moved)
+        elif isinstance(prediction, NeedlePrediction):
             measurement = evaluate(self, context, "measurement", (NeedleMeasurement, NotFound))
         followed = track.mode in (TrackingMode.TRACKING, TrackingMode.COASTING)
         if followed and self.GetInputPort("velocity").HasValue(context):
@@ -189,3 +193,11 @@ class TrackManager(LeafSystem):
 
     def _track_in(self, context: Context) -> Track:
         return context.get_abstract_state(self._track).get_value()
+
+
+def _approach(volume: Volume) -> float:
+    """Return the probe's motion along its axis during a volume's sweep, in m; 0 if unknown."""
+    if volume.motion is None:
+        return 0.0
+    poses = volume.motion.X_WP
+    return float(abs((poses[-1, :3, 3] - poses[0, :3, 3]) @ poses[0, :3, 1]))

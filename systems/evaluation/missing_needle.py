@@ -33,19 +33,22 @@ def missing_needle(log: RunLog) -> tuple[str, str]:
     ]
     if not reasons:
         return "No volume was acquired.", _sentence(search_advice("no volume"))
-    visible = np.nan_to_num(at_times(log, log.visible_length, log.volume_time))
-    seen = visible > _IN_VIEW
-    if log.needle_tip.size and not np.isfinite(log.needle_tip).any():
+    last = f" {_sentence(reasons[-1])}" if reasons[-1] else ""
+    if np.nanmax(log.inserted_length, initial=-1) == 0:
         return (
-            f"The needle stayed outside the tissue; {reasons[-1]}.",
+            f"The needle stayed outside the tissue.{last}",
             "Push it in before the run ends (hand.start, hand.pushes, duration).",
         )
-    if not seen.any() and np.isfinite(log.visible_length).any():
+    visible = at_times(log, log.visible_length, log.volume_time)
+    seen = np.nan_to_num(visible) > _IN_VIEW
+    if np.isfinite(visible).any() and not seen.any():
         return (
-            f"The needle never came into view; {reasons[-1]}.",
+            f"The needle never came into view.{last}",
             "Push it further (hand.pushes), or let it pass below the probe (hand.aim).",
         )
     shown = [reason for reason, each in zip(reasons, seen, strict=True) if each] or reasons
+    # The first volumes have nothing to be compared with, whatever else is wrong.
+    shown = [each for each in shown if not each.startswith("there is no earlier")] or shown
     counts = Counter(search_words(reason) or reason for reason in shown)
     usual, _ = counts.most_common(1)[0]
     last = next(each for each in reversed(shown) if (search_words(each) or each) == usual)

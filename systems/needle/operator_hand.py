@@ -92,8 +92,9 @@ class OperatorHand(LeafSystem):
         super().__init__()
         self._make_insertion = make_insertion
         self._parameters = parameters or OperatorHandParameters()
-        start = OperatorInsertion(make_insertion([]))
-        empty = start.insertion.needle(-1.0)
+        insertion = make_insertion([])
+        start = OperatorInsertion(insertion, insertion.parameters.initial_depth or 0.0)
+        empty = insertion.needle(-1.0)
         self.DeclareVectorInputPort("needle_target", 4)
         self.DeclareAbstractState(Value[object](start))
         self.DeclareAbstractOutputPort(

@@ -1,7 +1,8 @@
 """Reasons for which a tracker finds no needle, in words, and what to change."""
 
 _FAINT = (
-    "make the needle brighter (scanner.needle) or less steep (hand.dip_deg), or the tissue darker"
+    "push the needle further into view (hand.pushes), or make it brighter (scanner.needle) or less "
+    "steep (hand.dip_deg)"
 )
 _CASES = (
     ("no volume", "there is no volume", "let the run be longer (duration)"),
