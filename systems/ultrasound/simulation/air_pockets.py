@@ -119,7 +119,8 @@ class AirPockets:
 
 def _centred(count: int) -> NDArray[np.float64]:
     """Return successive whole or half numbers around 0."""
-    return np.arange(count) - (count - 1) / 2
+    numbers: NDArray[np.float64] = np.arange(count) - (count - 1) / 2
+    return numbers
 
 
 def _aperture(elements: float, hann: bool) -> NDArray[np.float64]:
