@@ -119,8 +119,7 @@ class AirPockets:
 
 def _centred(count: int) -> NDArray[np.float64]:
     """Return successive whole or half numbers around 0."""
-    numbers: NDArray[np.float64] = np.arange(count) - (count - 1) / 2
-    return numbers
+    return np.arange(count, dtype=np.float64) - (count - 1) / 2
 
 
 def _aperture(elements: float, hann: bool) -> NDArray[np.float64]:
