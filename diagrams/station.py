@@ -20,7 +20,7 @@ from sonoservo.systems.robot.body_pose import BodyPose
 from sonoservo.systems.robot.contact_force import ContactForce
 from sonoservo.systems.robot.phantom import AddPhantom, load_contact
 from sonoservo.systems.robot.posture import probe_pose, reachable, solve_posture
-from sonoservo.systems.robot.wrist_force_sensor import WristForceSensor
+from sonoservo.systems.robot.wrist_force_sensor import WristForceSensor, WristSensorParameters
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
 
@@ -73,8 +73,8 @@ class StationParameters:
         (3,) position in W of the centre of the phantom's top face, in m, while it is at rest.
     probe
         Initial placement of the probe.
-    force_noise, torque_noise
-        Standard deviation of the wrist force sensor's samples, in N and N m.
+    wrist_sensor
+        Noise and errors of the wrist force sensor.
     display_period
         Time between pictures sent to Meshcat, in s of the simulation.
     """
@@ -85,8 +85,7 @@ class StationParameters:
     )
     phantom_position: list[float] = field(default_factory=lambda: [0.5, 0.0, 0.2])
     probe: ProbePlacement = field(default_factory=ProbePlacement)
-    force_noise: float = 0.02
-    torque_noise: float = 0.001
+    wrist_sensor: WristSensorParameters = field(default_factory=WristSensorParameters)
     display_period: float = 3 / 32
 
     def __post_init__(self) -> None:
@@ -96,7 +95,6 @@ class StationParameters:
         for name, allowed in _ALLOWED.items():
             value = getattr(self.plant, name)
             require(value in allowed, f"plant.{name}", value, " or ".join(allowed))
-        require_not_negative(force_noise=self.force_noise, torque_noise=self.torque_noise)
         position = self.phantom_position
         finite = len(position) == 3 and bool(np.isfinite(position).all())
         require(finite, "phantom_position", position, "three coordinates in m")
@@ -262,8 +260,7 @@ def MakeStation(
         "wrist_force_sensor",
         WristForceSensor(
             wrist=arm.wrist,
-            force_noise=parameters.force_noise,
-            torque_noise=parameters.torque_noise,
+            parameters=parameters.wrist_sensor,
             period=parameters.plant.time_step,
             seed=seed,
         ),

@@ -27,3 +27,4 @@ from .probe_body import ProbeBody as ProbeBody
 from .probe_body import dome_semi_axes as dome_semi_axes
 from .probe_stepper import ProbeStepper as ProbeStepper
 from .wrist_force_sensor import WristForceSensor as WristForceSensor
+from .wrist_force_sensor import WristSensorParameters as WristSensorParameters
