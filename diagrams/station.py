@@ -24,10 +24,11 @@ from sonoservo.systems.robot.calibration import (
 )
 from sonoservo.systems.robot.contact_force import ContactForce
 from sonoservo.systems.robot.forward_kinematics import ForwardKinematics
-from sonoservo.systems.robot.phantom import AddPhantom, load_contact
+from sonoservo.systems.robot.phantom import AddPhantom, load_contact, set_friction
 from sonoservo.systems.robot.pose_delay import PoseDelay, PoseDelayParameters
 from sonoservo.systems.robot.posture import probe_pose, reachable, solve_posture
 from sonoservo.systems.robot.wrist_force_sensor import WristForceSensor, WristSensorParameters
+from sonoservo.systems.signals.body_surface import BodySurface
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
 
@@ -40,16 +41,16 @@ _ALLOWED = {
 
 @dataclass(kw_only=True)
 class ProbePlacement:
-    """Initial placement of the probe over the phantom, facing straight down.
+    """Initial placement of the probe over the phantom, facing it along its surface's normal.
 
     Parameters
     ----------
     x, y
         Point of the phantom's top below the probe, in T, in m.
     yaw_deg
-        Angle from X_T to X_P about the vertical, in deg.
+        Angle from X_T to X_P about the surface's normal, in deg.
     height
-        Height of the probe's face above the phantom, in m.
+        Height of the probe's face above the phantom, along that normal, in m.
     """
 
     x: float = 0.0
@@ -128,8 +129,12 @@ class StationParameters:
         y: float | None = None,
         yaw_deg: float | None = None,
         height: float | None = None,
+        surface: BodySurface | None = None,
     ) -> RigidTransform:
-        """Return the initial pose X_WP of the probe; arguments override the placement's values."""
+        """Return the initial pose X_WP of the probe; arguments override the placement's values.
+
+        The face lies along the phantom's surface, which is level by default.
+        """
         start = self.probe
         return probe_pose(
             X_WT=self.X_WT,
@@ -137,10 +142,13 @@ class StationParameters:
             y=start.y if y is None else y,
             yaw=np.deg2rad(start.yaw_deg if yaw_deg is None else yaw_deg),
             height=start.height if height is None else height,
+            surface=surface,
         )
 
 
-def start_posture(parameters: StationParameters, probe: str = PROBE) -> NDArray[np.float64]:
+def start_posture(
+    parameters: StationParameters, probe: str = PROBE, surface: BodySurface | None = None
+) -> NDArray[np.float64]:
     """Return the initial joint positions of the arm.
 
     Parameters
@@ -149,6 +157,8 @@ def start_posture(parameters: StationParameters, probe: str = PROBE) -> NDArray[
         Parameters of the station.
     probe
         Name of a file in models/probes, or a path.
+    surface
+        Surface of the phantom; level by default.
 
     Returns
     -------
@@ -160,7 +170,9 @@ def start_posture(parameters: StationParameters, probe: str = PROBE) -> NDArray[
         If the arm cannot reach the start.
     """
     try:
-        return solve_posture(assemble_arm(parameters.arm, probe), parameters.probe_pose())
+        return solve_posture(
+            assemble_arm(parameters.arm, probe), parameters.probe_pose(surface=surface)
+        )
     except ConfigurationError:
         raise
     except ValueError as error:
@@ -171,13 +183,16 @@ def start_posture(parameters: StationParameters, probe: str = PROBE) -> NDArray[
 
 
 def check_reach(
-    parameters: StationParameters, poses: Sequence[RigidTransform], probe: str = PROBE
+    parameters: StationParameters,
+    poses: Sequence[RigidTransform],
+    probe: str = PROBE,
+    surface: BodySurface | None = None,
 ) -> list[bool]:
     """Return, for each pose X_WP of the probe, True if the arm can reach it from its start.
 
     Parameters
     ----------
-    parameters, probe
+    parameters, probe, surface
         See `start_posture`.
     poses
         Poses of the probe.
@@ -187,7 +202,7 @@ def check_reach(
     ValueError
         If the arm cannot reach the start.
     """
-    near = start_posture(parameters, probe)
+    near = start_posture(parameters, probe, surface)
     return reachable(assemble_arm(parameters.arm, probe), poses, near)
 
 
@@ -255,15 +270,15 @@ def MakeStation(
     ValueError
         If the arm cannot reach the probe's start.
     """
-    start = start_posture(parameters, probe)
+    surface, contact = load_tissue(phantom).surface, load_contact(phantom)
+    start = start_posture(parameters, probe, surface)
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlant(parameters.plant, builder)
     model = load_arm(parameters.arm)
     arm = AddArmWithProbe(plant, model, load_probe_body(probe))
     set_servo_gains(arm, model.servo)
-    placed = AddPhantom(
-        plant, scene_graph, size=load_tissue(phantom).size, contact=load_contact(phantom)
-    )
+    placed = AddPhantom(plant, scene_graph, surface=surface, contact=contact)
+    set_friction(plant, scene_graph, arm.probe, contact.friction)
     Parser(plant).AddModels(str(model_path("bench.sdf")))
     plant.Finalize()
     plant.SetDefaultPositions(arm.model_instance, start)
@@ -317,12 +332,12 @@ def MakeStation(
     builder.Connect(plant.get_reaction_forces_output_port(), sensor.get_input_port())
     builder.ExportOutput(sensor.get_output_port(), "wrist_force")
 
-    contact = builder.AddNamedSystem("contact_force", ContactForce())
+    pressed = builder.AddNamedSystem("contact_force", ContactForce(surface=surface))
     builder.Connect(
-        plant.get_contact_results_output_port(), contact.GetInputPort("contact_results")
+        plant.get_contact_results_output_port(), pressed.GetInputPort("contact_results")
     )
-    builder.Connect(poses["X_WT"].get_output_port(), contact.GetInputPort("X_WT"))
-    builder.ExportOutput(contact.get_output_port(), "contact_force")
+    builder.Connect(poses["X_WT"].get_output_port(), pressed.GetInputPort("X_WT"))
+    builder.ExportOutput(pressed.get_output_port(), "contact_force")
     builder.ExportOutput(scene_graph.get_query_output_port(), "query_object")
 
     if meshcat is not None:

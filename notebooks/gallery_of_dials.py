@@ -19,6 +19,7 @@ from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.sweep import SweepMotion
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation import (
+    AirPocketParameters,
     NeedleEchoParameters,
     ScannerParameters,
     SweepRenderer,
@@ -40,6 +41,7 @@ from sonoservo.systems.ultrasound.simulation.structures import (
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
 ON_TOP = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, -0.004], [0, 0, 0, 1.0]])
+ACROSS = np.array([[0, 0, 1, 0], [1, 0, 0, 0], [0, -1, 0, -0.004], [0, 0, 0, 1.0]])
 IMAGING = ImagingParameters(frames=3, volume_rate=20, gain=0.36)
 PLAIN, ECHO = Tissue(seed=1), NeedleEchoParameters()
 NONE = Needle(np.zeros((0, 3)), 0.635e-3)
@@ -52,16 +54,18 @@ def held(dip_deg):
     return Needle(np.array([tip - 0.055 * np.array([np.cos(dip), 0, -np.sin(dip)]), tip]), 0.635e-3)
 
 
-def frame(tissue, needle=NONE, echo=ECHO, x=0.0):
+def frame(tissue, needle=NONE, echo=ECHO, x=0.0, pose=ON_TOP, air=0.0):
     """The middle frame of a sweep, and where its samples lie in mm."""
     renderer = SweepRenderer(
         transducer=load_transducer("4dc7_3_40"),
         imaging=IMAGING,
         tissue=tissue,
-        parameters=ScannerParameters(needle=echo),
+        parameters=ScannerParameters(
+            needle=echo, air_pockets=AirPocketParameters(share=air, size=6e-3)
+        ),
         seed=0,
     )
-    X = np.repeat(ON_TOP[np.newaxis], 3, axis=0)
+    X = np.repeat(pose[np.newaxis], 3, axis=0)
     X[:, 0, 3] = x
     grey = renderer.render(X, [needle] * 3, 1, 0)[1]
     j, i = np.indices(grey.shape)
@@ -145,6 +149,11 @@ ROWS = {
     "tip: bevel up, bevel down, blunt": [
         frame(PLAIN, held(8), replace(ECHO, tip=tip, tip_roll_deg=roll))
         for tip, roll in (("bevel", 0.0), ("bevel", 180.0), ("blunt", 0.0))
+    ],
+    "air under 10, 25, 50 % of the face": [frame(PLAIN, air=share) for share in (0.1, 0.25, 0.5)],
+    "skin curved by 120, 60, 45 mm": [
+        frame(replace(PLAIN, size=[0.4, 2 * r, 2 * r], shape="cylinder"), pose=ACROSS)
+        for r in (0.12, 0.06, 0.045)
     ],
     "a synthetic liver": [frame(load_tissue("liver"), x=x) for x in (-0.03, 0.0, 0.045)],
 }

@@ -15,7 +15,7 @@ from sonoservo.diagrams.app.kept_run import KeptRun, refusing
 from sonoservo.diagrams.app.real_time import RealTime
 from sonoservo.diagrams.app.run import RunResult, finish
 from sonoservo.diagrams.experiments.following import FollowingExperiment
-from sonoservo.diagrams.experiments.following_insertion import make_insertion
+from sonoservo.diagrams.experiments.following_insertion import make_insertion, placed_hand
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.systems.control.operator_settings import OperatorSettings
@@ -82,7 +82,7 @@ class DrivenExperiment(FollowingExperiment):
         scenario = require_scenario(scenario, FollowingScenario)
         still = replace(
             scenario,
-            hand=replace(scenario.hand, start=0.0, pushes=[]),
+            hand=replace(placed_hand(scenario), start=0.0, pushes=[]),
             phantom_motion=PhantomMotionParameters(),
             controller_changes=[],
         )

@@ -11,6 +11,7 @@ from pydrake.systems.framework import System
 
 from sonoservo.diagrams.experiments.experiment import INSTANT, Experiment
 from sonoservo.diagrams.experiments.following_insertion import (
+    check_beside_probe,
     check_entry,
     check_followed,
     make_insertion,
@@ -124,9 +125,10 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         tissue = load_tissue(scenario.phantom).placed(insertion.entry, insertion.direction)
         tissue = replace(tissue, seed=seeds.tissue)
         geometry = sweep_geometry(transducer, scenario.imaging)
-        check_entry(scenario, tissue.size)
+        check_entry(scenario, tissue.surface)
+        check_beside_probe(scenario, insertion, tissue.surface)
         if scenario.controller.visual_servo.gain > 0:
-            check_followed(scenario, insertion)
+            check_followed(scenario, insertion, tissue.surface)
         events = tracker_events(scenario)
         period, offset = events["period"], events["offset"]
         a_moment_later = observer_events(scenario)
@@ -221,8 +223,9 @@ class FollowingExperiment(Experiment[FollowingScenario]):
 
     @property
     def status(self) -> str:
-        """Mode of the tracker."""
-        return str(self.estimate.mode)
+        """Mode of the tracker, and its reason while it does not see the needle."""
+        estimate = self.estimate
+        return f"{estimate.mode}: {estimate.reason}" if estimate.reason else str(estimate.mode)
 
     def log(self) -> RunLog:
         """Return the log so far."""

@@ -78,16 +78,16 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
         tissue = tissue.placed(self.insertion.entry, self.insertion.direction)
         tissue = replace(tissue, seed=seeds.tissue)
         half = np.array(tissue.size) / 2
-        end = hand.entry[0] + scenario.depth + feed.lead
-        require(
-            -half[0] <= hand.entry[0] and end <= half[0],
-            "depth",
-            scenario.depth,
-            f"such that the insertion, from x = {hand.entry[0]:g} to {end:g} m, stays in the "
-            f"phantom, {-half[0]:g} to {half[0]:g} m",
-        )
         X_TI = self.insertion.X_TI
         x, y, _ = X_TI.translation()
+        end = x + scenario.depth + feed.lead
+        require(
+            -half[0] <= x and end <= half[0],
+            "depth",
+            scenario.depth,
+            f"such that the insertion, from x = {x:g} to {end:g} m, stays in the "
+            f"phantom, {-half[0]:g} to {half[0]:g} m",
+        )
         self.X_WP = RigidTransform(X_TI.rotation(), [x, y, scenario.face])
         imaging = replace(scenario.imaging, volume_rate=1 / scenario.period, frames=1)
         self.scanner = Scanner(

@@ -53,9 +53,6 @@ class TrackParameters:
         Whether the needle's state is kept in the probe's frame, as in Chatelain 2013. The state
         then moves along with the probe, and its velocity is that in the image, which suits only the
         servo without feed-forward. If not, the state is kept in W.
-    anywhere
-        Whether the whole volume is searched while there is no needle. The insertion then need not
-        be seen.
     """
 
     first_std: float = 1.0e-3
@@ -68,7 +65,6 @@ class TrackParameters:
     seconds_to_give_up: float = 10.0
     filtering: bool = True
     probe_frame: bool = False
-    anywhere: bool = False
 
     def __post_init__(self) -> None:
         require_positive(
@@ -178,15 +174,19 @@ class TrackLifecycle:
         Thresholds.
     needle_filter
         Filter that starts, predicts and updates the track's state.
+    anywhere
+        Whether the whole volume is searched while there is no needle. The insertion then need not
+        be seen.
     """
 
     order: int
     parameters: TrackParameters
     needle_filter: NeedleFilter[Any]
+    anywhere: bool = False
 
     def without_needle(self, time: float, reason: str = "") -> Track:
         """Return the track at a time in s while there is no needle."""
-        mode = TrackingMode.LOST if self.parameters.anywhere else TrackingMode.SEARCHING
+        mode = TrackingMode.LOST if self.anywhere else TrackingMode.SEARCHING
         return Track(mode, time, reason=reason)
 
     def confirm(self, state: NeedleState, time: float, innovation: float | None = None) -> Track:

@@ -60,6 +60,8 @@ class TrackManager(LeafSystem):
         Rules of a track's life, in SI units.
     order
         Number n of control points of the needle's curve: 2 for straight, 3 for bent.
+    anywhere
+        Whether the whole volume is searched while there is no needle.
     period, offset
         Period and offset of the event, in s.
     """
@@ -70,6 +72,7 @@ class TrackManager(LeafSystem):
         needle_filter: NeedleFilter[Any],
         parameters: TrackParameters | None = None,
         order: int = 2,
+        anywhere: bool = False,
         period: float,
         offset: float = 0.0,
     ) -> None:
@@ -80,7 +83,10 @@ class TrackManager(LeafSystem):
         require(order in orders, "order", order, f"one of the filter's, {orders}")
         self._parameters = parameters or TrackParameters()
         self._lifecycle = TrackLifecycle(
-            order=order, parameters=self._parameters, needle_filter=needle_filter
+            order=order,
+            parameters=self._parameters,
+            needle_filter=needle_filter,
+            anywhere=anywhere,
         )
         for name in ("volume", "detection", "measurement", "velocity", "explanation"):
             self.DeclareAbstractInputPort(name, Value[object]())

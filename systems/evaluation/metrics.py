@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sonoservo.systems.evaluation.missing_needle import missing_needle
 from sonoservo.systems.evaluation.run_errors import (
     Floats,
     Mask,
@@ -129,11 +130,13 @@ def detection(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     `volume`: number of volumes before the one with which tracking began;
     `inserted_mm`, `visible_mm`: true length inside the tissue and inside the swept sector at that
     time;
-    `false_starts`: number of false starts in the whole run.
+    `false_starts`: number of false starts in the whole run;
+    `reason`, `advice`: why no needle was found, and what to change; None if one was found.
     """
     started, true = _starts(log, parameters)
     right = started[true]
     first = int(right[0]) if len(right) else None
+    reason, advice = missing_needle(log) if first is None else ("", "")
 
     def length_mm(lengths: Floats) -> float | None:
         if first is None:
@@ -145,6 +148,8 @@ def detection(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
         "inserted_mm": length_mm(log.inserted_length),
         "visible_mm": length_mm(log.visible_length),
         "false_starts": int(np.sum(~true)),
+        "reason": reason or None,
+        "advice": advice or None,
     }
 
 

@@ -25,7 +25,9 @@ _RENAMED = {
     "transducer": "probe",
 }
 _REMOVED = {
+    "anywhere": "must be left out: the tracker's field start sets it ('search' or 'anywhere')",
     "decibels_per_level": "must be left out: imaging.dynamic_range_db sets it",
+    "friction": "must be left out: the phantom's contact.friction sets it",
 }
 _PREFIXES = {"least_": "min_", "largest_": "max_", "greatest_": "max_"}
 _SUFFIXES = {"_deviation": "_std"}

@@ -19,6 +19,7 @@ from .phantom import Phantom as Phantom
 from .phantom import PhantomContact as PhantomContact
 from .phantom import PhantomMotion as PhantomMotion
 from .phantom import load_contact as load_contact
+from .phantom import set_friction as set_friction
 from .phantom_motion import Move as Move
 from .phantom_motion import PhantomMotionParameters as PhantomMotionParameters
 from .phantom_motion import phantom_trajectory as phantom_trajectory
@@ -30,6 +31,7 @@ from .posture import solve_posture as solve_posture
 from .probe_body import AddProbeBody as AddProbeBody
 from .probe_body import AssumedBody as AssumedBody
 from .probe_body import ProbeBody as ProbeBody
+from .probe_body import distance_to_probe as distance_to_probe
 from .probe_body import dome_semi_axes as dome_semi_axes
 from .probe_stepper import ProbeStepper as ProbeStepper
 from .wrist_force_sensor import WristForceSensor as WristForceSensor

@@ -1,6 +1,7 @@
 from .acquisition import Acquired as Acquired
 from .acquisition import acquired_from as acquired_from
 from .blur import blur_covariance as blur_covariance
+from .body_surface import BodySurface as BodySurface
 from .cross_section import CrossSection as CrossSection
 from .cross_section_track import CrossSectionTrack as CrossSectionTrack
 from .image_slice import ImageSlice as ImageSlice

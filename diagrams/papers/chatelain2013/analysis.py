@@ -245,7 +245,7 @@ def recovery_times(log: RunLog, scenario: FollowingScenario) -> list[float]:
 def lag(log: RunLog, scenario: FollowingScenario) -> float:
     """Return the mean |X| of the true tip at the end of the last push, in m; NaN if not reached."""
     hand = scenario.hand
-    end = hand.start + sum(push.duration for push in hand.pushes)
+    end = (hand.start or 0.0) + sum(push.duration for push in hand.pushes)
     during = (log.time >= end - _LAG_TIME) & (log.time <= end)
     if log.time[-1] < end:
         return float("nan")
