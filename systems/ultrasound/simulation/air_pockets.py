@@ -119,7 +119,7 @@ class AirPockets:
 
 def _centred(count: int) -> NDArray[np.float64]:
     """Return successive whole or half numbers around 0."""
-    return np.arange(count) - (count - 1) / 2
+    return np.arange(count, dtype=np.float64) - (count - 1) / 2
 
 
 def _aperture(elements: float, hann: bool) -> NDArray[np.float64]:
