@@ -50,6 +50,16 @@ def list_command(json_path: JsonOption = None) -> None:
     write_printed(json_path, rows)
 
 
+@app.command("compile")
+def compile_command() -> None:
+    """Compile the kernels beforehand; without this, the first run does, in about a minute."""
+    from sonoservo.diagrams.app.compile import TASKS, compile_kernels
+
+    with console.status(f"Compiling {len(TASKS)} groups of kernels ..."):
+        for line in compile_kernels():
+            console.print(line)
+
+
 @app.command("run")
 def run_command(
     scenario: ScenarioArgument,

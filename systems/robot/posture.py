@@ -61,7 +61,7 @@ def solve_posture(
     near = arm.home if near is None else near
     result = _solve(arm, X_WP, near, start=near)
     if not result.is_success():
-        # The nearest posture of a redundant arm is more easily found from one that reaches the pose.
+        # A redundant arm finds its nearest posture more easily from one that reaches the pose.
         any_posture = _solve(arm, X_WP, None, start=near)
         if any_posture.is_success():
             nearest = _solve(arm, X_WP, near, start=any_posture.get_x_val())
