@@ -9,23 +9,19 @@ from pydrake.geometry import Meshcat, MeshcatVisualizer, MeshcatVisualizerParams
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
-from pydrake.systems.framework import Diagram, DiagramBuilder, OutputPort
-from pydrake.systems.primitives import Adder, ConstantVectorSource, Gain
+from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.primitives import Gain
 
 from sonoservo.diagrams.assembly import ARM, PHANTOM, PROBE, assemble_arm, load_probe_body
+from sonoservo.diagrams.measured_pose import add_measured_pose, add_offset
 from sonoservo.models import model_path
 from sonoservo.systems.files.typed_yaml import ConfigurationError, dump_typed
 from sonoservo.systems.robot.arm import AddArmWithProbe, load_arm, set_servo_gains
 from sonoservo.systems.robot.body_pose import BodyPose
-from sonoservo.systems.robot.calibration import (
-    CalibrationParameters,
-    hand_eye_error,
-    joint_offsets,
-)
 from sonoservo.systems.robot.contact_force import ContactForce
-from sonoservo.systems.robot.forward_kinematics import ForwardKinematics
+from sonoservo.systems.robot.errors.calibration import CalibrationParameters, joint_offsets
+from sonoservo.systems.robot.errors.pose_delay import PoseDelayParameters
 from sonoservo.systems.robot.phantom import AddPhantom, load_contact, set_friction
-from sonoservo.systems.robot.pose_delay import PoseDelay, PoseDelayParameters
 from sonoservo.systems.robot.posture import probe_pose, reachable, solve_posture
 from sonoservo.systems.robot.wrist_force_sensor import WristForceSensor, WristSensorParameters
 from sonoservo.systems.signals.body_surface import BodySurface
@@ -206,18 +202,6 @@ def check_reach(
     return reachable(assemble_arm(parameters.arm, probe), poses, near)
 
 
-def _shifted(builder: DiagramBuilder, port: OutputPort, shift: NDArray[np.float64]) -> OutputPort:
-    """Return a port with the values of another one plus a constant, or that port for zero."""
-    if not shift.any():
-        return port
-    adder, constant = Adder(2, len(shift)), ConstantVectorSource(shift)
-    for system in (adder, constant):
-        builder.AddSystem(system)
-    builder.Connect(port, adder.get_input_port(0))
-    builder.Connect(constant.get_output_port(), adder.get_input_port(1))
-    return adder.get_output_port()
-
-
 def MakeStation(
     *,
     parameters: StationParameters,
@@ -294,7 +278,7 @@ def MakeStation(
         port = plant.get_desired_state_input_port(instance)
         # Drake lets a servo without a command go limp; a gain without an input raises an error.
         command = builder.AddNamedSystem(name, Gain(1.0, port.size()))
-        builder.Connect(_shifted(builder, command.get_output_port(), shift), port)
+        builder.Connect(add_offset(builder, command.get_output_port(), shift), port)
         builder.ExportInput(command.get_input_port(), name)
 
     poses = {}
@@ -302,22 +286,19 @@ def MakeStation(
         poses[name] = builder.AddNamedSystem(name, BodyPose(body=body.index()))
         builder.Connect(plant.get_body_poses_output_port(), poses[name].get_input_port())
         builder.ExportOutput(poses[name].get_output_port(), name)
-    joint_state = _shifted(builder, plant.get_state_output_port(arm.model_instance), offsets)
+    joint_state = add_offset(builder, plant.get_state_output_port(arm.model_instance), offsets)
     builder.ExportOutput(joint_state, "joint_state")
-    measured = poses["true_X_WP"].get_output_port()
-    if parameters.calibration.moves_probe:
-        X_PC = hand_eye_error(parameters.calibration, seed)
-        model_arm = assemble_arm(parameters.arm, probe, X_PC)
-        kinematics = ForwardKinematics(plant=model_arm.plant, frame=model_arm.frame)
-        builder.AddNamedSystem("forward_kinematics", kinematics)
-        builder.Connect(joint_state, kinematics.get_input_port())
-        measured = kinematics.get_output_port()
-    if parameters.pose != PoseDelayParameters():
-        period = parameters.plant.time_step
-        delay = PoseDelay(parameters=parameters.pose, period=period, seed=seed)
-        builder.AddNamedSystem("pose_delay", delay)
-        builder.Connect(measured, delay.get_input_port())
-        measured = delay.get_output_port()
+    measured = add_measured_pose(
+        builder,
+        poses["true_X_WP"].get_output_port(),
+        joint_state,
+        arm=parameters.arm,
+        probe=probe,
+        calibration=parameters.calibration,
+        delay=parameters.pose,
+        period=parameters.plant.time_step,
+        seed=seed,
+    )
     builder.ExportOutput(measured, "X_WP")
 
     sensor = builder.AddNamedSystem(

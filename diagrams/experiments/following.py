@@ -34,7 +34,7 @@ from sonoservo.systems.evaluation.run_logger import RunLogger
 from sonoservo.systems.needle.hand import Hand
 from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.recording.volume_recorder import VolumeRecorder
-from sonoservo.systems.robot.calibration import hand_eye_error
+from sonoservo.systems.robot.errors.calibration import hand_eye_error
 from sonoservo.systems.robot.phantom import PhantomMotion
 from sonoservo.systems.robot.phantom_motion import phantom_trajectory
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate

@@ -6,9 +6,6 @@ from .arm import JointServo as JointServo
 from .arm import MakeArmPlant as MakeArmPlant
 from .arm import load_arm as load_arm
 from .body_pose import BodyPose as BodyPose
-from .calibration import CalibrationParameters as CalibrationParameters
-from .calibration import hand_eye_error as hand_eye_error
-from .calibration import joint_offsets as joint_offsets
 from .contact_force import ContactForce as ContactForce
 from .contact_force import normal_force as normal_force
 from .forward_kinematics import ForwardKinematics as ForwardKinematics
@@ -23,8 +20,6 @@ from .phantom import set_friction as set_friction
 from .phantom_motion import Move as Move
 from .phantom_motion import PhantomMotionParameters as PhantomMotionParameters
 from .phantom_motion import phantom_trajectory as phantom_trajectory
-from .pose_delay import PoseDelay as PoseDelay
-from .pose_delay import PoseDelayParameters as PoseDelayParameters
 from .posture import probe_pose as probe_pose
 from .posture import reachable as reachable
 from .posture import solve_posture as solve_posture

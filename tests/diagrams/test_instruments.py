@@ -9,7 +9,7 @@ from sonoservo.diagrams import load_scenario, make_experiment, run, tracker_even
 from sonoservo.diagrams.assembly import assemble_arm
 from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.systems.files.typed_yaml import ConfigurationError
-from sonoservo.systems.robot.calibration import hand_eye_error, joint_offsets
+from sonoservo.systems.robot.errors.calibration import hand_eye_error, joint_offsets
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.volume import Volume

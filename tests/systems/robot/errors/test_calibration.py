@@ -3,7 +3,7 @@ import pytest
 from pydrake.math import RigidTransform
 
 from sonoservo.diagrams.assembly import assemble_arm
-from sonoservo.systems.robot.calibration import (
+from sonoservo.systems.robot.errors.calibration import (
     CalibrationParameters,
     hand_eye_error,
     joint_offsets,
