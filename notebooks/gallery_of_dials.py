@@ -3,8 +3,9 @@
 # %% [markdown]
 # # What makes an image hard
 #
-# Each structure, and each dial of the needle and of the acoustics, at three strengths beside the
-# clean image: the middle frame of one sweep.
+# Each structure, and each dial of the needle, of the acoustics and of the scanner, at three
+# strengths beside the clean image: the middle frame of one sweep. What the scanner's motor and its
+# connection do shows from frame to frame: the middle lines of all frames, with a needle across.
 
 # %%
 from dataclasses import replace
@@ -12,8 +13,10 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from pydrake.math import RigidTransform
 
 from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.sweep import SweepMotion
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation import (
     AirPocketParameters,
@@ -21,8 +24,10 @@ from sonoservo.systems.ultrasound.simulation import (
     ScannerParameters,
     SweepRenderer,
     Tissue,
+    acquire_sweep,
     load_tissue,
 )
+from sonoservo.systems.ultrasound.simulation.errors import ConnectionParameters, MotorParameters
 from sonoservo.systems.ultrasound.simulation.structures import (
     Bone,
     Calcification,
@@ -67,6 +72,33 @@ def frame(tissue, needle=NONE, echo=ECHO, x=0.0, pose=ON_TOP, air=0.0):
     return grey, 1e3 * renderer.geometry.position(1, j, i, 1)
 
 
+def across(directions=(1,), **errors):
+    """The middle lines of all frames, averaged over sweeps, and where their samples lie in mm.
+
+    A steep needle descends across the frames.
+    """
+    renderer = SweepRenderer(
+        transducer=load_transducer("4dc7_3_40"),
+        imaging=replace(IMAGING, frames=31, volume_rate=3, sector=0.1),
+        tissue=PLAIN,
+        parameters=ScannerParameters(needle=replace(ECHO, dimples_db=30.0), **errors),
+        seed=0,
+    )
+    geometry = renderer.geometry
+    needle = Needle(np.array([[0.0, 0.018, -0.02], [0.0, -0.018, -0.065]]), 0.635e-3)
+    middle = geometry.lines // 2
+    sweeps = [
+        acquire_sweep(
+            renderer,
+            SweepMotion.at_rest(geometry, RigidTransform(ON_TOP), 0.0, direction),
+            [needle] * geometry.frames,
+        ).samples[:, middle]
+        for direction in directions
+    ]
+    k, i = np.indices(sweeps[0].shape)
+    return np.mean(sweeps, axis=0), 1e3 * geometry.position(k, middle, i, 1)[..., [2, 1]]
+
+
 def having(*structures, **changes):
     """The middle frame of plain tissue with structures."""
     return frame(replace(PLAIN, structures=list(structures), **changes))
@@ -95,6 +127,15 @@ ROWS = {
     "tissue at 1540, 1500, 1463 m/s": [
         having(FLAT, sound_speed=c) for c in (1540.0, 1500.0, 1463.0)
     ],
+    "backlash 1, 2, 4 deg: mean of sweeps to and fro": [
+        across((1, -1), motor=MotorParameters(backlash_deg=play)) for play in (1.0, 2.0, 4.0)
+    ],
+    "motor errs by 0.2, 0.5, 1 deg": [
+        across(motor=MotorParameters(error_deg=error)) for error in (0.2, 0.5, 1.0)
+    ],
+    "frames lost: 5, 15, 40 %": [
+        across(connection=ConnectionParameters(lost_frames=share)) for share in (0.05, 0.15, 0.4)
+    ],
     "needle fades by 3, 6, 12 dB": [
         frame(PLAIN, held(8), replace(ECHO, fading_db=d)) for d in (3.0, 6.0, 12.0)
     ],
@@ -122,6 +163,9 @@ INK, PAPER = "#F2F2F2", "#0E1116"
 clean = {name: having() for name in ROWS}
 clean["needle fades by 3, 6, 12 dB"] = frame(PLAIN, held(8))
 clean["tip: bevel up, bevel down, blunt"] = frame(PLAIN, held(8))
+for name in ROWS:
+    if name.startswith(("backlash", "motor", "frames")):
+        clean[name] = across()
 for name in ("polished to 40, 20, 10 deg", "dimples at 16, 22, 28 dB"):
     clean[name] = frame(PLAIN, held(40))
 figure, axes = plt.subplots(

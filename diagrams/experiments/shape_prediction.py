@@ -137,6 +137,7 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
             },
             event="estimate",
             clock=time.thread_time,
+            optional=("true_X_WP",),
             sees_truth=("scanner", "shape_view"),
         )
 
@@ -204,7 +205,9 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
     def _after_step(self, number: int) -> None:
         """Record the result of a slice, and its computing time."""
         found = self.evaluate(self.shape_predictor, "cross_section")
-        row: Row = {"depth": number * self.scenario.step}
+        # A slice that comes late was acquired in an earlier step.
+        acquired = self.evaluate(self.scanner, "motion_record").true.time
+        row: Row = {"depth": round(acquired / self.scenario.period) * self.scenario.step}
         row |= {f"{name}_s": self.compute[name][-1] for name in ("image", "estimate")}
         if isinstance(found, CrossSection):
             row["measured"] = self.X_WP.inverse().multiply(found.position)

@@ -9,6 +9,7 @@ _RENAMED = {
     "first_deviation": "first_std",
     "first_drift": "first_drift_std",
     "first_speed": "first_speed_std",
+    "force_noise": "wrist_sensor.force_noise",
     "kind": "experiment",
     "inlier_distance": "residual_threshold",
     "largest_deviation": "max_std",
@@ -20,6 +21,7 @@ _RENAMED = {
     "published": "published_figures",
     "min_radius": "bend_radius",
     "speed": "feed.speed",
+    "torque_noise": "wrist_sensor.torque_noise",
     "transducer": "probe",
 }
 _REMOVED = {

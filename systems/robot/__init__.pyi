@@ -8,6 +8,7 @@ from .arm import load_arm as load_arm
 from .body_pose import BodyPose as BodyPose
 from .contact_force import ContactForce as ContactForce
 from .contact_force import normal_force as normal_force
+from .forward_kinematics import ForwardKinematics as ForwardKinematics
 from .operator_phantom_motion import OperatorMoves as OperatorMoves
 from .operator_phantom_motion import OperatorPhantomMotion as OperatorPhantomMotion
 from .phantom import AddPhantom as AddPhantom
@@ -29,3 +30,4 @@ from .probe_body import distance_to_probe as distance_to_probe
 from .probe_body import dome_semi_axes as dome_semi_axes
 from .probe_stepper import ProbeStepper as ProbeStepper
 from .wrist_force_sensor import WristForceSensor as WristForceSensor
+from .wrist_force_sensor import WristSensorParameters as WristSensorParameters

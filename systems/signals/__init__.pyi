@@ -15,6 +15,7 @@ from .localization_explanation import LocalizationAttempt as LocalizationAttempt
 from .localization_explanation import LocalizationExplanation as LocalizationExplanation
 from .localization_explanation import NeedleExtent as NeedleExtent
 from .localization_explanation import SearchRegion as SearchRegion
+from .motion_record import MotionRecord as MotionRecord
 from .needle import Needle as Needle
 from .needle_curve import NeedleCurve as NeedleCurve
 from .needle_estimate import NeedleEstimate as NeedleEstimate

@@ -70,6 +70,8 @@ class SweepRenderer:
         The same widths, in the form that sweeps carry.
     decibels_per_level
         Scale of the image, in dB per grey level.
+    parameters, seed
+        See above.
     """
 
     def __init__(
@@ -84,9 +86,9 @@ class SweepRenderer:
         require_not_negative(seed=seed)
         self.geometry: SweepGeometry = sweep_geometry(transducer, imaging)
         self.decibels_per_level = imaging.decibels_per_level
-        self._parameters = parameters
+        self.parameters = parameters
         self._imaging = imaging
-        self._seed = seed
+        self.seed = seed
         self._box = tissue.surface.bounds
         sound_speed = tissue.sound_speed or imaging.sound_speed
         # Samples are times; lengths in the tissue follow from its own speed of sound.
@@ -270,10 +272,10 @@ class SweepRenderer:
             np.ascontiguousarray(X_TP[:, :3]),
             self._box,
             *self._lines[direction],
-            self._parameters.gel_thickness,
+            self.parameters.gel_thickness,
             open_shares,
             self._noise,
-            np.random.SeedSequence([self._seed, number]).generate_state(len(grey), np.uint64),
+            np.random.SeedSequence([self.seed, number]).generate_state(len(grey), np.uint64),
             self._imaging.grey_per_db,
             self._imaging.tissue_grey,
         )
