@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from pydrake.math import RigidTransform
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from sonoservo.diagrams.assembly import ARM, PROBE, assemble_arm
@@ -101,6 +102,8 @@ def MakeProbeController(
     arm: str = ARM,
     probe: str = PROBE,
     surface: Sequence[float] = (),
+    X_PC: RigidTransform | None = None,
+    mass_error: float = 0.0,
 ) -> Diagram:
     """Make the controller of the probe.
 
@@ -136,15 +139,21 @@ def MakeProbeController(
     surface
         (3,) point on the surface of the body at rest, in W, in m, if the parameters of the guard
         give none. If both are empty, the guard knows no workspace.
+    X_PC
+        Pose of the calibrated probe frame, which the controller takes for P, in the true one; by
+        default they are the same.
+    mass_error
+        Relative error of the probe's mass as the controller knows it.
     """
-    held = assemble_arm(arm, probe)
+    held = assemble_arm(arm, probe, X_PC)
+    mass = (1 + mass_error) * held.probe.default_mass()
     builder = DiagramBuilder()
     servo = builder.AddNamedSystem("visual_servo", VisualServo(parameters=parameters.visual_servo))
     force = builder.AddNamedSystem(
         "force_controller",
         ForceController(
             parameters=parameters.force,
-            mass=held.probe.default_mass(),
+            mass=mass,
             time_step=parameters.time_step,
         ),
     )
@@ -153,7 +162,7 @@ def MakeProbeController(
         DifferentialKinematics(
             parameters=parameters.kinematics,
             plant=held.plant,
-            probe=held.probe.body_frame(),
+            probe=held.frame,
             time_step=parameters.time_step,
         ),
     )
@@ -173,7 +182,8 @@ def MakeProbeController(
             Guard(
                 parameters=parameters.guards,
                 plant=held.plant,
-                probe=held.probe,
+                probe=held.frame,
+                mass=mass,
                 axis=parameters.kinematics.axis,
                 surface=parameters.guards.surface or surface,
                 time_step=parameters.time_step,

@@ -13,7 +13,6 @@ from sonoservo.diagrams.app.run import run
 from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.diagrams.needle_tracker import track
 from sonoservo.diagrams.trackers.chatelain2013 import Chatelain2013TrackerParameters
-from sonoservo.systems.estimation.track import TrackParameters
 from sonoservo.systems.signals.volume import Volume
 
 _SPACING = 1e-3
@@ -38,7 +37,7 @@ def compile_tracker() -> None:
     """Compile detection and localization: track a line that grows in noise, straight and bent."""
     for order in (2, 3):
         list(track(_volumes(), parameters=Chatelain2013TrackerParameters(order=order)))
-    everywhere = Chatelain2013TrackerParameters(track=TrackParameters(anywhere=True))
+    everywhere = Chatelain2013TrackerParameters(start="anywhere")
     list(track(list(_volumes())[-2:], parameters=everywhere))
 
 

@@ -8,7 +8,7 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import JacobianWrtVariable, RigidBody, UniformGravityFieldElement
+from pydrake.multibody.tree import Frame, JacobianWrtVariable, UniformGravityFieldElement
 from pydrake.systems.framework import (
     BasicVector,
     Context,
@@ -79,7 +79,9 @@ class Guard(LeafSystem):
     plant
         Finalized plant of the arm alone, with limits on its joints' positions and velocities.
     probe
-        Body of the probe, whose frame is P.
+        Frame P in the plant.
+    mass
+        Mass carried by the wrist sensor, in kg.
     axis
         (3,) direction in W in which the probe should look, from which its tilt counts.
     surface
@@ -94,16 +96,17 @@ class Guard(LeafSystem):
         *,
         parameters: GuardParameters,
         plant: MultibodyPlant,
-        probe: RigidBody,
+        probe: Frame,
+        mass: float,
         axis: Sequence[float],
         surface: Sequence[float] = (),
         time_step: float,
     ):
-        require_positive(time_step=time_step)
+        require_positive(mass=mass, time_step=time_step)
         super().__init__()
         self._limits, self._time_step = parameters, time_step
-        self._plant, self._frame = plant, probe.body_frame()
-        self._weight = probe.default_mass() * UniformGravityFieldElement.kDefaultStrength
+        self._plant, self._frame = plant, probe
+        self._weight = mass * UniformGravityFieldElement.kDefaultStrength
         self._region = region(parameters, surface, np.divide(axis, np.linalg.norm(axis)).tolist())
         n = self._joints = plant.num_positions()
         speed = plant.GetVelocityUpperLimits()

@@ -25,7 +25,8 @@ class VolumePlausibilityParameters:
     Parameters
     ----------
     max_ahead
-        Largest time by which a volume's time may be ahead of the clock, in s.
+        Largest time by which a volume's time may be ahead of this computer's clock, in s. The
+        scanner's clock may differ a little.
     max_gap
         Largest time between two volumes, in s. A volume after a longer gap is refused unless the
         next one confirms it, so one wrong time cannot blind the tracker.
@@ -37,7 +38,7 @@ class VolumePlausibilityParameters:
         depth was removed. 1 switches the check off.
     """
 
-    max_ahead: float = 0.1
+    max_ahead: float = 1.0
     max_gap: float = 5.0
     max_white: float = 0.9
     mirror_correlation: float = 0.25

@@ -15,7 +15,7 @@ from sonoservo.diagrams import load_scenario
 from sonoservo.diagrams.probe_controller import ProbeControllerParameters
 from sonoservo.systems.control.guard_parameters import GuardParameters
 from sonoservo.systems.files.typed_yaml import ConfigurationError
-from sonoservo.systems.robot.sensor_faults import SensorFault
+from sonoservo.systems.robot.errors.sensor_faults import SensorFault
 
 FASTEST = 0.1
 """Speed of the phantom in m/s up to which the force must stay in its limit."""

@@ -15,12 +15,12 @@ from pydrake.systems.primitives import LogVectorOutput
 
 from sonoservo.diagrams.probe_controller import MakeProbeController, ProbeControllerParameters
 from sonoservo.diagrams.station import MakeStation, ProbePlacement, StationParameters
+from sonoservo.systems.robot.errors.sensor_faults import SensorFault, faulty_sample
 from sonoservo.systems.robot.phantom_motion import (
     Move,
     PhantomMotionParameters,
     phantom_trajectory,
 )
-from sonoservo.systems.robot.sensor_faults import SensorFault, faulty_sample
 from sonoservo.systems.signals.guard_status import GuardState
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode

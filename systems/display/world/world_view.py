@@ -33,6 +33,7 @@ from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.planes import sample_plane, slice_planes
 from sonoservo.systems.signals.ports import evaluate
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.search_advice import search_words
 from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.signals.volume import Volume
 
@@ -130,8 +131,8 @@ class WorldView(LeafSystem):
     - ``slices``: two slices of each new `volume` at the pose of its acquisition: one along the
       needle and the beam, one along the needle across the beam (Chatelain 2013, fig. 3)
     - ``screen``: both slices upright, with the probe at the top
-    - ``phase``: the tracking mode, in the estimate's colour, or the reason while the `guard` (a
-      GuardStatus) stops the robot
+    - ``phase``: the tracking mode, in the estimate's colour, and why no needle is found; or, while
+      the `guard` (a GuardStatus) stops the robot, the reason for that
     - ``force``: the `contact_force` in N with which the probe presses, as an arrow at its face
     - ``legend``: the meaning of the colours
 
@@ -186,6 +187,8 @@ class WorldView(LeafSystem):
             frames=parameters.film_frames, period=parameters.film_period,
         )  # fmt: skip
         self._phase = Label(meshcat=meshcat, path=f"{path}/phase", height=0.03, width=width)
+        self._reason = Label(meshcat=meshcat, path=f"{path}/phase/reason", height=0.02, width=width)
+        meshcat.SetTransform(f"{path}/phase/reason", RigidTransform([0.0, -0.026, 0.0]))
         above, below = [0.0, -0.5 * height - 0.02, 0.0], [0.0, 0.5 * height + 0.005, 0.0]
         meshcat.SetTransform(f"{path}/phase", X_WS @ RigidTransform(above))
         draw_legend(meshcat, f"{path}/legend", X_WS @ RigidTransform(below), width, WORLD_LEGEND)
@@ -232,6 +235,8 @@ class WorldView(LeafSystem):
             return
         self._drawn = estimate
         self._estimate.draw(estimate, time)
+        none, seen = estimate.curve is None, estimate.volume_time > -np.inf
+        self._reason.show(search_words(estimate.reason) if none and seen else "", time)
         if estimate.curve is None:
             self._uncertainty.hide(time)
         else:

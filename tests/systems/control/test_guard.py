@@ -76,7 +76,8 @@ def rig():
             X = pose(HOME)
             self.guard = builder.AddSystem(
                 Guard(
-                    parameters=GuardParameters(), plant=ARM.plant, probe=ARM.probe,
+                    parameters=GuardParameters(), plant=ARM.plant,
+                    probe=ARM.probe.body_frame(), mass=ARM.probe.default_mass(),
                     axis=X.rotation().matrix()[:, 1], surface=X.translation(), time_step=STEP,
                 )
             )  # fmt: skip

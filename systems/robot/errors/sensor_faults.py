@@ -7,7 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import Value
 from pydrake.multibody.math import SpatialForce
-from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
+from pydrake.systems.framework import (
+    Context,
+    DiagramBuilder,
+    DiscreteValues,
+    LeafSystem,
+    OutputPort,
+)
 
 from sonoservo.systems.signals.ports import evaluate
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
@@ -143,3 +149,31 @@ class SensorFaults(LeafSystem):
         if self._fault(context.get_time()) is None:
             force = evaluate(self, context, "wrist_force", SpatialForce)
             discrete_state.set_value(force.get_coeffs())
+
+
+def add_sensor_faults(
+    builder: DiagramBuilder,
+    wrist_force: OutputPort,
+    faults: Sequence[SensorFault],
+    *,
+    period: float,
+    noise: float,
+) -> OutputPort:
+    """Return the samples of a sensor as faults distort them; without faults, the port itself.
+
+    Parameters
+    ----------
+    builder
+        Builder to add to.
+    wrist_force
+        Samples of the sensor.
+    faults, period, noise
+        See `SensorFaults`.
+    """
+    if not faults:
+        return wrist_force
+    leaf = builder.AddNamedSystem(
+        "sensor_faults", SensorFaults(faults=faults, period=period, noise=noise)
+    )
+    builder.Connect(wrist_force, leaf.get_input_port())
+    return leaf.get_output_port()
