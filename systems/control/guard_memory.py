@@ -3,6 +3,9 @@
 import math
 from typing import NamedTuple, cast
 
+import numpy as np
+from numpy.typing import NDArray
+
 from sonoservo.systems.control.guard_parameters import GuardParameters
 from sonoservo.systems.control.guard_rules import (
     NO_BREACH,
@@ -23,6 +26,8 @@ _FREE, _STILL_FREE = 0.15, 0.6
 """Shares of the largest force below which the contact counts as lost, and as lost still."""
 
 _SCALARS = 9
+_OVER, _LAST_FORCE, _SUSPICION = 6, slice(_SCALARS + 12, _SCALARS + 15), -4
+"""Places in the packed numbers."""
 
 
 class GuardMemory(NamedTuple):
@@ -86,6 +91,12 @@ def unpack(numbers: list[float]) -> GuardMemory:
     return GuardMemory._make([*numbers[:n], p, velocity, start, sensor])
 
 
+def last_force(numbers: NDArray[np.float64]) -> list[float] | None:
+    """Return the (3,) last force in N from packed numbers; None while anything is suspected."""
+    over, suspicion, fault = numbers[[_OVER, _SUSPICION, -1]].tolist()
+    return None if over or suspicion or fault else numbers[_LAST_FORCE].tolist()
+
+
 class Observation(NamedTuple):
     """What the guard sees in one step.
 
@@ -128,8 +139,24 @@ def next_memory(
     limits: GuardParameters,
     allowed: Region,
     time_step: float,
+    elapsed: float | None = None,
 ) -> GuardMemory:
-    """Return the memory after one more observation, `time_step` seconds after the last one."""
+    """Return the memory after one more observation.
+
+    Parameters
+    ----------
+    memory
+        Memory before it.
+    seen
+        Observation.
+    limits, allowed
+        Limits, and the region in which the probe may be.
+    time_step
+        Time until the next command, in s.
+    elapsed
+        Time since the last observation, in s; by default `time_step`.
+    """
+    elapsed = elapsed or time_step
     force, pressing = math.hypot(*seen.contact), -seen.contact[1]
     sensor = next_sensor_memory(
         memory.sensor,
@@ -150,9 +177,9 @@ def next_memory(
         too_much = force > limits.max_force
         breach = Breach(Cause.FORCE, force) if too_much else Breach(Cause.SENSOR_IN_AIR, pressing)
     else:
-        breach = _breach_of_motion(memory, seen, limits, allowed, time_step)
+        breach = _breach_of_motion(memory, seen, limits, allowed, elapsed)
     step = tuple(a - b for a, b in zip(seen.p, memory.p, strict=True))
-    velocity = tuple(each / time_step for each in step)
+    velocity = tuple(each / elapsed for each in step)
     lost = _STILL_FREE if memory.free else _FREE
     free = bool(sensor.fault) or force < lost * limits.max_force
     after = memory._replace(over=over, p=seen.p, velocity=velocity, sensor=sensor)

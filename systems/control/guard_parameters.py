@@ -78,10 +78,10 @@ class GuardParameters:
     max_tilt_deg
         Largest angle between the probe's axis and `kinematics.axis`, in deg.
     max_speed, max_acceleration
-        Highest speed of the probe's face, in m/s, and highest mean acceleration over 10 ms, in
+        Highest speed of the probe's face, in m/s, and highest mean acceleration over 20 ms, in
         m/s^2.
     max_joint_acceleration
-        Highest mean acceleration of a joint over 10 ms, in rad/s^2. The limits of the joints'
+        Highest mean acceleration of a joint over 20 ms, in rad/s^2. The limits of the joints'
         positions and speeds are those of the arm.
     max_pose_error
         Largest distance between the measured and the commanded position of the probe, in m.
@@ -107,8 +107,8 @@ class GuardParameters:
     workspace_max: list[float] = field(default_factory=lambda: [0.25, 0.25, 0.12])
     max_tilt_deg: float = 30.0
     max_speed: float = 0.15
-    max_acceleration: float = 12.0
-    max_joint_acceleration: float = 80.0
+    max_acceleration: float = 6.0
+    max_joint_acceleration: float = 40.0
     max_pose_error: float = 0.01
     retreat_speed: float = 0.3
     retreat_acceleration: float = 5.0

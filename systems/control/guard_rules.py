@@ -16,8 +16,8 @@ from sonoservo.systems.control.wrist_sensor_check import SensorFault
 
 Vector = tuple[float, ...]
 
-_WINDOW = 0.01
-"""Shortest time in s over which an acceleration is averaged."""
+WINDOW = 0.02
+"""Time in s over which accelerations are averaged, and longest time between two checks."""
 
 
 class Mode(IntEnum):
@@ -190,7 +190,7 @@ def moving_too_fast(
     if speed > limits.max_speed:
         return Breach(Cause.SPEED, speed)
     change = math.dist(step, [v * time_step for v in velocity]) / time_step
-    acceleration = change / max(time_step, _WINDOW)
+    acceleration = change / max(time_step, WINDOW)
     if acceleration > limits.max_acceleration:
         return Breach(Cause.ACCELERATION, acceleration)
     return NO_BREACH

@@ -150,15 +150,16 @@ def test_one_sample_of_force_is_inertia(rig):
     [
         (np.full(N, np.nan), "is not a number"),
         (np.full(N, 5.0), "limit of the joints' positions, speeds or accelerations"),
-        (np.r_[0.7, np.zeros(N - 1)], "commanded to move at 0.2"),
-        (np.r_[0.4, np.zeros(N - 1)], "commanded to accelerate at 1"),
+        (np.r_[0.7, np.zeros(N - 1)], "commanded to move at 0."),
+        (np.r_[0.44, np.zeros(N - 1)], "commanded to accelerate at"),
     ],
 )
 def test_a_command_that_breaks_a_limit_stops_the_arm(rig, velocity, reason):
     rig.run(0.05)
-    if "move" in reason:  # without too much acceleration
-        rig.world.velocity = velocity / 2
-        rig.run(0.02)
+    if "commanded" in reason:  # with and without too much acceleration
+        rig.world.velocity = velocity * (0.5 if "move" in reason else -1.0)
+        rig.run(0.04)
+        assert not rig.status.stopped
     rig.world.velocity = velocity
     status = rig.run(0.1)
     assert status.state is GuardState.HOLDING
