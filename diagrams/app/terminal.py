@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as RichProgress
 from rich.table import Table
+from rich.text import Text
 
 from sonoservo.diagrams.app.run import RunResult
 from sonoservo.diagrams.experiments.experiment import Experiment
@@ -74,7 +75,7 @@ def study_table(study: Study) -> Table:
             row.quantity + (f", {row.unit}" if row.unit else ""),
             *(format_figure(value) for value in (row.paper, row.estimated, row.true)),
             target_text(row),
-            {None: "", True: "yes", False: "[bold red]no[/]"}[row.met],
+            {None: "", True: "yes", False: Text("no", style="bold red")}[row.met],
         )
     return table
 
@@ -90,9 +91,9 @@ def format_figure(value: Any) -> str:
 
 def _make_bar(console: Console) -> RichProgress:
     return RichProgress(
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
-        TextColumn("{task.fields[state]}"),
+        TextColumn("{task.fields[state]}", markup=False),
         TimeRemainingColumn(),
         console=console,
     )
@@ -244,7 +245,7 @@ def start_display(console: Console, host: str = "localhost") -> Meshcat:
             "port from 7000 to 7999"
         ) from error
     logging.getLogger("drake").addFilter(_is_news)
-    console.print(f"Watch at [bold]{meshcat.web_url()}[/bold]")
+    console.print("Watch at", Text(meshcat.web_url(), style="bold"))
     return meshcat
 
 
@@ -265,7 +266,7 @@ def start_monitor(console: Console, host: str = "localhost") -> "Monitor":
         monitor = Monitor(host=host)
     except OSError as error:
         raise ConfigurationError(str(error)) from error
-    console.print(f"The scanner's monitor: [bold]{monitor.web_url}[/bold]")
+    console.print("The scanner's monitor:", Text(monitor.web_url, style="bold"))
     return monitor
 
 
