@@ -68,6 +68,11 @@ class VolumeFile:
         (count,) times of the volumes in s; None if the file has none.
     fields
         Fields of the header, by name.
+
+    Raises
+    ------
+    ConfigurationError
+        If a volume, or the number of volumes, is beyond the budget of memory.
     """
 
     path: Path
@@ -78,6 +83,10 @@ class VolumeFile:
     read: Callable[[int], NDArray[Any]]
     times: NDArray[np.float64] | None = None
     fields: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        require_voxels(self.path, self.shape)
+        require_memory(_BYTES_PER_VOLUME * self.count, str(self.path), f"{self.count} volumes")
 
     def frame_fields(self) -> dict[str, dict[int, str]]:
         """Return the fields of single volumes (``Seq_Frame0012_Name``, as in PLUS files).
@@ -91,6 +100,17 @@ class VolumeFile:
         return found
 
 
+def require_voxels(path: Path, shape: Sequence[int]) -> None:
+    """Refuse a volume on which the work would take more memory than the budget.
+
+    Raises
+    ------
+    ConfigurationError
+        If it would; the message names the file and the number of voxels.
+    """
+    require_memory(_BYTES_PER_VOXEL * math.prod(shape), str(path), f"{_times(shape)} voxels")
+
+
 def check_layout(
     path: Path,
     shape: tuple[int, ...],
@@ -101,13 +121,10 @@ def check_layout(
 ) -> None:
     """Check that a layout is a grid of volumes or, with ``frames``, a sequence of 2D frames.
 
-    Nothing is made of the file before this check.
-
     Raises
     ------
     ConfigurationError
-        If it is neither, or larger than the budget of memory; the message names the file and the
-        fault.
+        If it is neither; the message names the file and the fault.
     """
     if count < 1 or min(shape) < 1:
         raise ConfigurationError(f"{path}: {count} volumes of {_times(shape)} voxels: it is empty")
@@ -117,8 +134,6 @@ def check_layout(
         raise ConfigurationError(
             f"{path}: {_times(shape)} voxels are 2D frames; make volumes of them with --reconstruct"
         )
-    require_memory(_BYTES_PER_VOXEL * math.prod(shape), str(path), f"{_times(shape)} voxels")
-    require_memory(_BYTES_PER_VOLUME * count, str(path), f"{count} volumes")
     steps = np.linalg.norm(directions, axis=0)
     if not (np.isfinite(steps) & (steps > 0)).all():
         raise ConfigurationError(f"{path}: voxel spacing {steps.tolist()} mm; it must be above 0")

@@ -94,7 +94,7 @@ class Recording:
         poses: str | None = None,
     ) -> None:
         self.path = Path(path)
-        with refusing_failures(self.path, "damaged"):
+        with refusing_failures(self.path):
             self._file = file = _open(self.path)
             check_grid(self.path, file.shape, file.directions, file.origin)
             self._grid: FileGrid = make_file_grid(file.directions, file.origin, file.shape, depth)

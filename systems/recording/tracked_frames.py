@@ -63,7 +63,7 @@ class TrackedFrames:
             raise ConfigurationError(
                 f"{self.path}: not a file of 2D frames; give a file of type {', '.join(_SUFFIXES)}"
             )
-        with refusing_failures(self.path, "damaged"):
+        with refusing_failures(self.path):
             self._open(poses, window)
 
     def _open(self, poses: str | None, window: tuple[float, float] | None) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sonoservo.systems.files.nrrd_reader import SPACES, open_nrrd
 from sonoservo.systems.files.refusals import refusing_failures
-from sonoservo.systems.files.volume_file import MAX_DEFLATED, check_layout
+from sonoservo.systems.files.volume_file import MAX_DEFLATED, check_layout, require_voxels
 from sonoservo.systems.files.writing import write_atomically
 from sonoservo.systems.signals.immutable import Immutable, read_only
 from sonoservo.systems.signals.requirements import require
@@ -134,6 +134,7 @@ def _read_nifti(path: Path) -> LabelMap:
             shape.pop()
         require(len(shape) == 3, "sizes", shape, "those of three axes: one label a voxel")
         check_layout(path, tuple(shape), 1, np.array(image.affine, float)[:3, :3])
+        require_voxels(path, shape)
         _require_present(path, math.prod(shape) * image.get_data_dtype().itemsize)
         data = np.asanyarray(image.dataobj).reshape(shape)
     unit = image.header.get_xyzt_units()[0]
