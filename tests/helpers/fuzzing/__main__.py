@@ -7,6 +7,7 @@ from functools import partial
 from fuzzing.commands import command_case
 from fuzzing.engine import run, summary
 from fuzzing.files import bases, file_case
+from fuzzing.kills import kill_case
 from fuzzing.scenarios import run_case, scenario_case
 
 CASES = {
@@ -14,6 +15,7 @@ CASES = {
     "scenarios": (5_000, scenario_case),
     "runs": (300, run_case),
     "commands": (500, command_case),
+    "kills": (50, kill_case),
 }
 
 

@@ -31,7 +31,7 @@ _COMMANDS = {
             "--spacing",
             "--reconstruct",
         ],
-    ),  # fmt: skip
+    ),
     "locate": (
         ["locate", "FILE"],
         ["--number", "--order", "--depth", "--window", "--dynamic-range-db"],

@@ -142,7 +142,7 @@ def _work(case: Case, numbers: list[int], write: int) -> None:
             here.mkdir()
             Path("/proc/self/clear_refs").write_text("5")  # forgets the peak
             before, started = _status("VmRSS"), time.process_time()
-            signal.setitimer(signal.ITIMER_PROF, 1.2 * CPU_S)
+            signal.setitimer(signal.ITIMER_PROF, 1.5 * CPU_S)
             outcome = case(number, here)
             signal.setitimer(signal.ITIMER_PROF, 0)
             outcome.number = number

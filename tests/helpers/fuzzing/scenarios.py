@@ -11,7 +11,6 @@ import yaml
 from fuzzing.engine import Outcome, judge
 from fuzzing.mutations import NUMBERS, mutate
 from sonoservo.diagrams.app.kept_run import refusing
-from sonoservo.diagrams.app.run import run
 from sonoservo.diagrams.experiments.registry import list_scenarios, load_scenario, make_experiment
 from sonoservo.diagrams.scenario import Scenario
 
@@ -66,11 +65,11 @@ def _new_value(value: Any, rng: Random) -> str:
     return rng.choice(_YAML)
 
 
-def draw(rng: Random, folder: Path) -> tuple[str, list[str]]:
+def draw(rng: Random, folder: Path, files: bool = True) -> tuple[str, list[str]]:
     """Return the name or file of a scenario, and changes of it."""
     name = rng.choice(sorted(_scenarios()))
     text, leaves = _scenarios()[name]
-    if rng.random() < 0.35:
+    if files and rng.random() < 0.35:
         damaged = mutate(text.encode(), 0, rng)[0] if rng.random() < 0.95 else None
         path = folder / "scenario.yaml"
         path.write_bytes(damaged if damaged is not None else (bomb(rng) + text).encode())
@@ -106,30 +105,29 @@ def scenario_case(number: int, folder: Path, seed: int = 0) -> Outcome:
 
 
 def run_case(number: int, folder: Path, seed: int = 0) -> Outcome:
-    """Simulate a second of a damaged scenario that can be built."""
+    """Simulate a second of a damaged scenario that can be built; every tenth is also plotted."""
     rng = Random(f"runs {seed} {number}")
-    while True:
-        name, changes = draw(rng, folder)
-        short = [*changes, "duration=1.0"]
-        outcome = judge(f"{name} {changes}", lambda: _build(name, short, folder))  # noqa: B023
-        if outcome.result != "refused":
-            break
-    if outcome.finding:
-        return outcome
 
     def case() -> float:
-        result = run(_load(name, short), out=folder / "out")
-        assert result.summary["simulated_s"] > 0
+        scenario = _load(name, [*changes, "duration=1.0"])
+        with refusing(scenario):
+            experiment = make_experiment(scenario)
+        try:
+            experiment.run()
+            log = experiment.log()
+            figures = experiment.summarize(log)
+            if number % 10 == 0:
+                experiment.plots(log)
+        finally:
+            experiment.close()
+        assert figures
         return 0.0
 
-    return judge(f"{name} {changes}", case)
-
-
-def _build(name: str, changes: list[str], folder: Path) -> float:
-    scenario = _load(name, changes)
-    with refusing(scenario):
-        make_experiment(scenario).close()
-    return 0.0
+    while True:
+        name, changes = draw(rng, folder, files=False)
+        outcome = judge(f"{name} {changes}", case)
+        if outcome.result != "refused":
+            return outcome
 
 
 def _saved(scenario: Scenario, folder: Path) -> str:
