@@ -54,6 +54,15 @@ def list_command(json_path: JsonOption = None) -> None:
     write_printed(json_path, rows)
 
 
+def compile_command() -> None:
+    """Compile the kernels beforehand; without this, the first run does, in about a minute."""
+    from sonoservo.diagrams.app.compile import TASKS, compile_kernels
+
+    with console.status(f"Compiling {len(TASKS)} groups of kernels ..."):
+        for line in compile_kernels():
+            console.print(line)
+
+
 def run_command(
     scenario: ScenarioArgument,
     changes: ChangesOption = None,
@@ -250,6 +259,7 @@ def explain_command(
 
 _COMMANDS = (
     list_command,
+    compile_command,
     run_command,
     drive_command,
     scan_command,

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.inverse_kinematics import InverseKinematics
-from pydrake.solvers import Solve
+from pydrake.solvers import MathematicalProgramResult, Solve
 
 from sonoservo.systems.robot.arm import ArmWithProbe
 
@@ -59,6 +59,30 @@ def solve_posture(
         If the arm cannot reach the pose.
     """
     near = arm.home if near is None else near
+    result = _solve(arm, X_WP, near, start=near)
+    if not result.is_success():
+        # A redundant arm finds its nearest posture more easily from one that reaches the pose.
+        any_posture = _solve(arm, X_WP, None, start=near)
+        if any_posture.is_success():
+            nearest = _solve(arm, X_WP, near, start=any_posture.get_x_val())
+            result = nearest if nearest.is_success() else any_posture
+    if not result.is_success():
+        p = X_WP.translation()
+        angles = np.rad2deg(RollPitchYaw(X_WP.rotation()).vector())
+        raise ValueError(
+            f"the arm cannot reach the probe pose x {p[0]:.3f}, y {p[1]:.3f}, z {p[2]:.3f} m, "
+            f"roll {angles[0]:.1f}, pitch {angles[1]:.1f}, yaw {angles[2]:.1f} deg in the world"
+        )
+    return result.get_x_val()
+
+
+def _solve(
+    arm: ArmWithProbe,
+    X_WP: RigidTransform,
+    near: NDArray[np.float64] | None,
+    start: NDArray[np.float64],
+) -> MathematicalProgramResult:
+    """Search from a start for the posture nearest to another; None takes any posture."""
     world = arm.plant.world_frame()
     problem = InverseKinematics(arm.plant)
     # Three points determine position and orientation without the singularity of a zero angle.
@@ -68,17 +92,10 @@ def solve_posture(
             arm.probe.body_frame(), point, world, p_W - _TOLERANCE, p_W + _TOLERANCE
         )
     q = problem.q()
-    problem.prog().AddQuadraticErrorCost(np.eye(len(q)), near, q)
-    problem.prog().SetInitialGuess(q, near)
-    result = Solve(problem.prog())
-    if not result.is_success():
-        p = X_WP.translation()
-        angles = np.rad2deg(RollPitchYaw(X_WP.rotation()).vector())
-        raise ValueError(
-            f"the arm cannot reach the probe pose x {p[0]:.3f}, y {p[1]:.3f}, z {p[2]:.3f} m, "
-            f"roll {angles[0]:.1f}, pitch {angles[1]:.1f}, yaw {angles[2]:.1f} deg in the world"
-        )
-    return result.GetSolution(q)
+    if near is not None:
+        problem.prog().AddQuadraticErrorCost(np.eye(len(q)), near, q)
+    problem.prog().SetInitialGuess(q, start)
+    return Solve(problem.prog())
 
 
 def reachable(

@@ -3,7 +3,7 @@ import subprocess
 import sys
 
 import pytest
-from commands import sonoservo
+from commands import sonoservo, sonoservo_here
 from typer.testing import CliRunner
 
 from sonoservo.diagrams.app.cli import app
@@ -42,7 +42,7 @@ def test_list_names_every_scenario(tmp_path):
     ],
 )
 def test_a_mistake_is_one_line_and_exit_code_2(arguments, message, tmp_path):
-    result = sonoservo("run", *arguments, "--no-meshcat", "--out", str(tmp_path / "out"))
+    result = sonoservo_here("run", *arguments, "--no-meshcat", "--out", str(tmp_path / "out"))
     assert result.returncode == 2
     assert message in result.stderr
     assert len(result.stderr.strip().splitlines()) == 1
@@ -90,7 +90,7 @@ def test_a_short_run_leaves_its_files_and_its_summary(tmp_path):
 def test_a_mistake_in_ones_own_arm_is_one_line_and_exit_code_2(tmp_path):
     arm = tmp_path / "mine.yaml"
     arm.write_text("directives: [{add_model: {name: arm, file: mine.urdf}}]")
-    result = sonoservo(
+    result = sonoservo_here(
         "run", "chatelain2013_fig5", "--no-meshcat", "--set", f"station.arm={arm}",
         "--out", str(tmp_path / "out"),
     )  # fmt: skip
@@ -101,7 +101,7 @@ def test_a_mistake_in_ones_own_arm_is_one_line_and_exit_code_2(tmp_path):
 
 def test_results_that_cannot_be_written_are_one_line_and_exit_code_2(tmp_path):
     (tmp_path / "file").write_text("in the way")
-    result = sonoservo(
+    result = sonoservo_here(
         "run", "chatelain2013_fig5", "--no-meshcat", "--out", str(tmp_path / "file" / "out")
     )
     assert result.returncode == 2
@@ -109,7 +109,7 @@ def test_results_that_cannot_be_written_are_one_line_and_exit_code_2(tmp_path):
 
 
 def test_the_force_that_was_asked_for_is_what_the_error_is_taken_from(tmp_path):
-    result = sonoservo(
+    result = sonoservo_here(
         "run",
         "chatelain2013_fig5",
         "--no-meshcat",
@@ -134,7 +134,7 @@ def test_the_force_that_was_asked_for_is_what_the_error_is_taken_from(tmp_path):
     ],
 )
 def test_a_mistake_in_what_to_reproduce_is_one_line_and_exit_code_2(arguments, message, tmp_path):
-    result = sonoservo("reproduce", *arguments, "--out", str(tmp_path / "out"))
+    result = sonoservo_here("reproduce", *arguments, "--out", str(tmp_path / "out"))
     assert result.returncode == 2
     assert result.stderr.strip() == f"sonoservo: {message}"
     assert not (tmp_path / "out").exists()
@@ -142,7 +142,7 @@ def test_a_mistake_in_what_to_reproduce_is_one_line_and_exit_code_2(arguments, m
 
 def test_what_is_recorded_is_tracked_and_its_needle_located(tmp_path):
     recording, changes = tmp_path / "a.seq.nrrd", ["duration=8", "hand.start=0.5"]
-    made = sonoservo(
+    made = sonoservo_here(
         "run",
         "chatelain2013_fig4",
         "--seed",
@@ -157,7 +157,7 @@ def test_what_is_recorded_is_tracked_and_its_needle_located(tmp_path):
         str(tmp_path / "run"),
     )
     assert made.returncode == 0, made.stderr
-    tracked = sonoservo("track", str(recording), "--show", "--out", str(tmp_path / "out"))
+    tracked = sonoservo_here("track", str(recording), "--show", "--out", str(tmp_path / "out"))
     assert tracked.returncode == 0, tracked.stderr
     assert "The scanner's monitor: http://localhost:" in tracked.stdout
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
@@ -165,9 +165,9 @@ def test_what_is_recorded_is_tracked_and_its_needle_located(tmp_path):
     count = summary["volumes"]
     figures = tmp_path / "found.json"
     arguments = ["locate", str(recording), "--json", str(figures), "--number"]
-    assert sonoservo(*arguments, "0").returncode == 1
+    assert sonoservo_here(*arguments, "0").returncode == 1
     assert json.loads(figures.read_text())["found"] is False
-    found = sonoservo(*arguments, str(count - 1))
+    found = sonoservo_here(*arguments, str(count - 1))
     assert found.returncode == 0, found.stderr
     assert "tip_lps_mm" in found.stdout
 
@@ -185,7 +185,7 @@ def test_a_bad_recording_is_one_line_and_leaves_nothing(tmp_path, command, name,
     path = tmp_path / name
     path.mkdir() if content is None else path.write_bytes(content)
     options = ["--out", str(tmp_path / "out")] if command == "track" else []
-    result = sonoservo(command, str(path), *options)
+    result = sonoservo_here(command, str(path), *options)
     assert result.returncode == 2
     assert message in result.stderr
     assert str(path) in result.stderr
@@ -195,7 +195,7 @@ def test_a_bad_recording_is_one_line_and_leaves_nothing(tmp_path, command, name,
 
 def test_a_recording_cannot_have_another_suffix(tmp_path):
     path = tmp_path / "a.mha"
-    result = sonoservo("run", "chatelain2013_fig5", "--no-meshcat", "--record", str(path))
+    result = sonoservo_here("run", "chatelain2013_fig5", "--no-meshcat", "--record", str(path))
     assert result.returncode == 2
     assert "must end in .seq.nrrd" in result.stderr
     assert not list(tmp_path.iterdir())
