@@ -3,11 +3,10 @@
 import os
 import signal
 import socket
-import sys
 import threading
 from types import FrameType
 
-PATIENCE = 4.5
+PATIENCE = 3.5
 """Time in s from an interruption to the end of the program, whatever it is doing."""
 
 INTERRUPTED = 130
@@ -57,5 +56,4 @@ def _end_in_time(watch: socket.socket, wake: socket.socket) -> None:
     except TimeoutError:
         os.write(2, b"\nsonoservo: ended; what was not written yet is left out\n")
     wake.close()
-    sys.stdout.flush()
     os._exit(128 + first[0])

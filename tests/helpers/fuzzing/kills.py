@@ -51,6 +51,7 @@ def kill_case(number: int, folder: Path, seed: int = 0) -> Outcome:
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         start_new_session=True,
+        preexec_fn=_heed_all,  # a background job, or nohup, makes it ignore some
     )
     try:
         output, _ = process.communicate(timeout=moment)
@@ -76,7 +77,16 @@ def kill_case(number: int, folder: Path, seed: int = 0) -> Outcome:
         read = _read_all(folder)
     except Exception as error:
         return Outcome(what, "unreadable", repr(error))
+    began, told = "scenario.yaml" in read, "summary.json" in read
+    if began and not told and ending != signal.SIGKILL:
+        return Outcome(what, "no summary", f"readable: {read}; {text[-300:]}")
     return Outcome(what, "good", f"readable: {read}")
+
+
+def _heed_all() -> None:
+    for each in _SIGNALS[1:]:
+        handler = signal.default_int_handler if each == signal.SIGINT else signal.SIG_DFL
+        signal.signal(each, handler)
 
 
 def _command(arguments: list[str], folder: Path, **values: float) -> list[str]:
