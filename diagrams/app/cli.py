@@ -13,7 +13,12 @@ from typing import Annotated
 
 import typer
 
-from sonoservo.diagrams.app.interruption import INTERRUPTED, catch_interruptions, interrupted_code
+from sonoservo.diagrams.app.interruption import (
+    INTERRUPTED,
+    catch_interruptions,
+    interrupted_code,
+    is_interrupted,
+)
 from sonoservo.diagrams.app.options import (
     ChangesOption,
     ExplainOption,
@@ -276,8 +281,11 @@ for _command in _COMMANDS:
 
 def main() -> None:
     """Run the command line as a program of its own."""
-    catch_interruptions()
-    code = run_arguments(sys.argv[1:])
+    try:
+        catch_interruptions()
+        code = run_arguments(sys.argv[1:])
+    except KeyboardInterrupt:
+        code = INTERRUPTED
     sys.exit(interrupted_code() if code == INTERRUPTED else code)
 
 
@@ -300,6 +308,8 @@ def _report(error: BaseException) -> int:
     """Print an error on one line, and return the exit code."""
     if isinstance(error, KeyboardInterrupt | typer.Abort):
         return INTERRUPTED
+    if is_interrupted() and not isinstance(error, ConfigurationError | OSError):
+        return INTERRUPTED  # a compiled module may turn KeyboardInterrupt into an error of its own
     if isinstance(error, BrokenPipeError):  # as by `sonoservo list | head -1`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141

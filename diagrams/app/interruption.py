@@ -6,7 +6,7 @@ import socket
 import threading
 from types import FrameType
 
-PATIENCE = 3.5
+PATIENCE = 3.0
 """Time in s from an interruption to the end of the program, whatever it is doing."""
 
 INTERRUPTED = 130
@@ -15,6 +15,11 @@ INTERRUPTED = 130
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 _received: list[int] = []
+
+
+def is_interrupted() -> bool:
+    """Return True if a signal has asked for the end of the program."""
+    return bool(_received)
 
 
 def interrupted_code() -> int:

@@ -33,7 +33,7 @@ _SHOWS_RESULTS = ("display", "cli", "terminal", "plots", "report", "page", "anal
 _CASES_PER_PROCESS = 10
 """Number of cases after which a process is replaced, as Drake leaks some 20 MB per experiment."""
 
-_WATCH_PERIOD = 0.5
+_WATCH_PERIOD = 0.2
 """Time in s between two looks of a process at its parent."""
 
 
