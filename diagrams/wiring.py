@@ -8,11 +8,13 @@ TRUTH = frozenset(
     {
         "X_WT",
         "contact_force",
+        "motion_record",
         "needle",
         "needle_target",
         "phantom_command",
         "phantom_target",
         "query_object",
+        "true_X_WP",
     }
 )
 """Names of the ports that carry the truth, which the simulator knows but no scanner provides."""

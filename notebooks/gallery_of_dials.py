@@ -3,8 +3,9 @@
 # %% [markdown]
 # # What makes an image hard
 #
-# Each structure, and each dial of the needle and of the acoustics, at three strengths beside the
-# clean image: the middle frame of one sweep.
+# Each structure, and each dial of the needle, of the acoustics and of the scanner, at three
+# strengths beside the clean image: the middle frame of one sweep. What the scanner's motor and its
+# connection do shows from frame to frame: the middle lines of all frames, with a needle across.
 
 # %%
 from dataclasses import replace
@@ -12,16 +13,21 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from pydrake.math import RigidTransform
 
 from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.sweep import SweepMotion
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation import (
+    AirPocketParameters,
     NeedleEchoParameters,
     ScannerParameters,
     SweepRenderer,
     Tissue,
+    acquire_sweep,
     load_tissue,
 )
+from sonoservo.systems.ultrasound.simulation.errors import ConnectionParameters, MotorParameters
 from sonoservo.systems.ultrasound.simulation.structures import (
     Bone,
     Calcification,
@@ -35,6 +41,7 @@ from sonoservo.systems.ultrasound.simulation.structures import (
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
 ON_TOP = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, -0.004], [0, 0, 0, 1.0]])
+ACROSS = np.array([[0, 0, 1, 0], [1, 0, 0, 0], [0, -1, 0, -0.004], [0, 0, 0, 1.0]])
 IMAGING = ImagingParameters(frames=3, volume_rate=20, gain=0.36)
 PLAIN, ECHO = Tissue(seed=1), NeedleEchoParameters()
 NONE = Needle(np.zeros((0, 3)), 0.635e-3)
@@ -47,20 +54,49 @@ def held(dip_deg):
     return Needle(np.array([tip - 0.055 * np.array([np.cos(dip), 0, -np.sin(dip)]), tip]), 0.635e-3)
 
 
-def frame(tissue, needle=NONE, echo=ECHO, x=0.0):
+def frame(tissue, needle=NONE, echo=ECHO, x=0.0, pose=ON_TOP, air=0.0):
     """The middle frame of a sweep, and where its samples lie in mm."""
     renderer = SweepRenderer(
         transducer=load_transducer("4dc7_3_40"),
         imaging=IMAGING,
         tissue=tissue,
-        parameters=ScannerParameters(needle=echo),
+        parameters=ScannerParameters(
+            needle=echo, air_pockets=AirPocketParameters(share=air, size=6e-3)
+        ),
         seed=0,
     )
-    X = np.repeat(ON_TOP[np.newaxis], 3, axis=0)
+    X = np.repeat(pose[np.newaxis], 3, axis=0)
     X[:, 0, 3] = x
     grey = renderer.render(X, [needle] * 3, 1, 0)[1]
     j, i = np.indices(grey.shape)
     return grey, 1e3 * renderer.geometry.position(1, j, i, 1)
+
+
+def across(directions=(1,), **errors):
+    """The middle lines of all frames, averaged over sweeps, and where their samples lie in mm.
+
+    A steep needle descends across the frames.
+    """
+    renderer = SweepRenderer(
+        transducer=load_transducer("4dc7_3_40"),
+        imaging=replace(IMAGING, frames=31, volume_rate=3, sector=0.1),
+        tissue=PLAIN,
+        parameters=ScannerParameters(needle=replace(ECHO, dimples_db=30.0), **errors),
+        seed=0,
+    )
+    geometry = renderer.geometry
+    needle = Needle(np.array([[0.0, 0.018, -0.02], [0.0, -0.018, -0.065]]), 0.635e-3)
+    middle = geometry.lines // 2
+    sweeps = [
+        acquire_sweep(
+            renderer,
+            SweepMotion.at_rest(geometry, RigidTransform(ON_TOP), 0.0, direction),
+            [needle] * geometry.frames,
+        ).samples[:, middle]
+        for direction in directions
+    ]
+    k, i = np.indices(sweeps[0].shape)
+    return np.mean(sweeps, axis=0), 1e3 * geometry.position(k, middle, i, 1)[..., [2, 1]]
 
 
 def having(*structures, **changes):
@@ -91,6 +127,15 @@ ROWS = {
     "tissue at 1540, 1500, 1463 m/s": [
         having(FLAT, sound_speed=c) for c in (1540.0, 1500.0, 1463.0)
     ],
+    "backlash 1, 2, 4 deg: mean of sweeps to and fro": [
+        across((1, -1), motor=MotorParameters(backlash_deg=play)) for play in (1.0, 2.0, 4.0)
+    ],
+    "motor errs by 0.2, 0.5, 1 deg": [
+        across(motor=MotorParameters(error_deg=error)) for error in (0.2, 0.5, 1.0)
+    ],
+    "frames lost: 5, 15, 40 %": [
+        across(connection=ConnectionParameters(lost_frames=share)) for share in (0.05, 0.15, 0.4)
+    ],
     "needle fades by 3, 6, 12 dB": [
         frame(PLAIN, held(8), replace(ECHO, fading_db=d)) for d in (3.0, 6.0, 12.0)
     ],
@@ -105,6 +150,11 @@ ROWS = {
         frame(PLAIN, held(8), replace(ECHO, tip=tip, tip_roll_deg=roll))
         for tip, roll in (("bevel", 0.0), ("bevel", 180.0), ("blunt", 0.0))
     ],
+    "air under 10, 25, 50 % of the face": [frame(PLAIN, air=share) for share in (0.1, 0.25, 0.5)],
+    "skin curved by 120, 60, 45 mm": [
+        frame(replace(PLAIN, size=[0.4, 2 * r, 2 * r], shape="cylinder"), pose=ACROSS)
+        for r in (0.12, 0.06, 0.045)
+    ],
     "a synthetic liver": [frame(load_tissue("liver"), x=x) for x in (-0.03, 0.0, 0.045)],
 }
 
@@ -113,6 +163,9 @@ INK, PAPER = "#F2F2F2", "#0E1116"
 clean = {name: having() for name in ROWS}
 clean["needle fades by 3, 6, 12 dB"] = frame(PLAIN, held(8))
 clean["tip: bevel up, bevel down, blunt"] = frame(PLAIN, held(8))
+for name in ROWS:
+    if name.startswith(("backlash", "motor", "frames")):
+        clean[name] = across()
 for name in ("polished to 40, 20, 10 deg", "dimples at 16, 22, 28 dB"):
     clean[name] = frame(PLAIN, held(40))
 figure, axes = plt.subplots(

@@ -13,14 +13,13 @@ from sonoservo.diagrams.app.run import run
 from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.diagrams.needle_tracker import track
 from sonoservo.diagrams.trackers.chatelain2013 import Chatelain2013TrackerParameters
-from sonoservo.systems.estimation.track import TrackParameters
 from sonoservo.systems.signals.volume import Volume
 
 _SPACING = 1e-3
 _SHAPE = (80, 60, 40)
-_VOLUMES = 12
-_SPEED = 1e-2
-"""Speed of the needle in the volumes that `compile_tracker` tracks, in m/s."""
+_VOLUMES, _BEFORE = 16, 7
+_ADVANCE = 3
+"""Advance of the needle from one synthetic volume to the next, in voxels."""
 
 
 def compile_scanner() -> None:
@@ -38,7 +37,7 @@ def compile_tracker() -> None:
     """Compile detection and localization: track a line that grows in noise, straight and bent."""
     for order in (2, 3):
         list(track(_volumes(), parameters=Chatelain2013TrackerParameters(order=order)))
-    everywhere = Chatelain2013TrackerParameters(track=TrackParameters(anywhere=True))
+    everywhere = Chatelain2013TrackerParameters(start="anywhere")
     list(track(list(_volumes())[-2:], parameters=everywhere))
 
 
@@ -80,12 +79,12 @@ def _volumes() -> Iterator[Volume]:
     tissue = rng.rayleigh(20, _SHAPE)
     for number in range(_VOLUMES):
         intensities = np.clip(tissue + rng.normal(0, 1, _SHAPE), 1, 255)
-        tip = round((10e-3 + _SPEED * number) / _SPACING) if number > 6 else 0
-        intensities[: tip // 2, 29:31, 19:21] = 230
+        length = max(0, _ADVANCE * (number - _BEFORE))
+        intensities[:length, 29:31, 19:21] = 230
         yield Volume(
             intensities=intensities.astype(np.uint8),
             origin=np.array([-40e-3, 0, -20e-3]),
             spacing=np.full(3, _SPACING),
             X_WP=RigidTransform(),
-            time=0.5 * number,
+            time=0.3 * number,
         )

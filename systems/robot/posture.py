@@ -4,20 +4,28 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.inverse_kinematics import InverseKinematics
 from pydrake.solvers import MathematicalProgramResult, Solve
 
 from sonoservo.systems.robot.arm import ArmWithProbe
+from sonoservo.systems.signals.body_surface import BodySurface
 
 _LEVER = 0.1
 _TOLERANCE = 1e-6
 
 
 def probe_pose(
-    *, X_WT: RigidTransform, x: float, y: float, yaw: float, height: float
+    *,
+    X_WT: RigidTransform,
+    x: float,
+    y: float,
+    yaw: float,
+    height: float,
+    surface: BodySurface | None = None,
 ) -> RigidTransform:
-    """Return the pose X_WP of a probe that looks straight down on the phantom's top.
+    """Return the pose X_WP of a probe that looks along the normal of the phantom's top.
 
     Parameters
     ----------
@@ -26,12 +34,26 @@ def probe_pose(
     x, y
         Position of the probe on the top, in T, in m.
     yaw
-        Angle from X_T to X_P about Z_T, in rad; at zero Z_P is Y_T.
+        Angle from X_T to X_P about the normal, in rad; at zero Z_P is Y_T on a level top.
     height
-        Height of the probe's face above the top, in m.
+        Height of the probe's face above the top, along the normal, in m.
+    surface
+        Surface of the phantom; level by default.
+
+    Raises
+    ------
+    ValueError
+        If the position is not on top of the phantom.
     """
     R_TP = RotationMatrix.MakeZRotation(yaw) @ RotationMatrix.MakeXRotation(-np.pi / 2)
-    return X_WT @ RigidTransform(R_TP, [x, y, height])
+    if surface is None or not surface.is_curved:
+        return X_WT @ RigidTransform(R_TP, [x, y, height])
+    foot = np.array([x, y, surface.height(x, y)])
+    normal = surface.normal(foot)
+    # The shortest turn from the vertical to the normal.
+    half = np.array([1 + normal[2], -normal[1], normal[0], 0.0])
+    tilt = RotationMatrix(Quaternion(half / np.linalg.norm(half)))
+    return X_WT @ RigidTransform(tilt @ R_TP, foot + height * normal)
 
 
 def solve_posture(

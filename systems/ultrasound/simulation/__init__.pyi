@@ -1,4 +1,5 @@
 from .acquisition import acquire_sweep as acquire_sweep
+from .air_pockets import AirPocketParameters as AirPocketParameters
 from .needle_echo import NeedleEchoParameters as NeedleEchoParameters
 from .rendering import SweepRenderer as SweepRenderer
 from .scanner import Scanner as Scanner

@@ -12,6 +12,7 @@ from sonoservo.systems.signals.requirements import require, require_not_negative
 from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.ultrasound.beam import Beam, beam_profile, point_spread
 from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
+from sonoservo.systems.ultrasound.simulation.air_pockets import AirPockets
 from sonoservo.systems.ultrasound.simulation.bright_points import inclusion_points
 from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import render_points
 from sonoservo.systems.ultrasound.simulation.kernels.echo import FADE, render_tissue
@@ -42,11 +43,11 @@ class SweepRenderer:
     It models the motion of probe, tissue and needle within a sweep, down to the phase of every
     scatterer; the depth-dependent width of the beam in all directions; side lobes, reverberation
     and shadow of the needle; structures and anatomy with their surfaces, shadows and attenuation; a
-    speed of sound other than the scanner's, and a refracting layer of fat; loss of contact;
-    attenuation, as noise; and log compression. It does not model refraction elsewhere, the effect
-    of wrong speeds on the focus, multiple scattering other than between a surface and the face, the
-    loss of beam at the ends of the array or, along the array, wave fronts that are not centred on
-    the array's own centre.
+    speed of sound other than the scanner's, and a refracting layer of fat; a curved skin, loss of
+    contact and air pockets; attenuation, as noise; and log compression. It does not model
+    refraction elsewhere, the effect of wrong speeds on the focus, multiple scattering other than
+    between a surface and the face, the loss of beam at the ends of the array or, along the array,
+    wave fronts that are not centred on the array's own centre.
 
     Parameters
     ----------
@@ -69,6 +70,8 @@ class SweepRenderer:
         The same widths, in the form that sweeps carry.
     decibels_per_level
         Scale of the image, in dB per grey level.
+    parameters, seed
+        See above.
     """
 
     def __init__(
@@ -83,11 +86,10 @@ class SweepRenderer:
         require_not_negative(seed=seed)
         self.geometry: SweepGeometry = sweep_geometry(transducer, imaging)
         self.decibels_per_level = imaging.decibels_per_level
-        self._parameters = parameters
+        self.parameters = parameters
         self._imaging = imaging
-        self._seed = seed
-        width, length, height = tissue.size
-        self._box = np.array([[-width / 2, -length / 2, -height], [width / 2, length / 2, 0]])
+        self.seed = seed
+        self._box = tissue.surface.bounds
         sound_speed = tissue.sound_speed or imaging.sound_speed
         # Samples are times; lengths in the tissue follow from its own speed of sound.
         ratio = sound_speed / imaging.sound_speed
@@ -137,6 +139,9 @@ class SweepRenderer:
         )
         loss_db = 2 * tissue.attenuation * 1e-6 * imaging.transmit_frequency * 1e2 * depths
         self._noise = (10 ** ((parameters.noise_db + loss_db) / 20)).astype(np.float32)
+        rng = np.random.default_rng([seed, 4])
+        air = parameters.air_pockets
+        self._air = AirPockets(air, transducer, imaging, self.geometry, rng)
         self._lines = {direction: line_rays(geometry, direction) for direction in (1, -1)}
         self._rays = {d: projection_rays(geometry, self.beam, d, pulses.lead) for d in (1, -1)}
         # Sweep-sized memory is allocated once: tissue echoes in both directions, and needle echoes.
@@ -260,15 +265,17 @@ class SweepRenderer:
             Number of the sweep, which selects the noise.
         """
         grey = np.empty(self.geometry.shape, np.uint8)
+        open_shares = self._air.open_shares(np.zeros(len(grey)) if times is None else times)
         form_image(
             grey,
             self._render_echo(X_TP, needles, direction, times),
             np.ascontiguousarray(X_TP[:, :3]),
             self._box,
             *self._lines[direction],
-            self._parameters.gel_thickness,
+            self.parameters.gel_thickness,
+            open_shares,
             self._noise,
-            np.random.SeedSequence([self._seed, number]).generate_state(len(grey), np.uint64),
+            np.random.SeedSequence([self.seed, number]).generate_state(len(grey), np.uint64),
             self._imaging.grey_per_db,
             self._imaging.tissue_grey,
         )

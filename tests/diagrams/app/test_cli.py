@@ -33,7 +33,7 @@ def test_list_names_every_scenario(tmp_path):
         (["chatelain2013_fig5", "--set", "station.arm=viper"], "viper_s850.yaml"),
         (["chatelain2013_fig5", "--set", "station.arm=nowhere.yaml"], "no file nowhere.yaml"),
         (["chatelain2013_fig5", "--set", "imaging.volume_rate=50"], "imaging.volume_rate: 50.0"),
-        (["chatelain2013_fig5", "--set", "processing_time=1"], "processing_time: 1.0"),
+        (["chatelain2013_fig5", "--set", "processing_time=-1"], "processing_time: -1.0"),
         (["carriere2016_d60", "--set", "rotations=[0.2]"], "rotations: [0.2]"),
         (["carriere2016_d60", "--set", "estimator=particle"], "did you mean 'particle_filter'"),
         (["carriere2016_d60", "--set", "depth=0.3"], "stays in the phantom"),

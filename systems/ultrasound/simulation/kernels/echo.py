@@ -10,6 +10,7 @@ from numba import njit, prange
 
 from sonoservo.systems.sampling.options import OPTIONS
 from sonoservo.systems.ultrasound.simulation.kernels.blocks import count_below, frame_blocks
+from sonoservo.systems.ultrasound.simulation.kernels.body import keep_inside
 from sonoservo.systems.ultrasound.simulation.kernels.line_blur import blur_lines
 from sonoservo.systems.ultrasound.simulation.kernels.medium import look_up
 from sonoservo.systems.ultrasound.simulation.kernels.projection import (
@@ -140,7 +141,8 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
     X_FT
         (3, 4) pose of the tissue in F, float64.
     box
-        (2, 3) lower and upper corner of the tissue in T, in m.
+        (2, 3) lower and upper corner of the tissue in T, in m, or (3, 3) if it is curved; see
+        `BodySurface.bounds`.
     tile
         Scatterers, a `ScattererTile`.
     rays, tables
@@ -300,6 +302,18 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                 for i in range(n):
                     chosen[number] = i
                     number += kept[i]
+                if len(box) > 2:
+                    number = keep_inside(
+                        chosen,
+                        number,
+                        xs,
+                        ys,
+                        zs,
+                        bx * block_size,
+                        by * block_size,
+                        bz * block_size,
+                        box,
+                    )
                 if regions is not None:
                     content = regions.content[
                         bx - regions.first_block[0],
