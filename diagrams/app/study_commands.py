@@ -16,7 +16,7 @@ from sonoservo.diagrams.app.options import (
     write_printed,
 )
 from sonoservo.diagrams.papers.registry import PAPERS, reproduce, require_paper
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 
 
 def dataset_command(

@@ -21,7 +21,7 @@ from sonoservo.diagrams.experiments.experiment import Experiment
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.studies.study_report import Study, target_text
 from sonoservo.systems.evaluation.metrics import LABELS
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 
 if TYPE_CHECKING:
@@ -63,6 +63,13 @@ def summary_table(result: RunResult, published: Mapping[str, float] | None = Non
     return table
 
 
+_MET: Mapping[bool | None, Text] = {
+    None: Text(""),
+    True: Text("yes"),
+    False: Text("no", style="bold red"),
+}
+
+
 def study_table(study: Study) -> Table:
     """Return the rows of a study, for a terminal."""
     failed = sum(not each for each in study.outcomes)
@@ -79,7 +86,7 @@ def study_table(study: Study) -> Table:
             row.quantity + (f", {row.unit}" if row.unit else ""),
             *(format_figure(value) for value in (row.paper, row.estimated, row.true)),
             target_text(row),
-            {None: "", True: "yes", False: Text("no", style="bold red")}[row.met],
+            _MET[row.met],
         )
     return table
 

@@ -29,7 +29,7 @@ from sonoservo.diagrams.app.options import (
     console,
     write_printed,
 )
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 
 
 def track_command(

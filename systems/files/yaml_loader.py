@@ -66,7 +66,7 @@ def _judge(text: str) -> None:
         elif isinstance(event, yaml.AliasEvent):
             if event.anchor in {anchor for anchor, _ in open_nodes}:
                 raise yaml.YAMLError(f"the alias *{event.anchor} contains itself")
-            count += sizes.get(event.anchor, 1)
+            count += sizes.get(event.anchor or "", 1)
         if len(open_nodes) > MAX_DEPTH:
             raise yaml.YAMLError(f"it is nested deeper than {MAX_DEPTH} levels")
         if count > MAX_NODES:

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from sonoservo.diagrams.app.cli import app
 from sonoservo.diagrams.experiments.registry import list_scenarios, load_scenario
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 
 runner = CliRunner()
 

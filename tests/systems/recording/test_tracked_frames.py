@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from tracked_frames import freehand, write_plus_file
 
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.recording.tracked_frames import TrackedFrames
 
 
