@@ -15,7 +15,8 @@ from pydrake.systems.primitives import Gain
 from sonoservo.diagrams.assembly import ARM, PHANTOM, PROBE, assemble_arm, load_probe_body
 from sonoservo.diagrams.measured_pose import add_measured_pose, add_offset
 from sonoservo.models import model_path
-from sonoservo.systems.files.typed_yaml import ConfigurationError, dump_typed
+from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.typed_yaml import dump_typed
 from sonoservo.systems.robot.arm import AddArmWithProbe, load_arm, set_servo_gains
 from sonoservo.systems.robot.body_pose import BodyPose
 from sonoservo.systems.robot.contact_force import ContactForce
