@@ -79,7 +79,7 @@ class StationParameters:
         Initial placement of the probe.
     wrist_sensor
         Noise and errors of the wrist force sensor.
-    pose
+    pose_delay
         Delay of the probe's pose.
     calibration
         Errors of the calibration of arm and probe.
@@ -94,7 +94,7 @@ class StationParameters:
     phantom_position: list[float] = field(default_factory=lambda: [0.5, 0.0, 0.2])
     probe: ProbePlacement = field(default_factory=ProbePlacement)
     wrist_sensor: WristSensorParameters = field(default_factory=WristSensorParameters)
-    pose: PoseDelayParameters = field(default_factory=PoseDelayParameters)
+    pose_delay: PoseDelayParameters = field(default_factory=PoseDelayParameters)
     calibration: CalibrationParameters = field(default_factory=CalibrationParameters)
     display_period: float = 3 / 32
 
@@ -295,7 +295,7 @@ def MakeStation(
         arm=parameters.arm,
         probe=probe,
         calibration=parameters.calibration,
-        delay=parameters.pose,
+        delay=parameters.pose_delay,
         period=parameters.plant.time_step,
         seed=seed,
     )
