@@ -83,7 +83,7 @@ class StationParameters:
         Noise and errors of the wrist force sensor.
     sensor_faults
         Faults of the wrist force sensor, to test what the robot does then.
-    pose
+    pose_delay
         Delay of the probe's pose.
     calibration
         Errors of the calibration of arm and probe.
@@ -99,7 +99,7 @@ class StationParameters:
     probe: ProbePlacement = field(default_factory=ProbePlacement)
     wrist_sensor: WristSensorParameters = field(default_factory=WristSensorParameters)
     sensor_faults: list[SensorFault] = field(default_factory=list)
-    pose: PoseDelayParameters = field(default_factory=PoseDelayParameters)
+    pose_delay: PoseDelayParameters = field(default_factory=PoseDelayParameters)
     calibration: CalibrationParameters = field(default_factory=CalibrationParameters)
     display_period: float = 3 / 32
 
@@ -300,7 +300,7 @@ def MakeStation(
         arm=parameters.arm,
         probe=probe,
         calibration=parameters.calibration,
-        delay=parameters.pose,
+        delay=parameters.pose_delay,
         period=parameters.plant.time_step,
         seed=seed,
     )
