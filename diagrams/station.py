@@ -15,7 +15,8 @@ from pydrake.systems.primitives import Gain
 from sonoservo.diagrams.assembly import ARM, PHANTOM, PROBE, assemble_arm, load_probe_body
 from sonoservo.diagrams.measured_pose import add_measured_pose, add_offset
 from sonoservo.models import model_path
-from sonoservo.systems.files.typed_yaml import ConfigurationError, dump_typed
+from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.typed_yaml import dump_typed
 from sonoservo.systems.robot.arm import AddArmWithProbe, load_arm, set_servo_gains
 from sonoservo.systems.robot.body_pose import BodyPose
 from sonoservo.systems.robot.contact_force import ContactForce
@@ -82,7 +83,7 @@ class StationParameters:
         Noise and errors of the wrist force sensor.
     sensor_faults
         Faults of the wrist force sensor, to test what the robot does then.
-    pose
+    pose_delay
         Delay of the probe's pose.
     calibration
         Errors of the calibration of arm and probe.
@@ -98,7 +99,7 @@ class StationParameters:
     probe: ProbePlacement = field(default_factory=ProbePlacement)
     wrist_sensor: WristSensorParameters = field(default_factory=WristSensorParameters)
     sensor_faults: list[SensorFault] = field(default_factory=list)
-    pose: PoseDelayParameters = field(default_factory=PoseDelayParameters)
+    pose_delay: PoseDelayParameters = field(default_factory=PoseDelayParameters)
     calibration: CalibrationParameters = field(default_factory=CalibrationParameters)
     display_period: float = 3 / 32
 
@@ -299,7 +300,7 @@ def MakeStation(
         arm=parameters.arm,
         probe=probe,
         calibration=parameters.calibration,
-        delay=parameters.pose,
+        delay=parameters.pose_delay,
         period=parameters.plant.time_step,
         seed=seed,
     )

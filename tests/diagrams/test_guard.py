@@ -14,7 +14,7 @@ from fault_runs import (
 from sonoservo.diagrams import load_scenario
 from sonoservo.diagrams.probe_controller import ProbeControllerParameters
 from sonoservo.systems.control.guard_parameters import GuardParameters
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.robot.errors.sensor_faults import SensorFault
 
 FASTEST = 0.1

@@ -10,7 +10,7 @@ from sonoservo.diagrams.app.cli import app
 from sonoservo.diagrams.experiments.registry import list_scenarios, load_scenario
 from sonoservo.systems.evaluation.log import read_log
 from sonoservo.systems.evaluation.run_log import RunLog
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 
 runner = CliRunner()
 
