@@ -46,17 +46,31 @@ app = typer.Typer(
 
 
 def list_command(json_path: JsonOption = None) -> None:
-    """List the built-in scenarios."""
+    """List the built-in scenarios, and the dials that make a scenario harder."""
     from rich.table import Table
 
+    from sonoservo.diagrams.dials import load_dials
     from sonoservo.diagrams.experiments.registry import describe_scenarios
 
-    rows = describe_scenarios()
+    scenarios, dials = describe_scenarios(), load_dials()
     table = Table("scenario", "description")
-    for name, description in rows.items():
+    for name, description in scenarios.items():
         table.add_row(name, description)
     console.print(table)
-    write_printed(json_path, rows)
+    table = Table("dial", "description", "moderate strength, with --set")
+    for name, dial in dials.items():
+        table.add_row(name, dial.line, "\n".join(dial.changes()))
+    console.print(table)
+    write_printed(
+        json_path,
+        {
+            "scenarios": scenarios,
+            "dials": {
+                name: {"description": dial.line, "moderate": dict(dial.moderate)}
+                for name, dial in dials.items()
+            },
+        },
+    )
 
 
 def compile_command() -> None:

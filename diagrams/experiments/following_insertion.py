@@ -52,7 +52,7 @@ def make_insertion(scenario: FollowingScenario, pushes: list[Push] | None = None
 
 
 def placed_hand(scenario: FollowingScenario) -> InsertionParameters:
-    """Return a scenario's hand with its start, its entry and its initial depth filled in.
+    """Return a scenario's hand with its start, azimuth, entry and initial depth filled in.
 
     Parameters
     ----------
@@ -67,6 +67,10 @@ def placed_hand(scenario: FollowingScenario) -> InsertionParameters:
     hand = scenario.hand
     if hand.start is None:
         hand = replace(hand, start=_ready_time(scenario))
+    if hand.azimuth_spread_deg > 0:
+        rng = np.random.default_rng([draw_seeds(scenario).insertion, 1])
+        azimuth_deg = hand.azimuth_deg + hand.azimuth_spread_deg * float(rng.uniform(-1, 1))
+        hand = replace(hand, azimuth_deg=azimuth_deg, azimuth_spread_deg=0.0)
     if hand.entry is not None:
         return hand
     surface = load_tissue(scenario.phantom).surface

@@ -129,6 +129,9 @@ class InsertionParameters:
         Angle of the insertion below the horizontal, in deg.
     angle_spread_deg
         Spread of azimuth and dip, in deg.
+    azimuth_spread_deg
+        Spread of the azimuth before the entry is computed from ``aim``, in deg; 180 for insertions
+        from anywhere.
     bend_radius, bend_radius_spread
         Radius of the arc that a bevelled tip cuts, and its spread, in m. A radius of None gives a
         straight needle.
@@ -165,6 +168,7 @@ class InsertionParameters:
     azimuth_deg: float = 0.0
     dip_deg: float = 0.0
     angle_spread_deg: float = 0.0
+    azimuth_spread_deg: float = 0.0
     bend_radius: float | None = None
     bend_radius_spread: float = 0.0
     bend_roll_deg: float = 0.0
@@ -201,6 +205,7 @@ class InsertionParameters:
         require(abs(self.dip_deg) <= 90, "dip_deg", self.dip_deg, "from -90 to 90 deg")
         require_not_negative(
             angle_spread_deg=self.angle_spread_deg,
+            azimuth_spread_deg=self.azimuth_spread_deg,
             bend_radius_spread=self.bend_radius_spread,
             bend_roll_spread_deg=self.bend_roll_spread_deg,
             curvature_wander=self.curvature_wander,
@@ -230,8 +235,10 @@ class InsertionParameters:
             )
         if self.feed is not None:
             self._require_none(
-                "a template (feed)", "aim", "initial_depth", "pushes", "tremor", "angle_spread_deg"
-            )
+                "a template (feed)",
+                "aim", "initial_depth", "pushes", "tremor",
+                "angle_spread_deg", "azimuth_spread_deg",
+            )  # fmt: skip
             require(
                 not self.rotations or self.rotations[-1] < self.feed.depth,
                 "rotations",

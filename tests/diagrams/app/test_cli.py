@@ -13,13 +13,15 @@ from sonoservo.systems.files.refusals import ConfigurationError
 runner = CliRunner()
 
 
-def test_list_names_every_scenario(tmp_path):
+def test_list_names_every_scenario_and_dial(tmp_path):
     result = runner.invoke(app, ["list", "--json", str(tmp_path / "list.json")])
     assert result.exit_code == 0
     assert "chatelain2013_fig5" in result.stdout
     rows = json.loads((tmp_path / "list.json").read_text())
-    assert rows == {name: load_scenario(name).description for name in list_scenarios()}
-    assert all(rows.values())
+    assert rows["scenarios"] == {name: load_scenario(name).description for name in list_scenarios()}
+    assert all(rows["scenarios"].values())
+    assert rows["dials"]["dip"]["moderate"] == {"hand.dip_deg": 60.0}
+    assert "hand.dip_deg=60" in result.stdout
 
 
 @pytest.mark.parametrize(
