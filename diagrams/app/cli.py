@@ -37,6 +37,9 @@ from sonoservo.diagrams.app.study_commands import dataset_command, reproduce_com
 from sonoservo.diagrams.app.volume_commands import bridge_command, locate_command, track_command
 from sonoservo.systems.files.refusals import ConfigurationError, describe, shorten
 
+STOPPED = 3
+"""Exit status of a run at whose end the guard keeps the robot stopped."""
+
 app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
@@ -100,11 +103,15 @@ def run_command(
     wait_for: WaitOption = 0,
     json_path: JsonOption = None,
 ) -> None:
-    """Run a scenario, print its figures and write a folder of results."""
+    """Run a scenario, print its figures and write a folder of results.
+
+    The exit status is 3 if the robot was stopped by its guard and could not go on.
+    """
     from sonoservo.diagrams.app.live.commands import serving
     from sonoservo.diagrams.app.run import run
     from sonoservo.diagrams.app.terminal import (
         Progress,
+        look_up,
         start_display,
         start_monitor,
         summary_table,
@@ -138,6 +145,8 @@ def run_command(
         raise result.failure
     if result.summary["interrupted"]:
         raise typer.Exit(INTERRUPTED)
+    if look_up(result.summary, "guard.stopped_at_end"):
+        raise typer.Exit(STOPPED)
 
 
 def drive_command(

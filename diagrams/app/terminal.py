@@ -60,7 +60,21 @@ def summary_table(result: RunResult, published: Mapping[str, float] | None = Non
         if published:
             cells.append(format_figure(published[path]) if path in published else "")
         table.add_row(*cells)
+    table.caption = stops_text(summary)
     return table
+
+
+def stops_text(summary: Mapping[str, Any]) -> str:
+    """Return the reasons for which a run was stopped and volumes were refused; may be empty."""
+    lines = []
+    reasons, at_end = (look_up(summary, f"guard.{key}") for key in ("reasons", "stopped_at_end"))
+    if reasons:
+        lines.append(f"stopped because {reasons}")
+    if at_end:
+        lines.append(f"still stopped at the end because {at_end}")
+    if refusal := look_up(summary, "guard.refusal"):
+        lines.append(refusal)
+    return "\n".join(lines)
 
 
 _MET: Mapping[bool | None, Text] = {

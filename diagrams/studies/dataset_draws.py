@@ -156,6 +156,8 @@ def draw_insertion(
         scenario.hand,
         gauge=int(rng.choice([17, 18, 20])),
         entry=entry.tolist(),
+        aim=None,
+        initial_depth=None,
         entry_spread=[0.0, 0.0, 0.0],
         angle_spread_deg=0.0,
         azimuth_deg=float(np.rad2deg(np.arctan2(direction[1], direction[0]))),

@@ -1,5 +1,6 @@
 """Contents of a scanner's monitor: two planes through the needle, scales and readings."""
 
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -61,9 +62,15 @@ _LAYOUT: dict[str, tuple[list[float], float, Colour]] = {
     "tip": ([0, 0.17], 0.065, _BRIGHT),
     "features": ([0, 0.255], 0.032, _DIM),
     "reason": ([0, 0.305], 0.026, _DIM),
-    "advice": ([0, 0.340], 0.020, _DIM),
+    "advice": ([0, 0.180], 0.022, _BRIGHT),  # in place of the tip and the features
+    "advice_2": ([0, 0.210], 0.022, _BRIGHT),
+    "advice_3": ([0, 0.240], 0.022, _BRIGHT),
 }
 """Upper left corner, size and colour of each reading."""
+
+_ADVICE = ("advice", "advice_2", "advice_3")
+_ADVICE_WIDTH = 60
+"""Readings of the advice's lines, and the letters in a line."""
 
 
 class MonitorScreen:
@@ -220,12 +227,13 @@ def readings(volume: Volume, estimate: NeedleEstimate | None, number: int) -> di
         "time": f"{volume.time:.2f} s",
         "mode": str(estimate.mode) if estimate is not None else "no tracker",
         "reason": estimate.reason if estimate is not None else "",
-        "advice": "",
+        **dict.fromkeys(_ADVICE, ""),
         "tip": "",
         "features": "",
     }
     if estimate is not None and estimate.curve is None:
-        said["advice"] = search_advice(estimate.reason)
+        lines_of_advice = wrap(search_advice(estimate.reason), _ADVICE_WIDTH)
+        said |= dict(zip(_ADVICE, lines_of_advice, strict=False))
     if estimate is not None and estimate.curve is not None:
         entry, tip = volume.to_probe([estimate.curve.entry, estimate.curve.tip])
         x, z, theta = needle_features(tip, tip - entry) * [1e3, 1e3, np.rad2deg(1)]

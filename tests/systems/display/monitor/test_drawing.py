@@ -171,6 +171,8 @@ def test_readings(make_volume):
     assert (said["mode"], said["tip"]) == ("searching", "")
     assert said["reason"] == "nothing changed by more than 3.0 dB"
     assert said["advice"].startswith("push the needle into view")
+    assert said["advice_2"].endswith("(scanner.needle)")
+    assert said["advice_3"] == ""
     assert readings(volume, None, 1)["mode"] == "no tracker"
 
 
