@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.estimation.shape_filter import ShapePaths
-from sonoservo.systems.estimation.shape_parameters import ShapeEstimatorParameters
+from sonoservo.systems.estimation.shape_parameters import MAX_PARTICLES, ShapeEstimatorParameters
 from sonoservo.systems.signals.bicycle_paths import deflections
 from sonoservo.systems.signals.immutable import Immutable, NotFound
-from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.requirements import require, require_positive, require_within
 
 Floats = NDArray[np.float64]
 
@@ -61,7 +61,7 @@ class PublishedParticleFilterParameters(ShapeEstimatorParameters):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require(self.particles >= 10, "particles", self.particles, "at least 10")
+        require_within("particles", self.particles, 10, MAX_PARTICLES)
         require(self.points >= 2, "points", self.points, "at least 2")
         require(
             0 <= self.replaced < self.particles,

@@ -10,6 +10,9 @@ from sonoservo.systems.signals.requirements import require, require_not_negative
 
 Floats = NDArray[np.float64]
 
+MAX_PARTICLES = 100_000
+"""Largest number of particles, which take some seconds a slice."""
+
 
 @dataclass(kw_only=True)
 class ShapeEstimatorParameters:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.estimation.shape_filter import ShapePaths
-from sonoservo.systems.estimation.shape_parameters import ShapeEstimatorParameters
+from sonoservo.systems.estimation.shape_parameters import MAX_PARTICLES, ShapeEstimatorParameters
 from sonoservo.systems.estimation.shape_posterior import (
     MeasurementNoise,
     about_best_origin,
@@ -21,7 +21,7 @@ from sonoservo.systems.estimation.shape_posterior import (
 )
 from sonoservo.systems.signals.bicycle_paths import deflections
 from sonoservo.systems.signals.immutable import Immutable
-from sonoservo.systems.signals.requirements import require
+from sonoservo.systems.signals.requirements import require, require_within
 
 Floats = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ class ShapeParticleFilterParameters(ShapeEstimatorParameters):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require(self.particles >= 50, "particles", self.particles, "at least 50")
+        require_within("particles", self.particles, 50, MAX_PARTICLES)
         require(self.moves >= 1, "moves", self.moves, "at least 1")
         require(
             0 < self.min_radius < self.mean_radius,

@@ -7,7 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.signals.bicycle_paths import require_rising
-from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import (
+    require,
+    require_not_negative,
+    require_positive,
+    require_within,
+)
 
 OUTER_DIAMETER = {
     14: 2.108e-3,
@@ -23,6 +28,9 @@ OUTER_DIAMETER = {
 
 DEFAULT_ENTRY = (-0.06, 0.0, -0.045)
 """Entry in T, in m, of an insertion whose parameters give neither an entry nor an experiment."""
+
+_MAX_LENGTH = 0.5
+"""Largest length of a needle, in m."""
 
 MIN_BEND_RADIUS = 0.05
 """Smallest radius in m of the arc that a bevelled tip may cut."""
@@ -210,9 +218,9 @@ class InsertionParameters:
             bend_roll_spread_deg=self.bend_roll_spread_deg,
             curvature_wander=self.curvature_wander,
             start=self.start or 0.0,
-            initial_depth=self.initial_depth or 0.0,
             tremor=self.tremor,
         )
+        require_within("initial_depth", self.initial_depth or 0.0, 0, _MAX_LENGTH)
         require_positive(wander_length=self.wander_length, ramp=self.ramp)
         require(
             0 <= self.bend_angle_spread_deg <= 20,
