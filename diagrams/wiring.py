@@ -8,10 +8,12 @@ TRUTH = frozenset(
     {
         "X_WT",
         "contact_force",
+        "deformation",
         "needle",
         "needle_target",
         "phantom_command",
         "phantom_target",
+        "pushed_needle",
         "query_object",
     }
 )

@@ -15,6 +15,7 @@ from .phantom import Phantom as Phantom
 from .phantom import PhantomContact as PhantomContact
 from .phantom import PhantomMotion as PhantomMotion
 from .phantom import load_contact as load_contact
+from .phantom_motion import Breathing as Breathing
 from .phantom_motion import Move as Move
 from .phantom_motion import PhantomMotionParameters as PhantomMotionParameters
 from .phantom_motion import phantom_trajectory as phantom_trajectory

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from sonoservo.systems.signals.immutable import seal
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.sweep import Sweep, SweepMotion
+from sonoservo.systems.ultrasound.simulation.deformation import Deformation
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
 
 
@@ -18,6 +19,7 @@ def acquire_sweep(
     *,
     X_TP: NDArray[np.float64] | None = None,
     number: int = 0,
+    deformations: Sequence[Deformation] | None = None,
 ) -> Sweep:
     """Acquire a sweep of the simulated scanner, at rest or along a motion.
 
@@ -34,7 +36,9 @@ def acquire_sweep(
         tissue's frame T is the world frame.
     number
         Number of the sweep, which selects the noise.
+    deformations
+        (frames,) deformations of the tissue at each frame's time; None for undeformed tissue.
     """
     poses = motion.X_WP if X_TP is None else X_TP
-    samples = renderer.render(poses, needles, motion.direction, number, motion.times)
+    samples = renderer.render(poses, needles, motion.direction, number, motion.times, deformations)
     return Sweep(seal(samples), motion, renderer.decibels_per_level, renderer.point_spread)

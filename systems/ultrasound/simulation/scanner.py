@@ -14,6 +14,7 @@ from sonoservo.systems.signals.ports import evaluate
 from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation.acquisition import acquire_sweep
+from sonoservo.systems.ultrasound.simulation.deformation import Deformation
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
 from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
@@ -22,12 +23,13 @@ from sonoservo.systems.ultrasound.transducer import Transducer
 
 @dataclass(frozen=True, slots=True)
 class _Snapshot(Immutable):
-    """Poses and needle at the time of a frame's acquisition."""
+    """Poses, needle and deformation at the time of a frame's acquisition."""
 
     time: float
     X_WP: RigidTransform
     X_WT: RigidTransform
     needle: Needle
+    deformation: Deformation | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,14 +58,15 @@ class Scanner(LeafSystem):
         - X_WP
         - X_WT
         - needle
+        - deformation (optional)
         output_ports:
         - sweep
 
     `X_WP` and `X_WT` are poses (RigidTransform) of the probe and the tissue; `needle` is a `Needle`
-    in T, possibly empty. Every frame is rendered from the poses and the needle at the start of its
-    acquisition. `sweep` is the newest complete `Sweep`, or a `NotFound`; it is available when the
-    sweep's last frame ends. Sweeps towards +Z and -Z alternate, starting with +Z. A sweep is
-    rendered on demand, at most once.
+    in T, possibly empty; `deformation` is the tissue's `Deformation`. Every frame is rendered from
+    their values at the start of its acquisition. `sweep` is the newest complete `Sweep`, or a
+    `NotFound`; it is available when the sweep's last frame ends. Sweeps towards +Z and -Z
+    alternate, starting with +Z. A sweep is rendered on demand, at most once.
 
     Parameters
     ----------
@@ -105,6 +108,7 @@ class Scanner(LeafSystem):
         self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
         self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
         self.DeclareAbstractInputPort("needle", Value[object]())
+        self.DeclareAbstractInputPort("deformation", Value[object]())
         self._acquiring = self.DeclareAbstractState(Value[object](_Snapshots(0)))
         self._complete = self.DeclareAbstractState(
             Value[object](NotFound("no sweep is complete yet"))
@@ -124,12 +128,14 @@ class Scanner(LeafSystem):
         if len(acquiring.frames) == self.geometry.frames:
             state.get_mutable_abstract_state(self._complete).set_value(acquiring)
             acquiring = _Snapshots(acquiring.number + 1)
+        deforms = self.GetInputPort("deformation").HasValue(context)
         frame = _Snapshot(
             context.get_time(),
             # Copied, because an input's value changes in place.
             RigidTransform(evaluate(self, context, "X_WP", RigidTransform)),
             RigidTransform(evaluate(self, context, "X_WT", RigidTransform)),
             evaluate(self, context, "needle", Needle),
+            evaluate(self, context, "deformation", Deformation) if deforms else None,
         )
         state.get_mutable_abstract_state(self._acquiring).set_value(acquiring.with_frame(frame))
         return EventStatus.Succeeded()
@@ -146,4 +152,12 @@ class Scanner(LeafSystem):
         X_TP = np.array([f.X_WT.InvertAndCompose(f.X_WP).GetAsMatrix4() for f in frames])
         motion = SweepMotion(self.geometry, snapshots.direction, times, X_WP)
         needles = [frame.needle for frame in frames]
-        return acquire_sweep(self._renderer, motion, needles, X_TP=X_TP, number=snapshots.number)
+        deformations = [frame.deformation for frame in frames if frame.deformation is not None]
+        return acquire_sweep(
+            self._renderer,
+            motion,
+            needles,
+            X_TP=X_TP,
+            number=snapshots.number,
+            deformations=deformations or None,
+        )

@@ -7,14 +7,31 @@ from sonoservo.systems.sampling.options import OPTIONS
 
 
 @njit(**OPTIONS)
-def frame_blocks(X_FT, box, block_size, depth, half_angle, thickness, rays):  # type: ignore[no-untyped-def]
-    """Return the first and last block (exclusive) along T's axes that a frame can meet."""
+def frame_blocks(X_FT, box, block_size, depth, half_angle, thickness, margin, rays):  # type: ignore[no-untyped-def]
+    """Return the first and last block (exclusive) along T's axes that a frame can meet.
+
+    Parameters
+    ----------
+    X_FT
+        (3, 4) pose of the tissue in F.
+    box
+        (2, 3) lower and upper corner of the tissue in T, in m.
+    block_size, depth
+        Edge of a block, and depth of the image, in m.
+    half_angle
+        Largest angle of a line to the middle one, in rad.
+    thickness, margin
+        Half width of the slab that is met in elevation, and distance by which it is enlarged in the
+        frame's plane, in m.
+    rays
+        Quantities of the frame's lines.
+    """
     sine = np.sin(min(half_angle, np.pi / 2))
     cosine = np.cos(min(half_angle, np.pi / 2))
-    nearest = rays.array_radius * cosine - rays.centre_offset
-    furthest = depth + rays.array_radius - rays.centre_offset
+    nearest = rays.array_radius * cosine - rays.centre_offset - margin
+    furthest = depth + rays.array_radius - rays.centre_offset + margin
     middle = (0.0, (nearest + furthest) / 2, 0.0)
-    half = ((depth + rays.array_radius) * sine, (furthest - nearest) / 2, thickness)
+    half = ((depth + rays.array_radius) * sine + margin, (furthest - nearest) / 2, thickness)
     first = np.empty(3, np.int64)
     last = np.empty(3, np.int64)
     for axis in range(3):

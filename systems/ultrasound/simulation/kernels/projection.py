@@ -86,3 +86,13 @@ def phasor(turns):  # type: ignore[no-untyped-def]
     s = h * (_ONE + v * (_S3 + v * (_S5 + v * _S7)))
     c = _ONE - v * (_HALF - v * (_C4 + v * (_C6 + v * _C8)))
     return _ONE - _TWO * s * s, _TWO * s * c
+
+
+@njit(**OPTIONS)
+def transformed(X, x, y, z):  # type: ignore[no-untyped-def]
+    """Return the coordinates of a point after a (3, 4) transform."""
+    return (
+        X[0, 0] * x + X[0, 1] * y + X[0, 2] * z + X[0, 3],
+        X[1, 0] * x + X[1, 1] * y + X[1, 2] * z + X[1, 3],
+        X[2, 0] * x + X[2, 1] * y + X[2, 2] * z + X[2, 3],
+    )
