@@ -172,7 +172,8 @@ def displacements(deformations: Sequence[Deformation] | None) -> Displacements |
         drags=drags,
         drag_reach=float(deformations[0].drag_reach),
         hole=float(hole**2),
-        margin=float(places[:, 2].max() + np.abs(drags).max() + hole),
+        deepest=float(places[:, 2].max()),
+        widest_push=float(np.abs(drags).max() + hole) if pushing else 0.0,
     )
 
 

@@ -63,9 +63,7 @@ def test_breathing_adds_to_the_moves_along_its_direction():
 def test_breath_with_a_larger_exponent_rests_longer():
     times = np.linspace(0, 4, 401)
     resting = [
-        np.mean(
-            [Breathing(peak_to_peak=0.01, exponent=n).displacement(t)[0] < 1e-3 for t in times]
-        )
+        np.mean([Breathing(peak_to_peak=0.01, exponent=n).displacement(t)[0] < 1e-3 for t in times])
         for n in (1, 2, 3, 4)
     ]
     assert (np.diff(resting) > 0.05).all()

@@ -56,3 +56,30 @@ def count_below(ranks, start, end, limit):  # type: ignore[no-untyped-def]
         else:
             end = middle
     return first - start
+
+
+@njit(**OPTIONS)
+def misses(x, y, z, slack, reach, twist_per_radian, rays):  # type: ignore[no-untyped-def]
+    """Return True if no point within ``slack`` m of a point in F can be in the frame's beam.
+
+    Parameters
+    ----------
+    x, y, z, slack
+        Point in F and largest distance from it, in m.
+    reach
+        (samples,) half width of the beam in elevation, in m.
+    twist_per_radian
+        Turn of the motor per radian between lines.
+    rays
+        Quantities of the frame's lines.
+    """
+    q = y + rays.centre_offset
+    d = np.sqrt(q * q + x * x) - rays.array_radius
+    last = len(reach) - 1
+    at = np.int64(d * rays.samples_per_metre)
+    span = np.int64(slack * rays.samples_per_metre) + 1
+    if at < -span or at > last + span:
+        return True
+    turn = y * twist_per_radian * np.arctan(x / max(q, slack))
+    widest = max(reach[min(max(at - span, 0), last)], reach[max(min(at + span, last), 0)])
+    return abs(z - turn) > widest + (1 + abs(twist_per_radian)) * slack

@@ -155,7 +155,7 @@ def render_points(  # type: ignore[no-untyped-def]
     if view is not None:
         slab += view.aside
     if field is not None:
-        slab += field.margin
+        slab += field.deepest + field.widest_push
     for frame in prange(frames):
         layer = np.zeros((2, lines, samples + 2 * taps), np.float32)
         no_shadow = np.empty((0, 0), np.float32)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from sonoservo.systems.sampling.options import OPTIONS
 
 _SHALLOWEST = 1e-4
+_FARTHEST = 0.95
 
 
 class Displacements(NamedTuple):
@@ -32,8 +33,24 @@ class Displacements(NamedTuple):
     """Distance from the shaft over which the drag falls to 1/e, in m."""
     hole: float
     """Square of the radius of the hole that the tissue leaves to the needle, in m^2."""
-    margin: float
-    """Upper limit of all displacements, in m."""
+    deepest: float
+    """Greatest of the depths, in m."""
+    widest_push: float
+    """Upper limit of all displacements by the needle, in m."""
+
+
+@njit(**OPTIONS)
+def _add_products(F, one, nx, ny, nz, px, py, pz, np_, pn, pp, nn):  # type: ignore[no-untyped-def]
+    """Write one I + np_ n p' + pn p n' - pp p p' - nn n n' to F."""
+    for i in range(3):
+        a = nx if i == 0 else (ny if i == 1 else nz)
+        b = px if i == 0 else (py if i == 1 else pz)
+        along = pn * b - nn * a
+        aside = np_ * a - pp * b
+        F[i, 0] = along * nx + aside * px
+        F[i, 1] = along * ny + aside * py
+        F[i, 2] = along * nz + aside * pz
+        F[i, i] += one
 
 
 @njit(**OPTIONS)
@@ -86,20 +103,11 @@ def indent(x, y, z, field, frame, F):  # type: ignore[no-untyped-def]
     V = scale * (2 * theta / a - rr * first - d * d * second)
     # Derivatives of p and q by way of t, whose gradient is by_r (px, py, pz) + by_d n.
     inverse = 1 / (t * rr / (s * s) + d * d / (tt * t))
-    by_r = inverse / s
-    by_d = inverse * d / tt
-    p_t = 4 * scale / (s * s)
-    q_t = 4 * scale * d / (tt * s)
-    pn = (px, py, pz)
-    for i in range(3):
-        gi = p * pn[i] + q * n[i]
-        for j in range(3):
-            gj = p * pn[j] + q * n[j]
-            hessian = pn[i] * p_t * (by_r * pn[j] + by_d * n[j])
-            hessian += n[i] * (q_t * (by_r * pn[j] + by_d * n[j]) - (2 * scale * second + p) * n[j])
-            if i == j:
-                hessian += p
-            F[i, j] = (1.0 if i == j else 0.0) + n[i] * gj - n[j] * gi - d * hessian
+    p_t = 4 * scale / (s * s) * inverse
+    both = d * d / tt * p_t
+    aside = d / s * p_t
+    ahead = d * (4 * scale * d * d / (tt * tt * s) * inverse - 2 * scale * second - p)
+    _add_products(F, 1 - d * p, n[0], n[1], n[2], px, py, pz, p - both, -p - both, aside, ahead)
     along = V - d * q
     return along * n[0] - d * p * px, along * n[1] - d * p * py, along * n[2] - d * p * pz
 
@@ -132,6 +140,75 @@ def nearest_on_shaft(x, y, z, field, frame):  # type: ignore[no-untyped-def]
 
 
 @njit(**OPTIONS)
+def _segment(field, frame, k):  # type: ignore[no-untyped-def]
+    """Return a segment's unit direction, its length, and how far it begins from entry and tip."""
+    shaft = field.shafts[frame]
+    last = field.counts[frame] - 1
+    dx = shaft[k + 1, 0] - shaft[k, 0]
+    dy = shaft[k + 1, 1] - shaft[k, 1]
+    dz = shaft[k + 1, 2] - shaft[k, 2]
+    length = max(np.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
+    dx /= length
+    dy /= length
+    dz /= length
+    entry = (shaft[k, 0] - shaft[0, 0]) * dx
+    entry += (shaft[k, 1] - shaft[0, 1]) * dy + (shaft[k, 2] - shaft[0, 2]) * dz
+    tip = (shaft[k, 0] - shaft[last, 0]) * dx
+    tip += (shaft[k, 1] - shaft[last, 1]) * dy + (shaft[k, 2] - shaft[last, 2]) * dz
+    return dx, dy, dz, length, entry, tip
+
+
+@njit(**OPTIONS)
+def _push(px, py, pz, dx, dy, dz, length, entry, tip, drag, reach, hole):  # type: ignore[no-untyped-def]
+    """Return the displacement by a segment of a needle, and how the drag changes.
+
+    Parameters
+    ----------
+    px, py, pz
+        Point relative to the segment's beginning, in m.
+    dx, dy, dz, length, entry, tip
+        See `_segment`.
+    drag, reach, hole
+        See `Displacements`.
+
+    Returns
+    -------
+    Displacement in m; slope of the drag away from the needle, per m of the vector that follows; and
+    the vector from the nearest point of the needle.
+    """
+    along = px * dx + py * dy + pz * dz
+    clipped = min(max(along, 0.0), length)
+    px -= clipped * dx
+    py -= clipped * dy
+    pz -= clipped * dz
+    distance = np.sqrt(px * px + py * py + pz * pz)
+    u = drag * np.exp(-distance / reach)
+    slope = -u / (reach * max(distance, 1e-6))
+    w = 0.0
+    if hole > 0:
+        over = along - clipped
+        first = along + entry
+        beyond = along + tip
+        rr = max(distance * distance - over * over, 0.0)
+        from_entry = np.sqrt(first * first + rr + 1e-12)
+        from_tip = np.sqrt(beyond * beyond + rr + 1e-12)
+        opened = 0.5 * hole * max(first / from_entry - beyond / from_tip, 0.0)
+        # The same as (sqrt(r^2 + opened) - r) / r.
+        r = np.sqrt(rr)
+        w = opened / ((np.sqrt(rr + opened) + r + 1e-12) * max(r, 1e-9))
+        u += (
+            0.25
+            * hole
+            * (
+                1 / np.sqrt(from_tip * from_tip + hole)
+                - 1 / np.sqrt(from_entry * from_entry + hole)
+            )
+        )
+        u -= w * over
+    return u * dx + w * px, u * dy + w * py, u * dz + w * pz, slope, px, py, pz
+
+
+@njit(**OPTIONS)
 def push(x, y, z, field, frame, F):  # type: ignore[no-untyped-def]
     """Return the displacement in m of a point in T by the needle, and write that of its gradient.
 
@@ -147,57 +224,20 @@ def push(x, y, z, field, frame, F):  # type: ignore[no-untyped-def]
     F
         (3, 3) gradient of the displaced position, written.
     """
-    for i in range(3):
-        for j in range(3):
-            F[i, j] = 1.0 if i == j else 0.0
-    count = field.counts[frame]
-    if count < 2:
+    if field.counts[frame] < 2:
+        _add_products(F, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         return 0.0, 0.0, 0.0
-    distance, k, share = nearest_on_shaft(x, y, z, field, frame)
-    shaft = field.shafts[frame]
-    dx = shaft[k + 1, 0] - shaft[k, 0]
-    dy = shaft[k + 1, 1] - shaft[k, 1]
-    dz = shaft[k + 1, 2] - shaft[k, 2]
-    px = x - shaft[k, 0] - share * dx
-    py = y - shaft[k, 1] - share * dy
-    pz = z - shaft[k, 2] - share * dz
-    length = max(np.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
-    dx /= length
-    dy /= length
-    dz /= length
-    u = field.drags[frame] * np.exp(-distance / field.drag_reach)
-    slope = -u / (field.drag_reach * max(distance, 1e-6))
-    ahead = (dx, dy, dz)
-    aside = (px, py, pz)
-    for i in range(3):
-        for j in range(3):
-            F[i, j] += slope * ahead[i] * aside[j]
-    w = 0.0
-    if field.hole > 0:
-        last = count - 1
-        ends = np.empty(2)
-        for end in range(2):
-            m = last * end
-            ends[end] = (x - shaft[m, 0]) * dx + (y - shaft[m, 1]) * dy + (z - shaft[m, 2]) * dz
-        along = px * dx + py * dy + pz * dz
-        px -= along * dx
-        py -= along * dy
-        pz -= along * dz
-        rr = px * px + py * py + pz * pz
-        from_entry = np.sqrt(ends[0] * ends[0] + rr + 1e-12)
-        from_tip = np.sqrt(ends[1] * ends[1] + rr + 1e-12)
-        opened = 0.5 * field.hole * (ends[0] / from_entry - ends[1] / from_tip)
-        r = np.sqrt(rr)
-        w = (np.sqrt(rr + max(opened, 0.0)) - r) / max(r, 1e-9)
-        u += (
-            0.25
-            * field.hole
-            * (
-                1 / np.sqrt(from_tip * from_tip + field.hole)
-                - 1 / np.sqrt(from_entry * from_entry + field.hole)
-            )
-        )
-    return u * dx + w * px, u * dy + w * py, u * dz + w * pz
+    _, k, _ = nearest_on_shaft(x, y, z, field, frame)
+    dx, dy, dz, length, entry, tip = _segment(field, frame, k)
+    x -= field.shafts[frame, k, 0]
+    y -= field.shafts[frame, k, 1]
+    z -= field.shafts[frame, k, 2]
+    drag, reach, hole = field.drags[frame], field.drag_reach, field.hole
+    ux, uy, uz, slope, px, py, pz = _push(
+        x, y, z, dx, dy, dz, length, entry, tip, drag, reach, hole
+    )
+    _add_products(F, 1.0, dx, dy, dz, px, py, pz, slope, 0.0, 0.0, 0.0)
+    return ux, uy, uz
 
 
 @njit(**OPTIONS)
@@ -221,9 +261,7 @@ def displace(x, y, z, field, frame, pushed, F, G):  # type: ignore[no-untyped-de
         y += uy
         z += uz
     else:
-        for i in range(3):
-            for j in range(3):
-                F[i, j] = 1.0 if i == j else 0.0
+        _add_products(F, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     if field.depths[frame] > 0:
         ux, uy, uz = indent(x, y, z, field, frame, G)
         x += ux
@@ -239,35 +277,60 @@ def displace(x, y, z, field, frame, pushed, F, G):  # type: ignore[no-untyped-de
 
 
 @njit(**OPTIONS)
+def displacement_limit(x, y, z, field, frame):  # type: ignore[no-untyped-def]
+    """Return an upper limit in m of the displacement of a point in T; see `indent` and `push`."""
+    limit = field.widest_push
+    if field.depths[frame] > 0:
+        px = x - field.centres[frame, 0]
+        py = y - field.centres[frame, 1]
+        pz = z - field.centres[frame, 2]
+        # Boussinesq's point load moves the tissue most below itself: by 8 depth a / 3 pi r.
+        far = _FARTHEST * field.radii[frame] / np.sqrt(px * px + py * py + pz * pz + 1e-9)
+        limit += field.depths[frame] * min(far, 1.0)
+    return limit
+
+
+@njit(**OPTIONS)
 def displace_points(points, field, frame, pushed):  # type: ignore[no-untyped-def]
     """Return the (n, 3) displaced positions of (n, 3) points in T, in m; see `displace`."""
     moved = np.empty_like(points)
     F = np.empty((3, 3))
     G = np.empty((3, 3))
     for i in range(len(points)):
-        moved[i] = displace(points[i, 0], points[i, 1], points[i, 2], field, frame, pushed, F, G)
+        x, y, z = displace(points[i, 0], points[i, 1], points[i, 2], field, frame, pushed, F, G)
+        moved[i, 0] = x
+        moved[i, 1] = y
+        moved[i, 2] = z
     return moved
 
 
 @njit(**OPTIONS)
-def push_scatterers(moved, xs, ys, zs, x0, y0, z0, field, frame, G):  # type: ignore[no-untyped-def]
-    """Write the (3, n) positions of a block's scatterers near the needle, displaced by it.
+def push_scatterers(moved, xs, ys, zs, x0, y0, z0, k, field, frame):  # type: ignore[no-untyped-def]
+    """Write the positions of a block's scatterers, displaced by the needle beside them.
 
     Parameters
     ----------
     moved
-        (3, n) float32 positions within the block, written.
+        (3, n or more) float32 positions within the block, written.
     xs, ys, zs
         (n,) undisplaced positions within the block, in m.
     x0, y0, z0
         Corner of the block in T, in m.
+    k
+        Number of the needle's segment nearest to the block.
     field, frame
         See `indent`.
-    G
-        (3, 3) memory, overwritten.
     """
+    dx, dy, dz, length, entry, tip = _segment(field, frame, k)
+    x0 -= field.shafts[frame, k, 0]
+    y0 -= field.shafts[frame, k, 1]
+    z0 -= field.shafts[frame, k, 2]
+    drag, reach, hole = field.drags[frame], field.drag_reach, field.hole
     for i in range(len(xs)):
-        ux, uy, uz = push(x0 + xs[i], y0 + ys[i], z0 + zs[i], field, frame, G)
+        ux, uy, uz, _, _, _, _ = _push(
+            x0 + xs[i], y0 + ys[i], z0 + zs[i],
+            dx, dy, dz, length, entry, tip, drag, reach, hole,
+        )  # fmt: skip
         moved[0, i] = xs[i] + ux
         moved[1, i] = ys[i] + uy
         moved[2, i] = zs[i] + uz

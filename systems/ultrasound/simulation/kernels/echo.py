@@ -9,9 +9,10 @@ import numpy as np
 from numba import njit, prange
 
 from sonoservo.systems.sampling.options import OPTIONS
-from sonoservo.systems.ultrasound.simulation.kernels.blocks import count_below, frame_blocks
+from sonoservo.systems.ultrasound.simulation.kernels.blocks import count_below, frame_blocks, misses
 from sonoservo.systems.ultrasound.simulation.kernels.displacement import (
     displace,
+    displacement_limit,
     nearest_on_shaft,
     push_scatterers,
 )
@@ -149,7 +150,7 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
     M = X_FT
     margin = 0.0
     if field is not None:
-        margin = field.margin
+        margin = field.deepest + field.widest_push
         F = np.empty((3, 3))
         G = np.empty((3, 3))
         M = np.empty((3, 3))
@@ -161,9 +162,9 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
         straight_reach = thickness
         thickness += view.aside
         node = np.empty(15)
-        widest_slope = np.tan(min(widest, 1.5))
         bent = np.empty((3, 3))
         A = bent
+    widest_slope = np.tan(min(widest, 1.5))
     closest = thickness + margin
     first, last = frame_blocks(X_FT, box, block_size, depth, widest, closest, margin, rays)
     largest = 0
@@ -188,14 +189,23 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                 x = X_FT[0, 0] * px + X_FT[0, 1] * py + X_FT[0, 2] * pz + X_FT[0, 3]
                 y = X_FT[1, 0] * px + X_FT[1, 1] * py + X_FT[1, 2] * pz + X_FT[1, 3]
                 near = False
+                segment = 0
                 thick = support
                 if field is not None:
+                    limit = displacement_limit(px, py, pz, field, frame)
+                    if abs(z) > thickness + support + limit:
+                        continue
                     q = y + rays.centre_offset
-                    if abs(x) - q * np.tan(min(widest, 1.5)) > 2 * radius + 2 * margin:
+                    if abs(x) - q * widest_slope > 2 * (radius + limit):
+                        continue
+                    if view is None and misses(
+                        x, y, z, radius + limit, reach, twist_per_radian, rays
+                    ):
                         continue
                     # Within a block, the displacement is linear, except beside the needle.
                     if field.counts[frame] > 0:
-                        near = nearest_on_shaft(px, py, pz, field, frame)[0] < radius + _NEAR_NEEDLE
+                        distance, segment, _ = nearest_on_shaft(px, py, pz, field, frame)
+                        near = distance < radius + _NEAR_NEEDLE
                     x, y, z = displace(px, py, pz, field, frame, not near, F, G)
                     x, y, z = transformed(X_FT, x, y, z)
                     for i in range(3):
@@ -262,24 +272,28 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                 ys = positions[1, start : start + n]
                 zs = positions[2, start : start + n]
                 rank = ranks[start : start + n]
-                txs = xs
-                tys = ys
-                tzs = zs
+                source = positions
+                at_source = start
                 if field is not None and near:
                     corner = (bx * block_size, by * block_size, bz * block_size)
-                    push_scatterers(pushed, xs, ys, zs, *corner, field, frame, F)
-                    txs = pushed[0, :n]
-                    tys = pushed[1, :n]
-                    tzs = pushed[2, :n]
+                    push_scatterers(pushed, xs, ys, zs, *corner, segment, field, frame)
+                    source = pushed
+                    at_source = 0
+                txs = source[0, at_source : at_source + n]
+                tys = source[1, at_source : at_source + n]
+                tzs = source[2, at_source : at_source + n]
+                xx, xy, xz = R[0, 0], R[0, 1], R[0, 2]
+                yx, yy, yz = R[1, 0], R[1, 1], R[1, 2]
+                zx, zy, zz = R[2, 0], R[2, 1], R[2, 2]
                 # There is no branch in this loop, so the compiler can vectorise it.
                 for i in range(n):
                     tx = txs[i]
                     ty = tys[i]
                     tz = tzs[i]
                     at_line, e, r_i = line_coordinates(
-                        R[0, 0] * tx + R[0, 1] * ty + R[0, 2] * tz + ox,
-                        R[1, 0] * tx + R[1, 1] * ty + R[1, 2] * tz + oy,
-                        R[2, 0] * tx + R[2, 1] * ty + R[2, 2] * tz + oz,
+                        xx * tx + xy * ty + xz * tz + ox,
+                        yx * tx + yy * ty + yz * tz + oy,
+                        zx * tx + zy * ty + zz * tz + oz,
                         rays,
                     )
                     ahead = r_i - middle

@@ -258,7 +258,7 @@ def render_surfaces(  # type: ignore[no-untyped-def]
     if view is not None:
         slab += view.aside
     if field is not None:
-        slab += field.margin
+        slab += field.deepest + field.widest_push
     margin = np.int64(_OWN_SHADOW * rays.samples_per_metre)
     for frame in prange(frames):
         X = X_FT[frame]

@@ -48,9 +48,9 @@ def renderer():
     return make_renderer()
 
 
-def image(renderer, deformation=None, X_TP=PRESSED, times=None):
+def image(renderer, deformation=None, times=None):
     """Middle frame of a sweep at rest, whose plane is vertical."""
-    poses = np.tile(X_TP.GetAsMatrix4(), (3, 1, 1))
+    poses = np.tile(PRESSED.GetAsMatrix4(), (3, 1, 1))
     deformations = None if deformation is None else [deformation] * 3
     return renderer.tissue_echo(poses, 1, times, deformations)[1]
 
@@ -68,23 +68,24 @@ def polar(renderer, point):
     return np.array([np.arctan2(x, y + radius) * r, r - radius])
 
 
-def check_motion(renderer, deformation, line, depth, X_TP=None, moved=None):
-    """Compare the motion of the speckle around a place with that of the tissue there."""
-    sample = round(depth / renderer.geometry.sample_pitch)
-    before = np.abs(image(renderer))
-    after = np.abs(image(renderer, deformation, X_TP or PRESSED))
-    point = place(renderer, line, sample)
-    end = deformation.moved(point[np.newaxis])[0] if moved is None else point + moved
-    path = polar(renderer, end) - polar(renderer, point)
+def motion(renderer, deformation, line, depth, half=(4, 8)):
+    """Motion of the tissue at a place, and that of the speckle there, across and along, in m."""
     geometry = renderer.geometry
-    width = geometry.line_pitch * (geometry.array_radius + depth)
-    half = round(2.5e-3 / geometry.sample_pitch)
-    start = np.round(path / [width, geometry.sample_pitch]).astype(int)
-    lines, samples, height = speckle_motion(
-        before, after, line, sample, (4, half), (4, half), start
-    )
-    assert height > 0.7
-    found = np.array([lines * width, samples * geometry.sample_pitch])
+    sample = round(depth / geometry.sample_pitch)
+    point = place(renderer, line, sample)
+    end = deformation.moved(point[np.newaxis])[0]
+    path = polar(renderer, end) - polar(renderer, point)
+    steps = np.array([geometry.line_pitch * (geometry.array_radius + depth), geometry.sample_pitch])
+    before, after = np.abs(image(renderer)), np.abs(image(renderer, deformation))
+    start = np.round(path / steps).astype(int)
+    *moved, height = speckle_motion(before, after, line, sample, half, (4, 8), start)
+    return path, moved * steps, height
+
+
+def check_motion(renderer, deformation, line, depth):
+    """Compare both motions, and return that of the tissue."""
+    path, found, height = motion(renderer, deformation, line, depth)
+    assert height > 0.5
     assert abs(found[0] - path[0]) < 0.3e-3
     assert abs(found[1] - path[1]) < 0.1e-3
     return path
@@ -160,18 +161,26 @@ def test_speckle_beside_the_needle_moves_with_the_drag(renderer, drag):
         assert abs(across) > 0.3 * abs(drag)
 
 
-def test_speckle_gives_way_to_the_needle(renderer):
-    deformation = Deformation(shaft=ALONG, hole_radius=1e-3)
-    for depth, way in ((0.0285, -1), (0.0335, 1)):
-        _, down = check_motion(renderer, deformation, 45, depth)
-        assert way * down > 0.1e-3
+@pytest.mark.parametrize(("depth", "way"), [(0.028, -1), (0.034, 1)])
+def test_speckle_gives_way_to_a_needle_through_the_image(renderer, depth, way):
+    found = []
+    for line in (18, 28, 38, 48, 58):
+        x, _, z = place(renderer, line, round(0.031 / renderer.geometry.sample_pitch))
+        across = np.array([[x, -0.05, z], [x, 0.05, z]])
+        deformation = Deformation(shaft=across, hole_radius=1e-3)
+        found.append(motion(renderer, deformation, line, depth, half=(3, 5))[:2])
+    expected, measured = np.mean(found, axis=0)[:, 1]
+    assert way * expected > 0.1e-3
+    assert measured == pytest.approx(expected, abs=0.1e-3)
 
 
+@pytest.mark.slow
 def test_speckle_moves_with_the_indentation_behind_fat():
     fat = make_renderer(Tissue(seed=1, fat=FatLayer(thickness=0.01)))
     check_motion(fat, PRESSING, fat.geometry.lines // 2, 0.04)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "contents",
     [
@@ -191,15 +200,14 @@ def test_bright_objects_move_with_the_tissue(contents):
         box = np.s_[line - 6 : line + 7, sample - 10 : sample + 11]
         weights = echo[box] / echo[box].sum()
         j, i = np.indices(echo.shape)
-        found.append(
-            polar(own, place(own, (j[box] * weights).sum(), (i[box] * weights).sum()))
-        )
+        found.append(polar(own, place(own, (j[box] * weights).sum(), (i[box] * weights).sum())))
     expected = polar(own, PRESSING.moved(point[np.newaxis])[0]) - polar(own, point)
     across, down = found[1] - found[0] - expected
     assert abs(across) < 0.3e-3
     assert abs(down) < 0.1e-3
 
 
+@pytest.mark.slow
 def test_a_sheet_bends_under_the_probe():
     """A level sheet stays perpendicular to the sound in the middle, and is hidden at the sides."""
     own, bare = (
@@ -224,7 +232,9 @@ def test_blood_decorrelates_as_it_passes_through_the_beam():
     middle = round(0.031 / own.geometry.sample_pitch)
     half = round(3e-3 / own.geometry.sample_pitch)
     lumen = np.s_[20:-20, middle - half : middle + half]
-    width = own.beam.lateral[np.abs(own.geometry.sample_pitch * np.arange(own.geometry.samples) - 0.06).argmin()]
+    width = own.beam.lateral[
+        np.abs(own.geometry.sample_pitch * np.arange(own.geometry.samples) - 0.06).argmin()
+    ]
     at_rest = image(own, times=np.zeros(3))
     for time in (0.2, 0.4, 0.8):
         later = image(own, times=np.full(3, time))

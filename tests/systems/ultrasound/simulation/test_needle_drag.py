@@ -28,9 +28,7 @@ def test_tissue_sticks_slides_back_and_sticks_again():
     # 0.2 s to the limit; then 0.1 s down to 60 % of it and 0.08 s up again.
     phase = np.mod(times - 0.2, 0.18)
     sawtooth = np.where(phase < 0.1, 1e-3 - 4e-3 * phase, 0.6e-3 + speed * (phase - 0.1))
-    np.testing.assert_allclose(
-        found, np.where(times < 0.2, speed * times, sawtooth), atol=1e-9
-    )
+    np.testing.assert_allclose(found, np.where(times < 0.2, speed * times, sawtooth), atol=1e-9)
 
 
 def test_result_does_not_depend_on_the_steps():

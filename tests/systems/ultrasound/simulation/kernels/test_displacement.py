@@ -7,6 +7,7 @@ from sonoservo.systems.ultrasound.simulation.kernels.displacement import (
     Displacements,
     displace,
     displace_points,
+    displacement_limit,
 )
 
 DEPTH, RADIUS = 4e-3, 33e-3
@@ -26,7 +27,8 @@ def field(depth=DEPTH, drag=0.0, hole=0.0, shaft=SHAFT):
         drags=np.array([drag]),
         drag_reach=8e-3,
         hole=hole,
-        margin=0.01,
+        deepest=depth,
+        widest_push=abs(drag) + np.sqrt(hole),
     )
 
 
@@ -60,7 +62,11 @@ def test_interior_is_the_sum_of_boussinesqs_point_loads():
         distance = np.sqrt(dx**2 + dy**2 + d**2)
         # Poisson's ratio is 1/2.
         per_load = loads / (4 * np.pi) * d / distance**3
-        expected = [per_load @ dx, per_load @ dy, -(loads / (4 * np.pi) / distance + per_load * d).sum()]
+        expected = [
+            per_load @ dx,
+            per_load @ dy,
+            -(loads / (4 * np.pi) / distance + per_load * d).sum(),
+        ]
         np.testing.assert_allclose(moved, expected, atol=2e-8)
 
 
@@ -109,3 +115,15 @@ def test_without_contact_and_needle_nothing_moves():
     still = field(depth=0.0)._replace(counts=np.zeros(1, np.int64))
     points = np.random.default_rng(2).uniform(-0.05, 0, (5, 3))
     np.testing.assert_array_equal(displace_points(points, still, 0, True), points)
+
+
+def test_limit_of_the_displacement_holds_everywhere_and_is_close():
+    own = field(drag=1e-3, hole=0.6e-3**2)
+    points = np.random.default_rng(3).uniform([-0.06, -0.06, -0.08], [0.06, 0.06, 0], (4000, 3))
+    moved = np.linalg.norm(displace_points(points, own, 0, True) - points, axis=1)
+    limits = np.array([displacement_limit(*point, own, 0) for point in points])
+    assert (moved < limits).all()
+    pressed = field()._replace(counts=np.zeros(1, np.int64))
+    moved = np.linalg.norm(displace_points(points, pressed, 0, True) - points, axis=1)
+    limits = np.array([displacement_limit(*point, pressed, 0) for point in points])
+    assert np.median(moved / limits) > 0.6
