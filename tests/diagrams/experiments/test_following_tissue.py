@@ -5,8 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sonoservo.diagrams.app.scan import scan
 from sonoservo.diagrams.assembly import load_dome_radius
 from sonoservo.diagrams.experiments.following import FollowingExperiment
+from sonoservo.diagrams.experiments.following_insertion import make_insertion
+from sonoservo.diagrams.experiments.following_tissue import (
+    scanned_deformations,
+    with_tissue_reaction,
+)
 from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.systems.recording.side_files import read_truth
 from sonoservo.systems.robot.phantom_motion import Breathing, PhantomMotionParameters
@@ -32,8 +38,11 @@ def test_dome_of_the_default_probe_has_its_mean_curvature():
 
 
 def test_truth_moves_with_the_tissue_in_log_recording_and_world(tmp_path):
+    (tmp_path / "plain.yaml").write_text("tissue: {seed: 1}\n")
     scenario = make_scenario(
-        tissue_reaction=REACTION, phantom_motion=PhantomMotionParameters(breathing=BREATHING)
+        tissue_reaction=REACTION,
+        phantom_motion=PhantomMotionParameters(breathing=BREATHING),
+        phantom=str(tmp_path / "plain.yaml"),
     )
     experiment = FollowingExperiment(scenario, record=tmp_path / "run.seq.nrrd")
     experiment.run()
@@ -52,6 +61,35 @@ def test_truth_moves_with_the_tissue_in_log_recording_and_world(tmp_path):
     tip = log.X_WT[-1] @ [*true.tip, 1]
     np.testing.assert_allclose(log.needle_tip[-1], tip[:3], atol=1e-9)
     assert np.linalg.norm(true.tip - pushed.tip) > 0.3e-3
-    truth = read_truth(tmp_path / "run.seq.nrrd")
+    truth = read_truth(tmp_path / "run.truth.jsonl")
     sample = np.abs(log.time - truth.times[-1]).argmin()
-    np.testing.assert_allclose(truth.needles[-1][-1], log.needle_tip[sample], atol=0.3e-3)
+    np.testing.assert_allclose(truth.needles[-1].tip, log.needle_tip[sample], atol=0.3e-3)
+
+
+def test_tissue_at_rest_needs_no_further_system():
+    sources = {"hand": object()}
+    assert with_tissue_reaction(make_scenario(), sources) is sources
+
+
+def test_scan_deforms_the_tissue_as_a_run_does(tmp_path):
+    (tmp_path / "plain.yaml").write_text("tissue: {seed: 1}\n")
+    scenario = make_scenario(tissue_reaction=REACTION, phantom=str(tmp_path / "plain.yaml"))
+    still, deformed = scan(make_scenario(), time=3.0), scan(scenario, time=3.0)
+    insertion = make_insertion(scenario)
+    geometry = deformed.sweep.geometry
+    X_TP = scenario.station.X_WT.inverse().GetAsMatrix4() @ deformed.sweep.motion.X_WP
+    fields = scanned_deformations(scenario, insertion, deformed.sweep.motion.times, X_TP)
+    middle = fields[geometry.frames // 2]
+    assert middle.indentation.depth == pytest.approx(4e-3, abs=1e-6)
+    assert 0.5e-3 < middle.drag <= 1e-3
+    true = middle.moved_needle(insertion.needle(3.0)).transformed(scenario.station.X_WT)
+    np.testing.assert_allclose(deformed.needle.tip, true.tip, atol=1e-9)
+    assert np.linalg.norm(deformed.needle.tip - still.needle.tip) > 0.3e-3
+
+
+def test_scan_breathes():
+    breathing = PhantomMotionParameters(breathing=BREATHING)
+    still, moved = (
+        scan(s, time=2.0) for s in (make_scenario(), make_scenario(phantom_motion=breathing))
+    )
+    np.testing.assert_allclose(moved.needle.tip - still.needle.tip, BREATHING.displacement(2.0))

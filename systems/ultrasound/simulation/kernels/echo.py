@@ -195,12 +195,10 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                     limit = displacement_limit(px, py, pz, field, frame)
                     if abs(z) > thickness + support + limit:
                         continue
-                    q = y + rays.centre_offset
-                    if abs(x) - q * widest_slope > 2 * (radius + limit):
+                    limit += radius
+                    if abs(x) - (y + rays.centre_offset) * widest_slope > 2 * limit:
                         continue
-                    if view is None and misses(
-                        x, y, z, radius + limit, reach, twist_per_radian, rays
-                    ):
+                    if view is None and misses(x, y, z, limit, reach, twist_per_radian, rays):
                         continue
                     # Within a block, the displacement is linear, except beside the needle.
                     if field.counts[frame] > 0:
