@@ -16,10 +16,11 @@ help:
 	@echo "make notebooks   write the .ipynb    make pictures   take the README's screens"
 
 $(VENV)/.run: pyproject.toml setup.py
-	@echo "Setting up $(VENV): sonoservo and what it needs (a minute or two, once) ..."
+	@echo "Setting up $(VENV): sonoservo and what it needs (two or three minutes, once) ..."
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v <= (3, 13) else "sonoservo needs Python 3.11 to 3.13; this is %d.%d" % v)'
 	@$(PYTHON) -m venv $(VENV) || { echo "Could not make $(VENV): on Debian or Ubuntu, install the package python3-venv."; exit 1; }
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@$(BIN)/sonoservo compile
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.run
@@ -35,7 +36,7 @@ test: $(VENV)/.dev
 
 bench: $(VENV)/.dev
 	@mkdir -p out
-	@$(BIN)/python -m pytest tests/benchmarks --benchmark-enable --benchmark-only --benchmark-json=out/bench.json $(ARGS)
+	@$(BIN)/python -m pytest tests/benchmarks -m "slow or not slow" --benchmark-enable --benchmark-only --benchmark-json=out/bench.json $(ARGS)
 	@$(BIN)/python tests/benchmarks/plot_cost.py out/bench.json out/render_cost.png
 
 KERNEL := '{"kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}}'

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 
 from sonoservo.systems.files.model_file import model_file, read_section
@@ -64,12 +65,16 @@ def load_dome_radius(name: str) -> float:
     return a * c / b
 
 
-def assemble_arm(arm: str = ARM, probe: str = PROBE) -> ArmWithProbe:
+def assemble_arm(
+    arm: str = ARM, probe: str = PROBE, X_PC: RigidTransform | None = None
+) -> ArmWithProbe:
     """Make a plant of an arm and its probe alone, for kinematics.
 
     Parameters
     ----------
     arm, probe
         Names of files in ``models/robots`` and ``models/probes``, or paths.
+    X_PC
+        Pose of the calibrated probe frame in the true one; by default they are the same.
     """
-    return MakeArmPlant(load_arm(arm), load_probe_body(probe))
+    return MakeArmPlant(load_arm(arm), load_probe_body(probe), X_PC)

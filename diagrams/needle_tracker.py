@@ -1,10 +1,10 @@
 """Needle trackers: diagrams that turn volumes into an estimate of the needle."""
 
 from collections.abc import Iterable, Iterator
-from typing import Any
+from typing import cast
 
 from pydrake.common.value import Value
-from pydrake.systems.framework import Diagram
+from pydrake.systems.framework import Context, Diagram, System
 
 from sonoservo.diagrams.trackers.chatelain2013 import Chatelain2013TrackerParameters
 from sonoservo.diagrams.trackers.registry import TRACKERS
@@ -81,11 +81,25 @@ def track(
     ------
     The estimate after each volume.
     """
-    # Time does not advance, so an event is forced for each volume.
     tracker = MakeNeedleTracker(parameters=parameters, period=1.0, seed=seed)
     context = tracker.CreateDefaultContext()
     for volume in volumes:
-        tracker.GetInputPort("volume").FixValue(context, Value[object](volume))
-        tracker.ExecuteForcedEvents(context)
-        estimate: Any = tracker.GetOutputPort("estimate").Eval(context)
-        yield estimate
+        yield track_volume(tracker, context, volume)
+
+
+def track_volume(tracker: System, context: Context, volume: Volume) -> NeedleEstimate:
+    """Give a tracker its next volume, outside a simulation, and return the estimate.
+
+    Parameters
+    ----------
+    tracker
+        System with the input volume and the output estimate.
+    context
+        Context of the tracker, which this changes.
+    volume
+        Next volume.
+    """
+    # Time does not advance, so an event is forced.
+    tracker.GetInputPort("volume").FixValue(context, Value[object](volume))
+    tracker.ExecuteForcedEvents(context)
+    return cast(NeedleEstimate, tracker.GetOutputPort("estimate").Eval(context))

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from pydrake.math import RigidTransform
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from sonoservo.diagrams.assembly import ARM, PROBE, assemble_arm
@@ -45,7 +46,12 @@ class ProbeControllerParameters:
 
 
 def MakeProbeController(
-    *, parameters: ProbeControllerParameters, arm: str = ARM, probe: str = PROBE
+    *,
+    parameters: ProbeControllerParameters,
+    arm: str = ARM,
+    probe: str = PROBE,
+    X_PC: RigidTransform | None = None,
+    mass_error: float = 0.0,
 ) -> Diagram:
     """Make the controller of the probe.
 
@@ -76,15 +82,20 @@ def MakeProbeController(
         Parameters of the controller.
     arm, probe
         Names of files in models/robots and models/probes, or paths.
+    X_PC
+        Pose of the calibrated probe frame, which the controller takes for P, in the true one; by
+        default they are the same.
+    mass_error
+        Relative error of the probe's mass as the controller knows it.
     """
-    held = assemble_arm(arm, probe)
+    held = assemble_arm(arm, probe, X_PC)
     builder = DiagramBuilder()
     servo = builder.AddNamedSystem("visual_servo", VisualServo(parameters=parameters.visual_servo))
     force = builder.AddNamedSystem(
         "force_controller",
         ForceController(
             parameters=parameters.force,
-            mass=held.probe.default_mass(),
+            mass=(1 + mass_error) * held.probe.default_mass(),
             time_step=parameters.time_step,
         ),
     )
@@ -93,7 +104,7 @@ def MakeProbeController(
         DifferentialKinematics(
             parameters=parameters.kinematics,
             plant=held.plant,
-            probe=held.probe.body_frame(),
+            probe=held.frame,
             time_step=parameters.time_step,
         ),
     )

@@ -13,14 +13,18 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import Gain
 
 from sonoservo.diagrams.assembly import ARM, PHANTOM, PROBE, assemble_arm, load_probe_body
+from sonoservo.diagrams.measured_pose import add_measured_pose, add_offset
 from sonoservo.models import model_path
 from sonoservo.systems.files.typed_yaml import ConfigurationError, dump_typed
 from sonoservo.systems.robot.arm import AddArmWithProbe, load_arm, set_servo_gains
 from sonoservo.systems.robot.body_pose import BodyPose
 from sonoservo.systems.robot.contact_force import ContactForce
-from sonoservo.systems.robot.phantom import AddPhantom, load_contact
+from sonoservo.systems.robot.errors.calibration import CalibrationParameters, joint_offsets
+from sonoservo.systems.robot.errors.pose_delay import PoseDelayParameters
+from sonoservo.systems.robot.phantom import AddPhantom, load_contact, set_friction
 from sonoservo.systems.robot.posture import probe_pose, reachable, solve_posture
-from sonoservo.systems.robot.wrist_force_sensor import WristForceSensor
+from sonoservo.systems.robot.wrist_force_sensor import WristForceSensor, WristSensorParameters
+from sonoservo.systems.signals.body_surface import BodySurface
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
 
@@ -33,16 +37,16 @@ _ALLOWED = {
 
 @dataclass(kw_only=True)
 class ProbePlacement:
-    """Initial placement of the probe over the phantom, facing straight down.
+    """Initial placement of the probe over the phantom, facing it along its surface's normal.
 
     Parameters
     ----------
     x, y
         Point of the phantom's top below the probe, in T, in m.
     yaw_deg
-        Angle from X_T to X_P about the vertical, in deg.
+        Angle from X_T to X_P about the surface's normal, in deg.
     height
-        Height of the probe's face above the phantom, in m.
+        Height of the probe's face above the phantom, along that normal, in m.
     """
 
     x: float = 0.0
@@ -73,8 +77,12 @@ class StationParameters:
         (3,) position in W of the centre of the phantom's top face, in m, while it is at rest.
     probe
         Initial placement of the probe.
-    force_noise, torque_noise
-        Standard deviation of the wrist force sensor's samples, in N and N m.
+    wrist_sensor
+        Noise and errors of the wrist force sensor.
+    pose
+        Delay of the probe's pose.
+    calibration
+        Errors of the calibration of arm and probe.
     display_period
         Time between pictures sent to Meshcat, in s of the simulation.
     """
@@ -85,8 +93,9 @@ class StationParameters:
     )
     phantom_position: list[float] = field(default_factory=lambda: [0.5, 0.0, 0.2])
     probe: ProbePlacement = field(default_factory=ProbePlacement)
-    force_noise: float = 0.02
-    torque_noise: float = 0.001
+    wrist_sensor: WristSensorParameters = field(default_factory=WristSensorParameters)
+    pose: PoseDelayParameters = field(default_factory=PoseDelayParameters)
+    calibration: CalibrationParameters = field(default_factory=CalibrationParameters)
     display_period: float = 3 / 32
 
     def __post_init__(self) -> None:
@@ -96,7 +105,6 @@ class StationParameters:
         for name, allowed in _ALLOWED.items():
             value = getattr(self.plant, name)
             require(value in allowed, f"plant.{name}", value, " or ".join(allowed))
-        require_not_negative(force_noise=self.force_noise, torque_noise=self.torque_noise)
         position = self.phantom_position
         finite = len(position) == 3 and bool(np.isfinite(position).all())
         require(finite, "phantom_position", position, "three coordinates in m")
@@ -117,8 +125,12 @@ class StationParameters:
         y: float | None = None,
         yaw_deg: float | None = None,
         height: float | None = None,
+        surface: BodySurface | None = None,
     ) -> RigidTransform:
-        """Return the initial pose X_WP of the probe; arguments override the placement's values."""
+        """Return the initial pose X_WP of the probe; arguments override the placement's values.
+
+        The face lies along the phantom's surface, which is level by default.
+        """
         start = self.probe
         return probe_pose(
             X_WT=self.X_WT,
@@ -126,10 +138,13 @@ class StationParameters:
             y=start.y if y is None else y,
             yaw=np.deg2rad(start.yaw_deg if yaw_deg is None else yaw_deg),
             height=start.height if height is None else height,
+            surface=surface,
         )
 
 
-def start_posture(parameters: StationParameters, probe: str = PROBE) -> NDArray[np.float64]:
+def start_posture(
+    parameters: StationParameters, probe: str = PROBE, surface: BodySurface | None = None
+) -> NDArray[np.float64]:
     """Return the initial joint positions of the arm.
 
     Parameters
@@ -138,6 +153,8 @@ def start_posture(parameters: StationParameters, probe: str = PROBE) -> NDArray[
         Parameters of the station.
     probe
         Name of a file in models/probes, or a path.
+    surface
+        Surface of the phantom; level by default.
 
     Returns
     -------
@@ -149,7 +166,9 @@ def start_posture(parameters: StationParameters, probe: str = PROBE) -> NDArray[
         If the arm cannot reach the start.
     """
     try:
-        return solve_posture(assemble_arm(parameters.arm, probe), parameters.probe_pose())
+        return solve_posture(
+            assemble_arm(parameters.arm, probe), parameters.probe_pose(surface=surface)
+        )
     except ConfigurationError:
         raise
     except ValueError as error:
@@ -160,13 +179,16 @@ def start_posture(parameters: StationParameters, probe: str = PROBE) -> NDArray[
 
 
 def check_reach(
-    parameters: StationParameters, poses: Sequence[RigidTransform], probe: str = PROBE
+    parameters: StationParameters,
+    poses: Sequence[RigidTransform],
+    probe: str = PROBE,
+    surface: BodySurface | None = None,
 ) -> list[bool]:
     """Return, for each pose X_WP of the probe, True if the arm can reach it from its start.
 
     Parameters
     ----------
-    parameters, probe
+    parameters, probe, surface
         See `start_posture`.
     poses
         Poses of the probe.
@@ -176,7 +198,7 @@ def check_reach(
     ValueError
         If the arm cannot reach the start.
     """
-    near = start_posture(parameters, probe)
+    near = start_posture(parameters, probe, surface)
     return reachable(assemble_arm(parameters.arm, probe), poses, near)
 
 
@@ -198,17 +220,23 @@ def MakeStation(
         - phantom_command
         output_ports:
         - X_WP
-        - X_WT
         - joint_state
         - wrist_force
+        - true_X_WP
+        - X_WT
         - contact_force
         - query_object
 
     `joint_command` holds the desired positions, then velocities, of the arm's n joints, in rad and
     rad/s. `phantom_command` holds x, y, z, roll, pitch, yaw of X_WT and their 6 rates (see
-    `PhantomMotion`). Both must be connected. `X_WP` and `X_WT` are RigidTransforms. `joint_state`
-    holds n positions and n velocities. `wrist_force` is the reading of the sensor (see
-    `WristForceSensor`). `contact_force` is the true normal force in N, for logs only.
+    `PhantomMotion`). Both must be connected.
+
+    The first three outputs are what the instruments say. `X_WP` is the probe's pose, a
+    RigidTransform, with the errors of calibration and delay. `joint_state` holds n positions and n
+    velocities; the zeros of the positions may be calibrated wrongly, as those of `joint_command`
+    then are. `wrist_force` is the reading of the sensor (see `WristForceSensor`). The others are
+    the truth, for scanner, logs and displays only: the poses `true_X_WP` and `X_WT`, and
+    `contact_force`, the normal force in N.
 
     Parameters
     ----------
@@ -217,7 +245,7 @@ def MakeStation(
     probe, phantom
         Names of files in models/probes and models/phantoms, or paths.
     seed
-        Seed of the sensor's noise.
+        Seed of the errors of sensors and calibration.
     meshcat
         Meshcat in which arm, probe and phantom are drawn, if any.
 
@@ -226,44 +254,58 @@ def MakeStation(
     ValueError
         If the arm cannot reach the probe's start.
     """
-    start = start_posture(parameters, probe)
+    surface, contact = load_tissue(phantom).surface, load_contact(phantom)
+    start = start_posture(parameters, probe, surface)
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlant(parameters.plant, builder)
     model = load_arm(parameters.arm)
     arm = AddArmWithProbe(plant, model, load_probe_body(probe))
     set_servo_gains(arm, model.servo)
-    placed = AddPhantom(
-        plant, scene_graph, size=load_tissue(phantom).size, contact=load_contact(phantom)
-    )
+    placed = AddPhantom(plant, scene_graph, surface=surface, contact=contact)
+    set_friction(plant, scene_graph, arm.probe, contact.friction)
     Parser(plant).AddModels(str(model_path("bench.sdf")))
     plant.Finalize()
     plant.SetDefaultPositions(arm.model_instance, start)
     for axis, value in zip("xyz", parameters.phantom_position, strict=True):
         plant.GetJointByName(axis, placed.model_instance).set_default_translation(value)
 
-    for name, instance in (
-        ("joint_command", arm.model_instance),
-        ("phantom_command", placed.model_instance),
+    offsets = np.zeros(2 * len(start))
+    offsets[: len(start)] = joint_offsets(parameters.calibration, len(start), seed)
+    for name, instance, shift in (
+        ("joint_command", arm.model_instance, -offsets),
+        ("phantom_command", placed.model_instance, np.zeros(0)),
     ):
         port = plant.get_desired_state_input_port(instance)
         # Drake lets a servo without a command go limp; a gain without an input raises an error.
         command = builder.AddNamedSystem(name, Gain(1.0, port.size()))
-        builder.Connect(command.get_output_port(), port)
+        builder.Connect(add_offset(builder, command.get_output_port(), shift), port)
         builder.ExportInput(command.get_input_port(), name)
 
     poses = {}
-    for name, body in (("X_WP", arm.probe), ("X_WT", placed.body)):
+    for name, body in (("true_X_WP", arm.probe), ("X_WT", placed.body)):
         poses[name] = builder.AddNamedSystem(name, BodyPose(body=body.index()))
         builder.Connect(plant.get_body_poses_output_port(), poses[name].get_input_port())
         builder.ExportOutput(poses[name].get_output_port(), name)
-    builder.ExportOutput(plant.get_state_output_port(arm.model_instance), "joint_state")
+    joint_state = add_offset(builder, plant.get_state_output_port(arm.model_instance), offsets)
+    builder.ExportOutput(joint_state, "joint_state")
+    measured = add_measured_pose(
+        builder,
+        poses["true_X_WP"].get_output_port(),
+        joint_state,
+        arm=parameters.arm,
+        probe=probe,
+        calibration=parameters.calibration,
+        delay=parameters.pose,
+        period=parameters.plant.time_step,
+        seed=seed,
+    )
+    builder.ExportOutput(measured, "X_WP")
 
     sensor = builder.AddNamedSystem(
         "wrist_force_sensor",
         WristForceSensor(
             wrist=arm.wrist,
-            force_noise=parameters.force_noise,
-            torque_noise=parameters.torque_noise,
+            parameters=parameters.wrist_sensor,
             period=parameters.plant.time_step,
             seed=seed,
         ),
@@ -271,12 +313,12 @@ def MakeStation(
     builder.Connect(plant.get_reaction_forces_output_port(), sensor.get_input_port())
     builder.ExportOutput(sensor.get_output_port(), "wrist_force")
 
-    contact = builder.AddNamedSystem("contact_force", ContactForce())
+    pressed = builder.AddNamedSystem("contact_force", ContactForce(surface=surface))
     builder.Connect(
-        plant.get_contact_results_output_port(), contact.GetInputPort("contact_results")
+        plant.get_contact_results_output_port(), pressed.GetInputPort("contact_results")
     )
-    builder.Connect(poses["X_WT"].get_output_port(), contact.GetInputPort("X_WT"))
-    builder.ExportOutput(contact.get_output_port(), "contact_force")
+    builder.Connect(poses["X_WT"].get_output_port(), pressed.GetInputPort("X_WT"))
+    builder.ExportOutput(pressed.get_output_port(), "contact_force")
     builder.ExportOutput(scene_graph.get_query_output_port(), "query_object")
 
     if meshcat is not None:

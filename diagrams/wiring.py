@@ -9,12 +9,14 @@ TRUTH = frozenset(
         "X_WT",
         "contact_force",
         "deformation",
+        "motion_record",
         "needle",
         "needle_target",
         "phantom_command",
         "phantom_target",
         "pushed_needle",
         "query_object",
+        "true_X_WP",
     }
 )
 """Names of the ports that carry the truth, which the simulator knows but no scanner provides."""

@@ -3,8 +3,10 @@
 # %% [markdown]
 # # What makes an image hard
 #
-# Each structure, and each dial of the needle, of the acoustics and of the tissue's motion, at three
-# strengths beside the clean image: the middle frame of one sweep.
+# Each structure, and each dial of the needle, of the acoustics, of the tissue's motion and of the
+# scanner, at three strengths beside the clean image: the middle frame of one sweep. What the
+# scanner's motor and its connection do shows from frame to frame: the middle lines of all frames,
+# with a needle across.
 
 # %%
 from dataclasses import replace
@@ -12,10 +14,13 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from pydrake.math import RigidTransform
 
 from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.sweep import SweepMotion
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation import (
+    AirPocketParameters,
     Ball,
     Deformation,
     Indentation,
@@ -23,8 +28,10 @@ from sonoservo.systems.ultrasound.simulation import (
     ScannerParameters,
     SweepRenderer,
     Tissue,
+    acquire_sweep,
     load_tissue,
 )
+from sonoservo.systems.ultrasound.simulation.errors import ConnectionParameters, MotorParameters
 from sonoservo.systems.ultrasound.simulation.structures import (
     Bone,
     Calcification,
@@ -38,6 +45,7 @@ from sonoservo.systems.ultrasound.simulation.structures import (
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
 ON_TOP = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, -0.004], [0, 0, 0, 1.0]])
+ACROSS = np.array([[0, 0, 1, 0], [1, 0, 0, 0], [0, -1, 0, -0.004], [0, 0, 0, 1.0]])
 IMAGING = ImagingParameters(frames=3, volume_rate=20, gain=0.36)
 PLAIN, ECHO = Tissue(seed=1), NeedleEchoParameters()
 NONE = Needle(np.zeros((0, 3)), 0.635e-3)
@@ -50,17 +58,30 @@ def held(dip_deg):
     return Needle(np.array([tip - 0.055 * np.array([np.cos(dip), 0, -np.sin(dip)]), tip]), 0.635e-3)
 
 
-def frame(tissue, needle=NONE, echo=ECHO, x=0.0, depth=0.004, deformation=None, times=(0.0,)):
+def frame(
+    tissue,
+    needle=NONE,
+    echo=ECHO,
+    x=0.0,
+    pose=ON_TOP,
+    air=0.0,
+    pressed=0.0,
+    deformation=None,
+    times=(0.0,),
+):
     """The mean of the middle frames of sweeps, and where its samples lie in mm."""
     renderer = SweepRenderer(
         transducer=load_transducer("4dc7_3_40"),
         imaging=IMAGING,
         tissue=tissue,
-        parameters=ScannerParameters(needle=echo),
+        parameters=ScannerParameters(
+            needle=echo, air_pockets=AirPocketParameters(share=air, size=6e-3)
+        ),
         seed=0,
     )
-    X = np.repeat(ON_TOP[np.newaxis], 3, axis=0)
-    X[:, :3, 3] = [x, 0, -depth]
+    X = np.repeat(pose[np.newaxis], 3, axis=0)
+    X[:, 0, 3] = x
+    X[:, 2, 3] -= pressed
     deformations = None
     if deformation is not None:
         needle = deformation.moved_needle(needle)
@@ -71,6 +92,33 @@ def frame(tissue, needle=NONE, echo=ECHO, x=0.0, depth=0.004, deformation=None, 
     grey = np.mean(shown, axis=0)
     j, i = np.indices(grey.shape)
     return grey, 1e3 * renderer.geometry.position(1, j, i, 1)
+
+
+def across(directions=(1,), **errors):
+    """The middle lines of all frames, averaged over sweeps, and where their samples lie in mm.
+
+    A steep needle descends across the frames.
+    """
+    renderer = SweepRenderer(
+        transducer=load_transducer("4dc7_3_40"),
+        imaging=replace(IMAGING, frames=31, volume_rate=3, sector=0.1),
+        tissue=PLAIN,
+        parameters=ScannerParameters(needle=replace(ECHO, dimples_db=30.0), **errors),
+        seed=0,
+    )
+    geometry = renderer.geometry
+    needle = Needle(np.array([[0.0, 0.018, -0.02], [0.0, -0.018, -0.065]]), 0.635e-3)
+    middle = geometry.lines // 2
+    sweeps = [
+        acquire_sweep(
+            renderer,
+            SweepMotion.at_rest(geometry, RigidTransform(ON_TOP), 0.0, direction),
+            [needle] * geometry.frames,
+        ).samples[:, middle]
+        for direction in directions
+    ]
+    k, i = np.indices(sweeps[0].shape)
+    return np.mean(sweeps, axis=0), 1e3 * geometry.position(k, middle, i, 1)[..., [2, 1]]
 
 
 def having(*structures, **changes):
@@ -93,7 +141,7 @@ def pressed(newton, indents=True):
     """Beads and a needle below a probe that presses; the depth grows with the power 2/3."""
     depth = 4.3e-3 * (newton / 2) ** (2 / 3)
     contact = Indentation(0.0, 0.0, depth, 33e-3) if indents else Indentation()
-    return frame(BEADS, held(8), depth=depth, deformation=Deformation(contact))
+    return frame(BEADS, held(8), pressed=depth - 4e-3, deformation=Deformation(contact))
 
 
 def dragged(distance):
@@ -137,6 +185,15 @@ ROWS = {
     "tissue at 1540, 1500, 1463 m/s": [
         having(FLAT, sound_speed=c) for c in (1540.0, 1500.0, 1463.0)
     ],
+    "backlash 1, 2, 4 deg: mean of sweeps to and fro": [
+        across((1, -1), motor=MotorParameters(backlash_deg=play)) for play in (1.0, 2.0, 4.0)
+    ],
+    "motor errs by 0.2, 0.5, 1 deg": [
+        across(motor=MotorParameters(error_deg=error)) for error in (0.2, 0.5, 1.0)
+    ],
+    "frames lost: 5, 15, 40 %": [
+        across(connection=ConnectionParameters(lost_frames=share)) for share in (0.05, 0.15, 0.4)
+    ],
     "needle fades by 3, 6, 12 dB": [
         frame(PLAIN, held(8), replace(ECHO, fading_db=d)) for d in (3.0, 6.0, 12.0)
     ],
@@ -156,6 +213,11 @@ ROWS = {
     "pushed aside by 22, 18, 14 gauge": [pushed(r) for r in (0.36e-3, 0.635e-3, 1.05e-3)],
     "breathing: 5, 10, 15 mm": [frame(BEADS, x=x) for x in (-0.005, -0.01, -0.015)],
     "blood at 3, 10, 100 mm/s, mean of 8": [flowing(v) for v in (0.003, 0.01, 0.1)],
+    "air under 10, 25, 50 % of the face": [frame(PLAIN, air=share) for share in (0.1, 0.25, 0.5)],
+    "skin curved by 120, 60, 45 mm": [
+        frame(replace(PLAIN, size=[0.4, 2 * r, 2 * r], shape="cylinder"), pose=ACROSS)
+        for r in (0.12, 0.06, 0.045)
+    ],
     "a synthetic liver": [frame(load_tissue("liver"), x=x) for x in (-0.03, 0.0, 0.045)],
 }
 
@@ -169,6 +231,9 @@ clean["dragged by 1, 2, 5 mm"] = dragged(0.0)
 clean["pushed aside by 22, 18, 14 gauge"] = pushed(0.0)
 clean["breathing: 5, 10, 15 mm"] = frame(BEADS)
 clean["blood at 3, 10, 100 mm/s, mean of 8"] = flowing(0.0)
+for name in ROWS:
+    if name.startswith(("backlash", "motor", "frames")):
+        clean[name] = across()
 for name in ("polished to 40, 20, 10 deg", "dimples at 16, 22, 28 dB"):
     clean[name] = frame(PLAIN, held(40))
 figure, axes = plt.subplots(

@@ -37,17 +37,41 @@ app = typer.Typer(
 
 @app.command("list")
 def list_command(json_path: JsonOption = None) -> None:
-    """List the built-in scenarios."""
+    """List the built-in scenarios, and the dials that make a scenario harder."""
     from rich.table import Table
 
+    from sonoservo.diagrams.dials import load_dials
     from sonoservo.diagrams.experiments.registry import describe_scenarios
 
-    rows = describe_scenarios()
+    scenarios, dials = describe_scenarios(), load_dials()
     table = Table("scenario", "description")
-    for name, description in rows.items():
+    for name, description in scenarios.items():
         table.add_row(name, description)
     console.print(table)
-    write_printed(json_path, rows)
+    table = Table("dial", "description", "moderate strength, with --set")
+    for name, dial in dials.items():
+        table.add_row(name, dial.line, "\n".join(dial.changes()))
+    console.print(table)
+    write_printed(
+        json_path,
+        {
+            "scenarios": scenarios,
+            "dials": {
+                name: {"description": dial.line, "moderate": dict(dial.moderate)}
+                for name, dial in dials.items()
+            },
+        },
+    )
+
+
+@app.command("compile")
+def compile_command() -> None:
+    """Compile the kernels beforehand; without this, the first run does, in about a minute."""
+    from sonoservo.diagrams.app.compile import TASKS, compile_kernels
+
+    with console.status(f"Compiling {len(TASKS)} groups of kernels ..."):
+        for line in compile_kernels():
+            console.print(line)
 
 
 @app.command("run")

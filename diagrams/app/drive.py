@@ -15,7 +15,7 @@ from sonoservo.diagrams.app.kept_run import KeptRun, refusing
 from sonoservo.diagrams.app.real_time import RealTime
 from sonoservo.diagrams.app.run import RunResult, finish
 from sonoservo.diagrams.experiments.following import FollowingExperiment
-from sonoservo.diagrams.experiments.following_insertion import make_insertion
+from sonoservo.diagrams.experiments.following_insertion import make_insertion, placed_hand
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.systems.control.operator_settings import OperatorSettings
@@ -79,17 +79,19 @@ class DrivenExperiment(FollowingExperiment):
         observers: Mapping[str, System] | None = None,
     ) -> None:
         scenario = require_scenario(scenario, FollowingScenario)
+        hand, controller = placed_hand(scenario), scenario.controller
+        depth = round(hand.initial_depth or 0.0, 3)  # as the slider has it, in whole mm
         still = replace(
             scenario,
-            hand=replace(scenario.hand, start=0.0, pushes=[]),
+            hand=replace(hand, start=0.0, pushes=[], initial_depth=depth),
             phantom_motion=replace(scenario.phantom_motion, moves=[]),
             controller_changes=[],
         )
-        hand, controller = scenario.hand, scenario.controller
         start = controller.settings
         panel = OperatorPanel(
             meshcat=meshcat,
             controls=operator_controls(
+                depth=depth,
                 azimuth_deg=hand.azimuth_deg,
                 dip_deg=hand.dip_deg,
                 gain=start.gain,

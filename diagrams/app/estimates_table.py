@@ -3,7 +3,7 @@
 import csv
 import io
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 from pydrake.math import RigidTransform
@@ -57,14 +57,34 @@ def estimate_row(
     return row
 
 
+class EstimatesTable:
+    """Writes rows as CSV, complete after every row; the cell of a missing number is empty.
+
+    Parameters
+    ----------
+    stream
+        Open text stream to write to.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self._writer: csv.DictWriter[str] | None = None
+
+    def append(self, row: dict[str, Any]) -> None:
+        """Write a row; before the first one, the header."""
+        if self._writer is None:
+            self._writer = csv.DictWriter(self._stream, list(row), lineterminator="\n")
+            self._writer.writeheader()
+        self._writer.writerow(
+            {k: "" if isinstance(v, float) and v != v else v for k, v in row.items()}
+        )
+        self._stream.flush()
+
+
 def estimates_csv(rows: Sequence[dict[str, Any]]) -> str:
-    """Return rows as CSV; the cell of a missing number is empty."""
+    """Return rows as CSV, as `EstimatesTable` writes them."""
     text = io.StringIO()
-    if rows:
-        writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        for row in rows:
-            writer.writerow(
-                {k: "" if isinstance(v, float) and v != v else v for k, v in row.items()}
-            )
+    table = EstimatesTable(text)
+    for row in rows:
+        table.append(row)
     return text.getvalue()

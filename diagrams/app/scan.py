@@ -113,7 +113,7 @@ def _scan(
     X_WT = RigidTransform(breathing.displacement(time)) @ station.X_WT
     if X_TP is None:
         x, y = needle.tip[:2] if needle else (None, None)
-        pose = station.probe_pose(x=x, y=y, height=-_INDENTATION)
+        pose = station.probe_pose(x=x, y=y, height=-_INDENTATION, surface=tissue.surface)
         X_TP = station.X_WT.InvertAndCompose(pose)
     poses = np.tile(np.eye(4), (geometry.frames, 1, 1))
     poses[:, :3, 3] = (times - time)[:, np.newaxis] * np.array(velocity)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from pydrake.geometry import Meshcat, MeshcatParams
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as RichProgress
 from rich.table import Table
@@ -46,6 +47,9 @@ def summary_table(result: RunResult, published: Mapping[str, float] | None = Non
     """
     summary = result.summary
     table = Table(title=f"{summary['scenario']}, seed {summary['seed']}")
+    if reason := look_up(summary, "detection.reason"):
+        advice = look_up(summary, "detection.advice") or ""
+        table.caption = f"[bold]No needle was found.[/] {escape(reason)} {escape(advice)}"
     table.add_column("quantity")
     table.add_column("this run", justify="right")
     if published:

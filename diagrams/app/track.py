@@ -17,8 +17,7 @@ from sonoservo.diagrams.app.estimates_table import estimate_row, estimates_csv
 from sonoservo.diagrams.app.reconstruct import ReconstructedRecording
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
 from sonoservo.diagrams.trackers.registry import TRACKERS
-from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
-from sonoservo.systems.estimation.track import TrackParameters
+from sonoservo.diagrams.trackers.tracker_parts import STARTS, TrackerParameters
 from sonoservo.systems.evaluation.explanation.explanation_files import clear_explanations
 from sonoservo.systems.evaluation.explanation.explanation_recorder import ExplanationRecorder
 from sonoservo.systems.evaluation.log import write_log
@@ -101,13 +100,12 @@ def tracker_parameters(
         If a value is not allowed; the message names it.
     """
     trackers = {each.kind: each for each in TRACKERS}
-    starts = ("search", "anywhere")
     if tracker not in trackers:
         raise ConfigurationError(f"unknown tracker {tracker!r}; {suggest(tracker, trackers)}")
-    if start not in starts:
-        raise ConfigurationError(f"start: {start!r}; {suggest(start, starts)}")
+    if start not in STARTS:
+        raise ConfigurationError(f"start: {start!r}; {suggest(start, STARTS)}")
     try:
-        return trackers[tracker](order=order, track=TrackParameters(anywhere=start == "anywhere"))
+        return trackers[tracker](order=order, start=start)
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
 

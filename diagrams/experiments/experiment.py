@@ -13,6 +13,7 @@ from pydrake.systems.framework import Context, DiagramBuilder, System
 from sonoservo.diagrams.scenario import Scenario, ScenarioT
 from sonoservo.diagrams.wiring import connect_by_name
 from sonoservo.systems.evaluation.log import Log
+from sonoservo.systems.signals.immutable import NotFound
 
 INSTANT = 1e-6
 """Time in s between an event and an observation just before or after it."""
@@ -158,10 +159,11 @@ class Experiment(ABC, Generic[ScenarioT]):
         """Simulate up to a time in s, including a step due at that time; call `start` first."""
         while (due := self._offset + self._steps * self._period) < time + INSTANT:
             self._simulator.AdvanceTo(due - INSTANT)
-            self._make_step(due)
-            self._after_step(self._steps)
+            made = self._make_step(due)
+            if made:
+                self._after_step(self._steps)
             self._steps += 1
-            if after_step is not None:
+            if made and after_step is not None:
                 after_step(self)
         self._simulator.AdvanceTo(max(time, self.time))
 
@@ -190,19 +192,29 @@ class Experiment(ABC, Generic[ScenarioT]):
     def _begin(self) -> None:
         """Clear the steps of an earlier run."""
         self._steps = 0
+        self._newest: Any = None
         self._compute: dict[str, list[float]] = {name: [] for name in (*self._stages, self._event)}
 
-    def _make_step(self, due: float) -> None:
+    def _make_step(self, due: float) -> bool:
         """Compute the volume or slice and the estimate that are due, and time each stage.
 
         The ports are evaluated just before the event that needs them, which then finds them in the
-        cache. At the time of the event itself, the plant makes at most one step.
+        cache. At the time of the event itself, the plant makes at most one step. If there is
+        nothing new, because a volume was lost or is late, nothing is timed.
+
+        Returns
+        -------
+        True if there was a new volume or slice.
         """
-        clock = [self._clock()]
+        clock, values = [self._clock()], []
         for system, port in self._stages.values():
-            self.evaluate(system, port)
+            values.append(self.evaluate(system, port))
             clock.append(self._clock())
         self._simulator.AdvanceTo(due + INSTANT)
         clock.append(self._clock())
+        if values[0] is self._newest or isinstance(values[0], NotFound):
+            return False
+        self._newest = values[0]
         for name, seconds in zip(self._compute, np.diff(clock), strict=True):
             self._compute[name].append(float(seconds))
+        return True

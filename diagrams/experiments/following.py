@@ -11,6 +11,7 @@ from pydrake.systems.framework import System
 
 from sonoservo.diagrams.experiments.experiment import INSTANT, Experiment
 from sonoservo.diagrams.experiments.following_insertion import (
+    check_beside_probe,
     check_entry,
     check_followed,
     make_insertion,
@@ -34,10 +35,12 @@ from sonoservo.systems.evaluation.run_logger import RunLogger
 from sonoservo.systems.needle.hand import Hand
 from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.recording.volume_recorder import VolumeRecorder
+from sonoservo.systems.robot.errors.calibration import hand_eye_error
 from sonoservo.systems.robot.phantom import PhantomMotion
 from sonoservo.systems.robot.phantom_motion import phantom_trajectory
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.requirements import require
+from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.ultrasound.imaging import sweep_geometry
 from sonoservo.systems.ultrasound.scan_converter import ScanConverter
 from sonoservo.systems.ultrasound.simulation.scanner import Scanner
@@ -123,15 +126,10 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         tissue = load_tissue(scenario.phantom).placed(insertion.entry, insertion.direction)
         tissue = replace(tissue, seed=seeds.tissue)
         geometry = sweep_geometry(transducer, scenario.imaging)
-        check_entry(scenario, tissue.size)
+        check_entry(scenario, tissue.surface)
+        check_beside_probe(scenario, insertion, tissue.surface)
         if scenario.controller.visual_servo.gain > 0:
-            check_followed(scenario, insertion)
-        require(
-            scenario.processing_time < geometry.period,
-            "processing_time",
-            scenario.processing_time,
-            f"below the {geometry.period:.3f} s of a sweep",
-        )
+            check_followed(scenario, insertion, tissue.surface)
         events = tracker_events(scenario)
         period, offset = events["period"], events["offset"]
         a_moment_later = observer_events(scenario)
@@ -153,6 +151,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
             tissue=tissue,
             parameters=scenario.scanner,
             seed=seeds.noise,
+            processing_time=scenario.processing_time if _irregular(scenario, geometry) else 0.0,
         )
         self.scan_converter = ScanConverter(geometry=geometry, parameters=scenario.scan_conversion)
         self.needle_tracker = tracker or MakeNeedleTracker(
@@ -162,7 +161,11 @@ class FollowingExperiment(Experiment[FollowingScenario]):
             seed=seeds.tracker,
         )
         self.probe_controller = MakeProbeController(
-            parameters=scenario.controller, arm=scenario.station.arm, probe=scenario.probe
+            parameters=scenario.controller,
+            arm=scenario.station.arm,
+            probe=scenario.probe,
+            X_PC=hand_eye_error(scenario.station.calibration, seeds.station),
+            mass_error=scenario.station.calibration.probe_mass,
         )
         self.run_logger = RunLogger(
             volume_period=period,
@@ -182,7 +185,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
             "run_logger": self.run_logger,
         }
         if meshcat is not None:
-            frames = int(scenario.duration / period) + 1 if film else 0
+            frames = int(scenario.duration / geometry.period) + 1 if film else 0
             systems["world_view"] = WorldView(
                 meshcat=meshcat, parameters=WorldViewParameters(film_frames=frames)
             )
@@ -222,8 +225,9 @@ class FollowingExperiment(Experiment[FollowingScenario]):
 
     @property
     def status(self) -> str:
-        """Mode of the tracker."""
-        return str(self.estimate.mode)
+        """Mode of the tracker, and its reason while it does not see the needle."""
+        estimate = self.estimate
+        return f"{estimate.mode}: {estimate.reason}" if estimate.reason else str(estimate.mode)
 
     def log(self) -> RunLog:
         """Return the log so far."""
@@ -263,8 +267,20 @@ def _planned_sources(scenario: FollowingScenario, insertion: Insertion) -> dict[
     }
 
 
+def _irregular(scenario: FollowingScenario, geometry: SweepGeometry) -> bool:
+    """Return True if estimates do not come a fixed time after the end of each sweep."""
+    parameters = scenario.scanner
+    ahead = parameters.clock.offset > 0 or parameters.clock.drift > 0
+    busy = scenario.processing_time >= geometry.period
+    return busy or ahead or parameters.connection.lateness > 0
+
+
 def tracker_events(scenario: Scenario) -> dict[str, float]:
     """Return the period and the offset in s of the events at which a tracker looks for a volume.
+
+    There is a new volume at each of them, unless volumes are lost. If they come late, or the
+    tracker needs longer than a sweep takes, it looks after every frame; the scanner then withholds
+    a volume for the processing time.
 
     Raises
     ------
@@ -272,8 +288,10 @@ def tracker_events(scenario: Scenario) -> dict[str, float]:
         If the scenario's transducer or imaging is not possible.
     """
     scenario = require_scenario(scenario, FollowingScenario)
-    period = sweep_geometry(load_transducer(scenario.probe), scenario.imaging).period
-    return {"period": period, "offset": period + scenario.processing_time}
+    geometry = sweep_geometry(load_transducer(scenario.probe), scenario.imaging)
+    if _irregular(scenario, geometry):
+        return {"period": geometry.frame_period, "offset": geometry.period + 10 * INSTANT}
+    return {"period": geometry.period, "offset": geometry.period + scenario.processing_time}
 
 
 def observer_events(scenario: Scenario) -> dict[str, float]:

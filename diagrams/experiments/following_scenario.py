@@ -43,7 +43,7 @@ class FollowingScenario(Scenario):
     imaging
         Settings of the scanner.
     scanner
-        Parameters of noise, coupling and artefacts.
+        Parameters of noise, coupling, artefacts and errors.
     scan_conversion
         Parameters of the scan conversion.
     tracker
@@ -53,7 +53,8 @@ class FollowingScenario(Scenario):
     controller_changes
         Changes of the controller's settings during the run, in order of time.
     processing_time
-        Time from the end of a sweep to the estimate made from it, in s.
+        Time for which the tracker is busy with a volume, in s; volumes that arrive meanwhile are
+        dropped, except the newest.
     """
 
     experiment: str = "following"

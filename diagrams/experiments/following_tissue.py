@@ -27,7 +27,7 @@ def MakeReactingTissue(*, hand: System, reaction: TissueReaction) -> Diagram:
 
         name: (the hand's)
         input_ports:
-        - X_WP
+        - true_X_WP
         - X_WT
         - (those of the hand)
         output_ports:
@@ -48,7 +48,7 @@ def MakeReactingTissue(*, hand: System, reaction: TissueReaction) -> Diagram:
     for index in range(hand.num_input_ports()):
         port = hand.get_input_port(index)
         builder.ExportInput(port, port.get_name())
-    for name in ("X_WP", "X_WT"):
+    for name in ("true_X_WP", "X_WT"):
         builder.ExportInput(reaction.GetInputPort(name), name)
     for name in ("needle", "deformation"):
         builder.ExportOutput(reaction.GetOutputPort(name), name)

@@ -78,16 +78,16 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
         tissue = tissue.placed(self.insertion.entry, self.insertion.direction)
         tissue = replace(tissue, seed=seeds.tissue)
         half = np.array(tissue.size) / 2
-        end = hand.entry[0] + scenario.depth + feed.lead
-        require(
-            -half[0] <= hand.entry[0] and end <= half[0],
-            "depth",
-            scenario.depth,
-            f"such that the insertion, from x = {hand.entry[0]:g} to {end:g} m, stays in the "
-            f"phantom, {-half[0]:g} to {half[0]:g} m",
-        )
         X_TI = self.insertion.X_TI
         x, y, _ = X_TI.translation()
+        end = x + scenario.depth + feed.lead
+        require(
+            -half[0] <= x and end <= half[0],
+            "depth",
+            scenario.depth,
+            f"such that the insertion, from x = {x:g} to {end:g} m, stays in the "
+            f"phantom, {-half[0]:g} to {half[0]:g} m",
+        )
         self.X_WP = RigidTransform(X_TI.rotation(), [x, y, scenario.face])
         imaging = replace(scenario.imaging, volume_rate=1 / scenario.period, frames=1)
         self.scanner = Scanner(
@@ -137,6 +137,7 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
             },
             event="estimate",
             clock=time.thread_time,
+            optional=("true_X_WP",),
             sees_truth=("scanner", "shape_view"),
         )
 
@@ -204,7 +205,9 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
     def _after_step(self, number: int) -> None:
         """Record the result of a slice, and its computing time."""
         found = self.evaluate(self.shape_predictor, "cross_section")
-        row: Row = {"depth": number * self.scenario.step}
+        # A slice that comes late was acquired in an earlier step.
+        acquired = self.evaluate(self.scanner, "motion_record").true.time
+        row: Row = {"depth": round(acquired / self.scenario.period) * self.scenario.step}
         row |= {f"{name}_s": self.compute[name][-1] for name in ("image", "estimate")}
         if isinstance(found, CrossSection):
             row["measured"] = self.X_WP.inverse().multiply(found.position)

@@ -131,6 +131,7 @@ def draw_insertion(
             y=rng.uniform(-0.01, 0.01),
             yaw_deg=rng.uniform(-90, 90),
             height=-_INDENTATION,
+            surface=load_tissue(scenario.phantom).surface,
         )
     )
     side = rng.choice([0, geometry.lines - 1])

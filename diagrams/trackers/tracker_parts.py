@@ -17,6 +17,9 @@ from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerP
 from sonoservo.systems.localization.needle_localizer import NeedleLocalizer
 from sonoservo.systems.signals.requirements import require, require_not_negative
 
+STARTS = ("search", "anywhere")
+"""Ways in which a tracker first finds a needle."""
+
 
 @dataclass(kw_only=True)
 class TrackerParameters:
@@ -28,6 +31,9 @@ class TrackerParameters:
         Name of the tracker.
     order
         Number n of control points of the needle's curve: 2 for a straight needle, 3 for a bent one.
+    start
+        "search" to find a needle when it is pushed in; "anywhere" to look for one in the whole
+        volume from the first volume on, so that the insertion need not be seen.
     look_back
         Minimum age of the volume with which the present one is compared to detect an insertion, in
         s. Chatelain 2013 compares consecutive volumes (0), in which a slow needle moves too little.
@@ -42,6 +48,7 @@ class TrackerParameters:
 
     kind: str = ""
     order: int = 2
+    start: str = "search"
     look_back: float = 1.8
     same_direction: bool = True
     detector: InsertionDetectorParameters = field(default_factory=InsertionDetectorParameters)
@@ -51,6 +58,7 @@ class TrackerParameters:
     def __post_init__(self) -> None:
         kind = type(self).kind
         require(self.kind == kind, "kind", self.kind, repr(kind))
+        require(self.start in STARTS, "start", self.start, " or ".join(map(repr, STARTS)))
         require_not_negative(look_back=self.look_back)
 
 
@@ -110,6 +118,7 @@ def add_tracker_parts(
             needle_filter=needle_filter,
             parameters=parameters.track,
             order=parameters.order,
+            anywhere=parameters.start == "anywhere",
             period=period,
             offset=offset,
         ),

@@ -49,13 +49,13 @@ class TrackParameters:
     filtering
         Whether measurements are filtered. If not, each one starts the track anew, without a
         velocity for the prediction and without a gate on the innovation.
+    max_approach
+        Largest motion of the probe along its axis during a sweep, in m, at which a needle may be
+        found anywhere. A probe that lands shows the edge of its contact, which looks like a needle.
     probe_frame
         Whether the needle's state is kept in the probe's frame, as in Chatelain 2013. The state
         then moves along with the probe, and its velocity is that in the image, which suits only the
         servo without feed-forward. If not, the state is kept in W.
-    anywhere
-        Whether the whole volume is searched while there is no needle. The insertion then need not
-        be seen.
     """
 
     first_std: float = 1.0e-3
@@ -67,8 +67,8 @@ class TrackParameters:
     withdrawn_length: float = 6e-3
     seconds_to_give_up: float = 10.0
     filtering: bool = True
+    max_approach: float = 0.5e-3
     probe_frame: bool = False
-    anywhere: bool = False
 
     def __post_init__(self) -> None:
         require_positive(
@@ -78,6 +78,7 @@ class TrackParameters:
             gate=self.gate,
             withdrawn_length=self.withdrawn_length,
             seconds_to_give_up=self.seconds_to_give_up,
+            max_approach=self.max_approach,
         )
         require(self.gate < 1, "gate", self.gate, "below 1")
         for name in ("volumes_to_confirm", "volumes_to_lose"):
@@ -178,15 +179,19 @@ class TrackLifecycle:
         Thresholds.
     needle_filter
         Filter that starts, predicts and updates the track's state.
+    anywhere
+        Whether the whole volume is searched while there is no needle. The insertion then need not
+        be seen.
     """
 
     order: int
     parameters: TrackParameters
     needle_filter: NeedleFilter[Any]
+    anywhere: bool = False
 
     def without_needle(self, time: float, reason: str = "") -> Track:
         """Return the track at a time in s while there is no needle."""
-        mode = TrackingMode.LOST if self.parameters.anywhere else TrackingMode.SEARCHING
+        mode = TrackingMode.LOST if self.anywhere else TrackingMode.SEARCHING
         return Track(mode, time, reason=reason)
 
     def confirm(self, state: NeedleState, time: float, innovation: float | None = None) -> Track:

@@ -60,6 +60,8 @@ class TrackManager(LeafSystem):
         Rules of a track's life, in SI units.
     order
         Number n of control points of the needle's curve: 2 for straight, 3 for bent.
+    anywhere
+        Whether the whole volume is searched while there is no needle.
     period, offset
         Period and offset of the event, in s.
     """
@@ -70,6 +72,7 @@ class TrackManager(LeafSystem):
         needle_filter: NeedleFilter[Any],
         parameters: TrackParameters | None = None,
         order: int = 2,
+        anywhere: bool = False,
         period: float,
         offset: float = 0.0,
     ) -> None:
@@ -80,7 +83,10 @@ class TrackManager(LeafSystem):
         require(order in orders, "order", order, f"one of the filter's, {orders}")
         self._parameters = parameters or TrackParameters()
         self._lifecycle = TrackLifecycle(
-            order=order, parameters=self._parameters, needle_filter=needle_filter
+            order=order,
+            parameters=self._parameters,
+            needle_filter=needle_filter,
+            anywhere=anywhere,
         )
         for name in ("volume", "detection", "measurement", "velocity", "explanation"):
             self.DeclareAbstractInputPort(name, Value[object]())
@@ -155,7 +161,11 @@ class TrackManager(LeafSystem):
         velocity: VelocityMeasurement | NotFound = NotFound("the velocity is not measured")
         if track.mode == TrackingMode.SEARCHING:
             detection = evaluate(self, context, "detection", (InsertionDetection, NotFound))
-        if isinstance(prediction, NeedlePrediction):
+        approach = 0.0 if track else _approach(volume)
+        if isinstance(prediction, NeedlePrediction) and approach > self._parameters.max_approach:
+            moved = f"the probe moved {1e3 * approach:.1f} mm along its axis during the sweep"
+            measurement = NotFound(moved)
+        elif isinstance(prediction, NeedlePrediction):
             measurement = evaluate(self, context, "measurement", (NeedleMeasurement, NotFound))
         followed = track.mode in (TrackingMode.TRACKING, TrackingMode.COASTING)
         if followed and self.GetInputPort("velocity").HasValue(context):
@@ -183,3 +193,11 @@ class TrackManager(LeafSystem):
 
     def _track_in(self, context: Context) -> Track:
         return context.get_abstract_state(self._track).get_value()
+
+
+def _approach(volume: Volume) -> float:
+    """Return the probe's motion along its axis during a volume's sweep, in m; 0 if unknown."""
+    if volume.motion is None:
+        return 0.0
+    poses = volume.motion.X_WP
+    return float(abs((poses[-1, :3, 3] - poses[0, :3, 3]) @ poses[0, :3, 1]))

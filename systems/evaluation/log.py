@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sonoservo.systems.files.writing import write_atomically
 from sonoservo.systems.signals.immutable import Immutable
 
-FORMAT = 2
+FORMAT = 3
 """Version of the file format, stored as the array `format`."""
 
 Array = NDArray[Any]

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sonoservo.systems.evaluation.missing_needle import missing_needle
 from sonoservo.systems.evaluation.run_errors import (
     Floats,
     Mask,
@@ -129,11 +130,13 @@ def detection(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     `volume`: number of volumes before the one with which tracking began;
     `inserted_mm`, `visible_mm`: true length inside the tissue and inside the swept sector at that
     time;
-    `false_starts`: number of false starts in the whole run.
+    `false_starts`: number of false starts in the whole run;
+    `reason`, `advice`: why no needle was found, and what to change; None if one was found.
     """
     started, true = _starts(log, parameters)
     right = started[true]
     first = int(right[0]) if len(right) else None
+    reason, advice = missing_needle(log) if first is None else ("", "")
 
     def length_mm(lengths: Floats) -> float | None:
         if first is None:
@@ -145,6 +148,8 @@ def detection(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
         "inserted_mm": length_mm(log.inserted_length),
         "visible_mm": length_mm(log.visible_length),
         "false_starts": int(np.sum(~true)),
+        "reason": reason or None,
+        "advice": advice or None,
     }
 
 
@@ -161,7 +166,9 @@ def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     `estimated`: number of these with an estimate, over which the errors are taken;
     `lost`: number of these not tracked although more than `min_length` of the needle was in view;
     `lost_events`: number of times that the needle became lost;
-    `tip_error_mm`: distance from the estimated to the true tip;
+    `tip_error_mm`: distance from the estimated to the true tip in W, which contains the errors of
+    the probe's measured pose;
+    `tip_error_in_probe_mm`: the same in the probe's frame, which does not contain them;
     `tip_axial_error_mm`, `tip_lateral_error_mm`: its parts along and across the true needle;
     `axis_error_deg`: angle between the estimated and the true direction (`EstimateErrors`);
     `tip_axial_bias_mm`: mean of the signed axial part, positive if the estimate lies beyond the
@@ -188,6 +195,7 @@ def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
         "lost": int(np.sum(lost)),
         "lost_events": int(np.sum(_begins(lost))),
         "tip_error_mm": spread(1e3 * errors.tip[judged]),
+        "tip_error_in_probe_mm": spread(1e3 * errors.in_probe[judged]),
         "tip_axial_error_mm": spread(1e3 * np.abs(errors.axial[judged])),
         "tip_lateral_error_mm": spread(1e3 * errors.lateral[judged]),
         "tip_axial_bias_mm": _number(_mean(1e3 * errors.axial[judged])),
@@ -201,7 +209,7 @@ def servo(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     Returns
     -------
     `at_rest`: errors of the true needle while it has rested in W for `rest_time` and is tracked;
-    `at_rest_estimated`: errors of the estimate over the same samples;
+    `at_rest_estimated`: errors of the estimate, seen from the measured pose, over the same samples;
     `moving`: errors of the true needle while it moves and is tracked.
     Each has the keys x_mm, z_mm, theta_deg and seconds; `seconds` is the time covered.
     """
@@ -209,7 +217,7 @@ def servo(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     moves = needle_speed(log, parameters.rest_window) >= parameters.rest_speed
     rest = _held(~moves & is_known(log.needle_tip), log.time, parameters.rest_time)
     true = features(log.X_WP, log.needle_tip, log.needle_entry)
-    estimated = features(log.X_WP, log.estimate_tip, log.estimate_entry)
+    estimated = features(log.measured_X_WP, log.estimate_tip, log.estimate_entry)
     return {
         "at_rest": _feature_errors(true, tracked & rest, log.time),
         "at_rest_estimated": _feature_errors(estimated, tracked & rest, log.time),

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from pydrake.math import RotationMatrix
 
-from sonoservo.systems.evaluation.run_errors import estimate_errors, features
+from sonoservo.systems.evaluation.run_errors import estimate_errors, features, in_frame
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 
@@ -40,7 +40,7 @@ def plot_run(log: RunLog, force_target: float | None = 2.0) -> Figure:
         4, 1, sharex=True, gridspec_kw={"height_ratios": [3, 2, 3, 2]}
     )
     true = features(log.X_WP, log.needle_tip, log.needle_entry)
-    estimated = features(log.X_WP, log.estimate_tip, log.estimate_entry)
+    estimated = features(log.measured_X_WP, log.estimate_tip, log.estimate_entry)
     angle = feature.twinx()
     _lines(feature, log.time, 1e3 * true[:, :2], ["x", "z"], [BLUE, GREEN])
     _lines(feature, log.time, 1e3 * estimated[:, :2], ["x", "z"], [BLUE, GREEN], dashed=True)
@@ -52,8 +52,11 @@ def plot_run(log: RunLog, force_target: float | None = 2.0) -> Figure:
     _centre(feature, angle)
     feature.axhline(0, color="0.4", linewidth=0.8, zorder=0)
 
-    for p_WTip, dashed in ((log.needle_tip, False), (log.estimate_tip, True)):
-        p_PTip = np.einsum("nji,nj->ni", log.X_WP[:, :3, :3], p_WTip - log.X_WP[:, :3, 3])
+    for X_WP, p_WTip, dashed in (
+        (log.X_WP, log.needle_tip, False),
+        (log.measured_X_WP, log.estimate_tip, True),
+    ):
+        p_PTip = in_frame(X_WP, p_WTip)
         _lines(tip, log.time, 1e3 * p_PTip, ["X", "Y", "Z"], [BLUE, PURPLE, GREEN], dashed)
     _label(tip, "b) Tip in the probe's frame", "mm")
 

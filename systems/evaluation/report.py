@@ -42,6 +42,7 @@ def report_page(
     lead = ""
     if command:
         lead += f"<p><code>{html.escape(command)}</code></p>\n"
+    lead += _missing(summary.get("detection"))
     if replay:
         lead += f'<p><a href="{html.escape(replay)}">Watch the replay</a></p>\n'
     if paper:
@@ -74,6 +75,14 @@ def save_replay(meshcat: Meshcat, path: str | Path) -> Path:
     meshcat.StopRecording()
     meshcat.PublishRecording()
     return write_atomically(path, meshcat.StaticHtml())
+
+
+def _missing(detection: object) -> str:
+    """Return a paragraph that says why no needle was found; empty if one was."""
+    if not isinstance(detection, Mapping) or not detection.get("reason"):
+        return ""
+    said = " ".join(filter(None, (detection["reason"], detection.get("advice"))))
+    return f"<p><strong>No needle was found.</strong> {html.escape(said)}</p>\n"
 
 
 def _block(name: str, block: Mapping[str, Any], paper: Mapping[str, float]) -> str:

@@ -83,12 +83,17 @@ class EstimateErrors:
         runs from the estimated entry to the estimated tip. The true direction runs to the true tip
         from the needle's point nearest to the estimated entry, because a bent needle has not been
         seen before that point.
+    in_probe
+        (v,) distance from the true to the estimated tip in m, each in the probe's frame: the
+        estimate seen from the measured pose, the needle from the true pose. Errors of the probe's
+        pose itself do not count.
     """
 
     tip: Floats
     axial: Floats
     lateral: Floats
     axis: Floats
+    in_probe: Floats
 
 
 def estimate_errors(log: RunLog) -> EstimateErrors:
@@ -100,12 +105,20 @@ def estimate_errors(log: RunLog) -> EstimateErrors:
     miss = log.volume_estimate_tip - tip
     axial = np.sum(miss * true, axis=1)
     sine = np.linalg.norm(np.cross(true, estimated), axis=1)
+    seen = in_frame(at_times(log, log.measured_X_WP, time), log.volume_estimate_tip)
+    lies = in_frame(at_times(log, log.X_WP, time), tip)
     return EstimateErrors(
         tip=np.linalg.norm(miss, axis=1),
         axial=axial,
         lateral=np.linalg.norm(miss - axial[:, np.newaxis] * true, axis=1),
         axis=np.arctan2(sine, np.sum(true * estimated, axis=1)),
+        in_probe=np.linalg.norm(seen - lies, axis=1),
     )
+
+
+def in_frame(X_WP: Floats, p_W: Floats) -> Floats:
+    """Return (m, 3) positions in W, in m, as seen in frames at (m, 4, 4) poses."""
+    return np.einsum("nji,nj->ni", X_WP[:, :3, :3], p_W - X_WP[:, :3, 3])
 
 
 def _direction(points: Floats, entry: Floats) -> Floats:

@@ -20,7 +20,8 @@ class RunLog(Log):
     """
 
     time: Annotated[Array, Column("time of the sample", "s", ("n",))]
-    X_WP: Annotated[Array, Column("pose of the probe", "m", ("n", 4, 4))]
+    X_WP: Annotated[Array, Column("truth: pose of the probe", "m", ("n", 4, 4))]
+    measured_X_WP: Annotated[Array, Column("measured pose of the probe", "m", ("n", 4, 4))]
     X_WT: Annotated[Array, Column("pose of the phantom", "m", ("n", 4, 4))]
     needle_tip: Annotated[
         Array, Column("truth: the tip; NaN while it is outside the tissue", "m", ("n", 3))
@@ -49,7 +50,18 @@ class RunLog(Log):
         Array, Column("commanded v_x, v_z, omega_y of the probe in P", "m/s", ("n", 3))
     ]
 
-    volume_time: Annotated[Array, Column("middle of the volume's acquisition", "s", ("v",))]
+    volume_time: Annotated[
+        Array, Column("middle of the volume's acquisition, by the scanner's clock", "s", ("v",))
+    ]
+    volume_X_WP: Annotated[
+        Array, Column("measured pose of the probe at that time", "m", ("v", 4, 4))
+    ]
+    volume_true_time: Annotated[
+        Array, Column("truth: middle of the volume's acquisition", "s", ("v",))
+    ]
+    volume_true_X_WP: Annotated[
+        Array, Column("truth: pose of the probe at that time", "m", ("v", 4, 4))
+    ]
     volume_seen: Annotated[Array, Column("time at which the log saw its estimate", "s", ("v",))]
     volume_detected: Annotated[Array, Column("True if an insertion was detected", "", ("v",), "?")]
     volume_detection_reason: Annotated[

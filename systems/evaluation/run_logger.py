@@ -14,6 +14,7 @@ from pydrake.systems.framework import Context, LeafSystem, ValueProducer
 from sonoservo.systems.evaluation.log import Array, Row, columns, stack_rows
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.motion_record import MotionRecord
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
@@ -41,6 +42,8 @@ class RunLogger(LeafSystem):
         input_ports:
         - X_WP
         - X_WT
+        - true_X_WP (optional)
+        - motion_record (optional)
         - needle (optional)
         - estimate (optional)
         - measurement (optional)
@@ -50,8 +53,11 @@ class RunLogger(LeafSystem):
         - contact_force (optional)
         - planar_velocity (optional)
 
-    Every port may stay unconnected; its values are then missing in the log. `X_WP` and `X_WT` are
-    RigidTransforms, `needle` is the true Needle in T, `estimate` a NeedleEstimate, `measurement` a
+    Every port may stay unconnected; its values are then missing in the log. `X_WP`, `true_X_WP` and
+    `X_WT` are RigidTransforms: the measured and the true pose of the probe, and the pose of the
+    phantom. If `true_X_WP` is not connected, `X_WP` is logged as the true pose too.
+    `motion_record` is the MotionRecord of the volume that the tracker processed last, or a
+    NotFound. `needle` is the true Needle in T, `estimate` a NeedleEstimate, `measurement` a
     NeedleMeasurement or a NotFound, `wrist_force` a SpatialForce and `contact_force` a force in N.
     `detection` may hold any value: it is logged as True or False, and the reason of a NotFound is
     kept. `joint_state` holds the positions, then the velocities, of the arm's joints in rad and
@@ -91,7 +97,8 @@ class RunLogger(LeafSystem):
         require_not_negative(volume_offset=volume_offset)
         self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
         self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
-        for name in ("needle", "estimate", "measurement", "detection"):
+        self.DeclareAbstractInputPort("true_X_WP", Value(RigidTransform()))
+        for name in ("motion_record", "needle", "estimate", "measurement", "detection"):
             self.DeclareAbstractInputPort(name, Value[object]())
         self.DeclareVectorInputPort("joint_state", 2 * joints)
         self.DeclareAbstractInputPort("wrist_force", Value(SpatialForce()))
@@ -160,8 +167,10 @@ class RunLogger(LeafSystem):
             return
         row: Row = {"time": time}
         X_WT = self._value(context, "X_WT", RigidTransform)
-        X_WP = self._value(context, "X_WP", RigidTransform)
-        for name, X in (("X_WP", X_WP), ("X_WT", X_WT)):
+        measured = self._value(context, "X_WP", RigidTransform)
+        true = self._value(context, "true_X_WP", RigidTransform)
+        X_WP = measured if true is None else true
+        for name, X in (("X_WP", X_WP), ("measured_X_WP", measured), ("X_WT", X_WT)):
             if X is not None:
                 row[name] = X.GetAsMatrix4()
         needle = self._value(context, "needle", Needle)
@@ -202,6 +211,7 @@ class RunLogger(LeafSystem):
         if volumes and volumes[-1]["volume_time"] >= estimate.volume_time:
             return
         row: Row = {"volume_time": estimate.volume_time, "volume_seen": context.get_time()}
+        row |= self._motions(context, estimate.volume_time)
         row |= _describe(estimate, "volume_estimate")
         if estimate.curve is not None:
             row["volume_estimate_points"] = estimate.curve.position([0, 0.5, 1])
@@ -217,6 +227,20 @@ class RunLogger(LeafSystem):
             row["volume_inlier_count"] = measurement.inlier_count
             row["volume_inlier_ratio"] = measurement.inlier_ratio
         volumes.append(row)
+
+    def _motions(self, context: Context, volume_time: float) -> Row:
+        """Return the measured and the true motion of a volume, if it is the newest."""
+        record = self._value(context, "motion_record", (MotionRecord, NotFound))
+        if not isinstance(record, MotionRecord):
+            return {}
+        middle = record.true.geometry.frames // 2
+        if record.measured.times[middle] != volume_time:
+            return {}
+        return {
+            "volume_X_WP": record.measured.X_WP[middle],
+            "volume_true_time": record.true.times[middle],
+            "volume_true_X_WP": record.true.X_WP[middle],
+        }
 
 
 def visible_length(needle: Needle, geometry: SweepGeometry) -> float:

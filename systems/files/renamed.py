@@ -9,6 +9,7 @@ _RENAMED = {
     "first_deviation": "first_std",
     "first_drift": "first_drift_std",
     "first_speed": "first_speed_std",
+    "force_noise": "wrist_sensor.force_noise",
     "kind": "experiment",
     "inlier_distance": "residual_threshold",
     "largest_deviation": "max_std",
@@ -20,10 +21,13 @@ _RENAMED = {
     "published": "published_figures",
     "min_radius": "bend_radius",
     "speed": "feed.speed",
+    "torque_noise": "wrist_sensor.torque_noise",
     "transducer": "probe",
 }
 _REMOVED = {
+    "anywhere": "must be left out: the tracker's field start sets it ('search' or 'anywhere')",
     "decibels_per_level": "must be left out: imaging.dynamic_range_db sets it",
+    "friction": "must be left out: the phantom's contact.friction sets it",
 }
 _PREFIXES = {"least_": "min_", "largest_": "max_", "greatest_": "max_"}
 _SUFFIXES = {"_deviation": "_std"}

@@ -1,4 +1,4 @@
-"""How a volume was acquired, as text beside its image: what no message of the protocols tells.
+"""The acquisition of a volume as text beside its image, for what the protocols cannot tell.
 
 A scanner of this package sends it right before each volume, with the same time stamp. A receiver
 then knows the exact grid, and when and from where each frame of the sweep was acquired; others
@@ -30,24 +30,24 @@ _VOLUME = ("time", "X_WP", "direction", "frame_times", "frame_X_WP")
 
 @dataclass(frozen=True, eq=False)
 class VolumeAcquisition(Immutable):
-    """When and from where a volume was acquired.
+    """Time, pose and grid of a volume's acquisition.
 
     Parameters
     ----------
     time
-        Of the volume in s, exactly; time stamps have steps of 2^-32 s.
+        Exact time of the volume in s; time stamps have steps of 2^-32 s.
     origin, spacing
-        (3,) of its grid in P, in m.
+        (3,) origin and spacing of its grid in P, in m.
     X_WP
         Pose of the probe.
     motion
-        When and from where each frame was acquired; None if that is not known.
+        Time and pose of each frame; None if unknown.
     decibels_per_level
-        dB per grey level.
+        Decibels per grey level.
     point_spread
-        How wide a point's echo is; None if that is not known.
+        Width of a point's echo; None if unknown.
     settings
-        Of the scanner.
+        Settings of the scanner.
     """
 
     time: float
@@ -61,14 +61,14 @@ class VolumeAcquisition(Immutable):
 
 
 def acquisition_item(volume: Volume, settings: Mapping[str, Any]) -> TextItem:
-    """Return the text that goes with a volume; of very long sweeps it leaves the frames out.
+    """Return the text that goes with a volume; very long sweeps are sent without their frames.
 
     Parameters
     ----------
     volume
-        To be sent.
+        Volume to send.
     settings
-        Of the scanner: what a tracker has to know besides.
+        Settings of the scanner that a tracker needs.
     """
     said = {**describe_grid(volume), **describe_acquisition(volume), **settings}
     text = json.dumps(said, separators=(",", ":"))
@@ -79,12 +79,12 @@ def acquisition_item(volume: Volume, settings: Mapping[str, Any]) -> TextItem:
 
 
 def read_acquisition_item(item: TextItem) -> VolumeAcquisition:
-    """Read such a text.
+    """Read the acquisition from a text.
 
     Raises
     ------
     ValueError
-        If it is none.
+        If the text holds no acquisition.
     """
     try:
         said = json.loads(item.text)

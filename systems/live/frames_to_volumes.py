@@ -58,7 +58,7 @@ class FramesToVolumes:
     frames
         Number of frames of each volume; by default a volume ends where the probe turns round.
     spacing
-        Of the voxels, in m.
+        Size of a voxel, in m.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Which pose belongs to which image, and which images are left out, as messages come in."""
+"""Matching of images and poses as their messages arrive."""
 
 from collections import OrderedDict
 from collections.abc import Callable
@@ -29,20 +29,20 @@ _REMEMBERED = 8
 
 @dataclass(frozen=True, eq=False)
 class PosedImage(Immutable):
-    """An image, and where the frame L of the sender was.
+    """An image and the pose that the sender's frame L had.
 
     Parameters
     ----------
     image
-        As it came.
+        Image as received.
     X_WL
         Pose of L in the reference frame W; identity for a probe at rest.
     acquisition
-        What a scanner of this package said about it.
+        Acquisition, if a scanner of this package sent it.
     time
-        In s; it never runs backwards, as the image's own time stamp may.
+        Time in s; unlike the image's own time stamp, it never runs backwards.
     arrived
-        When its last byte came, by `time.perf_counter`.
+        Time of arrival of the last byte, by `time.perf_counter`.
     """
 
     image: ImageItem
@@ -62,14 +62,14 @@ class ImageMatcher:
     Parameters
     ----------
     device
-        Whose images are wanted; empty for those of the device whose image comes first.
+        Device whose images are taken; empty for the one whose image arrives first.
     poses
         Device whose transforms are the pose of L; "none" for a probe at rest. By default
         ``ProbeToReference``, if there is such a device.
     layers
-        Whether volumes are wanted (True) or 2D frames (False).
+        True to take volumes, False to take 2D frames.
     report
-        Called with one line for a person.
+        Function that is called with one line for a person.
     """
 
     def __init__(
@@ -92,11 +92,11 @@ class ImageMatcher:
 
     @property
     def posed(self) -> bool:
-        """Whether images have poses."""
+        """True if images have poses."""
         return bool(self._posed)
 
     def feed(self, item: Item, now: float) -> list[PosedImage]:
-        """Take note of an item that came ``now``; return the images that are complete by it."""
+        """Take in an item that arrived ``now``; return the images that it completes."""
         if isinstance(item, PoseItem) and item.name == self._pose_name:
             self._poses.add(item.time, item.X)
         elif isinstance(item, TextItem) and item.name == acquisition.NAME:

@@ -19,12 +19,12 @@ _FRAMES_KEPT = 1024
 
 
 class ImagesToVolumes(Protocol):
-    """What makes volumes of images.
+    """Maker of volumes from images.
 
     Attributes
     ----------
     takes_frames
-        Whether the images are 2D frames, of which many make a volume.
+        True if the images are 2D frames, many of which make a volume.
     """
 
     takes_frames: bool
@@ -44,7 +44,7 @@ class LiveSource:
     Parameters
     ----------
     address
-        Where they come from.
+        Address that they come from.
     maker
         Makes volumes of images; by default `VolumeMaker`, of images with several layers.
     poses
@@ -52,7 +52,7 @@ class LiveSource:
     keep
         Number of volumes that wait while one is worked on; older ones are dropped.
     report
-        Called with one line for a person.
+        Function that is called with one line for a person.
     """
 
     def __init__(
@@ -94,12 +94,12 @@ class LiveSource:
 
     @property
     def address(self) -> Address:
-        """Where the volumes come from."""
+        """Address that the volumes come from."""
         return self.link.address
 
     @property
     def posed(self) -> bool:
-        """Whether the stream tells the probe's poses."""
+        """True if the stream tells the probe's poses."""
         return self._matcher.posed or bool(self.newest and self.newest.acquisition)
 
     @property

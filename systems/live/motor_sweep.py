@@ -24,7 +24,7 @@ from sonoservo.systems.ultrasound.transducer import load_transducer
 
 @dataclass(kw_only=True)
 class MotorSweepParameters:
-    """How a motor sweeps the array of a probe.
+    """Sweep of a probe's array by its motor.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ class MotorSweepParameters:
     start
         Time at which a first sweep towards +Z began, in s.
     both_ways
-        Whether every other sweep goes towards -Z; otherwise the motor flies back in no time.
+        True if every other sweep goes towards -Z; otherwise the motor flies back in no time.
     """
 
     probe: str = "4dc7_3_40"
@@ -71,7 +71,7 @@ class MotorSweepVolumes:
     Parameters
     ----------
     parameters
-        Of the motor.
+        Sweep of the motor.
     window
         See `GreyFrames`.
 

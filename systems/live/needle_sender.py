@@ -40,7 +40,7 @@ class NeedleNames:
     covariance
         NDARRAY with the covariance of the tip.
     points
-        Whether the curve is sent as points.
+        True to send the curve as points.
     """
 
     tip: str = "NeedleTipToReference"
@@ -73,7 +73,7 @@ def needle_items(estimate: NeedleEstimate, names: NeedleNames, time: float) -> l
     estimate
         In W.
     names
-        Of the devices.
+        Names of the devices.
     time
         Time stamp of the image that it belongs to, in s.
     """
@@ -109,11 +109,11 @@ class NeedleSender(Sender):
     Parameters
     ----------
     outlet
-        Where they go.
+        Outlet that the messages go to.
     names
-        Of the devices.
+        Names of the devices.
     period, offset
-        When to look for a new estimate, in s: a moment after the tracker has made it.
+        Period and offset of the look for a new estimate, in s: a moment after the tracker made it.
     """
 
     def __init__(

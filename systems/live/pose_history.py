@@ -20,7 +20,7 @@ class PoseHistory:
     max_gap
         Longest time between two poses that is bridged by interpolation, in s.
     tolerance
-        How far a time may lie outside all poses, in s: the nearest is taken.
+        Longest time in s before the first or after the last pose at which that pose is still taken.
     """
 
     def __init__(self, *, max_gap: float = 0.5, tolerance: float = 0.05) -> None:

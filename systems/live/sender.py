@@ -13,7 +13,7 @@ KEEP = 2
 
 
 class Outlet(Protocol):
-    """Where items go: a `Link`, or what takes its place in a test."""
+    """Destination of items: a `Link`, or its stand-in in a test."""
 
     def send(self, items: list[Item], topic: str = "", keep: int | None = None) -> None:
         """Send items together, or drop them together; never wait."""

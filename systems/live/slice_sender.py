@@ -53,9 +53,9 @@ class SliceSender(Sender):
     Parameters
     ----------
     outlet
-        Where they go.
+        Outlet that the slices go to.
     period, offset
-        When to look for a new volume, in s: a moment after the tracker has.
+        Period and offset of the look for a new volume, in s: a moment after the tracker's.
     """
 
     def __init__(self, *, outlet: Outlet, period: float, offset: float = 0.0) -> None:

@@ -45,11 +45,11 @@ class SweepSender(Sender):
     Parameters
     ----------
     outlet
-        Where they go.
+        Outlet that the frames go to.
     name
-        Of the frames' device.
+        Name of the frames' device.
     period, offset
-        When to look for a new sweep, in s.
+        Period and offset of the look for a new sweep, in s.
     """
 
     def __init__(

@@ -21,13 +21,13 @@ class TransformSender(Sender):
     Parameters
     ----------
     outlet
-        Where it goes.
+        Outlet that the pose goes to.
     name
-        Of its device.
+        Name of its device.
     port
         Name of the input port: a RigidTransform.
     period, offset
-        When it is sent, in s.
+        Period and offset of the messages, in s.
     """
 
     def __init__(

@@ -22,11 +22,11 @@ def truth_items(needle: Needle, X_WT: RigidTransform, time: float) -> list[Item]
     Parameters
     ----------
     needle
-        In the tissue's frame T.
+        Needle in the tissue's frame T.
     X_WT
         Pose of the tissue.
     time
-        In s.
+        Time in s.
     """
     items: list[Item] = [PoseItem(TISSUE, time, RigidTransform(X_WT))]
     if needle:
@@ -52,9 +52,9 @@ class TruthSender(Sender):
     Parameters
     ----------
     outlet
-        Where they go.
+        Outlet that the messages go to.
     period, offset
-        When they are sent, in s.
+        Period and offset of the messages, in s.
     """
 
     def __init__(self, *, outlet: Outlet, period: float, offset: float = 0.0) -> None:

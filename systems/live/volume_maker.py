@@ -36,13 +36,13 @@ def grey_scale(dynamic_range_db: float | None) -> float:
 class VolumeMaker:
     """Turns posed images into volumes; the first one decides about grid and grey levels.
 
-    How a grid lies in the probe's frame is found as for a file (`make_file_grid`). An image whose
+    A grid is placed in the probe's frame as that of a file is (`make_file_grid`). An image whose
     own matrix has moved since the first, as that of ``Image_Reference`` does, has its pose there.
 
     Parameters
     ----------
     depth
-        Where the sound goes in L, as a letter of the body.
+        Direction of the sound in L, as an anatomical letter.
     window
         Numbers that become the grey levels 0 and 255; by default `choose_window` of the first.
     dynamic_range_db

@@ -13,7 +13,7 @@ from sonoservo.systems.signals.volume import Volume
 
 
 class VolumeSource(Protocol):
-    """Where volumes come from: a `LiveSource`, or what takes its place in a test."""
+    """Source of volumes: a `LiveSource`, or what takes its place in a test."""
 
     def take(self, timeout: float = 0.0) -> Volume | NotFound:
         """Return the next volume, or why there is none."""
@@ -40,7 +40,7 @@ class VolumeReceiver(LeafSystem):
     Parameters
     ----------
     source
-        Of the volumes.
+        Source of the volumes.
     stale_after
         Time in s, of the real clock, after which a volume is too old.
     clock

@@ -27,11 +27,11 @@ def volume_items(
     Parameters
     ----------
     volume
-        To be sent; a voxel lies in L where it lies in P.
+        Volume to send; a voxel lies in L where it lies in P.
     name
-        Of its device.
+        Name of its device.
     settings
-        Of the scanner.
+        Settings of the scanner.
     """
     X_LI = np.eye(4)
     X_LI[:3] = np.column_stack([np.diag(volume.spacing), volume.origin])
@@ -57,13 +57,13 @@ class VolumeSender(Sender):
     Parameters
     ----------
     outlet
-        Where they go.
+        Outlet that the messages go to.
     name
-        Of the image's device.
+        Name of the image's device.
     settings
-        Of the scanner, for receivers of this package.
+        Settings of the scanner, for receivers of this package.
     period, offset
-        When to look for a new volume, in s.
+        Period and offset of the look for a new volume, in s.
     """
 
     def __init__(

@@ -168,7 +168,8 @@ def fit_axis(
     -------
     The fit, or a `NotFound` if the points do not determine one.
     """
-    solution = least_squares(np.ascontiguousarray(points.T), weights, order, np.asarray(towards))
+    towards = np.asarray(towards, float)
+    solution = least_squares(np.ascontiguousarray(points.T), weights, order, towards)
     return as_fit(solution, len(points))
 
 

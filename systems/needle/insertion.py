@@ -6,7 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 
-from sonoservo.systems.needle.insertion_parameters import OUTER_DIAMETER, InsertionParameters
+from sonoservo.systems.needle.insertion_parameters import (
+    DEFAULT_ENTRY,
+    OUTER_DIAMETER,
+    InsertionParameters,
+    Push,
+)
 from sonoservo.systems.needle.needle_motion import Feed, HandMotion, NeedleMotion
 from sonoservo.systems.needle.steered_path import SteeredPath, draw_wander
 from sonoservo.systems.signals.immutable import Immutable
@@ -20,6 +25,10 @@ _SPACING = 2e-3
 
 _FEED_SPACING = 0.5e-3
 """The same distance behind a template; 0.1 um off an arc of 0.5 m radius."""
+
+_SWING_DEPTH, _SWING_ANGLE, _SWING_RATE = 20e-3, 45.0, 30.0
+"""Largest inserted length in m at which a straight needle is re-directed, about its entry, by at
+most an angle in deg, and its rate in deg/s."""
 
 
 class Insertion(Immutable):
@@ -41,10 +50,14 @@ class Insertion(Immutable):
     Raises
     ------
     ValueError
-        If a push aims a needle that is not outside, or the path turns back before the feed's depth.
+        If a push aims a needle that is too deep for it, or the path turns back before the feed's
+        depth.
     """
 
     def __init__(self, parameters: InsertionParameters, rng: np.random.Generator) -> None:
+        start = parameters.start or 0.0
+        entry = list(DEFAULT_ENTRY) if parameters.entry is None else parameters.entry
+        parameters = replace(parameters, start=start, entry=entry, aim=None)
         self.parameters = parameters
         path = _draw_path(parameters, rng)
         if parameters.feed is None:
@@ -54,11 +67,12 @@ class Insertion(Immutable):
         else:
             self._tilt = np.zeros(2)
             play = -np.append(0.0, rng.uniform(-1, 1, 2))
-            self._motion = Feed(parameters.feed, parameters.start)
+            self._motion = Feed(parameters.feed, start)
         self._offset = np.array(parameters.entry_spread) * play
-        self._aims = self._aims_of_pushes()
+        self._aims: list[_Stage] = []
+        self._add_aims()
         if path is not None and parameters.curvature_wander:
-            times = np.linspace(parameters.start, self._motion.end, 200)
+            times = np.linspace(start, self._motion.end, 200)
             length = 1.1 * float(self._motion.steady_depth(times).max()) + 0.01
             wander = draw_wander(length, parameters.curvature_wander, parameters.wander_length, rng)
             path = replace(path, wander=wander)
@@ -72,12 +86,12 @@ class Insertion(Immutable):
     @property
     def entry(self) -> Floats:
         """(3,) point in T where the needle is first put in, in m."""
-        return np.add(self._aims[0][1].entry, self._offset)
+        return np.add(self._aims[0].aim.entry, self._offset)
 
     @property
     def direction(self) -> Floats:
         """(3,) unit vector in T along which the needle is first aimed."""
-        return self._aims[0][1].axes(self._tilt)[0]
+        return self._aims[0].aim.axes(self._tilt)[0]
 
     @property
     def end(self) -> float:
@@ -87,19 +101,21 @@ class Insertion(Immutable):
     @property
     def direction_deg(self) -> tuple[float, float]:
         """Azimuth and dip in deg set by the last pushes, without this insertion's spread."""
-        _, aim = self._aims[-1]
+        aim = self._aims[-1].aim
         return aim.azimuth_deg, aim.dip_deg
 
     @property
     def X_TI(self) -> RigidTransform:
         """Pose in T of frame I: origin at the first entry, Z along the aim, Y down, no spread."""
-        _, aim = self._aims[0]
+        aim = self._aims[0].aim
         along, up, beside = aim.axes(np.zeros(2))
         return RigidTransform(RotationMatrix(np.stack([beside, -up, along], axis=1)), aim.entry)
 
-    def is_outside(self, time: float) -> bool:
-        """Return True if the needle is outside the tissue at a time in s, and may be aimed anew."""
-        return bool(self._motion.steady_depth(time) <= 0)
+    def can_aim(self, time: float, azimuth_deg: float, dip_deg: float) -> bool:
+        """Return True if the needle may be aimed in a direction, in deg, at a time in s."""
+        now = self._aim_at(time)
+        wanted = replace(now, azimuth_deg=azimuth_deg, dip_deg=dip_deg)
+        return not self._obstacle(now, wanted, float(self._motion.steady_depth(time)))
 
     def depth(self, time: float) -> float:
         """Return the inserted depth in m, never below zero.
@@ -112,7 +128,7 @@ class Insertion(Immutable):
         """Return the part of the needle that is inside the tissue at a time in s, in T."""
         parameters, feed = self.parameters, self.parameters.feed
         radius = OUTER_DIAMETER[parameters.gauge] / 2
-        aim = next(aim for start, aim in reversed(self._aims) if start <= time)
+        aim = self._aim_at(time)
         entry, axes = aim.entry + self._offset, aim.axes(self._tilt)
         length = self.depth(time)
         if feed is not None and self.path is not None:
@@ -125,9 +141,22 @@ class Insertion(Immutable):
         else:
             along = self.path.positions(self._points(length), self._motion.cut(time, length))
             first = self.path.direction
+        roll = self._roll(time, float(along[-1, 0]))
         if feed is not None:
             along = np.vstack([-feed.template * first, along])
-        return Needle(entry + along @ axes, radius)
+        return Needle(entry + along @ axes, radius, roll=roll)
+
+    def _roll(self, time: float, depth: float) -> float:
+        """Return the roll of the bevel's face in rad, with the tip at a depth along the aim in m.
+
+        A bevelled tip bends away from its face. On a bent needle, the twist of a curved axis
+        against the vertical is neglected.
+        """
+        turn = self._motion.turn(time)
+        if self.path is None:
+            return 0.0 - turn
+        rotations = sum(each < depth for each in self.path.rotations)
+        return float(np.pi * (1 + rotations) - self.path.roll - turn)
 
     def _points(self, length: float) -> Floats:
         """Return distances in m along a bent shaft, from the entry to the tip."""
@@ -136,26 +165,43 @@ class Insertion(Immutable):
         # Behind a template the points stay in place from slice to slice.
         return np.append(np.arange(0, length, _FEED_SPACING), length)
 
-    def _aims_of_pushes(self) -> list[tuple[float, "_Aim"]]:
-        """Return the times in s from which aims hold, and the aims."""
+    def _add_aims(self) -> None:
+        """Add the aims of all pushes, in order of time."""
         parameters = self.parameters
         durations = [push.duration for push in parameters.pushes]
-        starts = parameters.start + np.cumsum([0.0, *durations])
-        aim = _Aim(parameters.entry, parameters.azimuth_deg, parameters.dip_deg)
-        aims = [(-np.inf, aim)]
+        starts = (parameters.start or 0.0) + np.cumsum([0.0, *durations])
+        aim = _Aim(parameters.entry or [], parameters.azimuth_deg, parameters.dip_deg)
+        self._aims.append(_Stage(-np.inf, -np.inf, aim, aim))
         for number, (push, start) in enumerate(zip(parameters.pushes, starts, strict=False)):
-            for name, value in push.aim.items():
-                depth = float(self._motion.steady_depth(start))
-                require(
-                    depth <= 0,
-                    f"pushes.{number}.{name}",
-                    value,
-                    f"left out: the needle is still {1e3 * depth:.1f} mm in the tissue",
-                )
             if push.aim:
-                aim = replace(aim, **push.aim)
-                aims.append((float(start), aim))
-        return aims
+                self._aims.append(self._stage(number, push, float(start)))
+
+    def _stage(self, number: int, push: Push, start: float) -> "_Stage":
+        """Return the stage that a push with a new aim begins; the message names its field."""
+        now, depth = self._aim_at(start), float(self._motion.steady_depth(start))
+        wanted = replace(self._aims[-1].aim, **push.aim)
+        obstacle = self._obstacle(now, wanted, depth)
+        for name, value in push.aim.items():
+            require(not obstacle, f"pushes.{number}.{name}", value, obstacle)
+        angle = now.angle_to(wanted) if depth > 0 else 0.0
+        return _Stage(start, start + angle / _SWING_RATE, now, wanted)
+
+    def _aim_at(self, time: float) -> "_Aim":
+        """Return the aim at a time in s."""
+        return next(each for each in reversed(self._aims) if each.start <= time).at(time)
+
+    def _obstacle(self, now: "_Aim", wanted: "_Aim", depth: float) -> str:
+        """Return what keeps a needle at a depth in m from being aimed anew; empty if nothing."""
+        if depth <= 0:
+            return ""
+        still = f"the needle is still {1e3 * depth:.1f} mm in the tissue"
+        if wanted.entry != now.entry or self.parameters.bend_radius is not None:
+            return f"left out: {still}; withdraw it first"
+        if depth > _SWING_DEPTH:
+            return f"left out: {still}; withdraw it to {1e3 * _SWING_DEPTH:.0f} mm first"
+        if now.angle_to(wanted) > _SWING_ANGLE:
+            return f"within {_SWING_ANGLE:g} deg of the present direction: {still}"
+        return ""
 
 
 @dataclass(frozen=True)
@@ -174,6 +220,35 @@ class _Aim:
         direction = np.cos(dip) * heading - np.sin(dip) * up
         normal = np.sin(dip) * heading + np.cos(dip) * up
         return np.array([direction, normal, np.cross(direction, normal)])
+
+    def angle_to(self, other: "_Aim") -> float:
+        """Return the angle in deg to another aim's direction."""
+        d, e = (aim.axes(np.zeros(2))[0] for aim in (self, other))
+        return float(np.rad2deg(np.arctan2(np.linalg.norm(np.cross(d, e)), d @ e)))
+
+
+@dataclass(frozen=True)
+class _Stage:
+    """Aim from a time on; the needle turns to it from the aim before until another time, in s."""
+
+    start: float
+    until: float
+    before: _Aim
+    aim: _Aim
+
+    def at(self, time: float) -> _Aim:
+        """Return the aim at a time in s, not before the start."""
+        if time >= self.until:
+            return self.aim
+        share = (time - self.start) / (self.until - self.start)
+        share *= share * (3 - 2 * share)
+        around = (self.aim.azimuth_deg - self.before.azimuth_deg + 180) % 360 - 180
+        dip = self.aim.dip_deg - self.before.dip_deg
+        return replace(
+            self.aim,
+            azimuth_deg=self.before.azimuth_deg + share * around,
+            dip_deg=self.before.dip_deg + share * dip,
+        )
 
 
 def _draw_path(parameters: InsertionParameters, rng: np.random.Generator) -> SteeredPath | None:

@@ -3,6 +3,9 @@
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from sonoservo.systems.signals.bicycle_paths import require_rising
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 
@@ -17,6 +20,9 @@ OUTER_DIAMETER = {
     25: 0.515e-3,
 }
 """Outer diameter in m by gauge (ISO 9626)."""
+
+DEFAULT_ENTRY = (-0.06, 0.0, -0.045)
+"""Entry in T, in m, of an insertion whose parameters give neither an entry nor an experiment."""
 
 MIN_BEND_RADIUS = 0.05
 """Smallest radius in m of the arc that a bevelled tip may cut."""
@@ -37,8 +43,9 @@ class Push:
     entry
         Entry point in T from now on, in m; None leaves it unchanged. The needle must be outside.
     azimuth_deg, dip_deg
-        Direction of the insertion from now on, in deg; None leaves it unchanged. The needle must be
-        outside.
+        Direction of the insertion from now on, in deg; None leaves it unchanged. A needle that is
+        partly withdrawn, to at most 20 mm, turns about its entry to the new direction during the
+        push, by at most 45 deg. One that is outside is aimed anew at once.
     """
 
     duration: float = 1.0
@@ -106,7 +113,14 @@ class InsertionParameters:
         Gauge of the needle, which sets its diameter.
     entry
         Point in T at which the needle enters the tissue, or the first slice behind a template, in
-        m.
+        m. None leaves it to ``aim``; an insertion without an experiment then starts at
+        `DEFAULT_ENTRY`.
+    aim
+        Point in T that the needle passes, in m; the entry is then where it pierces the phantom's
+        surface. If both are None, the needle passes 45 mm below the probe, beside which it enters.
+    initial_depth
+        Length already in the tissue when the run begins, in m. None is 0, or, if neither ``entry``
+        nor ``aim`` is given, all but the last 60 mm on the way below the probe.
     entry_spread
         Spread of each coordinate of the entry, in m. A template allows no spread along X.
     azimuth_deg
@@ -115,6 +129,9 @@ class InsertionParameters:
         Angle of the insertion below the horizontal, in deg.
     angle_spread_deg
         Spread of azimuth and dip, in deg.
+    azimuth_spread_deg
+        Spread of the azimuth before the entry is computed from ``aim``, in deg; 180 for insertions
+        from anywhere.
     bend_radius, bend_radius_spread
         Radius of the arc that a bevelled tip cuts, and its spread, in m. A radius of None gives a
         straight needle.
@@ -131,7 +148,8 @@ class InsertionParameters:
         Correlation length of the curvature, in m. It is the standard deviation of the Gaussian that
         smooths the curvature.
     start
-        Time at which the motion begins, in s.
+        Time at which the motion begins, in s. None waits until the probe has landed and the tracker
+        has seen the tissue without a moving needle.
     pushes
         Phases of an insertion by hand, one after the other. After the last one the hand rests.
     ramp
@@ -143,11 +161,14 @@ class InsertionParameters:
     """
 
     gauge: int = 18
-    entry: list[float] = field(default_factory=lambda: [-0.06, 0.0, -0.045])
+    entry: list[float] | None = None
+    aim: list[float] | None = None
+    initial_depth: float | None = None
     entry_spread: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     azimuth_deg: float = 0.0
     dip_deg: float = 0.0
     angle_spread_deg: float = 0.0
+    azimuth_spread_deg: float = 0.0
     bend_radius: float | None = None
     bend_radius_spread: float = 0.0
     bend_roll_deg: float = 0.0
@@ -156,7 +177,7 @@ class InsertionParameters:
     rotations: list[float] = field(default_factory=list)
     curvature_wander: float = 0.0
     wander_length: float = 0.02
-    start: float = 1.0
+    start: float | None = None
     pushes: list[Push] = field(default_factory=list)
     ramp: float = 0.5
     tremor: float = 0.0
@@ -165,7 +186,15 @@ class InsertionParameters:
     def __post_init__(self) -> None:
         allowed = ", ".join(str(gauge) for gauge in OUTER_DIAMETER)
         require(self.gauge in OUTER_DIAMETER, "gauge", self.gauge, f"one of {allowed}")
-        require(len(self.entry) == 3, "entry", self.entry, "three coordinates in m")
+        for name in ("entry", "aim"):
+            point = getattr(self, name)
+            require(point is None or len(point) == 3, name, point, "three coordinates in m")
+        require(
+            self.entry is None or self.aim is None,
+            "aim",
+            self.aim,
+            "left out: entry already places the needle",
+        )
         spread = self.entry_spread
         require(
             len(spread) == 3 and min(spread) >= 0,
@@ -176,10 +205,12 @@ class InsertionParameters:
         require(abs(self.dip_deg) <= 90, "dip_deg", self.dip_deg, "from -90 to 90 deg")
         require_not_negative(
             angle_spread_deg=self.angle_spread_deg,
+            azimuth_spread_deg=self.azimuth_spread_deg,
             bend_radius_spread=self.bend_radius_spread,
             bend_roll_spread_deg=self.bend_roll_spread_deg,
             curvature_wander=self.curvature_wander,
-            start=self.start,
+            start=self.start or 0.0,
+            initial_depth=self.initial_depth or 0.0,
             tremor=self.tremor,
         )
         require_positive(wander_length=self.wander_length, ramp=self.ramp)
@@ -203,13 +234,24 @@ class InsertionParameters:
                 f"at least {MIN_BEND_RADIUS:g} m after bend_radius_spread is subtracted",
             )
         if self.feed is not None:
-            self._require_none("a template (feed)", "pushes", "tremor", "angle_spread_deg")
+            self._require_none(
+                "a template (feed)",
+                "aim", "initial_depth", "pushes", "tremor",
+                "angle_spread_deg", "azimuth_spread_deg",
+            )  # fmt: skip
             require(
                 not self.rotations or self.rotations[-1] < self.feed.depth,
                 "rotations",
                 self.rotations,
                 f"within the insertion, below feed.depth ({self.feed.depth} m)",
             )
+
+    @property
+    def direction(self) -> NDArray[np.float64]:
+        """(3,) unit vector in T along which the needle is aimed at first, without its spread."""
+        azimuth, dip = np.deg2rad([self.azimuth_deg, self.dip_deg])
+        level = np.cos(dip)
+        return np.array([level * np.cos(azimuth), level * np.sin(azimuth), -np.sin(dip)])
 
     def _require_none(self, what: str, *names: str) -> None:
         for name in names:

@@ -40,6 +40,9 @@ class NeedleMotion(Protocol):
         The arcs are those of `cut_arcs`. Their angles are relative to the bevel's initial one.
         """
 
+    def turn(self, time: float) -> float:
+        """Return the angle by which the needle has been turned about its axis, in rad."""
+
 
 class Feed:
     """Feed at constant speed, with depths along the aimed direction.
@@ -73,6 +76,10 @@ class Feed:
     def cut(self, time: float, length: float) -> None:
         """Return None, as a template turns the needle only at the path's rotations."""
 
+    def turn(self, time: float) -> float:
+        """Return 0, as a template turns the needle only at the path's rotations."""
+        return 0.0
+
 
 class HandMotion:
     """Motion by a hand's pushes, with depths that are lengths of the inserted shaft.
@@ -86,22 +93,30 @@ class HandMotion:
     """
 
     def __init__(self, parameters: InsertionParameters, rng: np.random.Generator) -> None:
-        pushes = parameters.pushes
-        times = parameters.start + np.cumsum([0.0, *(push.duration for push in pushes)])
+        pushes, start = parameters.pushes, parameters.start or 0.0
+        times = start + np.cumsum([0.0, *(push.duration for push in pushes)])
         self._ramp = parameters.ramp
         self._end = float(times[-1]) + parameters.ramp
+        self._initial_depth = parameters.initial_depth or 0.0
         self._depth_integral = _twice_integrated(times, [push.speed for push in pushes])
         self._turn_integral: PPoly | None = None
-        if parameters.bend_radius is not None and any(push.turning_deg for push in pushes):
+        self._cuts = parameters.bend_radius is not None
+        if any(push.turning_deg for push in pushes):
             rates = np.deg2rad([push.turning_deg for push in pushes])
             self._turn_integral = _twice_integrated(times, rates)
-            history = np.arange(parameters.start, self._end, _TURN_STEP)
+        if self._turn_integral is not None and self._cuts:
+            history = np.arange(start, self._end, _TURN_STEP)
             depths = self.steady_depth(history)
             # A resting needle cuts nothing, so only the times at which it starts and stops matter.
             moves = np.abs(np.diff(depths)) > _REST
             kept = np.append(moves, False) | np.append(False, moves)
             self._history, self._depths = history[kept], depths[kept]
             self._turns = self._smoothed(self._turn_integral, self._history)
+            if self._initial_depth:
+                # What is in the tissue from the beginning was cut before the needle was turned.
+                self._history = np.append([-np.inf, start], self._history)
+                self._depths = np.append([0.0, self._initial_depth], self._depths)
+                self._turns = np.append([0.0, 0.0], self._turns)
         count = 8
         self._tremor_rate = 2 * np.pi * rng.uniform(*_TREMOR_BAND, count)
         self._tremor_phase = rng.uniform(0, 2 * np.pi, count)
@@ -114,7 +129,7 @@ class HandMotion:
 
     def steady_depth(self, time: ArrayLike) -> Floats:
         """Return the depth in m without tremor; it is negative while the tip is outside."""
-        return self._smoothed(self._depth_integral, time)
+        return self._initial_depth + self._smoothed(self._depth_integral, time)
 
     def depth(self, time: float) -> float:
         """Return the depth in m including tremor, never below zero."""
@@ -126,11 +141,17 @@ class HandMotion:
 
     def cut(self, time: float, length: float) -> tuple[Floats, Floats] | None:
         """Return the arcs cut until a time, down to a present length in m; None without turning."""
-        if self._turn_integral is None:
+        if self._turn_integral is None or not self._cuts:
             return None
         past = np.searchsorted(self._history, time)
         now = self._smoothed(self._turn_integral, time)
         return cut_arcs(np.append(self._depths[:past], length), np.append(self._turns[:past], now))
+
+    def turn(self, time: float) -> float:
+        """Return the angle by which the needle has been turned about its axis, in rad."""
+        if self._turn_integral is None:
+            return 0.0
+        return float(self._smoothed(self._turn_integral, time))
 
     def _smoothed(self, integral: PPoly, time: ArrayLike) -> Floats:
         # A hand takes the time `ramp` to change its speed. The depth is therefore the moving

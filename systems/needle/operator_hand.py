@@ -68,8 +68,8 @@ class OperatorHand(LeafSystem):
 
     `needle_target` has four elements: the wanted inserted length in m (negative if outside), the
     angle of the needle about its axis, and azimuth and dip of its direction, in rad. Azimuth and
-    dip are followed only while the needle is outside, because a stiff needle cannot swing in
-    tissue. `needle` is the inserted `Needle` in T.
+    dip are followed while the needle is outside or, if it is straight, withdrawn to 20 mm, because
+    a stiff needle cannot swing deep in tissue. `needle` is the inserted `Needle` in T.
 
     The state is the insertion by all pushes so far. A `Hand` with this insertion repeats the
     motion. The hand changes its speed smoothly (see `InsertionParameters`) and does not overshoot.
@@ -92,8 +92,9 @@ class OperatorHand(LeafSystem):
         super().__init__()
         self._make_insertion = make_insertion
         self._parameters = parameters or OperatorHandParameters()
-        start = OperatorInsertion(make_insertion([]))
-        empty = start.insertion.needle(-1.0)
+        insertion = make_insertion([])
+        start = OperatorInsertion(insertion, insertion.parameters.initial_depth or 0.0)
+        empty = insertion.needle(-1.0)
         self.DeclareVectorInputPort("needle_target", 4)
         self.DeclareAbstractState(Value[object](start))
         self.DeclareAbstractOutputPort(
@@ -112,7 +113,9 @@ class OperatorHand(LeafSystem):
         """Return True if the needle cannot be aimed as wanted because it is in the tissue."""
         insertion = self.insertion(context)
         target = self.GetInputPort("needle_target").Eval(context)
-        return bool(new_aim(insertion, target)) and not insertion.is_outside(context.get_time())
+        return bool(new_aim(insertion, target)) and not _can_follow(
+            insertion, target, context.get_time()
+        )
 
     def _driven(self, context: Context) -> OperatorInsertion:
         driven: OperatorInsertion = context.get_abstract_state(0).get_value()
@@ -155,11 +158,12 @@ def next_push(
     """
     period = parameters.period
     depth, turn_deg = float(target[0]), float(np.rad2deg(target[1]))
+    aim = new_aim(driven.insertion, target) if _can_follow(driven.insertion, target, time) else {}
     return Push(
         duration=period,
         speed=_limited((depth - driven.depth) / period, parameters.speed),
         turning_deg=_limited((turn_deg - driven.turn_deg) / period, parameters.turning_deg),
-        **(new_aim(driven.insertion, target) if driven.insertion.is_outside(time) else {}),
+        **aim,
     )
 
 
@@ -168,6 +172,12 @@ def new_aim(insertion: Insertion, target: NDArray[np.float64]) -> dict[str, Any]
     wanted = np.round(np.rad2deg(target[2:]), 6).tolist()
     aims = zip(("azimuth_deg", "dip_deg"), wanted, insertion.direction_deg, strict=True)
     return {name: value for name, value, now in aims if value != round(now, 6)}
+
+
+def _can_follow(insertion: Insertion, target: NDArray[np.float64], time: float) -> bool:
+    """Return True if the needle may be aimed as a target (see `next_push`) wants it."""
+    azimuth_deg, dip_deg = np.rad2deg(target[2:]).tolist()
+    return insertion.can_aim(time, azimuth_deg, dip_deg)
 
 
 def appended(pushes: list[Push], push: Push) -> list[Push]:

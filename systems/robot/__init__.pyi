@@ -8,6 +8,7 @@ from .arm import load_arm as load_arm
 from .body_pose import BodyPose as BodyPose
 from .contact_force import ContactForce as ContactForce
 from .contact_force import normal_force as normal_force
+from .forward_kinematics import ForwardKinematics as ForwardKinematics
 from .operator_phantom_motion import OperatorMoves as OperatorMoves
 from .operator_phantom_motion import OperatorPhantomMotion as OperatorPhantomMotion
 from .phantom import AddPhantom as AddPhantom
@@ -15,6 +16,7 @@ from .phantom import Phantom as Phantom
 from .phantom import PhantomContact as PhantomContact
 from .phantom import PhantomMotion as PhantomMotion
 from .phantom import load_contact as load_contact
+from .phantom import set_friction as set_friction
 from .phantom_motion import Breathing as Breathing
 from .phantom_motion import Move as Move
 from .phantom_motion import PhantomMotionParameters as PhantomMotionParameters
@@ -25,6 +27,8 @@ from .posture import solve_posture as solve_posture
 from .probe_body import AddProbeBody as AddProbeBody
 from .probe_body import AssumedBody as AssumedBody
 from .probe_body import ProbeBody as ProbeBody
+from .probe_body import distance_to_probe as distance_to_probe
 from .probe_body import dome_semi_axes as dome_semi_axes
 from .probe_stepper import ProbeStepper as ProbeStepper
 from .wrist_force_sensor import WristForceSensor as WristForceSensor
+from .wrist_force_sensor import WristSensorParameters as WristSensorParameters

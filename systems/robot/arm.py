@@ -1,12 +1,15 @@
 """Arm with its probe, described by a YAML file, in any plant."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import ModelDirective
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import (
+    FixedOffsetFrame,
+    Frame,
     Joint,
     JointIndex,
     ModelInstanceIndex,
@@ -80,12 +83,15 @@ class ArmWithProbe:
         Body of the probe, whose frame is P.
     wrist
         Index of the weld between flange and probe. A wrist force sensor measures its reaction.
+    frame
+        Frame P, as calibrated.
     """
 
     plant: MultibodyPlant
     model_instance: ModelInstanceIndex
     probe: RigidBody
     wrist: JointIndex
+    frame: Frame
 
     @property
     def home(self) -> NDArray[np.float64]:
@@ -200,7 +206,8 @@ def AddArmWithProbe(plant: MultibodyPlant, arm: Arm, body: ProbeBody) -> ArmWith
         plant.GetFrameByName("wrist_sensor", probe),
         body.mount.GetDeterministicValue(),
     )
-    return ArmWithProbe(plant, instance, plant.GetBodyByName("probe", probe), wrist.index())
+    link = plant.GetBodyByName("probe", probe)
+    return ArmWithProbe(plant, instance, link, wrist.index(), link.body_frame())
 
 
 def set_servo_gains(arm: ArmWithProbe, servo: JointServo) -> None:
@@ -209,9 +216,20 @@ def set_servo_gains(arm: ArmWithProbe, servo: JointServo) -> None:
         motor.set_controller_gains(PdControllerGains(p=p, d=d))
 
 
-def MakeArmPlant(arm: Arm, body: ProbeBody) -> ArmWithProbe:
-    """Return an arm and its probe in a finalized plant of their own, for kinematics."""
+def MakeArmPlant(arm: Arm, body: ProbeBody, X_PC: RigidTransform | None = None) -> ArmWithProbe:
+    """Return an arm and its probe in a finalized plant of their own, for kinematics.
+
+    Parameters
+    ----------
+    arm, body
+        The arm and the body of its probe.
+    X_PC
+        Pose of the calibrated probe frame in the true one; by default they are the same.
+    """
     plant = MultibodyPlant(time_step=0)
     placed = AddArmWithProbe(plant, arm, body)
+    if X_PC is not None and not X_PC.IsExactlyIdentity():
+        calibrated = FixedOffsetFrame("calibrated_probe", placed.frame, X_PC)
+        placed = replace(placed, frame=plant.AddFrame(calibrated))
     plant.Finalize()
     return placed

@@ -6,25 +6,39 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import ContactResults
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
+from sonoservo.systems.signals.body_surface import BodySurface
 from sonoservo.systems.signals.ports import evaluate
 
 
-def normal_force(contact: ContactResults, X_WT: RigidTransform) -> float:
-    """Return the force in N that presses the phantom's top down, summed over all contacts.
+def normal_force(
+    contact: ContactResults, X_WT: RigidTransform, surface: BodySurface | None = None
+) -> float:
+    """Return the force in N that presses the phantom's top inwards, summed over all contacts.
 
     Parameters
     ----------
     contact
         Contacts of a plant in which only probe and phantom touch.
     X_WT
-        Pose of the phantom, along whose Z axis the force is taken.
+        Pose of the phantom.
+    surface
+        Surface of the phantom, along whose normal at the contact the force is taken; the top is
+        level by default.
     """
     total = np.zeros(3)
+    normal = X_WT.rotation().matrix()[:, 2]
+    place = None
     for i in range(contact.num_hydroelastic_contacts()):
-        total += contact.hydroelastic_contact_info(i).F_Ac_W().translational()
+        patch = contact.hydroelastic_contact_info(i)
+        total += patch.F_Ac_W().translational()
+        place = patch.contact_surface().centroid()
     for i in range(contact.num_point_pair_contacts()):
-        total += contact.point_pair_contact_info(i).contact_force()
-    return float(abs(X_WT.rotation().matrix()[:, 2] @ total))
+        pair = contact.point_pair_contact_info(i)
+        total += pair.contact_force()
+        place = pair.contact_point()
+    if surface is not None and surface.is_curved and place is not None:
+        normal = X_WT.rotation().multiply(surface.normal(X_WT.inverse().multiply(place)))
+    return float(abs(normal @ total))
 
 
 class ContactForce(LeafSystem):
@@ -41,10 +55,16 @@ class ContactForce(LeafSystem):
 
     `contact_results` is the plant's ContactResults, and `X_WT` is a RigidTransform.
     `contact_force` has one element, in N. Ground truth must not be used for control.
+
+    Parameters
+    ----------
+    surface
+        Surface of the phantom; level by default.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, surface: BodySurface | None = None) -> None:
         super().__init__()
+        self._surface = surface
         self.DeclareAbstractInputPort("contact_results", Value[ContactResults]())
         self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
         self.DeclareVectorOutputPort("contact_force", 1, self._calc_contact_force)
@@ -52,4 +72,4 @@ class ContactForce(LeafSystem):
     def _calc_contact_force(self, context: Context, output: BasicVector) -> None:
         contact = self.GetInputPort("contact_results").Eval(context)
         X_WT = evaluate(self, context, "X_WT", RigidTransform)
-        output.SetAtIndex(0, normal_force(contact, X_WT))
+        output.SetAtIndex(0, normal_force(contact, X_WT, self._surface))

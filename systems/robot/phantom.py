@@ -1,17 +1,20 @@
 """Phantom on its moving stage, in any plant."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 from pydrake.geometry import (
     AddCompliantHydroelasticProperties,
     AddContactMaterial,
     Box,
     Cylinder,
+    Ellipsoid,
     ProximityProperties,
+    RoleAssign,
     SceneGraph,
+    Shape,
 )
-from pydrake.math import RigidTransform
+from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex, PdControllerGains, RigidBody
@@ -23,10 +26,14 @@ from sonoservo.models import model_path
 from sonoservo.systems.files.model_file import model_file, read_section
 from sonoservo.systems.files.typed_yaml import load_typed
 from sonoservo.systems.robot.motors import motors
+from sonoservo.systems.signals.body_surface import BodySurface
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 
 _TRAY, _POST = 0.006, 0.1
 """Heights of the tray and the post on which the phantom stands, in m."""
+
+_RESOLUTION = 0.01
+"""Edge in m of the triangles of a curved body; the surface of 60 mm radius is true to 0.2 mm."""
 
 
 # Drake treats these gains implicitly, so stiffness costs no stability. The stage is ideal, because
@@ -41,13 +48,15 @@ class PhantomContact:
     Parameters
     ----------
     hydroelastic_modulus
-        Scale of the pressure field in Pa, which differs from Young's modulus.
+        Pressure at the body's middle in Pa, which differs from Young's modulus: the pressure rises
+        from 0 at the surface, so twice as thick a body needs twice the modulus to be as stiff.
     hunt_crossley_dissipation
         Dissipation in s/m.
     point_contact_stiffness
         Stiffness in N/m for the contact model "point".
     friction
-        Coefficient of friction.
+        Coefficient of friction between the surface and a probe's face: 0.02 with gel; 0.3 to 0.6
+        on dry skin (Zhang and Mak 1999).
     """
 
     hydroelastic_modulus: float = 67e3
@@ -99,7 +108,7 @@ def AddPhantom(
     plant: MultibodyPlant,
     scene_graph: SceneGraph,
     *,
-    size: Sequence[float],
+    surface: BodySurface,
     contact: PhantomContact | None = None,
 ) -> Phantom:
     """Add a phantom on its stage to a plant, with the stage's origin at the origin of W.
@@ -108,40 +117,76 @@ def AddPhantom(
     ----------
     plant, scene_graph
         Plant, not yet finalized, and its scene graph.
-    size
-        (3,) extents of the box along X, Y, Z of T, in m.
+    surface
+        Surface of its body.
     contact
-        Contact properties of its surface; those of agar by default.
+        Contact properties of that surface; those of agar by default.
     """
     contact = contact or PhantomContact()
     (instance,) = Parser(plant).AddModels(str(model_path("phantoms/phantom.sdf")))
     phantom, column = (plant.GetBodyByName(name, instance) for name in ("phantom", "stage_z"))
-    x, y, z = size
-    surface = ProximityProperties()
-    # The resolution hint is required but unused, as a box's mesh follows from its medial axis.
-    AddCompliantHydroelasticProperties(1.0, contact.hydroelastic_modulus, surface)
+    x, y, z = surface.size
+    properties = ProximityProperties()
+    # The resolution hint is not used for a box, whose mesh follows from its medial axis.
+    hint = _RESOLUTION if surface.is_curved else 1.0
+    AddCompliantHydroelasticProperties(hint, contact.hydroelastic_modulus, properties)
     AddContactMaterial(
         dissipation=contact.hunt_crossley_dissipation,
         point_stiffness=contact.point_contact_stiffness,
         friction=CoulombFriction(contact.friction, contact.friction),
-        properties=surface,
+        properties=properties,
     )
-    plant.RegisterCollisionGeometry(
-        phantom, RigidTransform([0, 0, -z / 2]), Box(x, y, z), "box", surface
-    )
+    body, X_TBody = _shape(surface)
+    plant.RegisterCollisionGeometry(phantom, X_TBody, body, "box", properties)
     box, tray = plant.GetVisualGeometriesForBody(phantom)
     (post,) = plant.GetVisualGeometriesForBody(column)
-    for geometry, shape, centre in (
-        (box, Box(x, y, z), -z / 2),
-        (tray, Box(x + 0.02, y + 0.02, _TRAY), -z - 0.001 - _TRAY / 2),
-        (post, Cylinder(0.03, _POST), -z - _TRAY - _POST / 2),
+    for geometry, shape, pose in (
+        (box, body, X_TBody),
+        (tray, Box(x + 0.02, y + 0.02, _TRAY), RigidTransform([0, 0, -z - 0.001 - _TRAY / 2])),
+        (post, Cylinder(0.03, _POST), RigidTransform([0, 0, -z - _TRAY - _POST / 2])),
     ):
-        scene_graph.ChangeShape(
-            plant.get_source_id(), geometry, shape, RigidTransform([0, 0, centre])
-        )
+        scene_graph.ChangeShape(plant.get_source_id(), geometry, shape, pose)
     for motor in motors(plant, instance):
         motor.set_controller_gains(_STAGE_GAINS)
     return Phantom(instance, phantom)
+
+
+def set_friction(
+    plant: MultibodyPlant, scene_graph: SceneGraph, probe: RigidBody, friction: float
+) -> None:
+    """Set the coefficient of friction of a probe's face to that of the phantom it is to touch.
+
+    Drake combines the coefficients a and b of two bodies to 2 a b / (a + b), so that equal ones
+    hold for the pair.
+
+    Parameters
+    ----------
+    plant, scene_graph
+        Plant, not yet finalized, and its scene graph.
+    probe
+        Body of the probe.
+    friction
+        Coefficient of friction.
+    """
+    for geometry in plant.GetCollisionGeometriesForBody(probe):
+        found = scene_graph.model_inspector().GetProximityProperties(geometry)
+        properties = ProximityProperties(found)
+        properties.UpdateProperty(
+            "material", "coulomb_friction", CoulombFriction(friction, friction)
+        )
+        scene_graph.AssignRole(plant.get_source_id(), geometry, properties, RoleAssign.kReplace)
+
+
+def _shape(surface: BodySurface) -> tuple[Shape, RigidTransform]:
+    """Return a body's shape and its pose in T."""
+    x, y, z = surface.size
+    centre = [0, 0, -z / 2]
+    if surface.shape == "cylinder":
+        along_x = RotationMatrix.MakeYRotation(np.pi / 2)
+        return Cylinder(z / 2, x), RigidTransform(along_x, centre)
+    if surface.shape == "ellipsoid":
+        return Ellipsoid(x / 2, y / 2, z / 2), RigidTransform(centre)
+    return Box(x, y, z), RigidTransform(centre)
 
 
 def PhantomMotion(*, trajectory: Trajectory) -> Diagram:

@@ -4,20 +4,28 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.inverse_kinematics import InverseKinematics
-from pydrake.solvers import Solve
+from pydrake.solvers import MathematicalProgramResult, Solve
 
 from sonoservo.systems.robot.arm import ArmWithProbe
+from sonoservo.systems.signals.body_surface import BodySurface
 
 _LEVER = 0.1
 _TOLERANCE = 1e-6
 
 
 def probe_pose(
-    *, X_WT: RigidTransform, x: float, y: float, yaw: float, height: float
+    *,
+    X_WT: RigidTransform,
+    x: float,
+    y: float,
+    yaw: float,
+    height: float,
+    surface: BodySurface | None = None,
 ) -> RigidTransform:
-    """Return the pose X_WP of a probe that looks straight down on the phantom's top.
+    """Return the pose X_WP of a probe that looks along the normal of the phantom's top.
 
     Parameters
     ----------
@@ -26,12 +34,26 @@ def probe_pose(
     x, y
         Position of the probe on the top, in T, in m.
     yaw
-        Angle from X_T to X_P about Z_T, in rad; at zero Z_P is Y_T.
+        Angle from X_T to X_P about the normal, in rad; at zero Z_P is Y_T on a level top.
     height
-        Height of the probe's face above the top, in m.
+        Height of the probe's face above the top, along the normal, in m.
+    surface
+        Surface of the phantom; level by default.
+
+    Raises
+    ------
+    ValueError
+        If the position is not on top of the phantom.
     """
     R_TP = RotationMatrix.MakeZRotation(yaw) @ RotationMatrix.MakeXRotation(-np.pi / 2)
-    return X_WT @ RigidTransform(R_TP, [x, y, height])
+    if surface is None or not surface.is_curved:
+        return X_WT @ RigidTransform(R_TP, [x, y, height])
+    foot = np.array([x, y, surface.height(x, y)])
+    normal = surface.normal(foot)
+    # The shortest turn from the vertical to the normal.
+    half = np.array([1 + normal[2], -normal[1], normal[0], 0.0])
+    tilt = RotationMatrix(Quaternion(half / np.linalg.norm(half)))
+    return X_WT @ RigidTransform(tilt @ R_TP, foot + height * normal)
 
 
 def solve_posture(
@@ -59,6 +81,30 @@ def solve_posture(
         If the arm cannot reach the pose.
     """
     near = arm.home if near is None else near
+    result = _solve(arm, X_WP, near, start=near)
+    if not result.is_success():
+        # A redundant arm finds its nearest posture more easily from one that reaches the pose.
+        any_posture = _solve(arm, X_WP, None, start=near)
+        if any_posture.is_success():
+            nearest = _solve(arm, X_WP, near, start=any_posture.get_x_val())
+            result = nearest if nearest.is_success() else any_posture
+    if not result.is_success():
+        p = X_WP.translation()
+        angles = np.rad2deg(RollPitchYaw(X_WP.rotation()).vector())
+        raise ValueError(
+            f"the arm cannot reach the probe pose x {p[0]:.3f}, y {p[1]:.3f}, z {p[2]:.3f} m, "
+            f"roll {angles[0]:.1f}, pitch {angles[1]:.1f}, yaw {angles[2]:.1f} deg in the world"
+        )
+    return result.get_x_val()
+
+
+def _solve(
+    arm: ArmWithProbe,
+    X_WP: RigidTransform,
+    near: NDArray[np.float64] | None,
+    start: NDArray[np.float64],
+) -> MathematicalProgramResult:
+    """Search from a start for the posture nearest to another; None takes any posture."""
     world = arm.plant.world_frame()
     problem = InverseKinematics(arm.plant)
     # Three points determine position and orientation without the singularity of a zero angle.
@@ -68,17 +114,10 @@ def solve_posture(
             arm.probe.body_frame(), point, world, p_W - _TOLERANCE, p_W + _TOLERANCE
         )
     q = problem.q()
-    problem.prog().AddQuadraticErrorCost(np.eye(len(q)), near, q)
-    problem.prog().SetInitialGuess(q, near)
-    result = Solve(problem.prog())
-    if not result.is_success():
-        p = X_WP.translation()
-        angles = np.rad2deg(RollPitchYaw(X_WP.rotation()).vector())
-        raise ValueError(
-            f"the arm cannot reach the probe pose x {p[0]:.3f}, y {p[1]:.3f}, z {p[2]:.3f} m, "
-            f"roll {angles[0]:.1f}, pitch {angles[1]:.1f}, yaw {angles[2]:.1f} deg in the world"
-        )
-    return result.GetSolution(q)
+    if near is not None:
+        problem.prog().AddQuadraticErrorCost(np.eye(len(q)), near, q)
+    problem.prog().SetInitialGuess(q, start)
+    return Solve(problem.prog())
 
 
 def reachable(

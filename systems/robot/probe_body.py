@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.common.schema import Transform
 from pydrake.geometry import (
     AddContactMaterial,
@@ -14,16 +15,21 @@ from pydrake.geometry import (
 )
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.parsing import ModelDirective
-from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
+from pydrake.multibody.plant import (
+    AddMultibodyPlantSceneGraph,
+    CoulombFriction,
+    MultibodyPlant,
+)
 from pydrake.multibody.tree import (
     FixedOffsetFrame,
     ModelInstanceIndex,
     SpatialInertia,
     UnitInertia,
 )
+from pydrake.systems.framework import DiagramBuilder
 
 from sonoservo.systems.robot.directives import add_directives
-from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import require, require_positive
 
 _MARGIN = 5e-3
 """Assumed width and depth in m of the housing's rim around a flat array."""
@@ -44,14 +50,11 @@ class AssumedBody:
         Mass in kg, spread evenly along the probe's length.
     length
         Distance from the centre of the face to the wrist force sensor, in m.
-    friction
-        Coefficient of friction of the face.
     """
 
     dome: list[float] = field(default_factory=list)
     mass: float = 0.5
     length: float = 0.2
-    friction: float = 0.02
 
     def __post_init__(self) -> None:
         require(
@@ -61,7 +64,6 @@ class AssumedBody:
             "three lengths above 0, in m",
         )
         require_positive(mass=self.mass, length=self.length)
-        require_not_negative(friction=self.friction)
 
 
 def _in_line_with_the_flange() -> Transform:
@@ -139,6 +141,26 @@ def AddProbeBody(plant: MultibodyPlant, body: ProbeBody) -> ModelInstanceIndex:
     return instance
 
 
+def distance_to_probe(body: ProbeBody, points: NDArray[np.float64]) -> float:
+    """Return the smallest distance in m of points from a probe's body, negative inside it.
+
+    Parameters
+    ----------
+    body
+        Body of the probe, of which the shapes that touch the phantom count.
+    points
+        (m, 3) points in P, in m.
+    """
+    builder = DiagramBuilder()
+    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.0)
+    AddProbeBody(plant, body)
+    plant.Finalize()
+    context = builder.Build().CreateDefaultContext()
+    query = scene_graph.get_query_output_port().Eval(scene_graph.GetMyContextFromRoot(context))
+    near = [each for point in points for each in query.ComputeSignedDistanceToPoint(point)]
+    return min((each.distance for each in near), default=np.inf)
+
+
 def _add_assumed_body(plant: MultibodyPlant, body: AssumedBody) -> ModelInstanceIndex:
     instance = plant.AddModelInstance("probe")
     length = body.length
@@ -158,7 +180,8 @@ def _add_assumed_body(plant: MultibodyPlant, body: AssumedBody) -> ModelInstance
         return instance
     contact = ProximityProperties()
     AddRigidHydroelasticProperties(0.6 * max(a, b, c), contact)
-    AddContactMaterial(friction=CoulombFriction(body.friction, body.friction), properties=contact)
+    # The phantom's contact sets the friction of the two.
+    AddContactMaterial(friction=CoulombFriction(0.0, 0.0), properties=contact)
     dome, apex = Ellipsoid(a, b, c), RigidTransform([0.0, -b, 0.0])
     plant.RegisterCollisionGeometry(link, apex, dome, "dome", contact)
     plant.RegisterVisualGeometry(link, apex, dome, "dome", _DOME_COLOUR)

@@ -1,5 +1,7 @@
 """Leaf system that simulates a force sensor between flange and probe."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import Value
@@ -7,7 +9,35 @@ from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.tree import JointIndex
 from pydrake.systems.framework import Context, LeafSystem
 
-from sonoservo.systems.signals.requirements import require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+
+
+@dataclass(kw_only=True)
+class WristSensorParameters:
+    """Noise and errors of the wrist force sensor.
+
+    Parameters
+    ----------
+    force_noise, torque_noise
+        Standard deviation of the wrist sensor's samples, in N and N m.
+    force_bias, torque_bias
+        Constant error of each of the wrist sensor's components, in N and N m.
+    force_drift, torque_drift
+        Rate at which the error of each of the wrist sensor's components grows, in N/s and N m/s.
+    """
+
+    force_noise: float = 0.02
+    torque_noise: float = 0.001
+    force_bias: float = 0.0
+    torque_bias: float = 0.0
+    force_drift: float = 0.0
+    torque_drift: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_not_negative(force_noise=self.force_noise, torque_noise=self.torque_noise)
+        for name in ("force_bias", "torque_bias", "force_drift", "torque_drift"):
+            value = getattr(self, name)
+            require(bool(np.isfinite(value)), name, value, "a number")
 
 
 class WristForceSensor(LeafSystem):
@@ -23,15 +53,15 @@ class WristForceSensor(LeafSystem):
 
     `wrist_force` is the SpatialForce, in N m and N, that the arm applies to the probe at the
     sensor. Its axes are parallel to those of the probe frame P. Like a real sensor, it also
-    measures the weight and the inertia of everything mounted on it. `reaction_forces` is the
-    plant's list of joint reactions.
+    measures the weight and the inertia of everything mounted on it. Noise and a bias, which grows
+    linearly with time, are added. `reaction_forces` is the plant's list of joint reactions.
 
     Parameters
     ----------
     wrist
         Index of the joint that contains the sensor.
-    force_noise, torque_noise
-        Standard deviations of the noise of a force, in N, and of a torque, in N m.
+    parameters
+        Noise and errors.
     period
         Sampling period in s. The noise is constant within a period.
     seed
@@ -42,16 +72,17 @@ class WristForceSensor(LeafSystem):
         self,
         *,
         wrist: JointIndex,
-        force_noise: float,
-        torque_noise: float,
+        parameters: WristSensorParameters,
         period: float,
         seed: int,
     ):
-        require_not_negative(force_noise=force_noise, torque_noise=torque_noise, seed=seed)
+        require_not_negative(seed=seed)
         require_positive(period=period)
         super().__init__()
         self._wrist = int(wrist)
-        self._deviation = np.repeat([torque_noise, force_noise], 3)
+        self._deviation = np.repeat([parameters.torque_noise, parameters.force_noise], 3)
+        self._bias = np.repeat([parameters.torque_bias, parameters.force_bias], 3)
+        self._drift = np.repeat([parameters.torque_drift, parameters.force_drift], 3)
         self._period = period
         self._random = np.random.Generator(np.random.Philox(key=seed))
         self._random_state = self._random.bit_generator.state
@@ -65,7 +96,9 @@ class WristForceSensor(LeafSystem):
 
     def _calc_wrist_force(self, context: Context, output: Value) -> None:
         reaction = self.GetInputPort("reaction_forces").Eval(context)[self._wrist]
-        output.set_value(reaction + SpatialForce(self._noise(context.get_time())))
+        time = context.get_time()
+        error = self._noise(time) + self._bias + self._drift * time
+        output.set_value(reaction + SpatialForce(error))
 
     def _noise(self, time: float) -> NDArray[np.float64]:
         # The noise depends on the sample's number, so the sensor is repeatable without a state.

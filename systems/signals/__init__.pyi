@@ -1,6 +1,7 @@
 from .acquisition import Acquired as Acquired
 from .acquisition import acquired_from as acquired_from
 from .blur import blur_covariance as blur_covariance
+from .body_surface import BodySurface as BodySurface
 from .cross_section import CrossSection as CrossSection
 from .cross_section_track import CrossSectionTrack as CrossSectionTrack
 from .image_slice import ImageSlice as ImageSlice
@@ -14,6 +15,7 @@ from .localization_explanation import LocalizationAttempt as LocalizationAttempt
 from .localization_explanation import LocalizationExplanation as LocalizationExplanation
 from .localization_explanation import NeedleExtent as NeedleExtent
 from .localization_explanation import SearchRegion as SearchRegion
+from .motion_record import MotionRecord as MotionRecord
 from .needle import Needle as Needle
 from .needle_curve import NeedleCurve as NeedleCurve
 from .needle_estimate import NeedleEstimate as NeedleEstimate

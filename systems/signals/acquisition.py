@@ -18,7 +18,7 @@ class Acquired(Protocol):
 
     @property
     def motion(self) -> SweepMotion | None:
-        """When and from where each frame was acquired; None if that is not known."""
+        """Time and pose of each frame; None if unknown."""
 
 
 def acquired_from(volume: Acquired, p_W: ArrayLike) -> NDArray[np.float64]:

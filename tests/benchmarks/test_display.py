@@ -108,6 +108,7 @@ def run_once(scenario, meshcat=None, monitor=None):
     return time.perf_counter() - start
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("watched", [False, True], ids=["no browser", "a page each"])
 def test_a_run_with_both_screens(benchmark, watched):
     """With the film for the replay; without a display it is timed in between."""

@@ -139,6 +139,7 @@ WORLDS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("world", WORLDS)
 def test_render_harder_worlds(benchmark, world):
     """Against the clean phantom of the same size, rendered by turns; the probe moves."""

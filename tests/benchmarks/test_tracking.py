@@ -96,6 +96,7 @@ def candidate_sets(request):
     return calls
 
 
+@pytest.mark.slow
 def test_ransac(benchmark, candidate_sets):
     rng = np.random.default_rng(0)
 

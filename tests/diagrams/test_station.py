@@ -20,9 +20,10 @@ from sonoservo.diagrams.station import (
 from sonoservo.systems.control.force_law import pressing_force
 from sonoservo.systems.robot.phantom import PhantomMotion
 from sonoservo.systems.robot.posture import solve_posture
+from sonoservo.systems.robot.wrist_force_sensor import WristSensorParameters
 
 WEIGHT = 0.5 * 9.81
-QUIET = {"force_noise": 0.0, "torque_noise": 0.0}
+QUIET = {"wrist_sensor": WristSensorParameters(force_noise=0.0, torque_noise=0.0)}
 
 
 class Bench:
@@ -55,9 +56,7 @@ class Bench:
 
 @pytest.fixture(scope="module")
 def resting():
-    parameters = StationParameters(
-        probe=ProbePlacement(x=0.02, y=-0.01, yaw_deg=30), force_noise=0.0, torque_noise=0.0
-    )
+    parameters = StationParameters(probe=ProbePlacement(x=0.02, y=-0.01, yaw_deg=30), **QUIET)
     return parameters, Bench(parameters).run(0.5)
 
 
@@ -184,7 +183,6 @@ def plant(**settings):
         (lambda: plant(time_step=0.0), "plant.time_step"),
         (lambda: plant(contact_model="soft"), "plant.contact_model.*hydroelastic or point"),
         (lambda: plant(discrete_contact_approximation="x"), "plant.discrete_contact.*or sap"),
-        (lambda: StationParameters(force_noise=-1.0), "force_noise"),
         (lambda: StationParameters(phantom_position=[0.1, 0.1]), "phantom_position"),
         (lambda: ProbePlacement(height=-0.01), "height"),
         (lambda: ProbePlacement(yaw_deg=float("nan")), "yaw_deg"),

@@ -50,6 +50,7 @@ def build_insertion_log() -> RunLog:
         len(volume_time),
         time=time,
         X_WP=X_WP,
+        measured_X_WP=X_WP,
         X_WT=np.tile(np.eye(4), (len(time), 1, 1)),
         needle_tip=tip,
         needle_entry=entry,

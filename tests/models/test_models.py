@@ -83,7 +83,7 @@ def test_every_model_parses_and_steps(name):
 def test_the_models_asked_for_are_there():
     assert set(ROBOTS) == set(DH)
     assert PROBES == ["4dc7_3_40", "trus", "zhao2012"]
-    assert PHANTOMS == ["agar", "beef", "liver", "prostate"]
+    assert PHANTOMS == ["abdomen", "agar", "beef", "limb", "liver", "prostate"]
     assert {"robots/viper_s850.urdf", "probes/4dc7_3_40.sdf", "phantoms/phantom.sdf"} <= set(MODELS)
 
 

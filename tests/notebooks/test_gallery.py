@@ -9,6 +9,7 @@ from PIL import Image
 GALLERY = Path(__file__).parents[2] / "notebooks" / "gallery.py"
 
 
+@pytest.mark.slow
 def test_gallery_runs_and_its_figures_say_what_they_should(tmp_path, monkeypatch):
     matplotlib.use("Agg")
     monkeypatch.chdir(tmp_path)

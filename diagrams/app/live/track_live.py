@@ -1,6 +1,5 @@
 """Tracking on a live connection: the estimate for each volume is sent as soon as it is known."""
 
-import csv
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
@@ -10,10 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydrake.common.value import Value
 
-from sonoservo.diagrams.app.estimates_table import estimate_row
-from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
+from sonoservo.diagrams.app.estimates_table import EstimatesTable, estimate_row
+from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, track_volume
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
 from sonoservo.systems.files.writing import write_json
 from sonoservo.systems.live.connection.link import Link
@@ -118,7 +116,11 @@ def track_live(
     tracker: Any = None
     context: Any = None
     interrupted = False
-    table = _Table(out / "estimates.csv") if out is not None else None
+    stream = None
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        stream = (out / "estimates.csv").open("w", newline="", encoding="utf-8")
+    table = EstimatesTable(stream) if stream is not None else None
     try:
         for number, volume in enumerate(live_volumes(source, limits or LiveLimits(), say)):
             newest = source.newest
@@ -132,10 +134,7 @@ def track_live(
                 )
                 context = tracker.CreateDefaultContext()
             began = time.perf_counter()
-            context.SetTime(volume.time)
-            tracker.GetInputPort("volume").FixValue(context, Value[object](volume))
-            tracker.ExecuteForcedEvents(context)
-            estimate: NeedleEstimate = tracker.GetOutputPort("estimate").Eval(context)
+            estimate = track_volume(tracker, context, volume)
             ended = time.perf_counter()
             for outlet in outlets:
                 outlet.send(needle_items(estimate, names, newest.image.time), topic="estimate")
@@ -152,8 +151,8 @@ def track_live(
     except KeyboardInterrupt:
         interrupted = True
     finally:
-        if table is not None:
-            table.close()
+        if stream is not None:
+            stream.close()
     summary = {
         "scenario": str(source.address),
         "version": version("sonoservo"),
@@ -185,24 +184,3 @@ def _spread(seconds: Any) -> dict[str, float | None]:
         "p99": float(np.quantile(ms, 0.99)),
         "max": float(ms.max()),
     }
-
-
-class _Table:
-    """CSV file that is valid after every line."""
-
-    def __init__(self, path: Path) -> None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._file = path.open("w", newline="", encoding="utf-8")
-        self._writer: csv.DictWriter[str] | None = None
-
-    def append(self, row: dict[str, Any]) -> None:
-        if self._writer is None:
-            self._writer = csv.DictWriter(self._file, list(row), lineterminator="\n")
-            self._writer.writeheader()
-        self._writer.writerow(
-            {k: "" if isinstance(v, float) and v != v else v for k, v in row.items()}
-        )
-        self._file.flush()
-
-    def close(self) -> None:
-        self._file.close()

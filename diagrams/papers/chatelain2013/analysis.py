@@ -14,7 +14,12 @@ from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.diagrams.scenario import require_scenario
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.systems.evaluation.log import read_log
-from sonoservo.systems.evaluation.run_errors import at_times, estimate_errors, features
+from sonoservo.systems.evaluation.run_errors import (
+    at_times,
+    estimate_errors,
+    features,
+    in_frame,
+)
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 
@@ -123,15 +128,12 @@ def volumes(log: RunLog, curve_deviation: Floats) -> Volumes:
     dated = np.isfinite(log.volume_estimate_time)
     time = np.where(dated, log.volume_estimate_time, log.volume_time)
     visible = np.nan_to_num(at_times(log, log.visible_length, time))
-    X_WP = at_times(log, log.X_WP, time)
+    X_WP, measured = (at_times(log, each, time) for each in (log.X_WP, log.measured_X_WP))
     tip, entry = (at_times(log, each, time) for each in (log.needle_tip, log.needle_entry))
     errors = estimate_errors(log)
     tracked = log.volume_estimate_mode == TrackingMode.TRACKING
     coasting = log.volume_estimate_mode == TrackingMode.COASTING
     found = np.cumsum(tracked) > 0
-
-    def in_probe(p_W: Floats) -> Floats:
-        return np.einsum("vji,vj->vi", X_WP[:, :3, :3], p_W - X_WP[:, :3, 3])
 
     return Volumes(
         enough=visible >= ENOUGH_IN_VIEW,
@@ -141,9 +143,9 @@ def volumes(log: RunLog, curve_deviation: Floats) -> Volumes:
         axis=_or_infinite(errors.axis),
         curve=_or_infinite(curve_deviation),
         true=features(X_WP, tip, entry),
-        estimated=features(X_WP, log.volume_estimate_tip, log.volume_estimate_entry),
-        p_PTip=in_probe(tip),
-        p_PTip_estimated=in_probe(log.volume_estimate_tip),
+        estimated=features(measured, log.volume_estimate_tip, log.volume_estimate_entry),
+        p_PTip=in_frame(X_WP, tip),
+        p_PTip_estimated=in_frame(measured, log.volume_estimate_tip),
         track_time=np.asarray(log.compute["track"]),
     )
 
@@ -243,7 +245,7 @@ def recovery_times(log: RunLog, scenario: FollowingScenario) -> list[float]:
 def lag(log: RunLog, scenario: FollowingScenario) -> float:
     """Return the mean |X| of the true tip at the end of the last push, in m; NaN if not reached."""
     hand = scenario.hand
-    end = hand.start + sum(push.duration for push in hand.pushes)
+    end = (hand.start or 0.0) + sum(push.duration for push in hand.pushes)
     during = (log.time >= end - _LAG_TIME) & (log.time <= end)
     if log.time[-1] < end:
         return float("nan")

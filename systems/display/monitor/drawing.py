@@ -27,6 +27,7 @@ from sonoservo.systems.display.shapes import sector_edges
 from sonoservo.systems.display.textured_quads import encode_png
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.planes import box_edges, sample_plane
+from sonoservo.systems.signals.search_advice import search_advice
 from sonoservo.systems.signals.volume import Volume
 
 Floats = NDArray[np.float64]
@@ -60,6 +61,7 @@ _LAYOUT: dict[str, tuple[list[float], float, Colour]] = {
     "tip": ([0, 0.17], 0.065, _BRIGHT),
     "features": ([0, 0.255], 0.032, _DIM),
     "reason": ([0, 0.305], 0.026, _DIM),
+    "advice": ([0, 0.340], 0.020, _DIM),
 }
 """Upper left corner, size and colour of each reading."""
 
@@ -218,9 +220,12 @@ def readings(volume: Volume, estimate: NeedleEstimate | None, number: int) -> di
         "time": f"{volume.time:.2f} s",
         "mode": str(estimate.mode) if estimate is not None else "no tracker",
         "reason": estimate.reason if estimate is not None else "",
+        "advice": "",
         "tip": "",
         "features": "",
     }
+    if estimate is not None and estimate.curve is None:
+        said["advice"] = search_advice(estimate.reason)
     if estimate is not None and estimate.curve is not None:
         entry, tip = volume.to_probe([estimate.curve.entry, estimate.curve.tip])
         x, z, theta = needle_features(tip, tip - entry) * [1e3, 1e3, np.rad2deg(1)]

@@ -52,12 +52,20 @@ class Control:
 
 
 def operator_controls(
-    *, azimuth_deg: float, dip_deg: float, gain: float, force: float, min_force: float
+    *,
+    depth: float = 0.0,
+    azimuth_deg: float,
+    dip_deg: float,
+    gain: float,
+    force: float,
+    min_force: float,
 ) -> list[Control]:
     """Return the controls of the needle, the phantom and the controller.
 
     Parameters
     ----------
+    depth
+        Initial inserted length of the needle, in m.
     azimuth_deg, dip_deg
         Initial azimuth and dip of the needle, in deg.
     gain, force
@@ -67,7 +75,8 @@ def operator_controls(
     """
     return [
         Control(port="needle_target", label="depth (mm) S W", unit=1e-3, least=-5,
-                most=100, step=1, keys=("KeyS", "KeyW"), axis=1, rate=-20),
+                most=max(100, 1e3 * depth + 60), step=1, start=1e3 * depth, keys=("KeyS", "KeyW"),
+                axis=1, rate=-20),
         Control(port="needle_target", label="turn (deg) A D", unit=_DEG, least=-360,
                 most=360, step=5, keys=("KeyA", "KeyD"), axis=0, rate=90),
         Control(port="needle_target", label="azimuth (deg)", unit=_DEG,

@@ -25,6 +25,7 @@ from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.planes import sample_plane, slice_planes
 from sonoservo.systems.signals.ports import evaluate
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.search_advice import search_words
 from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.signals.volume import Volume
 
@@ -121,7 +122,7 @@ class WorldView(LeafSystem):
     - ``slices``: two slices of each new `volume` at the pose of its acquisition: one along the
       needle and the beam, one along the needle across the beam (Chatelain 2013, fig. 3)
     - ``screen``: both slices upright, with the probe at the top
-    - ``phase``: the tracking mode, in the estimate's colour
+    - ``phase``: the tracking mode, in the estimate's colour, and why no needle is found
     - ``force``: the `contact_force` in N with which the probe presses, as an arrow at its face
     - ``legend``: the meaning of the colours
 
@@ -176,6 +177,8 @@ class WorldView(LeafSystem):
             frames=parameters.film_frames, period=parameters.film_period,
         )  # fmt: skip
         self._phase = Label(meshcat=meshcat, path=f"{path}/phase", height=0.03, width=width)
+        self._reason = Label(meshcat=meshcat, path=f"{path}/phase/reason", height=0.02, width=width)
+        meshcat.SetTransform(f"{path}/phase/reason", RigidTransform([0.0, -0.026, 0.0]))
         above, below = [0.0, -0.5 * height - 0.02, 0.0], [0.0, 0.5 * height + 0.005, 0.0]
         meshcat.SetTransform(f"{path}/phase", X_WS @ RigidTransform(above))
         draw_legend(meshcat, f"{path}/legend", X_WS @ RigidTransform(below), width, WORLD_LEGEND)
@@ -224,6 +227,8 @@ class WorldView(LeafSystem):
         colour = MODE_COLOURS[estimate.mode]
         seen = estimate.volume_time > -np.inf
         self._phase.show(estimate.mode if seen else _WAITING, time, ink(colour), colour)
+        none = estimate.curve is None
+        self._reason.show(search_words(estimate.reason) if none and seen else "", time)
         if estimate.curve is None:
             self._uncertainty.hide(time)
         else:

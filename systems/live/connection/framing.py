@@ -35,7 +35,7 @@ class MessageError(Exception):
 
 @dataclass(frozen=True)
 class Header:
-    """What a message's header says.
+    """Header of a message.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class Header:
     type, device
         For example ``IMAGE`` and ``Image_Probe``.
     time
-        In s.
+        Time in s.
     size
         Bytes of the body.
     crc
@@ -66,7 +66,7 @@ class Frame:
     Parameters
     ----------
     header
-        Of the message.
+        Header of the message.
     content
         Its body without extended header and metadata; None if the message was skipped.
     fault
@@ -104,7 +104,7 @@ def pack_frame(kind: str, device: str, time: float, content: bytes) -> bytes:
     kind, device
         At most 12 and 20 bytes.
     time
-        In s, from 0 to 2^32.
+        Time in s, from 0 to 2^32.
     content
         Its body.
 
@@ -149,7 +149,7 @@ class Framer:
 
     @property
     def buffer(self) -> memoryview:
-        """Where the next bytes belong."""
+        """Memory that takes the next bytes."""
         if self._header is not None and self._header.type not in self._wanted:
             return self._scrap[: self._header.size - self._filled]
         return self._target[self._filled :][: 1 << 18]
@@ -162,7 +162,7 @@ class Framer:
         return now - self._since > _HEADER_PATIENCE + size / _SLOWEST
 
     def advance(self, count: int, now: float) -> Iterator[Frame]:
-        """Take note of ``count`` bytes in `buffer`; give the message that they complete, if any.
+        """Take in ``count`` bytes of `buffer`; yield the message that they complete, if any.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""What travels over a live connection, whatever its protocol: in SI units, LPS where it is a place.
+"""Items that travel over a live connection, whatever its protocol; SI units, positions in LPS.
 
 The other program's frame is called L: LPS in m. Protocols convert from and to their own units and
 axes; nothing outside of them knows mm or RAS.
@@ -21,9 +21,9 @@ class Item(Immutable):
     Parameters
     ----------
     name
-        Of the device it comes from, by which receivers tell messages apart.
+        Name of the sending device, by which receivers tell messages apart.
     time
-        When what it holds was measured, in s, by the sender's clock.
+        Time of the measurement in s, by the sender's clock.
     """
 
     name: str
@@ -80,7 +80,7 @@ class TextItem(Item):
 
 @dataclass(frozen=True, eq=False)
 class StatusItem(Item):
-    """Whether all is well, and a sentence about it."""
+    """A state, good or not, and a sentence about it."""
 
     good: bool
     text: str

@@ -45,12 +45,12 @@ class Link:
     Parameters
     ----------
     address
-        Where to connect to or to listen.
+        Address to connect to or to listen on.
     receive
-        Called with every item that comes in and the time of its last byte
+        Function that is called with every received item and the time of its last byte
         (`time.perf_counter`); on the link's own thread, so it must be quick.
     report
-        Called with one line for a person, on any thread.
+        Function that is called with one line for a person, on any thread.
     """
 
     def __init__(

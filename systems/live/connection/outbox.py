@@ -1,4 +1,4 @@
-"""What waits to be sent to one peer: bounded, the oldest of its kind goes first when it is full."""
+"""Bounded queue of messages to one peer; when it is full, the oldest of a topic make way."""
 
 from collections import Counter, deque
 
@@ -30,11 +30,11 @@ class Outbox:
         Parameters
         ----------
         data
-            To be sent.
+            Message to send.
         topic
             Newer messages of a topic are worth more than older ones.
         keep
-            In the place of the outbox' own.
+            Overrides the outbox's own limit.
         """
         self._waiting.append((topic, data))
         self._counts[topic] += 1
@@ -53,5 +53,5 @@ class Outbox:
         return self._under_way
 
     def sent(self, count: int) -> None:
-        """Take note that so many bytes of it were sent."""
+        """Drop so many bytes that were sent."""
         self._under_way = self._under_way[count:]

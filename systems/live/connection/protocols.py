@@ -20,20 +20,20 @@ class StreamFramer(Protocol):
 
     @property
     def buffer(self) -> memoryview:
-        """Where the next bytes belong."""
+        """Memory that takes the next bytes."""
         ...
 
     def advance(self, count: int, now: float) -> Iterator[Any]:
-        """Take note of bytes in the buffer; give the messages that they complete."""
+        """Take in bytes of the buffer; yield the messages that they complete."""
         ...
 
     def is_overdue(self, now: float) -> bool:
-        """Return whether the message that is under way takes too long."""
+        """Return True if the message under way takes too long."""
         ...
 
 
 class LiveProtocol(Protocol):
-    """How items become bytes, and bytes items."""
+    """Conversion of items to bytes and back."""
 
     DEFAULT_PORT: int
 
@@ -52,19 +52,19 @@ class LiveProtocol(Protocol):
 
 @dataclass(frozen=True)
 class Address:
-    """Where to connect to, or to listen.
+    """Address to connect to, or to listen on.
 
     Parameters
     ----------
     scheme
         Name of the protocol.
     host
-        To connect to; empty to listen on this machine alone. ``0.0.0.0`` and ``::`` listen on all
-        of its networks.
+        Host to connect to; empty to listen on this machine alone. ``0.0.0.0`` and ``::`` listen on
+        all of its networks.
     port
-        From 0 to 65535.
+        Port, from 0 to 65535.
     device
-        The device whose images are meant; empty for any.
+        Device whose images are meant; empty for any.
     """
 
     scheme: str
@@ -74,7 +74,7 @@ class Address:
 
     @property
     def listens(self) -> bool:
-        """Whether others connect to us."""
+        """True if others connect to us."""
         return self.host in ("", "0.0.0.0", "::")
 
     @property
@@ -98,7 +98,7 @@ def parse_address(text: str) -> Address:
     Raises
     ------
     ConfigurationError
-        If it is none, or its protocol is not known.
+        If it is not an address, or its protocol is unknown.
     """
     match = _ADDRESS.fullmatch(text)
     if match is None or int(match[3] or 0) > 65535:
@@ -118,7 +118,7 @@ def load_protocol(scheme: str) -> LiveProtocol:
     Raises
     ------
     ConfigurationError
-        If there is none, or a package that it needs is missing.
+        If there is no such protocol, or a package that it needs is missing.
     """
     if scheme not in _PROTOCOLS:
         raise ConfigurationError(f"unknown protocol {scheme!r}; {suggest(scheme, _PROTOCOLS)}")

@@ -1,4 +1,5 @@
 from .acquisition import acquire_sweep as acquire_sweep
+from .air_pockets import AirPocketParameters as AirPocketParameters
 from .deformation import Deformation as Deformation
 from .deformation import Indentation as Indentation
 from .deformation import indentation as indentation

@@ -9,6 +9,12 @@ from sonoservo.systems.signals.immutable import seal
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.sweep import Sweep, SweepMotion
 from sonoservo.systems.ultrasound.simulation.deformation import Deformation
+from sonoservo.systems.ultrasound.simulation.errors.connection import repeat_lost_frames
+from sonoservo.systems.ultrasound.simulation.errors.motor import (
+    MotorParameters,
+    motor_error,
+    turned,
+)
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
 
 
@@ -23,6 +29,8 @@ def acquire_sweep(
 ) -> Sweep:
     """Acquire a sweep of the simulated scanner, at rest or along a motion.
 
+    Errors of the motor and lost frames are in the samples; the motion does not know of them.
+
     Parameters
     ----------
     renderer
@@ -35,10 +43,17 @@ def acquire_sweep(
         (frames, 4, 4) poses of the probe in the tissue at each frame's time; by default, the
         tissue's frame T is the world frame.
     number
-        Number of the sweep, which selects the noise.
+        Number of the sweep, which selects the noise and the errors.
     deformations
         (frames,) deformations of the tissue at each frame's time; None for undeformed tissue.
     """
     poses = motion.X_WP if X_TP is None else X_TP
-    samples = renderer.render(poses, needles, motion.direction, number, motion.times, deformations)
+    motor, lost = renderer.parameters.motor, renderer.parameters.connection.lost_frames
+    direction, rng = motion.direction, np.random.default_rng([renderer.seed, 4, number])
+    if motor != MotorParameters():
+        angles = motor_error(motor, len(poses), direction, rng)
+        poses = turned(poses, angles, motion.geometry)
+    samples = renderer.render(poses, needles, direction, number, motion.times, deformations)
+    if lost:
+        samples = repeat_lost_frames(samples, lost, direction, rng)
     return Sweep(seal(samples), motion, renderer.decibels_per_level, renderer.point_spread)

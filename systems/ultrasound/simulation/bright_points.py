@@ -17,7 +17,8 @@ def inclusion_points(
     rng = np.random.default_rng([tissue.seed, 1])
     parts = [(np.zeros((0, 3)), np.zeros(0, complex))]
     parts += [_ball_points(ball, beam.resolution_cell[reference], rng) for ball in tissue.balls]
-    fibres = tissue.fibres + tissue.random_fibres.draw(tissue.size, rng)
+    drawn = tissue.random_fibres.draw(tissue.size, rng)
+    fibres = tissue.fibres + [fibre for fibre in drawn if _is_inside(fibre, tissue)]
     parts += [_fibre_points(fibre, beam, reference, rng) for fibre in fibres]
     # Points a third of a wavelength apart reflect sound like a line at every angle.
     parts += [
@@ -35,6 +36,12 @@ def inclusion_points(
     ]
     points, amplitudes = zip(*parts, strict=True)
     return np.concatenate(points), np.concatenate(amplitudes)
+
+
+def _is_inside(fibre: Fibre, tissue: Tissue) -> bool:
+    """Return True if a random fibre's middle lies in the tissue, as it always does in a box."""
+    middle = np.add(fibre.start, fibre.end) / 2
+    return not tissue.surface.is_curved or bool(tissue.surface.contains(middle))
 
 
 def _ball_points(

@@ -113,7 +113,9 @@ class Deformation(Immutable):
         return moved_needle(needle, displacements([self]), 0, pushed=False)
 
 
-def moved_needle(needle: Needle, field: Displacements, frame: int, *, pushed: bool) -> Needle:
+def moved_needle(
+    needle: Needle, field: Displacements, frame: int, *, pushed: bool = True
+) -> Needle:
     """Return a needle in T displaced by the field of a frame.
 
     Parameters
@@ -129,13 +131,6 @@ def moved_needle(needle: Needle, field: Displacements, frame: int, *, pushed: bo
     points = needle.position(np.linspace(0, needle.length, count))
     shaft = displace_points(points, field, frame, pushed)
     return Needle(shaft, needle.radius, roll=needle.roll)
-
-
-def moved_needles(needle: Needle, field: Displacements | None, frames: int) -> list[Needle]:
-    """Return a needle at rest in T as the field, if any, displaces it in each frame."""
-    if field is None:
-        return [needle] * frames
-    return [moved_needle(needle, field, frame, pushed=True) for frame in range(frames)]
 
 
 @overload

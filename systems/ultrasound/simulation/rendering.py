@@ -12,12 +12,9 @@ from sonoservo.systems.signals.requirements import require, require_not_negative
 from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.ultrasound.beam import Beam, beam_profile, point_spread
 from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
+from sonoservo.systems.ultrasound.simulation.air_pockets import AirPockets
 from sonoservo.systems.ultrasound.simulation.bright_points import inclusion_points
-from sonoservo.systems.ultrasound.simulation.deformation import (
-    Deformation,
-    displacements,
-    moved_needles,
-)
+from sonoservo.systems.ultrasound.simulation.deformation import Deformation, displacements
 from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import render_points
 from sonoservo.systems.ultrasound.simulation.kernels.displacement import Displacements
 from sonoservo.systems.ultrasound.simulation.kernels.echo import FADE, render_tissue
@@ -48,11 +45,11 @@ class SweepRenderer:
     It models the motion of probe, tissue and needle and the tissue's deformation within a sweep,
     down to the phase of every scatterer; the depth-dependent width of the beam in all directions;
     side lobes, reverberation and shadow of the needle; structures and anatomy with their surfaces,
-    shadows and attenuation; a speed of sound other than the scanner's, and a refracting layer of
-    fat; loss of contact; attenuation, as noise; and log compression. It does not model refraction
-    elsewhere, how deformation moves other attenuation or speeds, the effect of speeds on the focus,
-    multiple scattering other than between a surface and the face, the loss of beam at the array's
-    ends or, along the array, wave fronts that are not centred on the array's own centre.
+    shadows and attenuation; wrong speeds of sound, and a refracting layer of fat; a curved skin,
+    loss of contact and air pockets; attenuation, as noise; and log compression. It does not model
+    refraction elsewhere, how deformation moves other attenuation or speeds, the effect of speeds on
+    the focus, multiple scattering other than between a surface and the face, the loss of beam at
+    the array's ends or, along it, wave fronts not centred on its own centre.
 
     Parameters
     ----------
@@ -75,6 +72,8 @@ class SweepRenderer:
         The same widths, in the form that sweeps carry.
     decibels_per_level
         Scale of the image, in dB per grey level.
+    parameters, seed
+        See above.
     """
 
     def __init__(
@@ -89,9 +88,8 @@ class SweepRenderer:
         require_not_negative(seed=seed)
         self.geometry: SweepGeometry = sweep_geometry(transducer, imaging)
         self.decibels_per_level = imaging.decibels_per_level
-        self._parameters, self._imaging, self._seed = parameters, imaging, seed
-        x, y, z = tissue.size
-        self._box = np.array([[-x / 2, -y / 2, -z], [x / 2, y / 2, 0]])
+        self.parameters, self._imaging, self.seed = parameters, imaging, seed
+        self._box = tissue.surface.bounds
         sound_speed = tissue.sound_speed or imaging.sound_speed
         # Samples are times; lengths in the tissue follow from its own speed of sound.
         ratio = sound_speed / imaging.sound_speed
@@ -106,7 +104,6 @@ class SweepRenderer:
 
         depths = geometry.sample_pitch * np.arange(geometry.samples)
         cell = self.beam.resolution_cell
-        # Sample at which the levels of bright points hold, relative to the tissue.
         reference = int(np.abs(depths - transducer.lens_focus).argmin())
         self._tables, line_sigma = depth_tables(self.beam, geometry, reference)
         self._kernel = line_kernel(line_sigma, geometry.lines)
@@ -140,6 +137,9 @@ class SweepRenderer:
         )
         loss_db = 2 * tissue.attenuation * 1e-6 * imaging.transmit_frequency * 1e2 * depths
         self._noise = (10 ** ((parameters.noise_db + loss_db) / 20)).astype(np.float32)
+        rng = np.random.default_rng([seed, 4])
+        air = parameters.air_pockets
+        self._air = AirPockets(air, transducer, imaging, self.geometry, rng)
         self._lines = {direction: line_rays(geometry, direction) for direction in (1, -1)}
         self._rays = {d: projection_rays(geometry, self.beam, d, pulses.lead) for d in (1, -1)}
         # Sweep-sized memory is allocated once: tissue echoes in both directions, and needle echoes.
@@ -242,16 +242,14 @@ class SweepRenderer:
         iq
             (frames, lines, samples) echoes.
         X_TP, direction
-            See `tissue_echo`.
+            See `tissue_echo`; the tissue is not deformed.
         points, amplitudes
-            (n, 3) positions in T, in m, and (n,) amplitudes relative to the tissue's root mean
-            square at the lens's focus.
+            (n, 3) positions in T, in m, and (n,) amplitudes relative to the tissue's at the focus.
         """
         X_FT, rays = frame_poses(self._acoustic, X_TP), self._rays[direction]
-        view = self._scene.view(X_FT, float(rays.twist))[0]
-        render_points(
-            iq, X_FT, points, amplitudes, rays, self._tables, self._point_pulse, view, None
-        )
+        view, *_ = self._scene.view(X_FT, float(rays.twist))
+        beams = (rays, self._tables, self._point_pulse, view, None)
+        render_points(iq, X_FT, points, amplitudes, *beams)
 
     def render(
         self,
@@ -272,15 +270,17 @@ class SweepRenderer:
             Number of the sweep, which selects the noise.
         """
         grey = np.empty(self.geometry.shape, np.uint8)
+        open_shares = self._air.open_shares(np.zeros(len(grey)) if times is None else times)
         form_image(
             grey,
             self._render_echo(X_TP, needles, direction, times, deformations),
             np.ascontiguousarray(X_TP[:, :3]),
             self._box,
             *self._lines[direction],
-            self._parameters.gel_thickness,
+            self.parameters.gel_thickness,
+            open_shares,
             self._noise,
-            np.random.SeedSequence([self._seed, number]).generate_state(len(grey), np.uint64),
+            np.random.SeedSequence([self.seed, number]).generate_state(len(grey), np.uint64),
             self._imaging.grey_per_db,
             self._imaging.tissue_grey,
         )
@@ -315,7 +315,7 @@ class SweepRenderer:
             render_surfaces(iq, transmission, X_FT, *parts, view, field, gains is not None)
         views = FrameViews(X_FT, rays, tables, view, transmission, times)
         for needle, renderer in self._resting:
-            renderer.add(iq, moved_needles(needle, field, len(iq)), views)
+            renderer.add_resting(iq, needle, field, views)
         return views
 
     def _render_echo(

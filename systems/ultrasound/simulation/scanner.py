@@ -1,43 +1,57 @@
 """The leaf that simulates a scanner with a motorised probe."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue, Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from sonoservo.systems.signals.immutable import Immutable, NotFound
+from sonoservo.systems.signals.motion_record import MotionRecord
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.requirements import require_not_negative
 from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation.acquisition import acquire_sweep
 from sonoservo.systems.ultrasound.simulation.deformation import Deformation
+from sonoservo.systems.ultrasound.simulation.errors.clock import poses_at
+from sonoservo.systems.ultrasound.simulation.errors.connection import Reception
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
 from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 from sonoservo.systems.ultrasound.transducer import Transducer
 
+_NOTHING = NotFound("no sweep is complete yet")
+
 
 @dataclass(frozen=True, slots=True)
 class _Snapshot(Immutable):
-    """Poses, needle and deformation at the time of a frame's acquisition."""
+    """Poses, needle and deformation at a frame's acquisition, and the probe's measured pose."""
 
     time: float
     X_WP: RigidTransform
     X_WT: RigidTransform
     needle: Needle
+    measured_X_WP: RigidTransform
     deformation: Deformation | None
 
 
 @dataclass(frozen=True, eq=False)
 class _Snapshots(Immutable):
-    """Frames of a sweep in the order of their acquisition, and the sweep's number from 0."""
+    """Frames of a sweep in the order of their acquisition, and the sweep's number from 0.
+
+    The poses that the frames are labelled with are measured at their own times, unless
+    ``labels`` holds others.
+    """
 
     number: int
     frames: tuple[_Snapshot, ...] = ()
+    labels: NDArray[np.float64] | None = None
 
     @property
     def direction(self) -> int:
@@ -45,7 +59,17 @@ class _Snapshots(Immutable):
         return 1 - 2 * (self.number % 2)
 
     def with_frame(self, frame: _Snapshot) -> "_Snapshots":
-        return _Snapshots(self.number, (*self.frames, frame))
+        return replace(self, frames=(*self.frames, frame))
+
+
+@dataclass(frozen=True, eq=False)
+class _Progress(Immutable):
+    """The sweep being acquired, the latest frames, and the sweeps that wait for their poses."""
+
+    acquiring: _Snapshots
+    latest: tuple[_Snapshot, ...]
+    waiting: tuple[_Snapshots, ...]
+    reception: Reception[_Snapshots]
 
 
 class Scanner(LeafSystem):
@@ -58,15 +82,26 @@ class Scanner(LeafSystem):
         - X_WP
         - X_WT
         - needle
+        - true_X_WP (optional)
         - deformation (optional)
         output_ports:
         - sweep
+        - motion_record
 
-    `X_WP` and `X_WT` are poses (RigidTransform) of the probe and the tissue; `needle` is a `Needle`
-    in T, possibly empty; `deformation` is the tissue's `Deformation`. Every frame is rendered from
-    their values at the start of its acquisition. `sweep` is the newest complete `Sweep`, or a
-    `NotFound`; it is available when the sweep's last frame ends. Sweeps towards +Z and -Z
-    alternate, starting with +Z. A sweep is rendered on demand, at most once.
+    `true_X_WP` and `X_WT` are the poses (RigidTransform) of the probe and the tissue, `needle` is a
+    `Needle` in T, possibly empty, and `deformation` the tissue's `Deformation`. Every frame is
+    rendered from them at the start of its acquisition. `X_WP` is the measured pose of the probe,
+    which labels the frames; if `true_X_WP` is not connected, `X_WP` is the true pose too.
+
+    `sweep` is the newest complete `Sweep`, or a `NotFound`; it is available when the sweep's last
+    frame ends. Sweeps towards +Z and -Z alternate, starting with +Z. A sweep is rendered on demand,
+    at most once. `motion_record` is the `MotionRecord` of the same sweep, or a `NotFound`; it is
+    the truth, for logs only.
+
+    With errors of the clock, a sweep has the scanner's stamps, and the program gives each frame the
+    pose that bears the same stamp; if the scanner's clock is ahead, it waits for these poses. With
+    errors of the connection, or a processing time, `sweep` is the newest sweep that the program has
+    processed (see `Reception`); these times are rounded up to whole frames.
 
     Parameters
     ----------
@@ -75,9 +110,11 @@ class Scanner(LeafSystem):
     tissue
         Tissue to scan.
     parameters
-        Parameters of needle, gel and noise.
+        Parameters of needle, gel, noise and errors.
     seed
-        Seed of the noise and of the needle's surface.
+        Seed of the noise, of the needle's surface and of the errors.
+    processing_time
+        Time in s for which a program that takes the sweeps is busy with each; 0 shows them all.
 
     Attributes
     ----------
@@ -93,8 +130,10 @@ class Scanner(LeafSystem):
         tissue: Tissue,
         parameters: ScannerParameters,
         seed: int,
+        processing_time: float = 0.0,
     ) -> None:
         super().__init__()
+        require_not_negative(processing_time=processing_time)
         self._renderer = SweepRenderer(
             transducer=transducer,
             imaging=imaging,
@@ -109,55 +148,111 @@ class Scanner(LeafSystem):
         self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
         self.DeclareAbstractInputPort("needle", Value[object]())
         self.DeclareAbstractInputPort("deformation", Value[object]())
-        self._acquiring = self.DeclareAbstractState(Value[object](_Snapshots(0)))
-        self._complete = self.DeclareAbstractState(
-            Value[object](NotFound("no sweep is complete yet"))
-        )
-        self.DeclareAbstractOutputPort(
-            "sweep",
-            lambda: Value[object](),
-            self._calc_sweep,
-            prerequisites_of_calc={self.abstract_state_ticket(self._complete)},
-        )
+        self.DeclareAbstractInputPort("true_X_WP", Value(RigidTransform()))
+        self._parameters, self._seed, self._processing_time = parameters, seed, processing_time
+        ahead = math.ceil(abs(parameters.clock.offset) / self.geometry.frame_period)
+        self._kept = self.geometry.frames + 2 * ahead + 2
+        start = _Progress(_Snapshots(0), (), (), Reception())
+        self._progress = self.DeclareAbstractState(Value[object](start))
+        for name, calc in (
+            ("sweep", self._calc_sweep),
+            ("motion_record", self._calc_motion_record),
+        ):
+            self.DeclareAbstractOutputPort(
+                name,
+                lambda: Value[object](),
+                calc,
+                prerequisites_of_calc={self.abstract_state_ticket(self._progress)},
+            )
         self.DeclarePeriodicUnrestrictedUpdateEvent(
             period_sec=self.geometry.frame_period, offset_sec=0.0, update=self._update_frames
         )
 
     def _update_frames(self, context: Context, state: State) -> EventStatus:
-        acquiring = context.get_abstract_state(self._acquiring).get_value()
+        time = context.get_time()
+        before: _Progress = context.get_abstract_state(self._progress).get_value()
+        acquiring, waiting, reception = before.acquiring, before.waiting, before.reception
+        # Copied, because an input's value changes in place.
+        measured = RigidTransform(evaluate(self, context, "X_WP", RigidTransform))
+        true = measured
+        if self.GetInputPort("true_X_WP").HasValue(context):
+            true = RigidTransform(evaluate(self, context, "true_X_WP", RigidTransform))
+        X_WT = RigidTransform(evaluate(self, context, "X_WT", RigidTransform))
+        needle = evaluate(self, context, "needle", Needle)
+        deformation = None
+        if self.GetInputPort("deformation").HasValue(context):
+            deformation = evaluate(self, context, "deformation", Deformation)
+        frame = _Snapshot(time, true, X_WT, needle, measured, deformation)
+        latest = (*before.latest, frame)[-self._kept :]
         if len(acquiring.frames) == self.geometry.frames:
-            state.get_mutable_abstract_state(self._complete).set_value(acquiring)
+            waiting = (*waiting, acquiring)
             acquiring = _Snapshots(acquiring.number + 1)
-        deforms = self.GetInputPort("deformation").HasValue(context)
-        frame = _Snapshot(
-            context.get_time(),
-            # Copied, because an input's value changes in place.
-            RigidTransform(evaluate(self, context, "X_WP", RigidTransform)),
-            RigidTransform(evaluate(self, context, "X_WT", RigidTransform)),
-            evaluate(self, context, "needle", Needle),
-            evaluate(self, context, "deformation", Deformation) if deforms else None,
+        while waiting and self._parameters.clock.stamp(waiting[0].frames[-1].time) <= time:
+            reception = self._send(waiting[0], latest, reception)
+            waiting = waiting[1:]
+        progress = _Progress(
+            acquiring.with_frame(frame), latest, waiting, reception.at(time, self._processing_time)
         )
-        state.get_mutable_abstract_state(self._acquiring).set_value(acquiring.with_frame(frame))
+        state.get_mutable_abstract_state(self._progress).set_value(progress)
         return EventStatus.Succeeded()
 
+    def _send(
+        self,
+        snapshots: _Snapshots,
+        latest: tuple[_Snapshot, ...],
+        reception: Reception[_Snapshots],
+    ) -> Reception[_Snapshots]:
+        """Label a sweep and send it to the program, unless it is lost."""
+        clock, connection = self._parameters.clock, self._parameters.connection
+        rng = np.random.default_rng([self._seed, 5, snapshots.number])
+        if connection.is_lost(rng):
+            return reception
+        if not clock.is_right:
+            stamps = clock.stamp([frame.time for frame in snapshots.frames])
+            times = [frame.time for frame in latest]
+            labels = poses_at(stamps, times, [frame.measured_X_WP for frame in latest])
+            snapshots = replace(snapshots, labels=labels)
+        return reception.sent(snapshots, latest[-1].time + connection.late(rng))
+
     def _calc_sweep(self, context: Context, output: AbstractValue) -> None:
-        complete = context.get_abstract_state(self._complete).get_value()
-        output.set_value(self._rendered(complete) if isinstance(complete, _Snapshots) else complete)
+        snapshots = self._processed(context)
+        output.set_value(self._rendered(snapshots) if snapshots else _NOTHING)
+
+    def _calc_motion_record(self, context: Context, output: AbstractValue) -> None:
+        snapshots = self._processed(context)
+        output.set_value(self._motions(snapshots) if snapshots else _NOTHING)
+
+    def _processed(self, context: Context) -> _Snapshots | None:
+        progress: _Progress = context.get_abstract_state(self._progress).get_value()
+        return progress.reception.processed
+
+    def _motions(self, snapshots: _Snapshots) -> MotionRecord:
+        # Frames are numbered towards +Z, whichever way the motor went.
+        direction = snapshots.direction
+        frames = snapshots.frames[::direction]
+        times = np.array([frame.time for frame in frames])
+        true = np.array([frame.X_WP.GetAsMatrix4() for frame in frames])
+        if snapshots.labels is None:
+            labels = np.array([frame.measured_X_WP.GetAsMatrix4() for frame in frames])
+        else:
+            labels = snapshots.labels[::direction]
+        stamps = self._parameters.clock.stamp(times)
+        return MotionRecord(
+            measured=SweepMotion(self.geometry, direction, stamps, labels),
+            true=SweepMotion(self.geometry, direction, times, true),
+        )
 
     def _render(self, snapshots: _Snapshots) -> Sweep:
-        # Frames are numbered towards +Z, whichever way the motor went.
+        motions = self._motions(snapshots)
         frames = snapshots.frames[:: snapshots.direction]
-        times = np.array([frame.time for frame in frames])
-        X_WP = np.array([frame.X_WP.GetAsMatrix4() for frame in frames])
         X_TP = np.array([f.X_WT.InvertAndCompose(f.X_WP).GetAsMatrix4() for f in frames])
-        motion = SweepMotion(self.geometry, snapshots.direction, times, X_WP)
-        needles = [frame.needle for frame in frames]
         deformations = [frame.deformation for frame in frames if frame.deformation is not None]
-        return acquire_sweep(
+        sweep = acquire_sweep(
             self._renderer,
-            motion,
-            needles,
+            motions.true,
+            [frame.needle for frame in frames],
             X_TP=X_TP,
             number=snapshots.number,
             deformations=deformations or None,
         )
+        return replace(sweep, motion=motions.measured)

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from sonoservo.systems.files.model_file import model_file, read_section
 from sonoservo.systems.files.typed_yaml import load_typed
+from sonoservo.systems.signals.body_surface import BodySurface
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 from sonoservo.systems.ultrasound.simulation.anatomy.anatomies import (
     LabelMapAnatomy,
@@ -138,12 +139,15 @@ class RandomFibres:
 
 @dataclass(kw_only=True)
 class Tissue:
-    """A box of scattering tissue. Frame T: origin at the centre of the top face, +Z up.
+    """A body of scattering tissue. Frame T: origin at the middle of the top, +Z up.
 
     Parameters
     ----------
     size
-        Extents along X, Y and Z of T, in m; the box reaches from z = -size[2] to 0.
+        Extents along X, Y and Z of T, in m; the body reaches from z = -size[2] to 0.
+    shape
+        Shape of the body within these extents: "box", "cylinder" (lying along X_T, with equal
+        extents along Y and Z) or "ellipsoid".
     scatterers_per_cell
         Effective number N of scatterers in a resolution cell, at every depth: the intensity's
         moments are <I^2> / <I>^2 = 2 + 1/N, those of a K distribution with nu = 2 N.
@@ -173,6 +177,7 @@ class Tissue:
     """
 
     size: list[float] = field(default_factory=lambda: [0.24, 0.16, 0.08])
+    shape: str = "box"
     scatterers_per_cell: float = 4.0
     attenuation: float = 0.5
     balls: list[Ball] = field(default_factory=list)
@@ -199,6 +204,9 @@ class Tissue:
         if self.sound_speed is not None:
             allowed = 1300 <= self.sound_speed <= 1800
             require(allowed, "sound_speed", self.sound_speed, "from 1300 to 1800 m/s")
+        if self.surface.is_curved:
+            level = self.fat.thickness == 0 and self.anatomy is None
+            require(level, "shape", self.shape, "box with a layer of fat or a label map")
         for number, ball in enumerate(self.balls):
             self._require_within(f"balls[{number}].centre", ball.centre)
         for number, fibre in enumerate(self.fibres):
@@ -217,11 +225,15 @@ class Tissue:
             return self
         return replace(self, structures=[e.placed(entry, direction) for e in self.structures])
 
+    @property
+    def surface(self) -> BodySurface:
+        """Surface of the body."""
+        return BodySurface(tuple(self.size), self.shape)
+
     def _require_within(self, name: str, point: list[float]) -> None:
-        width, length, height = self.size
-        x, y, z = point
-        within = abs(x) <= width / 2 and abs(y) <= length / 2 and -height <= z <= 0
-        require(within, name, point, f"within the tissue, {self.size} m large, z from its top")
+        within = bool(self.surface.contains(point, slack=0.0))
+        allowed = f"within the tissue, a {self.shape} {self.size} m large, z from its top"
+        require(within, name, point, allowed)
 
 
 def load_tissue(name: str) -> Tissue:

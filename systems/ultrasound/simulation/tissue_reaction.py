@@ -86,13 +86,14 @@ class TissueReaction(LeafSystem):
 
         name: TissueReaction
         input_ports:
-        - X_WP
+        - true_X_WP
         - X_WT
         - pushed_needle
         output_ports:
         - needle
         - deformation
 
+    `true_X_WP` and `X_WT` are the true poses of probe and tissue (RigidTransform), and
     `pushed_needle` is the `Needle` in T as if the tissue were at rest. `deformation` is the
     `Deformation` of the tissue. `needle` is the true needle in T: the probe displaces it together
     with the tissue around it.
@@ -116,7 +117,7 @@ class TissueReaction(LeafSystem):
         super().__init__()
         require_positive(dome_radius=dome_radius, period=period)
         self._parameters, self._dome_radius = parameters, dome_radius
-        self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
+        self.DeclareAbstractInputPort("true_X_WP", Value(RigidTransform()))
         self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
         self.DeclareAbstractInputPort("pushed_needle", Value[object]())
         self.DeclareDiscreteState(4)  # time, inserted length, drag, and 1 while the tissue slides
@@ -145,7 +146,7 @@ class TissueReaction(LeafSystem):
 
     def _calc_deformation(self, context: Context, output: Value) -> None:
         needle = evaluate(self, context, "pushed_needle", Needle)
-        X_WP = evaluate(self, context, "X_WP", RigidTransform)
+        X_WP = evaluate(self, context, "true_X_WP", RigidTransform)
         X_WT = evaluate(self, context, "X_WT", RigidTransform)
         output.set_value(
             tissue_deformation(

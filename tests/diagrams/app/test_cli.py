@@ -3,7 +3,7 @@ import subprocess
 import sys
 
 import pytest
-from commands import sonoservo
+from commands import sonoservo, sonoservo_here
 from typer.testing import CliRunner
 
 from sonoservo.diagrams.app.cli import app
@@ -13,13 +13,15 @@ from sonoservo.systems.files.typed_yaml import ConfigurationError
 runner = CliRunner()
 
 
-def test_list_names_every_scenario(tmp_path):
+def test_list_names_every_scenario_and_dial(tmp_path):
     result = runner.invoke(app, ["list", "--json", str(tmp_path / "list.json")])
     assert result.exit_code == 0
     assert "chatelain2013_fig5" in result.stdout
     rows = json.loads((tmp_path / "list.json").read_text())
-    assert rows == {name: load_scenario(name).description for name in list_scenarios()}
-    assert all(rows.values())
+    assert rows["scenarios"] == {name: load_scenario(name).description for name in list_scenarios()}
+    assert all(rows["scenarios"].values())
+    assert rows["dials"]["dip"]["moderate"] == {"hand.dip_deg": 60.0}
+    assert "hand.dip_deg=60" in result.stdout
 
 
 @pytest.mark.parametrize(
@@ -33,7 +35,7 @@ def test_list_names_every_scenario(tmp_path):
         (["chatelain2013_fig5", "--set", "station.arm=viper"], "viper_s850.yaml"),
         (["chatelain2013_fig5", "--set", "station.arm=nowhere.yaml"], "no file nowhere.yaml"),
         (["chatelain2013_fig5", "--set", "imaging.volume_rate=50"], "imaging.volume_rate: 50.0"),
-        (["chatelain2013_fig5", "--set", "processing_time=1"], "processing_time: 1.0"),
+        (["chatelain2013_fig5", "--set", "processing_time=-1"], "processing_time: -1.0"),
         (["carriere2016_d60", "--set", "rotations=[0.2]"], "rotations: [0.2]"),
         (["carriere2016_d60", "--set", "estimator=particle"], "did you mean 'particle_filter'"),
         (["carriere2016_d60", "--set", "depth=0.3"], "stays in the phantom"),
@@ -42,7 +44,7 @@ def test_list_names_every_scenario(tmp_path):
     ],
 )
 def test_a_mistake_is_one_line_and_exit_code_2(arguments, message, tmp_path):
-    result = sonoservo("run", *arguments, "--no-meshcat", "--out", str(tmp_path / "out"))
+    result = sonoservo_here("run", *arguments, "--no-meshcat", "--out", str(tmp_path / "out"))
     assert result.returncode == 2
     assert message in result.stderr
     assert len(result.stderr.strip().splitlines()) == 1
@@ -90,7 +92,7 @@ def test_a_short_run_leaves_its_files_and_its_summary(tmp_path):
 def test_a_mistake_in_ones_own_arm_is_one_line_and_exit_code_2(tmp_path):
     arm = tmp_path / "mine.yaml"
     arm.write_text("directives: [{add_model: {name: arm, file: mine.urdf}}]")
-    result = sonoservo(
+    result = sonoservo_here(
         "run", "chatelain2013_fig5", "--no-meshcat", "--set", f"station.arm={arm}",
         "--out", str(tmp_path / "out"),
     )  # fmt: skip
@@ -101,7 +103,7 @@ def test_a_mistake_in_ones_own_arm_is_one_line_and_exit_code_2(tmp_path):
 
 def test_results_that_cannot_be_written_are_one_line_and_exit_code_2(tmp_path):
     (tmp_path / "file").write_text("in the way")
-    result = sonoservo(
+    result = sonoservo_here(
         "run", "chatelain2013_fig5", "--no-meshcat", "--out", str(tmp_path / "file" / "out")
     )
     assert result.returncode == 2
@@ -109,7 +111,7 @@ def test_results_that_cannot_be_written_are_one_line_and_exit_code_2(tmp_path):
 
 
 def test_the_force_that_was_asked_for_is_what_the_error_is_taken_from(tmp_path):
-    result = sonoservo(
+    result = sonoservo_here(
         "run",
         "chatelain2013_fig5",
         "--no-meshcat",
@@ -134,7 +136,7 @@ def test_the_force_that_was_asked_for_is_what_the_error_is_taken_from(tmp_path):
     ],
 )
 def test_a_mistake_in_what_to_reproduce_is_one_line_and_exit_code_2(arguments, message, tmp_path):
-    result = sonoservo("reproduce", *arguments, "--out", str(tmp_path / "out"))
+    result = sonoservo_here("reproduce", *arguments, "--out", str(tmp_path / "out"))
     assert result.returncode == 2
     assert result.stderr.strip() == f"sonoservo: {message}"
     assert not (tmp_path / "out").exists()
@@ -142,7 +144,7 @@ def test_a_mistake_in_what_to_reproduce_is_one_line_and_exit_code_2(arguments, m
 
 def test_what_is_recorded_is_tracked_and_its_needle_located(tmp_path):
     recording, changes = tmp_path / "a.seq.nrrd", ["duration=8", "hand.start=0.5"]
-    made = sonoservo(
+    made = sonoservo_here(
         "run",
         "chatelain2013_fig4",
         "--seed",
@@ -157,7 +159,7 @@ def test_what_is_recorded_is_tracked_and_its_needle_located(tmp_path):
         str(tmp_path / "run"),
     )
     assert made.returncode == 0, made.stderr
-    tracked = sonoservo("track", str(recording), "--show", "--out", str(tmp_path / "out"))
+    tracked = sonoservo_here("track", str(recording), "--show", "--out", str(tmp_path / "out"))
     assert tracked.returncode == 0, tracked.stderr
     assert "The scanner's monitor: http://localhost:" in tracked.stdout
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
@@ -165,9 +167,9 @@ def test_what_is_recorded_is_tracked_and_its_needle_located(tmp_path):
     count = summary["volumes"]
     figures = tmp_path / "found.json"
     arguments = ["locate", str(recording), "--json", str(figures), "--number"]
-    assert sonoservo(*arguments, "0").returncode == 1
+    assert sonoservo_here(*arguments, "0").returncode == 1
     assert json.loads(figures.read_text())["found"] is False
-    found = sonoservo(*arguments, str(count - 1))
+    found = sonoservo_here(*arguments, str(count - 1))
     assert found.returncode == 0, found.stderr
     assert "tip_lps_mm" in found.stdout
 
@@ -185,7 +187,7 @@ def test_a_bad_recording_is_one_line_and_leaves_nothing(tmp_path, command, name,
     path = tmp_path / name
     path.mkdir() if content is None else path.write_bytes(content)
     options = ["--out", str(tmp_path / "out")] if command == "track" else []
-    result = sonoservo(command, str(path), *options)
+    result = sonoservo_here(command, str(path), *options)
     assert result.returncode == 2
     assert message in result.stderr
     assert str(path) in result.stderr
@@ -195,7 +197,7 @@ def test_a_bad_recording_is_one_line_and_leaves_nothing(tmp_path, command, name,
 
 def test_a_recording_cannot_have_another_suffix(tmp_path):
     path = tmp_path / "a.mha"
-    result = sonoservo("run", "chatelain2013_fig5", "--no-meshcat", "--record", str(path))
+    result = sonoservo_here("run", "chatelain2013_fig5", "--no-meshcat", "--record", str(path))
     assert result.returncode == 2
     assert "must end in .seq.nrrd" in result.stderr
     assert not list(tmp_path.iterdir())

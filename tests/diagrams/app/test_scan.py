@@ -4,7 +4,7 @@ import nrrd
 import numpy as np
 import pytest
 import yaml
-from commands import sonoservo
+from commands import sonoservo_here
 from PIL import Image
 from pydrake.math import RigidTransform, RotationMatrix
 
@@ -97,7 +97,7 @@ def test_the_sheet_reads_in_millimetres_and_decibels(scenario, shown):
 
 
 def test_command_writes_picture_volume_and_figures(tmp_path):
-    result = sonoservo("scan", SCENARIO, "--out", str(tmp_path / "new"), "--seed", "2",
+    result = sonoservo_here("scan", SCENARIO, "--out", str(tmp_path / "new"), "--seed", "2",
                        "--json", str(tmp_path / "scan.json"))  # fmt: skip
     assert result.returncode == 0, result.stderr
     assert "27 frames x 96 lines x 293 samples" in result.stdout
@@ -111,7 +111,9 @@ def test_command_writes_picture_volume_and_figures(tmp_path):
 
 
 def test_a_mistake_is_one_line_and_exit_code_2(tmp_path):
-    result = sonoservo("scan", SCENARIO, "--set", "imaging.frames=31", "--out", str(tmp_path / "x"))
+    result = sonoservo_here(
+        "scan", SCENARIO, "--set", "imaging.frames=31", "--out", str(tmp_path / "x")
+    )
     assert result.returncode == 2
     assert len(result.stderr.strip().splitlines()) == 1
     assert "lines x 2 x" in result.stderr
@@ -150,11 +152,11 @@ def test_a_label_map_is_scanned_by_itself(tmp_path):
     table = [vars(each) for each in LIVER_LABELS]
     (tmp_path / "mine.yaml").write_text(yaml.safe_dump({"tissue": {"anatomy": {"labels": table}}}))
     out = tmp_path / "out"
-    result = sonoservo("scan", "--phantom", str(tmp_path / "mine.nrrd"), "--out", str(out))
+    result = sonoservo_here("scan", "--phantom", str(tmp_path / "mine.nrrd"), "--out", str(out))
     assert result.returncode == 0, result.stderr
     assert (out / "scan.png").stat().st_size > 50_000
     (tmp_path / "mine.yaml").write_text("tissue: {anatomy: {labels: []}}")
-    result = sonoservo("scan", "--phantom", str(tmp_path / "mine.nrrd"), "--out", str(out))
+    result = sonoservo_here("scan", "--phantom", str(tmp_path / "mine.nrrd"), "--out", str(out))
     assert result.returncode == 2
     assert "[1, 2, 3, 4, 5]" in result.stderr
     assert len(result.stderr.strip().splitlines()) == 1

@@ -46,6 +46,17 @@ def test_uncertainty_shrinks_with_every_part_of_the_needle_that_is_seen(experime
     assert np.ptp(log.tip[26:], axis=0).max() == 0
 
 
+def test_slices_that_were_lost_are_missing_and_the_others_keep_their_depth():
+    changes = ["depth=0.03", "observe_until=0.02"]
+    whole, some = (
+        run(load_scenario("carriere2016_patient", changes=changes + more, seed=104)).log
+        for more in ([], ["scanner.connection.lost_sweeps=0.4"])
+    )
+    kept = np.isin(whole.depth, some.depth)
+    assert 0 < len(some.depth) == kept.sum() < len(whole.depth)
+    np.testing.assert_array_equal(some.true, whole.true[kept])
+
+
 def test_recorded_cross_sections_give_what_the_live_run_gave(experiment):
     estimator = experiment.make_estimator("particle_filter")
     shapes = estimate_shape(estimator, experiment.cross_sections)

@@ -59,9 +59,11 @@ class FakeFilter:
         return dataclasses.replace(state, curve=curve, told=told)
 
 
-def lifecycle(**parameters):
+def lifecycle(anywhere=False, **parameters):
     parameters = TrackParameters(**parameters)
-    return TrackLifecycle(order=2, parameters=parameters, needle_filter=FakeFilter())
+    return TrackLifecycle(
+        order=2, parameters=parameters, needle_filter=FakeFilter(), anywhere=anywhere
+    )
 
 
 def measurement(tip=0.03, time=0.0, y=0.0):

@@ -19,6 +19,8 @@ def test_a_log_without_anything_has_no_figures(make_log):
         "inserted_mm": None,
         "visible_mm": None,
         "false_starts": 0,
+        "reason": None,
+        "advice": None,
     }
     assert summary["tracking"]["volumes"] == 0
     assert summary["tracking"]["tip_error_mm"] == {"median": None, "p95": None, "max": None}
@@ -33,6 +35,7 @@ def test_detection(insertion_log):
     assert summary["detection"]["volume"] == first
     assert summary["detection"]["inserted_mm"] == pytest.approx(expected)
     assert summary["detection"]["false_starts"] == 0
+    assert summary["detection"]["reason"] is None
 
 
 @pytest.mark.parametrize("volume", [2, 9])  # before the needle is there, and while it is

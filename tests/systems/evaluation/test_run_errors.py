@@ -54,6 +54,24 @@ def test_truth_is_taken_at_the_time_of_the_estimate(insertion_log):
     assert summarize(log)["tracking"]["tip_error_mm"]["max"] == pytest.approx(0.5)
 
 
+def test_error_in_the_probe_is_free_of_errors_of_the_pose(insertion_log):
+    log = insertion_log
+    X_PC = RigidTransform(RollPitchYaw(0.01, -0.02, 0.01), [1e-3, 2e-3, -1e-3]).GetAsMatrix4()
+    said = X_PC @ np.linalg.inv(log.X_WP[0])
+    X = log.X_WP[0] @ said
+    wrong = replace(
+        log,
+        measured_X_WP=log.X_WP @ X_PC,
+        volume_estimate_tip=log.volume_estimate_tip @ X[:3, :3].T + X[:3, 3],
+    )
+    before, after = estimate_errors(log), estimate_errors(wrong)
+    np.testing.assert_allclose(before.in_probe, before.tip)
+    np.testing.assert_allclose(after.in_probe, before.in_probe, atol=1e-12)
+    assert np.nanmin(after.tip) > 1.5e-3
+    unknown = replace(log, measured_X_WP=np.full_like(log.X_WP, np.nan))
+    assert summarize(unknown)["tracking"]["tip_error_in_probe_mm"]["median"] is None
+
+
 def test_speed_without_tremor(insertion_log):
     time = insertion_log.time
     rng = np.random.default_rng(0)

@@ -11,11 +11,12 @@ from sonoservo.systems.evaluation.metrics import summarize
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.run_logger import RunLogger, visible_length
 from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.motion_record import MotionRecord
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
-from sonoservo.systems.signals.sweep import SweepGeometry
+from sonoservo.systems.signals.sweep import SweepGeometry, SweepMotion
 
 X_WP = RigidTransform(RollPitchYaw(0.1, 0.2, 0.3), [0.4, 0.5, 0.6])
 X_WT = RigidTransform(RollPitchYaw(0.0, 0.0, 0.5), [0.1, 0.2, 0.3])
@@ -103,6 +104,29 @@ def test_what_is_not_there_is_missing():
     assert np.isnan(log.estimate_tip).all()
     assert log.volume_measurement_reason == ["no line"]
     assert np.isnan(log.volume_measured_tip).all()
+
+
+def test_measured_and_true_motion_are_both_kept():
+    logger = RunLogger()
+    context = connected(logger)
+    true = RigidTransform([7.0, 8.0, 9.0])
+    logger.GetInputPort("true_X_WP").FixValue(context, Value(true))
+    geometry = SweepGeometry(0.04, 0.027, 0.01, 0.02, 0.3e-3, 9, 3, 30, 0.1)
+    record = MotionRecord(
+        measured=SweepMotion.at_rest(geometry, X_WP, [0.4, 0.5, 0.6]),
+        true=SweepMotion.at_rest(geometry, true, [0.38, 0.48, 0.58]),
+    )
+    logger.GetInputPort("motion_record").FixValue(context, Value[object](record))
+    logger.ForcedPublish(context)
+    context.SetTime(1.0)
+    logger.GetInputPort("estimate").FixValue(context, Value[object](estimate(0.9)))
+    logger.ForcedPublish(context)  # of another volume: its motion is not known
+    log = logger.log(context)
+    np.testing.assert_array_equal(log.X_WP[0], true.GetAsMatrix4())
+    np.testing.assert_array_equal(log.measured_X_WP[0], X_WP.GetAsMatrix4())
+    np.testing.assert_array_equal(log.volume_X_WP[0], X_WP.GetAsMatrix4())
+    np.testing.assert_array_equal(log.volume_true_X_WP[0], true.GetAsMatrix4())
+    np.testing.assert_array_equal(log.volume_true_time, [0.48, np.nan])
 
 
 def test_a_wrong_value_is_refused():

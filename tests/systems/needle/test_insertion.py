@@ -194,3 +194,89 @@ def test_a_needle_that_is_outside_can_be_aimed_anew():
     )
     with pytest.raises(ValueError, match="pushes.1.azimuth_deg: 90.0 is not allowed"):
         make(pushes=[pushes[0], again])
+
+
+def test_a_needle_that_is_in_the_tissue_at_the_start_goes_on_from_there():
+    pushes = [Push(duration=5, speed=4e-3)]
+    insertion = make(start=1.0, pushes=pushes, initial_depth=0.03)
+    assert insertion.depth(0.0) == pytest.approx(0.03)
+    assert insertion.depth(60.0) == pytest.approx(0.05)
+    out = make(start=1.0, pushes=[Push(duration=5, speed=-8e-3)], initial_depth=0.03)
+    assert not out.needle(60.0)
+
+
+def test_the_part_in_the_tissue_at_the_start_was_cut_before_the_needle_was_turned():
+    push = Push(duration=5, speed=6e-3)
+    turn = [Push(duration=2, turning_deg=60), Push(duration=1)]
+    from_outside = make(**BENT, pushes=[push, Push(), *turn, push])
+    from_inside = make(**BENT, initial_depth=30e-3, pushes=[*turn, push])
+    s = np.linspace(0, 60e-3, 13)
+    one, other = (each.needle(60).position(s) for each in (from_outside, from_inside))
+    np.testing.assert_allclose(one, other, atol=5e-6)  # of their chords
+
+
+def test_a_partly_withdrawn_needle_turns_about_its_entry():
+    """30 deg at 30 deg/s: half way after 0.5 s, and there after 1 s."""
+    pushes = [
+        Push(duration=4, speed=1e-2),
+        Push(duration=3, speed=-1e-2),
+        Push(duration=2, azimuth_deg=30.0),
+        Push(duration=3, speed=1e-2),
+    ]
+    entry = [0.01, 0.02, -0.03]
+    insertion = make(start=0.0, ramp=0.1, entry=entry, pushes=pushes)
+    for time, azimuth_deg in ((6.9, 0.0), (7.5, 15.0), (8.0, 30.0), (11.5, 30.0)):
+        needle = insertion.needle(time)
+        np.testing.assert_allclose(needle.shaft[0], entry)
+        direction = needle.curve.direction
+        assert np.rad2deg(np.arctan2(direction[1], direction[0])) == pytest.approx(azimuth_deg)
+    assert insertion.needle(8.5).length == pytest.approx(10e-3)
+    assert insertion.needle(60).length == pytest.approx(40e-3)
+    angles = [insertion._aim_at(t).azimuth_deg for t in np.linspace(6.9, 8.1, 400)]
+    assert np.diff(angles).max() < 0.5  # it never jumps
+
+
+@pytest.mark.parametrize(
+    ("changes", "aim", "message"),
+    [
+        ({}, {"azimuth_deg": 60.0}, "azimuth_deg: 60.0 .* within 45 deg of the present direction"),
+        ({"bend_radius": 0.2}, {"dip_deg": 5.0}, "dip_deg: 5.0 .* 15.0 mm in the tissue; withdraw"),
+        (
+            {"initial_depth": 0.01},
+            {"dip_deg": 5.0},
+            "dip_deg: 5.0 .* 25.0 mm in the tissue; withdraw it to 20 mm",
+        ),
+    ],
+)
+def test_a_needle_that_cannot_be_turned_in_the_tissue_is_refused(changes, aim, message):
+    pushes = [Push(duration=2, speed=1e-2), Push(duration=1), Push(duration=1, speed=-5e-3)]
+    with pytest.raises(ValueError, match=rf"pushes\.4\.{message}"):
+        make(pushes=[*pushes, Push(duration=1), Push(duration=1, **aim)], **changes)
+
+
+def test_the_shorter_way_round_is_taken_across_north():
+    pushes = [Push(duration=1, azimuth_deg=-10.0)]
+    insertion = make(start=0.0, azimuth_deg=350.0, initial_depth=0.01, pushes=pushes)
+    np.testing.assert_allclose(
+        insertion.needle(0.3).curve.direction, insertion.needle(9).curve.direction, atol=1e-12
+    )
+
+
+def test_turning_the_needle_rolls_its_bevel():
+    """Turned by 90 deg from up to the right, as seen along the needle."""
+    turned = make(start=0.0, initial_depth=0.03, pushes=[Push(duration=1, turning_deg=90)])
+    assert turned.needle(0.0).roll == 0
+    assert turned.needle(9.0).roll == pytest.approx(-np.pi / 2)
+    along, up, beside = turned._aim_at(9.0).axes(np.zeros(2))
+    np.testing.assert_allclose(beside, np.cross(along, up))
+
+
+def test_a_bevelled_tip_bends_away_from_its_face():
+    for roll_deg in (0.0, 90.0, 200.0):
+        bent = make(**BENT, bend_roll_deg=roll_deg, initial_depth=0.04).needle(0.0)
+        left, up = np.array([0, 1, 0]), np.array([0, 0, 1])
+        face = np.cos(bent.roll) * up + np.sin(bent.roll) * left
+        aside = bent.tip - bent.shaft[0]
+        np.testing.assert_allclose(aside[1:] / np.linalg.norm(aside[1:]), -face[1:], atol=1e-9)
+    turned_over = make(**BENT, initial_depth=0.04, rotations=[0.02]).needle(0.0)
+    assert turned_over.roll == pytest.approx(2 * np.pi)

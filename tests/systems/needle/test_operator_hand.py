@@ -15,16 +15,17 @@ from sonoservo.systems.needle.operator_hand import (
 PARAMETERS = OperatorHandParameters(period=1 / 16, speed=0.02, turning_deg=90)
 
 
-def make_insertion(pushes):
-    hand = InsertionParameters(
-        start=0.0, pushes=pushes, bend_radius=0.15, ramp=0.25, tremor=1e-4, entry=[0.0, 0.0, 0.0]
-    )
+def make_insertion(pushes, **changes):
+    values = {"bend_radius": 0.15, "tremor": 1e-4, **changes}
+    hand = InsertionParameters(start=0.0, pushes=pushes, ramp=0.25, entry=[0.0, 0.0, 0.0], **values)
     return Insertion(hand, np.random.default_rng(3))
 
 
-def drive(targets):
+def drive(targets, **changes):
     """Drive through (time, target) pairs; the insertion, and the needles seen on the way."""
-    hand = OperatorHand(make_insertion=make_insertion, parameters=PARAMETERS)
+    hand = OperatorHand(
+        make_insertion=lambda pushes: make_insertion(pushes, **changes), parameters=PARAMETERS
+    )
     simulator = Simulator(hand)
     context = simulator.get_mutable_context()
     port = hand.GetInputPort("needle_target")
@@ -74,6 +75,24 @@ def test_only_a_needle_that_is_outside_is_aimed():
     assert [push.azimuth_deg for push in insertion.parameters.pushes if push.aim] == [
         pytest.approx(np.rad2deg(1.0), abs=1e-6)
     ]
+
+
+def test_a_straight_needle_is_aimed_anew_once_it_is_withdrawn_to_20_mm():
+    straight = {"bend_radius": None, "tremor": 0.0, "initial_depth": 0.04}
+    insertion, times, seen = drive(
+        [(0, [0.04, 0, 0.0, 0]), (1, [0.04, 0, 0.3, 0]), (3, [0.015, 0, 0.3, 0]),
+         (8, [0.05, 0, 0.3, 0])],
+        **straight,
+    )  # fmt: skip
+    angles = np.array([np.arctan2(*needle.tip[1::-1]) for needle in seen])
+    depths = np.array([needle.length for needle in seen])
+    assert depths[times < 3] == pytest.approx(0.04)
+    assert (angles[depths > 0.0205][: (times < 4).sum()] == 0).all()
+    assert angles[times > 6] == pytest.approx(0.3)
+    assert np.abs(np.diff(angles)).max() < np.deg2rad(30) / 60 * 1.6
+    again = make_insertion(insertion.parameters.pushes, **straight)
+    for time, needle in zip(times, seen, strict=True):
+        np.testing.assert_allclose(again.needle(time).shaft, needle.shaft, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("depth", [1e9, -1e9])

@@ -5,6 +5,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.trajectories import PiecewisePolynomial
 
 from sonoservo.systems.robot.phantom import AddPhantom, PhantomContact, PhantomMotion, load_contact
+from sonoservo.systems.signals.body_surface import BodySurface
 
 SIZE = [0.3, 0.2, 0.05]
 
@@ -12,7 +13,7 @@ SIZE = [0.3, 0.2, 0.05]
 def test_phantom_has_the_size_asked_for_below_frame_t():
     plant, scene_graph = MultibodyPlant(time_step=0.001), SceneGraph()
     plant.RegisterAsSourceForSceneGraph(scene_graph)
-    phantom = AddPhantom(plant, scene_graph, size=SIZE)
+    phantom = AddPhantom(plant, scene_graph, surface=BodySurface(SIZE))
     plant.Finalize()
     inspector = scene_graph.model_inspector()
     frame = plant.GetBodyFrameIdOrThrow(phantom.body.index())
@@ -32,7 +33,7 @@ def test_the_box_has_the_contact_asked_for():
     plant, scene_graph = MultibodyPlant(time_step=0.001), SceneGraph()
     plant.RegisterAsSourceForSceneGraph(scene_graph)
     contact = PhantomContact(hydroelastic_modulus=1e4, point_contact_stiffness=300, friction=0.1)
-    phantom = AddPhantom(plant, scene_graph, size=SIZE, contact=contact)
+    phantom = AddPhantom(plant, scene_graph, surface=BodySurface(SIZE), contact=contact)
     (box,) = plant.GetCollisionGeometriesForBody(phantom.body)
     properties = scene_graph.model_inspector().GetProximityProperties(box)
     assert properties.GetProperty("hydroelastic", "hydroelastic_modulus") == 1e4
@@ -53,7 +54,7 @@ def test_contact_loads_from_the_phantoms_file(tmp_path):
 def test_stage_is_driven_in_the_order_of_the_command():
     plant, scene_graph = MultibodyPlant(time_step=0.001), SceneGraph()
     plant.RegisterAsSourceForSceneGraph(scene_graph)
-    phantom = AddPhantom(plant, scene_graph, size=SIZE)
+    phantom = AddPhantom(plant, scene_graph, surface=BodySurface(SIZE))
     plant.Finalize()
     actuators = plant.GetJointActuatorIndices(phantom.model_instance)
     joints = [plant.get_joint_actuator(index).joint().name() for index in actuators]

@@ -41,6 +41,16 @@ def test_posture_puts_the_probe_at_the_pose(arm, x, y, yaw, height):
     assert np.abs(q - arm.home).max() < 1.6
 
 
+def test_a_redundant_arm_finds_every_pose_that_it_reaches():
+    # The solver gives up on some fifteenth of these if it starts at home and wants the nearest.
+    poses = [
+        probe_pose(X_WT=X_WT, x=x, y=0, yaw=yaw, height=0)
+        for x in np.linspace(-0.06, 0.06, 7)
+        for yaw in np.linspace(-np.pi / 3, np.pi / 3, 9)
+    ]
+    assert all(reachable(IIWA, poses))
+
+
 def test_a_redundant_arm_stays_near_the_posture_it_is_given():
     pose = probe_pose(X_WT=X_WT, x=0, y=0, yaw=0.3, height=0.0)
     swung = IIWA.home + np.array([0.4, 0, -0.4, 0, 0, 0, 0])

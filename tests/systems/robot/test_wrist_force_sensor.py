@@ -4,16 +4,18 @@ from pydrake.common.value import Value
 from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.tree import JointIndex
 
-from sonoservo.systems.robot.wrist_force_sensor import WristForceSensor
+from sonoservo.systems.robot.wrist_force_sensor import WristForceSensor, WristSensorParameters
 
 FORCES = [SpatialForce(np.full(6, 9.0)), SpatialForce(np.arange(6.0))]
 
 
-def readings(times, *, force_noise=0.02, torque_noise=0.001, seed=3):
+QUIET = {"force_noise": 0.0, "torque_noise": 0.0}
+
+
+def readings(times, *, seed=3, **parameters):
     sensor = WristForceSensor(
         wrist=JointIndex(1),
-        force_noise=force_noise,
-        torque_noise=torque_noise,
+        parameters=WristSensorParameters(**parameters),
         period=0.005,
         seed=seed,
     )
@@ -28,7 +30,7 @@ def readings(times, *, force_noise=0.02, torque_noise=0.001, seed=3):
 
 
 def test_without_noise_it_reads_its_joint():
-    (reading,) = readings([0.1], force_noise=0, torque_noise=0)
+    (reading,) = readings([0.1], **QUIET)
     np.testing.assert_array_equal(reading, np.arange(6.0))
 
 
@@ -48,6 +50,17 @@ def test_noise_depends_on_time_and_seed_alone():
     assert np.abs(readings([0.0], seed=4) - forward[0]).max() > 1e-4
 
 
-def test_negative_noise_is_refused():
-    with pytest.raises(ValueError, match="force_noise"):
-        readings([0.0], force_noise=-1)
+def test_bias_is_constant_and_drift_grows_with_time():
+    bias = {"force_bias": 0.3, "torque_bias": -0.01}
+    drift = {"force_drift": 2e-3, "torque_drift": 1e-4}
+    read = readings([0.0, 50.0], **QUIET, **bias, **drift) - np.arange(6.0)
+    np.testing.assert_allclose(read[0], 3 * [-0.01] + 3 * [0.3])
+    np.testing.assert_allclose(read[1] - read[0], 3 * [0.005] + 3 * [0.1])
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("force_noise", -1), ("force_bias", np.nan), ("torque_drift", np.inf)]
+)
+def test_a_parameter_out_of_range_is_named(field, value):
+    with pytest.raises(ValueError, match=field):
+        WristSensorParameters(**{field: value})

@@ -10,6 +10,7 @@ from numba import njit, prange
 
 from sonoservo.systems.sampling.options import OPTIONS
 from sonoservo.systems.ultrasound.simulation.kernels.blocks import count_below, frame_blocks, misses
+from sonoservo.systems.ultrasound.simulation.kernels.body import keep_inside
 from sonoservo.systems.ultrasound.simulation.kernels.displacement import (
     displace,
     displacement_limit,
@@ -19,6 +20,7 @@ from sonoservo.systems.ultrasound.simulation.kernels.displacement import (
 from sonoservo.systems.ultrasound.simulation.kernels.line_blur import blur_lines
 from sonoservo.systems.ultrasound.simulation.kernels.medium import look_up
 from sonoservo.systems.ultrasound.simulation.kernels.projection import (
+    gaussian,
     line_coordinates,
     phasor,
     transformed,
@@ -34,7 +36,6 @@ REACH = 2.6
 """Standard deviations in elevation beyond which scatterers are left out: 0.02 % of the energy."""
 
 _ZERO = np.float32(0)
-_EIGHTH = np.float32(0.125)
 _HALF = np.float32(0.5)
 _ONE = np.float32(1)
 _FURTHEST = np.float32(REACH**2 / 2)
@@ -43,8 +44,6 @@ _FADE_WIDTH = np.float32(2 * FADE)
 _HALF_DIAGONAL = 3**0.5 / 2
 _BENT = 1.15
 _NEAR_NEEDLE = 1e-3
-# Minimax polynomial of exp(-v) on [0, 0.6], to 1e-6.
-_E1, _E2, _E3, _E4 = (np.float32(c) for c in (-0.99994248, 0.49904756, -0.16171851, 0.03126755))
 
 
 @njit(parallel=True, **OPTIONS)
@@ -94,16 +93,6 @@ def render_tissue(  # type: ignore[no-untyped-def]
 
 
 @njit(**OPTIONS)
-def _gaussian(u):  # type: ignore[no-untyped-def]
-    """Return exp(-u) for u from 0 to 4.8."""
-    v = u * _EIGHTH
-    w = _ONE + v * (_E1 + v * (_E2 + v * (_E3 + v * _E4)))
-    w *= w
-    w *= w
-    return w * w
-
-
-@njit(**OPTIONS)
 def deposit_tissue(  # type: ignore[no-untyped-def]
     accumulator, X_FT, box, tile, rays, tables, pulse, regions, lumens, view, field, frame
 ):
@@ -116,7 +105,8 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
     X_FT
         (3, 4) pose of the tissue in F, float64.
     box
-        (2, 3) lower and upper corner of the tissue in T, in m.
+        (2, 3) lower and upper corner of the tissue in T, in m, or (3, 3) if it is curved; see
+        `BodySurface.bounds`.
     tile
         Scatterers, a `ScattererTile`.
     rays, tables
@@ -192,10 +182,7 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                 segment = 0
                 thick = support
                 if field is not None:
-                    limit = displacement_limit(px, py, pz, field, frame)
-                    if abs(z) > thickness + support + limit:
-                        continue
-                    limit += radius
+                    limit = radius + displacement_limit(px, py, pz, field, frame)
                     if abs(x) - (y + rays.centre_offset) * widest_slope > 2 * limit:
                         continue
                     if view is None and misses(x, y, z, limit, reach, twist_per_radian, rays):
@@ -298,7 +285,7 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                     p = share + share_slope * ahead
                     u = (precision + precision_slope * ahead) * e * e
                     weight = (p * _FADE_OUT - rank[i]) / (p * _FADE_WIDTH)
-                    weight = min(max(weight, _ZERO), _ONE) * _gaussian(u)
+                    weight = min(max(weight, _ZERO), _ONE) * gaussian(u)
                     path = r_i - rays.array_radius + curvature * e * e
                     c, s = phasor(path * rays.turns_per_metre)
                     at_line += pad
@@ -325,6 +312,18 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                 for i in range(n):
                     chosen[number] = i
                     number += kept[i]
+                if len(box) > 2:
+                    number = keep_inside(
+                        chosen,
+                        number,
+                        xs,
+                        ys,
+                        zs,
+                        bx * block_size,
+                        by * block_size,
+                        bz * block_size,
+                        box,
+                    )
                 if regions is not None:
                     content = regions.content[
                         bx - regions.first_block[0],

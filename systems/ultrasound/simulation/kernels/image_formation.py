@@ -4,6 +4,7 @@ import numpy as np
 from numba import njit, prange
 
 from sonoservo.systems.sampling.options import OPTIONS
+from sonoservo.systems.ultrasound.simulation.kernels.body import way_through
 
 _LOG2_10 = np.log2(10)
 _SOFT_EDGE = 0.5e-3
@@ -16,7 +17,18 @@ _L1, _L2, _L3, _L4, _L5, _L6 = (
 
 @njit(parallel=True, **OPTIONS)
 def form_image(  # type: ignore[no-untyped-def]
-    grey, iq, X_TP, box, origins, directions, gel_thickness, noise, keys, grey_per_db, offset
+    grey,
+    iq,
+    X_TP,
+    box,
+    origins,
+    directions,
+    gel_thickness,
+    open_shares,
+    noise,
+    keys,
+    grey_per_db,
+    offset,
 ):
     """Convert every frame's echoes to grey levels.
 
@@ -28,11 +40,14 @@ def form_image(  # type: ignore[no-untyped-def]
         (frames, 3, 4), (frames, lines, 3) and (frames, lines, 3): see `coupling`.
     box, gel_thickness
         See `coupling`.
+    open_shares
+        (frames, lines) float32 factors on the echoes of lines under which air lies.
     noise, keys, grey_per_db, offset
         See `compress`; keys is (frames,).
     """
     for frame in prange(len(grey)):
         share = coupling(X_TP[frame], origins[frame], directions[frame], box, gel_thickness)
+        share *= open_shares[frame]
         compress(grey[frame], iq[frame], share, noise, keys[frame], grey_per_db, offset)
 
 
@@ -47,7 +62,8 @@ def coupling(X_TP, origins, directions, box, gel_thickness):  # type: ignore[no-
     origins, directions
         (lines, 3) points at which the lines leave the face, in m, and their unit directions, in P.
     box
-        (2, 3) corners of the tissue in T, in m.
+        (2, 3) corners of the tissue in T, in m, or (3, 3) if it is curved; see
+        `BodySurface.bounds`.
     gel_thickness
         Longest path from the face to the tissue that the gel fills, in m; beyond it, the sound
         fades over 0.5 mm.
@@ -57,23 +73,18 @@ def coupling(X_TP, origins, directions, box, gel_thickness):  # type: ignore[no-
     (lines,) float32 shares from 0 to 1.
     """
     share = np.empty(len(origins), np.float32)
+    point = np.empty(3)
+    along = np.empty(3)
     for j in range(len(origins)):
-        enter = 0.0
-        leave = np.inf
         for axis in range(3):
             start = X_TP[axis, 3]
             slope = 0.0
             for other in range(3):
                 start += X_TP[axis, other] * origins[j, other]
                 slope += X_TP[axis, other] * directions[j, other]
-            if abs(slope) < 1e-9:
-                if start < box[0, axis] or start > box[1, axis]:
-                    leave = -1.0
-                continue
-            near = (box[0, axis] - start) / slope
-            far = (box[1, axis] - start) / slope
-            enter = max(enter, min(near, far))
-            leave = min(leave, max(near, far))
+            point[axis] = start
+            along[axis] = slope
+        enter, leave = way_through(point, along, box)
         excess = (enter - gel_thickness) / _SOFT_EDGE
         share[j] = 0.0 if leave < enter else 1.0 - min(max(excess, 0.0), 1.0)
     return share

@@ -104,11 +104,11 @@ def weigh_scatterers(  # type: ignore[no-untyped-def]
             # Phases that turn at normally distributed rates decorrelate like a Gaussian beam's echo
             # of scatterers that pass through it.
             phase = turn * regions.quantiles[i % len(regions.quantiles)]
-            c = np.float32(np.cos(phase))
-            s = np.float32(np.sin(phase))
+            along = np.float32(np.cos(phase))
+            across = np.float32(np.sin(phase))
             real = cosine[i]
-            cosine[i] = real * c - sine[i] * s
-            sine[i] = real * s + sine[i] * c
+            cosine[i] = real * along - sine[i] * across
+            sine[i] = real * across + sine[i] * along
         chosen[left] = i
         left += 1
     return left

@@ -33,7 +33,7 @@ def shifted(log, x, when):
     """The probe shifted by x along X while ``when`` holds."""
     X_WP = log.X_WP.copy()
     X_WP[:, 0, 3] += np.where(when, x, 0.0)
-    return replace(log, X_WP=X_WP)
+    return replace(log, X_WP=X_WP, measured_X_WP=X_WP)
 
 
 def test_errors_and_features_by_volume(log):

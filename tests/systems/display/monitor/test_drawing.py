@@ -166,9 +166,11 @@ def test_readings(make_volume):
     assert said["mode"] == "tracking"
     assert said["tip"] == "tip depth 50.0 mm"
     assert said["features"] == "X +10.0 mm   Z +10.0 mm   Theta +36.9 deg"  # 3 across, 4 along
-    lost = NeedleEstimate(TrackingMode.SEARCHING, 0.0, reason="nothing moved")
+    lost = NeedleEstimate(TrackingMode.SEARCHING, 0.0, reason="nothing changed by more than 3.0 dB")
     said = readings(volume, lost, 43)
-    assert (said["mode"], said["tip"], said["reason"]) == ("searching", "", "nothing moved")
+    assert (said["mode"], said["tip"]) == ("searching", "")
+    assert said["reason"] == "nothing changed by more than 3.0 dB"
+    assert said["advice"].startswith("push the needle into view")
     assert readings(volume, None, 1)["mode"] == "no tracker"
 
 

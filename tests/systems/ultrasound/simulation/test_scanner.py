@@ -9,6 +9,8 @@ from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.sweep import Sweep
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
+from sonoservo.systems.ultrasound.simulation.errors.clock import ClockParameters
+from sonoservo.systems.ultrasound.simulation.errors.connection import ConnectionParameters
 from sonoservo.systems.ultrasound.simulation.scanner import Scanner
 from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
@@ -34,10 +36,11 @@ def make_scanner(**changes):
 class World(LeafSystem):
     """Poses and needle as functions of time."""
 
-    def __init__(self, X_WP, X_WT, needle):
+    def __init__(self, X_WP, X_WT, needle, measured):
         super().__init__()
         for name, value, model in (
-            ("X_WP", X_WP, Value(RigidTransform())),
+            ("true_X_WP", X_WP, Value(RigidTransform())),
+            ("X_WP", measured or X_WP, Value(RigidTransform())),
             ("X_WT", X_WT, Value(RigidTransform())),
             ("needle", needle, Value[object]()),
         ):
@@ -48,16 +51,26 @@ class World(LeafSystem):
             )
 
 
-def run(scanner, *, X_WP=lambda t: DOWN, X_WT=lambda t: RigidTransform(), needle=lambda t: NOWHERE):
-    """Simulator and a function that reads the sweep."""
+def run(
+    scanner,
+    *,
+    X_WP=lambda t: DOWN,
+    X_WT=lambda t: RigidTransform(),
+    needle=lambda t: NOWHERE,
+    measured=None,
+):
+    """Simulator and a function that reads the sweep, or another port.
+
+    Without ``measured`` poses, the true ones are all there are.
+    """
     builder = DiagramBuilder()
     builder.AddSystem(scanner)
-    world = builder.AddSystem(World(X_WP, X_WT, needle))
-    for name in ("X_WP", "X_WT", "needle"):
+    world = builder.AddSystem(World(X_WP, X_WT, needle, measured))
+    for name in ("X_WP", "X_WT", "needle", *(["true_X_WP"] if measured else [])):
         builder.Connect(world.GetOutputPort(name), scanner.GetInputPort(name))
     simulator = Simulator(builder.Build())
     context = scanner.GetMyContextFromRoot(simulator.get_context())
-    return simulator, lambda: scanner.GetOutputPort("sweep").Eval(context)
+    return simulator, lambda port="sweep": scanner.GetOutputPort(port).Eval(context)
 
 
 def sweep_at(time, **world):
@@ -168,3 +181,71 @@ def test_output_port_alone():
     scanner = make_scanner()
     context = scanner.CreateDefaultContext()
     assert scanner.GetOutputPort("sweep").Eval(context) == NotFound("no sweep is complete yet")
+
+
+def test_true_pose_is_rendered_and_the_measured_one_is_the_label():
+    wrong = RigidTransform([0.3, 0.2, 0.1]) @ DOWN
+    labelled = sweep_at(0.13, measured=lambda t: wrong)
+    plain = sweep_at(0.13)
+    np.testing.assert_array_equal(labelled.samples, plain.samples)
+    np.testing.assert_array_equal(labelled.motion.X_WP, np.tile(wrong.GetAsMatrix4(), (5, 1, 1)))
+
+
+def moving(time):
+    return RigidTransform(DOWN.rotation(), [0.01 * time, 0, -0.004])
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.04, -0.04, 0.2])
+def test_skewed_clock_gives_each_frame_the_pose_of_its_stamp(offset):
+    clock = ClockParameters(offset=offset, drift=1e-3)
+    scanner = make_scanner(parameters=ScannerParameters(clock=clock))
+    simulator, read = run(scanner, X_WP=moving, measured=moving)
+    period = scanner.geometry.period
+    simulator.AdvanceTo(2.1 * period + max(offset, 0) + scanner.geometry.frame_period)
+    motion, record = read().motion, read("motion_record")
+    true = period + scanner.geometry.frame_times(0.0, -1)
+    np.testing.assert_allclose(record.true.times, true, atol=1e-12)
+    np.testing.assert_allclose(motion.times, true + offset + 1e-3 * true, atol=1e-12)
+    np.testing.assert_allclose(motion.X_WP[:, 0, 3], 0.01 * motion.times, atol=1e-12)
+    np.testing.assert_allclose(record.true.X_WP[:, 0, 3], 0.01 * true, atol=1e-12)
+    np.testing.assert_array_equal(record.measured.times, motion.times)
+
+
+def sweeps_seen(scanner, count):
+    """Time at which each sweep is first seen, in periods, and its number."""
+    simulator, read = run(scanner)
+    period, seen = scanner.geometry.period, {}
+    for time in np.arange(0.1, count * 5) * scanner.geometry.frame_period:
+        simulator.AdvanceTo(time)
+        record = read("motion_record")
+        if record:
+            number = round(record.true.time / period - 0.4)
+            seen.setdefault(number, time / period - 0.02)
+    return seen
+
+
+def test_lost_sweeps_do_not_appear():
+    connection = ConnectionParameters(lost_sweeps=0.25)
+    scanner = make_scanner(parameters=ScannerParameters(connection=connection))
+    seen = sweeps_seen(scanner, 101)
+    assert len(seen) == pytest.approx(75, abs=4 * np.sqrt(100 * 0.25 * 0.75))
+    for number, time in seen.items():
+        assert time == pytest.approx(number + 1)
+
+
+def test_program_that_is_busy_for_longer_than_a_sweep_drops_some():
+    scanner = make_scanner(processing_time=1.4 * make_scanner().geometry.period)
+    seen = sweeps_seen(scanner, 9)
+    # Taken at 1, 2.4, 3.8, 5.2, 6.6: the newest at each of these times.
+    assert seen == pytest.approx({0: 2.4, 1: 3.8, 2: 5.2, 4: 6.6, 5: 8.0}, abs=1e-6)
+
+
+def test_late_sweeps_come_a_frame_or_more_later():
+    connection = ConnectionParameters(lateness=0.02)
+    scanner = make_scanner(parameters=ScannerParameters(connection=connection))
+    seen = sweeps_seen(scanner, 101)
+    late = np.array([time - (number + 1) for number, time in seen.items()])
+    frame = scanner.geometry.frame_period / scanner.geometry.period
+    mean = 0.02 / scanner.geometry.period + frame / 2
+    assert late.mean() == pytest.approx(mean, rel=0.4)
+    np.testing.assert_allclose(late / frame, np.round(late / frame), atol=1e-6)

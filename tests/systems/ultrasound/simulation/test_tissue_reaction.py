@@ -46,7 +46,7 @@ class World(LeafSystem):
     def __init__(self, X_WT=lambda t: RigidTransform(), needle=pushed):
         super().__init__()
         for name, model, value in (
-            ("X_WP", RigidTransform(), lambda t: PRESSED),
+            ("true_X_WP", RigidTransform(), lambda t: PRESSED),
             ("X_WT", RigidTransform(), X_WT),
             ("pushed_needle", NONE, needle),
         ):
@@ -62,14 +62,15 @@ def simulated(parameters, world=None, scanner=None):
     builder = DiagramBuilder()
     world = builder.AddSystem(world or World())
     reaction = builder.AddSystem(TissueReaction(parameters=parameters, dome_radius=33e-3))
-    for name in ("X_WP", "X_WT", "pushed_needle"):
+    for name in ("true_X_WP", "X_WT", "pushed_needle"):
         builder.Connect(world.GetOutputPort(name), reaction.GetInputPort(name))
     if scanner is not None:
         builder.AddSystem(scanner)
         for source, name in (
-            (world, "X_WP"), (world, "X_WT"), (reaction, "needle"), (reaction, "deformation"),
+            (world, "true_X_WP"), (world, "X_WT"), (reaction, "needle"), (reaction, "deformation"),
         ):  # fmt: skip
             builder.Connect(source.GetOutputPort(name), scanner.GetInputPort(name))
+        builder.Connect(world.GetOutputPort("true_X_WP"), scanner.GetInputPort("X_WP"))
     simulator = Simulator(builder.Build())
 
     def read(port):

@@ -1,0 +1,90 @@
+"""Compilation of the numeric kernels, so that the first run starts at once."""
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+
+import numpy as np
+from pydrake.math import RigidTransform
+
+from sonoservo.diagrams.app.run import run
+from sonoservo.diagrams.experiments.registry import load_scenario
+from sonoservo.diagrams.needle_tracker import track
+from sonoservo.diagrams.trackers.chatelain2013 import Chatelain2013TrackerParameters
+from sonoservo.systems.signals.volume import Volume
+
+_SPACING = 1e-3
+_SHAPE = (80, 60, 40)
+_VOLUMES, _BEFORE = 16, 7
+_ADVANCE = 3
+"""Advance of the needle from one synthetic volume to the next, in voxels."""
+
+
+def compile_scanner() -> None:
+    """Compile rendering and scan conversion: simulate two sweeps of a moving probe and needle."""
+    changes = [
+        "duration=1.3",
+        "hand.start=0",
+        "hand.pushes.0.speed=0.05",
+        "station.plant.contact_model=point",
+    ]
+    run(load_scenario("chatelain2013_fig5", changes=changes))
+
+
+def compile_tracker() -> None:
+    """Compile detection and localization: track a line that grows in noise, straight and bent."""
+    for order in (2, 3):
+        list(track(_volumes(), parameters=Chatelain2013TrackerParameters(order=order)))
+    everywhere = Chatelain2013TrackerParameters(start="anywhere")
+    list(track(list(_volumes())[-2:], parameters=everywhere))
+
+
+def compile_shape_prediction() -> None:
+    """Compile slices, template matching and particle filter: insert a bevelled needle."""
+    run(load_scenario("carriere2016_d60", changes=["depth=0.07"]))
+
+
+TASKS: tuple[Callable[[], None], ...] = (
+    compile_scanner,
+    compile_tracker,
+    compile_shape_prediction,
+)
+
+
+def compile_kernels() -> Iterator[str]:
+    """Compile the kernels of runs and trackers, two at a time, unless they are compiled already.
+
+    Compiled kernels are kept in files beside the source.
+
+    Yields
+    ------
+    A line of text about each part, when it is done.
+    """
+    start = time.perf_counter()
+    # Two, as they take turns in keeping the compiler busy; each takes some hundred MB.
+    processes = min(2, os.cpu_count() or 1)
+    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+        tasks = {pool.submit(task): task for task in TASKS}
+        for done in as_completed(tasks):
+            done.result()
+            name = tasks[done].__name__.removeprefix("compile_").replace("_", " ")
+            yield f"{name}: ready after {time.perf_counter() - start:.0f} s"
+
+
+def _volumes() -> Iterator[Volume]:
+    """Yield volumes in which a bright line grows from the side."""
+    rng = np.random.default_rng(0)
+    tissue = rng.rayleigh(20, _SHAPE)
+    for number in range(_VOLUMES):
+        intensities = np.clip(tissue + rng.normal(0, 1, _SHAPE), 1, 255)
+        length = max(0, _ADVANCE * (number - _BEFORE))
+        intensities[:length, 29:31, 19:21] = 230
+        yield Volume(
+            intensities=intensities.astype(np.uint8),
+            origin=np.array([-40e-3, 0, -20e-3]),
+            spacing=np.full(3, _SPACING),
+            X_WP=RigidTransform(),
+            time=0.3 * number,
+        )

@@ -1,0 +1,51 @@
+"""Dials of the harder world: what makes images and instruments of a clinic hard."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from sonoservo.systems.files.typed_yaml import read_yaml
+
+
+@dataclass(frozen=True)
+class Dial:
+    """One difficulty of reality.
+
+    Parameters
+    ----------
+    line
+        Description for a person, with its unit.
+    moderate
+        Fields of a scenario of following at moderate strength, by their dotted paths.
+    plain
+        Numbers of those fields at strength 0, where they are not 0.
+    """
+
+    line: str
+    moderate: Mapping[str, Any]
+    plain: Mapping[str, float] = field(default_factory=dict)
+
+    def changes(self, strength: float = 1.0) -> list[str]:
+        """Return the assignments that turn the dial to a strength.
+
+        Numbers change linearly from their value at strength 0 to the moderate one at 1, and beyond.
+        Names and switches do not depend on the strength.
+
+        Parameters
+        ----------
+        strength
+            Strength relative to the moderate one, above 0.
+        """
+        return [f"{path}={self._value(path, strength)}" for path in self.moderate]
+
+    def _value(self, path: str, strength: float) -> Any:
+        moderate, off = self.moderate[path], self.plain.get(path, 0.0)
+        return off + strength * (moderate - off) if isinstance(moderate, float) else moderate
+
+
+def load_dials() -> dict[str, Dial]:
+    """Return all dials by name."""
+    path = Path(str(files("sonoservo.diagrams"))) / "dials.yaml"
+    return {name: Dial(**each) for name, each in read_yaml(path).items()}

@@ -1,0 +1,68 @@
+"""Parts of a station that give the pose of its probe and its joints the errors of calibration."""
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.systems.framework import DiagramBuilder, OutputPort
+from pydrake.systems.primitives import Adder, ConstantVectorSource
+
+from sonoservo.diagrams.assembly import assemble_arm
+from sonoservo.systems.robot.errors.calibration import CalibrationParameters, hand_eye_error
+from sonoservo.systems.robot.errors.pose_delay import PoseDelay, PoseDelayParameters
+from sonoservo.systems.robot.forward_kinematics import ForwardKinematics
+
+
+def add_offset(
+    builder: DiagramBuilder, port: OutputPort, offset: NDArray[np.float64]
+) -> OutputPort:
+    """Return a port with the values of another one plus a constant, or that port for zero."""
+    if not offset.any():
+        return port
+    adder = builder.AddSystem(Adder(2, len(offset)))
+    constant = builder.AddSystem(ConstantVectorSource(offset))
+    builder.Connect(port, adder.get_input_port(0))
+    builder.Connect(constant.get_output_port(), adder.get_input_port(1))
+    return adder.get_output_port()
+
+
+def add_measured_pose(
+    builder: DiagramBuilder,
+    true_pose: OutputPort,
+    joint_state: OutputPort,
+    *,
+    arm: str,
+    probe: str,
+    calibration: CalibrationParameters,
+    delay: PoseDelayParameters,
+    period: float,
+    seed: int,
+) -> OutputPort:
+    """Add the systems that measure the pose of the probe, and return the port of that pose.
+
+    Parameters
+    ----------
+    builder
+        Builder of the station.
+    true_pose, joint_state
+        Ports of the true pose of the probe and of the joints' measured positions.
+    arm, probe
+        Names of files in models/robots and models/probes, or paths.
+    calibration, delay
+        Errors of the calibration, and delay of the pose; without either, the true pose is measured.
+    period
+        Time step of the plant, in s.
+    seed
+        Seed of the errors.
+    """
+    measured = true_pose
+    if calibration.moves_probe:
+        held = assemble_arm(arm, probe, hand_eye_error(calibration, seed))
+        kinematics = ForwardKinematics(plant=held.plant, frame=held.frame)
+        builder.AddNamedSystem("forward_kinematics", kinematics)
+        builder.Connect(joint_state, kinematics.get_input_port())
+        measured = kinematics.get_output_port()
+    if delay != PoseDelayParameters():
+        delayed = PoseDelay(parameters=delay, period=period, seed=seed)
+        builder.AddNamedSystem("pose_delay", delayed)
+        builder.Connect(measured, delayed.get_input_port())
+        measured = delayed.get_output_port()
+    return measured

@@ -1,0 +1,59 @@
+"""Reason why a run's tracker found no needle, and what to change."""
+
+from collections import Counter
+
+import numpy as np
+
+from sonoservo.systems.evaluation.run_errors import at_times
+from sonoservo.systems.evaluation.run_log import RunLog
+from sonoservo.systems.signals.search_advice import search_advice, search_words
+
+_IN_VIEW = 5e-3
+"""Length of the needle in the swept sector, in m, from which the tracker could find it."""
+
+
+def missing_needle(log: RunLog) -> tuple[str, str]:
+    """Return why the tracker found no needle, and what to change, each as a sentence or empty.
+
+    The reason is the tracker's most frequent one while the needle could be seen, or in the whole
+    run if it never could. Whether it could is judged with the truth.
+
+    Parameters
+    ----------
+    log
+        Log of a run in which no needle was found.
+    """
+    reasons = [
+        measured if detected in ("", "a needle is being tracked") else detected
+        for detected, measured in zip(
+            log.volume_detection_reason.tolist(),
+            log.volume_measurement_reason.tolist(),
+            strict=True,
+        )
+    ]
+    if not reasons:
+        return "No volume was acquired.", _sentence(search_advice("no volume"))
+    last = f" {_sentence(reasons[-1])}" if reasons[-1] else ""
+    if np.nanmax(log.inserted_length, initial=-1) == 0:
+        return (
+            f"The needle stayed outside the tissue.{last}",
+            "Push it in before the run ends (hand.start, hand.pushes, duration).",
+        )
+    visible = at_times(log, log.visible_length, log.volume_time)
+    seen = np.nan_to_num(visible) > _IN_VIEW
+    if np.isfinite(visible).any() and not seen.any():
+        return (
+            f"The needle never came into view.{last}",
+            "Push it further (hand.pushes), or let it pass below the probe (hand.aim).",
+        )
+    shown = [reason for reason, each in zip(reasons, seen, strict=True) if each] or reasons
+    # The first volumes have nothing to be compared with, whatever else is wrong.
+    shown = [each for each in shown if not each.startswith("there is no earlier")] or shown
+    counts = Counter(search_words(reason) or reason for reason in shown)
+    usual, _ = counts.most_common(1)[0]
+    last = next(each for each in reversed(shown) if (search_words(each) or each) == usual)
+    return _sentence(last), _sentence(search_advice(last))
+
+
+def _sentence(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:]}." if text else ""

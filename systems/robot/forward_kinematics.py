@@ -1,0 +1,56 @@
+"""Leaf system that computes the pose of a frame from the positions of an arm's joints."""
+
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import Frame
+from pydrake.systems.framework import Context, LeafSystem, ValueProducer
+
+
+class ForwardKinematics(LeafSystem):
+    """Computes the pose of a frame as an arm's controller does, from measured joint positions.
+
+    .. pydrake_system::
+
+        name: ForwardKinematics
+        input_ports:
+        - joint_state
+        output_ports:
+        - pose
+
+    `joint_state` holds n positions, then n velocities, in rad and rad/s; `pose` is the
+    RigidTransform X_WF of the frame F. It is as accurate as the plant's model of the arm.
+
+    Parameters
+    ----------
+    plant
+        Finalized plant of the arm alone.
+    frame
+        Frame F in the plant.
+    """
+
+    def __init__(self, *, plant: MultibodyPlant, frame: Frame):
+        super().__init__()
+        self._plant, self._frame = plant, frame
+        # Each context of this system has its own scratch context of the plant.
+        self._scratch = self.DeclareCacheEntry(
+            "plant_context",
+            ValueProducer(
+                allocate=lambda: Value[object](plant.CreateDefaultContext()),
+                calc=ValueProducer.NoopCalc,
+            ),
+            prerequisites_of_calc={self.nothing_ticket()},
+        )
+        state = self.DeclareVectorInputPort("joint_state", 2 * plant.num_positions())
+        self.DeclareAbstractOutputPort(
+            "pose",
+            lambda: Value(RigidTransform()),
+            self._calc_pose,
+            prerequisites_of_calc={state.ticket()},
+        )
+
+    def _calc_pose(self, context: Context, output: Value) -> None:
+        positions = self.get_input_port().Eval(context)[: self._plant.num_positions()]
+        scratch = self._scratch.get_mutable_cache_entry_value(context).GetMutableValueOrThrow()
+        self._plant.SetPositions(scratch, positions)
+        output.set_value(self._frame.CalcPoseInWorld(scratch))

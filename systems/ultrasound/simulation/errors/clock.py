@@ -1,0 +1,65 @@
+"""Difference between the clocks of scanner and arm, and what it does to the poses of frames."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydrake.math import RigidTransform
+from pydrake.trajectories import PiecewisePose
+
+from sonoservo.systems.signals.requirements import require
+
+
+@dataclass(kw_only=True)
+class ClockParameters:
+    """Scanner's clock, relative to that of arm and program.
+
+    Parameters
+    ----------
+    offset
+        Time by which the scanner's clock is ahead of the arm's, in s.
+    drift
+        Rate at which the scanner's clock gains on the arm's, in s/s; 1e-4 is 100 ppm.
+    """
+
+    offset: float = 0.0
+    drift: float = 0.0
+
+    def __post_init__(self) -> None:
+        offset, drift = self.offset, self.drift
+        require(bool(abs(offset) <= 1), "offset", offset, "from -1 to 1 s")
+        require(bool(abs(drift) <= 0.01), "drift", drift, "from -0.01 to 0.01")
+
+    @property
+    def is_right(self) -> bool:
+        """True if the clocks agree."""
+        return self.offset == 0 and self.drift == 0
+
+    def stamp(self, time: ArrayLike) -> NDArray[np.float64]:
+        """Return what the scanner's clock says at times in s."""
+        time = np.asarray(time, float)
+        return time + (self.offset + self.drift * time)
+
+
+def poses_at(
+    stamps: NDArray[np.float64], times: ArrayLike, X_WP: Sequence[RigidTransform]
+) -> NDArray[np.float64]:
+    """Return the poses that a program gives to frames by their stamps.
+
+    Parameters
+    ----------
+    stamps
+        (frames,) times of the frames by the scanner's clock, in s.
+    times
+        (m,) ascending times of the poses by the arm's clock, in s.
+    X_WP
+        (m,) poses.
+
+    Returns
+    -------
+    (frames, 4, 4) poses, linear in position and along the shortest turn; the nearest one for a
+    stamp before all poses or after them.
+    """
+    path = PiecewisePose.MakeLinear(np.asarray(times), list(X_WP))
+    return np.array([path.GetPose(stamp).GetAsMatrix4() for stamp in stamps])

@@ -1,0 +1,76 @@
+"""Why no needle was found, in words, and what to change."""
+
+import numpy as np
+import pytest
+from synthetic_logs import build_log
+
+from sonoservo.systems.evaluation.missing_needle import missing_needle
+from sonoservo.systems.evaluation.report import report_page
+from sonoservo.systems.signals.search_advice import search_advice, search_words
+
+NONE = "there is no earlier volume to compare with"
+MOVED, STILL = "the probe moved 1.20 mm between the volumes", "nothing changed by more than 2.1 dB"
+
+
+def log(reasons, visible=0.03, inserted=0.05, measured=None):
+    """Volumes every second; the needle is in view, as far as it ever is, from the third on."""
+    count = len(reasons)
+    time = np.arange(0, count, 1 / 32)
+    return build_log(
+        len(time),
+        count,
+        time=time,
+        inserted_length=np.full(len(time), inserted),
+        visible_length=np.where(time >= 2, visible, 0.0),
+        volume_time=np.arange(count) + 0.5,
+        volume_detection_reason=np.array(reasons),
+        volume_measurement_reason=np.array(measured or [""] * count),
+    )
+
+
+def test_the_most_frequent_reason_while_the_needle_is_in_view_counts():
+    reason, advice = missing_needle(log([NONE, MOVED, MOVED, STILL, NONE, STILL, STILL]))
+    assert reason == "Nothing changed by more than 2.1 dB."
+    assert advice.startswith("Push the needle into view (hand.pushes, hand.aim)")
+    reason, advice = missing_needle(log([NONE, NONE, "the probe moved 3 mm", NONE, MOVED, STILL]))
+    assert reason == "The probe moved 1.20 mm between the volumes."
+    assert "leave hand.start out" in advice
+
+
+def test_a_whole_volume_s_search_gives_the_localizer_s_reason():
+    tracked = ["a needle is being tracked"] * 4
+    reason, advice = missing_needle(log(tracked, measured=["no needle in the whole volume"] * 4))
+    assert reason == "No needle in the whole volume."
+    assert "hand.dip_deg" in advice
+
+
+@pytest.mark.parametrize(
+    ("truth", "beginning", "field"),
+    [
+        ({"visible": 0.0}, "The needle never came into view. Nothing changed", "hand.aim"),
+        ({"inserted": 0.0}, "The needle stayed outside the tissue. Nothing", "hand.start"),
+    ],
+)
+def test_a_needle_that_could_not_be_seen_is_said_to_be_so(truth, beginning, field):
+    reason, advice = missing_needle(log([NONE, STILL, STILL], **truth))
+    assert reason.startswith(beginning)
+    assert field in advice
+
+
+def test_a_run_too_short_for_a_volume_says_so():
+    assert missing_needle(build_log(0, 0)) == (
+        "No volume was acquired.",
+        "Let the run be longer (duration).",
+    )
+
+
+def test_the_report_tells_why():
+    detection = {"volume": None, "reason": "Nothing <moved>.", "advice": "Push."}
+    page = report_page({"scenario": "mine", "detection": detection}, {})
+    assert "<strong>No needle was found.</strong> Nothing &lt;moved&gt;. Push." in page
+    assert "No needle was found" not in report_page({"detection": {"volume": 3}}, {})
+
+
+def test_an_unknown_reason_has_no_advice():
+    assert search_advice("it rains") == search_words("it rains") == ""
+    assert search_words(MOVED) == "the probe moves"
