@@ -11,6 +11,7 @@ from .app.track import TrackedRecording as TrackedRecording
 from .app.track import track_recording as track_recording
 from .app.track import tracker_parameters as tracker_parameters
 from .assembly import assemble_arm as assemble_arm
+from .assembly import load_dome_radius as load_dome_radius
 from .assembly import load_probe_body as load_probe_body
 from .experiments.experiment import Experiment as Experiment
 from .experiments.following import FollowingExperiment as FollowingExperiment

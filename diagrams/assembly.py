@@ -54,6 +54,18 @@ def load_probe_body(name: str) -> ProbeBody:
     return body
 
 
+def load_dome_radius(name: str) -> float:
+    """Return the radius in m of a sphere with the mean curvature of a probe's dome at its apex.
+
+    Parameters
+    ----------
+    name
+        Name of a file in ``models/probes``, or a path.
+    """
+    a, b, c = load_probe_body(name).assumed.dome
+    return a * c / b
+
+
 def assemble_arm(
     arm: str = ARM, probe: str = PROBE, X_PC: RigidTransform | None = None
 ) -> ArmWithProbe:

@@ -8,11 +8,13 @@ TRUTH = frozenset(
     {
         "X_WT",
         "contact_force",
+        "deformation",
         "motion_record",
         "needle",
         "needle_target",
         "phantom_command",
         "phantom_target",
+        "pushed_needle",
         "query_object",
         "true_X_WP",
     }

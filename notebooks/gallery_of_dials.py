@@ -3,9 +3,10 @@
 # %% [markdown]
 # # What makes an image hard
 #
-# Each structure, and each dial of the needle, of the acoustics and of the scanner, at three
-# strengths beside the clean image: the middle frame of one sweep. What the scanner's motor and its
-# connection do shows from frame to frame: the middle lines of all frames, with a needle across.
+# Each structure, and each dial of the needle, of the acoustics, of the tissue's motion and of the
+# scanner, at three strengths beside the clean image: the middle frame of one sweep. What the
+# scanner's motor and its connection do shows from frame to frame: the middle lines of all frames,
+# with a needle across.
 
 # %%
 from dataclasses import replace
@@ -20,6 +21,9 @@ from sonoservo.systems.signals.sweep import SweepMotion
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation import (
     AirPocketParameters,
+    Ball,
+    Deformation,
+    Indentation,
     NeedleEchoParameters,
     ScannerParameters,
     SweepRenderer,
@@ -54,8 +58,18 @@ def held(dip_deg):
     return Needle(np.array([tip - 0.055 * np.array([np.cos(dip), 0, -np.sin(dip)]), tip]), 0.635e-3)
 
 
-def frame(tissue, needle=NONE, echo=ECHO, x=0.0, pose=ON_TOP, air=0.0):
-    """The middle frame of a sweep, and where its samples lie in mm."""
+def frame(
+    tissue,
+    needle=NONE,
+    echo=ECHO,
+    x=0.0,
+    pose=ON_TOP,
+    air=0.0,
+    pressed=0.0,
+    deformation=None,
+    times=(0.0,),
+):
+    """The mean of the middle frames of sweeps, and where its samples lie in mm."""
     renderer = SweepRenderer(
         transducer=load_transducer("4dc7_3_40"),
         imaging=IMAGING,
@@ -67,7 +81,15 @@ def frame(tissue, needle=NONE, echo=ECHO, x=0.0, pose=ON_TOP, air=0.0):
     )
     X = np.repeat(pose[np.newaxis], 3, axis=0)
     X[:, 0, 3] = x
-    grey = renderer.render(X, [needle] * 3, 1, 0)[1]
+    X[:, 2, 3] -= pressed
+    deformations = None
+    if deformation is not None:
+        needle = deformation.moved_needle(needle)
+        deformations = [deformation] * 3
+    shown = [
+        renderer.render(X, [needle] * 3, 1, 0, np.full(3, time), deformations)[1] for time in times
+    ]
+    grey = np.mean(shown, axis=0)
     j, i = np.indices(grey.shape)
     return grey, 1e3 * renderer.geometry.position(1, j, i, 1)
 
@@ -105,6 +127,42 @@ def having(*structures, **changes):
 
 
 # %%
+BEADS = replace(
+    PLAIN,
+    balls=[
+        Ball(centre=[x, 0, z], radius=0.5e-3, level_db=32)
+        for x in np.arange(-0.035, 0.04, 0.01)
+        for z in np.arange(-0.065, -0.008, 0.007)
+    ],
+)
+
+
+def pressed(newton, indents=True):
+    """Beads and a needle below a probe that presses; the depth grows with the power 2/3."""
+    depth = 4.3e-3 * (newton / 2) ** (2 / 3)
+    contact = Indentation(0.0, 0.0, depth, 33e-3) if indents else Indentation()
+    return frame(BEADS, held(8), pressed=depth - 4e-3, deformation=Deformation(contact))
+
+
+def dragged(distance):
+    """Beads beside a needle that drags them along."""
+    deformation = Deformation(shaft=held(8).shaft, drag=distance)
+    return frame(BEADS, held(8), deformation=deformation)
+
+
+def pushed(radius):
+    """Beads that give way to a needle."""
+    needle = replace(held(0), radius=max(radius, 0.25e-3))
+    return frame(BEADS, needle, deformation=Deformation(shaft=needle.shaft, hole_radius=radius))
+
+
+def flowing(speed):
+    """The mean of eight sweeps, in which moving blood loses its speckle."""
+    vessel = Vessel(radius=6e-3, lumen_db=-6, pulsation=0, flow_speed=speed)
+    tissue = replace(PLAIN, structures=[vessel])
+    return frame(tissue, times=0.05 * np.arange(8))
+
+
 FLAT = Fascia(centre=[0, 0, -0.05], wave_height=0)
 ROWS = {
     "bone: 4, 12, 40 mm wide": [
@@ -150,6 +208,11 @@ ROWS = {
         frame(PLAIN, held(8), replace(ECHO, tip=tip, tip_roll_deg=roll))
         for tip, roll in (("bevel", 0.0), ("bevel", 180.0), ("blunt", 0.0))
     ],
+    "pressed with 1, 2, 4 N": [pressed(n) for n in (1.0, 2.0, 4.0)],
+    "dragged by 1, 2, 5 mm": [dragged(d) for d in (1e-3, 2e-3, 5e-3)],
+    "pushed aside by 22, 18, 14 gauge": [pushed(r) for r in (0.36e-3, 0.635e-3, 1.05e-3)],
+    "breathing: 5, 10, 15 mm": [frame(BEADS, x=x) for x in (-0.005, -0.01, -0.015)],
+    "blood at 3, 10, 100 mm/s, mean of 8": [flowing(v) for v in (0.003, 0.01, 0.1)],
     "air under 10, 25, 50 % of the face": [frame(PLAIN, air=share) for share in (0.1, 0.25, 0.5)],
     "skin curved by 120, 60, 45 mm": [
         frame(replace(PLAIN, size=[0.4, 2 * r, 2 * r], shape="cylinder"), pose=ACROSS)
@@ -163,6 +226,11 @@ INK, PAPER = "#F2F2F2", "#0E1116"
 clean = {name: having() for name in ROWS}
 clean["needle fades by 3, 6, 12 dB"] = frame(PLAIN, held(8))
 clean["tip: bevel up, bevel down, blunt"] = frame(PLAIN, held(8))
+clean["pressed with 1, 2, 4 N"] = pressed(2.0, indents=False)
+clean["dragged by 1, 2, 5 mm"] = dragged(0.0)
+clean["pushed aside by 22, 18, 14 gauge"] = pushed(0.0)
+clean["breathing: 5, 10, 15 mm"] = frame(BEADS)
+clean["blood at 3, 10, 100 mm/s, mean of 8"] = flowing(0.0)
 for name in ROWS:
     if name.startswith(("backlash", "motor", "frames")):
         clean[name] = across()

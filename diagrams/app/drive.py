@@ -28,7 +28,6 @@ from sonoservo.systems.files.claims import claim_folder
 from sonoservo.systems.files.writing import write_atomically
 from sonoservo.systems.needle.operator_hand import OperatorHand
 from sonoservo.systems.robot.operator_phantom_motion import OperatorPhantomMotion
-from sonoservo.systems.robot.phantom_motion import PhantomMotionParameters
 
 if TYPE_CHECKING:
     from sonoservo.systems.display.monitor.monitor import Monitor
@@ -86,7 +85,7 @@ class DrivenExperiment(FollowingExperiment):
         still = replace(
             scenario,
             hand=replace(hand, start=0.0, pushes=[], initial_depth=depth),
-            phantom_motion=PhantomMotionParameters(),
+            phantom_motion=replace(scenario.phantom_motion, moves=[]),
             controller_changes=[],
         )
         start = controller.settings
@@ -102,7 +101,9 @@ class DrivenExperiment(FollowingExperiment):
             ),
         )
         self._hand = OperatorHand(make_insertion=lambda pushes: make_insertion(still, pushes))
-        self._phantom_motion = OperatorPhantomMotion(X_WT=scenario.station.X_WT)
+        self._phantom_motion = OperatorPhantomMotion(
+            X_WT=scenario.station.X_WT, breathing=scenario.phantom_motion.breathing
+        )
         self._settings = OperatorSettings(start=start)
         super().__init__(
             still,
@@ -133,7 +134,7 @@ class DrivenExperiment(FollowingExperiment):
             self.scenario,
             duration=max(self.time, _STRIDE),
             hand=replace(self.scenario.hand, pushes=pushes),
-            phantom_motion=PhantomMotionParameters(moves=moves),
+            phantom_motion=replace(self.scenario.phantom_motion, moves=moves),
             controller_changes=list(changes),
         )
 

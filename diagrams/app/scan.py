@@ -10,6 +10,7 @@ from pydrake.math import RigidTransform
 
 from sonoservo.diagrams.experiments.following_insertion import make_insertion
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams.experiments.following_tissue import scanned_deformations
 from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.systems.evaluation.plots import png
@@ -108,23 +109,30 @@ def _scan(
     times = geometry.frame_times(time, since=middle)
     needles = [insertion.needle(float(each)) for each in times]
     needle = needles[middle]
-    X_WT = station.X_WT
+    breathing = scenario.phantom_motion.breathing
+    X_WT = RigidTransform(breathing.displacement(time)) @ station.X_WT
     if X_TP is None:
         x, y = needle.tip[:2] if needle else (None, None)
         pose = station.probe_pose(x=x, y=y, height=-_INDENTATION, surface=tissue.surface)
-        X_TP = X_WT.InvertAndCompose(pose)
+        X_TP = station.X_WT.InvertAndCompose(pose)
     poses = np.tile(np.eye(4), (geometry.frames, 1, 1))
     poses[:, :3, 3] = (times - time)[:, np.newaxis] * np.array(velocity)
     poses = X_TP.GetAsMatrix4() @ poses
     motion = SweepMotion(geometry, 1, times, X_WT.GetAsMatrix4() @ poses)
-    sweep = acquire_sweep(renderer, motion, needles, X_TP=poses)
+    away = [breathing.displacement(float(each)) for each in times]
+    poses[:, :3, 3] += breathing.displacement(time) - np.array(away)
+    deformations = scanned_deformations(scenario, insertion, times, poses)
+    if deformations is not None:
+        pairs = zip(deformations, needles, strict=True)
+        needles = [each.moved_needle(needle) for each, needle in pairs]
+    sweep = acquire_sweep(renderer, motion, needles, X_TP=poses, deformations=deformations)
     parameters = scenario.scan_conversion
     conversion = ScanConversion(
         geometry,
         make_grid(geometry, parameters.spacing),
         compensate_motion=parameters.compensate_motion,
     )
-    return Scan(sweep, conversion(sweep), needle.transformed(X_WT))
+    return Scan(sweep, conversion(sweep), needles[middle].transformed(X_WT))
 
 
 def write_scan(scan: Scan, scenario: FollowingScenario, out: Path) -> list[Path]:

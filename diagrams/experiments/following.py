@@ -17,6 +17,7 @@ from sonoservo.diagrams.experiments.following_insertion import (
     make_insertion,
 )
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams.experiments.following_tissue import with_tissue_reaction
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
 from sonoservo.diagrams.probe_controller import MakeProbeController
 from sonoservo.diagrams.scenario import Scenario, require_scenario
@@ -175,6 +176,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
             geometry=geometry,
         )
         sources = _planned_sources(scenario, insertion) if sources is None else sources
+        sources = with_tissue_reaction(scenario, sources)
         systems: dict[str, System] = {
             "station": self.station,
             **sources,
@@ -214,7 +216,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
                 "convert": (self.scan_converter, "volume"),
             },
             event="track",
-            optional=("measurement", "detection", "guard", "volume_check"),
+            optional=("deformation", "measurement", "detection", "guard", "volume_check"),
             sees_truth={"station", *sources, *_OBSERVERS, *observers},
         )
 

@@ -15,6 +15,7 @@ from sonoservo.systems.signals.requirements import require, require_positive
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.scan_converter import ScanConversionParameters
 from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
+from sonoservo.systems.ultrasound.simulation.tissue_reaction import TissueReactionParameters
 
 
 @dataclass(kw_only=True)
@@ -33,6 +34,8 @@ class FollowingScenario(Scenario):
         Tissue and contact of the phantom: name of a file in models/phantoms, or a path.
     phantom_motion
         Motion of the phantom.
+    tissue_reaction
+        Reaction of the tissue to probe and needle.
     hand
         Needle, and how it is pushed.
     probe
@@ -59,6 +62,7 @@ class FollowingScenario(Scenario):
     station: StationParameters = field(default_factory=StationParameters)
     phantom: str = PHANTOM
     phantom_motion: PhantomMotionParameters = field(default_factory=PhantomMotionParameters)
+    tissue_reaction: TissueReactionParameters = field(default_factory=TissueReactionParameters)
     hand: InsertionParameters = field(default_factory=InsertionParameters)
     probe: str = PROBE
     imaging: ImagingParameters = field(default_factory=ImagingParameters)

@@ -17,6 +17,7 @@ from .phantom import PhantomContact as PhantomContact
 from .phantom import PhantomMotion as PhantomMotion
 from .phantom import load_contact as load_contact
 from .phantom import set_friction as set_friction
+from .phantom_motion import Breathing as Breathing
 from .phantom_motion import Move as Move
 from .phantom_motion import PhantomMotionParameters as PhantomMotionParameters
 from .phantom_motion import phantom_trajectory as phantom_trajectory

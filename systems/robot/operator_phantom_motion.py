@@ -6,9 +6,10 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import BasicVector, Context, LeafSystem, State
-from pydrake.trajectories import PiecewisePolynomial
+from pydrake.trajectories import Trajectory
 
 from sonoservo.systems.robot.phantom_motion import (
+    Breathing,
     Move,
     PhantomMotionParameters,
     next_move,
@@ -25,7 +26,7 @@ class OperatorMoves(Immutable):
     """Moves so far, and the resulting pose over time (see `phantom_trajectory`)."""
 
     moves: tuple[Move, ...]
-    trajectory: PiecewisePolynomial
+    trajectory: Trajectory
 
 
 class OperatorPhantomMotion(LeafSystem):
@@ -49,13 +50,17 @@ class OperatorPhantomMotion(LeafSystem):
     ----------
     X_WT
         Pose at rest.
+    breathing
+        Periodic displacement, in addition to the operator's moves; None for none.
     period
         Sampling period of the target, in s.
     """
 
-    def __init__(self, *, X_WT: RigidTransform, period: float = 1 / 16) -> None:
+    def __init__(
+        self, *, X_WT: RigidTransform, breathing: Breathing | None = None, period: float = 1 / 16
+    ) -> None:
         super().__init__()
-        self._X_WT = X_WT
+        self._X_WT, self._breathing = X_WT, breathing or Breathing()
         self.DeclareVectorInputPort("phantom_target", 4)
         self.DeclareAbstractState(Value[object](self._driven(())))
         self.DeclareVectorOutputPort(
@@ -71,7 +76,7 @@ class OperatorPhantomMotion(LeafSystem):
         return list(self._state(context).moves)
 
     def _driven(self, moves: tuple[Move, ...]) -> OperatorMoves:
-        parameters = PhantomMotionParameters(moves=list(moves))
+        parameters = PhantomMotionParameters(moves=list(moves), breathing=self._breathing)
         return OperatorMoves(moves, phantom_trajectory(parameters, self._X_WT))
 
     def _state(self, context: Context) -> OperatorMoves:

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform, RollPitchYaw
-from pydrake.trajectories import PiecewisePolynomial
+from pydrake.trajectories import FunctionHandleTrajectory, PiecewisePolynomial, Trajectory
 
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 
@@ -38,6 +38,57 @@ class Move:
 
 
 @dataclass(kw_only=True)
+class Breathing:
+    """Periodic displacement of the phantom, as by a patient's breath.
+
+    The displacement at time t is peak_to_peak sin^(2 n)(pi rate t) along the direction. It is the
+    model of Lujan et al. (1999), which begins at the end of an exhalation.
+
+    Parameters
+    ----------
+    peak_to_peak
+        Greatest displacement, in m; 0 for none.
+    rate
+        Breaths per second, in Hz.
+    direction
+        Direction of the displacement in W.
+    exponent
+        Exponent n from 1 (a sine) to 4; the larger, the longer the rest between breaths.
+    """
+
+    peak_to_peak: float = 0.0
+    rate: float = 0.25
+    direction: list[float] = field(default_factory=lambda: [1.0, 0.0, 0.0])
+    exponent: int = 1
+
+    def __post_init__(self) -> None:
+        for name, low, high, unit in (
+            ("peak_to_peak", 0.0, 0.015, "m"),
+            ("rate", 0.1, 0.5, "Hz"),
+        ):
+            value = getattr(self, name)
+            require(low <= value <= high, name, value, f"from {low:g} to {high:g} {unit}")
+        finite = len(self.direction) == 3 and bool(np.isfinite(self.direction).all())
+        require(
+            finite and any(self.direction), "direction", self.direction, "three numbers, not all 0"
+        )
+        require(self.exponent in range(1, 5), "exponent", self.exponent, "1, 2, 3 or 4")
+
+    def displacement(self, time: float) -> NDArray[np.float64]:
+        """Return the (3,) displacement in W at a time in s, in m."""
+        return self._along(np.sin(np.pi * self.rate * time) ** (2 * self.exponent))
+
+    def velocity(self, time: float) -> NDArray[np.float64]:
+        """Return the (3,) rate of the displacement in W at a time in s, in m/s."""
+        phase, n = np.pi * self.rate * time, self.exponent
+        return self._along(2 * np.pi * n * self.rate * np.sin(phase) ** (2 * n - 1) * np.cos(phase))
+
+    def _along(self, share: float) -> NDArray[np.float64]:
+        direction = np.array(self.direction)
+        return self.peak_to_peak * share * direction / np.linalg.norm(direction)
+
+
+@dataclass(kw_only=True)
 class PhantomMotionParameters:
     """Parameters of the phantom's motion.
 
@@ -45,9 +96,12 @@ class PhantomMotionParameters:
     ----------
     moves
         Displacements in order of time. Each starts at the end of the previous one or later.
+    breathing
+        Periodic displacement, in addition to the moves.
     """
 
     moves: list[Move] = field(default_factory=list)
+    breathing: Breathing = field(default_factory=Breathing)
 
     def __post_init__(self) -> None:
         for earlier, later in zip(self.moves, self.moves[1:], strict=False):
@@ -60,9 +114,7 @@ class PhantomMotionParameters:
             )
 
 
-def phantom_trajectory(
-    parameters: PhantomMotionParameters, X_WT: RigidTransform
-) -> PiecewisePolynomial:
+def phantom_trajectory(parameters: PhantomMotionParameters, X_WT: RigidTransform) -> Trajectory:
     """Return the pose of the phantom over time.
 
     Parameters
@@ -75,7 +127,7 @@ def phantom_trajectory(
     Returns
     -------
     (6,) trajectory of X_WT: x, y, z in m, and roll, pitch, yaw in rad. It is cubic during a move,
-    from rest to rest, and constant before, between and after the moves.
+    from rest to rest, and constant before, between and after the moves, apart from the breathing.
     """
     breaks = [-1.0]
     pose = np.concatenate([X_WT.translation(), RollPitchYaw(X_WT.rotation()).vector()])
@@ -91,7 +143,20 @@ def phantom_trajectory(
     breaks.append(breaks[-1] + 1e4)
     knots.append(pose)
     samples = np.array(knots).T
-    return PiecewisePolynomial.CubicHermite(breaks, samples, np.zeros_like(samples))
+    moved = PiecewisePolynomial.CubicHermite(breaks, samples, np.zeros_like(samples))
+    breathing = parameters.breathing
+    if breathing.peak_to_peak == 0:
+        return moved
+
+    def position(time: float) -> NDArray[np.float64]:
+        return moved.value(time)[:, 0] + np.append(breathing.displacement(time), np.zeros(3))
+
+    def rate(time: float, order: int) -> NDArray[np.float64]:
+        return moved.EvalDerivative(time)[:, 0] + np.append(breathing.velocity(time), np.zeros(3))
+
+    trajectory = FunctionHandleTrajectory(position, 6, 1, breaks[0], breaks[-1])
+    trajectory.set_derivative(rate)
+    return trajectory
 
 
 def next_move(

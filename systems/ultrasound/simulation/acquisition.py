@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from sonoservo.systems.signals.immutable import seal
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.sweep import Sweep, SweepMotion
+from sonoservo.systems.ultrasound.simulation.deformation import Deformation
 from sonoservo.systems.ultrasound.simulation.errors.connection import repeat_lost_frames
 from sonoservo.systems.ultrasound.simulation.errors.motor import (
     MotorParameters,
@@ -24,6 +25,7 @@ def acquire_sweep(
     *,
     X_TP: NDArray[np.float64] | None = None,
     number: int = 0,
+    deformations: Sequence[Deformation] | None = None,
 ) -> Sweep:
     """Acquire a sweep of the simulated scanner, at rest or along a motion.
 
@@ -42,6 +44,8 @@ def acquire_sweep(
         tissue's frame T is the world frame.
     number
         Number of the sweep, which selects the noise and the errors.
+    deformations
+        (frames,) deformations of the tissue at each frame's time; None for undeformed tissue.
     """
     poses = motion.X_WP if X_TP is None else X_TP
     motor, lost = renderer.parameters.motor, renderer.parameters.connection.lost_frames
@@ -49,7 +53,7 @@ def acquire_sweep(
     if motor != MotorParameters():
         angles = motor_error(motor, len(poses), direction, rng)
         poses = turned(poses, angles, motion.geometry)
-    samples = renderer.render(poses, needles, direction, number, motion.times)
+    samples = renderer.render(poses, needles, direction, number, motion.times, deformations)
     if lost:
         samples = repeat_lost_frames(samples, lost, direction, rng)
     return Sweep(seal(samples), motion, renderer.decibels_per_level, renderer.point_spread)

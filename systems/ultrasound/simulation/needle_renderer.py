@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.ultrasound.beam import Beam
+from sonoservo.systems.ultrasound.simulation.deformation import moved_needle
 from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import render_needles
+from sonoservo.systems.ultrasound.simulation.kernels.displacement import Displacements
 from sonoservo.systems.ultrasound.simulation.kernels.medium import View, apparent_points
 from sonoservo.systems.ultrasound.simulation.kernels.projection import DepthTables, Rays
 from sonoservo.systems.ultrasound.simulation.needle_echo import (
@@ -119,6 +121,18 @@ class NeedleRenderer:
             view,
             views.transmission,
         )
+
+    def add_resting(
+        self,
+        iq: NDArray[np.complex64],
+        needle: Needle,
+        field: Displacements | None,
+        views: FrameViews,
+    ) -> None:
+        """Add a needle at rest in T, which moves with the tissue if a field deforms it."""
+        frames = range(len(iq))
+        moved = [needle if field is None else moved_needle(needle, field, f) for f in frames]
+        self.add(iq, moved, views)
 
     def _pulse(self, radius: float) -> NDArray[np.float32]:
         """Return the pulse with the reverberations inside a needle of this radius."""

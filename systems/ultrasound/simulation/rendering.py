@@ -14,7 +14,9 @@ from sonoservo.systems.ultrasound.beam import Beam, beam_profile, point_spread
 from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
 from sonoservo.systems.ultrasound.simulation.air_pockets import AirPockets
 from sonoservo.systems.ultrasound.simulation.bright_points import inclusion_points
+from sonoservo.systems.ultrasound.simulation.deformation import Deformation, displacements
 from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import render_points
+from sonoservo.systems.ultrasound.simulation.kernels.displacement import Displacements
 from sonoservo.systems.ultrasound.simulation.kernels.echo import FADE, render_tissue
 from sonoservo.systems.ultrasound.simulation.kernels.image_formation import form_image, modulate
 from sonoservo.systems.ultrasound.simulation.kernels.line_blur import line_kernel
@@ -40,14 +42,14 @@ from sonoservo.systems.ultrasound.transducer import Transducer
 class SweepRenderer:
     """Renders sweeps of one transducer over one tissue.
 
-    It models the motion of probe, tissue and needle within a sweep, down to the phase of every
-    scatterer; the depth-dependent width of the beam in all directions; side lobes, reverberation
-    and shadow of the needle; structures and anatomy with their surfaces, shadows and attenuation; a
-    speed of sound other than the scanner's, and a refracting layer of fat; a curved skin, loss of
-    contact and air pockets; attenuation, as noise; and log compression. It does not model
-    refraction elsewhere, the effect of wrong speeds on the focus, multiple scattering other than
-    between a surface and the face, the loss of beam at the ends of the array or, along the array,
-    wave fronts that are not centred on the array's own centre.
+    It models the motion of probe, tissue and needle and the tissue's deformation within a sweep,
+    down to the phase of every scatterer; the depth-dependent width of the beam in all directions;
+    side lobes, reverberation and shadow of the needle; structures and anatomy with their surfaces,
+    shadows and attenuation; wrong speeds of sound, and a refracting layer of fat; a curved skin,
+    loss of contact and air pockets; attenuation, as noise; and log compression. It does not model
+    refraction elsewhere, how deformation moves other attenuation or speeds, the effect of speeds on
+    the focus, multiple scattering other than between a surface and the face, the loss of beam at
+    the array's ends or, along it, wave fronts not centred on its own centre.
 
     Parameters
     ----------
@@ -86,9 +88,7 @@ class SweepRenderer:
         require_not_negative(seed=seed)
         self.geometry: SweepGeometry = sweep_geometry(transducer, imaging)
         self.decibels_per_level = imaging.decibels_per_level
-        self.parameters = parameters
-        self._imaging = imaging
-        self.seed = seed
+        self.parameters, self._imaging, self.seed = parameters, imaging, seed
         self._box = tissue.surface.bounds
         sound_speed = tissue.sound_speed or imaging.sound_speed
         # Samples are times; lengths in the tissue follow from its own speed of sound.
@@ -102,10 +102,8 @@ class SweepRenderer:
         self.beam: Beam = beam_profile(transducer, imaging, geometry)
         self.point_spread: PointSpread = point_spread(self.beam, self.geometry)
 
-        samples = np.arange(geometry.samples)
-        depths = geometry.sample_pitch * samples
+        depths = geometry.sample_pitch * np.arange(geometry.samples)
         cell = self.beam.resolution_cell
-        # Sample at which the levels of bright points hold, relative to the tissue.
         reference = int(np.abs(depths - transducer.lens_focus).argmin())
         self._tables, line_sigma = depth_tables(self.beam, geometry, reference)
         self._kernel = line_kernel(line_sigma, geometry.lines)
@@ -151,7 +149,11 @@ class SweepRenderer:
         self._with_needle = self._empty()
 
     def tissue_echo(
-        self, X_TP: NDArray[np.float64], direction: int, times: NDArray[np.float64] | None = None
+        self,
+        X_TP: NDArray[np.float64],
+        direction: int,
+        times: NDArray[np.float64] | None = None,
+        deformations: Sequence[Deformation] | None = None,
     ) -> NDArray[np.complex64]:
         """Return the echoes of the tissue and its contents, without the moving needle or noise.
 
@@ -162,16 +164,17 @@ class SweepRenderer:
         direction
             +1 for a sweep towards +Z, -1 towards -Z.
         times
-            (frames,) times in s, for pulsation and fading; None for 0.
+            (frames,) times in s, for pulsation, flow and fading; None for 0.
+        deformations
+            Deformation of the tissue at each frame's time; None for undeformed tissue.
 
         Returns
         -------
         (frames, lines, samples) amplitudes at the transmit frequency; the tissue's mean intensity
         is 1 at every depth.
         """
-        iq = self._empty()
-        times = np.zeros(len(X_TP)) if times is None else times
-        self._render_tissue(iq, X_TP, direction, times)
+        iq, times = self._empty(), np.zeros(len(X_TP)) if times is None else times
+        self._render_tissue(iq, X_TP, direction, times, displacements(deformations))
         return iq
 
     def echo(
@@ -180,17 +183,18 @@ class SweepRenderer:
         needles: Sequence[Needle],
         direction: int,
         times: NDArray[np.float64] | None = None,
+        deformations: Sequence[Deformation] | None = None,
     ) -> NDArray[np.complex64]:
         """Return the echoes with the needle and its shadow, without noise, as `tissue_echo` does.
 
         Parameters
         ----------
-        X_TP, direction, times
+        X_TP, direction, times, deformations
             See `tissue_echo`.
         needles
-            Needle in T at each frame's time, possibly empty.
+            True needle in T at each frame's time, possibly empty.
         """
-        return self._render_echo(X_TP, needles, direction, times).copy()
+        return self._render_echo(X_TP, needles, direction, times, deformations).copy()
 
     def radio_frequency_lines(
         self,
@@ -238,14 +242,14 @@ class SweepRenderer:
         iq
             (frames, lines, samples) echoes.
         X_TP, direction
-            See `tissue_echo`.
+            See `tissue_echo`; the tissue is not deformed.
         points, amplitudes
-            (n, 3) positions in T, in m, and (n,) amplitudes relative to the tissue's root mean
-            square at the lens's focus.
+            (n, 3) positions in T, in m, and (n,) amplitudes relative to the tissue's at the focus.
         """
         X_FT, rays = frame_poses(self._acoustic, X_TP), self._rays[direction]
-        view = self._scene.view(X_FT, float(rays.twist))[0]
-        render_points(iq, X_FT, points, amplitudes, rays, self._tables, self._point_pulse, view)
+        view, *_ = self._scene.view(X_FT, float(rays.twist))
+        beams = (rays, self._tables, self._point_pulse, view, None)
+        render_points(iq, X_FT, points, amplitudes, *beams)
 
     def render(
         self,
@@ -254,12 +258,13 @@ class SweepRenderer:
         direction: int,
         number: int,
         times: NDArray[np.float64] | None = None,
+        deformations: Sequence[Deformation] | None = None,
     ) -> NDArray[np.uint8]:
         """Return the grey levels of a sweep, (frames, lines, samples).
 
         Parameters
         ----------
-        X_TP, needles, direction, times
+        X_TP, needles, direction, times, deformations
             See `echo`.
         number
             Number of the sweep, which selects the noise.
@@ -268,7 +273,7 @@ class SweepRenderer:
         open_shares = self._air.open_shares(np.zeros(len(grey)) if times is None else times)
         form_image(
             grey,
-            self._render_echo(X_TP, needles, direction, times),
+            self._render_echo(X_TP, needles, direction, times, deformations),
             np.ascontiguousarray(X_TP[:, :3]),
             self._box,
             *self._lines[direction],
@@ -290,27 +295,27 @@ class SweepRenderer:
         X_TP: NDArray[np.float64],
         direction: int,
         times: NDArray[np.float64],
+        field: Displacements | None,
     ) -> FrameViews:
         """Render everything except the needle; return the views needed for the needle's echo."""
         X_FT, rays = frame_poses(self._acoustic, X_TP), self._rays[direction]
         scene, tables = self._scene, self._tables
         view, gains, nodes_per_metre = scene.view(X_FT, float(rays.twist))
-        parts = (scene.regions, scene.radii(times), view)
-        pulse, kernel = self._tissue_pulse, self._kernel
-        render_tissue(iq, X_FT, self._box, self._tile, rays, tables, pulse, kernel, *parts)
+        medium = (self._tissue_pulse, self._kernel, scene.regions, scene.lumens(times), view, field)
+        render_tissue(iq, X_FT, self._box, self._tile, rays, tables, *medium)
         if len(self._inclusions[0]):
-            render_points(iq, X_FT, *self._inclusions, rays, tables, self._point_pulse, view)
+            points = (*self._inclusions, rays, tables, self._point_pulse, view, field)
+            render_points(iq, X_FT, *points)
         transmission = None
         if scene.pieces is not None:
             transmission = np.ones(self.geometry.shape, np.float32)
             if gains is not None:
                 expand_gains(transmission, gains, nodes_per_metre * self._acoustic.sample_pitch)
-            pieces, growth = scene.pieces, scene.growth(times)
-            pulses = (scene.pulses, scene.taps, view, gains is not None)
-            render_surfaces(iq, transmission, X_FT, pieces, growth, rays, tables, *pulses)
+            parts = (scene.pieces, scene.growth(times), rays, tables, scene.pulses, scene.taps)
+            render_surfaces(iq, transmission, X_FT, *parts, view, field, gains is not None)
         views = FrameViews(X_FT, rays, tables, view, transmission, times)
         for needle, renderer in self._resting:
-            renderer.add(iq, [needle] * len(iq), views)
+            renderer.add_resting(iq, needle, field, views)
         return views
 
     def _render_echo(
@@ -319,16 +324,18 @@ class SweepRenderer:
         needles: Sequence[Needle],
         direction: int,
         times: NDArray[np.float64] | None,
+        deformations: Sequence[Deformation] | None = None,
     ) -> NDArray[np.complex64]:
         """Return the echoes as `echo` does, in memory that the next call overwrites."""
-        if times is None:
-            times = np.zeros(len(X_TP))
+        times = np.zeros(len(X_TP)) if times is None else times
         # Rounded to 10 nm, or 0.0003 rad of phase, so that a probe at rest reuses its echoes.
         X_TP = np.round(X_TP, 8)
         tissue = self._tissue[direction]
         key = X_TP.tobytes() + (times.tobytes() if self._varies else b"")
+        field = displacements(deformations)
+        key += b"".join(np.asarray(each).tobytes() for each in field or ())
         if self._tissue_keys[direction] != key:
-            self._views[direction] = self._render_tissue(tissue, X_TP, direction, times)
+            self._views[direction] = self._render_tissue(tissue, X_TP, direction, times, field)
             self._tissue_keys[direction] = key
         if not any(needles):
             return tissue

@@ -18,6 +18,7 @@ from sonoservo.systems.signals.requirements import require_not_negative
 from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation.acquisition import acquire_sweep
+from sonoservo.systems.ultrasound.simulation.deformation import Deformation
 from sonoservo.systems.ultrasound.simulation.errors.clock import poses_at
 from sonoservo.systems.ultrasound.simulation.errors.connection import Reception
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
@@ -30,13 +31,14 @@ _NOTHING = NotFound("no sweep is complete yet")
 
 @dataclass(frozen=True, slots=True)
 class _Snapshot(Immutable):
-    """Poses and needle at the time of a frame's acquisition, and the measured pose of the probe."""
+    """Poses, needle and deformation at a frame's acquisition, and the probe's measured pose."""
 
     time: float
     X_WP: RigidTransform
     X_WT: RigidTransform
     needle: Needle
     measured_X_WP: RigidTransform
+    deformation: Deformation | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,14 +83,15 @@ class Scanner(LeafSystem):
         - X_WT
         - needle
         - true_X_WP (optional)
+        - deformation (optional)
         output_ports:
         - sweep
         - motion_record
 
-    `true_X_WP` and `X_WT` are the poses (RigidTransform) of the probe and the tissue, and `needle`
-    is a `Needle` in T, possibly empty. Every frame is rendered from them at the start of its
-    acquisition. `X_WP` is the measured pose of the probe, which the frames are labelled with; if
-    `true_X_WP` is not connected, `X_WP` is the true pose too.
+    `true_X_WP` and `X_WT` are the poses (RigidTransform) of the probe and the tissue, `needle` is a
+    `Needle` in T, possibly empty, and `deformation` the tissue's `Deformation`. Every frame is
+    rendered from them at the start of its acquisition. `X_WP` is the measured pose of the probe,
+    which labels the frames; if `true_X_WP` is not connected, `X_WP` is the true pose too.
 
     `sweep` is the newest complete `Sweep`, or a `NotFound`; it is available when the sweep's last
     frame ends. Sweeps towards +Z and -Z alternate, starting with +Z. A sweep is rendered on demand,
@@ -144,6 +147,7 @@ class Scanner(LeafSystem):
         self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
         self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
         self.DeclareAbstractInputPort("needle", Value[object]())
+        self.DeclareAbstractInputPort("deformation", Value[object]())
         self.DeclareAbstractInputPort("true_X_WP", Value(RigidTransform()))
         self._parameters, self._seed, self._processing_time = parameters, seed, processing_time
         ahead = math.ceil(abs(parameters.clock.offset) / self.geometry.frame_period)
@@ -175,7 +179,10 @@ class Scanner(LeafSystem):
             true = RigidTransform(evaluate(self, context, "true_X_WP", RigidTransform))
         X_WT = RigidTransform(evaluate(self, context, "X_WT", RigidTransform))
         needle = evaluate(self, context, "needle", Needle)
-        frame = _Snapshot(time, true, X_WT, needle, measured)
+        deformation = None
+        if self.GetInputPort("deformation").HasValue(context):
+            deformation = evaluate(self, context, "deformation", Deformation)
+        frame = _Snapshot(time, true, X_WT, needle, measured, deformation)
         latest = (*before.latest, frame)[-self._kept :]
         if len(acquiring.frames) == self.geometry.frames:
             waiting = (*waiting, acquiring)
@@ -239,11 +246,13 @@ class Scanner(LeafSystem):
         motions = self._motions(snapshots)
         frames = snapshots.frames[:: snapshots.direction]
         X_TP = np.array([f.X_WT.InvertAndCompose(f.X_WP).GetAsMatrix4() for f in frames])
+        deformations = [frame.deformation for frame in frames if frame.deformation is not None]
         sweep = acquire_sweep(
             self._renderer,
             motions.true,
             [frame.needle for frame in frames],
             X_TP=X_TP,
             number=snapshots.number,
+            deformations=deformations or None,
         )
         return replace(sweep, motion=motions.measured)

@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from sonoservo.systems.ultrasound.simulation.anatomy.anatomy_grid import AnatomyGrid
 from sonoservo.systems.ultrasound.simulation.kernels.regions import Regions
@@ -73,6 +74,7 @@ def scatterer_regions(
         shares=shares.astype(np.float32),
         fat_thickness=float(fat.thickness),
         fat_amplitude=float(10 ** (fat.level_db / 20)),
+        quantiles=ndtri(np.random.default_rng(0).permutation(np.arange(256) + 0.5) / 256),
     )
 
 

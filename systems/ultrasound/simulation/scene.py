@@ -93,6 +93,7 @@ class Scene:
             tissue, grid, self._tubes, sound_speed, frequency
         )
         self._geometry = geometry
+        self._beam_width = float(beam.lateral[reference])
         self._fat = tissue.fat
         self._fat_ratio = tissue.fat.sound_speed / sound_speed
         spacing = _DENSITY * float(beam.lateral[beam.lateral.size // 8 :].min())
@@ -122,16 +123,35 @@ class Scene:
 
     @property
     def varies(self) -> bool:
-        """True if any structure pulsates."""
-        return any(beat.amplitude > 0 for beat in self._growth)
+        """True if any structure pulsates, or blood flows."""
+        beats = any(beat.amplitude > 0 for beat in self._growth)
+        return beats or any(tube.flow > 0 for tube in self._tubes)
 
-    def radii(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the (frames, tubes) radii in m of all lumens at (frames,) times in s."""
-        radii = [
-            tube.radius * (1 + tube.pulsation * np.sin(2 * np.pi * tube.rate * times))
+    def lumens(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the state of all lumens at times in s.
+
+        The echo of scatterers that have moved by d through a beam with the amplitude
+        exp(-x^2 / 2 sigma^2) has the correlation exp(-d^2 / 4 sigma^2) with the first one, as if
+        their phases had turned by normally distributed angles of d / (sqrt(2) sigma).
+
+        Parameters
+        ----------
+        times
+            (frames,) times in s.
+
+        Returns
+        -------
+        (2, frames, tubes) radii in m, and standard deviations in rad of the phases by which the
+        echoes of flowing blood have turned.
+        """
+        states = [
+            (
+                tube.radius * (1 + tube.pulsation * np.sin(2 * np.pi * tube.rate * times)),
+                tube.flow * times / (np.sqrt(2) * self._beam_width),
+            )
             for tube in self._tubes
         ]
-        return np.stack(radii, axis=-1) if radii else np.zeros((len(times), 0))
+        return np.stack(states, axis=-1) if states else np.zeros((2, len(times), 0))
 
     def growth(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the (frames, surfaces) outward displacements of surfaces at times in s, in m."""

@@ -1,9 +1,11 @@
 import numpy as np
+import pytest
 from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
 
 from sonoservo.systems.robot.operator_phantom_motion import OperatorPhantomMotion
 from sonoservo.systems.robot.phantom_motion import (
+    Breathing,
     Move,
     PhantomMotionParameters,
     next_move,
@@ -14,9 +16,11 @@ X_WT = RigidTransform([0.5, 0.0, 0.2])
 SPEED = (0.04, 0.04, 0.015, 30.0, 30.0, 30.0)
 
 
-def test_a_flood_of_targets_becomes_moves_that_give_the_same_motion():
+@pytest.mark.parametrize("breathes", [False, True])
+def test_a_flood_of_targets_becomes_moves_that_give_the_same_motion(breathes):
     rng = np.random.default_rng(0)
-    motion = OperatorPhantomMotion(X_WT=X_WT)
+    breathing = Breathing(peak_to_peak=0.01, direction=[0, 1, 0]) if breathes else Breathing()
+    motion = OperatorPhantomMotion(X_WT=X_WT, breathing=breathing)
     simulator = Simulator(motion)
     context = simulator.get_mutable_context()
     times, seen = np.arange(0, 9, 1 / 100), []
@@ -27,10 +31,13 @@ def test_a_flood_of_targets_becomes_moves_that_give_the_same_motion():
         seen.append(motion.GetOutputPort("phantom_command").Eval(context).copy())
     moves = motion.moves(context)
     assert 3 < len(moves) < 20
-    trajectory = phantom_trajectory(PhantomMotionParameters(moves=moves), X_WT)
+    repeated = PhantomMotionParameters(moves=moves, breathing=breathing)
+    trajectory = phantom_trajectory(repeated, X_WT)
     for time, command in zip(times, seen, strict=True):
         np.testing.assert_allclose(command[:6], trajectory.value(time).ravel(), atol=1e-12)
         np.testing.assert_allclose(command[6:], trajectory.EvalDerivative(time).ravel(), atol=1e-12)
+    if breathes:
+        return
     # From rest to rest the highest speed is half as high again as the mean.
     assert (np.abs(seen)[:, 6:9].max(axis=0) <= 1.5 * np.array(SPEED[:3]) + 1e-9).all()
     np.testing.assert_allclose(seen[-1], [0.52, -0.01, 0.205, 0, 0, 0.2, *6 * [0]], atol=1e-8)

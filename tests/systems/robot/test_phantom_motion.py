@@ -2,7 +2,12 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.robot.phantom_motion import Move, PhantomMotionParameters, phantom_trajectory
+from sonoservo.systems.robot.phantom_motion import (
+    Breathing,
+    Move,
+    PhantomMotionParameters,
+    phantom_trajectory,
+)
 
 
 def test_moves_add_up_and_start_and_end_at_rest():
@@ -38,3 +43,42 @@ def test_without_moves_it_rests():
 def test_overlapping_moves_are_refused():
     with pytest.raises(ValueError, match=r"moves: 0\.5 is not allowed"):
         PhantomMotionParameters(moves=[Move(start=0.0, duration=1.0), Move(start=0.5)])
+
+
+def test_breathing_adds_to_the_moves_along_its_direction():
+    breathing = Breathing(peak_to_peak=0.01, rate=0.25, direction=[0, 3, 4])
+    moves = [Move(start=2.0, duration=0.5, translation=[0.04, 0.0, 0.0])]
+    trajectory = phantom_trajectory(
+        PhantomMotionParameters(moves=moves, breathing=breathing), RigidTransform([0.5, 0, 0.2])
+    )
+    for time, share in [(0.0, 0.0), (1.0, 0.5), (2.0, 1.0), (3.0, 0.5), (4.0, 0.0), (402.0, 1.0)]:
+        moved = 0.04 if time > 2.4 else 0.0
+        expected = [0.5 + moved, 0.006 * share, 0.2 + 0.008 * share, 0, 0, 0]
+        np.testing.assert_allclose(trajectory.value(time).ravel(), expected, atol=1e-12)
+    for time in (0.0, 1.3, 2.2, 7.7):
+        slope = (trajectory.value(time + 1e-5) - trajectory.value(time - 1e-5)) / 2e-5
+        np.testing.assert_allclose(trajectory.EvalDerivative(time), slope, atol=1e-7)
+
+
+def test_breath_with_a_larger_exponent_rests_longer():
+    times = np.linspace(0, 4, 401)
+    resting = [
+        np.mean([Breathing(peak_to_peak=0.01, exponent=n).displacement(t)[0] < 1e-3 for t in times])
+        for n in (1, 2, 3, 4)
+    ]
+    assert (np.diff(resting) > 0.05).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("peak_to_peak", 0.016),
+        ("peak_to_peak", float("nan")),
+        ("rate", 0.6),
+        ("direction", [0, 0, 0]),
+        ("exponent", 5),
+    ],
+)
+def test_bad_breathing_is_refused_by_name(name, value):
+    with pytest.raises(ValueError, match=f"{name}: .* is not allowed"):
+        Breathing(**{name: value})

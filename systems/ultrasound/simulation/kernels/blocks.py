@@ -7,14 +7,31 @@ from sonoservo.systems.sampling.options import OPTIONS
 
 
 @njit(**OPTIONS)
-def frame_blocks(X_FT, box, block_size, depth, half_angle, thickness, rays):  # type: ignore[no-untyped-def]
-    """Return the first and last block (exclusive) along T's axes that a frame can meet."""
+def frame_blocks(X_FT, box, block_size, depth, half_angle, thickness, margin, rays):  # type: ignore[no-untyped-def]
+    """Return the first and last block (exclusive) along T's axes that a frame can meet.
+
+    Parameters
+    ----------
+    X_FT
+        (3, 4) pose of the tissue in F.
+    box
+        (2, 3) lower and upper corner of the tissue in T, in m.
+    block_size, depth
+        Edge of a block, and depth of the image, in m.
+    half_angle
+        Largest angle of a line to the middle one, in rad.
+    thickness, margin
+        Half width of the slab that is met in elevation, and distance by which it is enlarged in the
+        frame's plane, in m.
+    rays
+        Quantities of the frame's lines.
+    """
     sine = np.sin(min(half_angle, np.pi / 2))
     cosine = np.cos(min(half_angle, np.pi / 2))
-    nearest = rays.array_radius * cosine - rays.centre_offset
-    furthest = depth + rays.array_radius - rays.centre_offset
+    nearest = rays.array_radius * cosine - rays.centre_offset - margin
+    furthest = depth + rays.array_radius - rays.centre_offset + margin
     middle = (0.0, (nearest + furthest) / 2, 0.0)
-    half = ((depth + rays.array_radius) * sine, (furthest - nearest) / 2, thickness)
+    half = ((depth + rays.array_radius) * sine + margin, (furthest - nearest) / 2, thickness)
     first = np.empty(3, np.int64)
     last = np.empty(3, np.int64)
     for axis in range(3):
@@ -39,3 +56,30 @@ def count_below(ranks, start, end, limit):  # type: ignore[no-untyped-def]
         else:
             end = middle
     return first - start
+
+
+@njit(**OPTIONS)
+def misses(x, y, z, slack, reach, twist_per_radian, rays):  # type: ignore[no-untyped-def]
+    """Return True if no point within ``slack`` m of a point in F can be in the frame's beam.
+
+    Parameters
+    ----------
+    x, y, z, slack
+        Point in F and largest distance from it, in m.
+    reach
+        (samples,) half width of the beam in elevation, in m.
+    twist_per_radian
+        Turn of the motor per radian between lines.
+    rays
+        Quantities of the frame's lines.
+    """
+    q = y + rays.centre_offset
+    d = np.sqrt(q * q + x * x) - rays.array_radius
+    last = len(reach) - 1
+    at = np.int64(d * rays.samples_per_metre)
+    span = np.int64(slack * rays.samples_per_metre) + 1
+    if at < -span or at > last + span:
+        return True
+    turn = y * twist_per_radian * np.arctan(x / max(q, slack))
+    widest = max(reach[min(max(at - span, 0), last)], reach[max(min(at + span, last), 0)])
+    return abs(z - turn) > widest + (1 + abs(twist_per_radian)) * slack

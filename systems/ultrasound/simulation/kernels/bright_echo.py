@@ -7,11 +7,13 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from sonoservo.systems.sampling.options import OPTIONS
+from sonoservo.systems.ultrasound.simulation.kernels.displacement import displace
 from sonoservo.systems.ultrasound.simulation.kernels.medium import look_up
 from sonoservo.systems.ultrasound.simulation.kernels.projection import (
     FRACTIONS,
     line_coordinates,
     phasor,
+    transformed,
 )
 
 SIDE_LOBE_WIDTH = 3
@@ -125,7 +127,7 @@ def _add_point(  # type: ignore[no-untyped-def]
 
 @njit(parallel=True, **OPTIONS)
 def render_points(  # type: ignore[no-untyped-def]
-    iq, X_FT, points, amplitudes, rays, tables, pulse, view
+    iq, X_FT, points, amplitudes, rays, tables, pulse, view, field
 ):
     """Add inclusions to every frame.
 
@@ -141,6 +143,8 @@ def render_points(  # type: ignore[no-untyped-def]
         See `_add_point`.
     view
         Displacements by refraction, a `View`, or None.
+    field
+        Displacements of the tissue, `Displacements`, or None.
     """
     frames, lines, samples = iq.shape
     taps = pulse.shape[2]
@@ -150,15 +154,24 @@ def render_points(  # type: ignore[no-untyped-def]
     slab += abs(rays.twist) * rays.middle_line * furthest
     if view is not None:
         slab += view.aside
+    if field is not None:
+        slab += field.deepest + field.widest_push
     for frame in prange(frames):
         layer = np.zeros((2, lines, samples + 2 * taps), np.float32)
         no_shadow = np.empty((0, 0), np.float32)
         node = np.empty(15)
+        F = np.empty((3, 3))
+        G = np.empty((3, 3))
         seen = False
         for i in range(len(points)):
-            x, y, z = _transformed(X_FT[frame], points[i, 0], points[i, 1], points[i, 2])
+            x, y, z = transformed(X_FT[frame], points[i, 0], points[i, 1], points[i, 2])
             if abs(z) > slab:
                 continue
+            if field is not None:
+                x, y, z = displace(
+                    points[i, 0], points[i, 1], points[i, 2], field, frame, True, F, G
+                )
+                x, y, z = transformed(X_FT[frame], x, y, z)
             if view is not None:
                 x, y, z = look_up(x, y, z, view, frame, node)
             re = amplitudes[i].real
@@ -255,7 +268,7 @@ def _add_needle(  # type: ignore[no-untyped-def]
         length = np.sqrt(dx * dx + dy * dy + dz * dz)
         while along <= length and length > 0:
             share = along / length
-            x, y, z = _transformed(
+            x, y, z = transformed(
                 X_FT,
                 shaft[segment, 0] + share * dx,
                 shaft[segment, 1] + share * dy,
@@ -311,12 +324,3 @@ def _add_layer(iq, layer, taps):  # type: ignore[no-untyped-def]
     for j in range(iq.shape[0]):
         for i in range(iq.shape[1]):
             iq[j, i] += complex(layer[0, j, i + taps], layer[1, j, i + taps])
-
-
-@njit(**OPTIONS)
-def _transformed(X, x, y, z):  # type: ignore[no-untyped-def]
-    return (
-        X[0, 0] * x + X[0, 1] * y + X[0, 2] * z + X[0, 3],
-        X[1, 0] * x + X[1, 1] * y + X[1, 2] * z + X[1, 3],
-        X[2, 0] * x + X[2, 1] * y + X[2, 2] * z + X[2, 3],
-    )

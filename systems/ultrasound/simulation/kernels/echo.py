@@ -9,17 +9,24 @@ import numpy as np
 from numba import njit, prange
 
 from sonoservo.systems.sampling.options import OPTIONS
-from sonoservo.systems.ultrasound.simulation.kernels.blocks import count_below, frame_blocks
+from sonoservo.systems.ultrasound.simulation.kernels.blocks import count_below, frame_blocks, misses
 from sonoservo.systems.ultrasound.simulation.kernels.body import keep_inside
+from sonoservo.systems.ultrasound.simulation.kernels.displacement import (
+    displace,
+    displacement_limit,
+    nearest_on_shaft,
+    push_scatterers,
+)
 from sonoservo.systems.ultrasound.simulation.kernels.line_blur import blur_lines
 from sonoservo.systems.ultrasound.simulation.kernels.medium import look_up
 from sonoservo.systems.ultrasound.simulation.kernels.projection import (
-    FRACTIONS,
+    gaussian,
     line_coordinates,
     phasor,
+    transformed,
 )
 from sonoservo.systems.ultrasound.simulation.kernels.regions import weigh_scatterers
-from sonoservo.systems.ultrasound.simulation.kernels.vector_addition import LANES, add_to_rows
+from sonoservo.systems.ultrasound.simulation.kernels.vector_addition import deposit
 from sonoservo.systems.ultrasound.simulation.scatterer_tile import BLOCKS
 
 FADE = 0.1
@@ -29,23 +36,19 @@ REACH = 2.6
 """Standard deviations in elevation beyond which scatterers are left out: 0.02 % of the energy."""
 
 _ZERO = np.float32(0)
-_EIGHTH = np.float32(0.125)
 _HALF = np.float32(0.5)
-_THREE_QUARTERS = np.float32(0.75)
 _ONE = np.float32(1)
 _FURTHEST = np.float32(REACH**2 / 2)
 _FADE_OUT = np.float32(1 + FADE)
 _FADE_WIDTH = np.float32(2 * FADE)
-_FRACTIONS = np.float32(FRACTIONS)
 _HALF_DIAGONAL = 3**0.5 / 2
 _BENT = 1.15
-# Minimax polynomial of exp(-v) on [0, 0.6], to 1e-6.
-_E1, _E2, _E3, _E4 = (np.float32(c) for c in (-0.99994248, 0.49904756, -0.16171851, 0.03126755))
+_NEAR_NEEDLE = 1e-3
 
 
 @njit(parallel=True, **OPTIONS)
 def render_tissue(  # type: ignore[no-untyped-def]
-    iq, X_FT, box, tile, rays, tables, pulse, kernel, regions, radii, view
+    iq, X_FT, box, tile, rays, tables, pulse, kernel, regions, lumens, view, field
 ):
     """Render the tissue's echoes in every frame.
 
@@ -59,10 +62,13 @@ def render_tissue(  # type: ignore[no-untyped-def]
         See `deposit_tissue`.
     kernel
         Kernel from `line_kernel`.
-    regions, radii
-        Regions of other scattering or None, and (frames, tubes) radii of their tubes in m.
+    regions, lumens
+        Regions of other scattering or None, and (2, frames, tubes) radii of their tubes in m and
+        phases of their blood in rad; see `weigh_scatterers`.
     view
         Displacements by refraction, a `View`, or None.
+    field
+        Displacements of the tissue, `Displacements`, or None.
     """
     frames, lines, samples = iq.shape
     pad = len(kernel.ends) // 2 + 1
@@ -78,59 +84,17 @@ def render_tissue(  # type: ignore[no-untyped-def]
             tables,
             pulse,
             regions,
-            radii[frame],
+            lumens[:, frame],
             view,
+            field,
             frame,
         )
         blur_lines(iq[frame], accumulator, kernel, taps)
 
 
 @njit(**OPTIONS)
-def _gaussian(u):  # type: ignore[no-untyped-def]
-    """Return exp(-u) for u from 0 to 4.8."""
-    v = u * _EIGHTH
-    w = _ONE + v * (_E1 + v * (_E2 + v * (_E3 + v * _E4)))
-    w *= w
-    w *= w
-    return w * w
-
-
-@njit(**OPTIONS)
-def _deposit(accumulator, chosen, count, line, sample, cosine, sine, pulse):  # type: ignore[no-untyped-def]
-    """Add projected scatterers to three lines each, eight numbers (four complex taps) at a time."""
-    width = accumulator.shape[1]
-    flat = accumulator.reshape(-1)
-    table = pulse.reshape(-1)
-    chunks = pulse.shape[1] // LANES
-    for number in range(count):
-        i = chosen[number]
-        re = cosine[i]
-        im = sine[i]
-        j = np.int32(line[i] + _HALF)
-        k = np.int32(sample[i])
-        fraction = np.int32((sample[i] - np.float32(k)) * _FRACTIONS + _HALF)
-        t = line[i] - np.float32(j)
-        below = _HALF * (_HALF - t) * (_HALF - t)
-        above = _HALF * (_HALF + t) * (_HALF + t)
-        here = _THREE_QUARTERS - t * t
-        for chunk in range(chunks):
-            add_to_rows(
-                flat,
-                (j - 1) * width + 2 * k + LANES * chunk,
-                width,
-                table,
-                fraction * pulse.shape[1] + LANES * chunk,
-                re,
-                im,
-                below,
-                here,
-                above,
-            )
-
-
-@njit(**OPTIONS)
 def deposit_tissue(  # type: ignore[no-untyped-def]
-    accumulator, X_FT, box, tile, rays, tables, pulse, regions, radii, view, frame
+    accumulator, X_FT, box, tile, rays, tables, pulse, regions, lumens, view, field, frame
 ):
     """Deposit the scatterers that a frame's beam meets.
 
@@ -150,7 +114,7 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
     pulse
         (FRACTIONS + 1, 2 taps) envelope around a scatterer, every value twice; a multiple of
         `LANES` wide.
-    regions, radii, view, frame
+    regions, lumens, view, field, frame
         See `render_tissue`, and the frame's number.
     """
     block_size, positions, ranks, starts = tile
@@ -173,7 +137,14 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
     thickness = reach.max() + abs(twist_per_radian) * half_angle * (depth + rays.array_radius)
     edge_cosine = np.cos(min(half_angle, np.pi / 2))
     edge_sine = np.sin(min(half_angle, np.pi / 2))
-    A = X_FT
+    M = X_FT
+    margin = 0.0
+    if field is not None:
+        margin = field.deepest + field.widest_push
+        F = np.empty((3, 3))
+        G = np.empty((3, 3))
+        M = np.empty((3, 3))
+    A = M
     widest = half_angle
     if view is not None:
         # Lines bent outwards reach further, and slower tissue appears deeper.
@@ -181,10 +152,11 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
         straight_reach = thickness
         thickness += view.aside
         node = np.empty(15)
-        widest_slope = np.tan(min(widest, 1.5))
         bent = np.empty((3, 3))
         A = bent
-    first, last = frame_blocks(X_FT, box, block_size, depth, widest, thickness, rays)
+    widest_slope = np.tan(min(widest, 1.5))
+    closest = thickness + margin
+    first, last = frame_blocks(X_FT, box, block_size, depth, widest, closest, margin, rays)
     largest = 0
     for block in range(starts.size - 1):
         largest = max(largest, starts[block + 1] - starts[block])
@@ -194,6 +166,7 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
     sine = np.empty(largest, np.float32)
     kept = np.empty(largest, np.bool_)
     chosen = np.empty(largest + 1, np.uint64)
+    pushed = np.empty((3, largest), np.float32)
     for bx in range(first[0], last[0]):
         for by in range(first[1], last[1]):
             for bz in range(first[2], last[2]):
@@ -201,23 +174,47 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                 py = (by + 0.5) * block_size
                 pz = (bz + 0.5) * block_size
                 z = X_FT[2, 0] * px + X_FT[2, 1] * py + X_FT[2, 2] * pz + X_FT[2, 3]
-                if abs(z) > thickness + support:
+                if abs(z) > closest + support:
                     continue
                 x = X_FT[0, 0] * px + X_FT[0, 1] * py + X_FT[0, 2] * pz + X_FT[0, 3]
                 y = X_FT[1, 0] * px + X_FT[1, 1] * py + X_FT[1, 2] * pz + X_FT[1, 3]
+                near = False
+                segment = 0
+                thick = support
+                if field is not None:
+                    limit = radius + displacement_limit(px, py, pz, field, frame)
+                    if abs(x) - (y + rays.centre_offset) * widest_slope > 2 * limit:
+                        continue
+                    if view is None and misses(x, y, z, limit, reach, twist_per_radian, rays):
+                        continue
+                    # Within a block, the displacement is linear, except beside the needle.
+                    if field.counts[frame] > 0:
+                        distance, segment, _ = nearest_on_shaft(px, py, pz, field, frame)
+                        near = distance < radius + _NEAR_NEEDLE
+                    x, y, z = displace(px, py, pz, field, frame, not near, F, G)
+                    x, y, z = transformed(X_FT, x, y, z)
+                    for i in range(3):
+                        for j in range(3):
+                            M[i, j] = (
+                                X_FT[i, 0] * F[0, j] + X_FT[i, 1] * F[1, j] + X_FT[i, 2] * F[2, j]
+                            )
+                            R[i, j] = M[i, j]
+                    thick = (abs(M[2, 0]) + abs(M[2, 1]) + abs(M[2, 2])) * block_size / 2
+                    if abs(z) > thickness + thick:
+                        continue
                 if view is not None:
                     if abs(x) - (y + rays.centre_offset) * widest_slope > 2 * radius:
                         continue
                     # Within a block, the displacement by refraction is taken as linear.
                     x, y, z = look_up(x, y, z, view, frame, node)
-                    if abs(z) > straight_reach + support:
+                    if abs(z) > straight_reach + thick:
                         continue
                     for i in range(3):
                         for j in range(3):
                             bent[i, j] = (
-                                node[3 + 3 * i] * X_FT[0, j]
-                                + node[4 + 3 * i] * X_FT[1, j]
-                                + node[5 + 3 * i] * X_FT[2, j]
+                                node[3 + 3 * i] * M[0, j]
+                                + node[4 + 3 * i] * M[1, j]
+                                + node[5 + 3 * i] * M[2, j]
                             )
                             R[i, j] = bent[i, j]
                 q = y + rays.centre_offset
@@ -230,7 +227,7 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                 at = min(max(np.int64(d * rays.samples_per_metre), 1), count - 2)
                 span = min(np.int64(radius * rays.samples_per_metre) + 1, at, count - 1 - at)
                 turn = y * twist_per_radian * np.arctan(x / max(q, radius))
-                slab = max(reach[at - span], reach[at + span]) + support + twist_slack
+                slab = max(reach[at - span], reach[at + span]) + thick + twist_slack
                 if abs(z - turn) > slab:
                     continue
                 # Within a block, quantities that depend on depth are taken as linear in it.
@@ -260,22 +257,35 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                 ys = positions[1, start : start + n]
                 zs = positions[2, start : start + n]
                 rank = ranks[start : start + n]
+                source = positions
+                at_source = start
+                if field is not None and near:
+                    corner = (bx * block_size, by * block_size, bz * block_size)
+                    push_scatterers(pushed, xs, ys, zs, *corner, segment, field, frame)
+                    source = pushed
+                    at_source = 0
+                txs = source[0, at_source : at_source + n]
+                tys = source[1, at_source : at_source + n]
+                tzs = source[2, at_source : at_source + n]
+                xx, xy, xz = R[0, 0], R[0, 1], R[0, 2]
+                yx, yy, yz = R[1, 0], R[1, 1], R[1, 2]
+                zx, zy, zz = R[2, 0], R[2, 1], R[2, 2]
                 # There is no branch in this loop, so the compiler can vectorise it.
                 for i in range(n):
-                    tx = xs[i]
-                    ty = ys[i]
-                    tz = zs[i]
+                    tx = txs[i]
+                    ty = tys[i]
+                    tz = tzs[i]
                     at_line, e, r_i = line_coordinates(
-                        R[0, 0] * tx + R[0, 1] * ty + R[0, 2] * tz + ox,
-                        R[1, 0] * tx + R[1, 1] * ty + R[1, 2] * tz + oy,
-                        R[2, 0] * tx + R[2, 1] * ty + R[2, 2] * tz + oz,
+                        xx * tx + xy * ty + xz * tz + ox,
+                        yx * tx + yy * ty + yz * tz + oy,
+                        zx * tx + zy * ty + zz * tz + oz,
                         rays,
                     )
                     ahead = r_i - middle
                     p = share + share_slope * ahead
                     u = (precision + precision_slope * ahead) * e * e
                     weight = (p * _FADE_OUT - rank[i]) / (p * _FADE_WIDTH)
-                    weight = min(max(weight, _ZERO), _ONE) * _gaussian(u)
+                    weight = min(max(weight, _ZERO), _ONE) * gaussian(u)
                     path = r_i - rays.array_radius + curvature * e * e
                     c, s = phasor(path * rays.turns_per_metre)
                     at_line += pad
@@ -334,6 +344,6 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                             cosine,
                             sine,
                             regions,
-                            radii,
+                            lumens,
                         )
-                _deposit(accumulator, chosen, number, line, sample, cosine, sine, pulse)
+                deposit(accumulator, chosen, number, line, sample, cosine, sine, pulse)

@@ -25,6 +25,9 @@ _POSITIVE = np.float32(1024)
 _S3, _S5, _S7 = (np.float32(c) for c in (-0.16665681, 0.00831237, -0.00018492))
 _C4, _C6, _C8 = (np.float32(c) for c in (0.041665440, -0.00138652311, 2.33793852e-05))
 _A3, _A5, _A7, _A9 = (np.float32(c) for c in (-0.33320355, 0.19732617, -0.12394153, 0.05127381))
+_EIGHTH = np.float32(0.125)
+# Minimax polynomial of exp(-v) on [0, 0.6], to 1e-6.
+_E1, _E2, _E3, _E4 = (np.float32(c) for c in (-0.99994248, 0.49904756, -0.16171851, 0.03126755))
 
 
 class Rays(NamedTuple):
@@ -86,3 +89,23 @@ def phasor(turns):  # type: ignore[no-untyped-def]
     s = h * (_ONE + v * (_S3 + v * (_S5 + v * _S7)))
     c = _ONE - v * (_HALF - v * (_C4 + v * (_C6 + v * _C8)))
     return _ONE - _TWO * s * s, _TWO * s * c
+
+
+@njit(**OPTIONS)
+def transformed(X, x, y, z):  # type: ignore[no-untyped-def]
+    """Return the coordinates of a point after a (3, 4) transform."""
+    return (
+        X[0, 0] * x + X[0, 1] * y + X[0, 2] * z + X[0, 3],
+        X[1, 0] * x + X[1, 1] * y + X[1, 2] * z + X[1, 3],
+        X[2, 0] * x + X[2, 1] * y + X[2, 2] * z + X[2, 3],
+    )
+
+
+@njit(**OPTIONS)
+def gaussian(u):  # type: ignore[no-untyped-def]
+    """Return exp(-u) for u from 0 to 4.8."""
+    v = u * _EIGHTH
+    w = _ONE + v * (_E1 + v * (_E2 + v * (_E3 + v * _E4)))
+    w *= w
+    w *= w
+    return w * w

@@ -42,11 +42,13 @@ class Regions(NamedTuple):
     """Thickness of the fat from the tissue's top, in m."""
     fat_amplitude: float
     """Factor on the amplitude of scatterers in the fat."""
+    quantiles: NDArray[np.float64]
+    """(256,) shuffled quantiles of the standard normal distribution, used as rates of blood."""
 
 
 @njit(**OPTIONS)
 def weigh_scatterers(  # type: ignore[no-untyped-def]
-    chosen, count, xs, ys, zs, x0, y0, z0, block_list, cosine, sine, regions, radii
+    chosen, count, xs, ys, zs, x0, y0, z0, block_list, cosine, sine, regions, lumens
 ):
     """Weight the scatterers of one block by the region that they lie in.
 
@@ -61,8 +63,9 @@ def weigh_scatterers(  # type: ignore[no-untyped-def]
         Entry of the block in ``regions.content``.
     cosine, sine
         Amplitudes of the scatterers, changed.
-    regions, radii
-        Regions, and (tubes,) radii in m at the frame's time.
+    regions, lumens
+        Regions, and (2, tubes) radii in m and standard deviations in rad of the phases by which
+        flowing blood has turned, at the frame's time.
 
     Returns
     -------
@@ -88,13 +91,24 @@ def weigh_scatterers(  # type: ignore[no-untyped-def]
         factor = regions.amplitudes[label]
         if z > -regions.fat_thickness:
             factor *= np.float32(regions.fat_amplitude)
+        turn = 0.0
         for k in range(regions.starts[block_list], regions.starts[block_list + 1]):
             segment = regions.members[k]
             tube = regions.tubes[segment]
-            if _within(x, y, z, regions.ends[segment], radii[tube]):
+            if _within(x, y, z, regions.ends[segment], lumens[0, tube]):
                 factor = regions.tube_amplitudes[tube]
+                turn = lumens[1, tube]
         cosine[i] *= factor
         sine[i] *= factor
+        if turn != 0:
+            # Phases that turn at normally distributed rates decorrelate like a Gaussian beam's echo
+            # of scatterers that pass through it.
+            phase = turn * regions.quantiles[i % len(regions.quantiles)]
+            along = np.float32(np.cos(phase))
+            across = np.float32(np.sin(phase))
+            real = cosine[i]
+            cosine[i] = real * along - sine[i] * across
+            sine[i] = real * across + sine[i] * along
         chosen[left] = i
         left += 1
     return left

@@ -7,6 +7,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from sonoservo.systems.sampling.options import OPTIONS
+from sonoservo.systems.ultrasound.simulation.kernels.displacement import displace
 from sonoservo.systems.ultrasound.simulation.kernels.medium import look_up
 from sonoservo.systems.ultrasound.simulation.kernels.projection import (
     FRACTIONS,
@@ -66,7 +67,7 @@ def _is_turned_away(i, X_FT, pieces, rays):  # type: ignore[no-untyped-def]
 
 
 @njit(**OPTIONS)
-def _in_frame(i, X_FT, pieces, growth, view, frame, node, rays):  # type: ignore[no-untyped-def]
+def _in_frame(i, X_FT, pieces, growth, view, field, frame, node, rays):  # type: ignore[no-untyped-def]
     """Return a piece's apparent position in F and the cosine of the sound's angle to its normal."""
     surface = pieces.surfaces[i]
     nx = pieces.normals[i, 0]
@@ -75,6 +76,10 @@ def _in_frame(i, X_FT, pieces, growth, view, frame, node, rays):  # type: ignore
     x = pieces.points[i, 0] + growth[surface] * nx
     y = pieces.points[i, 1] + growth[surface] * ny
     z = pieces.points[i, 2] + growth[surface] * nz
+    if field is not None:
+        F = np.empty((3, 3))
+        x, y, z = displace(x, y, z, field, frame, True, F, np.empty((3, 3)))
+        nx, ny, nz = _turned(nx, ny, nz, F)
     px = X_FT[0, 0] * x + X_FT[0, 1] * y + X_FT[0, 2] * z + X_FT[0, 3]
     py = X_FT[1, 0] * x + X_FT[1, 1] * y + X_FT[1, 2] * z + X_FT[1, 3]
     pz = X_FT[2, 0] * x + X_FT[2, 1] * y + X_FT[2, 2] * z + X_FT[2, 3]
@@ -93,6 +98,22 @@ def _in_frame(i, X_FT, pieces, growth, view, frame, node, rays):  # type: ignore
     fy = X_FT[1, 0] * nx + X_FT[1, 1] * ny + X_FT[1, 2] * nz
     fz = X_FT[2, 0] * nx + X_FT[2, 1] * ny + X_FT[2, 2] * nz
     return px, py, pz, fx * ux + fy * uy + fz * uz
+
+
+@njit(**OPTIONS)
+def _turned(nx, ny, nz, F):  # type: ignore[no-untyped-def]
+    """Return a surface's unit normal after a deformation with the gradient F (Nanson's formula)."""
+    n = (nx, ny, nz)
+    turned = np.zeros(3)
+    for i in range(3):
+        j = (i + 1) % 3
+        k = (i + 2) % 3
+        for m in range(3):
+            a = (m + 1) % 3
+            b = (m + 2) % 3
+            turned[i] += (F[j, a] * F[k, b] - F[j, b] * F[k, a]) * n[m]
+    length = np.sqrt(turned[0] ** 2 + turned[1] ** 2 + turned[2] ** 2)
+    return turned[0] / length, turned[1] / length, turned[2] / length
 
 
 @njit(**OPTIONS)
@@ -201,7 +222,7 @@ def _add_piece(  # type: ignore[no-untyped-def]
 
 @njit(parallel=True, **OPTIONS)
 def render_surfaces(  # type: ignore[no-untyped-def]
-    iq, transmission, X_FT, pieces, growth, rays, tables, pulses, taps, view, weakened
+    iq, transmission, X_FT, pieces, growth, rays, tables, pulses, taps, view, field, weakened
 ):
     """Add surfaces to every frame, and weaken the echoes behind them.
 
@@ -224,6 +245,8 @@ def render_surfaces(  # type: ignore[no-untyped-def]
         is the echo; the others follow it.
     view
         Displacements by refraction, a `View`, or None.
+    field
+        Displacements of the tissue, `Displacements`, or None.
     weakened
         Whether the transmission is initially below 1 anywhere.
     """
@@ -234,6 +257,8 @@ def render_surfaces(  # type: ignore[no-untyped-def]
     slab += abs(rays.twist) * rays.middle_line * furthest
     if view is not None:
         slab += view.aside
+    if field is not None:
+        slab += field.deepest + field.widest_push
     margin = np.int64(_OWN_SHADOW * rays.samples_per_metre)
     for frame in prange(frames):
         X = X_FT[frame]
@@ -254,7 +279,9 @@ def render_surfaces(  # type: ignore[no-untyped-def]
             for number in range(count):
                 i = seen[number]
                 surface = pieces.surfaces[i]
-                x, y, z, cosine = _in_frame(i, X, pieces, growth[frame], view, frame, node, rays)
+                x, y, z, cosine = _in_frame(
+                    i, X, pieces, growth[frame], view, field, frame, node, rays
+                )
                 if cosine > 0 and pieces.one_sided[surface]:
                     continue
                 sine = np.sqrt(max(1 - cosine * cosine, 0.0))
@@ -283,7 +310,9 @@ def render_surfaces(  # type: ignore[no-untyped-def]
                 kind = pieces.pulses[surface]
                 if level == 0 and kind == 0:
                     continue
-                x, y, z, cosine = _in_frame(i, X, pieces, growth[frame], view, frame, node, rays)
+                x, y, z, cosine = _in_frame(
+                    i, X, pieces, growth[frame], view, field, frame, node, rays
+                )
                 if cosine > 0 and pieces.one_sided[surface]:
                     continue
                 sine = np.sqrt(max(1 - cosine * cosine, 0.0))

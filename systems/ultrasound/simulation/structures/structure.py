@@ -39,6 +39,8 @@ class Tube(NamedTuple):
     pulsation: float
     rate: float
     """Rate of the pulsation, in Hz."""
+    flow: float = 0.0
+    """Speed of the flow, in m/s."""
 
 
 @dataclass(kw_only=True)

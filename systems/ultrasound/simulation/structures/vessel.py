@@ -39,6 +39,8 @@ class Vessel(Structure):
     pulsation, heart_rate
         Amplitude of the radius relative to its mean (0.05 in a carotid artery, 0 in a vein), and
         its frequency in Hz.
+    flow_speed
+        Mean speed of the blood, in m/s; it decorrelates the lumen's speckle. 0 for none.
     attenuation
         One-way attenuation of the blood, in dB/(cm MHz). It is below that of tissue, so the tissue
         behind the vessel is brighter.
@@ -58,6 +60,7 @@ class Vessel(Structure):
     pulsation: float = 0.05
     heart_rate: float = 1.2
     attenuation: float = 0.18
+    flow_speed: float = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -68,6 +71,8 @@ class Vessel(Structure):
         require(self.radius <= 0.05, "radius", self.radius, "at most 0.05 m")
         require_not_negative(pulsation=self.pulsation, attenuation=self.attenuation)
         require(self.pulsation <= 0.5, "pulsation", self.pulsation, "at most 0.5")
+        flows = 0 <= self.flow_speed <= 2
+        require(flows, "flow_speed", self.flow_speed, "from 0 to 2 m/s")
         require_level(level_db=self.level_db, lumen_db=self.lumen_db)
         require_levels(self.diffuse_db, self.shadow)
 
@@ -104,6 +109,7 @@ class Vessel(Structure):
                 self.attenuation,
                 self.pulsation,
                 self.heart_rate,
+                self.flow_speed,
             )
         ]
 

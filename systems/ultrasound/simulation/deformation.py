@@ -1,0 +1,179 @@
+"""Deformation of the tissue at one time: its displacement by the probe and by the needle."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import overload
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.math import RigidTransform
+
+from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.requirements import require_not_negative, require_positive
+from sonoservo.systems.ultrasound.simulation.kernels.displacement import (
+    Displacements,
+    displace_points,
+)
+
+_MOST_POINTS = 7
+_SPACING = 4e-3
+_ROUNDING = 8
+_NO_SHAFT = np.zeros((0, 3))
+_NO_SHAFT.flags.writeable = False
+
+
+@dataclass(frozen=True)
+class Indentation(Immutable):
+    """Indentation of the tissue's level top by a sphere.
+
+    Parameters
+    ----------
+    x, y
+        Deepest point of the sphere in T, in m.
+    depth
+        Depth of that point below the undeformed top, in m; 0 for no contact.
+    dome_radius
+        Radius of the sphere, in m.
+    """
+
+    x: float = 0.0
+    y: float = 0.0
+    depth: float = 0.0
+    dome_radius: float = 1.0
+
+    def __post_init__(self) -> None:
+        require_not_negative(depth=self.depth)
+        require_positive(dome_radius=self.dome_radius)
+
+    @property
+    def radius(self) -> float:
+        """Radius of the contact in Hertz's theory, sqrt(depth R), in m."""
+        return float(np.sqrt(self.depth * self.dome_radius))
+
+
+def indentation(X_TP: RigidTransform, dome_radius: float) -> Indentation:
+    """Return the indentation by a probe whose face is a dome.
+
+    Parameters
+    ----------
+    X_TP
+        Pose of the probe in the tissue; its Y axis points out of the face.
+    dome_radius
+        Radius of a sphere with the dome's mean curvature at its apex, in m. Hertz's contact of an
+        ellipsoid differs little from that of this sphere (Johnson 1985, section 4.2).
+    """
+    face = X_TP.translation()
+    centre = face - dome_radius * X_TP.rotation().matrix()[:, 1]
+    depth = max(dome_radius - float(centre[2]), 0.0)
+    return Indentation(float(centre[0]), float(centre[1]), depth, dome_radius)
+
+
+@dataclass(frozen=True, eq=False)
+class Deformation(Immutable):
+    """Displacement of the tissue at one time; see `displacement.indent` and `push`.
+
+    Parameters
+    ----------
+    indentation
+        Indentation by the probe.
+    shaft
+        (m, 3) points along the needle that displaces tissue, entry first, before the probe
+        displaces both, in T, in m; (0, 3) for none.
+    drag
+        Displacement of the tissue at the shaft, towards the tip, in m.
+    drag_reach
+        Distance from the shaft over which the drag falls to 1/e, in m.
+    hole_radius
+        Radius of the hole that the tissue leaves to the needle, in m.
+    """
+
+    indentation: Indentation = Indentation()
+    shaft: NDArray[np.float64] = field(default_factory=lambda: _NO_SHAFT)
+    drag: float = 0.0
+    drag_reach: float = 8e-3
+    hole_radius: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "shaft", read_only(self.shaft, "shaft", (None, 3)))
+        require_positive(drag_reach=self.drag_reach)
+        require_not_negative(hole_radius=self.hole_radius)
+
+    def moved(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the (n, 3) displaced positions of (n, 3) points of the tissue, in T, in m."""
+        return displace_points(np.asarray(points, dtype=float), displacements([self]), 0, True)
+
+    def moved_needle(self, needle: Needle) -> Needle:
+        """Return a needle in T that the probe displaces with the tissue around it.
+
+        The needle's own push on the tissue does not displace it.
+        """
+        if not needle or self.indentation.depth == 0:
+            return needle
+        return moved_needle(needle, displacements([self]), 0, pushed=False)
+
+
+def moved_needle(
+    needle: Needle, field: Displacements, frame: int, *, pushed: bool = True
+) -> Needle:
+    """Return a needle in T displaced by the field of a frame.
+
+    Parameters
+    ----------
+    needle
+        Needle in T, inside the tissue.
+    field, frame
+        Displacements, and the frame's number.
+    pushed
+        Whether the needle of the field displaces this one too.
+    """
+    count = max(int(np.ceil(needle.length / _SPACING)) + 1, len(needle.shaft), 2)
+    points = needle.position(np.linspace(0, needle.length, count))
+    shaft = displace_points(points, field, frame, pushed)
+    return Needle(shaft, needle.radius, roll=needle.roll)
+
+
+@overload
+def displacements(deformations: None) -> None: ...
+@overload
+def displacements(deformations: Sequence[Deformation]) -> Displacements: ...
+def displacements(deformations: Sequence[Deformation] | None) -> Displacements | None:
+    """Return the fields of the frames' deformations for the kernels; None for undeformed tissue.
+
+    Lengths are rounded to 10 nm, so that tissue at rest is the same from one sweep to the next.
+    """
+    if deformations is None:
+        return None
+    frames = len(deformations)
+    pushing = [d for d in deformations if len(d.shaft) and (d.drag != 0 or d.hole_radius > 0)]
+    most = max((min(len(d.shaft), _MOST_POINTS) for d in pushing), default=1)
+    shafts, counts = np.zeros((frames, most, 3)), np.zeros(frames, np.int64)
+    for frame, deformation in enumerate(deformations):
+        if len(deformation.shaft) > 1 and pushing:
+            shaft = _thinned(deformation.shaft, most)
+            shafts[frame, : len(shaft)] = np.round(shaft, _ROUNDING)
+            counts[frame] = len(shaft)
+    contacts = [d.indentation for d in deformations]
+    places = np.array([[c.x, c.y, c.depth, c.radius] for c in contacts]).round(_ROUNDING)
+    drags = np.array([d.drag for d in deformations]).round(_ROUNDING)
+    hole = max((d.hole_radius for d in pushing), default=0.0)
+    return Displacements(
+        centres=np.column_stack([places[:, :2], np.zeros(frames)]),
+        normals=np.tile([0.0, 0.0, -1.0], (frames, 1)),
+        depths=places[:, 2].copy(),
+        radii=np.maximum(places[:, 3], 1e-6),
+        shafts=shafts,
+        counts=counts,
+        drags=drags,
+        drag_reach=float(deformations[0].drag_reach),
+        hole=float(hole**2),
+        deepest=float(places[:, 2].max()),
+        widest_push=float(np.abs(drags).max() + hole) if pushing else 0.0,
+    )
+
+
+def _thinned(shaft: NDArray[np.float64], most: int) -> NDArray[np.float64]:
+    """Return at most ``most`` of a shaft's points, with both ends."""
+    if len(shaft) <= most:
+        return shaft
+    return shaft[np.linspace(0, len(shaft) - 1, most).round().astype(int)]

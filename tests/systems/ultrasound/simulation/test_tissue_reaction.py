@@ -1,0 +1,164 @@
+"""The leaf that lets the tissue react, and a scanner that sees it."""
+
+import numpy as np
+import pytest
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from speckle_motion import speckle_motion
+
+from sonoservo.systems.robot.phantom_motion import Breathing
+from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.ultrasound.imaging import ImagingParameters
+from sonoservo.systems.ultrasound.simulation.needle_drag import (
+    Drag,
+    NeedleDragParameters,
+    advance_drag,
+)
+from sonoservo.systems.ultrasound.simulation.scanner import Scanner
+from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
+from sonoservo.systems.ultrasound.simulation.tissue import Tissue
+from sonoservo.systems.ultrasound.simulation.tissue_reaction import (
+    TissueReaction,
+    TissueReactionParameters,
+    tissue_deformation,
+)
+from sonoservo.systems.ultrasound.transducer import Transducer
+
+PRESSED = RigidTransform(RotationMatrix(RollPitchYaw(-np.pi / 2, 0, 0)), [0, 0, -4e-3])
+NONE = Needle(np.zeros((0, 3)), 0.635e-3)
+DRAG = NeedleDragParameters(distance=1e-3, slip_time=0.1)
+IMAGING = ImagingParameters(sector=0.4, depth=0.05, frames=3, volume_rate=8)
+
+
+def pushed(time):
+    """A needle that enters at 0.5 s, at 8 mm/s, and stops at 2 s."""
+    depth = 8e-3 * (min(time, 2.0) - 0.5)
+    if depth <= 0:
+        return NONE
+    return Needle(np.array([[-0.008, 0, -0.03], [depth - 0.008, 0, -0.03]]), 0.6e-3)
+
+
+class World(LeafSystem):
+    """Poses and needle as functions of time."""
+
+    def __init__(self, X_WT=lambda t: RigidTransform(), needle=pushed):
+        super().__init__()
+        for name, model, value in (
+            ("true_X_WP", RigidTransform(), lambda t: PRESSED),
+            ("X_WT", RigidTransform(), X_WT),
+            ("pushed_needle", NONE, needle),
+        ):
+            self.DeclareAbstractOutputPort(
+                name,
+                (Value[object] if name == "pushed_needle" else Value)(model).Clone,
+                lambda context, output, value=value: output.set_value(value(context.get_time())),
+            )
+
+
+def simulated(parameters, world=None, scanner=None):
+    """Simulator of a reacting tissue, and a function that reads a port of it or of the scanner."""
+    builder = DiagramBuilder()
+    world = builder.AddSystem(world or World())
+    reaction = builder.AddSystem(TissueReaction(parameters=parameters, dome_radius=33e-3))
+    for name in ("true_X_WP", "X_WT", "pushed_needle"):
+        builder.Connect(world.GetOutputPort(name), reaction.GetInputPort(name))
+    if scanner is not None:
+        builder.AddSystem(scanner)
+        for source, name in (
+            (world, "true_X_WP"), (world, "X_WT"), (reaction, "needle"), (reaction, "deformation"),
+        ):  # fmt: skip
+            builder.Connect(source.GetOutputPort(name), scanner.GetInputPort(name))
+        builder.Connect(world.GetOutputPort("true_X_WP"), scanner.GetInputPort("X_WP"))
+    simulator = Simulator(builder.Build())
+
+    def read(port):
+        system = scanner if port == "sweep" else reaction
+        return system.GetOutputPort(port).Eval(system.GetMyContextFromRoot(simulator.get_context()))
+
+    return simulator, read
+
+
+def test_drag_follows_the_needles_motion_between_samples_too():
+    simulator, read = simulated(TissueReactionParameters(drag=DRAG))
+    drag, now = Drag(), 0.5
+    for time in (0.51, 0.6, 0.777, 1.3, 2.0, 2.5, 4.0):
+        simulator.AdvanceTo(time)
+        drag = advance_drag(drag, 8e-3 * (min(time, 2.0) - min(now, 2.0)), time - now, DRAG)
+        now = time
+        # The needle entered within a sample.
+        assert read("deformation").drag == pytest.approx(drag.distance, abs=0.15e-3)
+    assert read("deformation").drag == pytest.approx(0, abs=0.5e-3)
+    # The drag moves the tissue and not the needle.
+    np.testing.assert_array_equal(read("needle").shaft, pushed(4.0).shaft)
+
+
+def test_needle_and_deformation_are_those_of_the_pure_functions():
+    parameters = TissueReactionParameters(indentation=True, pushed_aside=0.25)
+    simulator, read = simulated(parameters)
+    simulator.AdvanceTo(0.2)
+    assert not read("needle")
+    simulator.AdvanceTo(1.5)
+    needle = pushed(1.5)
+    expected = tissue_deformation(needle, Drag(), PRESSED, 33e-3, parameters)
+    assert read("deformation").hole_radius == pytest.approx(0.3e-3)
+    assert read("deformation").indentation == expected.indentation
+    np.testing.assert_array_equal(read("needle").shaft, expected.moved_needle(needle).shaft)
+    assert read("needle").tip[2] < needle.tip[2] - 0.5e-3
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.1, float("nan")])
+def test_bad_share_is_refused(share):
+    with pytest.raises(ValueError, match="pushed_aside: .* is not allowed"):
+        TissueReactionParameters(pushed_aside=share)
+
+
+def make_scanner():
+    return Scanner(
+        transducer=Transducer(),
+        imaging=IMAGING,
+        tissue=Tissue(seed=1),
+        parameters=ScannerParameters(),
+        seed=7,
+    )
+
+
+def test_scanner_shows_the_tissue_and_the_needle_where_they_truly_are():
+    scanner = make_scanner()
+    parameters = TissueReactionParameters(indentation=True)
+    simulator, read = simulated(parameters, scanner=scanner)
+    simulator.AdvanceTo(2.01)
+    sweep, needle = read("sweep"), read("needle")
+    # The needle lies in the middle frame's plane; its front wall echoes.
+    line = scanner.geometry.lines // 2 - 3
+    sample = int(sweep.samples[1, line].argmax())
+    echo = PRESSED.multiply(scanner.geometry.position(1, line, sample, 1))
+    truth = np.interp(echo[0], needle.shaft[:, 0], needle.shaft[:, 2])
+    assert truth < -0.0308
+    assert echo[2] - needle.radius == pytest.approx(truth, abs=0.3e-3)
+
+
+def test_speckle_breathes_as_commanded():
+    breathing = Breathing(peak_to_peak=0.01, rate=0.3, direction=[0.6, 0, -0.8])
+    scanner = make_scanner()
+    world = World(lambda t: RigidTransform(breathing.displacement(t)), lambda t: NONE)
+    simulator, read = simulated(TissueReactionParameters(), world, scanner)
+    simulator.AdvanceTo(0.63)
+    first = read("sweep")
+    simulator.AdvanceTo(0.88)
+    second = read("sweep")
+    geometry = scanner.geometry
+    assert first.motion.direction == second.motion.direction
+    moved = breathing.displacement(second.motion.times[1]) - breathing.displacement(
+        first.motion.times[1]
+    )
+    assert np.linalg.norm(moved) > 1.5e-3
+    line, depth = geometry.lines // 2, 0.03
+    sample = round(depth / geometry.sample_pitch)
+    width = geometry.line_pitch * (geometry.array_radius + depth)
+    start = np.round([moved[0] / width, -moved[2] / geometry.sample_pitch]).astype(int)
+    before, after = (10 ** (each.samples[1] / 100) for each in (first, second))
+    lines, samples, _ = speckle_motion(before, after, line, sample, (4, 10), (4, 10), start)
+    assert lines * width == pytest.approx(moved[0], abs=0.3e-3)
+    assert samples * geometry.sample_pitch == pytest.approx(-moved[2], abs=0.1e-3)
