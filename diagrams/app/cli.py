@@ -37,9 +37,6 @@ from sonoservo.diagrams.app.study_commands import dataset_command, reproduce_com
 from sonoservo.diagrams.app.volume_commands import bridge_command, locate_command, track_command
 from sonoservo.systems.files.refusals import ConfigurationError, describe, shorten
 
-STOPPED = 3
-"""Exit status of a run at whose end the guard keeps the robot stopped."""
-
 app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
@@ -103,10 +100,7 @@ def run_command(
     wait_for: WaitOption = 0,
     json_path: JsonOption = None,
 ) -> None:
-    """Run a scenario, print its figures and write a folder of results.
-
-    The exit status is 3 if the robot was stopped by its guard and could not go on.
-    """
+    """Run a scenario and write its results; exit status 3: the guard stopped the robot for good."""
     from sonoservo.diagrams.app.live.commands import serving
     from sonoservo.diagrams.app.run import run
     from sonoservo.diagrams.app.terminal import (
@@ -146,7 +140,7 @@ def run_command(
     if result.summary["interrupted"]:
         raise typer.Exit(INTERRUPTED)
     if look_up(result.summary, "guard.stopped_at_end"):
-        raise typer.Exit(STOPPED)
+        raise typer.Exit(3)
 
 
 def drive_command(
