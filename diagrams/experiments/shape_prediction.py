@@ -21,9 +21,9 @@ from sonoservo.systems.estimation.shape_estimator import ShapeEstimator
 from sonoservo.systems.estimation.shape_filter import ShapeFilter
 from sonoservo.systems.estimation.shape_filters import SHAPE_FILTERS
 from sonoservo.systems.evaluation.log import Row
-from sonoservo.systems.evaluation.shape_log import ShapeLog
-from sonoservo.systems.evaluation.shape_metrics import LABELS, summarize_shape
-from sonoservo.systems.evaluation.shape_plots import plot_shape
+from sonoservo.systems.evaluation.shape.shape_log import ShapeLog
+from sonoservo.systems.evaluation.shape.shape_metrics import LABELS, summarize_shape
+from sonoservo.systems.evaluation.shape.shape_plots import plot_shape
 from sonoservo.systems.needle.hand import Hand
 from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.needle.insertion_parameters import OUTER_DIAMETER

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from sonoservo.diagrams.app.live.track_live import LiveLimits, live_volumes
-from sonoservo.diagrams.app.reconstruct import ReconstructedRecording
+from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
 from sonoservo.systems.live.connection.link import Link
 from sonoservo.systems.live.live_source import LiveSource
 from sonoservo.systems.live.volume_sender import IMAGE, volume_items

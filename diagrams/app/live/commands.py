@@ -12,8 +12,8 @@ from rich.console import Console
 from sonoservo.diagrams.app.live.bridge import QUEUE, play_live, record_live
 from sonoservo.diagrams.app.live.serve import live_senders, opened
 from sonoservo.diagrams.app.live.track_live import LiveLimits, track_live
-from sonoservo.diagrams.app.reconstruct import ReconstructedRecording
 from sonoservo.diagrams.app.terminal import live_table
+from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
 from sonoservo.systems.files.refusals import ConfigurationError

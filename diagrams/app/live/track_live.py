@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sonoservo.diagrams.app.estimates_table import EstimatesTable, estimate_row
+from sonoservo.diagrams.app.volumes.estimates_table import EstimatesTable, estimate_row
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, track_volume
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
 from sonoservo.systems.files.writing import write_json

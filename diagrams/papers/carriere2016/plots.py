@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from sonoservo.systems.evaluation.shape_metrics import plane_of
+from sonoservo.systems.evaluation.shape.shape_metrics import plane_of
 
 Results = Mapping[str, Sequence[Mapping[str, Any]]]
 

@@ -12,8 +12,8 @@ from sonoservo.diagrams.experiments.shape_prediction import ShapePredictionExper
 from sonoservo.diagrams.experiments.shape_prediction_scenario import ESTIMATORS
 from sonoservo.diagrams.shape_predictor import estimate_shape
 from sonoservo.diagrams.studies.study import Case
-from sonoservo.systems.evaluation.shape_log import ShapeLog
-from sonoservo.systems.evaluation.shape_metrics import plane_of, prediction, summarize_shape
+from sonoservo.systems.evaluation.shape.shape_log import ShapeLog
+from sonoservo.systems.evaluation.shape.shape_metrics import plane_of, prediction, summarize_shape
 from sonoservo.systems.signals.confidence import RADIUS_95
 from sonoservo.systems.signals.cross_section import CrossSection
 from sonoservo.systems.signals.needle_shape import NeedleShape

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.ultrasound.beam import Beam
+from sonoservo.systems.ultrasound.simulation.anatomy.path_labels import PathLabels, path_labels
 from sonoservo.systems.ultrasound.simulation.kernels.medium import (
     Medium,
     View,
@@ -16,7 +17,6 @@ from sonoservo.systems.ultrasound.simulation.kernels.medium import (
 )
 from sonoservo.systems.ultrasound.simulation.kernels.regions import Regions
 from sonoservo.systems.ultrasound.simulation.kernels.surface_echo import Pieces
-from sonoservo.systems.ultrasound.simulation.path_labels import PathLabels, path_labels
 from sonoservo.systems.ultrasound.simulation.pulses import PulseTables, stacked
 from sonoservo.systems.ultrasound.simulation.scatterer_regions import scatterer_regions
 from sonoservo.systems.ultrasound.simulation.structures.structure import Tube

@@ -11,8 +11,8 @@ from sonoservo.diagrams.experiments.shape_prediction_scenario import (
 from sonoservo.diagrams.shape_predictor import estimate_shape
 from sonoservo.systems.estimation.shape_filters import SHAPE_FILTERS
 from sonoservo.systems.evaluation.log import read_log
-from sonoservo.systems.evaluation.shape_log import ShapeLog
-from sonoservo.systems.evaluation.shape_metrics import cross_section_errors, prediction
+from sonoservo.systems.evaluation.shape.shape_log import ShapeLog
+from sonoservo.systems.evaluation.shape.shape_metrics import cross_section_errors, prediction
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.needle_shape import NeedleShape
 

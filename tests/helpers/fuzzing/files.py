@@ -18,8 +18,8 @@ from tracked_frames import freehand, write_plus_file
 
 from fuzzing.engine import Outcome, judge
 from fuzzing.mutations import mutate
-from sonoservo.diagrams.app.locate import locate_in_recording
-from sonoservo.diagrams.app.reconstruct import ReconstructedRecording
+from sonoservo.diagrams.app.volumes.locate import locate_in_recording
+from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
 from sonoservo.diagrams.studies import study
 from sonoservo.systems.evaluation.log import read_log, write_log
 from sonoservo.systems.evaluation.run_log import RunLog

@@ -8,7 +8,7 @@ from sonoservo.systems import evaluation
 from sonoservo.systems.evaluation.explanation.explained_volume import ExplainedVolume
 from sonoservo.systems.evaluation.log import FORMAT, column_table, columns, read_log, write_log
 from sonoservo.systems.evaluation.run_log import RunLog
-from sonoservo.systems.evaluation.shape_log import ShapeLog
+from sonoservo.systems.evaluation.shape.shape_log import ShapeLog
 
 
 def test_a_log_survives_its_file(tmp_path, insertion_log):

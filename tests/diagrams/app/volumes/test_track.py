@@ -16,7 +16,7 @@ from recordings import tracked, write_meta_image, write_sequence_nrrd
 from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.diagrams import MakeNeedleTracker, load_scenario, run, track, track_recording
-from sonoservo.diagrams.app.track import tracker_parameters
+from sonoservo.diagrams.app.volumes.track import tracker_parameters
 from sonoservo.diagrams.trackers.registry import TRACKERS
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
 from sonoservo.systems.files.refusals import ConfigurationError

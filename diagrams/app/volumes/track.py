@@ -13,8 +13,8 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import DiagramBuilder
 
-from sonoservo.diagrams.app.estimates_table import estimate_row, estimates_csv
-from sonoservo.diagrams.app.reconstruct import ReconstructedRecording
+from sonoservo.diagrams.app.volumes.estimates_table import estimate_row, estimates_csv
+from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
 from sonoservo.diagrams.trackers.registry import TRACKERS
 from sonoservo.diagrams.trackers.tracker_parts import STARTS, TrackerParameters

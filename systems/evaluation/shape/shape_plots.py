@@ -3,8 +3,8 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from sonoservo.systems.evaluation.shape_log import ShapeLog
-from sonoservo.systems.evaluation.shape_metrics import plane_of
+from sonoservo.systems.evaluation.shape.shape_log import ShapeLog
+from sonoservo.systems.evaluation.shape.shape_metrics import plane_of
 from sonoservo.systems.signals.confidence import RADIUS_95
 from sonoservo.systems.signals.needle_shape import NeedleShape
 

@@ -87,14 +87,14 @@ def track_command(
     """Track a needle through recorded or live volumes, and write a folder of results."""
     from sonoservo.diagrams.app.live.commands import make_maker, needle_names, track_address
     from sonoservo.diagrams.app.live.track_live import LiveLimits
-    from sonoservo.diagrams.app.reconstruct import ReconstructedRecording
     from sonoservo.diagrams.app.terminal import (
         VolumeProgress,
         keep_shown,
         mode_table,
         start_monitor,
     )
-    from sonoservo.diagrams.app.track import track_recording, tracker_parameters
+    from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
+    from sonoservo.diagrams.app.volumes.track import track_recording, tracker_parameters
     from sonoservo.systems.live.connection.protocols import is_address
     from sonoservo.systems.recording.recording import Recording
 
@@ -236,7 +236,7 @@ def locate_command(
     """Find the needle in one volume, in the file's coordinates; exit with 1 if there is none."""
     import numpy as np
 
-    from sonoservo.diagrams.app.locate import locate_in_recording
+    from sonoservo.diagrams.app.volumes.locate import locate_in_recording
     from sonoservo.systems.recording.recording import Recording
 
     # Times and poses do not matter for a single volume.

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.evaluation.metrics import spread
-from sonoservo.systems.evaluation.shape_log import ShapeLog
+from sonoservo.systems.evaluation.shape.shape_log import ShapeLog
 from sonoservo.systems.signals.confidence import SQUARED_DISTANCE_95
 from sonoservo.systems.signals.needle_shape import NeedleShape
 
