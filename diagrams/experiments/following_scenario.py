@@ -14,8 +14,10 @@ from sonoservo.systems.robot.phantom_motion import PhantomMotionParameters
 from sonoservo.systems.signals.requirements import require, require_positive
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.scan_converter import ScanConversionParameters
+from sonoservo.systems.ultrasound.simulation.reaction.tissue_reaction import (
+    TissueReactionParameters,
+)
 from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
-from sonoservo.systems.ultrasound.simulation.tissue_reaction import TissueReactionParameters
 
 
 @dataclass(kw_only=True)

@@ -10,9 +10,9 @@ from pydrake.systems.framework import Diagram, DiagramBuilder, System
 from sonoservo.diagrams.assembly import load_dome_radius
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.systems.needle.insertion import Insertion
-from sonoservo.systems.ultrasound.simulation.deformation import Deformation
-from sonoservo.systems.ultrasound.simulation.needle_drag import Drag, advance_drag
-from sonoservo.systems.ultrasound.simulation.tissue_reaction import (
+from sonoservo.systems.ultrasound.simulation.reaction.deformation import Deformation
+from sonoservo.systems.ultrasound.simulation.reaction.needle_drag import Drag, advance_drag
+from sonoservo.systems.ultrasound.simulation.reaction.tissue_reaction import (
     TissueReaction,
     tissue_deformation,
 )

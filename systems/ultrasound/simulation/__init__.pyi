@@ -1,11 +1,5 @@
 from .acquisition import acquire_sweep as acquire_sweep
 from .air_pockets import AirPocketParameters as AirPocketParameters
-from .deformation import Deformation as Deformation
-from .deformation import Indentation as Indentation
-from .deformation import indentation as indentation
-from .needle_drag import Drag as Drag
-from .needle_drag import NeedleDragParameters as NeedleDragParameters
-from .needle_drag import advance_drag as advance_drag
 from .needle_echo import NeedleEchoParameters as NeedleEchoParameters
 from .rendering import SweepRenderer as SweepRenderer
 from .scanner import Scanner as Scanner
@@ -15,6 +9,3 @@ from .tissue import Fibre as Fibre
 from .tissue import RandomFibres as RandomFibres
 from .tissue import Tissue as Tissue
 from .tissue import load_tissue as load_tissue
-from .tissue_reaction import TissueReaction as TissueReaction
-from .tissue_reaction import TissueReactionParameters as TissueReactionParameters
-from .tissue_reaction import tissue_deformation as tissue_deformation

@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 from sonoservo.systems.signals.immutable import seal
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.sweep import Sweep, SweepMotion
-from sonoservo.systems.ultrasound.simulation.deformation import Deformation
 from sonoservo.systems.ultrasound.simulation.errors.connection import repeat_lost_frames
 from sonoservo.systems.ultrasound.simulation.errors.motor import (
     MotorParameters,
     motor_error,
     turned,
 )
+from sonoservo.systems.ultrasound.simulation.reaction.deformation import Deformation
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
 
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.ultrasound.beam import Beam
-from sonoservo.systems.ultrasound.simulation.deformation import moved_needle
 from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import render_needles
 from sonoservo.systems.ultrasound.simulation.kernels.displacement import Displacements
 from sonoservo.systems.ultrasound.simulation.kernels.medium import View, apparent_points
@@ -23,6 +22,7 @@ from sonoservo.systems.ultrasound.simulation.needle_echo import (
     reverberations,
 )
 from sonoservo.systems.ultrasound.simulation.pulses import PulseTables
+from sonoservo.systems.ultrasound.simulation.reaction.deformation import moved_needle
 
 _BENT_STEP = 1e-3
 

@@ -18,9 +18,9 @@ from sonoservo.systems.signals.requirements import require_not_negative
 from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation.acquisition import acquire_sweep
-from sonoservo.systems.ultrasound.simulation.deformation import Deformation
 from sonoservo.systems.ultrasound.simulation.errors.clock import poses_at
 from sonoservo.systems.ultrasound.simulation.errors.connection import Reception
+from sonoservo.systems.ultrasound.simulation.reaction.deformation import Deformation
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
 from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue

@@ -16,8 +16,10 @@ from sonoservo.diagrams.experiments.following_tissue import (
 from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.systems.recording.side_files import read_truth
 from sonoservo.systems.robot.phantom_motion import Breathing, PhantomMotionParameters
-from sonoservo.systems.ultrasound.simulation.needle_drag import NeedleDragParameters
-from sonoservo.systems.ultrasound.simulation.tissue_reaction import TissueReactionParameters
+from sonoservo.systems.ultrasound.simulation.reaction.needle_drag import NeedleDragParameters
+from sonoservo.systems.ultrasound.simulation.reaction.tissue_reaction import (
+    TissueReactionParameters,
+)
 
 REACTION = TissueReactionParameters(
     drag=NeedleDragParameters(distance=1e-3), pushed_aside=1.0, indentation=True

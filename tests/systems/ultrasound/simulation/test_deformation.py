@@ -9,7 +9,7 @@ from speckle_motion import speckle_motion
 
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.simulation.deformation import (
+from sonoservo.systems.ultrasound.simulation.reaction.deformation import (
     Deformation,
     Indentation,
     displacements,

@@ -11,19 +11,19 @@ from speckle_motion import speckle_motion
 from sonoservo.systems.robot.phantom_motion import Breathing
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.simulation.needle_drag import (
+from sonoservo.systems.ultrasound.simulation.reaction.needle_drag import (
     Drag,
     NeedleDragParameters,
     advance_drag,
 )
-from sonoservo.systems.ultrasound.simulation.scanner import Scanner
-from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
-from sonoservo.systems.ultrasound.simulation.tissue import Tissue
-from sonoservo.systems.ultrasound.simulation.tissue_reaction import (
+from sonoservo.systems.ultrasound.simulation.reaction.tissue_reaction import (
     TissueReaction,
     TissueReactionParameters,
     tissue_deformation,
 )
+from sonoservo.systems.ultrasound.simulation.scanner import Scanner
+from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
+from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 from sonoservo.systems.ultrasound.transducer import Transducer
 
 PRESSED = RigidTransform(RotationMatrix(RollPitchYaw(-np.pi / 2, 0, 0)), [0, 0, -4e-3])

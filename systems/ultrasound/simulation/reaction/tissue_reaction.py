@@ -9,12 +9,12 @@ from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.ports import evaluate
 from sonoservo.systems.signals.requirements import require, require_positive
-from sonoservo.systems.ultrasound.simulation.deformation import (
+from sonoservo.systems.ultrasound.simulation.reaction.deformation import (
     Deformation,
     Indentation,
     indentation,
 )
-from sonoservo.systems.ultrasound.simulation.needle_drag import (
+from sonoservo.systems.ultrasound.simulation.reaction.needle_drag import (
     Drag,
     NeedleDragParameters,
     advance_drag,
