@@ -22,8 +22,6 @@ from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation import (
     AirPocketParameters,
     Ball,
-    Deformation,
-    Indentation,
     NeedleEchoParameters,
     ScannerParameters,
     SweepRenderer,
@@ -32,6 +30,7 @@ from sonoservo.systems.ultrasound.simulation import (
     load_tissue,
 )
 from sonoservo.systems.ultrasound.simulation.errors import ConnectionParameters, MotorParameters
+from sonoservo.systems.ultrasound.simulation.reaction import Deformation, Indentation
 from sonoservo.systems.ultrasound.simulation.structures import (
     Bone,
     Calcification,

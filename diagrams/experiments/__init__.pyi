@@ -3,6 +3,7 @@ from .following import FollowingExperiment as FollowingExperiment
 from .following import tracker_events as tracker_events
 from .following_insertion import make_insertion as make_insertion
 from .following_scenario import FollowingScenario as FollowingScenario
+from .following_tissue import MakeReactingTissue as MakeReactingTissue
 from .registry import describe_scenarios as describe_scenarios
 from .registry import experiment_class as experiment_class
 from .registry import list_scenarios as list_scenarios
