@@ -34,7 +34,7 @@ from sonoservo.diagrams.app.options import (
     write_printed,
 )
 from sonoservo.diagrams.app.study_commands import dataset_command, reproduce_command
-from sonoservo.diagrams.app.volumes.commands import bridge_command, locate_command, track_command
+from sonoservo.diagrams.app.volume_commands import bridge_command, locate_command, track_command
 from sonoservo.systems.files.refusals import ConfigurationError, describe, shorten
 
 app = typer.Typer(

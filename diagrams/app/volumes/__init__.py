@@ -1,4 +1,4 @@
-"""Commands on recorded volumes: track, locate and reconstruct."""
+"""Recorded volumes: track, locate and reconstruct."""
 
 from lazy_loader import attach_stub
 

@@ -13,7 +13,6 @@ from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.ultrasound.beam import Beam, beam_profile, point_spread
 from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
 from sonoservo.systems.ultrasound.simulation.air_pockets import AirPockets
-from sonoservo.systems.ultrasound.simulation.bright_points import inclusion_points
 from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import render_points
 from sonoservo.systems.ultrasound.simulation.kernels.displacement import Displacements
 from sonoservo.systems.ultrasound.simulation.kernels.echo import FADE, render_tissue
@@ -33,6 +32,7 @@ from sonoservo.systems.ultrasound.simulation.rays import (
 from sonoservo.systems.ultrasound.simulation.reaction.deformation import Deformation, displacements
 from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 from sonoservo.systems.ultrasound.simulation.scatterer_tile import scatterer_tile
+from sonoservo.systems.ultrasound.simulation.scatterers.bright_points import inclusion_points
 from sonoservo.systems.ultrasound.simulation.scene import Scene
 from sonoservo.systems.ultrasound.simulation.structures.resting_needle import RestingNeedle
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue

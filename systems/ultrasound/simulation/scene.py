@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.ultrasound.beam import Beam
-from sonoservo.systems.ultrasound.simulation.anatomy.path_labels import PathLabels, path_labels
 from sonoservo.systems.ultrasound.simulation.kernels.medium import (
     Medium,
     View,
@@ -17,8 +16,9 @@ from sonoservo.systems.ultrasound.simulation.kernels.medium import (
 )
 from sonoservo.systems.ultrasound.simulation.kernels.regions import Regions
 from sonoservo.systems.ultrasound.simulation.kernels.surface_echo import Pieces
+from sonoservo.systems.ultrasound.simulation.path_labels import PathLabels, path_labels
 from sonoservo.systems.ultrasound.simulation.pulses import PulseTables, stacked
-from sonoservo.systems.ultrasound.simulation.scatterer_regions import scatterer_regions
+from sonoservo.systems.ultrasound.simulation.scatterers.scatterer_regions import scatterer_regions
 from sonoservo.systems.ultrasound.simulation.structures.structure import Tube
 from sonoservo.systems.ultrasound.simulation.structures.surface import Surface, SurfaceEcho
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue

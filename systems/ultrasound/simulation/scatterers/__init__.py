@@ -1,0 +1,5 @@
+"""Scatterers that differ from plain tissue: regions with other statistics, and single bright points."""
+
+from lazy_loader import attach_stub
+
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

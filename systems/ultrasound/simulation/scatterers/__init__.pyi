@@ -1,0 +1,1 @@
+from .bright_points import inclusion_points as inclusion_points
