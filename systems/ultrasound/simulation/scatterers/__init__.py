@@ -1,4 +1,4 @@
-"""Scatterers that differ from plain tissue: regions with other statistics, and single bright points."""
+"""Scatterers other than plain tissue: regions with other statistics, and bright points."""
 
 from lazy_loader import attach_stub
 
