@@ -10,7 +10,7 @@ from fuzzing.commands import command_case
 from fuzzing.engine import MEMORY, Outcome, judge, run
 from fuzzing.files import file_case
 from fuzzing.kills import kill_case
-from fuzzing.scenarios import run_case, scenario_case
+from fuzzing.scenarios import built_in_scenarios, run_case, scenario_case
 
 from sonoservo.systems.files.refusals import ConfigurationError
 
@@ -18,6 +18,7 @@ from sonoservo.systems.files.refusals import ConfigurationError
 @pytest.fixture(autouse=True, scope="module")
 def _bases():
     files.bases()
+    built_in_scenarios()
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from fuzzing.commands import command_case
 from fuzzing.engine import run, summary
 from fuzzing.files import bases, file_case
 from fuzzing.kills import kill_case
-from fuzzing.scenarios import run_case, scenario_case
+from fuzzing.scenarios import built_in_scenarios, run_case, scenario_case
 
 CASES = {
     "files": (10_000, file_case),
@@ -29,6 +29,7 @@ def main() -> int:
     parser.add_argument("--show", type=int, default=20, help="number of findings to print")
     options = parser.parse_args()
     bases()
+    built_in_scenarios()
     found = 0
     for name, (_, case) in CASES.items():
         if count := getattr(options, name):

@@ -25,7 +25,7 @@ _YAML = [
 
 
 @cache
-def _scenarios() -> dict[str, tuple[str, list[tuple[str, Any]]]]:
+def built_in_scenarios() -> dict[str, tuple[str, list[tuple[str, Any]]]]:
     """Return the text of the built-in scenarios, and the paths and values of their fields."""
     found = {}
     for name, path in list_scenarios().items():
@@ -67,8 +67,8 @@ def _new_value(value: Any, rng: Random) -> str:
 
 def draw(rng: Random, folder: Path, files: bool = True) -> tuple[str, list[str]]:
     """Return the name or file of a scenario, and changes of it."""
-    name = rng.choice(sorted(_scenarios()))
-    text, leaves = _scenarios()[name]
+    name = rng.choice(sorted(built_in_scenarios()))
+    text, leaves = built_in_scenarios()[name]
     if files and rng.random() < 0.35:
         damaged = mutate(text.encode(), 0, rng)[0] if rng.random() < 0.95 else None
         path = folder / "scenario.yaml"
