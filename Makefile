@@ -6,12 +6,13 @@ SCENARIO ?= chatelain2013_fig5
 ARGS ?=
 
 SHELL := /bin/bash
-.PHONY: help run test bench notebooks pictures lint clean
+.PHONY: help run test fuzz bench notebooks pictures lint clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make run    simulate $(SCENARIO): the robot finds a needle and follows it"
 	@echo "make test   run the tests            make bench  run the benchmarks"
+	@echo "make fuzz   damage files, scenarios and commands at random (an hour)"
 	@echo "make lint   ruff, mypy, imports      make clean  remove what was built"
 	@echo "make notebooks   write the .ipynb    make pictures   take the README's screens"
 
@@ -33,6 +34,9 @@ run: $(VENV)/.run
 
 test: $(VENV)/.dev
 	@$(BIN)/python -m pytest -n 2 --dist loadfile $(ARGS)
+
+fuzz: $(VENV)/.dev
+	@PYTHONPATH=tests/helpers $(BIN)/python -m fuzzing $(ARGS)
 
 bench: $(VENV)/.dev
 	@mkdir -p out

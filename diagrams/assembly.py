@@ -6,7 +6,8 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 
 from sonoservo.systems.files.model_file import model_file, read_section
-from sonoservo.systems.files.typed_yaml import ConfigurationError, load_typed
+from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.typed_yaml import load_typed
 from sonoservo.systems.robot.arm import ArmWithProbe, MakeArmPlant, load_arm
 from sonoservo.systems.robot.directives import resolve_files
 from sonoservo.systems.robot.probe_body import AddProbeBody, ProbeBody, dome_semi_axes

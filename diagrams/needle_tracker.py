@@ -32,10 +32,12 @@ def MakeNeedleTracker(
         - measurement
         - detection
         - explanation
+        - volume_check
 
     ``volume`` is a `Volume`, or a `NotFound` while there is none; ``estimate`` a `NeedleEstimate`.
     ``measurement`` and ``detection`` are those of the last update, for a log. ``explanation`` is
     the `LocalizationExplanation` of the volume at the input, computed on demand.
+    ``volume_check`` is the `VolumeCheck` of all volumes so far; refused volumes are not tracked.
 
     Parameters
     ----------

@@ -1,7 +1,9 @@
-"""Controller of the probe: visual servo, force law and differential kinematics."""
+"""Controller of the probe: visual servo, force law, differential kinematics and guard."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
@@ -13,8 +15,31 @@ from sonoservo.systems.control.differential_kinematics import (
 )
 from sonoservo.systems.control.force_controller import ForceController
 from sonoservo.systems.control.force_law import ForceControllerParameters
+from sonoservo.systems.control.guard import Guard
+from sonoservo.systems.control.guard_parameters import GuardParameters
 from sonoservo.systems.control.visual_servo import VisualServo, VisualServoParameters
-from sonoservo.systems.signals.requirements import require_positive
+from sonoservo.systems.signals.requirements import require, require_positive
+
+MAX_FORCE = 8.0
+"""Highest force that the controller may be asked to hold, in N."""
+
+_CEILINGS = {
+    "visual_servo.gain": (10.0, "1/s"),
+    "visual_servo.max_speed": (0.1, "m/s"),
+    "visual_servo.max_angular_speed_deg": (90.0, "deg/s"),
+    "force.force": (MAX_FORCE, "N"),
+    "force.proportional_gain": (0.1, "m/s/N"),
+    "force.integral_gain": (1.0, "m/s/(N s)"),
+    "force.filter_time": (0.1, "s"),
+    "force.approach_speed": (0.05, "m/s"),
+    "force.retreat_speed": (0.1, "m/s"),
+    "kinematics.axis_gain": (10.0, "1/s"),
+    "kinematics.posture_gain": (10.0, "1/s"),
+}
+"""Highest values of parameters with which the robot stays safe, and their units."""
+
+_MAX_LEAN_DEG = 60.0
+"""Largest angle between the probe's axis and straight down, in deg; the body lies below."""
 
 
 @dataclass(kw_only=True)
@@ -27,6 +52,13 @@ class ProbeControllerParameters:
         Period of the force law and the joint commands, in s.
     visual_servo, force, kinematics
         Parameters of the three blocks.
+    guards
+        Limits beyond which the robot is stopped.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is above its ceiling, or the probe's axis points away from the body.
     """
 
     time_step: float = 0.005
@@ -35,9 +67,28 @@ class ProbeControllerParameters:
     kinematics: DifferentialKinematicsParameters = field(
         default_factory=DifferentialKinematicsParameters
     )
+    guards: GuardParameters = field(default_factory=GuardParameters)
 
     def __post_init__(self) -> None:
         require_positive(time_step=self.time_step)
+        for name, (ceiling, unit) in _CEILINGS.items():
+            block, parameter = name.split(".")
+            value = getattr(getattr(self, block), parameter)
+            require(value <= ceiling, name, value, f"at most {ceiling:g} {unit}")
+        highest = 0.8 * self.guards.max_force
+        force = self.force.force
+        require(
+            force <= highest, "force.force", force, f"at most 0.8 guards.max_force, {highest:g} N"
+        )
+        axis = np.array(self.kinematics.axis)
+        lean = np.rad2deg(np.arccos(np.clip(-axis[2] / np.linalg.norm(axis), -1, 1)))
+        require(
+            bool(lean <= _MAX_LEAN_DEG),
+            "kinematics.axis",
+            self.kinematics.axis,
+            f"a direction towards the body, at most {_MAX_LEAN_DEG:g} deg from straight down "
+            "([0, 0, -1])",
+        )
 
     @property
     def settings(self) -> ControllerSettings:
@@ -50,6 +101,7 @@ def MakeProbeController(
     parameters: ProbeControllerParameters,
     arm: str = ARM,
     probe: str = PROBE,
+    surface: Sequence[float] = (),
     X_PC: RigidTransform | None = None,
     mass_error: float = 0.0,
 ) -> Diagram:
@@ -70,11 +122,13 @@ def MakeProbeController(
         - planar_velocity
         - approach_velocity
         - pressing_force
+        - guard (unless the guard is disabled)
 
     `estimate` is the tracker's NeedleEstimate. The inputs `X_WP`, `wrist_force` and `joint_state`
     and the output `joint_command` match the station's ports of the same names. `gain` (lambda in
-    1/s) and `force_target` (in N) override the parameters. The last three outputs are for logs: the
+    1/s) and `force_target` (in N) override the parameters. The next three outputs are for logs: the
     commands of the servo and of the force law, and the filtered force on which that law acts.
+    `guard` is the `GuardStatus` of the guard, through which all commands go to the arm.
 
     Parameters
     ----------
@@ -82,6 +136,9 @@ def MakeProbeController(
         Parameters of the controller.
     arm, probe
         Names of files in models/robots and models/probes, or paths.
+    surface
+        (3,) point on the surface of the body at rest, in W, in m, if the parameters of the guard
+        give none. If both are empty, the guard knows no workspace.
     X_PC
         Pose of the calibrated probe frame, which the controller takes for P, in the true one; by
         default they are the same.
@@ -89,13 +146,14 @@ def MakeProbeController(
         Relative error of the probe's mass as the controller knows it.
     """
     held = assemble_arm(arm, probe, X_PC)
+    mass = (1 + mass_error) * held.probe.default_mass()
     builder = DiagramBuilder()
     servo = builder.AddNamedSystem("visual_servo", VisualServo(parameters=parameters.visual_servo))
     force = builder.AddNamedSystem(
         "force_controller",
         ForceController(
             parameters=parameters.force,
-            mass=(1 + mass_error) * held.probe.default_mass(),
+            mass=mass,
             time_step=parameters.time_step,
         ),
     )
@@ -117,7 +175,27 @@ def MakeProbeController(
     builder.ExportInput(kinematics.GetInputPort("joint_state"), "joint_state")
     builder.ExportInput(servo.GetInputPort("gain"), "gain")
     builder.ExportInput(force.GetInputPort("force_target"), "force_target")
-    builder.ExportOutput(kinematics.GetOutputPort("joint_command"), "joint_command")
+    arm_command = kinematics.GetOutputPort("joint_command")
+    if parameters.guards.enabled:
+        guard = builder.AddNamedSystem(
+            "guard",
+            Guard(
+                parameters=parameters.guards,
+                plant=held.plant,
+                probe=held.frame,
+                mass=mass,
+                axis=parameters.kinematics.axis,
+                surface=parameters.guards.surface or surface,
+                time_step=parameters.time_step,
+            ),
+        )
+        builder.Connect(arm_command, guard.GetInputPort("wanted_command"))
+        for name in ("X_WP", "wrist_force", "joint_state"):
+            builder.ConnectInput(name, guard.GetInputPort(name))
+        arm_command = guard.GetOutputPort("joint_command")
+        builder.Connect(arm_command, kinematics.GetInputPort("sent_command"))
+        builder.ExportOutput(guard.GetOutputPort("guard"), "guard")
+    builder.ExportOutput(arm_command, "joint_command")
     builder.ExportOutput(servo.GetOutputPort("planar_velocity"), "planar_velocity")
     for name in ("approach_velocity", "pressing_force"):
         builder.ExportOutput(force.GetOutputPort(name), name)

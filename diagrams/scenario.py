@@ -3,7 +3,8 @@
 from dataclasses import dataclass, field
 from typing import TypeVar
 
-from sonoservo.systems.files.typed_yaml import ConfigurationError, dump_typed
+from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.typed_yaml import dump_typed
 from sonoservo.systems.signals.requirements import require
 
 

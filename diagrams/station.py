@@ -15,12 +15,14 @@ from pydrake.systems.primitives import Gain
 from sonoservo.diagrams.assembly import ARM, PHANTOM, PROBE, assemble_arm, load_probe_body
 from sonoservo.diagrams.measured_pose import add_measured_pose, add_offset
 from sonoservo.models import model_path
-from sonoservo.systems.files.typed_yaml import ConfigurationError, dump_typed
+from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.typed_yaml import dump_typed
 from sonoservo.systems.robot.arm import AddArmWithProbe, load_arm, set_servo_gains
 from sonoservo.systems.robot.body_pose import BodyPose
 from sonoservo.systems.robot.contact_force import ContactForce
 from sonoservo.systems.robot.errors.calibration import CalibrationParameters, joint_offsets
 from sonoservo.systems.robot.errors.pose_delay import PoseDelayParameters
+from sonoservo.systems.robot.errors.sensor_faults import SensorFault, add_sensor_faults
 from sonoservo.systems.robot.phantom import AddPhantom, load_contact, set_friction
 from sonoservo.systems.robot.posture import probe_pose, reachable, solve_posture
 from sonoservo.systems.robot.wrist_force_sensor import WristForceSensor, WristSensorParameters
@@ -79,7 +81,9 @@ class StationParameters:
         Initial placement of the probe.
     wrist_sensor
         Noise and errors of the wrist force sensor.
-    pose
+    sensor_faults
+        Faults of the wrist force sensor, to test what the robot does then.
+    pose_delay
         Delay of the probe's pose.
     calibration
         Errors of the calibration of arm and probe.
@@ -94,7 +98,8 @@ class StationParameters:
     phantom_position: list[float] = field(default_factory=lambda: [0.5, 0.0, 0.2])
     probe: ProbePlacement = field(default_factory=ProbePlacement)
     wrist_sensor: WristSensorParameters = field(default_factory=WristSensorParameters)
-    pose: PoseDelayParameters = field(default_factory=PoseDelayParameters)
+    sensor_faults: list[SensorFault] = field(default_factory=list)
+    pose_delay: PoseDelayParameters = field(default_factory=PoseDelayParameters)
     calibration: CalibrationParameters = field(default_factory=CalibrationParameters)
     display_period: float = 3 / 32
 
@@ -295,7 +300,7 @@ def MakeStation(
         arm=parameters.arm,
         probe=probe,
         calibration=parameters.calibration,
-        delay=parameters.pose,
+        delay=parameters.pose_delay,
         period=parameters.plant.time_step,
         seed=seed,
     )
@@ -311,7 +316,14 @@ def MakeStation(
         ),
     )
     builder.Connect(plant.get_reaction_forces_output_port(), sensor.get_input_port())
-    builder.ExportOutput(sensor.get_output_port(), "wrist_force")
+    reading = add_sensor_faults(
+        builder,
+        sensor.get_output_port(),
+        parameters.sensor_faults,
+        period=parameters.plant.time_step,
+        noise=parameters.wrist_sensor.force_noise,
+    )
+    builder.ExportOutput(reading, "wrist_force")
 
     pressed = builder.AddNamedSystem("contact_force", ContactForce(surface=surface))
     builder.Connect(

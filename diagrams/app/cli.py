@@ -3,13 +3,22 @@
 A command imports what it needs only when it is called, so that help appears at once.
 """
 
+import os
 import sys
+import traceback
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from sonoservo.diagrams.app.interruption import (
+    INTERRUPTED,
+    catch_interruptions,
+    interrupted_code,
+    is_interrupted,
+)
 from sonoservo.diagrams.app.options import (
     ChangesOption,
     ExplainOption,
@@ -21,11 +30,15 @@ from sonoservo.diagrams.app.options import (
     ServeOption,
     WaitOption,
     console,
+    with_common_options,
     write_printed,
 )
 from sonoservo.diagrams.app.study_commands import dataset_command, reproduce_command
 from sonoservo.diagrams.app.volume_commands import bridge_command, locate_command, track_command
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError, describe, shorten
+
+STOPPED = 3
+"""Exit status of a run at whose end the guard keeps the robot stopped."""
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -35,7 +48,6 @@ app = typer.Typer(
 )
 
 
-@app.command("list")
 def list_command(json_path: JsonOption = None) -> None:
     """List the built-in scenarios, and the dials that make a scenario harder."""
     from rich.table import Table
@@ -64,7 +76,6 @@ def list_command(json_path: JsonOption = None) -> None:
     )
 
 
-@app.command("compile")
 def compile_command() -> None:
     """Compile the kernels beforehand; without this, the first run does, in about a minute."""
     from sonoservo.diagrams.app.compile import TASKS, compile_kernels
@@ -74,7 +85,6 @@ def compile_command() -> None:
             console.print(line)
 
 
-@app.command("run")
 def run_command(
     scenario: ScenarioArgument,
     changes: ChangesOption = None,
@@ -93,11 +103,15 @@ def run_command(
     wait_for: WaitOption = 0,
     json_path: JsonOption = None,
 ) -> None:
-    """Run a scenario, print its figures and write a folder of results."""
+    """Run a scenario, print its figures and write a folder of results.
+
+    The exit status is 3 if the robot was stopped by its guard and could not go on.
+    """
     from sonoservo.diagrams.app.live.commands import serving
     from sonoservo.diagrams.app.run import run
     from sonoservo.diagrams.app.terminal import (
         Progress,
+        look_up,
         start_display,
         start_monitor,
         summary_table,
@@ -127,11 +141,14 @@ def run_command(
     console.print(summary_table(result, loaded.published_figures))
     console.print(f"Report: {folder / 'report.html'}", soft_wrap=True)
     write_printed(json_path, result.summary)
+    if result.failure is not None:
+        raise result.failure
     if result.summary["interrupted"]:
-        raise typer.Exit(130)
+        raise typer.Exit(INTERRUPTED)
+    if look_up(result.summary, "guard.stopped_at_end"):
+        raise typer.Exit(STOPPED)
 
 
-@app.command("drive")
 def drive_command(
     scenario: ScenarioArgument = "drive",
     changes: ChangesOption = None,
@@ -186,9 +203,10 @@ def drive_command(
     again = f"sonoservo run {folder / 'scenario.yaml'}"
     console.print(f"To repeat this run: {again}", soft_wrap=True)
     write_printed(json_path, result.summary)
+    if result.failure is not None:
+        raise result.failure
 
 
-@app.command("scan")
 def scan_command(
     scenario: Annotated[
         str | None,
@@ -233,7 +251,6 @@ def scan_command(
     write_printed(json_path, summary)
 
 
-@app.command("explain")
 def explain_command(
     folder: Annotated[Path, typer.Argument(help="Folder of a run made with --explain.")],
     time: Annotated[
@@ -268,22 +285,71 @@ def explain_command(
     write_printed(json_path, explained_run.row(explained))
 
 
-for _command in (
+_COMMANDS = (
+    list_command,
+    compile_command,
+    run_command,
+    drive_command,
+    scan_command,
+    explain_command,
     track_command,
     bridge_command,
     locate_command,
     dataset_command,
     reproduce_command,
-):
-    app.command(_command.__name__.removesuffix("_command"))(_command)
+)
+for _command in _COMMANDS:
+    app.command(_command.__name__.removesuffix("_command"))(with_common_options(_command))
 
 
 def main() -> None:
-    """Run the command line; a user's mistake gives one line of text and exit code 2."""
+    """Run the command line as a program of its own."""
     try:
-        app()
-    except (ConfigurationError, OSError) as error:
-        print(f"sonoservo: {error}", file=sys.stderr)
-        sys.exit(2)
+        catch_interruptions()
+        code = run_arguments(sys.argv[1:])
     except KeyboardInterrupt:
-        sys.exit(130)
+        code = INTERRUPTED
+    sys.exit(interrupted_code() if code == INTERRUPTED else code)
+
+
+def run_arguments(arguments: Sequence[str]) -> int:
+    """Run the command line, and return the exit code.
+
+    A user's mistake gives one line of text and exit code 2. An error that nothing foresaw is a
+    fault of this program: one line that says so, and exit code 70. ``--debug`` adds the traceback.
+    """
+    try:
+        code = app(list(arguments) or ["--help"], standalone_mode=False)
+    except (Exception, KeyboardInterrupt) as error:
+        if getattr(error, "debug", False):
+            traceback.print_exception(error)
+        return _report(error)
+    return code if isinstance(code, int) else 0
+
+
+def _report(error: BaseException) -> int:
+    """Print an error on one line, and return the exit code."""
+    if isinstance(error, KeyboardInterrupt | typer.Abort):
+        return INTERRUPTED
+    if is_interrupted() and not isinstance(error, ConfigurationError | OSError):
+        return INTERRUPTED  # a compiled module may turn KeyboardInterrupt into an error of its own
+    if isinstance(error, BrokenPipeError):  # as by `sonoservo list | head -1`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+    code = 2
+    if hasattr(error, "format_message"):
+        line = f"{error.format_message()} `sonoservo --help` lists the commands and their options."
+    elif isinstance(error, MemoryError):
+        line = "there is not enough memory for this"
+    elif isinstance(error, ConfigurationError | OSError):
+        line = str(error)
+    else:
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        line = (
+            f"{describe(error)} ({type(error).__name__} at {Path(where.filename).name}:"
+            f"{where.lineno}). This is a fault of sonoservo; repeat the command with --debug and "
+            "report the traceback."
+        )
+        code = 70
+    print(f"sonoservo: {shorten(line)}", file=sys.stderr)
+    return code

@@ -24,6 +24,7 @@ from sonoservo.systems.display.world.run_buttons import RunButtons
 from sonoservo.systems.display.world.sign import Sign
 from sonoservo.systems.display.world.world_view import WorldViewParameters
 from sonoservo.systems.evaluation.log import write_log
+from sonoservo.systems.files.claims import claim_folder
 from sonoservo.systems.files.writing import write_atomically
 from sonoservo.systems.needle.operator_hand import OperatorHand
 from sonoservo.systems.robot.operator_phantom_motion import OperatorPhantomMotion
@@ -179,6 +180,17 @@ def drive(
     """
     with refusing(scenario):
         experiment = DrivenExperiment(scenario, meshcat, monitor, observers)
+    with claim_folder(out):
+        return _drive(experiment, scenario.duration, meshcat, out, show)
+
+
+def _drive(
+    experiment: DrivenExperiment,
+    duration: float,
+    meshcat: Meshcat,
+    out: Path | None,
+    show: Callable[[float, str], None] | None,
+) -> RunResult:
     buttons = RunButtons(meshcat=meshcat, buttons=_BUTTONS)
     sign = _sign(meshcat)
     real_time = RealTime()
@@ -196,7 +208,7 @@ def drive(
     kept = KeptRun(experiment.scenario, save_all, out=out)
     with kept:
         start = True
-        while start or experiment.time < scenario.duration:
+        while start or experiment.time < duration:
             if start:
                 kept.begin()
                 experiment.start(real_time=True)
@@ -219,7 +231,7 @@ def drive(
                 real_time.start(experiment.time)
                 experiment.forgive_delay()
             else:
-                experiment.advance(min(experiment.time + _STRIDE, scenario.duration))
+                experiment.advance(min(experiment.time + _STRIDE, duration))
                 if real_time.is_late(experiment.time):
                     experiment.forgive_delay()
                 if experiment.time >= saved + _SAVE_EVERY:

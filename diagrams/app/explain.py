@@ -17,7 +17,7 @@ from sonoservo.systems.evaluation.explanation.true_needle import imaged_needle
 from sonoservo.systems.evaluation.log import read_log
 from sonoservo.systems.evaluation.run_errors import estimate_errors
 from sonoservo.systems.evaluation.run_log import RunLog
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 
 _TOLERANCE = 1.0
 """Time in s before the first and after the last kept volume that is still accepted."""

@@ -15,8 +15,8 @@ from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.evaluation.explanation.explanation_files import clear_explanations
 from sonoservo.systems.evaluation.plots import png
 from sonoservo.systems.evaluation.report import save_replay, write_report
-from sonoservo.systems.files.typed_yaml import ConfigurationError
-from sonoservo.systems.files.writing import write_atomically, write_json
+from sonoservo.systems.files.refusals import refusing_failures
+from sonoservo.systems.files.writing import Unwritten, write_atomically, write_json
 
 _SAVE_EVERY = 10.0
 """Wall-clock time in s after which the log is saved again during a run."""
@@ -25,17 +25,15 @@ _SAVE_EVERY = 10.0
 @contextmanager
 def refusing(scenario: Scenario) -> Iterator[None]:
     """Convert errors of a scenario's blocks to a ConfigurationError that names the scenario."""
-    try:
+    with refusing_failures(scenario.name):
         yield
-    except (ValueError, FileNotFoundError) as error:
-        raise ConfigurationError(f"{scenario.name}: {error}") from error
 
 
 class KeptRun:
     """A run that writes its scenario at the start, its log in any case, and its results at the end.
 
-    It is a context manager around the simulation. Inside it, the clock runs, and an interruption
-    from the keyboard ends the simulation but not the program.
+    It is a context manager around the simulation. Inside it, the clock runs. An interruption from
+    the keyboard, or a recording that cannot be written, ends the simulation but not the program.
 
     Parameters
     ----------
@@ -54,6 +52,8 @@ class KeptRun:
         Folder of all files, or None.
     interrupted
         Whether the simulation was interrupted.
+    unwritten
+        Errors of files that could not be written.
     """
 
     def __init__(
@@ -67,6 +67,7 @@ class KeptRun:
         self._scenario, self._write_log = scenario, write_log
         self.out, self._meshcat = out, meshcat
         self.interrupted = False
+        self.unwritten = Unwritten()
 
     def __enter__(self) -> Self:
         if self.out is not None:
@@ -87,7 +88,9 @@ class KeptRun:
         self._wall = time.perf_counter() - self._started
         self.interrupted = kind is KeyboardInterrupt
         self._save()
-        return self.interrupted
+        if isinstance(error, OSError):
+            self.unwritten.note(error)
+        return self.interrupted or isinstance(error, OSError)
 
     def begin(self) -> None:
         """Start the clock, or restart it inside the context."""
@@ -138,23 +141,28 @@ class KeptRun:
         """
         if self.out is None:
             return
-        write_json(self.out / "summary.json", summary)
+        with self.unwritten.collect():
+            write_json(self.out / "summary.json", summary)
         if self._meshcat is not None:
-            save_replay(self._meshcat, self.out / "replay.html")
+            with self.unwritten.collect():
+                save_replay(self._meshcat, self.out / "replay.html")
         images = {}
         for name, (caption, figure) in plots.items():
             images[caption] = png(figure)
-            write_atomically(self.out / name, images[caption])
-        write_report(
-            self.out / "report.html",
-            summary,
-            images,
-            command=f"sonoservo run {self.out / 'scenario.yaml'}",
-            paper=published,
-            replay="replay.html" if self._meshcat is not None else "",
-        )
+            with self.unwritten.collect():
+                write_atomically(self.out / name, images[caption])
+        with self.unwritten.collect():
+            write_report(
+                self.out / "report.html",
+                summary,
+                images,
+                command=f"sonoservo run {self.out / 'scenario.yaml'}",
+                paper=published,
+                replay="replay.html" if self._meshcat is not None else "",
+            )
 
     def _save(self) -> None:
         if self.out is not None:
-            self._write_log(self.out / "log.npz")
+            with self.unwritten.collect():
+                self._write_log(self.out / "log.npz")
         self._saved = time.perf_counter()

@@ -1,14 +1,20 @@
 """Options shared by several commands of ``sonoservo``, and their console."""
 
+import inspect
+import os
+from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 
+from sonoservo.systems.files.memory import DEFAULT_MEMORY_GB, MEMORY_VARIABLE, memory_budget
 from sonoservo.systems.files.writing import write_json
 
-console = Console()
+console = Console(markup=False, emoji=False)
+"""Console of all commands. It takes no markup, because paths may contain square brackets."""
 
 ScenarioArgument = Annotated[
     str, typer.Argument(help="Name from `sonoservo list`, or path of a YAML file.")
@@ -16,7 +22,7 @@ ScenarioArgument = Annotated[
 ChangesOption = Annotated[
     list[str] | None, typer.Option("--set", help="Change a field: path.to.field=value; repeatable.")
 ]
-SeedOption = Annotated[int | None, typer.Option(help="Random seed of the run.")]
+SeedOption = Annotated[int | None, typer.Option(min=0, help="Random seed of the run.")]
 OutOption = Annotated[Path | None, typer.Option(help="Folder for the results.")]
 JobsOption = Annotated[int, typer.Option(help="Number of processes; -1 for one per core.")]
 JsonOption = Annotated[
@@ -33,7 +39,9 @@ WindowOption = Annotated[
     tuple[float, float] | None,
     typer.Option(help="Numbers shown as black and white; by default, from the first volume."),
 ]
-OrderOption = Annotated[int, typer.Option(help="Order of the curve: 2 straight, 3 bent.")]
+OrderOption = Annotated[
+    int, typer.Option(min=2, max=3, help="Order of the curve: 2 straight, 3 bent.")
+]
 DynamicRangeOption = Annotated[
     float | None, typer.Option(help="dB from black to white; by default, from the file or 60.")
 ]
@@ -72,6 +80,47 @@ VolumesOption = Annotated[int | None, typer.Option(help="Live: end after this ma
 PatienceOption = Annotated[
     float | None, typer.Option(help="Live: end if no volume arrives for this long, in s.")
 ]
+
+DebugOption = Annotated[
+    bool, typer.Option("--debug", help="Show the traceback of an error.", show_default=False)
+]
+MemoryOption = Annotated[
+    float | None,
+    typer.Option(
+        help=f"Memory in GB that one file or setting may need; {DEFAULT_MEMORY_GB:g} by default."
+    ),
+]
+
+
+def with_common_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Return a command with the options that all have: ``--debug`` and ``--max-memory``.
+
+    An error carries the choice of ``--debug`` to `sonoservo.diagrams.app.cli.main` as its attribute
+    ``debug``.
+    """
+
+    @wraps(command)
+    def run(*args: Any, debug: bool, max_memory: float | None, **options: Any) -> None:
+        try:
+            if max_memory is not None:
+                os.environ[MEMORY_VARIABLE] = repr(max_memory)
+            memory_budget()
+            command(*args, **options)
+        except BaseException as error:
+            error.debug = debug  # type: ignore[attr-defined]
+            raise
+
+    common = {"debug": (DebugOption, False), "max_memory": (MemoryOption, None)}
+    signature = inspect.signature(command)
+    parameters = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=each)
+        for name, (each, default) in common.items()
+    ]
+    parameters = [*signature.parameters.values(), *parameters]
+    run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    hints = {name: each for name, (each, _) in common.items()}
+    run.__annotations__ = {**command.__annotations__, **hints}
+    return run
 
 
 def write_printed(path: Path | None, data: Any) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.live.volume_maker import grey_scale
 from sonoservo.systems.recording.tracked_frames import TrackedFrames
 from sonoservo.systems.signals.reconstructed_volume import ReconstructedVolume

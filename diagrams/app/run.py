@@ -13,7 +13,8 @@ from sonoservo.diagrams.experiments.experiment import Experiment
 from sonoservo.diagrams.experiments.registry import make_experiment
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.evaluation.log import write_log
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.claims import claim_folder
+from sonoservo.systems.files.refusals import ConfigurationError
 
 if TYPE_CHECKING:
     from sonoservo.systems.display.monitor.monitor import Monitor
@@ -33,12 +34,15 @@ class RunResult:
         Label of each figure of the summary that tables show, by its dotted path.
     results
         Further results of the experiment, by name: shape prediction has the last `shape`.
+    failure
+        Error of the first file that could not be written; None if all were.
     """
 
     summary: dict[str, Any]
     log: Any
     labels: Mapping[str, str]
     results: Mapping[str, Any] = field(default_factory=dict)
+    failure: OSError | None = None
 
 
 def run(
@@ -111,12 +115,13 @@ def run(
         if after_step is not None:
             after_step(experiment)
 
-    with kept:
-        try:
-            experiment.run(note, real_time=bool(meshcat or monitor or observers))
-        finally:
-            experiment.close()
-    return finish(kept, experiment)
+    with claim_folder(out):
+        with kept:
+            try:
+                experiment.run(note, real_time=bool(meshcat or monitor or observers))
+            finally:
+                experiment.close()
+        return finish(kept, experiment)
 
 
 def finish(kept: KeptRun, experiment: Experiment[Any]) -> RunResult:
@@ -133,4 +138,4 @@ def finish(kept: KeptRun, experiment: Experiment[Any]) -> RunResult:
     summary = kept.summary(experiment.time, experiment.summarize(log))
     if kept.out is not None:
         kept.write(summary, experiment.plots(log), experiment.happened().published_figures)
-    return RunResult(summary, log, experiment.labels, experiment.results())
+    return RunResult(summary, log, experiment.labels, experiment.results(), kept.unwritten.failure)

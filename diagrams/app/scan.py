@@ -14,7 +14,7 @@ from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.systems.evaluation.plots import png
 from sonoservo.systems.evaluation.scan_sheet import scan_sheet
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.writing import write_atomically
 from sonoservo.systems.recording.nrrd import write_volume
 from sonoservo.systems.signals.needle import Needle

@@ -16,7 +16,7 @@ from sonoservo.diagrams.app.options import (
     write_printed,
 )
 from sonoservo.diagrams.papers.registry import PAPERS, reproduce, require_paper
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 
 
 def dataset_command(
@@ -28,7 +28,7 @@ def dataset_command(
         list[str] | None, typer.Option("--transducer", help="Probe to draw from; repeatable.")
     ] = None,
     changes: ChangesOption = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of the first sequence.")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed of the first sequence.")] = None,
     jobs: JobsOption = -1,
     json_path: JsonOption = None,
 ) -> None:
@@ -100,7 +100,7 @@ def reproduce_command(
     except KeyboardInterrupt:
         console.print(f"Interrupted. Finished runs are in {folder}; repeat the command to resume.")
         raise
+    console.print(study_table(study))  # before its files, which a full disk would prevent
     data = write_study(folder, study, shlex.join(command))
-    console.print(study_table(study))
     console.print(f"Report: {folder / 'report.html'}", soft_wrap=True)
     write_printed(json_path, data)

@@ -14,13 +14,14 @@ from rich.markup import escape
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as RichProgress
 from rich.table import Table
+from rich.text import Text
 
 from sonoservo.diagrams.app.run import RunResult
 from sonoservo.diagrams.experiments.experiment import Experiment
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.studies.study_report import Study, target_text
 from sonoservo.systems.evaluation.metrics import LABELS
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 
 if TYPE_CHECKING:
@@ -59,7 +60,28 @@ def summary_table(result: RunResult, published: Mapping[str, float] | None = Non
         if published:
             cells.append(format_figure(published[path]) if path in published else "")
         table.add_row(*cells)
+    table.caption = stops_text(summary)
     return table
+
+
+def stops_text(summary: Mapping[str, Any]) -> str:
+    """Return the reasons for which a run was stopped and volumes were refused; may be empty."""
+    lines = []
+    reasons, at_end = (look_up(summary, f"guard.{key}") for key in ("reasons", "stopped_at_end"))
+    if reasons:
+        lines.append(f"stopped because {reasons}")
+    if at_end:
+        lines.append(f"still stopped at the end because {at_end}")
+    if refusal := look_up(summary, "guard.refusal"):
+        lines.append(refusal)
+    return "\n".join(lines)
+
+
+_MET: Mapping[bool | None, Text] = {
+    None: Text(""),
+    True: Text("yes"),
+    False: Text("no", style="bold red"),
+}
 
 
 def study_table(study: Study) -> Table:
@@ -78,7 +100,7 @@ def study_table(study: Study) -> Table:
             row.quantity + (f", {row.unit}" if row.unit else ""),
             *(format_figure(value) for value in (row.paper, row.estimated, row.true)),
             target_text(row),
-            {None: "", True: "yes", False: "[bold red]no[/]"}[row.met],
+            _MET[row.met],
         )
     return table
 
@@ -94,9 +116,9 @@ def format_figure(value: Any) -> str:
 
 def _make_bar(console: Console) -> RichProgress:
     return RichProgress(
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
-        TextColumn("{task.fields[state]}"),
+        TextColumn("{task.fields[state]}", markup=False),
         TimeRemainingColumn(),
         console=console,
     )
@@ -248,7 +270,7 @@ def start_display(console: Console, host: str = "localhost") -> Meshcat:
             "port from 7000 to 7999"
         ) from error
     logging.getLogger("drake").addFilter(_is_news)
-    console.print(f"Watch at [bold]{meshcat.web_url()}[/bold]")
+    console.print("Watch at", Text(meshcat.web_url(), style="bold"))
     return meshcat
 
 
@@ -269,7 +291,7 @@ def start_monitor(console: Console, host: str = "localhost") -> "Monitor":
         monitor = Monitor(host=host)
     except OSError as error:
         raise ConfigurationError(str(error)) from error
-    console.print(f"The scanner's monitor: [bold]{monitor.web_url}[/bold]")
+    console.print("The scanner's monitor:", Text(monitor.web_url, style="bold"))
     return monitor
 
 

@@ -32,8 +32,10 @@ from sonoservo.systems.evaluation.track_plots import (
     plot_planes,
     plot_tip,
 )
-from sonoservo.systems.files.typed_yaml import ConfigurationError, suggest
-from sonoservo.systems.files.writing import write_atomically, write_json
+from sonoservo.systems.files.claims import claim_folder
+from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.typed_yaml import suggest
+from sonoservo.systems.files.writing import Unwritten, write_atomically, write_json
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.recording.side_files import TRUTH, Truth, read_truth, side_path
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
@@ -60,12 +62,15 @@ class TrackedRecording:
         Figures, as in summary.json.
     log
         Log like that of a run; its truth is the one beside the recording, if there is one.
+    failure
+        Error of the first file that could not be written; None if all were.
     """
 
     estimates: list[NeedleEstimate]
     rows: list[dict[str, Any]]
     summary: dict[str, Any]
     log: RunLog
+    failure: OSError | None = None
 
 
 @dataclass
@@ -158,6 +163,23 @@ def track_recording(
     """
     if explain and out is None:
         raise ConfigurationError("explain: there is no folder to keep explanations in; give out")
+    with claim_folder(out):
+        return _track(
+            recording, parameters, seed, real_time, monitor, out, explain, command, after_volume
+        )
+
+
+def _track(
+    recording: Recording | ReconstructedRecording,
+    parameters: TrackerParameters | None,
+    seed: int | None,
+    real_time: bool,
+    monitor: "Monitor | None",
+    out: Path | None,
+    explain: bool,
+    command: str,
+    after_volume: Callable[[int, NeedleEstimate], None] | None,
+) -> TrackedRecording:
     seed = int(recording.settings.get("tracker_seed", 0)) if seed is None else seed
     truth_path = side_path(recording.path, TRUTH)
     truth = read_truth(truth_path) if truth_path.is_file() else None
@@ -228,9 +250,10 @@ def track_recording(
         compute={name: np.array(each) for name, each in done.compute.items()},
     )
     summary = _summarize(recording, done, log, truth, interrupted, wall)
+    unwritten = Unwritten()
     if out is not None:
-        _write(out, done, summary, log, truth, command)
-    return TrackedRecording(done.estimates, done.rows, summary, log)
+        _write(out, done, summary, log, truth, command, unwritten)
+    return TrackedRecording(done.estimates, done.rows, summary, log, unwritten.failure)
 
 
 def _note(
@@ -284,11 +307,15 @@ def _write(
     log: RunLog,
     truth: Truth | None,
     command: str,
+    unwritten: Unwritten,
 ) -> None:
-    write_atomically(out / "estimates.csv", estimates_csv(done.rows))
-    write_json(out / "estimates.json", done.rows)
-    write_json(out / "summary.json", summary)
-    write_log(out / "log.npz", log)
+    with unwritten.collect():
+        write_json(out / "summary.json", summary)
+        write_atomically(out / "estimates.csv", estimates_csv(done.rows))
+        write_json(out / "estimates.json", done.rows)
+        write_log(out / "log.npz", log)
+    if not done.rows:
+        return
     p_LTip = 1e-3 * np.array([[row[f"tip_{axis}_mm"] for axis in "lps"] for row in done.rows])
     times: NDArray[np.float64] = np.array(done.times)
     figures = {
@@ -298,6 +325,9 @@ def _write(
     if truth is not None:
         figures["errors"] = plot_errors(log)
     images = {name: png(figure) for name, figure in figures.items()}
-    for name, image in zip(("planes.png", "tip.png", "errors.png"), images.values(), strict=False):
-        write_atomically(out / name, image)
-    write_report(out / "report.html", summary, images, command=command)
+    with unwritten.collect():
+        for name, image in zip(
+            ("planes.png", "tip.png", "errors.png"), images.values(), strict=False
+        ):
+            write_atomically(out / name, image)
+        write_report(out / "report.html", summary, images, command=command)

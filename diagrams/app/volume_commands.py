@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from sonoservo.diagrams.app.interruption import INTERRUPTED
 from sonoservo.diagrams.app.options import (
     DepthOption,
     DynamicRangeOption,
@@ -28,7 +29,7 @@ from sonoservo.diagrams.app.options import (
     console,
     write_printed,
 )
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 
 
 def track_command(
@@ -53,7 +54,7 @@ def track_command(
     volume_rate: RateOption = None,
     poses: PosesOption = None,
     seed: Annotated[
-        int | None, typer.Option(help="Random seed; by default, the recorder's.")
+        int | None, typer.Option(min=0, help="Random seed; by default, the recorder's.")
     ] = None,
     real_time: Annotated[
         bool, typer.Option("--real-time", help="Limit the pace to that of the recording.")
@@ -165,10 +166,12 @@ def track_command(
     console.print(mode_table(result.summary))
     console.print(f"Report: {folder / 'report.html'}", soft_wrap=True)
     write_printed(json_path, result.summary)
+    if result.failure is not None:
+        raise result.failure
     if monitor is not None and not result.summary["interrupted"]:
         keep_shown(console)
     if result.summary["interrupted"]:
-        raise typer.Exit(130)
+        raise typer.Exit(INTERRUPTED)
 
 
 def bridge_command(
@@ -214,7 +217,7 @@ def bridge_command(
     )
     write_printed(json_path, summary)
     if summary["interrupted"]:
-        raise typer.Exit(130)
+        raise typer.Exit(INTERRUPTED)
 
 
 def locate_command(

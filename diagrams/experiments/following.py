@@ -37,6 +37,7 @@ from sonoservo.systems.recording.volume_recorder import VolumeRecorder
 from sonoservo.systems.robot.errors.calibration import hand_eye_error
 from sonoservo.systems.robot.phantom import PhantomMotion
 from sonoservo.systems.robot.phantom_motion import phantom_trajectory
+from sonoservo.systems.signals.guard_status import GuardStatus
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.signals.sweep import SweepGeometry
@@ -163,6 +164,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
             parameters=scenario.controller,
             arm=scenario.station.arm,
             probe=scenario.probe,
+            surface=scenario.station.phantom_position,
             X_PC=hand_eye_error(scenario.station.calibration, seeds.station),
             mass_error=scenario.station.calibration.probe_mass,
         )
@@ -212,7 +214,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
                 "convert": (self.scan_converter, "volume"),
             },
             event="track",
-            optional=("measurement", "detection"),
+            optional=("measurement", "detection", "guard", "volume_check"),
             sees_truth={"station", *sources, *_OBSERVERS, *observers},
         )
 
@@ -223,7 +225,11 @@ class FollowingExperiment(Experiment[FollowingScenario]):
 
     @property
     def status(self) -> str:
-        """Mode of the tracker, and its reason while it does not see the needle."""
+        """Why the guard stops the robot, or the tracker's mode and why it sees no needle."""
+        if self.probe_controller.HasOutputPort("guard"):
+            guard: GuardStatus = self.evaluate(self.probe_controller, "guard")
+            if guard.stopped:
+                return f"stopped: {guard.reason}"
         estimate = self.estimate
         return f"{estimate.mode}: {estimate.reason}" if estimate.reason else str(estimate.mode)
 

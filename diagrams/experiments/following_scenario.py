@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 from sonoservo.diagrams.assembly import PHANTOM, PROBE
-from sonoservo.diagrams.probe_controller import ProbeControllerParameters
+from sonoservo.diagrams.probe_controller import MAX_FORCE, ProbeControllerParameters
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.station import StationParameters
 from sonoservo.diagrams.trackers.chatelain2013 import Chatelain2013TrackerParameters
@@ -81,4 +81,10 @@ class FollowingScenario(Scenario):
                 f"controller_changes.{number}.force",
                 change.force,
                 f"above controller.force.touch_force ({touch} N)",
+            )
+            require(
+                change.force is None or change.force <= MAX_FORCE,
+                f"controller_changes.{number}.force",
+                change.force,
+                f"at most {MAX_FORCE:g} N",
             )

@@ -9,8 +9,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import (
-    ConfigurationError,
     assign,
     load_typed,
     read_yaml,

@@ -7,7 +7,8 @@ Study``, and an entry here.
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from sonoservo.systems.files.typed_yaml import ConfigurationError, suggest
+from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.typed_yaml import suggest
 
 if TYPE_CHECKING:
     from sonoservo.diagrams.studies.study import StudyOptions

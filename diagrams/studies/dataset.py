@@ -23,7 +23,7 @@ from sonoservo.diagrams.studies.dataset_labels import (
     needle_mask,
 )
 from sonoservo.diagrams.studies.study import Case, run_cases
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.writing import write_json
 from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.recording.nrrd import write_mask

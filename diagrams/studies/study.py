@@ -2,12 +2,15 @@
 
 import hashlib
 import json
+import os
 import signal
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
-from functools import cache
+from functools import cache, partial
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
@@ -18,7 +21,8 @@ from joblib.externals.loky import get_reusable_executor
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from sonoservo.systems.files.writing import write_json
+from sonoservo.systems.files.claims import claim_folder
+from sonoservo.systems.files.writing import to_plain, write_json
 from sonoservo.systems.signals.requirements import require
 
 Work = Callable[["Case"], Mapping[str, Any]]
@@ -28,6 +32,9 @@ _SHOWS_RESULTS = ("display", "cli", "terminal", "plots", "report", "page", "anal
 
 _CASES_PER_PROCESS = 10
 """Number of cases after which a process is replaced, as Drake leaks some 20 MB per experiment."""
+
+_WATCH_PERIOD = 0.2
+"""Time in s between two looks of a process at its parent."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,15 +198,23 @@ def run_cases(
     ------
     ValueError
         If two cases are equal.
+    ConfigurationError
+        If another process runs cases in the same folder.
     KeyboardInterrupt
         If interrupted; finished outcomes are kept.
     """
+    with claim_folder(folder):
+        return _run_missing(work, cases, folder, jobs, console or Console(quiet=True))
+
+
+def _run_missing(
+    work: Work, cases: Sequence[Case], folder: Path, jobs: int, console: Console
+) -> list[Outcome]:
     outcomes = {case: _read(_path(folder, case), case) for case in cases}
     if len(outcomes) < len(cases):
         raise ValueError(f"{len(cases)} cases, of which {len(outcomes)} differ; all must differ")
     pending = [case for case, outcome in outcomes.items() if outcome is None]
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    console = console or Console(quiet=True)
     with Progress(*columns, TimeRemainingColumn(), console=console) as bar:
         done = len(cases) - len(pending)
         task = bar.add_task("starting ...", total=len(cases), completed=done)
@@ -236,7 +251,12 @@ def _run_all(work: Work, cases: list[Case], folder: Path, jobs: int) -> Iterator
 
 
 def _run_round(work: Work, cases: list[Case], folder: Path, jobs: int) -> Iterator[Outcome]:
-    with parallel_config("loky", n_jobs=jobs, inner_max_num_threads=1, initializer=_leave_alone):
+    with parallel_config(
+        "loky",
+        n_jobs=jobs,
+        inner_max_num_threads=1,
+        initializer=partial(_follow_parent, os.getpid()),
+    ):
         outcomes = Parallel(return_as="generator_unordered", batch_size=1)(
             delayed(_run_case)(work, case, folder) for case in cases
         )
@@ -247,9 +267,19 @@ def _run_round(work: Work, cases: list[Case], folder: Path, jobs: int) -> Iterat
         get_reusable_executor(kill_workers=True).shutdown(kill_workers=True)
 
 
-def _leave_alone() -> None:
-    """Ignore Ctrl-C, which every process receives; the parent process handles it."""
+def _follow_parent(parent: int) -> None:
+    """Leave Ctrl-C to the parent process, and end with it however it ends.
+
+    Every process of a terminal receives Ctrl-C, and the parent process handles it.
+    """
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(_WATCH_PERIOD)
+        os._exit(1)
+
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _run_case(work: Work, case: Case, folder: Path) -> Outcome:
@@ -266,18 +296,28 @@ def _path(folder: Path, case: Case) -> Path:
 
 
 def _keep(outcome: Outcome, folder: Path) -> Outcome:
-    """Write an outcome to its file, and return it as it will be read."""
-    path = _path(folder, outcome.case)
-    write_json(path, {"code": code_fingerprint(), **asdict(outcome)})
-    return _read(path, outcome.case) or outcome
+    """Write an outcome to its file, and return it as it will be read.
+
+    An outcome that cannot be written still counts, but is computed again the next time.
+    """
+    content = {"code": code_fingerprint(), **to_plain(asdict(outcome))}
+    with suppress(OSError):
+        write_json(_path(folder, outcome.case), {**content, "sha256": _digest(content)})
+    return Outcome(outcome.case, content["result"], outcome.error, outcome.wall_s)
+
+
+def _digest(content: Mapping[str, Any]) -> str:
+    """Return the digest of an outcome's contents, by which an altered file is noticed."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def _read(path: Path, case: Case) -> Outcome | None:
-    """Read a case's outcome; None if there is none by the present code."""
+    """Read a case's outcome; None if there is none by the present code, or it was altered."""
     try:
         kept = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        intact = kept.pop("sha256") == _digest(kept)
+        if not intact or kept.pop("code") != code_fingerprint() or kept.pop("case") != asdict(case):
+            return None
+        return Outcome(case, **kept)
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         return None
-    if kept.pop("code") != code_fingerprint() or kept.pop("case") != asdict(case):
-        return None
-    return Outcome(case, **kept)

@@ -9,7 +9,9 @@ from sonoservo.systems.detection.insertion_detector import (
     InsertionDetector,
     InsertionDetectorParameters,
 )
+from sonoservo.systems.detection.volume_gate import VolumeGate
 from sonoservo.systems.detection.volume_memory import VolumeMemory
+from sonoservo.systems.detection.volume_plausibility import VolumePlausibilityParameters
 from sonoservo.systems.estimation.needle_filter import NeedleFilter
 from sonoservo.systems.estimation.track import TrackParameters
 from sonoservo.systems.estimation.track_manager import TrackManager
@@ -17,6 +19,8 @@ from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerP
 from sonoservo.systems.localization.needle_localizer import NeedleLocalizer
 from sonoservo.systems.signals.requirements import require, require_not_negative
 
+VOLUME_GATE = "volume_gate"
+"""Name of the system through which all volumes reach a tracker."""
 STARTS = ("search", "anywhere")
 """Ways in which a tracker first finds a needle."""
 
@@ -44,6 +48,8 @@ class TrackerParameters:
         Parameters of the detector and of the localizer.
     track
         Rules by which a track begins, continues and ends.
+    plausibility
+        Limits beyond which a volume is refused.
     """
 
     kind: str = ""
@@ -54,6 +60,7 @@ class TrackerParameters:
     detector: InsertionDetectorParameters = field(default_factory=InsertionDetectorParameters)
     localizer: NeedleLocalizerParameters = field(default_factory=NeedleLocalizerParameters)
     track: TrackParameters = field(default_factory=TrackParameters)
+    plausibility: VolumePlausibilityParameters = field(default_factory=VolumePlausibilityParameters)
 
     def __post_init__(self) -> None:
         kind = type(self).kind
@@ -79,7 +86,7 @@ def add_tracker_parts(
     offset: float,
     seed: int,
 ) -> TrackManager:
-    """Add and connect memory, detector, localizer and track manager, and export a tracker's ports.
+    """Add and connect the parts of a tracker, and export its ports.
 
     Parameters
     ----------
@@ -96,6 +103,9 @@ def add_tracker_parts(
     -------
     The track manager, for further connections.
     """
+    gate = builder.AddNamedSystem(
+        VOLUME_GATE, VolumeGate(parameters=parameters.plausibility, period=period, offset=offset)
+    )
     memory = builder.AddNamedSystem(
         "volume_memory",
         VolumeMemory(
@@ -123,9 +133,9 @@ def add_tracker_parts(
             offset=offset,
         ),
     )
-    volume = builder.ExportInput(memory.GetInputPort("volume"), "volume")
-    for each in (detector, localizer, manager):
-        builder.ConnectInput(volume, each.GetInputPort("volume"))
+    builder.ExportInput(gate.GetInputPort("volume"), "volume")
+    for each in (memory, detector, localizer, manager):
+        builder.Connect(gate.GetOutputPort("volume"), each.GetInputPort("volume"))
     for source, port, target in (
         (memory, "previous_volume", detector),
         (detector, "detection", manager),
@@ -141,4 +151,5 @@ def add_tracker_parts(
         ("explanation", "explanation"),
     ):
         builder.ExportOutput(manager.GetOutputPort(port), name)
+    builder.ExportOutput(gate.GetOutputPort("volume_check"), "volume_check")
     return manager

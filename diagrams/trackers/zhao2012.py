@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from sonoservo.diagrams.trackers.tracker_parts import (
+    VOLUME_GATE,
     TrackerParameters,
     add_tracker_parts,
     require_order,
@@ -76,13 +77,13 @@ def MakeZhao2012Tracker(
     memory = builder.AddNamedSystem(
         "speckle_memory", VolumeMemory(same_direction=parameters.same_direction, **events)
     )
-    speckle = "volume"
+    volumes = builder.GetSubsystemByName(VOLUME_GATE).GetOutputPort("volume")
     if speckle_port:
-        speckle = "speckle"
-        builder.ExportInput(memory.GetInputPort("volume"), speckle)
+        builder.ExportInput(memory.GetInputPort("volume"), "speckle")
+        builder.ConnectInput("speckle", velocimeter.GetInputPort("volume"))
     else:
-        builder.ConnectInput(speckle, memory.GetInputPort("volume"))
-    builder.ConnectInput(speckle, velocimeter.GetInputPort("volume"))
+        for each in (memory, velocimeter):
+            builder.Connect(volumes, each.GetInputPort("volume"))
     for source, port, target in (
         (memory, "previous_volume", velocimeter),
         (manager, "prediction", velocimeter),

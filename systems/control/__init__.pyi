@@ -11,6 +11,9 @@ from .force_law import ForceControllerParameters as ForceControllerParameters
 from .force_law import ForceState as ForceState
 from .force_law import approach_velocity as approach_velocity
 from .force_law import pressing_force as pressing_force
+from .guard import Guard as Guard
+from .guard_parameters import GuardParameters as GuardParameters
+from .guard_parameters import WristSensorLimits as WristSensorLimits
 from .operator_settings import OperatorSettings as OperatorSettings
 from .scheduled_settings import ScheduledSettings as ScheduledSettings
 from .visual_features import interaction_matrix as interaction_matrix

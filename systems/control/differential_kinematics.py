@@ -78,15 +78,18 @@ class DifferentialKinematics(LeafSystem):
         - planar_velocity
         - approach_velocity
         - joint_state
+        - sent_command (optional)
         output_ports:
         - joint_command
 
     In every step, Drake's differential inverse kinematics finds joint velocities that move P as
     wanted. If a limit on a joint's position or velocity requires it, P moves more slowly, but never
     in another direction. The velocities are integrated from the initial joint positions
-    (`joint_state`, which is read only at the start). `planar_velocity` (v_x, v_z, omega_y) and
-    `approach_velocity` (v_y) are velocities of P, in P, in m/s and rad/s. `joint_command` holds n
-    positions and n velocities, in rad and rad/s.
+    (`joint_state`, which is read only at the start). If `sent_command` is connected, each step
+    continues from that command, which was really sent to the arm. `planar_velocity` (v_x, v_z,
+    omega_y) and `approach_velocity` (v_y) are velocities of P, in P, in m/s and rad/s.
+    `joint_command` holds n positions and n velocities, in rad and rad/s. If a velocity is not a
+    number, the joints rest.
 
     An arm with more than six joints can move P in the same way with many joint velocities. The
     smallest of them is taken, plus the component of the motion towards the home posture that does
@@ -136,6 +139,7 @@ class DifferentialKinematics(LeafSystem):
         self.DeclareVectorInputPort("planar_velocity", 3)
         self.DeclareVectorInputPort("approach_velocity", 1)
         self.DeclareVectorInputPort("joint_state", 2 * n)
+        self._sent = self.DeclareVectorInputPort("sent_command", 2 * n)
         # Each context of this system has its own scratch context of the plant.
         self._scratch = self.DeclareCacheEntry(
             "plant_context",
@@ -173,7 +177,11 @@ class DifferentialKinematics(LeafSystem):
         output.SetFromVector(np.concatenate(self._joint_command(context)))
 
     def _update_joint_command(self, context: Context, discrete_state: DiscreteValues) -> None:
-        q, v = self._joint_command(context)
+        if self._sent.HasValue(context):
+            sent = self._sent.Eval(context)
+            q, v = sent[: len(sent) // 2], sent[len(sent) // 2 :]
+        else:
+            q, v = self._joint_command(context)
         plant, frame = self._plant, self._probe
         scratch = self._scratch.get_mutable_cache_entry_value(context)
         plant_context = scratch.GetMutableValueOrThrow()
@@ -200,6 +208,8 @@ class DifferentialKinematics(LeafSystem):
         J: NDArray[np.float64],
     ) -> NDArray[np.floating]:
         """Return velocities that solve J v = V, or come as close to V as the limits allow."""
+        if not np.isfinite(V_WP_P.sum()):
+            return np.zeros_like(q)
         # Within the limits the optimum has a closed form. Otherwise an optimization program must be
         # solved, at ten times the cost.
         with contextlib.suppress(np.linalg.LinAlgError):

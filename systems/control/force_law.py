@@ -5,6 +5,7 @@ approaches at a constant speed. The integral acts only in contact and near the w
 avoid wind-up while the probe lands.
 """
 
+import math
 from dataclasses import dataclass
 
 from pydrake.math import RotationMatrix
@@ -119,7 +120,12 @@ def approach_velocity(state: ForceState, parameters: ForceControllerParameters) 
 def next_state(
     state: ForceState, force: float, time_step: float, parameters: ForceControllerParameters
 ) -> ForceState:
-    """Return the state after one more measured force in N, `time_step` seconds later."""
+    """Return the state after one more measured force in N, `time_step` seconds later.
+
+    A force that is not a number leaves the state unchanged.
+    """
+    if not math.isfinite(force):
+        return state
     filtered = state.force + (force - state.force) * time_step / (
         parameters.filter_time + time_step
     )

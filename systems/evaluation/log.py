@@ -2,7 +2,6 @@
 
 import io
 import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,8 @@ from typing import Any, TypeVar, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
+from sonoservo.systems.files.memory import require_memory
+from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.writing import write_atomically
 from sonoservo.systems.signals.immutable import Immutable
 
@@ -159,25 +160,21 @@ def read_log(path: str | Path, log_class: type[LogT]) -> LogT:
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"{path}: there is no such log")
-    try:
+    with refusing_failures(path, "not a log, or incomplete"):
+        with zipfile.ZipFile(path) as archive:
+            size = sum(member.file_size for member in archive.infolist())
+        require_memory(size, str(path), "its arrays")
         with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-    except (
-        OSError,
-        EOFError,
-        ValueError,
-        TypeError,
-        AttributeError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
-        raise ValueError(f"{path} is not a log, or is incomplete: {error}") from error
+            return _read(path, {name: file[name] for name in file.files}, log_class)
+
+
+def _read(path: Path, arrays: dict[str, Array], log_class: type[LogT]) -> LogT:
     version = arrays.pop("format", None)
     if version is None or version.shape or int(version) != FORMAT:
-        raise ValueError(f"{path} has format {version}; this program reads format {FORMAT}")
+        raise ConfigurationError(f"{path} has format {version}; this program reads format {FORMAT}")
     known = columns(log_class)
     if missing := sorted(known.keys() - arrays.keys()):
-        raise ValueError(f"{path} lacks the arrays {', '.join(missing)}")
+        raise ConfigurationError(f"{path} lacks the arrays {', '.join(missing)}")
     fields: dict[str, Any] = {name: arrays[name] for name in known}
     for group in _groups(log_class):
         prefix = f"{group}_"

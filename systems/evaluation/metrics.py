@@ -1,6 +1,8 @@
-"""Metrics of a run in the blocks `detection`, `tracking`, `servo`, `force` and `compute_ms`."""
+"""Metrics of a run, in blocks: detection, tracking, servo, force, guard and computing times."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -40,6 +42,8 @@ LABELS = {
     "force.mean_n": "contact force, mean, N",
     "force.rms_error_n": "contact force, RMS error, N",
     "force.max_n": "contact force, largest, N",
+    "guard.interventions": "times stopped by the guard",
+    "guard.volumes_refused": "volumes refused as implausible",
     "compute_ms.render.median": "rendering a sweep, median, ms",
     "compute_ms.convert.median": "scan conversion, median, ms",
     "compute_ms.track.median": "tracking, median, ms",
@@ -112,6 +116,7 @@ def summarize(log: RunLog, parameters: MetricsParameters | None = None) -> dict[
         "tracking": tracking(log, parameters),
         "servo": servo(log, parameters),
         "force": force(log, parameters),
+        "guard": guard(log),
         "compute_ms": {
             name: {"median": _number(_median(1e3 * t)), "max": _number(_max(1e3 * t))}
             for name, t in sorted(log.compute.items())
@@ -254,6 +259,28 @@ def force(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     }
 
 
+def guard(log: RunLog) -> dict[str, Any]:
+    """Summarise the interventions of the guard, and the volumes refused before the tracker.
+
+    Returns
+    -------
+    `interventions`, `stopped_s`: how often and how long the guard stopped the robot;
+    `reasons`: the reasons in order, separated by semicolons;
+    `stopped_at_end`: reason for which the robot stands still at the end;
+    `volumes_refused`, `refusal`: number of volumes refused, and the last reason.
+    """
+    stopped = log.guard_reason != ""
+    refusals = log.refusal_reason[log.refusal_reason != ""]
+    return {
+        "interventions": int(np.sum(_begins(stopped))),
+        "stopped_s": _seconds(stopped, log.time),
+        "reasons": "; ".join(dict.fromkeys(log.guard_reason[stopped].tolist())) or None,
+        "stopped_at_end": str(log.guard_reason[-1]) if stopped[-1:].any() else None,
+        "volumes_refused": int(np.nan_to_num(_max(log.volumes_refused))),
+        "refusal": str(refusals[-1]) if len(refusals) else None,
+    }
+
+
 def _starts(log: RunLog, parameters: MetricsParameters) -> tuple[NDArray[np.intp], Mask]:
     """Return the volumes with which tracking began, and a mask of those that are not false."""
     there = is_known(log.volume_estimate_tip)
@@ -313,20 +340,10 @@ def _number(value: Any) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _finite(values: Floats) -> Floats:
-    return values[np.isfinite(values)]
+def _reduced(function: Callable[[Floats], Any], values: Floats) -> float:
+    """Return a statistic of the finite values; NaN without any."""
+    values = values[np.isfinite(values)]
+    return float(function(values)) if len(values) else np.nan
 
 
-def _mean(values: Floats) -> float:
-    values = _finite(values)
-    return float(values.mean()) if len(values) else np.nan
-
-
-def _median(values: Floats) -> float:
-    values = _finite(values)
-    return float(np.median(values)) if len(values) else np.nan
-
-
-def _max(values: Floats) -> float:
-    values = _finite(values)
-    return float(values.max()) if len(values) else np.nan
+_mean, _median, _max = (partial(_reduced, each) for each in (np.mean, np.median, np.max))

@@ -50,6 +50,19 @@ class RunLog(Log):
         Array, Column("commanded v_x, v_z, omega_y of the probe in P", "m/s", ("n", 3))
     ]
 
+    guard_state: Annotated[
+        Array, Column("state of the guard between controller and arm", "", ("n",), "U")
+    ]
+    guard_reason: Annotated[
+        Array, Column("reason why the guard stops the robot at this time", "", ("n",), "U")
+    ]
+    volumes_refused: Annotated[
+        Array, Column("number of volumes refused as implausible so far", "", ("n",))
+    ]
+    refusal_reason: Annotated[
+        Array, Column("reason why the newest volume was refused", "", ("n",), "U")
+    ]
+
     volume_time: Annotated[
         Array, Column("middle of the volume's acquisition, by the scanner's clock", "s", ("v",))
     ]

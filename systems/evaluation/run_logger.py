@@ -13,6 +13,7 @@ from pydrake.systems.framework import Context, LeafSystem, ValueProducer
 
 from sonoservo.systems.evaluation.log import Array, Row, columns, stack_rows
 from sonoservo.systems.evaluation.run_log import RunLog
+from sonoservo.systems.signals.guard_status import GuardStatus
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.motion_record import MotionRecord
 from sonoservo.systems.signals.needle import Needle
@@ -21,8 +22,13 @@ from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.ports import evaluate
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 from sonoservo.systems.signals.sweep import SweepGeometry
+from sonoservo.systems.signals.volume_check import VolumeCheck
 
 T = TypeVar("T")
+
+_OBJECTS = (
+    "motion_record", "needle", "estimate", "measurement", "detection", "guard", "volume_check",
+)  # fmt: skip
 
 
 @dataclass
@@ -52,6 +58,8 @@ class RunLogger(LeafSystem):
         - wrist_force (optional)
         - contact_force (optional)
         - planar_velocity (optional)
+        - guard (optional)
+        - volume_check (optional)
 
     Every port may stay unconnected; its values are then missing in the log. `X_WP`, `true_X_WP` and
     `X_WT` are RigidTransforms: the measured and the true pose of the probe, and the pose of the
@@ -61,7 +69,8 @@ class RunLogger(LeafSystem):
     NeedleMeasurement or a NotFound, `wrist_force` a SpatialForce and `contact_force` a force in N.
     `detection` may hold any value: it is logged as True or False, and the reason of a NotFound is
     kept. `joint_state` holds the positions, then the velocities, of the arm's joints in rad and
-    rad/s. `planar_velocity` holds v_x and v_z in m/s and omega_y in rad/s, in P.
+    rad/s. `planar_velocity` holds v_x and v_z in m/s and omega_y in rad/s, in P. `guard` is a
+    GuardStatus and `volume_check` a VolumeCheck.
 
     `measurement` and `detection` are those from which the estimate was made: a tracker holds them
     until its next volume. The log therefore adds a row whenever the estimate names a newer volume,
@@ -98,7 +107,7 @@ class RunLogger(LeafSystem):
         self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
         self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
         self.DeclareAbstractInputPort("true_X_WP", Value(RigidTransform()))
-        for name in ("motion_record", "needle", "estimate", "measurement", "detection"):
+        for name in _OBJECTS:
             self.DeclareAbstractInputPort(name, Value[object]())
         self.DeclareVectorInputPort("joint_state", 2 * joints)
         self.DeclareAbstractInputPort("wrist_force", Value(SpatialForce()))
@@ -200,6 +209,13 @@ class RunLogger(LeafSystem):
             vector = self._vector(context, name)
             if vector is not None:
                 row[name] = vector.copy()
+        guard = self._value(context, "guard", GuardStatus)
+        if guard is not None:
+            row["guard_state"] = str(guard.state)
+            row["guard_reason"] = guard.reason if guard.stopped else ""
+        check = self._value(context, "volume_check", VolumeCheck)
+        if check is not None:
+            row["volumes_refused"], row["refusal_reason"] = check.refused, check.reason
         samples.append(row)
 
     def _look(self, context: Context) -> None:

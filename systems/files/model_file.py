@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from sonoservo.models import model_path
-from sonoservo.systems.files.typed_yaml import ConfigurationError, read_yaml, suggest
+from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.typed_yaml import read_yaml, suggest
 
 
 def model_file(folder: str, name: str) -> Path:

@@ -15,13 +15,14 @@ from typing import Any, TypeVar
 
 import yaml
 
+from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.renamed import current_name, moved_fields, removed
+from sonoservo.systems.files.yaml_loader import MAX_DEPTH, MAX_LENGTH, Dumper, Tagged, load_yaml
 
 T = TypeVar("T")
 
-
-class ConfigurationError(ValueError):
-    """User error in a file or on the command line; its message needs no traceback."""
+_MAX_BYTES = 4 * MAX_LENGTH
+"""Largest number of bytes that are read of a file: a character has up to four."""
 
 
 def suggest(name: str, known: Iterable[str]) -> str:
@@ -39,12 +40,10 @@ def read_yaml(path: Path) -> dict[str, Any]:
     ConfigurationError
         If the file cannot be read, is not YAML or does not contain a mapping.
     """
-    try:
-        data = yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"{path}: cannot be read ({error})") from error
-    except yaml.YAMLError as error:
-        raise ConfigurationError(f"{path}: not YAML: {' '.join(str(error).split())}") from error
+    with refusing_failures(path, "cannot be read"), path.open("rb") as file:
+        text = file.read(_MAX_BYTES).decode()
+    with refusing_failures(path, "not YAML"):
+        data = load_yaml(text)
     if not isinstance(data, dict):
         kind = type(data).__name__
         raise ConfigurationError(f"{path}: contains a value of type {kind}; expected a mapping")
@@ -76,15 +75,11 @@ def load_typed(schema: type[T], data: Mapping[str, Any], source: str) -> T:
     """
     from pydrake.common.yaml import yaml_load_typed  # imported late, as it takes half a second
 
-    _check(schema, data, source, "")
-    text = yaml.dump(_tagged(schema, dict(data)), Dumper=_Dumper)
-    try:
+    with refusing_failures(source):
+        _check(schema, data, source, "")
+        text = yaml.dump(_tagged(schema, dict(data)), Dumper=Dumper)
         loaded = yaml_load_typed(schema=schema, data=text, defaults=schema())
-    except (RuntimeError, ValueError, TypeError, AssertionError) as error:
-        # pybind11's message on a wrong type ends with the values. Its signatures do not help users.
-        text = " ".join(str(error).rpartition("Invoked with: ")[2].split())
-        raise ConfigurationError(f"{source}: {text}") from error
-    return _validated(loaded, source, "")
+        return _validated(loaded, source, "")
 
 
 def dump_typed(value: Any) -> str:
@@ -124,11 +119,11 @@ def assign(data: dict[str, Any], assignment: str) -> None:
     path, equals, text = assignment.partition("=")
     if not equals or not path:
         raise ConfigurationError(f"{assignment!r}: expected the form path.to.field=value")
-    try:
-        value = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise ConfigurationError(f"{assignment!r}: the value is not YAML") from error
+    with refusing_failures(path, f"{text[:40]!r} is not YAML"):
+        value = load_yaml(text)
     *parents, last = path.split(".")
+    if len(parents) >= MAX_DEPTH:
+        raise ConfigurationError(f"{path}: a field is nested at most {MAX_DEPTH} deep")
     node: Any = data
     for key in parents:
         if isinstance(node, dict) and isinstance(node.get(key), str):
@@ -143,7 +138,7 @@ def assign(data: dict[str, Any], assignment: str) -> None:
 
 
 def _index(items: list[Any], key: str, path: str) -> int:
-    if not key.isdigit() or int(key) >= len(items):
+    if not key.isdecimal() or len(key) > 9 or int(key) >= len(items):
         raise ConfigurationError(f"{path}: {key!r} must be a number below {len(items)}")
     return int(key)
 
@@ -169,12 +164,12 @@ def _check(schema: Any, value: Any, source: str, path: str, default: Any = None)
             if not isinstance(mapping, Mapping):
                 fail(f"one of {', '.join(kinds)}, or a mapping")
             kind = _kind(mapping, kinds, default)
-            if kind not in kinds:
+            if not isinstance(kind, str) or kind not in kinds:
                 hint = suggest(str(kind), kinds)
                 raise ConfigurationError(f"{source}: {path}: unknown kind {kind!r}; {hint}")
             _check(kinds[kind], mapping, source, path)
     elif fields := _fields(schema):
-        if isinstance(value, _Tagged):
+        if isinstance(value, Tagged):
             return
         if not isinstance(value, Mapping):
             fail("a mapping")
@@ -199,6 +194,12 @@ def _check(schema: Any, value: Any, source: str, path: str, default: Any = None)
             fail("a list")
         for index, item in enumerate(value):
             _check(typing.get_args(schema)[0], item, source, f"{path}.{index}")
+    elif typing.get_origin(schema) is dict:
+        if not isinstance(value, Mapping):
+            fail("a mapping")
+        for key, item in value.items():
+            _check(typing.get_args(schema)[0], key, source, f"{path}: key")
+            _check(typing.get_args(schema)[1], item, source, f"{path}.{key}")
     elif schema is float:
         if isinstance(value, bool) or not _is_number(value):
             fail("a finite number")
@@ -230,36 +231,6 @@ def _kinds(schema: Any) -> dict[str, Any]:
     return {each().kind: each for each in options} if len(options) > 1 else {}
 
 
-class _Tagged(dict[str, Any]):
-    """Mapping for the dataclass named by its ``tag``."""
-
-    tag = ""
-
-
-class _Dumper(yaml.SafeDumper):
-    pass
-
-
-class _Loader(yaml.SafeLoader):
-    """YAML loader that keeps the tags of Drake's schemas, such as ``!Rpy``."""
-
-
-def _construct_tagged(loader: yaml.SafeLoader, tag: str, node: yaml.Node) -> _Tagged:
-    if not isinstance(node, yaml.MappingNode):
-        raise yaml.constructor.ConstructorError(None, None, f"!{tag} must be followed by a mapping")
-    tagged = _Tagged({str(k): v for k, v in loader.construct_mapping(node, deep=True).items()})
-    tagged.tag = tag
-    return tagged
-
-
-_Loader.add_multi_constructor("!", _construct_tagged)
-
-
-_Dumper.add_representer(
-    _Tagged, lambda dumper, value: dumper.represent_mapping(f"!{value.tag}", value)
-)
-
-
 def _kind(mapping: Mapping[str, Any], kinds: Mapping[str, Any], default: Any) -> Any:
     """Return the kind that a mapping chooses, which is that of the field's default if missing."""
     return mapping.get("kind", getattr(default, "kind", next(iter(kinds))))
@@ -271,7 +242,7 @@ def _tagged(schema: Any, value: Any, default: Any = None) -> Any:
     if kinds and value is not None:
         mapping = {"kind": value} if isinstance(value, str) else value
         chosen = kinds[_kind(mapping, kinds, default)]
-        tagged = _Tagged(_tagged(chosen, mapping))
+        tagged = Tagged(_tagged(chosen, mapping))
         tagged.tag = chosen.__name__
         return tagged
     if isinstance(value, Mapping) and dataclasses.is_dataclass(schema):
@@ -289,7 +260,7 @@ def _is_number(value: Any) -> bool:
     # YAML 1.1 reads 1e-3, which has no point, as text. Drake and people read it as a number.
     try:
         return math.isfinite(float(value))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return False
 
 

@@ -4,13 +4,23 @@ import json
 import math
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
+
+PARTIAL = ".partial"
+"""Suffix of the hidden files that are being written."""
+
+_STREAMS = ("/dev/", "/proc/")
+"""Beginnings of the paths of open files, which may already hold other output."""
 
 
 def write_atomically(path: str | Path, data: bytes | str) -> Path:
     """Write a file atomically: a reader sees the old file or the new one, never a part.
+
+    A symbolic link stays a link, and the file that it leads to is written. Devices, pipes and files
+    with several names are written into, never replaced.
 
     Parameters
     ----------
@@ -22,19 +32,84 @@ def write_atomically(path: str | Path, data: bytes | str) -> Path:
     Returns
     -------
     Path of the file.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written; the error names it.
     """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, partial = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    content = data.encode() if isinstance(data, str) else data
+    with naming(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if str(path.absolute()).startswith(_STREAMS):
+            _write_into(path, content, "ab")
+        elif path.exists() and not (path.is_file() and path.stat().st_nlink == 1):
+            _write_into(path, content, "wb")
+        else:
+            _replace(Path(os.path.realpath(path)), content)
+    return path
+
+
+@contextmanager
+def naming(path: str | Path) -> Iterator[None]:
+    """Name a file in the operating system's errors, such as that of a full disk."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno is None:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[IO[bytes]]:
+    """Open a hidden file that takes a path's place if the block ends without an error."""
+    handle, partial = tempfile.mkstemp(PARTIAL, f".{path.name[:100]}.", path.parent)
     try:
         with os.fdopen(handle, "wb") as file:
-            file.write(data.encode() if isinstance(data, str) else data)
-        os.chmod(partial, 0o644)  # because only the owner can read mkstemp's files
+            # Only the owner can read the files of mkstemp.
+            os.fchmod(handle, path.stat().st_mode & 0o777 if path.exists() else 0o644)
+            yield file
         os.replace(partial, path)
     except BaseException:
         os.unlink(partial)
         raise
-    return path
+
+
+def _replace(path: Path, content: bytes) -> None:
+    with replacing(path) as file:
+        file.write(content)
+
+
+def _write_into(path: Path, content: bytes, mode: str) -> None:
+    with path.open(mode) as file:
+        file.write(content)
+
+
+class Unwritten:
+    """Collects the errors of files that cannot be written, so that a result outlives a full disk.
+
+    Attributes
+    ----------
+    failure
+        First error; None if there was none.
+    """
+
+    def __init__(self) -> None:
+        self.failure: OSError | None = None
+
+    @contextmanager
+    def collect(self) -> Iterator[None]:
+        """Note an error of the operating system, and go on after the block."""
+        try:
+            yield
+        except OSError as error:
+            self.note(error)
+
+    def note(self, error: OSError) -> None:
+        """Note an error; only the first counts."""
+        self.failure = self.failure or error
 
 
 def write_json(path: str | Path, data: Any) -> Path:
@@ -52,17 +127,17 @@ def write_json(path: str | Path, data: Any) -> Path:
     -------
     Path of the file.
     """
-    return write_atomically(path, json.dumps(_plain(data), indent=2, allow_nan=False))
+    return write_atomically(path, json.dumps(to_plain(data), indent=2, allow_nan=False))
 
 
-def _plain(data: Any) -> Any:
+def to_plain(data: Any) -> Any:
     """Return data in Python's own types, with None in place of numbers that are not finite."""
     if isinstance(data, Mapping):
-        return {str(key): _plain(value) for key, value in data.items()}
+        return {str(key): to_plain(value) for key, value in data.items()}
     if hasattr(data, "tolist"):  # NumPy data, without importing NumPy
-        return _plain(data.tolist())
+        return to_plain(data.tolist())
     if isinstance(data, list | tuple):
-        return [_plain(value) for value in data]
+        return [to_plain(value) for value in data]
     if isinstance(data, float) and not math.isfinite(data):
         return None
     return data

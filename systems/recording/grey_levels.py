@@ -6,11 +6,45 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.volume_file import VolumeFile
 from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.requirements import require
 
+_MAX_NUMBER = 1e30
+"""Largest magnitude of a number in a file; single precision ends at 3e38."""
+
+_MIN_WIDTH = 1e-30
+"""Smallest width of a window."""
+
+_FAR = 1e4
+"""Distance of a window from zero, in widths, from which double precision is used."""
+
 _ALMOST_ALL = 0.999
 """Quantile of the numbers in the field of view that replaces a maximum far above it."""
+
+
+def read_numbers(file: VolumeFile, number: int) -> NDArray[Any]:
+    """Return the numbers of a volume or frame as the file has them.
+
+    Raises
+    ------
+    ConfigurationError
+        If the file ends earlier, or a number is not finite or implausibly large.
+    """
+    numbers = file.read(number)
+    if numbers.dtype.kind == "f":
+        largest = max(-float(numbers.min()), float(numbers.max()))  # NaN if one is NaN
+        if not np.isfinite(largest):
+            raise ConfigurationError(
+                f"{file.path}: volume {number} holds values that are not finite"
+            )
+        if largest > _MAX_NUMBER:
+            raise ConfigurationError(
+                f"{file.path}: volume {number} holds values up to {largest:.3g}; at most "
+                f"{_MAX_NUMBER:g} is allowed, and log-compressed echoes are expected"
+            )
+    return numbers
 
 
 @dataclass(frozen=True)
@@ -27,18 +61,25 @@ class GreyWindow(Immutable):
     high: float
 
     def __post_init__(self) -> None:
-        finite = bool(np.isfinite([self.low, self.high]).all())
-        require(finite and self.low < self.high, "window", (self.low, self.high), "two rising ends")
+        plausible = bool((np.abs([self.low, self.high]) <= _MAX_NUMBER).all())
+        require(
+            plausible and self.high - self.low > _MIN_WIDTH,
+            "window",
+            (self.low, self.high),
+            f"two rising ends within +-{_MAX_NUMBER:g}",
+        )
 
     def grey(self, voxels: NDArray[Any]) -> NDArray[Any]:
         """Return grey levels in C order: unchanged uint8 for the window 0 to 255, else float32."""
         if voxels.dtype == np.uint8 and (self.low, self.high) == (0, 255):
             return np.ascontiguousarray(voxels)
-        levels = np.array(voxels, np.float32, order="C")
+        # Single precision is too coarse for a window far from zero.
+        far = max(abs(self.low), abs(self.high)) > _FAR * (self.high - self.low)
+        levels: NDArray[Any] = np.array(voxels, np.float64 if far else np.float32, order="C")
         if (self.low, self.high) != (0, 255):
-            levels -= np.float32(self.low)
-            levels *= np.float32(255 / (self.high - self.low))
-        return np.clip(levels, 0, 255, out=levels)
+            levels -= levels.dtype.type(self.low)
+            levels *= levels.dtype.type(255 / (self.high - self.low))
+        return np.clip(levels, 0, 255, out=levels).astype(np.float32, copy=False)
 
 
 def choose_window(voxels: NDArray[Any]) -> GreyWindow:

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.files.typed_yaml import ConfigurationError
-from sonoservo.systems.recording.volume_file import (
+from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
+from sonoservo.systems.files.volume_file import (
     MAX_HEADER,
     DataSection,
     VolumeFile,
@@ -52,7 +52,11 @@ def open_meta_image(path: Path, *, frames: bool = False) -> VolumeFile:
     ConfigurationError
         If the file is not valid; the message names the file and the fault.
     """
-    fields, offset = _read_header(path)
+    with refusing_failures(path, "its header is not valid"):
+        return _describe(path, *_read_header(path), frames)
+
+
+def _describe(path: Path, fields: dict[str, str], offset: int, frames: bool) -> VolumeFile:
     sizes = [int(n) for n in _numbers(path, fields, ("DimSize",))]
     n = len(sizes)
     if n not in (3, 4):

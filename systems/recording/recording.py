@@ -1,6 +1,6 @@
 """Recorded volumes from this program or from others."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -8,21 +8,28 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 
-from sonoservo.systems.files.typed_yaml import ConfigurationError, suggest
+from sonoservo.systems.files.nrrd_reader import open_nrrd
+from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
+from sonoservo.systems.files.volume_file import SCALE, VolumeFile, check_grid
 from sonoservo.systems.recording.file_grid import FileGrid, make_file_grid
-from sonoservo.systems.recording.grey_levels import GreyWindow, choose_window
+from sonoservo.systems.recording.grey_levels import GreyWindow, choose_window, read_numbers
 from sonoservo.systems.recording.meta_image import open_meta_image
-from sonoservo.systems.recording.nrrd import open_nrrd
 from sonoservo.systems.recording.side_files import (
     ACQUISITION,
     Acquisition,
     read_acquisition,
     side_path,
 )
-from sonoservo.systems.recording.volume_file import SCALE, VolumeFile
+from sonoservo.systems.recording.valid_frames import (
+    check_times,
+    choose_transform,
+    frame_times,
+    read_matrix,
+    valid_frames,
+)
 from sonoservo.systems.signals.immutable import seal
-from sonoservo.systems.signals.requirements import require_positive
-from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL
+from sonoservo.systems.signals.requirements import require_within
+from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL, DYNAMIC_RANGE_DB
 from sonoservo.systems.signals.volume import Volume
 
 _FORMATS = {
@@ -31,6 +38,9 @@ _FORMATS = {
     ".mha": open_meta_image,
     ".mhd": open_meta_image,
 }
+
+_VOLUME_RATES = 1e-3, 1e4
+"""Limits of the rate of volumes, in Hz."""
 
 
 class Recording:
@@ -84,41 +94,32 @@ class Recording:
         poses: str | None = None,
     ) -> None:
         self.path = Path(path)
-        self._file = _open(self.path)
-        file = self._file
-        try:
+        with refusing_failures(self.path):
+            self._file = file = _open(self.path)
+            check_grid(self.path, file.shape, file.directions, file.origin)
             self._grid: FileGrid = make_file_grid(file.directions, file.origin, file.shape, depth)
             self._window = GreyWindow(*window) if window else None
-        except ValueError as error:
-            raise ConfigurationError(f"{self.path}: {error}") from error
-        self._acquisition = self._read_acquisition()
-        if self._acquisition is not None and window is None:
-            self._window = GreyWindow(0, 255)  # this program's recorder writes grey levels
-        frames = file.frame_fields()
-        transform = None if self._acquisition else choose_transform(self.path, frames, poses)
-        self.posed = bool(self._acquisition) or transform is not None
-        self.settings: dict[str, Any] = self._acquisition.settings if self._acquisition else {}
-        self._decibels_per_level = self._scale(dynamic_range_db)
-        statuses = [frames.get("ImageStatus", {})]
-        if transform is not None:
-            statuses.append(frames.get(f"{transform}Status", {}))
-            missing = {k: "MISSING" for k in range(file.count) if k not in frames[transform]}
-            statuses.append(missing)
-        self._numbers = [
-            k
-            for k in range(file.count)
-            if all(status.get(k, "OK").upper() == "OK" for status in statuses)
-        ]
-        self.skipped = file.count - len(self._numbers)
-        if not self._numbers:
-            raise ConfigurationError(f"{self.path}: all of its {file.count} volumes are invalid")
-        times = self._file_times(frames.get("Timestamp", {}), volume_rate)
-        self.times = times[self._numbers]
-        self._X_WL = {
-            k: self._pose(transform, frames[transform][k]) if transform else RigidTransform()
-            for k in self._numbers
-        }
-        self._check_times()
+            self._acquisition = self._read_acquisition()
+            if self._acquisition is not None and window is None:
+                self._window = GreyWindow(0, 255)  # this program's recorder writes grey levels
+            frames = file.frame_fields()
+            transform = None if self._acquisition else choose_transform(self.path, frames, poses)
+            self.posed = bool(self._acquisition) or transform is not None
+            self.settings: dict[str, Any] = self._acquisition.settings if self._acquisition else {}
+            self._decibels_per_level = self._scale(dynamic_range_db)
+            self._numbers = valid_frames(file, frames, transform)
+            self.skipped = file.count - len(self._numbers)
+            if not len(self._numbers):
+                raise ConfigurationError(
+                    f"{self.path}: all of its {file.count} volumes are invalid"
+                )
+            self.times = self._file_times(frames, volume_rate)[self._numbers]
+            check_times(self.path, self.times, self._numbers)
+            self._poses = (
+                {int(k): self._pose(transform, frames[transform][k]) for k in self._numbers}
+                if transform
+                else {}
+            )
 
     def __len__(self) -> int:
         return len(self._numbers)
@@ -134,14 +135,15 @@ class Recording:
         ConfigurationError
             If the file is damaged at that volume.
         """
-        k = self._numbers[number]
-        voxels = self._file.read(k)
-        if voxels.dtype.kind == "f" and not np.isfinite(voxels).all():
-            raise ConfigurationError(f"{self.path}: volume {k} holds values that are not finite")
-        voxels = self._grid.arrange(voxels)
+        with refusing_failures(self.path, f"volume {number}"):
+            return self._read(number)
+
+    def _read(self, number: int) -> Volume:
+        k = int(self._numbers[number])
+        voxels = self._voxels(k)
         if self._window is None:
-            first = voxels if number == 0 else self._grid.arrange(self._file.read(self._numbers[0]))
-            self._window = choose_window(first)
+            first = int(self._numbers[0])
+            self._window = choose_window(voxels if k == first else self._voxels(first))
         grey = seal(self._window.grey(voxels))
         if self._acquisition is not None:
             exact = self._acquisition
@@ -159,17 +161,21 @@ class Recording:
             grey,
             self._grid.origin,
             self._grid.spacing,
-            self._X_WL[k] @ self._grid.X_LP,
+            self.X_WL(number) @ self._grid.X_LP,
             float(self.times[number]),
             decibels_per_level=self._decibels_per_level,
         )
 
     def X_WL(self, number: int) -> RigidTransform:
         """Return the pose in W of the file's frame L (LPS, in m) when a volume was acquired."""
-        k = self._numbers[number]
+        k = int(self._numbers[number])
         if self._acquisition is not None:
             return self._acquisition.poses[k] @ self._grid.X_LP.inverse()
-        return self._X_WL[k]
+        return self._poses.get(k, RigidTransform())
+
+    def _voxels(self, k: int) -> NDArray[Any]:
+        """Return the file's numbers of a volume with the index [x, y, z] in P."""
+        return self._grid.arrange(read_numbers(self._file, k))
 
     def _read_acquisition(self) -> Acquisition | None:
         path = side_path(self.path, ACQUISITION)
@@ -185,50 +191,34 @@ class Recording:
 
     def _scale(self, dynamic_range_db: float | None) -> float:
         """Return dB per grey level: from the argument, from the file, or else 60 dB / 255."""
+        if dynamic_range_db is not None:
+            require_within("dynamic_range_db", dynamic_range_db, *DYNAMIC_RANGE_DB)
+            return dynamic_range_db / 255
         noted = self._acquisition.decibels_per_level if self._acquisition else None
-        try:
-            if dynamic_range_db is not None:
-                require_positive(dynamic_range_db=dynamic_range_db)
-                return dynamic_range_db / 255
-            if noted is None:
-                noted = float(self._file.fields.get(SCALE, DECIBELS_PER_LEVEL))
-            require_positive(**{SCALE: noted})
-        except ValueError as error:
-            raise ConfigurationError(f"{self.path}: {error}") from error
+        if noted is None:
+            noted = float(self._file.fields.get(SCALE, DECIBELS_PER_LEVEL))
+        require_within(SCALE, noted, *(limit / 255 for limit in DYNAMIC_RANGE_DB))
         return noted
 
     def _file_times(
-        self, timestamps: dict[int, str], volume_rate: float | None
+        self, frames: Mapping[str, Mapping[int, str]], volume_rate: float | None
     ) -> NDArray[np.float64]:
         count = self._file.count
         if self._acquisition is not None:
             return np.array(self._acquisition.times[:count])
         if volume_rate is not None:
-            if not volume_rate > 0:
-                raise ConfigurationError(f"volume rate: {volume_rate!r} must be above 0")
+            require_within("volume rate", volume_rate, *_VOLUME_RATES)
             return np.arange(count) / volume_rate
         if self._file.times is not None:
             return self._file.times
-        if timestamps:
-            try:
-                return np.array([float(timestamps.get(k, "nan")) for k in range(count)])
-            except ValueError as error:
-                raise ConfigurationError(f"{self.path}: Timestamp: {error}") from error
+        if "Timestamp" in frames:
+            return frame_times(self.path, count, frames["Timestamp"])
         if count > 1:
             raise ConfigurationError(
                 f"{self.path}: the times of its volumes are missing; give their rate "
                 "(--volume-rate)"
             )
         return np.zeros(1)
-
-    def _check_times(self) -> None:
-        steps = np.diff(self.times)
-        if not np.isfinite(self.times).all() or (steps <= 0).any():
-            late = int(np.argmin(np.concatenate([[1.0], steps]) > 0))
-            raise ConfigurationError(
-                f"{self.path}: the time of volume {self._numbers[late]} is missing, or not later "
-                "than the one before"
-            )
 
     def _pose(self, name: str, text: str) -> RigidTransform:
         """Return the pose of L in W from a transform as PLUS writes it."""
@@ -238,8 +228,7 @@ class Recording:
             header[:3, :3], header[:3, 3] = self._file.directions, self._file.origin
             matrix = matrix @ np.linalg.inv(header)
         R = matrix[:3, :3]
-        rigid = np.isfinite(matrix).all() and np.abs(R.T @ R - np.eye(3)).max() < 1e-3
-        if not rigid or np.linalg.det(R) < 0:
+        if np.abs(R.T @ R - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0:
             raise ConfigurationError(f"{self.path}: {name}: {text!r} is not a rigid transform")
         return RigidTransform(RotationMatrix.ProjectToRotationMatrix(R), 1e-3 * matrix[:3, 3])
 
@@ -263,33 +252,3 @@ def _open(path: Path) -> VolumeFile:
             f"{path}: this file type is not supported; use {', '.join(_FORMATS)}"
         )
     return _FORMATS[path.suffix.lower()](path)
-
-
-def read_matrix(path: Path, name: str, text: str) -> NDArray[np.float64]:
-    """Return the (4, 4) matrix of a transform as PLUS writes it: row by row, in mm."""
-    try:
-        return np.array(text.split(), float).reshape(4, 4)
-    except ValueError as error:
-        raise ConfigurationError(f"{path}: {name}: {text!r} is not a 4 x 4 matrix") from error
-
-
-def choose_transform(
-    path: Path, frames: dict[str, dict[int, str]], poses: str | None
-) -> str | None:
-    """Return the name of the transform that is the probe's pose; None if there is none."""
-    names = sorted(name for name in frames if name.endswith("Transform"))
-    if poses == "none" or (poses is None and not names):
-        return None
-    if poses is not None:
-        wanted = poses if poses.endswith("Transform") else f"{poses}Transform"
-        if wanted not in names:
-            raise ConfigurationError(
-                f"{path}: it has no transform {poses!r}; {suggest(wanted, names)}"
-            )
-        return wanted
-    if len(names) > 1:
-        raise ConfigurationError(
-            f"{path}: it has several transforms. Choose one with --poses: "
-            f"{', '.join(name.removesuffix('Transform') for name in names)}, or none"
-        )
-    return names[0]

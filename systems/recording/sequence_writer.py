@@ -1,8 +1,6 @@
 """Writer of a sequence of arrays to one NRRD file, array by array."""
 
-import os
 import shutil
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Self
@@ -10,7 +8,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.files.writing import write_atomically
+from sonoservo.systems.files.claims import claim
+from sonoservo.systems.files.writing import naming, replacing, write_atomically
 
 SUFFIX = ".seq.nrrd"
 """Suffix by which 3D Slicer recognises a sequence."""
@@ -51,9 +50,12 @@ class SequenceWriter:
         self._frames: list[str] = []
         self._shape: tuple[int, ...] = ()
         self._dtype = np.dtype(np.uint8)
-        path.parent.mkdir(parents=True, exist_ok=True)
+        with naming(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._data = self._partial_data.open("ab")
+        claim(self._data.fileno(), path, "another file")
+        self._data.truncate(0)
         self.partial_header.unlink(missing_ok=True)
-        self._data = self._partial_data.open("wb")
 
     def __enter__(self) -> Self:
         return self
@@ -86,8 +88,9 @@ class SequenceWriter:
         if (array.shape, array.dtype) != (self._shape, self._dtype):
             raise ValueError(f"{self.path}: an array differs from the first in shape or type")
         number = len(self._times)
-        self._data.write(array.tobytes(order="F"))
-        self._data.flush()
+        with naming(self._partial_data):
+            self._data.write(array.tobytes(order="F"))
+            self._data.flush()
         self._times.append(repr(float(time)))
         for name, value in fields.items():
             self._frames.append(f"Seq_Frame{number:04d}_{name}:={value}\n")
@@ -104,16 +107,13 @@ class SequenceWriter:
             partial.unlink(missing_ok=True)
 
     def _join(self) -> None:
-        handle, joined = tempfile.mkstemp(dir=self.path.parent, prefix=f".{self.path.name}.")
-        try:
-            with os.fdopen(handle, "wb") as file, self._partial_data.open("rb") as data:
-                file.write(self._text("").encode())
-                shutil.copyfileobj(data, file, 1 << 24)
-            os.chmod(joined, 0o644)  # mkstemp's files are readable by their owner only
-            os.replace(joined, self.path)
-        except BaseException:
-            os.unlink(joined)
-            raise
+        with (
+            naming(self.path),
+            replacing(self.path) as file,
+            self._partial_data.open("rb") as data,
+        ):
+            file.write(self._text("").encode())
+            shutil.copyfileobj(data, file, 1 << 24)
 
     def _text(self, data_file: str) -> str:
         """Return the header, with the name of the data file if the data are detached."""

@@ -15,11 +15,21 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.claims import claim
+from sonoservo.systems.files.memory import require_memory
+from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
+from sonoservo.systems.files.volume_file import MAX_POSITION
+from sonoservo.systems.files.writing import naming
 from sonoservo.systems.recording.sequence_writer import SUFFIX, partial_path
+from sonoservo.systems.recording.valid_frames import check_times, require_homogeneous
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.point_spread import PointSpread
-from sonoservo.systems.signals.requirements import require_positive
+from sonoservo.systems.signals.requirements import (
+    require,
+    require_not_negative,
+    require_positive,
+    require_within,
+)
 from sonoservo.systems.signals.sweep import SweepGeometry, SweepMotion
 from sonoservo.systems.signals.volume import Volume
 
@@ -28,6 +38,18 @@ ACQUISITION, TRUTH = ".acquisition.jsonl", ".truth.jsonl"
 
 FORMAT = 1
 """Format version of both files, stored in their first lines."""
+
+_MAX_POSITION = 1e-3 * MAX_POSITION
+"""Largest coordinate of a pose in m."""
+
+_RIGID = 1e-6
+"""Largest deviation of a rotation matrix from a rotation."""
+
+_MAX_SWEEP = 60.0
+"""Largest time between a frame and the time of its volume, in s."""
+
+_BYTES_PER_BYTE = 10
+"""Memory that a side file takes for each of its bytes."""
 
 _RECORDINGS = (SUFFIX, ".seq.nhdr", ".nrrd", ".nhdr", ".mha", ".mhd")
 
@@ -57,8 +79,11 @@ class LinesWriter:
     def __init__(self, recording: Path, suffix: str, first: dict[str, Any]) -> None:
         self._path = side_path(recording, suffix)
         self._partial = partial_path(recording, suffix)
-        self._partial.parent.mkdir(parents=True, exist_ok=True)
-        self._file = self._partial.open("w", encoding="utf-8")
+        with naming(self._partial):
+            self._partial.parent.mkdir(parents=True, exist_ok=True)
+            self._file = self._partial.open("a", encoding="utf-8")
+        claim(self._file.fileno(), self._path, "another file")
+        self._file.truncate(0)
         self.append({"format": FORMAT, **first})
 
     def __enter__(self) -> Self:
@@ -69,8 +94,9 @@ class LinesWriter:
 
     def append(self, line: dict[str, Any]) -> None:
         """Write a line."""
-        self._file.write(json.dumps(line) + "\n")
-        self._file.flush()
+        with naming(self._partial):
+            self._file.write(json.dumps(line) + "\n")
+            self._file.flush()
 
     def close(self, keep: bool = True) -> None:
         """Give the file its final name, or remove it."""
@@ -151,22 +177,39 @@ def read_acquisition(path: Path) -> Acquisition:
     ConfigurationError
         If the file is damaged, or has another format version.
     """
-    first, lines = _read_lines(path)
-    try:
+    with refusing_failures(path, "damaged"):
+        first, lines = _read_lines(path)
         geometry, spread = first.pop("geometry"), first.pop("point_spread", None)
         swept = SweepGeometry(**geometry) if geometry else None
+        times = np.array([line["time"] for line in lines], float)
+        check_times(path, times, range(len(times)))
         return Acquisition(
             np.array(first.pop("origin"), float),
             np.array(first.pop("spacing"), float),
-            [float(line["time"]) for line in lines],
-            [RigidTransform(np.array(line["X_WP"], float)) for line in lines],
+            times.tolist(),
+            [RigidTransform(_poses(line["X_WP"])) for line in lines],
             [_motion(swept, line) for line in lines],
             _scale(first),
             PointSpread(**spread) if spread else None,
-            first,
+            _settings(first),
         )
-    except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        raise ConfigurationError(f"{path}: damaged: {' '.join(str(error).split())}") from error
+
+
+def _poses(matrices: Any) -> NDArray[np.float64]:
+    """Return (..., 4, 4) poses, after a check that they are plausible."""
+    poses = np.array(matrices, float)
+    require_homogeneous(poses, _MAX_POSITION)
+    R = poses[..., :3, :3]
+    rigid = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max() < _RIGID
+    require(bool(rigid and (np.linalg.det(R) > 0).all()), "pose", matrices, "a rotation")
+    return poses
+
+
+def _settings(first: dict[str, Any]) -> dict[str, Any]:
+    """Return the settings of the tracker, after a check of the one that this program writes."""
+    seed = first.get("tracker_seed", 0)
+    require(type(seed) is int and seed >= 0, "tracker_seed", seed, "a whole number of at least 0")
+    return first
 
 
 def _scale(first: dict[str, Any]) -> float | None:
@@ -181,7 +224,12 @@ def _scale(first: dict[str, Any]) -> float | None:
 def _motion(geometry: SweepGeometry | None, line: dict[str, Any]) -> SweepMotion | None:
     if geometry is None:
         return None
-    return SweepMotion(geometry, line["direction"], line["frame_times"], line["frame_X_WP"])
+    motion = SweepMotion(
+        geometry, line["direction"], line["frame_times"], _poses(line["frame_X_WP"])
+    )
+    apart = float(np.abs(motion.times - line["time"]).max())
+    require(apart <= _MAX_SWEEP, "frame_times", apart, f"within {_MAX_SWEEP:g} s of the volume's")
+    return motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,29 +263,38 @@ def read_truth(path: Path) -> Truth:
     ConfigurationError
         If the file is damaged, or has another format version.
     """
-    first, lines = _read_lines(path)
-    try:
-        return Truth(
-            np.array([line["time"] for line in lines], float),
-            [
-                Needle(np.reshape(np.array(line["needle"], float), (-1, 3)), first["needle_radius"])
-                for line in lines
-            ],
-            np.array([line["contact_force"] for line in lines], float),
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        raise ConfigurationError(f"{path}: damaged: {error}") from error
+    with refusing_failures(path, "damaged"):
+        first, lines = _read_lines(path)
+        require(len(lines) > 0, "samples", 0, "at least 1")
+        times = np.array([line["time"] for line in lines], float)
+        check_times(path, times, range(len(times)), "sample")
+        radius, force = first["needle_radius"], [line["contact_force"] for line in lines]
+        require_within("needle_radius", radius, 1e-5, 1e-2)
+        return Truth(times, [_needle(line["needle"], radius) for line in lines], _forces(force))
+
+
+def _needle(points: Any, radius: float) -> Needle:
+    shaft = np.array(points, float).reshape(-1, 3)
+    require(bool((np.abs(shaft) <= _MAX_POSITION).all()), "needle", points, "within the room")
+    return Needle(shaft, radius)
+
+
+def _forces(forces: list[Any]) -> NDArray[np.float64]:
+    require_not_negative(contact_force=float(np.min(np.array(forces, float))))
+    require_not_negative(contact_force=float(np.max(np.array(forces, float))))
+    return np.array(forces, float)
 
 
 def _read_lines(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """Return the first line without the version, and the others."""
-    try:
-        text = path.read_text(encoding="utf-8")
+    require_memory(_BYTES_PER_BYTE * path.stat().st_size, str(path), "its lines")
+    with path.open("rb") as file:
         # An incomplete last line was being written when the program was killed.
-        first, *others = (json.loads(line) for line in text[: text.rfind("\n") + 1].splitlines())
-        version = first.pop("format")
-    except (OSError, ValueError, KeyError, AttributeError) as error:
-        raise ConfigurationError(f"{path}: damaged: {error}") from error
+        lines = [json.loads(line) for line in file if line.endswith(b"\n")]
+    if not lines or not all(isinstance(line, dict) for line in lines):
+        raise ConfigurationError(f"{path}: damaged: each line must be a mapping in JSON")
+    first, *others = lines
+    version = first.pop("format", None)
     if version != FORMAT:
         raise ConfigurationError(f"{path} has format {version}; this program reads {FORMAT}")
     return first, others

@@ -5,10 +5,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.files.typed_yaml import ConfigurationError
-from sonoservo.systems.recording.grey_levels import GreyWindow, choose_window
+from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
+from sonoservo.systems.files.volume_file import check_grid
+from sonoservo.systems.recording.grey_levels import GreyWindow, choose_window, read_numbers
 from sonoservo.systems.recording.meta_image import open_meta_image
-from sonoservo.systems.recording.recording import choose_transform, read_matrix
+from sonoservo.systems.recording.valid_frames import (
+    check_times,
+    choose_transform,
+    frame_times,
+    read_matrix,
+    valid_frames,
+)
 
 _SUFFIXES = (".mha", ".mhd")
 _PREFERRED = "ImageToReferenceTransform"
@@ -56,6 +63,10 @@ class TrackedFrames:
             raise ConfigurationError(
                 f"{self.path}: not a file of 2D frames; give a file of type {', '.join(_SUFFIXES)}"
             )
+        with refusing_failures(self.path):
+            self._open(poses, window)
+
+    def _open(self, poses: str | None, window: tuple[float, float] | None) -> None:
         self._file = open_meta_image(self.path, frames=True)
         fields = self._file.frame_fields()
         wanted = _PREFERRED if poses is None and _PREFERRED in fields else poses
@@ -64,24 +75,18 @@ class TrackedFrames:
             raise ConfigurationError(
                 f"{self.path}: its frames have no poses, which reconstruction needs"
             )
-        statuses = [fields.get("ImageStatus", {}), fields.get(f"{name}Status", {})]
-        self._numbers = [
-            k
-            for k in range(self._file.count)
-            if k in fields[name] and all(s.get(k, "OK").upper() == "OK" for s in statuses)
-        ]
+        self._numbers = valid_frames(self._file, fields, name)
         self.skipped = self._file.count - len(self._numbers)
         if len(self._numbers) < 2:
             raise ConfigurationError(
                 f"{self.path}: {len(self._numbers)} frames have a valid pose; at least 2 are needed"
             )
-        self.X_WI = np.array([self._matrix(name, fields[name][k]) for k in self._numbers])
-        self.times = self._read_times(fields.get("Timestamp", {}))
-        try:
-            first = self._file.read(self._numbers[0])
-            self._window = GreyWindow(*window) if window else choose_window(first)
-        except ValueError as error:
-            raise ConfigurationError(f"{self.path}: {error}") from error
+        self.X_WI = np.array([self._matrix(name, fields[name][int(k)]) for k in self._numbers])
+        times = frame_times(self.path, self._file.count, fields.get("Timestamp", {}))
+        self.times = times[self._numbers]
+        check_times(self.path, self.times, self._numbers, "frame")
+        first = read_numbers(self._file, int(self._numbers[0]))
+        self._window = GreyWindow(*window) if window else choose_window(first)
 
     def __len__(self) -> int:
         return len(self._numbers)
@@ -94,12 +99,9 @@ class TrackedFrames:
         ConfigurationError
             If the file is damaged at that frame.
         """
-        pixels = self._file.read(self._numbers[number])[..., 0]
-        if pixels.dtype.kind == "f" and not np.isfinite(pixels).all():
-            raise ConfigurationError(
-                f"{self.path}: frame {number} holds values that are not finite"
-            )
-        return self._window.grey(pixels)
+        with refusing_failures(self.path, f"frame {number}"):
+            pixels = read_numbers(self._file, int(self._numbers[number]))
+            return self._window.grey(pixels[..., 0])
 
     def _matrix(self, name: str, text: str) -> NDArray[np.float64]:
         matrix = read_matrix(self.path, name, text)
@@ -107,21 +109,6 @@ class TrackedFrames:
             header = np.eye(4)
             header[:3, :3], header[:3, 3] = self._file.directions, self._file.origin
             matrix = matrix @ header
-        across, depth = matrix[:3, 0], matrix[:3, 1]
-        sizes = np.linalg.norm([across, depth], axis=1)
-        sound = np.isfinite(matrix).all() and (sizes > 1e-6).all()
-        if not sound or abs(across @ depth) > 1e-3 * sizes.prod():
-            raise ConfigurationError(f"{self.path}: {name}: {text!r} is not a pose of a picture")
+        check_grid(self.path, self._file.shape[:2], matrix[:3, :2], matrix[:3, 3])
         matrix[:3] *= 1e-3
         return matrix
-
-    def _read_times(self, stamps: dict[int, str]) -> NDArray[np.float64]:
-        try:
-            times = np.array([float(stamps.get(k, "nan")) for k in self._numbers])
-        except ValueError as error:
-            raise ConfigurationError(f"{self.path}: Timestamp: {error}") from error
-        if not np.isfinite(times).all() or (np.diff(times) <= 0).any():
-            raise ConfigurationError(
-                f"{self.path}: the time of a frame is missing, or not later than the one before"
-            )
-        return times

@@ -18,7 +18,8 @@ from pydrake.multibody.tree import (
 )
 
 from sonoservo.systems.files.model_file import model_file
-from sonoservo.systems.files.typed_yaml import ConfigurationError, load_typed, read_yaml
+from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.typed_yaml import load_typed, read_yaml
 from sonoservo.systems.robot.directives import add_directives, resolve_files
 from sonoservo.systems.robot.motors import motors
 from sonoservo.systems.robot.probe_body import AddProbeBody, ProbeBody

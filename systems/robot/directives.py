@@ -11,7 +11,7 @@ from pydrake.multibody.parsing import (
 from pydrake.multibody.plant import MultibodyPlant
 
 from sonoservo.models import model_path
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 
 _WANTED = {
     "add_model": ("file", "name"),

@@ -4,6 +4,8 @@ from .blur import blur_covariance as blur_covariance
 from .body_surface import BodySurface as BodySurface
 from .cross_section import CrossSection as CrossSection
 from .cross_section_track import CrossSectionTrack as CrossSectionTrack
+from .guard_status import GuardState as GuardState
+from .guard_status import GuardStatus as GuardStatus
 from .image_slice import ImageSlice as ImageSlice
 from .immutable import Immutable as Immutable
 from .immutable import NotFound as NotFound
@@ -41,3 +43,4 @@ from .sweep import SweepGeometry as SweepGeometry
 from .sweep import SweepMotion as SweepMotion
 from .velocity_measurement import VelocityMeasurement as VelocityMeasurement
 from .volume import Volume as Volume
+from .volume_check import VolumeCheck as VolumeCheck

@@ -23,5 +23,12 @@ def require_not_negative(**values: float) -> None:
         require(_is_finite(value) and value >= 0, name, value, "a number of at least 0")
 
 
+def require_within(name: str, value: float, low: float, high: float) -> None:
+    """Raise ValueError unless a number lies between two limits, or is equal to one."""
+    require(
+        _is_finite(value) and low <= value <= high, name, value, f"from {low:.4g} to {high:.4g}"
+    )
+
+
 def _is_finite(value: object) -> bool:
     return isinstance(value, (int, float, np.number)) and math.isfinite(value)

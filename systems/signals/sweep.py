@@ -16,6 +16,9 @@ from sonoservo.systems.signals.requirements import require, require_positive
 DECIBELS_PER_LEVEL = 60 / 255
 """Default of the decibels per grey level of an image: 0 to 255 show 60 dB."""
 
+DYNAMIC_RANGE_DB = 1.0, 1000.0
+"""Limits of the range of echo amplitudes that grey levels 0 to 255 show, in dB."""
+
 
 @dataclass(frozen=True)
 class SweepGeometry(Immutable):

@@ -3,8 +3,13 @@
 import math
 from dataclasses import dataclass
 
-from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
-from sonoservo.systems.signals.sweep import SweepGeometry
+from sonoservo.systems.signals.requirements import (
+    require,
+    require_not_negative,
+    require_positive,
+    require_within,
+)
+from sonoservo.systems.signals.sweep import DYNAMIC_RANGE_DB, SweepGeometry
 from sonoservo.systems.ultrasound.transducer import Transducer
 
 
@@ -60,17 +65,17 @@ class ImagingParameters:
         require_positive(
             depth=self.depth,
             transmit_frequency=self.transmit_frequency,
-            focus_depth=self.focus_depth,
             frame_pitch_deg=self.frame_pitch_deg,
             volume_rate=self.volume_rate,
             sample_pitch=self.sample_pitch,
-            dynamic_range_db=self.dynamic_range_db,
             sound_speed=self.sound_speed,
         )
         require_not_negative(gain=self.gain)
         require(self.gain <= 1, "gain", self.gain, "from 0 to 1")
         require(0 < self.sector <= 1, "sector", self.sector, "above 0, at most 1")
         require(self.depth <= 0.5, "depth", self.depth, "at most 0.5 m; lengths are in m")
+        require_within("focus_depth", self.focus_depth, 1e-3, 1.0)
+        require_within("dynamic_range_db", self.dynamic_range_db, *DYNAMIC_RANGE_DB)
         require(
             self.depth >= 4 * self.sample_pitch, "depth", self.depth, "at least 4 sample pitches"
         )

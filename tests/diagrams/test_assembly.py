@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from sonoservo.diagrams.assembly import assemble_arm, load_probe_body
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 
 
 def test_a_probe_of_ones_own_gets_the_dome_of_its_transducer(tmp_path):

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from sonoservo.diagrams.app.cli import app
 from sonoservo.diagrams.app.terminal import keep_shown, start_display, start_monitor
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 
 # Any address of this machine that is not its own loop, found without sending anything.
 with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as _probe:

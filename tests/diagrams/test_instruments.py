@@ -8,7 +8,7 @@ from pydrake.systems.framework import LeafSystem
 from sonoservo.diagrams import load_scenario, make_experiment, run, tracker_events
 from sonoservo.diagrams.assembly import assemble_arm
 from sonoservo.diagrams.seeds import draw_seeds
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.robot.errors.calibration import hand_eye_error, joint_offsets
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
@@ -68,7 +68,7 @@ def places(X, p=(0.0, 0.0, 0.0)):
 
 def test_delay_measured_by_cross_correlation_is_the_dials():
     # Samples at multiples of 1/32 s; a delay of two of them, and steps of 1/128 s.
-    changes = ["station.pose.delay=0.0625", "station.plant.time_step=0.0078125"]
+    changes = ["station.pose_delay.delay=0.0625", "station.plant.time_step=0.0078125"]
     log = moving_run(*changes, "controller.visual_servo.gain=3")
     true, measured = np.diff(log.X_WP[:, 0, 3]), np.diff(log.measured_X_WP[:, 0, 3])
     match = [np.corrcoef(true[8 - lag : -lag or None], measured[8:])[0, 1] for lag in range(8)]
@@ -165,7 +165,7 @@ def test_lost_volumes_leave_the_estimate_as_it_was():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ("station.pose.delay=-1", "station.pose.delay: -1.0 .* at least 0"),
+        ("station.pose_delay.delay=-1", "station.pose_delay.delay: -1.0 .* at least 0"),
         ("station.wrist_sensor.force_bias=.nan", "force_bias: nan"),
         ("station.calibration.hand_eye_translation=2", "hand_eye_translation: 2.0 .* in m"),
         ("scanner.motor.backlash_deg=-1", "backlash_deg: -1.0"),

@@ -51,6 +51,25 @@ def test_finds_the_needle_soon_and_not_before(volumes, estimates):
     assert 3e-3 < depth(volumes[first].time) < 13e-3
 
 
+def test_implausible_volumes_are_refused_and_tracking_goes_on(volumes, estimates):
+    first = next(k for k, estimate in enumerate(estimates) if estimate) + 4
+    good = volumes[first]
+    blank = np.zeros_like(good.intensities)
+    fed = [
+        *volumes[:first],
+        replace(good, time=good.time + 10.0),  # which once blinded the tracker until then
+        replace(good, intensities=blank),
+        volumes[first - 2],
+        *volumes[first : first + 8],
+    ]
+    results = list(track(fed))
+    for refused in results[first : first + 3]:
+        assert refused.time == results[first - 1].time
+    for result, expected in zip(results[first + 3 :], estimates[first:], strict=False):
+        assert result.mode == expected.mode
+        np.testing.assert_array_equal(result.curve.tip, expected.curve.tip)
+
+
 def test_follows_the_tip_and_the_axis(estimates):
     inserted = [e for e in estimates if e and e.time < 9 and depth(e.time) > 12e-3]
     assert len(inserted) > 10
@@ -152,7 +171,7 @@ def test_every_tracker_has_one_face(parameters):
     inputs = [tracker.get_input_port(n).get_name() for n in range(tracker.num_input_ports())]
     outputs = [tracker.get_output_port(n).get_name() for n in range(tracker.num_output_ports())]
     assert inputs == ["volume"]
-    assert outputs == ["estimate", "measurement", "detection", "explanation"]
+    assert outputs == ["estimate", "measurement", "detection", "explanation", "volume_check"]
     # All that reaches an output at once is the explanation: the estimate is a state.
     assert [tracker.HasDirectFeedthrough(n) for n in range(4)] == [False, False, False, True]
     assert tracker.get_name() == "needle_tracker"

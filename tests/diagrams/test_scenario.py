@@ -7,7 +7,7 @@ from sonoservo.diagrams.experiments.registry import list_scenarios, load_scenari
 from sonoservo.diagrams.station import StationParameters
 from sonoservo.diagrams.trackers import Zhao2012TrackerParameters
 from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 
 
 @pytest.mark.parametrize("name", list_scenarios())

@@ -4,9 +4,8 @@ import io
 import subprocess
 import sys
 from contextlib import redirect_stderr, redirect_stdout
-from unittest.mock import patch
 
-from sonoservo.diagrams.app.cli import main
+from sonoservo.diagrams.app.cli import run_arguments
 
 
 def sonoservo(*arguments):
@@ -23,14 +22,6 @@ def sonoservo(*arguments):
 def sonoservo_here(*arguments):
     """Run the command in this process, which saves the seconds that a new one takes to import."""
     out, error = io.StringIO(), io.StringIO()
-    code = 0
-    with (
-        redirect_stdout(out),
-        redirect_stderr(error),
-        patch.object(sys, "argv", ["sonoservo", *arguments]),
-    ):
-        try:
-            main()
-        except SystemExit as end:
-            code = end.code or 0
+    with redirect_stdout(out), redirect_stderr(error):
+        code = run_arguments(arguments)
     return subprocess.CompletedProcess(arguments, code, out.getvalue(), error.getvalue())

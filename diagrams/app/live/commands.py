@@ -16,7 +16,8 @@ from sonoservo.diagrams.app.reconstruct import ReconstructedRecording
 from sonoservo.diagrams.app.terminal import live_table
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
-from sonoservo.systems.files.typed_yaml import ConfigurationError, suggest
+from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.typed_yaml import suggest
 from sonoservo.systems.live.connection.protocols import Address, is_address, parse_address
 from sonoservo.systems.live.frames_to_volumes import FramesToVolumes
 from sonoservo.systems.live.live_source import ImagesToVolumes, LiveSource

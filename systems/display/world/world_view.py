@@ -8,7 +8,14 @@ from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, LeafSystem
 
-from sonoservo.systems.display.colours import MODE_COLOURS, SECTOR, UNCERTAINTY, ink, rgba
+from sonoservo.systems.display.colours import (
+    MODE_COLOURS,
+    SECTOR,
+    STOPPED,
+    UNCERTAINTY,
+    ink,
+    rgba,
+)
 from sonoservo.systems.display.shapes import sector_edges, tubes
 from sonoservo.systems.display.textured_quads import encode_webp, gltf_textured_quads
 from sonoservo.systems.display.world.ellipsoid import EllipsoidView
@@ -19,6 +26,7 @@ from sonoservo.systems.display.world.legend import WORLD_LEGEND, draw_legend
 from sonoservo.systems.display.world.needle_view import EstimateView, NeedleView
 from sonoservo.systems.display.world.scene import set_scene
 from sonoservo.systems.display.world.screen import Screen, facing
+from sonoservo.systems.signals.guard_status import GuardStatus
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
@@ -110,6 +118,7 @@ class WorldView(LeafSystem):
         - estimate (optional)
         - volume (optional)
         - contact_force (optional)
+        - guard (optional)
 
     Each layer has a path of its own and, under "Open Controls" in the page, a checkbox that hides
     it:
@@ -122,7 +131,8 @@ class WorldView(LeafSystem):
     - ``slices``: two slices of each new `volume` at the pose of its acquisition: one along the
       needle and the beam, one along the needle across the beam (Chatelain 2013, fig. 3)
     - ``screen``: both slices upright, with the probe at the top
-    - ``phase``: the tracking mode, in the estimate's colour, and why no needle is found
+    - ``phase``: the tracking mode, in the estimate's colour, and why no needle is found; or, while
+      the `guard` (a GuardStatus) stops the robot, the reason for that
     - ``force``: the `contact_force` in N with which the probe presses, as an arrow at its face
     - ``legend``: the meaning of the colours
 
@@ -151,7 +161,7 @@ class WorldView(LeafSystem):
         self._parameters = parameters or WorldViewParameters()
         self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
         self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
-        for name in ("needle", "estimate", "volume"):
+        for name in ("needle", "estimate", "volume", "guard"):
             self.DeclareAbstractInputPort(name, Value[object]())
         self.DeclareVectorInputPort("contact_force", 1)
         self._start()
@@ -214,6 +224,7 @@ class WorldView(LeafSystem):
         if self._connected(context, "estimate"):
             estimate = evaluate(self, context, "estimate", NeedleEstimate)
             self._draw_estimate(estimate, time)
+        self._draw_phase(context, estimate)
         self._draw_volume(context, estimate)
 
     def _connected(self, context: Context, port: str) -> bool:
@@ -224,15 +235,24 @@ class WorldView(LeafSystem):
             return
         self._drawn = estimate
         self._estimate.draw(estimate, time)
-        colour = MODE_COLOURS[estimate.mode]
-        seen = estimate.volume_time > -np.inf
-        self._phase.show(estimate.mode if seen else _WAITING, time, ink(colour), colour)
-        none = estimate.curve is None
+        none, seen = estimate.curve is None, estimate.volume_time > -np.inf
         self._reason.show(search_words(estimate.reason) if none and seen else "", time)
         if estimate.curve is None:
             self._uncertainty.hide(time)
         else:
             self._uncertainty.show(estimate.curve.tip, estimate.tip_covariance, time)
+
+    def _draw_phase(self, context: Context, estimate: NeedleEstimate | None) -> None:
+        time = context.get_time()
+        if self._connected(context, "guard"):
+            guard = evaluate(self, context, "guard", GuardStatus)
+            if guard.stopped:
+                self._phase.show(f"stopped: {guard.reason}", time, ink(STOPPED), STOPPED)
+                return
+        if estimate is not None:
+            colour = MODE_COLOURS[estimate.mode]
+            seen = estimate.volume_time > -np.inf
+            self._phase.show(estimate.mode if seen else _WAITING, time, ink(colour), colour)
 
     def _draw_volume(self, context: Context, estimate: NeedleEstimate | None) -> None:
         # The slices follow the needle that the tracker found in the volume, so they wait for the

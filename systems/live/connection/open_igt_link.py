@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.live.connection.framing import Frame, Framer, MessageError, pack_frame
 from sonoservo.systems.live.connection.items import (
     CovarianceItem,

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Protocol, cast
 
-from sonoservo.systems.files.typed_yaml import ConfigurationError, suggest
+from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.typed_yaml import suggest
 from sonoservo.systems.live.connection.items import Item
 
 _PROTOCOLS = {"igtl": "sonoservo.systems.live.connection.open_igt_link"}

@@ -2,11 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sonoservo.systems.files.model_file import model_file, read_section
+from sonoservo.systems.files.refusals import refusing_failures
 from sonoservo.systems.files.typed_yaml import load_typed
 from sonoservo.systems.signals.body_surface import BodySurface
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
@@ -254,6 +256,11 @@ def load_tissue(name: str) -> Tissue:
         If a value, or the label map, is not allowed.
     """
     path = model_file("phantoms", name)
+    with refusing_failures(path):
+        return _load_tissue(name, path)
+
+
+def _load_tissue(name: str, path: Path) -> Tissue:
     content = read_section(path, "tissue", ("tissue", "contact"))
     if is_label_map(name):
         anatomy = content.get("anatomy") or {}

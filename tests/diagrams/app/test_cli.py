@@ -8,7 +8,9 @@ from typer.testing import CliRunner
 
 from sonoservo.diagrams.app.cli import app
 from sonoservo.diagrams.experiments.registry import list_scenarios, load_scenario
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.evaluation.log import read_log
+from sonoservo.systems.evaluation.run_log import RunLog
+from sonoservo.systems.files.refusals import ConfigurationError
 
 runner = CliRunner()
 
@@ -58,6 +60,20 @@ def test_what_needs_a_robot_refuses_other_scenarios(command):
     result = runner.invoke(app, [command[0], "carriere2016_d60", *command[1:]])
     assert isinstance(result.exception, ConfigurationError)
     assert "one of 'following' is needed here" in str(result.exception)
+
+
+def test_a_run_that_cannot_go_on_says_why_and_ends_with_status_3(tmp_path):
+    out = tmp_path / "out"
+    fault = "station.sensor_faults=[{kind: nan, start: 0.6, duration: 9}]"
+    changes = ["--set", "duration=1.2", "--set", fault, "--set", "imaging.sector=0.3"]
+    result = sonoservo("run", "chatelain2013_fig5", *changes, "--no-meshcat", "--out", str(out))
+    assert result.returncode == 3, result.stderr
+    assert "stopped because the wrist sensor's samples are not" in result.stdout
+    guard = json.loads((out / "summary.json").read_text())["guard"]
+    assert guard["interventions"] == 1
+    assert guard["stopped_at_end"] == "the wrist sensor's samples are not numbers"
+    log = read_log(out / "log.npz", RunLog)
+    assert set(log.guard_state) == {"monitoring", "retreating", "holding"}
 
 
 def test_a_short_run_leaves_its_files_and_its_summary(tmp_path):

@@ -11,7 +11,7 @@ from sonoservo.diagrams.app.cli import app
 from sonoservo.diagrams.app.explain import explanation_table, read_explained_run
 from sonoservo.systems.evaluation.explanation.explanation_files import FOLDER, read_explanations
 from sonoservo.systems.evaluation.log import columns
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.recording.recording import Recording
 
 CHANGES = [

@@ -11,7 +11,7 @@ from scipy.ndimage import map_coordinates
 
 from sonoservo.diagrams import locate
 from sonoservo.diagrams.app.locate import locate_in, locate_in_recording
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.recording.nrrd import write_volume
 from sonoservo.systems.recording.recording import Recording
 

@@ -9,7 +9,7 @@ from tracked_frames import freehand, write_plus_file
 from sonoservo.diagrams import track_recording
 from sonoservo.diagrams.app.reconstruct import ReconstructedRecording
 from sonoservo.diagrams.app.track import tracker_parameters
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.ultrasound.frame_reconstruction import PosedFrame
 

@@ -19,7 +19,7 @@ from sonoservo.diagrams import MakeNeedleTracker, load_scenario, run, track, tra
 from sonoservo.diagrams.app.track import tracker_parameters
 from sonoservo.diagrams.trackers.registry import TRACKERS
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.recording.recording_writer import RecordingWriter
 from sonoservo.systems.recording.volume_player import VolumePlayer

@@ -10,7 +10,7 @@ from sonoservo.diagrams.app.scan import scan
 from sonoservo.diagrams.experiments.registry import EXPERIMENTS, experiment_class
 from sonoservo.diagrams.studies.dataset import make_dataset
 from sonoservo.systems.evaluation.log import columns
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 

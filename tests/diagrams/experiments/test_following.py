@@ -10,7 +10,7 @@ from pydrake.systems.framework import LeafSystem
 
 from sonoservo.diagrams import load_scenario, run, tracker_events
 from sonoservo.systems.display.monitor.monitor import Monitor
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 

@@ -11,7 +11,7 @@ from sonoservo.diagrams.experiments.following_insertion import (
 )
 from sonoservo.diagrams.station import ProbePlacement, StationParameters
 from sonoservo.systems.evaluation.report import report_page
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.needle.insertion_parameters import InsertionParameters, Push
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.ultrasound.simulation.tissue import load_tissue

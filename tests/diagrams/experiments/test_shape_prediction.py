@@ -13,7 +13,7 @@ from sonoservo.systems.estimation.shape_filters import SHAPE_FILTERS
 from sonoservo.systems.evaluation.log import read_log
 from sonoservo.systems.evaluation.shape_log import ShapeLog
 from sonoservo.systems.evaluation.shape_metrics import cross_section_errors, prediction
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.needle_shape import NeedleShape
 
 SHORT = ["depth=0.04", "rotations=[0.025]", "observe_until=0.025", "step=1e-3"]

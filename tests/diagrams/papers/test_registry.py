@@ -5,7 +5,7 @@ import pytest
 
 from sonoservo.diagrams.papers import registry
 from sonoservo.diagrams.studies.study import StudyOptions
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 
 
 def test_every_paper_is_registered():

@@ -11,7 +11,7 @@ from pydrake.math import RigidTransform
 from sonoservo.diagrams import load_scenario
 from sonoservo.diagrams.studies.dataset import make_dataset
 from sonoservo.diagrams.studies.dataset_labels import needle_mask
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.volume import Volume

@@ -10,6 +10,7 @@ from sonoservo.systems.display.colours import (
     MODE_COLOURS,
     SECTOR,
     STEEL,
+    STOPPED,
     UNCERTAINTY,
     ink,
 )
@@ -62,7 +63,7 @@ def test_colours_are_told_apart_by_every_colour_vision(vision, colours):
 
 
 def test_ink_reads_on_every_mode_s_ground():
-    for colour in MODE_COLOURS.values():
+    for colour in (*MODE_COLOURS.values(), STOPPED):
         lightness = [rgb2lab(np.reshape(c, (1, 1, 3)))[0, 0, 0] for c in (ink(colour), colour)]
         assert abs(lightness[0] - lightness[1]) > 40
 

@@ -9,7 +9,8 @@ from pydrake.math import RigidTransform, RollPitchYaw
 
 from sonoservo.systems.estimation.needle_filter import FILTERS
 from sonoservo.systems.estimation.needle_motion import NeedleMotionParameters, constant_velocity
-from sonoservo.systems.files.typed_yaml import ConfigurationError, load_typed
+from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.typed_yaml import load_typed
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement

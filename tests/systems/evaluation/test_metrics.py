@@ -122,6 +122,29 @@ def test_force(insertion_log):
     assert force["rms_error_n"] == pytest.approx(2 * np.sqrt(0.5 / settled))
 
 
+def test_stops_and_refusals(insertion_log):
+    guard = summarize(insertion_log)["guard"]
+    assert guard == {
+        "interventions": 0, "stopped_s": 0.0, "reasons": None, "stopped_at_end": None,
+        "volumes_refused": 0, "refusal": None,
+    }  # fmt: skip
+    time = insertion_log.time
+    reason = np.where((time > 3) & (time < 4), "too much force", "")
+    reason = np.where((time > 6) & (time < 6.5), "frozen", reason)
+    reason = np.where(time > 19, "frozen", reason)
+    refused = np.where(time > 5, 2.0, 0.0)
+    refusal = np.where((time > 5) & (time < 6), "it is blank", "")
+    log = replace(
+        insertion_log, guard_reason=reason, volumes_refused=refused, refusal_reason=refusal
+    )
+    guard = summarize(log)["guard"]
+    assert guard.pop("stopped_s") == pytest.approx(2.5, abs=0.2)
+    assert guard == {
+        "interventions": 3, "reasons": "too much force; frozen", "stopped_at_end": "frozen",
+        "volumes_refused": 2, "refusal": "it is blank",
+    }  # fmt: skip
+
+
 def test_computing_time(insertion_log):
     assert summarize(insertion_log)["compute_ms"] == {"track": {"median": 5.0, "max": 9.0}}
 

@@ -35,7 +35,7 @@ def test_a_truncated_file_is_refused(tmp_path, insertion_log, kept):
     path = write_log(tmp_path / "log.npz", insertion_log)
     data = path.read_bytes()
     path.write_bytes(data[: kept if isinstance(kept, int) else int(kept * len(data))])
-    with pytest.raises(ValueError, match="log.npz is not a log, or is incomplete"):
+    with pytest.raises(ValueError, match="log.npz: not a log, or incomplete"):
         read_log(path, RunLog)
 
 
@@ -44,7 +44,7 @@ def test_a_damaged_file_is_refused(tmp_path, insertion_log):
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 0xFF
     path.write_bytes(data)
-    with pytest.raises(ValueError, match="log.npz is not a log, or is incomplete"):
+    with pytest.raises(ValueError, match="log.npz: not a log, or incomplete"):
         read_log(path, RunLog)
 
 

@@ -10,6 +10,7 @@ from sonoservo.systems.evaluation.log import read_log, write_log
 from sonoservo.systems.evaluation.metrics import summarize
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.run_logger import RunLogger, visible_length
+from sonoservo.systems.signals.guard_status import GuardState, GuardStatus
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.motion_record import MotionRecord
 from sonoservo.systems.signals.needle import Needle
@@ -17,6 +18,7 @@ from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.sweep import SweepGeometry, SweepMotion
+from sonoservo.systems.signals.volume_check import VolumeCheck
 
 X_WP = RigidTransform(RollPitchYaw(0.1, 0.2, 0.3), [0.4, 0.5, 0.6])
 X_WT = RigidTransform(RollPitchYaw(0.0, 0.0, 0.5), [0.1, 0.2, 0.3])
@@ -47,6 +49,8 @@ def connect(logger, context):
         "measurement": Value[object](NeedleMeasurement(CURVE, np.eye(6), 0.6, 300, 0.4)),
         "detection": Value[object](NotFound("nothing moved")),
         "wrist_force": Value(SpatialForce([1, 2, 3], [4, 5, 6])),
+        "guard": Value[object](GuardStatus(GuardState.HOLDING, "the sensor is frozen", 0.2, 1)),
+        "volume_check": Value[object](VolumeCheck(5, 2, "a volume is refused: it is blank")),
     }.items():
         logger.GetInputPort(name).FixValue(context, value)
     logger.GetInputPort("joint_state").FixValue(context, np.arange(12.0))
@@ -74,6 +78,9 @@ def test_a_sample_and_a_volume():
     np.testing.assert_array_equal(log.contact_force, [2.5])
     np.testing.assert_array_equal(log.wrist_force, [[1, 2, 3, 4, 5, 6]])
     np.testing.assert_array_equal(log.planar_velocity, [[0.1, 0.2, 0.3]])
+    assert (log.guard_state, log.guard_reason) == (["holding"], ["the sensor is frozen"])
+    assert log.volumes_refused == [2]
+    assert log.refusal_reason == ["a volume is refused: it is blank"]
     assert (log.volume_time, log.volume_seen) == ([0.5], [0.7])
     assert (log.volume_detected, log.volume_detection_reason) == ([False], ["nothing moved"])
     assert (log.volume_measured_time, log.volume_inlier_count) == ([0.6], [300])

@@ -2,8 +2,8 @@ from dataclasses import dataclass, field
 
 import pytest
 
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import (
-    ConfigurationError,
     assign,
     load_typed,
     read_yaml,

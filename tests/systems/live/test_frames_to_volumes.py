@@ -3,7 +3,7 @@ import pytest
 from pydrake.math import RigidTransform, RollPitchYaw
 from tracked_frames import PIXEL, SIZE, freehand, grey
 
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.live.connection.items import ImageItem
 from sonoservo.systems.live.frames_to_volumes import FramesToVolumes
 from sonoservo.systems.live.image_matcher import PosedImage

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.recording.recording import Recording
 
 HEADER = """NRRD0005

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pydrake.math import RollPitchYaw
 from recordings import tracked, write_meta_image, write_sequence_nrrd
 
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.recording.recording import Recording
 
 SHAPE = (6, 8, 5)

@@ -3,7 +3,7 @@ import pytest
 from pydrake.multibody.plant import MultibodyPlant
 
 from sonoservo.models import model_path
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.robot.arm import AddArmWithProbe, MakeArmPlant, load_arm, set_servo_gains
 from sonoservo.systems.robot.motors import motors
 from sonoservo.systems.robot.probe_body import AssumedBody, ProbeBody

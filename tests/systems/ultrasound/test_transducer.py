@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sonoservo.diagrams.papers.zhao2012.phantom import IMAGING as ZHAO
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
 from sonoservo.systems.ultrasound.transducer import Transducer, load_transducer
 

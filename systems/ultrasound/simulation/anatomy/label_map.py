@@ -1,5 +1,7 @@
 """Label maps: segmented anatomy from NRRD and NIfTI files."""
 
+import io
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,23 +10,17 @@ import nrrd
 import numpy as np
 from numpy.typing import NDArray
 
+from sonoservo.systems.files.nrrd_reader import SPACES, open_nrrd
+from sonoservo.systems.files.refusals import refusing_failures
+from sonoservo.systems.files.volume_file import MAX_DEFLATED, check_layout, require_voxels
+from sonoservo.systems.files.writing import write_atomically
 from sonoservo.systems.signals.immutable import Immutable, read_only
 from sonoservo.systems.signals.requirements import require
 
-MAX_VOXELS = 150_000_000
-"""Largest number of voxels that a file may have."""
-
 LABEL_MAP_SUFFIXES = (".nrrd", ".nhdr", ".nii", ".nii.gz")
 
-_SPACES = {
-    "left-posterior-superior": (1, 1, 1),
-    "lps": (1, 1, 1),
-    "right-anterior-superior": (-1, -1, 1),
-    "ras": (-1, -1, 1),
-    "left-anterior-superior": (1, -1, 1),
-    "las": (1, -1, 1),
-}
-"""Signs that turn a space's axes into LPS."""
+_METRES = {"unknown": 1e-3, "meter": 1.0, "mm": 1e-3, "micron": 1e-6}
+"""Length in m of the units that NIfTI has; "unknown" is mm by custom."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,11 +84,9 @@ def read_label_map(path: str | Path) -> LabelMap:
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"anatomy: there is no file {path}")
-    try:
-        read = _read_nifti if str(path).lower().endswith((".nii", ".nii.gz")) else _read_nrrd
-        return read(path)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+    nifti = str(path).lower().endswith((".nii", ".nii.gz"))
+    with refusing_failures(path, "its data cannot be read"):
+        return _read_nifti(path) if nifti else _read_nrrd(path)
 
 
 def write_label_map(path: str | Path, label_map: LabelMap) -> Path:
@@ -110,76 +104,57 @@ def write_label_map(path: str | Path, label_map: LabelMap) -> Path:
     }
     labels = label_map.labels
     smallest = labels.astype(np.uint8) if labels.max() < 256 else labels
-    nrrd.write(str(path), smallest, header, compression_level=1, index_order="F")
-    return Path(path)
+    buffer = io.BytesIO()
+    nrrd.write(buffer, smallest, header, compression_level=1, index_order="F")
+    return write_atomically(path, buffer.getvalue())
 
 
 def _read_nrrd(path: Path) -> LabelMap:
-    try:
-        header = nrrd.read_header(str(path))
-    except (nrrd.NRRDError, OSError, UnicodeDecodeError, KeyError, IndexError) as error:
-        raise ValueError(f"is no NRRD file ({' '.join(str(error).split())})") from error
-    _require_shape([int(size) for size in header.get("sizes", [])])
-    signs = np.array(_signs(str(header.get("space", "lps"))))
-    origin = np.array(header.get("space origin", np.zeros(3)), dtype=float)
-    if "space directions" in header:
-        directions = np.array(header["space directions"], dtype=float)
-    else:
-        spacings = np.array(header.get("spacings", np.full(3, np.nan)), dtype=float)
-        directions = np.diag(spacings)
-    allowed = directions.shape == (3, 3) and bool(np.isfinite(directions).all())
-    require(allowed, "space directions", directions.tolist(), "three vectors of numbers")
+    file = open_nrrd(path)
+    require(file.count == 1, "sizes", file.shape, "those of a single label map, not a sequence")
+    known = ", ".join(name for name in SPACES if "-" in name)
+    space = file.fields.get("space", "lps").lower()
+    require(space in SPACES, "space", space, f"one of {known}")
     require(
-        origin.shape == (3,) and bool(np.isfinite(origin).all()),
-        "space origin",
-        origin.tolist(),
-        "three numbers",
+        not file.fields.keys().isdisjoint({"space directions", "spacings"}),
+        "space directions",
+        None,
+        "three vectors of numbers",
     )
-    try:
-        data = nrrd.read(str(path), index_order="F")[0]
-    except (nrrd.NRRDError, OSError, ValueError, EOFError) as error:
-        raise ValueError(f"its data cannot be read ({' '.join(str(error).split())})") from error
-    return _label_map(data, directions.T * 1e-3, origin * 1e-3, signs)
+    return _label_map(file.read(0), 1e-3 * file.directions, 1e-3 * file.origin)
 
 
 def _read_nifti(path: Path) -> LabelMap:
     import nibabel
 
-    try:
+    with refusing_failures(path, "is no NIfTI file"):
         image = nibabel.load(path)
         shape = list(image.shape)
         while len(shape) > 3 and shape[-1] == 1:
             shape.pop()
-        _require_shape(shape)
+        require(len(shape) == 3, "sizes", shape, "those of three axes: one label a voxel")
+        check_layout(path, tuple(shape), 1, np.array(image.affine, float)[:3, :3])
+        require_voxels(path, shape)
+        _require_present(path, math.prod(shape) * image.get_data_dtype().itemsize)
         data = np.asanyarray(image.dataobj).reshape(shape)
-    except (nibabel.filebasedimages.ImageFileError, OSError, EOFError) as error:
-        raise ValueError(f"is no NIfTI file ({' '.join(str(error).split())})") from error
+    unit = image.header.get_xyzt_units()[0]
+    require(unit in _METRES, "xyzt_units", unit, f"one of {', '.join(_METRES)}")
     affine = np.array(image.affine, dtype=float)
-    return _label_map(data, affine[:3, :3] * 1e-3, affine[:3, 3] * 1e-3, np.array([-1, -1, 1]))
+    scale = _METRES[unit] * np.array(SPACES["ras"], float)
+    return _label_map(data, scale[:, np.newaxis] * affine[:3, :3], scale * affine[:3, 3])
 
 
-def _require_shape(shape: list[int]) -> None:
-    require(len(shape) == 3, "sizes", shape, "those of three axes: one label a voxel")
-    count = int(np.prod(np.array(shape, dtype=object)))
-    require(
-        count <= MAX_VOXELS,
-        "sizes",
-        shape,
-        f"at most {MAX_VOXELS:,} voxels together; resample it to 0.5 mm or coarser, or crop it",
-    )
-
-
-def _signs(space: str) -> tuple[int, int, int]:
-    known = ", ".join(name for name in _SPACES if "-" in name)
-    require(space.lower() in _SPACES, "space", space, f"one of {known}")
-    return _SPACES[space.lower()]
+def _require_present(path: Path, size: int) -> None:
+    """Refuse a file that is too small for the data that its header announces."""
+    packed = path.suffix.lower() == ".gz"
+    present = path.stat().st_size * (MAX_DEFLATED if packed else 1)
+    require(size <= present, "header", size, f"that of at most {present} bytes of voxels")
 
 
 def _label_map(
     data: NDArray[Any],
     axes: NDArray[np.float64],
     origin: NDArray[np.float64],
-    signs: NDArray[np.int64],
 ) -> LabelMap:
     if data.dtype.kind == "f":
         require(bool(np.isfinite(data).all()), "labels", "NaN or infinity", "whole numbers from 0")
@@ -188,6 +163,5 @@ def _label_map(
     low, high = data.min(), data.max()
     require(low >= 0 and high <= 65535, "labels", [float(low), float(high)], "from 0 to 65535")
     X_LV = np.eye(4)
-    X_LV[:3, :3] = signs[:, np.newaxis] * axes
-    X_LV[:3, 3] = signs * origin
+    X_LV[:3, :3], X_LV[:3, 3] = axes, origin
     return LabelMap(np.asarray(data, dtype=np.uint16), X_LV)

@@ -24,7 +24,7 @@ from sonoservo.diagrams.app.live.commands import make_maker, needle_names
 from sonoservo.diagrams.app.live.serve import live_senders, opened
 from sonoservo.diagrams.app.live.track_live import LiveLimits, live_volumes, track_live
 from sonoservo.diagrams.app.track import tracker_parameters
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.live.connection.items import ImageItem, PoseItem, StatusItem, TextItem
 from sonoservo.systems.live.connection.link import Link
 from sonoservo.systems.live.connection.protocols import parse_address

@@ -14,6 +14,7 @@ from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from sonoservo.systems.display.world.screen import facing, screen_planes
 from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
 from sonoservo.systems.evaluation.report import save_replay
+from sonoservo.systems.signals.guard_status import GuardState, GuardStatus
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_curve import NeedleCurve
@@ -156,6 +157,19 @@ def test_the_estimate_shows_its_mode(meshcat, make_volume):
             length = scale(meshcat, f"modes/estimate/{mode}/3/unit")
             tip = estimate(volume).curve.tip
             np.testing.assert_allclose(end @ [0, 0, 0.5 * length, 1], [*tip, 1])
+
+
+def test_a_stop_shows_its_reason_in_place_of_the_mode(meshcat, make_volume):
+    volume = make_volume(grey)
+    view = WorldView(meshcat=meshcat, path="stops")
+    watching = GuardStatus(GuardState.MONITORING)
+    holding = GuardStatus(GuardState.HOLDING, "the sensor is frozen", 1.0, 1)
+    for time, guard in enumerate((watching, holding, watching)):
+        publish(view, time, volume.X_WP, estimate=estimate(volume), guard=guard)
+        assert visible(meshcat, "stops/phase/tracking") == (guard is watching)
+        if time:
+            path = "stops/phase/stopped: the sensor is frozen"
+            assert visible(meshcat, path) == (guard is holding)
 
 
 def test_the_ellipsoid_at_the_tip_is_the_tip_s_covariance(meshcat, make_volume):

@@ -9,7 +9,7 @@ import pytest
 from live_items import X, make_volume, wait_until
 from openigtlink import EXAMPLES, compiled, free_port
 
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.live.connection import framing, link
 from sonoservo.systems.live.connection.items import PoseItem, TextItem
 from sonoservo.systems.live.connection.link import Link

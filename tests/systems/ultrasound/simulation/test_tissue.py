@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.ultrasound.simulation.scatterer_tile import BLOCKS
 from sonoservo.systems.ultrasound.simulation.scatterer_tile import scatterer_tile as make_tile
 from sonoservo.systems.ultrasound.simulation.tissue import (

@@ -5,7 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from sonoservo.systems.files.typed_yaml import ConfigurationError, load_typed
+from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.typed_yaml import load_typed
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer

@@ -1,8 +1,9 @@
 """Contents of a file of volumes, independent of its format."""
 
+import math
 import re
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.files.typed_yaml import ConfigurationError
+from sonoservo.systems.files.memory import require_memory
+from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 
 MAX_HEADER = 1 << 26
 """Largest header in bytes; a sequence with poses takes some hundred bytes per volume."""
@@ -18,7 +20,22 @@ MAX_HEADER = 1 << 26
 SCALE = "decibels_per_level"
 """Field of a header that holds the dB per grey level."""
 
-_MOST_DEFLATED = 1032
+MIN_SPACING, MAX_SPACING = 0.01, 20.0
+"""Limits of the distance between neighbouring voxels, in mm."""
+
+MAX_EXTENT = 1e3
+"""Largest extent of a volume, in mm."""
+
+MAX_POSITION = 1e5
+"""Largest distance of a volume or a pose from the origin, in mm."""
+
+_BYTES_PER_VOXEL = 32
+"""Memory that the work on a volume takes for each voxel, in bytes."""
+
+_BYTES_PER_VOLUME = 4000
+"""Memory for the time, the pose and the fields of a volume in a sequence, in bytes."""
+
+MAX_DEFLATED = 1032
 """Highest compression ratio of Deflate."""
 
 _PIECE = 1 << 20
@@ -51,6 +68,11 @@ class VolumeFile:
         (count,) times of the volumes in s; None if the file has none.
     fields
         Fields of the header, by name.
+
+    Raises
+    ------
+    ConfigurationError
+        If a volume, or the number of volumes, is beyond the budget of memory.
     """
 
     path: Path
@@ -61,6 +83,10 @@ class VolumeFile:
     read: Callable[[int], NDArray[Any]]
     times: NDArray[np.float64] | None = None
     fields: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        require_voxels(self.path, self.shape)
+        require_memory(_BYTES_PER_VOLUME * self.count, str(self.path), f"{self.count} volumes")
 
     def frame_fields(self) -> dict[str, dict[int, str]]:
         """Return the fields of single volumes (``Seq_Frame0012_Name``, as in PLUS files).
@@ -74,13 +100,24 @@ class VolumeFile:
         return found
 
 
-def one_line(error: Exception) -> str:
-    """Return the message of a library's error on one line."""
-    return " ".join(str(error).replace("\0", " ").split()) or type(error).__name__
+def require_voxels(path: Path, shape: Sequence[int]) -> None:
+    """Refuse a volume on which the work would take more memory than the budget.
+
+    Raises
+    ------
+    ConfigurationError
+        If it would; the message names the file and the number of voxels.
+    """
+    require_memory(_BYTES_PER_VOXEL * math.prod(shape), str(path), f"{_times(shape)} voxels")
 
 
 def check_layout(
-    path: Path, shape: tuple[int, ...], count: int, directions: Any, *, frames: bool = False
+    path: Path,
+    shape: tuple[int, ...],
+    count: int,
+    directions: NDArray[np.float64],
+    *,
+    frames: bool = False,
 ) -> None:
     """Check that a layout is a grid of volumes or, with ``frames``, a sequence of 2D frames.
 
@@ -98,15 +135,57 @@ def check_layout(
             f"{path}: {_times(shape)} voxels are 2D frames; make volumes of them with --reconstruct"
         )
     steps = np.linalg.norm(directions, axis=0)
-    if not np.isfinite(directions).all() or (steps <= 0).any():
+    if not (np.isfinite(steps) & (steps > 0)).all():
         raise ConfigurationError(f"{path}: voxel spacing {steps.tolist()} mm; it must be above 0")
+
+
+def check_grid(
+    path: Path,
+    shape: Sequence[int],
+    directions: NDArray[np.float64],
+    origin: NDArray[np.float64],
+) -> None:
+    """Check that voxels or pixels have a plausible size, extent and position, and right angles.
+
+    Parameters
+    ----------
+    path
+        Path of the file, for errors.
+    shape
+        Numbers of voxels along n axes.
+    directions
+        (3, n) array whose columns are the steps along the axes, in mm.
+    origin
+        (3,) position of the first voxel in mm.
+
+    Raises
+    ------
+    ConfigurationError
+        If they have not; the message names the file and the value.
+    """
+    steps = np.linalg.norm(directions, axis=0)
+    if not ((steps >= MIN_SPACING) & (steps <= MAX_SPACING)).all():
+        raise ConfigurationError(
+            f"{path}: a spacing of {_times(steps)} mm is out of range ({MIN_SPACING:g} to "
+            f"{MAX_SPACING:g} mm); is the spacing in mm?"
+        )
+    extent = float((steps * shape).max())
+    if extent > MAX_EXTENT:
+        raise ConfigurationError(
+            f"{path}: it is {1e-3 * extent:.3g} m wide, with a spacing of {_times(steps)} mm; at "
+            f"most {1e-3 * MAX_EXTENT:g} m is allowed; is the spacing in mm?"
+        )
+    if not np.abs(origin).max() <= MAX_POSITION:
+        raise ConfigurationError(
+            f"{path}: the origin {origin.tolist()} mm is out of range (+-{MAX_POSITION:g} mm)"
+        )
     unit = directions / steps
-    if np.abs(unit.T @ unit - np.eye(3)).max() > 1e-3:
+    if np.abs(unit.T @ unit - np.eye(len(steps))).max() > 1e-3:
         raise ConfigurationError(f"{path}: the directions of its axes are not at right angles")
 
 
-def _times(shape: tuple[int, ...]) -> str:
-    return " x ".join(str(n) for n in shape)
+def _times(numbers: Iterable[float]) -> str:
+    return " x ".join(f"{n:g}" if isinstance(n, float) else str(n) for n in numbers)
 
 
 class DataSection:
@@ -132,9 +211,10 @@ class DataSection:
     def __init__(self, path: Path, offset: int, size: int, *, compression: str = "") -> None:
         self._path = path
         self._offset = offset
+        self._size = size
         self._compression = compression
         present = path.stat().st_size - offset
-        if size > present * (_MOST_DEFLATED if compression else 1):
+        if size > present * (MAX_DEFLATED if compression else 1):
             raise ConfigurationError(
                 f"{path}: truncated, or its header is wrong: the header announces {size} bytes of "
                 f"voxels, the file has {max(present, 0)}"
@@ -151,7 +231,7 @@ class DataSection:
         ConfigurationError
             If the data end earlier or are damaged.
         """
-        try:
+        with refusing_failures(self._path, "damaged or truncated"):
             if not self._compression:
                 self._file.seek(self._offset + start)
                 data = self._file.read(size)
@@ -162,10 +242,8 @@ class DataSection:
                     if not self._inflate(min(start - self._position, _PIECE)):
                         break
                 data = self._inflate(size)
-        except (OSError, zlib.error) as error:
-            raise ConfigurationError(
-                f"{self._path}: damaged or truncated: {one_line(error)}"
-            ) from error
+                if self._position == self._size:
+                    self._inflate(1)  # the checksum follows the last byte
         if len(data) < size:
             raise ConfigurationError(
                 f"{self._path}: truncated: {size} bytes of voxels are needed, {len(data)} are left"

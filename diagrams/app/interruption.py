@@ -1,0 +1,64 @@
+"""Ends of the program that are asked for from outside: Ctrl-C, SIGTERM and SIGHUP."""
+
+import os
+import signal
+import socket
+import threading
+from types import FrameType
+
+PATIENCE = 3.0
+"""Time in s from an interruption to the end of the program, whatever it is doing."""
+
+INTERRUPTED = 130
+"""Exit code after Ctrl-C."""
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+_received: list[int] = []
+
+
+def is_interrupted() -> bool:
+    """Return True if a signal has asked for the end of the program."""
+    return bool(_received)
+
+
+def interrupted_code() -> int:
+    """Return the exit code after an interruption: 128 plus the number of the first signal."""
+    return 128 + (_received[0] if _received else signal.SIGINT)
+
+
+def catch_interruptions() -> None:
+    """Let SIGTERM and SIGHUP interrupt the program as Ctrl-C does, and end it within `PATIENCE`.
+
+    All three raise KeyboardInterrupt in the main thread, so that a run keeps what it has and writes
+    its summary. What is not written by then is left out. The watch is kept by a thread, because the
+    main thread may be inside a compiler. A second signal ends the program at once. A signal that is
+    ignored at the start, as by ``nohup``, stays ignored.
+    """
+    watch, wake = socket.socketpair()
+    wake.setblocking(False)
+    signal.set_wakeup_fd(wake.fileno(), warn_on_full_buffer=False)
+    for number in _SIGNALS:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _interrupt)
+    threading.Thread(target=_end_in_time, args=(watch, wake), daemon=True).start()
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    if not _received:
+        _received.append(number)
+        raise KeyboardInterrupt
+
+
+def _end_in_time(watch: socket.socket, wake: socket.socket) -> None:
+    """End the program some time after the first signal, or with the second."""
+    while (first := watch.recv(1)) and first[0] not in _SIGNALS:
+        pass
+    watch.settimeout(PATIENCE)
+    try:
+        while (second := watch.recv(1)) and second[0] not in _SIGNALS:
+            pass
+    except TimeoutError:
+        os.write(2, b"\nsonoservo: ended; what was not written yet is left out\n")
+    wake.close()
+    os._exit(128 + first[0])

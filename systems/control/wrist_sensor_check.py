@@ -1,0 +1,145 @@
+"""Plausibility of the wrist force sensor's samples, one sample at a time."""
+
+import math
+from enum import IntEnum
+from typing import NamedTuple
+
+from sonoservo.systems.control.guard_parameters import WristSensorLimits
+
+_NAN = math.nan
+_ROUNDING = 1e-9
+"""Rounding error of times, in s."""
+
+
+class SensorFault(IntEnum):
+    """Faults of the wrist sensor."""
+
+    NONE = 0
+    NOT_FINITE = 1
+    OUT_OF_RANGE = 2
+    FROZEN = 3
+    JUMPED = 4
+    PULLING = 5
+
+
+class SensorMemory(NamedTuple):
+    """What must be remembered of earlier samples; all numbers.
+
+    Parameters
+    ----------
+    last
+        (6,) last sample: torque in N m, then force in N.
+    trusted
+        (3,) last plausible force, in N; NaN until the sensor has started, which is when a sample
+        first differs from the one before.
+    changed
+        Time at which the sample last changed, in s.
+    suspicion, suspected
+        Fault that the last sample suggests, and the time in s since which samples suggest one
+        again and again.
+    cleared
+        Last time at which a sample was implausible, in s.
+    fault
+        Confirmed fault.
+    """
+
+    last: tuple[float, ...] = 6 * (_NAN,)
+    trusted: tuple[float, ...] = 3 * (_NAN,)
+    changed: float = 0.0
+    suspicion: int = SensorFault.NONE
+    suspected: float = 0.0
+    cleared: float = -math.inf
+    fault: int = SensorFault.NONE
+
+    @property
+    def started(self) -> bool:
+        """True once the sensor has delivered two different samples."""
+        return self.trusted[0] == self.trusted[0]
+
+
+def next_memory(
+    memory: SensorMemory,
+    sample: tuple[float, ...],
+    pressing: float,
+    time: float,
+    limits: WristSensorLimits,
+    *,
+    moving: bool = False,
+) -> SensorMemory:
+    """Return the memory after one more sample.
+
+    Parameters
+    ----------
+    memory
+        Memory before the sample.
+    sample
+        (6,) torque in N m, then force in N.
+    pressing
+        Force with which the probe presses according to the sample, in N; negative if it pulls.
+    time
+        Time of the sample, in s.
+    limits
+        Limits of plausible samples.
+    moving
+        Whether the guard accelerates the probe, whose inertia then pulls.
+    """
+    same = sample == memory.last
+    changed = memory.changed if same else time
+    force = sample[3:]
+    suspicion = _suspicion(memory, sample, pressing, time - changed, limits, moving)
+    if suspicion == SensorFault.NONE:
+        started = memory.started or (memory.last[0] == memory.last[0] and not same)
+        settled = time - memory.cleared >= limits.settling_time - _ROUNDING
+        return SensorMemory(
+            sample,
+            force if started else memory.trusted,
+            changed,
+            suspicion,
+            memory.suspected,
+            memory.cleared,
+            SensorFault.NONE if settled else memory.fault,
+        )
+    # Good samples in between do not count, if implausible ones keep coming.
+    again = memory.suspicion or time - memory.cleared < limits.confirmed_after
+    since = memory.suspected if again else time
+    late = time - since >= limits.confirmed_after - _ROUNDING
+    confirmed = late or memory.fault or suspicion == SensorFault.FROZEN
+    # After a jump that lasts, further samples are compared with the new level.
+    trusted = force if suspicion == SensorFault.JUMPED and confirmed else memory.trusted
+    fault = suspicion if confirmed else SensorFault.NONE
+    return SensorMemory(sample, trusted, changed, suspicion, since, time, fault)
+
+
+def _suspicion(
+    memory: SensorMemory,
+    sample: tuple[float, ...],
+    pressing: float,
+    unchanged: float,
+    limits: WristSensorLimits,
+    moving: bool,
+) -> int:
+    """Return the fault that a sample suggests, which has been unchanged for a time in s."""
+    if not math.isfinite(sum(sample)):
+        return SensorFault.NOT_FINITE
+    m_x, m_y, m_z, f_x, f_y, f_z = sample
+    top, torque = limits.max_force, limits.max_torque
+    if not (
+        -top < f_x < top
+        and -top < f_y < top
+        and -top < f_z < top
+        and -torque < m_x < torque
+        and -torque < m_y < torque
+        and -torque < m_z < torque
+    ):
+        return SensorFault.OUT_OF_RANGE
+    if limits.frozen_after and unchanged > limits.frozen_after:
+        return SensorFault.FROZEN
+    if not memory.started:
+        return SensorFault.NONE
+    t_x, t_y, t_z = memory.trusted
+    jump = limits.max_jump
+    if abs(f_x - t_x) > jump or abs(f_y - t_y) > jump or abs(f_z - t_z) > jump:
+        return SensorFault.JUMPED
+    if pressing < -limits.max_pull and not moving:
+        return SensorFault.PULLING
+    return SensorFault.NONE

@@ -1,0 +1,140 @@
+"""Plausibility of a volume, before a tracker believes it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.volume import Volume
+
+_STRIDE = 5
+"""Every so manieth voxel along each axis is looked at."""
+
+_WHITE = 250
+"""Grey level from which a voxel counts as saturated."""
+
+_SAME_SPACING = 1e-3
+"""Relative difference of spacings that comes from rounding."""
+
+
+@dataclass(kw_only=True)
+class VolumePlausibilityParameters:
+    """Limits within which a volume is plausible.
+
+    Parameters
+    ----------
+    max_ahead
+        Largest time by which a volume's time may be ahead of this computer's clock, in s. The
+        scanner's clock may differ a little.
+    max_gap
+        Largest time between two volumes, in s. A volume after a longer gap is refused unless the
+        next one confirms it, so one wrong time cannot blind the tracker.
+    max_white
+        Largest share of saturated voxels among those that are not black.
+    mirror_correlation
+        Correlation with the mirrored previous volume, and excess over the correlation with that
+        volume itself, from which a volume counts as mirrored. Both are taken after the mean of each
+        depth was removed. 1 switches the check off.
+    """
+
+    max_ahead: float = 1.0
+    max_gap: float = 5.0
+    max_white: float = 0.9
+    mirror_correlation: float = 0.25
+
+    def __post_init__(self) -> None:
+        require_not_negative(max_ahead=self.max_ahead)
+        require_positive(max_gap=self.max_gap)
+        for name in ("max_white", "mirror_correlation"):
+            value = getattr(self, name)
+            require(0 < value <= 1, name, value, "above 0 and at most 1")
+
+
+def implausible(
+    volume: Volume,
+    last: Volume | None,
+    refused: Volume | None,
+    clock: float,
+    parameters: VolumePlausibilityParameters,
+) -> str:
+    """Return the reason why a volume cannot be believed; empty if it can.
+
+    Parameters
+    ----------
+    volume
+        Volume to judge.
+    last
+        Last plausible volume, if there is one.
+    refused
+        Volume refused since then because of its time or its grid, which this one may confirm.
+    clock
+        Present time in s; 0 if it is not known.
+    parameters
+        Limits.
+    """
+    if not np.isfinite(volume.X_WP.GetAsMatrix34()).all():
+        return "its pose is not a number"
+    sample = volume.intensities[::_STRIDE, ::_STRIDE, ::_STRIDE]
+    if sample.min() == sample.max() and volume.intensities.min() == volume.intensities.max():
+        return "it is blank: all its voxels are equal"
+    if np.sum(sample >= _WHITE) > parameters.max_white * np.count_nonzero(sample):
+        return "it is white: its voxels are saturated"
+    ahead = volume.time - clock
+    if clock > 0 and ahead > parameters.max_ahead:
+        return f"its time is {ahead:.2f} s ahead of the clock"
+    if last is None:
+        return ""
+    if volume.time < last.time:
+        return f"it is {last.time - volume.time:.2f} s older than the volume before it"
+    gap = volume.time - last.time
+    if gap > parameters.max_gap and not (
+        refused is not None and 0 < volume.time - refused.time <= parameters.max_gap
+    ):
+        return f"its time is {gap:.1f} s after that of the volume before it"
+    if not _same_spacing(volume, last) and not (
+        refused is not None and _same_spacing(volume, refused)
+    ):
+        spacing = ", ".join(f"{1e3 * each:.3g}" for each in volume.spacing)
+        return f"it lies on another grid, with a spacing of {spacing} mm"
+    axis = mirrored_axis(volume, last, parameters.mirror_correlation)
+    return f"it looks mirrored along {axis}" if axis else ""
+
+
+def _same_spacing(a: Volume, b: Volume) -> bool:
+    return bool(np.allclose(a.spacing, b.spacing, rtol=_SAME_SPACING, atol=0))
+
+
+def mirrored_axis(volume: Volume, last: Volume, threshold: float) -> str:
+    """Return "X" or "Z" if a volume resembles the mirrored previous one, or an empty text.
+
+    Mirroring cannot be seen while the probe moves or if the tissue has no structure.
+
+    Parameters
+    ----------
+    volume, last
+        Volume to judge, and the previous one.
+    threshold
+        Smallest correlation, and smallest excess over that with the volume itself.
+    """
+    if volume.intensities.shape != last.intensities.shape or threshold >= 1:
+        return ""
+    now, before = _texture(volume), _texture(last)
+    size = float(np.linalg.norm(now) * np.linalg.norm(before))
+    if size == 0:
+        return ""
+    least = max(0.0, float(np.vdot(now, before)) / size) + threshold
+    for axis, mirrored in (("X", before[::-1]), ("Z", before[..., ::-1])):
+        if float(np.vdot(now, mirrored)) / size > least:
+            return axis
+    return ""
+
+
+def _texture(volume: Volume) -> NDArray[np.float32]:
+    """Return every `_STRIDE`-th voxel less the mean of its depth; symmetric about the middle."""
+    nx, _, nz = volume.intensities.shape
+    x, z = (np.unique(np.r_[i := np.arange(0, n // 2, _STRIDE), n - 1 - i]) for n in (nx, nz))
+    sample = volume.intensities[x][:, ::_STRIDE][..., z].astype(np.float32)
+    seen = sample > 0
+    mean = sample.sum(axis=(0, 2)) / np.maximum(seen.sum(axis=(0, 2)), 1)
+    return np.where(seen, sample - mean[:, np.newaxis], np.float32(0))

@@ -1,0 +1,57 @@
+"""Budget of memory for what files and settings ask for."""
+
+import math
+import os
+
+from sonoservo.systems.files.refusals import ConfigurationError
+
+MEMORY_VARIABLE = "SONOSERVO_MAX_MEMORY"
+"""Environment variable that holds the budget in GB; processes of a study inherit it."""
+
+DEFAULT_MEMORY_GB = 4.0
+"""Budget in GB unless a person sets another."""
+
+
+def memory_budget() -> float:
+    """Return the budget of memory for a single file or setting, in bytes.
+
+    Raises
+    ------
+    ConfigurationError
+        If the environment variable holds anything but a number above 0.
+    """
+    text = os.environ.get(MEMORY_VARIABLE, "")
+    try:
+        budget = float(text or DEFAULT_MEMORY_GB)
+    except ValueError:
+        budget = math.nan
+    if not 0 < budget < math.inf:
+        raise ConfigurationError(
+            f"{MEMORY_VARIABLE}: {text!r} is not allowed; it must be a number of GB above 0"
+        )
+    return 1e9 * budget
+
+
+def require_memory(size: float, source: str, what: str) -> None:
+    """Refuse what needs more memory than the budget, before anything is made of it.
+
+    Parameters
+    ----------
+    size
+        Memory that is needed, in bytes.
+    source
+        File or field that asks for it, named at the start of the error.
+    what
+        Contents that need the memory, as a plural.
+
+    Raises
+    ------
+    ConfigurationError
+        If it is more than the budget; the message says how a person can raise it.
+    """
+    budget = memory_budget()
+    if not size <= budget:
+        raise ConfigurationError(
+            f"{source}: {what} need {1e-9 * size:.3g} GB of memory, and {1e-9 * budget:g} GB are "
+            f"allowed; if that is right, raise the limit with --max-memory or {MEMORY_VARIABLE}"
+        )

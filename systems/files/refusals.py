@@ -1,0 +1,71 @@
+"""The error of a user's mistake, and the boundary at which any failure becomes one."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+MAX_MESSAGE = 300
+"""Largest length of a message to a person, in characters."""
+
+
+class ConfigurationError(ValueError):
+    """User error in a file or on the command line; its message needs no traceback.
+
+    The message is a single line. The middle of a message of more than `MAX_MESSAGE` characters is
+    left out.
+    """
+
+    def __init__(self, message: str) -> None:
+        super().__init__(shorten(message))
+
+
+def shorten(message: str) -> str:
+    """Return a message on one line, printable, with at most `MAX_MESSAGE` characters."""
+    line = " ".join(message[: 100 * MAX_MESSAGE].split())
+    line = "".join(each if each.isprintable() else "\N{REPLACEMENT CHARACTER}" for each in line)
+    if len(line) <= MAX_MESSAGE:
+        return line
+    half = (MAX_MESSAGE - 5) // 2
+    return f"{line[:half]} ... {line[-half:]}"
+
+
+def describe(error: BaseException) -> str:
+    """Return the message of any error on one line; the name of its class if it has none."""
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
+    if isinstance(error, RecursionError):
+        return "it is nested too deeply"
+    if isinstance(error, MemoryError):
+        return "it needs more memory than there is"
+    # pybind11's message on a wrong type ends with the values. Its signatures do not help users.
+    text = str(error).rpartition("Invoked with: ")[2]
+    return shorten(text.rpartition("Traceback")[0] or text) or type(error).__name__
+
+
+@contextmanager
+def refusing_failures(source: object, what: str = "") -> Iterator[None]:
+    """Turn any failure inside into a ConfigurationError that names a file or scenario.
+
+    It is the boundary around the reading of data from outside, where nothing is certain: whatever
+    fails inside is a fault of the data, or data that this program does not understand. The original
+    error stays attached for debugging.
+
+    Parameters
+    ----------
+    source
+        File or scenario, named at the start of every message. An error that already names it is
+        left as it is.
+    what
+        Words before the message of a failure that no check foresaw, such as "damaged".
+
+    Raises
+    ------
+    ConfigurationError
+        If anything fails inside.
+    """
+    try:
+        yield
+    except ConfigurationError:
+        raise
+    except Exception as error:
+        prefix = f"{source}: {what}: " if what else f"{source}: "
+        raise ConfigurationError(f"{prefix}{describe(error)}") from error

@@ -1,0 +1,44 @@
+"""Status of the guard between controller and arm."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from sonoservo.systems.signals.immutable import Immutable
+
+
+class GuardState(StrEnum):
+    """States of the guard."""
+
+    MONITORING = "monitoring"
+    """The controller's commands pass unchanged."""
+    RETREATING = "retreating"
+    """The guard moves the probe away from the body."""
+    HOLDING = "holding"
+    """The guard keeps the arm at rest until the cause is gone."""
+
+
+@dataclass(frozen=True)
+class GuardStatus(Immutable):
+    """State of the guard, and the reason for its last intervention.
+
+    Parameters
+    ----------
+    state
+        Present state.
+    reason
+        Reason for the last intervention as a sentence; empty if there was none.
+    since
+        Time at which the state was entered, in s.
+    interventions
+        Number of interventions so far.
+    """
+
+    state: GuardState
+    reason: str = ""
+    since: float = 0.0
+    interventions: int = 0
+
+    @property
+    def stopped(self) -> bool:
+        """True while the guard, and not the controller, commands the arm."""
+        return self.state is not GuardState.MONITORING

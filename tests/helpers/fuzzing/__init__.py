@@ -1,0 +1,1 @@
+"""Fuzzers: seeded random damage to files, scenarios and command lines."""

@@ -1,0 +1,207 @@
+import numpy as np
+import pytest
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform
+from pydrake.multibody.math import SpatialForce
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
+
+from sonoservo.diagrams.assembly import assemble_arm
+from sonoservo.systems.control.guard import Guard
+from sonoservo.systems.control.guard_parameters import GuardParameters
+from sonoservo.systems.signals.guard_status import GuardState
+
+STEP = 0.005
+ARM = assemble_arm()
+HOME = ARM.home
+N = len(HOME)
+
+
+def pose(q):
+    context = ARM.plant.CreateDefaultContext()
+    ARM.plant.SetPositions(context, q)
+    return ARM.probe.body_frame().CalcPoseInWorld(context)
+
+
+class World(LeafSystem):
+    """Controller, sensor and a perfect arm, as a test sets them."""
+
+    def __init__(self):
+        super().__init__()
+        self.velocity, self.pressing, self.shift = np.zeros(N), 0.0, np.zeros(3)
+        self.q = HOME.copy()
+        self.DeclareVectorInputPort("joint_command", 2 * N)
+        self.DeclareVectorOutputPort(
+            "wanted_command", 2 * N, self._calc_wanted, {self.time_ticket()}
+        )
+        self.DeclareVectorOutputPort("joint_state", 2 * N, self._calc_state, {self.time_ticket()})
+        self.DeclareAbstractOutputPort(
+            "wrist_force",
+            lambda: Value(SpatialForce.Zero()),
+            self._calc_force,
+            {self.time_ticket()},
+        )
+        self.DeclareAbstractOutputPort(
+            "X_WP", lambda: Value(RigidTransform()), self._calc_pose, {self.time_ticket()}
+        )
+        self.DeclarePeriodicPublishEvent(STEP, 0, self._follow)
+
+    def _follow(self, context):
+        self.q = self.GetInputPort("joint_command").Eval(context)[:N].copy()
+
+    def _calc_wanted(self, context, output):
+        output.SetFromVector(np.concatenate([self.q + STEP * self.velocity, self.velocity]))
+
+    def _calc_state(self, context, output):
+        output.SetFromVector(np.concatenate([self.q, np.zeros(N)]))
+
+    def _calc_force(self, context, output):
+        R = pose(self.q).rotation().matrix()
+        sample = 0.01 * np.random.default_rng(round(1e6 * context.get_time())).standard_normal(6)
+        sample[3:] += ARM.probe.default_mass() * 9.81 * R.T @ [0, 0, 1]
+        sample[4] += self.pressing
+        output.set_value(SpatialForce(sample))
+
+    def _calc_pose(self, context, output):
+        X = pose(self.q)
+        output.set_value(RigidTransform(X.rotation(), X.translation() + self.shift))
+
+
+@pytest.fixture
+def rig():
+    class Rig:
+        def __init__(self):
+            builder = DiagramBuilder()
+            self.world = builder.AddSystem(World())
+            X = pose(HOME)
+            self.guard = builder.AddSystem(
+                Guard(
+                    parameters=GuardParameters(), plant=ARM.plant,
+                    probe=ARM.probe.body_frame(), mass=ARM.probe.default_mass(),
+                    axis=X.rotation().matrix()[:, 1], surface=X.translation(), time_step=STEP,
+                )
+            )  # fmt: skip
+            for name in ("wanted_command", "wrist_force", "X_WP", "joint_state"):
+                builder.Connect(self.world.GetOutputPort(name), self.guard.GetInputPort(name))
+            builder.Connect(
+                self.guard.GetOutputPort("joint_command"), self.world.GetInputPort("joint_command")
+            )
+            self.simulator = Simulator(builder.Build())
+            self.simulator.Initialize()
+
+        def run(self, seconds):
+            self.simulator.AdvanceTo(self.simulator.get_context().get_time() + seconds)
+            return self.status
+
+        def output(self, name):
+            context = self.guard.GetMyContextFromRoot(self.simulator.get_context())
+            return self.guard.GetOutputPort(name).Eval(context)
+
+        @property
+        def status(self):
+            return self.output("guard")
+
+    return Rig()
+
+
+def test_commands_pass_bit_for_bit_while_nothing_is_wrong(rig):
+    rig.world.velocity = 0.01 * np.arange(1, N + 1)
+    for _ in range(20):
+        status = rig.run(0.0131)
+        context = rig.world.GetMyContextFromRoot(rig.simulator.get_context())
+        wanted = rig.world.GetOutputPort("wanted_command").Eval(context)
+        assert (rig.output("joint_command") == wanted).all()
+    assert status.state is GuardState.MONITORING
+    assert status.reason == ""
+    assert not status.stopped
+    assert status.interventions == 0
+
+
+def test_too_much_force_makes_the_probe_retreat_hold_and_go_on(rig):
+    rig.run(0.1)
+    before = pose(rig.world.q)
+    for rig.world.pressing in (6.0, 12.0):
+        status = rig.run(0.03)
+    assert status.state is GuardState.RETREATING
+    assert "contact force of 12.0 N exceeded 10 N" in status.reason
+    rig.run(0.03)
+    for rig.world.pressing, seconds in ((6.0, STEP), (0.0, 0.25)):
+        status = rig.run(seconds)
+    assert status.state is GuardState.HOLDING
+    moved = before.inverse() @ pose(rig.world.q)
+    assert moved.translation()[1] == pytest.approx(-GuardParameters().clearance, abs=2e-3)
+    assert np.abs(moved.translation()[[0, 2]]).max() < 1e-3
+    assert np.abs(rig.output("joint_command")[N:]).max() == 0
+    status = rig.run(0.3)
+    assert status.state is GuardState.MONITORING
+    assert status.interventions == 1
+
+
+def test_one_sample_of_force_is_inertia(rig):
+    rig.run(0.1)
+    rig.world.pressing = 12.0
+    rig.run(STEP)
+    rig.world.pressing = 0.0
+    assert rig.run(0.1).interventions == 0
+
+
+@pytest.mark.parametrize(
+    ("velocity", "reason"),
+    [
+        (np.full(N, np.nan), "is not a number"),
+        (np.full(N, 5.0), "limit of the joints' positions, speeds or accelerations"),
+        (np.r_[0.7, np.zeros(N - 1)], "commanded to move at 0.2"),
+        (np.r_[0.4, np.zeros(N - 1)], "commanded to accelerate at 1"),
+    ],
+)
+def test_a_command_that_breaks_a_limit_stops_the_arm(rig, velocity, reason):
+    rig.run(0.05)
+    if "move" in reason:  # without too much acceleration
+        rig.world.velocity = velocity / 2
+        rig.run(0.02)
+    rig.world.velocity = velocity
+    status = rig.run(0.1)
+    assert status.state is GuardState.HOLDING
+    assert reason in status.reason
+    assert np.isfinite(rig.output("joint_command")).all()
+    resting = rig.world.q.copy()
+    rig.run(0.2)
+    np.testing.assert_allclose(rig.world.q, resting, atol=1e-9)
+    rig.world.velocity = np.zeros(N)
+    assert rig.run(0.3).state is GuardState.MONITORING
+
+
+@pytest.mark.parametrize(
+    ("shift", "reason"), [(np.nan, "pose of the probe is not a number"), (0.02, "20 mm from where")]
+)
+def test_a_pose_that_cannot_be_stops_the_arm_until_it_is_good_again(rig, shift, reason):
+    rig.run(0.05)
+    rig.world.shift = np.array([shift, 0, 0])
+    status = rig.run(0.05)
+    assert status.state is GuardState.HOLDING
+    assert reason in status.reason
+    rig.world.shift = np.zeros(3)
+    assert rig.run(0.3).state is GuardState.MONITORING
+
+
+def test_the_workspace_is_left_by_nobody_and_the_way_back_is_free(rig):
+    # Joint 1 turns the probe aside at 0.1 m/s.
+    rig.world.velocity = np.r_[0.2, np.zeros(N - 1)]
+    status = rig.run(6.0)
+    assert "leave the configured workspace" in status.reason
+    assert status.state is GuardState.HOLDING
+    X = pose(rig.world.q)
+    beyond = np.abs(X.translation() - pose(HOME).translation())[:2].max()
+    assert 0.25 <= beyond < 0.253
+    rig.world.velocity = np.r_[-0.2, np.zeros(N - 1)]
+    assert rig.run(1.0).state is GuardState.MONITORING
+
+
+def test_it_is_restarted_by_initialization(rig):
+    rig.run(0.05)
+    rig.world.pressing = 12.0
+    assert rig.run(0.05).stopped
+    rig.world.pressing = 0.0
+    rig.simulator.Initialize()
+    assert not rig.status.stopped
+    assert rig.status.interventions == 0

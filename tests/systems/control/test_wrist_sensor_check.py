@@ -1,0 +1,94 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sonoservo.systems.control.guard_parameters import WristSensorLimits
+from sonoservo.systems.control.wrist_sensor_check import SensorFault, SensorMemory, next_memory
+
+STEP = 0.005
+LIMITS = WristSensorLimits()
+NAN = 6 * (math.nan,)
+
+
+def samples(count, pressing=2.0, seed=0):
+    noise = 0.02 * np.random.default_rng(seed).standard_normal((count, 6))
+    noise[:, 4] += pressing
+    return [tuple(each) for each in noise.tolist()]
+
+
+def judge(readings, limits=LIMITS, moving=False):
+    """Confirmed faults after each sample."""
+    memory, faults = SensorMemory(), []
+    for number, sample in enumerate(readings):
+        memory = next_memory(memory, sample, sample[4], number * STEP, limits, moving=moving)
+        faults.append(SensorFault(memory.fault))
+    return faults
+
+
+def test_a_good_sensor_is_believed():
+    assert set(judge(samples(200))) == {SensorFault.NONE}
+
+
+@pytest.mark.parametrize(
+    ("bad", "fault"),
+    [
+        (NAN, SensorFault.NOT_FINITE),
+        ((0, 0, 0, 0, math.inf, 0), SensorFault.NOT_FINITE),
+        ((0, 0, 0, 0, 70.0, 0), SensorFault.OUT_OF_RANGE),
+        ((0, -25.0, 0, 0, 2.0, 0), SensorFault.OUT_OF_RANGE),
+    ],
+)
+def test_bad_samples_are_a_fault_if_they_last_and_forgiven_later(bad, fault):
+    before, after = samples(20), samples(60, seed=1)
+    assert judge([*before, bad, bad, *after])[-1] is SensorFault.NONE
+    assert fault not in judge([*before, bad, bad, *after])
+    faults = judge([*before, *6 * [bad], *after])
+    assert faults[20 + 4] is fault
+    settling = math.ceil(LIMITS.settling_time / STEP)
+    assert faults[26 + settling - 2] is not SensorFault.NONE
+    assert faults[26 + settling + 1] is SensorFault.NONE
+
+
+def test_unchanged_samples_are_frozen_from_the_start_too():
+    good = samples(20)
+    assert judge([*good, *15 * [good[-1]]])[-1] is SensorFault.FROZEN
+    assert judge(15 * [good[0]])[-1] is SensorFault.FROZEN
+    assert judge([*good, *5 * [good[-1]]])[-1] is SensorFault.NONE
+    patient = replace(LIMITS, frozen_after=0.0)
+    assert set(judge([*good, *15 * [good[-1]]], patient)) == {SensorFault.NONE}
+
+
+def test_a_jump_that_lasts_is_a_fault_and_a_spike_is_none():
+    good, biased = samples(20), samples(40, pressing=-10.0)
+    assert SensorFault.JUMPED in judge([*good, *biased])
+    # The new level then shows a pull, which contact cannot exert.
+    assert judge([*good, *biased])[-1] is SensorFault.PULLING
+    spiked = [*good, *biased[:1], *samples(40, seed=2)]
+    assert set(judge(spiked)) == {SensorFault.NONE}
+
+
+def test_a_sensor_that_jumps_to_and_fro_is_a_fault():
+    good, off = samples(40), samples(40, pressing=22.0)
+    alternating = [each for pair in zip(good, off, strict=True) for each in pair]
+    faults = judge([*samples(20, seed=3), *alternating])
+    assert faults[30] is SensorFault.JUMPED
+    assert SensorFault.NONE not in faults[30:]
+
+
+def test_a_pull_is_a_bias_unless_the_guard_itself_moves_the_probe():
+    pulled = [*samples(20, pressing=0.0), *samples(20, pressing=-3.0)]
+    assert judge(pulled)[-1] is SensorFault.PULLING
+    assert judge(pulled, moving=True)[-1] is SensorFault.NONE
+
+
+def test_the_first_sample_of_a_plant_that_has_not_moved_yet_is_no_jump():
+    resting = [tuple(np.zeros(6))] * 2
+    heavy = samples(20, pressing=-20.0)
+    assert judge([*resting, *heavy], replace(LIMITS, max_pull=30.0))[-1] is SensorFault.NONE
+
+
+def test_limits_must_be_positive():
+    with pytest.raises(ValueError, match="max_jump: 0"):
+        WristSensorLimits(max_jump=0)

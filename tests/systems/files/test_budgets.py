@@ -1,0 +1,96 @@
+"""Budgets of memory and of YAML, refusals, and claims of folders."""
+
+import pytest
+
+from sonoservo.systems.files.claims import claim_folder
+from sonoservo.systems.files.memory import MEMORY_VARIABLE, require_memory
+from sonoservo.systems.files.refusals import MAX_MESSAGE, ConfigurationError, refusing_failures
+from sonoservo.systems.files.typed_yaml import assign, read_yaml
+from sonoservo.systems.files.yaml_loader import load_yaml
+
+
+def test_a_budget_says_how_a_person_raises_it(monkeypatch):
+    monkeypatch.delenv(MEMORY_VARIABLE, raising=False)
+    require_memory(3.9e9, "a.nrrd", "its voxels")
+    with pytest.raises(ConfigurationError, match=r"a\.nrrd: its voxels need 5 GB .*--max-memory"):
+        require_memory(5e9, "a.nrrd", "its voxels")
+    monkeypatch.setenv(MEMORY_VARIABLE, "6")
+    require_memory(5e9, "a.nrrd", "its voxels")
+
+
+@pytest.mark.parametrize("text", ["much", "0", "-1", "nan", "inf"])
+def test_a_budget_that_is_none_is_refused(monkeypatch, text):
+    monkeypatch.setenv(MEMORY_VARIABLE, text)
+    with pytest.raises(ConfigurationError, match=f"{MEMORY_VARIABLE}: '{text}' is not allowed"):
+        require_memory(1, "a", "its voxels")
+
+
+def test_a_message_is_one_short_printable_line():
+    message = str(ConfigurationError(f"a\nb\x1b[31m {'x' * 5000} the end"))
+    assert len(message) <= MAX_MESSAGE
+    assert message.startswith("a b\N{REPLACEMENT CHARACTER}[31m")
+    assert message.endswith("the end")
+
+
+def test_whatever_fails_inside_names_the_file_and_keeps_its_cause():
+    with (
+        pytest.raises(ConfigurationError, match=r"^a\.nrrd: damaged: list index") as error,
+        refusing_failures("a.nrrd", "damaged"),
+    ):
+        [][1]
+    assert isinstance(error.value.__cause__, IndexError)
+    with pytest.raises(ConfigurationError, match="^as it was$"), refusing_failures("a.nrrd"):
+        raise ConfigurationError("as it was")
+    with pytest.raises(KeyboardInterrupt), refusing_failures("a.nrrd"):
+        raise KeyboardInterrupt
+
+
+def bomb(levels):
+    lines = ["a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1]"]
+    for n in range(levels):
+        lines.append(f"a{n + 1}: &a{n + 1} [{', '.join([f'*a{n}'] * 9)}]")
+    return "\n".join(lines)
+
+
+BAD = {
+    "brackets": ("a: " + "[" * 400, "nested deeper than 40"),
+    "bomb": (bomb(9), "more than 200000 values"),
+    "loop": ("a: &a [*a]", "alias .*a contains itself"),
+    "tag": ("a: !!int x", "invalid literal"),
+    "date": ("a: 2001-13-45", "month must be in 1..12"),
+    "digits": ("a: " + "9" * 5000, "4300"),
+    "size": ("a: " + "x" * 3_000_000, "3000003 characters"),
+    "code": ("a: !!python/object/apply:os.system [ls]", "could not determine a constructor"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_yaml_beyond_any_scenario_is_one_line(tmp_path, name):
+    text, message = BAD[name]
+    path = tmp_path / "a.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigurationError, match=message) as error:
+        read_yaml(path)
+    assert str(error.value).startswith(f"{path}: not YAML: ")
+    with pytest.raises(ConfigurationError, match=r"^x: .* is not YAML: "):
+        assign({}, f"x={text}")
+
+
+def test_honest_aliases_and_depth_are_read():
+    assert load_yaml("a: &x [1, 2]\nb: *x\nc: " + "[" * 30 + "]" * 30)["b"] == [1, 2]
+
+
+def test_a_folder_has_one_writer(tmp_path):
+    folder = tmp_path / "out"
+    with claim_folder(folder):
+        with (
+            pytest.raises(ConfigurationError, match="another run is writing here"),
+            claim_folder(folder),
+        ):
+            pass
+        (folder / ".log.npz.x.partial").write_text("of a run that was killed")
+        (folder / "log.npz").write_text("kept")
+    with claim_folder(folder):
+        assert [path.name for path in folder.iterdir()] == ["log.npz"]
+    with claim_folder(None):
+        pass
