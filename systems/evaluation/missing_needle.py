@@ -24,8 +24,9 @@ def missing_needle(log: RunLog) -> tuple[str, str]:
         Log of a run in which no needle was found.
     """
     reasons = [
-        measured if detected in ("", "a needle is being tracked") else detected
-        for detected, measured in zip(
+        _reason(*each)
+        for each in zip(
+            log.volume_detected.tolist(),
             log.volume_detection_reason.tolist(),
             log.volume_measurement_reason.tolist(),
             strict=True,
@@ -53,6 +54,13 @@ def missing_needle(log: RunLog) -> tuple[str, str]:
     usual, _ = counts.most_common(1)[0]
     last = next(each for each in reversed(shown) if (search_words(each) or each) == usual)
     return _sentence(last), _sentence(search_advice(last))
+
+
+def _reason(is_detected: bool, detection: str, measurement: str) -> str:
+    """Return the reason of one volume, from those of the detector and the localizer."""
+    if is_detected and measurement == "no needle has been detected":
+        return "something moved; the needle is not confirmed yet"
+    return measurement if detection in ("", "a needle is being tracked") else detection
 
 
 def _sentence(text: str) -> str:

@@ -43,7 +43,7 @@ _CASES = (
     (
         "something moved",
         "something moved, and is not confirmed yet",
-        "push the needle further in, or more slowly (hand.pushes)",
+        "push the needle further in or more slowly (hand.pushes), or raise imaging.volume_rate",
     ),
     ("no needle in the whole", "no needle in the whole volume", _FAINT),
     ("no needle has been", "no needle has been detected", _FAINT),

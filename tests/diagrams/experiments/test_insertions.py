@@ -114,6 +114,27 @@ def test_a_stranger_s_scenario_is_found(tmp_path):
     assert result.summary["tracking"]["tracked"] > 0.9 * result.summary["tracking"]["volumes"]
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "hand",
+    [
+        "azimuth_deg: 200, dip_deg: 60, pushes: [{duration: 8, speed: 0.008}]",
+        "dip_deg: 70, pushes: [{duration: 8, speed: 0.008}]",
+        "azimuth_deg: 90, dip_deg: 5, pushes: [{duration: 8, speed: 0.008}]",
+        "azimuth_deg: 180, dip_deg: 10, aim: [0, 0, -0.045], initial_depth: 0.085,"
+        "pushes: [{duration: 20, speed: 0.001}]",
+    ],
+    ids=["steep", "steepest", "out of the plane", "slow"],
+)
+def test_an_insertion_from_anywhere_is_found(tmp_path, hand):
+    duration = 24 if "0.001" in hand else 13
+    path = write(tmp_path, f"duration: {duration}\nhand: {{{hand}}}\n")
+    summary = run(load_scenario(path, seed=101)).summary
+    assert summary["detection"]["volume"] is not None
+    assert summary["detection"]["false_starts"] == 0
+    assert summary["tracking"]["tracked"] > 0.9 * summary["tracking"]["volumes"]
+
+
 def test_a_needle_that_is_in_view_from_the_start_is_found_anywhere(tmp_path):
     hand = "hand: {dip_deg: 20, aim: [0, 0, -0.045], initial_depth: 0.13}\n"
     path = write(tmp_path, NARROW + "duration: 4\n" + hand)

@@ -1,5 +1,7 @@
 """Why no needle was found, in words, and what to change."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from synthetic_logs import build_log
@@ -42,6 +44,14 @@ def test_a_whole_volume_s_search_gives_the_localizer_s_reason():
     reason, advice = missing_needle(log(tracked, measured=["no needle in the whole volume"] * 4))
     assert reason == "No needle in the whole volume."
     assert "hand.dip_deg" in advice
+
+
+def test_a_detection_that_is_not_confirmed_is_said_to_be_so():
+    """The needle comes to rest before enough volumes show its motion."""
+    fast = log([""] * 4, measured=["no needle has been detected"] * 4)
+    reason, advice = missing_needle(replace(fast, volume_detected=np.ones(4, bool)))
+    assert reason == "Something moved; the needle is not confirmed yet."
+    assert "more slowly" in advice
 
 
 @pytest.mark.parametrize(
