@@ -137,7 +137,7 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
             },
             event="estimate",
             clock=time.thread_time,
-            optional=("true_X_WP",),
+            optional=("deformation", "true_X_WP"),
             sees_truth=("scanner", "shape_view"),
         )
 
