@@ -64,8 +64,10 @@ def refusing_failures(source: object, what: str = "") -> Iterator[None]:
     """
     try:
         yield
-    except ConfigurationError:
-        raise
+    except ConfigurationError as error:
+        if str(error).startswith(str(source)):
+            raise
+        raise ConfigurationError(f"{source}: {error}") from error
     except Exception as error:
         prefix = f"{source}: {what}: " if what else f"{source}: "
         raise ConfigurationError(f"{prefix}{describe(error)}") from error
