@@ -76,7 +76,7 @@ def test_motors_and_speed_limits_that_the_model_lacks_are_added(own, tmp_path):
     [
         ("viper_s850.urdf", "nowhere.urdf", "directives.0.add_model.file: there is no file .*now"),
         ("viper_s850.urdf", "package://sonoservo/nowhere.urdf", "nowhere.urdf.* does not exist"),
-        ("arm::base_link", "arm::base", "no Frame named 'base'.*base_link"),
+        ("arm::base_link", "arm::base", "no Frame named 'base'.*link_6"),
         ("parent: world", "parent: wrld", "no Frame named 'wrld'"),
         ("flange: flange", "flange: tool0", "flange: the model has no frame 'tool0'.*link_6"),
         ("p: [2.0e5, ", "p: [", r"servo.p: .* must be 6 numbers, one for each joint"),
