@@ -18,12 +18,16 @@ from sonoservo.systems.signals.volume_check import VolumeCheck
 
 @dataclass(frozen=True, eq=False)
 class _History(Immutable):
-    """Newest volume judged and the result, last one accepted, one that may be confirmed."""
+    """Newest volume judged and the result, last one accepted, one that may be confirmed.
+
+    The lead is the time in s by which the last one accepted was ahead of the clock.
+    """
 
     judged: Volume | None = None
     result: Volume | NotFound | None = None
     last: Volume | None = None
     refused: Volume | None = None
+    lead: float = 0.0
     check: VolumeCheck = field(default_factory=VolumeCheck)
 
 
@@ -87,8 +91,14 @@ class VolumeGate(LeafSystem):
         elif volume is history.judged:
             output.set_value(history.result)
         else:
-            clock = context.get_time()
-            reason = implausible(volume, history.last, history.refused, clock, self._parameters)
+            reason = implausible(
+                volume,
+                history.last,
+                history.refused,
+                context.get_time(),
+                history.lead,
+                self._parameters,
+            )
             output.set_value(NotFound(f"a volume is refused: {reason}") if reason else volume)
 
     def _calc_check(self, context: Context, output: Value) -> None:
@@ -103,7 +113,8 @@ class VolumeGate(LeafSystem):
         check = history.check
         if isinstance(result, Volume):
             check = VolumeCheck(check.accepted + 1, check.refused)
-            history = _History(volume, result, volume, None, check)
+            lead = volume.time - context.get_time()
+            history = _History(volume, result, volume, None, lead, check)
         else:
             check = VolumeCheck(check.accepted, check.refused + 1, result.reason)
             history = replace(history, judged=volume, result=result, refused=volume, check=check)

@@ -25,8 +25,8 @@ class VolumePlausibilityParameters:
     Parameters
     ----------
     max_ahead
-        Largest time by which a volume's time may be ahead of this computer's clock, in s. The
-        scanner's clock may differ a little.
+        Largest time by which a volume may be further ahead of this computer's clock than the one
+        before it, in s. The first two volumes tell how the scanner's clock differs.
     max_gap
         Largest time between two volumes, in s. A volume after a longer gap is refused unless the
         next one confirms it, so one wrong time cannot blind the tracker.
@@ -56,6 +56,7 @@ def implausible(
     last: Volume | None,
     refused: Volume | None,
     clock: float,
+    lead: float,
     parameters: VolumePlausibilityParameters,
 ) -> str:
     """Return the reason why a volume cannot be believed; empty if it can.
@@ -70,6 +71,8 @@ def implausible(
         Volume refused since then because of its time or its grid, which this one may confirm.
     clock
         Present time in s; 0 if it is not known.
+    lead
+        Time in s by which the last plausible volume was ahead of the clock; 0 without one.
     parameters
         Limits.
     """
@@ -80,17 +83,16 @@ def implausible(
         return "it is blank: all its voxels are equal"
     if np.sum(sample >= _WHITE) > parameters.max_white * np.count_nonzero(sample):
         return "it is white: its voxels are saturated"
-    ahead = volume.time - clock
-    if clock > 0 and ahead > parameters.max_ahead:
+    confirmed = refused is not None and 0 < volume.time - refused.time <= parameters.max_gap
+    ahead = volume.time - clock - lead
+    if clock > 0 and ahead > parameters.max_ahead and not (last is None and confirmed):
         return f"its time is {ahead:.2f} s ahead of the clock"
     if last is None:
         return ""
     if volume.time < last.time:
         return f"it is {last.time - volume.time:.2f} s older than the volume before it"
     gap = volume.time - last.time
-    if gap > parameters.max_gap and not (
-        refused is not None and 0 < volume.time - refused.time <= parameters.max_gap
-    ):
+    if gap > parameters.max_gap and not confirmed:
         return f"its time is {gap:.1f} s after that of the volume before it"
     if not _same_spacing(volume, last) and not (
         refused is not None and _same_spacing(volume, refused)

@@ -37,8 +37,8 @@ def later(volume, seconds):
     return replace(volume, time=volume.time + seconds)
 
 
-def judge(volume, last=None, refused=None, clock=0.0):
-    return implausible(volume, last, refused, clock, LIMITS)
+def judge(volume, last=None, refused=None, clock=0.0, lead=0.0):
+    return implausible(volume, last, refused, clock, lead, LIMITS)
 
 
 def test_good_volumes_of_either_direction_are_believed(volumes):
@@ -79,6 +79,15 @@ def test_volumes_out_of_their_time_are_refused(volumes):
     assert judge(third, first, refused=ahead) == ""
     assert judge(later(third, 10.0), first, refused=ahead) == ""
     assert judge(later(third, 50.0), first, refused=ahead) != ""
+
+
+def test_a_scanner_may_have_a_clock_of_its_own(volumes):
+    ours = [volume.time + 0.2 for volume in volumes]
+    theirs = [later(volume, 1.7e9) for volume in volumes]
+    results = list(feed([*theirs[:4], later(theirs[4], 10.0), theirs[5]], ours))
+    assert [isinstance(result, Volume) for result, _ in results] == [
+        False, True, True, True, False, True,
+    ]  # fmt: skip
 
 
 def test_another_grid_is_believed_if_the_next_volume_confirms_it(volumes):
