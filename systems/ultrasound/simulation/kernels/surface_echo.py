@@ -7,7 +7,10 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from sonoservo.systems.sampling.options import OPTIONS
-from sonoservo.systems.ultrasound.simulation.kernels.displacement import displace
+from sonoservo.systems.ultrasound.simulation.kernels.displacement import (
+    displace,
+    displacement_limit,
+)
 from sonoservo.systems.ultrasound.simulation.kernels.medium import look_up
 from sonoservo.systems.ultrasound.simulation.kernels.projection import (
     FRACTIONS,
@@ -67,7 +70,9 @@ def _is_turned_away(i, X_FT, pieces, rays):  # type: ignore[no-untyped-def]
 
 
 @njit(**OPTIONS)
-def _in_frame(i, X_FT, pieces, growth, view, field, frame, node, rays):  # type: ignore[no-untyped-def]
+def _in_frame(  # type: ignore[no-untyped-def]
+    i, X_FT, pieces, growth, view, field, frame, node, F, G, rays
+):
     """Return a piece's apparent position in F and the cosine of the sound's angle to its normal."""
     surface = pieces.surfaces[i]
     nx = pieces.normals[i, 0]
@@ -77,8 +82,7 @@ def _in_frame(i, X_FT, pieces, growth, view, field, frame, node, rays):  # type:
     y = pieces.points[i, 1] + growth[surface] * ny
     z = pieces.points[i, 2] + growth[surface] * nz
     if field is not None:
-        F = np.empty((3, 3))
-        x, y, z = displace(x, y, z, field, frame, True, F, np.empty((3, 3)))
+        x, y, z = displace(x, y, z, field, frame, True, F, G)
         nx, ny, nz = _turned(nx, ny, nz, F)
     px = X_FT[0, 0] * x + X_FT[0, 1] * y + X_FT[0, 2] * z + X_FT[0, 3]
     py = X_FT[1, 0] * x + X_FT[1, 1] * y + X_FT[1, 2] * z + X_FT[1, 3]
@@ -103,17 +107,14 @@ def _in_frame(i, X_FT, pieces, growth, view, field, frame, node, rays):  # type:
 @njit(**OPTIONS)
 def _turned(nx, ny, nz, F):  # type: ignore[no-untyped-def]
     """Return a surface's unit normal after a deformation with the gradient F (Nanson's formula)."""
-    n = (nx, ny, nz)
-    turned = np.zeros(3)
-    for i in range(3):
-        j = (i + 1) % 3
-        k = (i + 2) % 3
-        for m in range(3):
-            a = (m + 1) % 3
-            b = (m + 2) % 3
-            turned[i] += (F[j, a] * F[k, b] - F[j, b] * F[k, a]) * n[m]
-    length = np.sqrt(turned[0] ** 2 + turned[1] ** 2 + turned[2] ** 2)
-    return turned[0] / length, turned[1] / length, turned[2] / length
+    x = (F[1, 1] * F[2, 2] - F[1, 2] * F[2, 1]) * nx
+    x += (F[1, 2] * F[2, 0] - F[1, 0] * F[2, 2]) * ny + (F[1, 0] * F[2, 1] - F[1, 1] * F[2, 0]) * nz
+    y = (F[2, 1] * F[0, 2] - F[2, 2] * F[0, 1]) * nx
+    y += (F[2, 2] * F[0, 0] - F[2, 0] * F[0, 2]) * ny + (F[2, 0] * F[0, 1] - F[2, 1] * F[0, 0]) * nz
+    z = (F[0, 1] * F[1, 2] - F[0, 2] * F[1, 1]) * nx
+    z += (F[0, 2] * F[1, 0] - F[0, 0] * F[1, 2]) * ny + (F[0, 0] * F[1, 1] - F[0, 1] * F[1, 0]) * nz
+    length = np.sqrt(x * x + y * y + z * z)
+    return x / length, y / length, z / length
 
 
 @njit(**OPTIONS)
@@ -257,8 +258,6 @@ def render_surfaces(  # type: ignore[no-untyped-def]
     slab += abs(rays.twist) * rays.middle_line * furthest
     if view is not None:
         slab += view.aside
-    if field is not None:
-        slab += field.deepest + field.widest_push
     margin = np.int64(_OWN_SHADOW * rays.samples_per_metre)
     for frame in prange(frames):
         X = X_FT[frame]
@@ -267,7 +266,11 @@ def render_surfaces(  # type: ignore[no-untyped-def]
         for i in range(len(pieces.points)):
             z = X[2, 0] * pieces.points[i, 0] + X[2, 1] * pieces.points[i, 1]
             z += X[2, 2] * pieces.points[i, 2] + X[2, 3]
-            if abs(z) < slab and not _is_turned_away(i, X, pieces, rays):
+            thick = slab
+            if field is not None and abs(z) < slab + field.deepest + field.widest_push:
+                p = pieces.points[i]
+                thick += displacement_limit(p[0], p[1], p[2], field, frame)
+            if abs(z) < thick and not _is_turned_away(i, X, pieces, rays):
                 seen[count] = i
                 count += 1
         if count > 0:
@@ -275,12 +278,12 @@ def render_surfaces(  # type: ignore[no-untyped-def]
             loss = np.zeros((lines, samples), np.float32)
             no_loss = np.empty((0, 0), np.float32)
             touched = np.zeros(lines, np.bool_)
-            node = np.empty(15)
+            node, F, G = np.empty(15), np.empty((3, 3)), np.empty((3, 3))
             for number in range(count):
                 i = seen[number]
                 surface = pieces.surfaces[i]
                 x, y, z, cosine = _in_frame(
-                    i, X, pieces, growth[frame], view, field, frame, node, rays
+                    i, X, pieces, growth[frame], view, field, frame, node, F, G, rays
                 )
                 if cosine > 0 and pieces.one_sided[surface]:
                     continue
@@ -311,7 +314,7 @@ def render_surfaces(  # type: ignore[no-untyped-def]
                 if level == 0 and kind == 0:
                     continue
                 x, y, z, cosine = _in_frame(
-                    i, X, pieces, growth[frame], view, field, frame, node, rays
+                    i, X, pieces, growth[frame], view, field, frame, node, F, G, rays
                 )
                 if cosine > 0 and pieces.one_sided[surface]:
                     continue
