@@ -15,7 +15,7 @@ from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.evaluation.explanation.explanation_files import clear_explanations
 from sonoservo.systems.evaluation.plots import png
 from sonoservo.systems.evaluation.report import save_replay, write_report
-from sonoservo.systems.files.refusals import refusing_failures
+from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.writing import Unwritten, write_atomically, write_json
 
 _SAVE_EVERY = 10.0
@@ -25,8 +25,13 @@ _SAVE_EVERY = 10.0
 @contextmanager
 def refusing(scenario: Scenario) -> Iterator[None]:
     """Convert errors of a scenario's blocks to a ConfigurationError that names the scenario."""
-    with refusing_failures(scenario.name):
-        yield
+    try:
+        with refusing_failures(scenario.name):
+            yield
+    except ConfigurationError as error:
+        if str(error).startswith(scenario.name):
+            raise
+        raise ConfigurationError(f"{scenario.name}: {error}") from error
 
 
 class KeptRun:

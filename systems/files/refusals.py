@@ -52,8 +52,8 @@ def refusing_failures(source: object, what: str = "") -> Iterator[None]:
     Parameters
     ----------
     source
-        File or scenario, named at the start of every message. An error that already names it is
-        left as it is.
+        File or scenario, named at the start of every message. A ConfigurationError names its own
+        source and is left as it is.
     what
         Words before the message of a failure that no check foresaw, such as "damaged".
 
@@ -64,10 +64,8 @@ def refusing_failures(source: object, what: str = "") -> Iterator[None]:
     """
     try:
         yield
-    except ConfigurationError as error:
-        if str(error).startswith(str(source)):
-            raise
-        raise ConfigurationError(f"{source}: {error}") from error
+    except ConfigurationError:
+        raise
     except Exception as error:
         prefix = f"{source}: {what}: " if what else f"{source}: "
         raise ConfigurationError(f"{prefix}{describe(error)}") from error

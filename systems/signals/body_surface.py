@@ -115,7 +115,7 @@ class BodySurface:
         inside = bool(self.contains(p))
         require(inside, "aim", p.tolist(), f"in the phantom, a {self.shape} of {list(self.size)} m")
         low, high = self.bounds[:2]
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             back = np.where(d > 0, (p - low) / d, np.where(d < 0, (p - high) / d, np.inf))
         way = float(max(back.min(), 0.0))
         if self.is_curved:

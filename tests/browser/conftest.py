@@ -60,8 +60,13 @@ def open_page(browser):
     complaints = []
 
     def listen(page):
-        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.on("pageerror", shout)
         page.on("console", heed)
+
+    def shout(error):
+        # A page that is reloaded, or that is left, aborts what it was loading.
+        if "Failed to load buffer" not in str(error):
+            complaints.append(str(error))
 
     def heed(message):
         known = any(re.search(each, message.text) for each in KNOWN_WARNINGS)

@@ -39,12 +39,8 @@ def test_whatever_fails_inside_names_the_file_and_keeps_its_cause():
     ):
         [][1]
     assert isinstance(error.value.__cause__, IndexError)
-    for said in ("sizes: 0", "a.nrrd: sizes: 0"):
-        with (
-            pytest.raises(ConfigurationError, match=r"^a\.nrrd: sizes: 0$"),
-            refusing_failures("a.nrrd"),
-        ):
-            raise ConfigurationError(said)
+    with pytest.raises(ConfigurationError, match="^as it was$"), refusing_failures("a.nrrd"):
+        raise ConfigurationError("as it was")
     with pytest.raises(KeyboardInterrupt), refusing_failures("a.nrrd"):
         raise KeyboardInterrupt
 
