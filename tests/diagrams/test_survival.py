@@ -39,6 +39,7 @@ def assert_followed(log, right, start, stop=np.inf):
     assert asked[-1]
 
 
+@pytest.mark.slow
 def test_fibres_like_needles_beside_the_needle(tmp_path):
     path = tmp_path / "fibres.yaml"
     path.write_text(FIBRES)

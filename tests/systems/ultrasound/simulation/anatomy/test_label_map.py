@@ -245,6 +245,7 @@ def test_label_attenuates(tmp_path):
     assert ratio[1] - ratio[0] == pytest.approx(-2.64 * 5, abs=0.7)
 
 
+@pytest.mark.slow
 def test_slow_label_appears_deeper(tmp_path):
     """A reflector behind 50 mm of 1450 m/s is 50 (1540/1450 - 1) = 3.1 mm too deep."""
     tissue = labelled(tmp_path, sound_speed=1450.0)
