@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.common.value import Value
 from pydrake.multibody.inverse_kinematics import (
     DifferentialInverseKinematicsParameters,
     DoDifferentialInverseKinematics,
@@ -18,10 +17,10 @@ from pydrake.systems.framework import (
     DiscreteValues,
     EventStatus,
     LeafSystem,
-    ValueProducer,
 )
 
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.scratch_context import declare_scratch_context, scratch_context
 
 
 @dataclass(kw_only=True)
@@ -140,15 +139,7 @@ class DifferentialKinematics(LeafSystem):
         self.DeclareVectorInputPort("approach_velocity", 1)
         self.DeclareVectorInputPort("joint_state", 2 * n)
         self._sent = self.DeclareVectorInputPort("sent_command", 2 * n)
-        # Each context of this system has its own scratch context of the plant.
-        self._scratch = self.DeclareCacheEntry(
-            "plant_context",
-            ValueProducer(
-                allocate=lambda: Value[object](plant.CreateDefaultContext()),
-                calc=ValueProducer.NoopCalc,
-            ),
-            prerequisites_of_calc={self.nothing_ticket()},
-        )
+        self._scratch = declare_scratch_context(self, plant)
         # Joint positions and velocities, and the time at which they hold.
         self.DeclareDiscreteState(2 * n + 1)
         self.DeclareVectorOutputPort(
@@ -183,8 +174,7 @@ class DifferentialKinematics(LeafSystem):
         else:
             q, v = self._joint_command(context)
         plant, frame = self._plant, self._probe
-        scratch = self._scratch.get_mutable_cache_entry_value(context)
-        plant_context = scratch.GetMutableValueOrThrow()
+        plant_context = scratch_context(self._scratch, context)
         plant.SetPositions(plant_context, q)
         axis_P = frame.CalcPoseInWorld(plant_context).rotation().matrix().T @ self._axis
         # The shortest rotation from Y_P to the axis.

@@ -15,7 +15,6 @@ from pydrake.systems.framework import (
     DiscreteValues,
     EventStatus,
     LeafSystem,
-    ValueProducer,
 )
 
 from sonoservo.systems.control.guard_memory import (
@@ -39,6 +38,7 @@ from sonoservo.systems.control.guard_rules import (
 )
 from sonoservo.systems.signals.guard_status import GuardState, GuardStatus
 from sonoservo.systems.signals.requirements import require_positive
+from sonoservo.systems.signals.scratch_context import declare_scratch_context, scratch_context
 
 _QUIET = 1.5
 """Change of a component of the wrist force in N at which everything is checked at once."""
@@ -127,15 +127,7 @@ class Guard(LeafSystem):
         self._wrist_force = self.DeclareAbstractInputPort("wrist_force", Value(SpatialForce()))
         self._X_WP = self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
         self._joint_state = self.DeclareVectorInputPort("joint_state", 2 * n)
-        # Each context of this system has its own scratch context of the plant.
-        self._scratch = self.DeclareCacheEntry(
-            "plant_context",
-            ValueProducer(
-                allocate=lambda: Value[object](plant.CreateDefaultContext()),
-                calc=ValueProducer.NoopCalc,
-            ),
-            prerequisites_of_calc={self.nothing_ticket()},
-        )
+        self._scratch = declare_scratch_context(self, plant)
         # The command sent at the last check, its time and the mode since then; and the memory.
         nothing = np.full(2 * n + 2, np.nan)
         nothing[-1] = Mode.MONITORING
@@ -262,20 +254,16 @@ class Guard(LeafSystem):
 
     def _pose(self, context: Context, q: NDArray[np.float64]) -> tuple[Vector, Vector, Vector]:
         """Return the position and the axis of the probe in W, and the direction down in P."""
-        plant_context = self._plant_context(context)
+        plant_context = scratch_context(self._scratch, context)
         self._plant.SetPositions(plant_context, q)
         x, y, z = self._frame.CalcPoseInWorld(plant_context).GetAsMatrix34().tolist()
         return (x[3], y[3], z[3]), (x[1], y[1], z[1]), (-z[0], -z[1], -z[2])
-
-    def _plant_context(self, context: Context) -> Context:
-        scratch = self._scratch.get_mutable_cache_entry_value(context)
-        return scratch.GetMutableValueOrThrow()
 
     def _retreat(
         self, context: Context, q: NDArray[np.float64], speed: float
     ) -> NDArray[np.float64]:
         """Return joint velocities that move P backwards along its axis, or zeros."""
-        plant, plant_context = self._plant, self._plant_context(context)
+        plant, plant_context = self._plant, scratch_context(self._scratch, context)
         plant.SetPositions(plant_context, q)
         J = plant.CalcJacobianSpatialVelocity(
             plant_context, JacobianWrtVariable.kV, self._frame, np.zeros(3),

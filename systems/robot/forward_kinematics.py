@@ -4,7 +4,9 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Frame
-from pydrake.systems.framework import Context, LeafSystem, ValueProducer
+from pydrake.systems.framework import Context, LeafSystem
+
+from sonoservo.systems.signals.scratch_context import declare_scratch_context, scratch_context
 
 
 class ForwardKinematics(LeafSystem):
@@ -32,15 +34,7 @@ class ForwardKinematics(LeafSystem):
     def __init__(self, *, plant: MultibodyPlant, frame: Frame):
         super().__init__()
         self._plant, self._frame = plant, frame
-        # Each context of this system has its own scratch context of the plant.
-        self._scratch = self.DeclareCacheEntry(
-            "plant_context",
-            ValueProducer(
-                allocate=lambda: Value[object](plant.CreateDefaultContext()),
-                calc=ValueProducer.NoopCalc,
-            ),
-            prerequisites_of_calc={self.nothing_ticket()},
-        )
+        self._scratch = declare_scratch_context(self, plant)
         state = self.DeclareVectorInputPort("joint_state", 2 * plant.num_positions())
         self.DeclareAbstractOutputPort(
             "pose",
@@ -51,6 +45,6 @@ class ForwardKinematics(LeafSystem):
 
     def _calc_pose(self, context: Context, output: Value) -> None:
         positions = self.get_input_port().Eval(context)[: self._plant.num_positions()]
-        scratch = self._scratch.get_mutable_cache_entry_value(context).GetMutableValueOrThrow()
+        scratch = scratch_context(self._scratch, context)
         self._plant.SetPositions(scratch, positions)
         output.set_value(self._frame.CalcPoseInWorld(scratch))
