@@ -4,7 +4,9 @@ import shutil
 
 import pytest
 from playwright.sync_api import Error, sync_playwright
-from pydrake.geometry import Meshcat, MeshcatParams
+
+from sonoservo.systems.display.pages.meshcat_page import open_meshcat
+from sonoservo.systems.display.pages.site import Site
 
 NO_CHROMIUM = "no Chromium: install it with your package manager, or `playwright install chromium`"
 KNOWN_WARNINGS = (
@@ -44,9 +46,8 @@ def no_garbage():
 @pytest.fixture
 def meshcat():
     """A Meshcat that outlives the pages, if it comes before `open_page` among the arguments."""
-    meshcat = Meshcat(MeshcatParams(host="localhost"))
-    yield meshcat
-    del meshcat
+    with Site() as site:
+        yield open_meshcat(site)
 
 
 @pytest.fixture

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pydrake.geometry import Meshcat, MeshcatParams
 
 from sonoservo.diagrams import load_scenario, run
 from sonoservo.diagrams.app.drive import drive
@@ -27,8 +26,7 @@ def slide(page, name, fraction):
     return float(row.locator("input").input_value())
 
 
-def test_the_page_drives_the_simulation(open_page, tmp_path):
-    meshcat = Meshcat(MeshcatParams(host="localhost"))
+def test_the_page_drives_the_simulation(meshcat, open_page, tmp_path):
     seen = {}
 
     def script():
