@@ -51,13 +51,16 @@ def meshcat():
 
 
 @pytest.fixture
-def open_page(browser):
+def open_page(browser, request):
     """Open an address and wait until it shows something.
 
-    At the end, anything on the console but known warnings fails the test, and so does a request
-    that left this machine.
+    Pages are 1000 x 700 pixels unless the test is marked with another `viewport`. At the end,
+    anything on the console but known warnings fails the test, and so does a request that left this
+    machine.
     """
-    context = browser.new_context(viewport={"width": 1000, "height": 700})
+    marker = request.node.get_closest_marker("viewport")
+    width, height = marker.args if marker else (1000, 700)
+    context = browser.new_context(viewport={"width": width, "height": height})
     complaints = []
 
     def listen(page):
