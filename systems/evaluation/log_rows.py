@@ -23,41 +23,49 @@ class LogRows:
         Column of each value that a row may have, by its name.
     extents
         Extents of the columns' other axes, by their letter; see `stack_rows`.
+
+    Attributes
+    ----------
+    newest
+        Newest row; None if there is none.
     """
+
+    newest: Row | None
 
     def __init__(self, columns: Mapping[str, Column], extents: Mapping[str, int]) -> None:
         self._columns, self._extents = columns, extents
         self.clear()
 
-    @property
-    def newest(self) -> Row | None:
-        """Newest row; None if there is none."""
-        return self._loose[-1] if self._loose else None
-
     def append(self, row: Row) -> None:
         """Add a row."""
         if len(self._loose) == _LOOSE:
-            for name, column in self._columns.items():
-                self._packed[name].append(self._pack(column, name))
-            self._loose.clear()
+            self._pack()
         self._loose.append(row)
+        self.newest = row
 
     def arrays(self) -> dict[str, Array]:
         """Return the array of each column, with one entry for each row."""
+        self._pack()
         arrays = {}
         for name, column in self._columns.items():
-            parts = [*self._packed[name], self._pack(column, name)]
-            dtype = str if column.dtype == "U" else column.dtype
-            arrays[name] = np.concatenate(parts).astype(dtype, copy=False)
+            # The next arrays begin with these, so that numbers are kept only once.
+            self._packed[name] = [np.concatenate(self._packed[name])]
+            (array,) = self._packed[name]
+            arrays[name] = array.astype(str) if column.dtype == "U" else array.view()
         return arrays
 
     def clear(self) -> None:
         """Remove all rows."""
         self._packed: dict[str, list[Array]] = {name: [] for name in self._columns}
         self._loose: list[Row] = []
+        self.newest = None
 
-    def _pack(self, column: Column, name: str) -> Array:
-        """Return the array of a column of the loose rows; of texts, as references."""
-        if column.dtype == "U":
-            return np.array([sys.intern(row.get(name, "")) for row in self._loose], dtype=object)
-        return stack_rows(column, name, self._loose, self._extents)
+    def _pack(self) -> None:
+        """Pack the loose rows into arrays; texts into arrays of references."""
+        for name, column in self._columns.items():
+            if column.dtype == "U":
+                texts = [sys.intern(row.get(name, "")) for row in self._loose]
+                self._packed[name].append(np.array(texts, dtype=object))
+            else:
+                self._packed[name].append(stack_rows(column, name, self._loose, self._extents))
+        self._loose.clear()

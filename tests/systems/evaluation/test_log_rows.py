@@ -35,6 +35,9 @@ def test_packed_rows_are_the_same_to_the_last_bit():
             assert arrays[name].dtype == wanted.dtype
             assert arrays[name].shape == wanted.shape
         assert rows.newest is (made[-1] if made else None)
+        rows.append(make_row(count))
+        np.testing.assert_array_equal(arrays["time"], [row["time"] for row in made])
+        assert rows.arrays()["time"].tolist() == [row["time"] for row in [*made, make_row(count)]]
 
 
 def test_a_row_takes_little_more_than_its_numbers():
