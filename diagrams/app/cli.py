@@ -13,12 +13,7 @@ from typing import Annotated
 
 import typer
 
-from sonoservo.diagrams.app.interruption import (
-    INTERRUPTED,
-    catch_interruptions,
-    interrupted_code,
-    is_interrupted,
-)
+from sonoservo.diagrams.app.interruption import INTERRUPTED, is_interrupted
 from sonoservo.diagrams.app.options import (
     ChangesOption,
     ExplainOption,
@@ -294,16 +289,6 @@ _COMMANDS = (
 )
 for _command in _COMMANDS:
     app.command(_command.__name__.removesuffix("_command"))(with_common_options(_command))
-
-
-def main() -> None:
-    """Run the command line as a program of its own."""
-    try:
-        catch_interruptions()
-        code = run_arguments(sys.argv[1:])
-    except KeyboardInterrupt:
-        code = INTERRUPTED
-    sys.exit(interrupted_code() if code == INTERRUPTED else code)
 
 
 def run_arguments(arguments: Sequence[str]) -> int:

@@ -95,8 +95,8 @@ MemoryOption = Annotated[
 def with_common_options(command: Callable[..., None]) -> Callable[..., None]:
     """Return a command with the options that all have: ``--debug`` and ``--max-memory``.
 
-    An error carries the choice of ``--debug`` to `sonoservo.diagrams.app.cli.main` as its attribute
-    ``debug``.
+    An error carries the choice of ``--debug`` to `sonoservo.diagrams.app.cli.run_arguments` as its
+    attribute ``debug``.
     """
 
     @wraps(command)

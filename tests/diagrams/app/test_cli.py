@@ -223,7 +223,7 @@ def test_help_and_list_load_nothing_that_takes_long():
     code = """
 import sys
 from contextlib import suppress
-from sonoservo.diagrams.app.cli import main
+from sonoservo.diagrams.app.__main__ import main
 with suppress(SystemExit):
     main()
 print([name for name in ("numpy", "scipy", "numba", "pydrake") if name in sys.modules])
