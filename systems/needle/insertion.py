@@ -226,7 +226,7 @@ class _Aim:
 @lru_cache(maxsize=16)
 def _axes(azimuth_deg: float, dip_deg: float, turn: float, lean: float) -> Floats:
     """Return the axes of an aim turned in azimuth and dip, in rad; a hand rests at few of them."""
-    azimuth, dip = np.deg2rad([azimuth_deg, dip_deg]) + [turn, lean]
+    azimuth, dip = np.deg2rad([azimuth_deg, dip_deg]) + np.array([turn, lean])
     heading = np.array([np.cos(azimuth), np.sin(azimuth), 0])
     up = np.array([0, 0, 1.0])
     direction = np.cos(dip) * heading - np.sin(dip) * up
