@@ -49,10 +49,12 @@ def summary_table(result: RunResult, published: Mapping[str, float] | None = Non
     """
     summary = result.summary
     table = Table(title=f"{summary['scenario']}, seed {summary['seed']}")
+    caption = Text(stops_text(summary))
     if reason := look_up(summary, "detection.reason"):
         advice = look_up(summary, "detection.advice") or ""
         found_none = Text("No needle was found.", style="bold not italic")
-        table.caption = Text.assemble(found_none, f" {reason} {advice}")
+        missing = Text.assemble(found_none, f" {reason} {advice}")
+        caption = Text("\n").join([missing, caption] if caption else [missing])
     table.add_column("quantity")
     table.add_column("this run", justify="right")
     if published:
@@ -62,7 +64,7 @@ def summary_table(result: RunResult, published: Mapping[str, float] | None = Non
         if published:
             cells.append(format_figure(published[path]) if path in published else "")
         table.add_row(*cells)
-    table.caption = stops_text(summary)
+    table.caption = caption or None
     return table
 
 

@@ -121,7 +121,7 @@ def test_a_tracker_of_one_s_own_takes_the_place_of_the_scenario_s():
 
 
 def test_a_page_that_never_answers_changes_nothing():
-    scenario = load_scenario("chatelain2013_fig5", changes=["duration=3"])
+    scenario = load_scenario("chatelain2013_fig5", changes=["duration=1.5"])
     alone = run(scenario).log
     with closing(Monitor()) as monitor, open_socket(monitor.web_url, "commands"):
         shown = run(scenario, monitor=monitor).log
