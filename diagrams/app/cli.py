@@ -25,6 +25,7 @@ from sonoservo.diagrams.app.options import (
     ServeOption,
     WaitOption,
     console,
+    free_folder,
     with_common_options,
     write_printed,
 )
@@ -101,7 +102,7 @@ def run_command(
     from sonoservo.diagrams.experiments.registry import experiment_class, load_scenario
 
     loaded = load_scenario(scenario, changes=changes, seed=seed)
-    folder = out or Path("out") / f"{loaded.name}_seed{loaded.seed}"
+    folder = out or free_folder(f"{loaded.name}_seed{loaded.seed}")
     has_monitor = "monitor" in experiment_class(loaded.experiment).options
     site = open_site(host) if meshcat else None
     monitor = start_monitor(console, site) if site and has_monitor else None
@@ -222,7 +223,7 @@ def scan_command(
     following = require_scenario(loaded, FollowingScenario)
     result = scan(following, time=time)
     summary = summarize_scan(result, following)
-    folder = out or Path("out") / f"{loaded.name}_seed{loaded.seed}_scan"
+    folder = out or free_folder(f"{loaded.name}_seed{loaded.seed}_scan")
     paths = write_scan(result, following, folder)
     console.print(caption(result, following), soft_wrap=True)
     console.print(

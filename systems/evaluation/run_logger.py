@@ -234,6 +234,10 @@ class RunLogger(LeafSystem):
         row |= _describe(estimate, "volume_estimate")
         if estimate.curve is not None:
             row["volume_estimate_points"] = estimate.curve.position([0, 0.5, 1])
+            row["volume_estimate_velocity"] = estimate.tip_velocity
+            row["volume_estimate_tip_covariance"] = estimate.tip_covariance
+            row["volume_estimate_direction_covariance"] = estimate.direction_covariance
+            row["volume_estimate_velocity_covariance"] = estimate.tip_velocity_covariance
         detection = self._value(context, "detection", object)
         row["volume_detected"] = bool(detection)
         row["volume_detection_reason"] = _reason(detection)

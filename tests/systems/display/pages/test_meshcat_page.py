@@ -11,8 +11,8 @@ from urllib.request import urlopen
 
 import pytest
 import umsgpack
-from meshcat_socket import MeshcatSocket
-from page_socket import ask, open_socket, read_frame, read_until_closed, send_frame
+from page_clients.meshcat_socket import MeshcatSocket
+from page_clients.page_socket import ask, open_socket, read_frame, read_until_closed, send_frame
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.display.pages import meshcat_page

@@ -6,7 +6,7 @@ from urllib.parse import urlsplit
 from urllib.request import Request, urlopen
 
 import pytest
-from page_socket import ask, open_socket
+from page_clients.page_socket import ask, open_socket
 from tornado.websocket import WebSocketHandler
 
 from sonoservo.systems.display.pages.site import Document, Guarded, Site
