@@ -6,7 +6,7 @@ from contextlib import closing, suppress
 
 import pytest
 import umsgpack
-from meshcat_socket import MeshcatSocket
+from page_clients.meshcat_socket import MeshcatSocket
 from pydrake.geometry import Meshcat, MeshcatParams
 
 from sonoservo.systems.display.pages.page_messages import checked_message
