@@ -8,7 +8,12 @@ from fuzzing.commands import command_case
 from fuzzing.engine import run, summary
 from fuzzing.files import bases, file_case
 from fuzzing.kills import kill_case
-from fuzzing.scenarios import built_in_scenarios, run_case, scenario_case
+from fuzzing.scenarios import (
+    built_in_scenarios,
+    compile_for_runs,
+    run_case,
+    scenario_case,
+)
 
 CASES = {
     "files": (10_000, file_case),
@@ -30,6 +35,8 @@ def main() -> int:
     options = parser.parse_args()
     bases()
     built_in_scenarios()
+    if options.runs:
+        compile_for_runs()
     found = 0
     for name, (_, case) in CASES.items():
         if count := getattr(options, name):

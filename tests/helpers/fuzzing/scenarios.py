@@ -2,6 +2,7 @@
 
 import math
 from functools import cache
+from multiprocessing import get_context
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -102,6 +103,17 @@ def scenario_case(number: int, folder: Path, seed: int = 0) -> Outcome:
         return 0.0
 
     return judge(f"{name} {[each[:200] for each in changes]}", case)
+
+
+def compile_for_runs() -> None:
+    """Compile what the hardest scenario needs, which takes longer than a case may, in a fork."""
+    child = get_context("fork").Process(target=_run_briefly)
+    child.start()
+    child.join()
+
+
+def _run_briefly() -> None:
+    make_experiment(_load("clinic", ["duration=0.4"])).run()
 
 
 def run_case(number: int, folder: Path, seed: int = 0) -> Outcome:
