@@ -114,12 +114,12 @@ def test_an_insertion_advances_and_is_withdrawn():
 
 
 def test_tissue_rests_in_the_world_while_the_probe_moves():
-    scene = Scene(np.random.default_rng(109), moving=True, shape=(90, 90, 60), spacing=0.3e-3)
-    moved = scene.X_WT.multiply(RigidTransform([1.5e-3, 0.7e-3, -1e-3]))
+    scene = Scene(np.random.default_rng(109), moving=True, shape=(60, 50, 40), spacing=0.4e-3)
+    moved = scene.X_WT.multiply(RigidTransform([0, 0.7e-3, 0]))
     first, second = scene.volume()[0], scene.volume(moved)[0]
-    index = np.indices(first.intensities.shape)[:, 15:-15, 15:-15, 8:-8].reshape(3, -1).T
+    index = np.indices(first.intensities.shape)[:, 10:-10, 10:-10, 8:-8].reshape(3, -1).T
     p_W = first.to_world(first.position(index))[0]
     at_rest = np.corrcoef(first.sample(first.to_probe(p_W)), second.sample(second.to_probe(p_W)))
     along = np.corrcoef(first.sample(first.to_probe(p_W)), second.sample(first.to_probe(p_W)))
-    assert at_rest[0, 1] > 0.5
-    assert abs(along[0, 1]) < 0.2
+    assert at_rest[0, 1] > 0.7
+    assert abs(along[0, 1]) < 0.4
