@@ -239,8 +239,8 @@ def table_of_sequences(rows):
             f"{start:8} {kind or 'all':15} found {found}, tracked {tracked} of {expected} volumes, "
             f"right {share(o.right for o in outcomes)}; false starts {false} in {len(group)} "
             f"sequences, tracked without needle {ghosts}; tip "
-            f"{quantiles([o.tip for o in outcomes])} mm, visible tip {quantiles(clear)} mm; in stated 95 %: along "
-            f"{share(o.within_along for o in outcomes)}, across "
+            f"{quantiles([o.tip for o in outcomes])} mm, visible tip {quantiles(clear)} mm; "
+            f"in stated 95 %: along {share(o.within_along for o in outcomes)}, across "
             f"{share(o.within_across for o in outcomes)}"
         )
     return lines
