@@ -33,6 +33,7 @@ class Outcome:
     along: float
     across: float
     tip_seen: bool
+    turned: bool
     within_along: bool | None = None
     within_across: bool | None = None
 
@@ -57,6 +58,7 @@ def compare(truth, curve, covariance=None):
     outcome = Outcome(
         bool(distance < RIGHT_DISTANCE and tilt < RIGHT_ANGLE),
         float(np.linalg.norm(error)), along, float(np.linalg.norm(across)), tip_seen,
+        bool(curve.direction @ k < 0),
     )  # fmt: skip
     if covariance is not None:
         outcome.within_along = bool(along**2 <= chi2.ppf(0.95, 1) * (k @ covariance @ k))
@@ -97,8 +99,9 @@ def describe(row, truth):
     if row["outcome"] is None:
         return f"{text} FALSE, confidence {row['confidence']:.2f}"
     o = row["outcome"]
+    turned = ", turned" if o.turned else ""
     errors = f"along {1e3 * o.along:.1f}, across {1e3 * o.across:.1f} mm"
-    return f"{text} {'right' if o.right else 'WRONG'}, {errors}, {row['confidence']:.2f}"
+    return f"{text} {'right' if o.right else 'WRONG'}{turned}, {errors}, {row['confidence']:.2f}"
 
 
 def draw_sequence(i, seed):

@@ -38,7 +38,8 @@ def table_of_volumes(rows):
         confidence = [r["confidence"] for r in found if r["outcome"].right]
         lines.append(
             f"{name:26} found {share(bool(r.get('outcome')) and r['outcome'].right for r in group)}"
-            f", wrong {wrong}; tip {quantiles(tips)} mm, visible tip {quantiles(clear)} mm; along "
+            f", wrong {wrong}, turned {sum(o.turned for o in right)}; "
+            f"tip {quantiles(tips)} mm, visible tip {quantiles(clear)} mm; along "
             f"{quantiles([o.along for o in right])}, across "
             f"{quantiles([o.across for o in right])} mm; confidence "
             f"{np.median(confidence or [np.nan]):.2f}"
@@ -71,7 +72,8 @@ def table_of_sequences(rows):
         clear = [o.tip for o in outcomes if o.tip_seen]
         lines.append(
             f"{start:8} {kind:15} found {found}, tracked {tracked} of {expected} volumes, "
-            f"right {share(o.right for o in outcomes)}; false starts {false} in {len(group)} "
+            f"right {share(o.right for o in outcomes)}, "
+            f"turned {share(o.turned for o in outcomes)}; false starts {false} in {len(group)} "
             f"sequences, tracked without needle {ghosts}; tip "
             f"{quantiles([o.tip for o in outcomes])} mm, visible tip {quantiles(clear)} mm; "
             f"in stated 95 %: along {share(o.within_along for o in outcomes)}, across "
