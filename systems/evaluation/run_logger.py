@@ -87,7 +87,8 @@ class RunLogger(LeafSystem):
     and never causes a volume to be computed.
 
     The log is kept in the context, in a cache entry like that of Drake's `VectorLogSink`, so
-    several contexts do not interfere. It is cleared whenever a simulator is initialised.
+    several contexts do not interfere. It is cleared whenever a simulator is initialised. With
+    everything connected and the default period, it grows by 2 MB a simulated minute.
 
     Parameters
     ----------

@@ -113,6 +113,9 @@ MALFORMED = {
     "half a message": umsgpack.packb({"type": "button", "name": "pause"})[:-2],
     "nothing": b"",
     "not a number": umsgpack.packb({"type": "slider", "name": "depth", "value": math.nan}),
+    "a camera that is no rotation": umsgpack.packb(
+        {"type": "camera_pose", "camera_pose": [1.0] * 16, "is_perspective": True}
+    ),
     "of no known type": umsgpack.packb({"type": "delete", "path": "/"}),
     "ten megabytes": bytes(10**7),
 }

@@ -58,6 +58,11 @@ def test_the_root_lists_the_pages(site):
     assert '<a href="page/">A &lt;page&gt;</a>' in text
 
 
+def test_a_name_stands_for_one_page(site):
+    with pytest.raises(ValueError, match="page: 'page' is not allowed"):
+        site.add("page", "Another page", [])
+
+
 def test_without_the_token_a_page_says_where_its_address_stands(site):
     bare = site.address("page").partition("?")[0]
     for url in (bare, f"{bare}?token=", f"{bare}?token=x", bare.replace("page", "no-page")):
