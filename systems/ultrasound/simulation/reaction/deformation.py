@@ -19,6 +19,8 @@ from sonoservo.systems.ultrasound.simulation.kernels.displacement import (
 _MOST_POINTS = 7
 _SPACING = 4e-3
 _ROUNDING = 8
+_STRAIGHT = 1e-6
+"""Distance in m from the chord within which a shaft counts as straight."""
 _NO_SHAFT = np.zeros((0, 3))
 _NO_SHAFT.flags.writeable = False
 
@@ -155,8 +157,7 @@ def displacements(deformations: Sequence[Deformation] | None) -> Displacements:
     drags = np.array([d.drag for d in deformations]).round(_ROUNDING)
     hole = max((d.hole_radius for d in pushing), default=0.0)
     return Displacements(
-        centres=np.column_stack([places[:, :2], np.zeros(frames)]),
-        normals=np.tile([0.0, 0.0, -1.0], (frames, 1)),
+        contacts=places[:, :2].copy(),
         depths=places[:, 2].copy(),
         radii=np.maximum(places[:, 3], 1e-6),
         shafts=shafts,
@@ -170,7 +171,11 @@ def displacements(deformations: Sequence[Deformation] | None) -> Displacements:
 
 
 def _thinned(shaft: NDArray[np.float64], most: int) -> NDArray[np.float64]:
-    """Return at most ``most`` of a shaft's points, with both ends."""
+    """Return at most ``most`` of a shaft's points, with both ends; only these if it is straight."""
+    along = shaft[-1] - shaft[0]
+    length = max(float(np.linalg.norm(along)), 1e-9)
+    if np.linalg.norm(np.cross(shaft - shaft[0], along), axis=1).max() < _STRAIGHT * length:
+        return shaft[[0, -1]]
     if len(shaft) <= most:
         return shaft
     return shaft[np.linspace(0, len(shaft) - 1, most).round().astype(int)]
