@@ -56,7 +56,7 @@ class FrameField(NamedTuple):
     drag_reach: float
     hole: float
     widest_push: float
-    count: int
+    points: int
     shaft: NDArray[np.float64]
 
 
@@ -178,7 +178,7 @@ def displace(x, y, z, field, pushed, F):  # type: ignore[no-untyped-def]
         (3, 3) gradient of the displaced position, written.
     """
     dx, dy, dz, slope, px, py, pz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    if pushed and field.count > 1:
+    if pushed and field.points > 1:
         _, k = nearest_on_shaft(x, y, z, field)
         dx, dy, dz, length, entry, tip = segment_of(field, k)
         ux, uy, uz, slope, px, py, pz = push(

@@ -194,7 +194,7 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                         continue
                 if deforms:
                     # Within a block, the displacement is linear, except beside the needle.
-                    if field.count > 1:
+                    if field.points > 1:
                         distance, segment = nearest_on_shaft(px, py, pz, field)
                         near = distance < radius + _NEAR_NEEDLE
                     x, y, z = displace(px, py, pz, field, not near, F)

@@ -12,7 +12,7 @@ def nearest_on_shaft(x, y, z, field):  # type: ignore[no-untyped-def]
     shaft = field.shaft
     least = np.inf
     nearest = 0
-    for k in range(field.count - 1):
+    for k in range(field.points - 1):
         ax = shaft[k + 1, 0] - shaft[k, 0]
         ay = shaft[k + 1, 1] - shaft[k, 1]
         az = shaft[k + 1, 2] - shaft[k, 2]
@@ -35,7 +35,7 @@ def nearest_on_shaft(x, y, z, field):  # type: ignore[no-untyped-def]
 def segment_of(field, k):  # type: ignore[no-untyped-def]
     """Return a segment's unit direction, its length, and how far it begins from entry and tip."""
     shaft = field.shaft
-    last = field.count - 1
+    last = field.points - 1
     dx = shaft[k + 1, 0] - shaft[k, 0]
     dy = shaft[k + 1, 1] - shaft[k, 1]
     dz = shaft[k + 1, 2] - shaft[k, 2]

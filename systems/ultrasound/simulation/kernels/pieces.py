@@ -138,7 +138,7 @@ def _in_frame(  # type: ignore[no-untyped-def]
     x = pieces.points[i, 0] + growth[surface] * nx
     y = pieces.points[i, 1] + growth[surface] * ny
     z = pieces.points[i, 2] + growth[surface] * nz
-    if field.depth > 0 or field.count > 1:
+    if field.depth > 0 or field.points > 1:
         x, y, z = displace(x, y, z, field, True, F)
         nx, ny, nz = _turned(nx, ny, nz, F)
     px = X_FT[0, 0] * x + X_FT[0, 1] * y + X_FT[0, 2] * z + X_FT[0, 3]

@@ -145,13 +145,11 @@ def displacements(deformations: Sequence[Deformation] | None) -> Displacements:
         return NO_DISPLACEMENTS
     frames = len(deformations)
     pushing = [d for d in deformations if len(d.shaft) and (d.drag != 0 or d.hole_radius > 0)]
-    most = max((min(len(d.shaft), _MOST_POINTS) for d in pushing), default=1)
-    shafts, counts = np.zeros((frames, most, 3)), np.zeros(frames, np.int64)
-    for frame, deformation in enumerate(deformations):
-        if len(deformation.shaft) > 1 and pushing:
-            shaft = _thinned(deformation.shaft, most)
-            shafts[frame, : len(shaft)] = np.round(shaft, _ROUNDING)
-            counts[frame] = len(shaft)
+    paths = [_thinned(d.shaft) if len(d.shaft) > 1 and pushing else _NO_SHAFT for d in deformations]
+    counts = np.array([len(path) for path in paths])
+    shafts = np.zeros((frames, max(counts.max(), 1), 3))
+    for shaft, path in zip(shafts, paths, strict=True):
+        shaft[: len(path)] = np.round(path, _ROUNDING)
     contacts = [d.indentation for d in deformations]
     places = np.array([[c.x, c.y, c.depth, c.radius] for c in contacts]).round(_ROUNDING)
     drags = np.array([d.drag for d in deformations]).round(_ROUNDING)
@@ -170,12 +168,12 @@ def displacements(deformations: Sequence[Deformation] | None) -> Displacements:
     )
 
 
-def _thinned(shaft: NDArray[np.float64], most: int) -> NDArray[np.float64]:
-    """Return at most ``most`` of a shaft's points, with both ends; only these if it is straight."""
+def _thinned(shaft: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a few of a shaft's points, with both ends; only these if it is straight."""
     along = shaft[-1] - shaft[0]
     length = max(float(np.linalg.norm(along)), 1e-9)
     if np.linalg.norm(np.cross(shaft - shaft[0], along), axis=1).max() < _STRAIGHT * length:
         return shaft[[0, -1]]
-    if len(shaft) <= most:
+    if len(shaft) <= _MOST_POINTS:
         return shaft
-    return shaft[np.linspace(0, len(shaft) - 1, most).round().astype(int)]
+    return shaft[np.linspace(0, len(shaft) - 1, _MOST_POINTS).round().astype(int)]
