@@ -28,7 +28,8 @@ from sonoservo.systems.control.scheduled_settings import ScheduledSettings
 from sonoservo.systems.display.monitor.scanner_monitor import ScannerMonitor
 from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
 from sonoservo.systems.evaluation.explanation.explanation_recorder import ExplanationRecorder
-from sonoservo.systems.evaluation.metrics import LABELS, MetricsParameters, summarize
+from sonoservo.systems.evaluation.labels import LABELS
+from sonoservo.systems.evaluation.metrics import MetricsParameters, summarize
 from sonoservo.systems.evaluation.plots import plot_errors, plot_run
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.run_logger import RunLogger
@@ -216,7 +217,14 @@ class FollowingExperiment(Experiment[FollowingScenario]):
                 "convert": (self.scan_converter, "volume"),
             },
             event="track",
-            optional=("deformation", "measurement", "detection", "guard", "volume_check"),
+            optional=(
+                "deformation",
+                "measurement",
+                "detection",
+                "guard",
+                "hold_reason",
+                "volume_check",
+            ),
             sees_truth={"station", *sources, *_OBSERVERS, *observers},
         )
 
@@ -227,11 +235,13 @@ class FollowingExperiment(Experiment[FollowingScenario]):
 
     @property
     def status(self) -> str:
-        """Why the guard stops the robot, or the tracker's mode and why it sees no needle."""
+        """Why the robot is stopped or holds, or the tracker's mode and why it sees no needle."""
         if self.probe_controller.HasOutputPort("guard"):
             guard: GuardStatus = self.evaluate(self.probe_controller, "guard")
             if guard.stopped:
                 return f"stopped: {guard.reason}"
+        if hold := self.evaluate(self.probe_controller, "hold_reason"):
+            return f"held: {hold}"
         estimate = self.estimate
         return f"{estimate.mode}: {estimate.reason}" if estimate.reason else str(estimate.mode)
 

@@ -56,6 +56,9 @@ class RunLog(Log):
     guard_reason: Annotated[
         Array, Column("reason why the guard stops the robot at this time", "", ("n",), "U")
     ]
+    hold_reason: Annotated[
+        Array, Column("reason why the servo does not follow a tracked needle", "", ("n",), "U")
+    ]
     volumes_refused: Annotated[
         Array, Column("number of volumes refused as implausible so far", "", ("n",))
     ]
@@ -105,6 +108,18 @@ class RunLog(Log):
     volume_estimate_points: Annotated[
         Array,
         Column("entry, middle and tip of the estimated curve after the volume", "m", ("v", 3, 3)),
+    ]
+    volume_estimate_velocity: Annotated[
+        Array, Column("estimated velocity of the tip after the volume", "m/s", ("v", 3))
+    ]
+    volume_estimate_tip_covariance: Annotated[
+        Array, Column("stated covariance of the estimated tip", "m^2", ("v", 3, 3))
+    ]
+    volume_estimate_direction_covariance: Annotated[
+        Array, Column("stated covariance of the direction, entry to tip", "", ("v", 3, 3))
+    ]
+    volume_estimate_velocity_covariance: Annotated[
+        Array, Column("stated covariance of the tip's velocity", "m^2/s^2", ("v", 3, 3))
     ]
 
     compute: Mapping[str, Array] = field(default_factory=dict)
