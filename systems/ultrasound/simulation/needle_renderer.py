@@ -40,7 +40,7 @@ class FrameViews(NamedTuple):
     bent: View
     """Apparent positions of points."""
     transmission: NDArray[np.float32]
-    """(frames, lines, samples) factors on echoes from behind structures, or `NO_TRANSMISSION`."""
+    """(frames, lines, samples) factors on echoes from behind structures; empty if none."""
     times: NDArray[np.float64]
     """(frames,) times of the frames, in s."""
 

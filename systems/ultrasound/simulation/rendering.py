@@ -13,18 +13,12 @@ from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.ultrasound.beam import Beam, beam_profile, point_spread
 from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
 from sonoservo.systems.ultrasound.simulation.air_pockets import AirPockets
-from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import (
-    NO_TRANSMISSION,
-    render_points,
-)
-from sonoservo.systems.ultrasound.simulation.kernels.displacement import (
-    NO_DISPLACEMENTS,
-    Displacements,
-)
+from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import render_points
+from sonoservo.systems.ultrasound.simulation.kernels.displacement import Displacements
 from sonoservo.systems.ultrasound.simulation.kernels.echo import FADE, render_tissue
 from sonoservo.systems.ultrasound.simulation.kernels.image_formation import form_image, modulate
 from sonoservo.systems.ultrasound.simulation.kernels.line_blur import line_kernel
-from sonoservo.systems.ultrasound.simulation.kernels.medium import expand_gains
+from sonoservo.systems.ultrasound.simulation.kernels.shadows import expand_gains
 from sonoservo.systems.ultrasound.simulation.kernels.surface_echo import render_surfaces
 from sonoservo.systems.ultrasound.simulation.needle_echo import NeedleEchoParameters
 from sonoservo.systems.ultrasound.simulation.needle_renderer import FrameViews, NeedleRenderer
@@ -254,7 +248,7 @@ class SweepRenderer:
         """
         X_FT, rays = frame_poses(self._acoustic, X_TP), self._rays[direction]
         view, *_ = self._scene.view(X_FT, float(rays.twist))
-        beams = (rays, self._tables, self._point_pulse, view, NO_DISPLACEMENTS)
+        beams = (rays, self._tables, self._point_pulse, view, displacements(None))
         render_points(iq, X_FT, points, amplitudes, *beams)
 
     def render(
@@ -312,7 +306,7 @@ class SweepRenderer:
         if len(self._inclusions[0]):
             points = (*self._inclusions, rays, tables, self._point_pulse, view, field)
             render_points(iq, X_FT, *points)
-        transmission = NO_TRANSMISSION
+        transmission = np.empty((0, 0, 0), np.float32)
         if scene.pieces is not None:
             transmission = np.ones(self.geometry.shape, np.float32)
             if gains is not None:

@@ -15,8 +15,13 @@ from sonoservo.systems.ultrasound.simulation.kernels.medium import (
     integrate_paths,
     tabulate_views,
 )
+from sonoservo.systems.ultrasound.simulation.kernels.pieces import Pieces
 from sonoservo.systems.ultrasound.simulation.kernels.regions import Regions
-from sonoservo.systems.ultrasound.simulation.kernels.surface_echo import Pieces
+from sonoservo.systems.ultrasound.simulation.kernels.surface_echo import (
+    FAINT_PIECE,
+    FURTHEST,
+    SHADOW_REACH,
+)
 from sonoservo.systems.ultrasound.simulation.path_labels import PathLabels, path_labels
 from sonoservo.systems.ultrasound.simulation.pulses import PulseTables, stacked
 from sonoservo.systems.ultrasound.simulation.scatterers.scatterer_regions import scatterer_regions
@@ -237,10 +242,17 @@ class Scene:
             nearest=nearest,
             depths_per_metre=1 / _VIEW_DEPTH,
             centre_offset=medium.centre_offset,
-            aside=0.0,
+            asides=np.zeros(len(medium.offsets)),
+            furthest=0.0,
         )
         tabulate_views(view.table, medium, view)
-        return view._replace(aside=float(np.abs(view.table[..., 2]).max()) + _ASIDE)
+        # Beyond the outermost lines by a node, nothing comes back into the image.
+        inner = int(np.ceil(geometry.line_pitch * geometry.lines / 2 / _VIEW_ANGLE)) + 1
+        outside = max(angles // 2 - inner, 0)
+        moved = view.table[:, outside : angles - outside, :, :3]
+        asides = np.abs(moved[..., 2]).max(axis=(1, 2)) + _ASIDE
+        furthest = float(np.sqrt((moved**2).sum(axis=-1).max())) + _ASIDE
+        return view._replace(asides=asides, furthest=furthest)
 
 
 def _pieces(
@@ -264,13 +276,19 @@ def _pieces(
     rough = spread([10 ** ((e.level_db + e.diffuse_db) / 20) for _, e in surfaces])
     phases = np.exp(2j * np.pi * rng.random(len(areas)))
     largest = spread([part.areas.max(initial=0.0) for part in parts[:-1]])
+    specular = levels * areas / section
+    diffuse = rough * np.sqrt(2 * areas / section) * phases
+    shadows = spread([e.shadow for _, e in surfaces])
+    cell = beam.resolution_cell
+    loudest = (specular + np.abs(diffuse)) * np.sqrt(cell[reference] / cell.min())
+    reach = np.maximum(np.log(loudest / FAINT_PIECE + 1e-9), SHADOW_REACH * (shadows > 0))
     return Pieces(
         points=np.concatenate([part.points for part in parts]),
         normals=np.concatenate([part.normals for part in parts]),
         surfaces=np.repeat(np.arange(len(surfaces)), counts),
-        specular=levels * areas / section,
-        diffuse=rough * np.sqrt(2 * areas / section) * phases,
-        blocked=spread([e.shadow for _, e in surfaces]) * areas,
+        specular=specular,
+        diffuse=diffuse,
+        blocked=shadows * areas,
         steps=np.sqrt(largest),
         one_sided=np.array([e.one_sided for _, e in surfaces], dtype=np.bool_),
         reverberation=np.array(
@@ -280,4 +298,5 @@ def _pieces(
             ]
         ),
         pulses=np.zeros(len(surfaces), np.int64),
+        reaches=np.sqrt(np.clip(reach / FURTHEST, 0, 1)),
     )

@@ -59,15 +59,15 @@ def count_below(ranks, start, end, limit):  # type: ignore[no-untyped-def]
 
 
 @njit(**OPTIONS)
-def misses(x, y, z, slack, reach, twist_per_radian, rays):  # type: ignore[no-untyped-def]
-    """Return True if no point within ``slack`` m of a point in F can be in the frame's beam.
+def misses(x, y, z, slack, aside, reach, share, twist_per_radian, rays):  # type: ignore[no-untyped-def]
+    """Return True if no point near a point in F can be in the frame's beam.
 
     Parameters
     ----------
-    x, y, z, slack
-        Point in F and largest distance from it, in m.
-    reach
-        (samples,) half width of the beam in elevation, in m.
+    x, y, z, slack, aside
+        Point in F, and largest distances from it in any direction and along Z, in m.
+    reach, share
+        (samples,) half width of the beam in elevation in m, and a factor on it.
     twist_per_radian
         Turn of the motor per radian between lines.
     rays
@@ -82,4 +82,4 @@ def misses(x, y, z, slack, reach, twist_per_radian, rays):  # type: ignore[no-un
         return True
     turn = y * twist_per_radian * np.arctan(x / max(q, slack))
     widest = max(reach[min(max(at - span, 0), last)], reach[max(min(at + span, last), 0)])
-    return abs(z - turn) > widest + (1 + abs(twist_per_radian)) * slack
+    return abs(z - turn) > share * widest + aside + abs(twist_per_radian) * slack

@@ -7,7 +7,10 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from sonoservo.systems.sampling.options import OPTIONS
-from sonoservo.systems.ultrasound.simulation.kernels.displacement import displace
+from sonoservo.systems.ultrasound.simulation.kernels.displacement import (
+    displace,
+    frame_field,
+)
 from sonoservo.systems.ultrasound.simulation.kernels.medium import look_up
 from sonoservo.systems.ultrasound.simulation.kernels.projection import (
     FRACTIONS,
@@ -60,9 +63,6 @@ class NeedleView(NamedTuple):
 
 NO_NEEDLE_VIEW = NeedleView(np.empty((0, 0)), np.empty((0, 0)), np.empty(0), 1.0, 0.0, 1, 0)
 """Factors on the echo of a needle that looks the same from every angle at any time."""
-
-NO_TRANSMISSION = np.empty((0, 0, 0), np.float32)
-"""Transmission of tissue in which nothing weakens an echo."""
 
 
 @njit(**OPTIONS)
@@ -134,7 +134,7 @@ def _add_point(  # type: ignore[no-untyped-def]
 
 @njit(parallel=True, **OPTIONS)
 def render_points(  # type: ignore[no-untyped-def]
-    iq, X_FT, points, amplitudes, rays, tables, pulse, view, field
+    iq, X_FT, points, amplitudes, rays, tables, pulse, view, fields
 ):
     """Add inclusions to every frame.
 
@@ -150,7 +150,7 @@ def render_points(  # type: ignore[no-untyped-def]
         See `_add_point`.
     view
         Apparent positions of points, or `NO_VIEW`.
-    field
+    fields
         Displacements of the tissue, or `NO_DISPLACEMENTS`.
     """
     frames, lines, samples = iq.shape
@@ -159,24 +159,22 @@ def render_points(  # type: ignore[no-untyped-def]
     furthest = rays.array_radius + samples / rays.samples_per_metre
     slab = np.sqrt(_FURTHEST / tables.elevation_precision.min())
     slab += abs(rays.twist) * rays.middle_line * furthest
-    bends, deforms = len(view.table) > 0, len(field.counts) > 0
-    slab += view.aside + field.deepest + field.widest_push
+    bends, deforms = len(view.table) > 0, len(fields.counts) > 0
+    slab += view.furthest + fields.deepest + fields.widest_push
     for each in prange(frames):
         frame = np.int64(each)
         layer = np.zeros((2, lines, samples + 2 * taps), np.float32)
         no_shadow = np.empty((0, 0), np.float32)
         node = np.empty(15)
         F = np.empty((3, 3))
-        G = np.empty((3, 3))
+        field = frame_field(fields, frame)
         seen = False
         for i in range(len(points)):
             x, y, z = transformed(X_FT[frame], points[i, 0], points[i, 1], points[i, 2])
             if abs(z) > slab:
                 continue
             if deforms:
-                x, y, z = displace(
-                    points[i, 0], points[i, 1], points[i, 2], field, frame, True, F, G
-                )
+                x, y, z = displace(points[i, 0], points[i, 1], points[i, 2], field, True, F)
                 x, y, z = transformed(X_FT[frame], x, y, z)
             if bends:
                 x, y, z = look_up(x, y, z, view, frame, node)
@@ -205,8 +203,8 @@ def render_needles(  # type: ignore[no-untyped-def]
     radius, echo, phases, rays, tables, pulse, view
         See `_add_needle`.
     transmission
-        (frames, lines, samples) float32 factors on echoes from behind structures, or
-        `NO_TRANSMISSION`.
+        (frames, lines, samples) float32 factors on echoes from behind structures; empty if
+        there are none.
     """
     frames, lines, samples = iq.shape
     taps = pulse.shape[2]

@@ -7,6 +7,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from sonoservo.systems.sampling.options import OPTIONS
+from sonoservo.systems.ultrasound.simulation.kernels.needle_push import (
+    nearest_on_shaft,
+    push,
+    segment_of,
+)
 
 _SHALLOWEST = 1e-4
 _FARTHEST = 0.95
@@ -15,10 +20,8 @@ _FARTHEST = 0.95
 class Displacements(NamedTuple):
     """Fields of displacement in T, one for each frame."""
 
-    centres: NDArray[np.float64]
-    """(frames, 3) centres of the contact on the undeformed surface, in m."""
-    normals: NDArray[np.float64]
-    """(frames, 3) unit normals of the surface, into the tissue."""
+    contacts: NDArray[np.float64]
+    """(frames, 2) x and y of the middle of the contact on the undeformed top, in m."""
     depths: NDArray[np.float64]
     """(frames,) depths of the indentation, in m; 0 for none."""
     radii: NDArray[np.float64]
@@ -39,9 +42,26 @@ class Displacements(NamedTuple):
     """Upper limit of all displacements by the needle, in m."""
 
 
+class FrameField(NamedTuple):
+    """Field of displacement of one frame; see `Displacements`.
+
+    Kernels pass it on instead of the fields of all frames, whose many arrays make calls expensive.
+    """
+
+    x: float
+    y: float
+    depth: float
+    radius: float
+    drag: float
+    drag_reach: float
+    hole: float
+    widest_push: float
+    points: int
+    shaft: NDArray[np.float64]
+
+
 NO_DISPLACEMENTS = Displacements(
-    centres=np.empty((0, 3)),
-    normals=np.empty((0, 3)),
+    contacts=np.empty((0, 2)),
     depths=np.empty(0),
     radii=np.empty(0),
     shafts=np.empty((0, 0, 3)),
@@ -56,27 +76,33 @@ NO_DISPLACEMENTS = Displacements(
 
 
 @njit(**OPTIONS)
-def _add_products(F, one, nx, ny, nz, px, py, pz, np_, pn, pp, nn):  # type: ignore[no-untyped-def]
-    """Write one I + np_ n p' + pn p n' - pp p p' - nn n n' to F."""
-    for i in range(3):
-        a = nx if i == 0 else (ny if i == 1 else nz)
-        b = px if i == 0 else (py if i == 1 else pz)
-        along = pn * b - nn * a
-        aside = np_ * a - pp * b
-        F[i, 0] = along * nx + aside * px
-        F[i, 1] = along * ny + aside * py
-        F[i, 2] = along * nz + aside * pz
-        F[i, i] += one
+def frame_field(fields, frame):  # type: ignore[no-untyped-def]
+    """Return the `FrameField` of a frame; nothing moves in it if there are no fields."""
+    if len(fields.counts) == 0:
+        return FrameField(0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0, np.empty((0, 3)))
+    return FrameField(
+        fields.contacts[frame, 0],
+        fields.contacts[frame, 1],
+        fields.depths[frame],
+        fields.radii[frame],
+        fields.drags[frame],
+        fields.drag_reach,
+        fields.hole,
+        fields.widest_push,
+        fields.counts[frame],
+        fields.shafts[frame],
+    )
 
 
 @njit(**OPTIONS)
-def indent(x, y, z, field, frame, F):  # type: ignore[no-untyped-def]
+def indent(x, y, z, field, F):  # type: ignore[no-untyped-def]
     """Return the displacement in m of a point in T by a rigid sphere, and write its gradient.
 
-    The field is that of Hertz's contact with an incompressible elastic half-space. With Poisson's
-    ratio 1/2, Boussinesq's potentials (Johnson 1985, section 3.2) reduce to u = (V n - d grad V) /
-    2G, where d is the depth and V the Newtonian potential of the pressure. That of Hertz's pressure
-    is the limit of a homogeneous ellipsoid that is flattened to a disc of radius a:
+    The field is that of Hertz's contact with an incompressible elastic half-space, whose surface is
+    T's level top with the normal n into the tissue. With Poisson's ratio 1/2, Boussinesq's
+    potentials (Johnson 1985, section 3.2) reduce to u = (V n - d grad V) / 2G, where d is the depth
+    and V the Newtonian potential of the pressure. That of Hertz's pressure is the limit of a
+    homogeneous ellipsoid that is flattened to a disc of radius a:
 
         V / 2G = (depth a / pi) int_lambda^inf (1 - r^2/(a^2+s) - d^2/s) ds / ((a^2+s) sqrt(s)),
 
@@ -86,23 +112,17 @@ def indent(x, y, z, field, frame, F):  # type: ignore[no-untyped-def]
     ----------
     x, y, z
         Coordinates of the point, in m.
-    field, frame
-        `Displacements`, and the frame's number.
+    field
+        `FrameField`.
     F
         (3, 3) gradient of the displaced position, written.
     """
-    n = field.normals[frame]
-    a = field.radii[frame]
-    px = x - field.centres[frame, 0]
-    py = y - field.centres[frame, 1]
-    pz = z - field.centres[frame, 2]
-    d = px * n[0] + py * n[1] + pz * n[2]
-    px -= d * n[0]
-    py -= d * n[1]
-    pz -= d * n[2]
+    a = field.radius
+    px = x - field.x
+    py = y - field.y
     # At the surface itself the formulae divide zero by zero.
-    d = max(d, _SHALLOWEST * a)
-    rr = px * px + py * py + pz * pz
+    d = max(-z, _SHALLOWEST * a)
+    rr = px * px + py * py
     aa = a * a
     b = rr + d * d - aa
     root = np.sqrt(b * b + 4 * aa * d * d)
@@ -112,241 +132,123 @@ def indent(x, y, z, field, frame, F):  # type: ignore[no-untyped-def]
     theta = np.arctan2(a, t)
     first = theta / (aa * a) - t / (aa * s)
     second = 2 / (aa * t) - 2 * theta / (aa * a)
-    scale = field.depths[frame] * a / np.pi
-    # V = scale (2 theta / a - r^2 first - d^2 second), and its gradient is p (px, py, pz) + q n.
+    scale = field.depth * a / np.pi
+    # V = scale (2 theta / a - r^2 first - d^2 second), and its gradient is p (px, py, 0) + q n.
     p = -2 * scale * first
     q = -2 * scale * d * second
     V = scale * (2 * theta / a - rr * first - d * d * second)
-    # Derivatives of p and q by way of t, whose gradient is by_r (px, py, pz) + by_d n.
+    # Derivatives of p and q by way of t, whose gradient is by_r (px, py, 0) + by_d n.
     inverse = 1 / (t * rr / (s * s) + d * d / (tt * t))
     p_t = 4 * scale / (s * s) * inverse
     both = d * d / tt * p_t
     aside = d / s * p_t
     ahead = d * (4 * scale * d * d / (tt * tt * s) * inverse - 2 * scale * second - p)
-    _add_products(F, 1 - d * p, n[0], n[1], n[2], px, py, pz, p - both, -p - both, aside, ahead)
-    along = V - d * q
-    return along * n[0] - d * p * px, along * n[1] - d * p * py, along * n[2] - d * p * pz
+    one = 1 - d * p
+    F[0, 0] = one - aside * px * px
+    F[0, 1] = -aside * px * py
+    F[0, 2] = (p + both) * px
+    F[1, 0] = F[0, 1]
+    F[1, 1] = one - aside * py * py
+    F[1, 2] = (p + both) * py
+    F[2, 0] = (both - p) * px
+    F[2, 1] = (both - p) * py
+    F[2, 2] = one - ahead
+    return -d * p * px, -d * p * py, d * q - V
 
 
 @njit(**OPTIONS)
-def nearest_on_shaft(x, y, z, field, frame):  # type: ignore[no-untyped-def]
-    """Return the distance in m from a frame's needle, its nearest segment, and the place on it."""
-    shaft = field.shafts[frame]
-    least = np.inf
-    nearest = 0
-    share = 0.0
-    for k in range(field.counts[frame] - 1):
-        ax = shaft[k + 1, 0] - shaft[k, 0]
-        ay = shaft[k + 1, 1] - shaft[k, 1]
-        az = shaft[k + 1, 2] - shaft[k, 2]
-        bx = x - shaft[k, 0]
-        by = y - shaft[k, 1]
-        bz = z - shaft[k, 2]
-        length = ax * ax + ay * ay + az * az
-        at = min(max((bx * ax + by * ay + bz * az) / max(length, 1e-18), 0.0), 1.0)
-        bx -= at * ax
-        by -= at * ay
-        bz -= at * az
-        squared = bx * bx + by * by + bz * bz
-        if squared < least:
-            least = squared
-            nearest = k
-            share = at
-    return np.sqrt(least), nearest, share
-
-
-@njit(**OPTIONS)
-def _segment(field, frame, k):  # type: ignore[no-untyped-def]
-    """Return a segment's unit direction, its length, and how far it begins from entry and tip."""
-    shaft = field.shafts[frame]
-    last = field.counts[frame] - 1
-    dx = shaft[k + 1, 0] - shaft[k, 0]
-    dy = shaft[k + 1, 1] - shaft[k, 1]
-    dz = shaft[k + 1, 2] - shaft[k, 2]
-    length = max(np.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
-    dx /= length
-    dy /= length
-    dz /= length
-    entry = (shaft[k, 0] - shaft[0, 0]) * dx
-    entry += (shaft[k, 1] - shaft[0, 1]) * dy + (shaft[k, 2] - shaft[0, 2]) * dz
-    tip = (shaft[k, 0] - shaft[last, 0]) * dx
-    tip += (shaft[k, 1] - shaft[last, 1]) * dy + (shaft[k, 2] - shaft[last, 2]) * dz
-    return dx, dy, dz, length, entry, tip
-
-
-@njit(**OPTIONS)
-def _push(px, py, pz, dx, dy, dz, length, entry, tip, drag, reach, hole):  # type: ignore[no-untyped-def]
-    """Return the displacement by a segment of a needle, and how the drag changes.
-
-    Parameters
-    ----------
-    px, py, pz
-        Point relative to the segment's beginning, in m.
-    dx, dy, dz, length, entry, tip
-        See `_segment`.
-    drag, reach, hole
-        See `Displacements`.
-
-    Returns
-    -------
-    Displacement in m; slope of the drag away from the needle, per m of the vector that follows; and
-    the vector from the nearest point of the needle.
-    """
-    along = px * dx + py * dy + pz * dz
-    clipped = min(max(along, 0.0), length)
-    px -= clipped * dx
-    py -= clipped * dy
-    pz -= clipped * dz
-    distance = np.sqrt(px * px + py * py + pz * pz)
-    u = drag * np.exp(-distance / reach)
-    slope = -u / (reach * max(distance, 1e-6))
-    w = 0.0
-    if hole > 0:
-        over = along - clipped
-        first = along + entry
-        beyond = along + tip
-        rr = max(distance * distance - over * over, 0.0)
-        from_entry = np.sqrt(first * first + rr + 1e-12)
-        from_tip = np.sqrt(beyond * beyond + rr + 1e-12)
-        opened = 0.5 * hole * max(first / from_entry - beyond / from_tip, 0.0)
-        # The same as (sqrt(r^2 + opened) - r) / r.
-        r = np.sqrt(rr)
-        w = opened / ((np.sqrt(rr + opened) + r + 1e-12) * max(r, 1e-9))
-        u += (
-            0.25
-            * hole
-            * (
-                1 / np.sqrt(from_tip * from_tip + hole)
-                - 1 / np.sqrt(from_entry * from_entry + hole)
-            )
-        )
-        u -= w * over
-    return u * dx + w * px, u * dy + w * py, u * dz + w * pz, slope, px, py, pz
-
-
-@njit(**OPTIONS)
-def push(x, y, z, field, frame, F):  # type: ignore[no-untyped-def]
-    """Return the displacement in m of a point in T by the needle, and write that of its gradient.
+def displace(x, y, z, field, pushed, F):  # type: ignore[no-untyped-def]
+    """Return the displaced position in T, in m, of a point in T, and write its gradient.
 
     The needle drags tissue along, less and less with the distance from its shaft. Tissue also gives
     way to the needle's volume: incompressible tissue at a distance r from the middle of a long
     needle of radius R moves to sqrt(r^2 + R^2) (expansion of a cylindrical cavity). At its ends the
-    field is that of a line of sources. The gradient leaves out the second effect.
+    field is that of a line of sources. The gradient leaves out the second effect. The probe then
+    displaces the tissue with the needle; see `indent`.
 
     Parameters
     ----------
-    x, y, z, field, frame
-        See `indent`.
-    F
-        (3, 3) gradient of the displaced position, written.
-    """
-    if field.counts[frame] < 2:
-        _add_products(F, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        return 0.0, 0.0, 0.0
-    _, k, _ = nearest_on_shaft(x, y, z, field, frame)
-    dx, dy, dz, length, entry, tip = _segment(field, frame, k)
-    x -= field.shafts[frame, k, 0]
-    y -= field.shafts[frame, k, 1]
-    z -= field.shafts[frame, k, 2]
-    drag, reach, hole = field.drags[frame], field.drag_reach, field.hole
-    ux, uy, uz, slope, px, py, pz = _push(
-        x, y, z, dx, dy, dz, length, entry, tip, drag, reach, hole
-    )
-    _add_products(F, 1.0, dx, dy, dz, px, py, pz, slope, 0.0, 0.0, 0.0)
-    return ux, uy, uz
-
-
-@njit(**OPTIONS)
-def displace(x, y, z, field, frame, pushed, F, G):  # type: ignore[no-untyped-def]
-    """Return the displaced position in T, in m, of a point in T, and write its gradient.
-
-    Parameters
-    ----------
-    x, y, z, field, frame
-        See `indent`.
+    x, y, z
+        Coordinates of the point, in m.
+    field
+        `FrameField`.
     pushed
-        Whether the needle displaces the point, before the probe does.
+        Whether the needle displaces the point.
     F
         (3, 3) gradient of the displaced position, written.
-    G
-        (3, 3) memory, overwritten.
     """
-    if pushed:
-        ux, uy, uz = push(x, y, z, field, frame, F)
+    dx, dy, dz, slope, px, py, pz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    if pushed and field.points > 1:
+        _, k = nearest_on_shaft(x, y, z, field)
+        dx, dy, dz, length, entry, tip = segment_of(field, k)
+        ux, uy, uz, slope, px, py, pz = push(
+            x - field.shaft[k, 0], y - field.shaft[k, 1], z - field.shaft[k, 2],
+            dx, dy, dz, length, entry, tip, field.drag, field.drag_reach, field.hole,
+        )  # fmt: skip
+        x += ux
+        y += uy
+        z += uz
+    if field.depth > 0:
+        ux, uy, uz = indent(x, y, z, field, F)
         x += ux
         y += uy
         z += uz
     else:
-        _add_products(F, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    if field.depths[frame] > 0:
-        ux, uy, uz = indent(x, y, z, field, frame, G)
-        x += ux
-        y += uy
-        z += uz
-        for j in range(3):
-            a = F[0, j]
-            b = F[1, j]
-            c = F[2, j]
-            for i in range(3):
-                F[i, j] = G[i, 0] * a + G[i, 1] * b + G[i, 2] * c
+        for i in range(3):
+            for j in range(3):
+                F[i, j] = 1.0 if i == j else 0.0
+    if slope != 0:
+        # The needle's gradient is I + slope d p'.
+        for i in range(3):
+            along = slope * (F[i, 0] * dx + F[i, 1] * dy + F[i, 2] * dz)
+            F[i, 0] += along * px
+            F[i, 1] += along * py
+            F[i, 2] += along * pz
     return x, y, z
 
 
 @njit(**OPTIONS)
-def displacement_limit(x, y, z, field, frame):  # type: ignore[no-untyped-def]
-    """Return an upper limit in m of the displacement of a point in T; see `indent` and `push`."""
+def displacement_limit(x, y, z, field):  # type: ignore[no-untyped-def]
+    """Return an upper limit in m of the displacement of a point in T; see `displace`."""
     limit = field.widest_push
-    if field.depths[frame] > 0:
-        px = x - field.centres[frame, 0]
-        py = y - field.centres[frame, 1]
-        pz = z - field.centres[frame, 2]
+    if field.depth > 0:
+        px = x - field.x
+        py = y - field.y
         # Boussinesq's point load moves the tissue most below itself: by 8 depth a / 3 pi r.
-        far = _FARTHEST * field.radii[frame] / np.sqrt(px * px + py * py + pz * pz + 1e-9)
-        limit += field.depths[frame] * min(far, 1.0)
+        far = _FARTHEST * field.radius / np.sqrt(px * px + py * py + z * z + 1e-9)
+        limit += field.depth * min(far, 1.0)
     return limit
 
 
 @njit(**OPTIONS)
-def displace_points(points, field, frame, pushed):  # type: ignore[no-untyped-def]
+def limit_along(limit, cosine, field):  # type: ignore[no-untyped-def]
+    """Return an upper limit of a displacement's component along a direction, in m.
+
+    Below the probe, the tissue moves sideways by at most a quarter of the limit: Boussinesq's point
+    load moves it by sin(t) cos(t) / 2 of the greatest displacement at an angle t to the load.
+
+    Parameters
+    ----------
+    limit
+        `displacement_limit` of the point, in m.
+    cosine
+        Cosine of the direction's angle to the vertical.
+    field
+        `FrameField`.
+    """
+    pressed = limit - field.widest_push
+    return field.widest_push + min(abs(cosine) + 0.25, 1.0) * pressed
+
+
+@njit(**OPTIONS)
+def displace_points(points, fields, frame, pushed):  # type: ignore[no-untyped-def]
     """Return the (n, 3) displaced positions of (n, 3) points in T, in m; see `displace`."""
+    field = frame_field(fields, frame)
     moved = np.empty_like(points)
     F = np.empty((3, 3))
-    G = np.empty((3, 3))
     for i in range(len(points)):
-        x, y, z = displace(points[i, 0], points[i, 1], points[i, 2], field, frame, pushed, F, G)
+        x, y, z = displace(points[i, 0], points[i, 1], points[i, 2], field, pushed, F)
         moved[i, 0] = x
         moved[i, 1] = y
         moved[i, 2] = z
     return moved
-
-
-@njit(**OPTIONS)
-def push_scatterers(moved, xs, ys, zs, x0, y0, z0, k, field, frame):  # type: ignore[no-untyped-def]
-    """Write the positions of a block's scatterers, displaced by the needle beside them.
-
-    Parameters
-    ----------
-    moved
-        (3, n or more) float32 positions within the block, written.
-    xs, ys, zs
-        (n,) undisplaced positions within the block, in m.
-    x0, y0, z0
-        Corner of the block in T, in m.
-    k
-        Number of the needle's segment nearest to the block.
-    field, frame
-        See `indent`.
-    """
-    dx, dy, dz, length, entry, tip = _segment(field, frame, k)
-    x0 -= field.shafts[frame, k, 0]
-    y0 -= field.shafts[frame, k, 1]
-    z0 -= field.shafts[frame, k, 2]
-    drag, reach, hole = field.drags[frame], field.drag_reach, field.hole
-    for i in range(len(xs)):
-        ux, uy, uz, _, _, _, _ = _push(
-            x0 + xs[i], y0 + ys[i], z0 + zs[i],
-            dx, dy, dz, length, entry, tip, drag, reach, hole,
-        )  # fmt: skip
-        moved[0, i] = xs[i] + ux
-        moved[1, i] = ys[i] + uy
-        moved[2, i] = zs[i] + uz

@@ -14,11 +14,15 @@ from sonoservo.systems.ultrasound.simulation.kernels.body import keep_inside
 from sonoservo.systems.ultrasound.simulation.kernels.displacement import (
     displace,
     displacement_limit,
+    frame_field,
+    limit_along,
+)
+from sonoservo.systems.ultrasound.simulation.kernels.line_blur import blur_lines
+from sonoservo.systems.ultrasound.simulation.kernels.medium import largest_aside, look_up
+from sonoservo.systems.ultrasound.simulation.kernels.needle_push import (
     nearest_on_shaft,
     push_scatterers,
 )
-from sonoservo.systems.ultrasound.simulation.kernels.line_blur import blur_lines
-from sonoservo.systems.ultrasound.simulation.kernels.medium import look_up
 from sonoservo.systems.ultrasound.simulation.kernels.projection import (
     gaussian,
     line_coordinates,
@@ -48,7 +52,7 @@ _NEAR_NEEDLE = 1e-3
 
 @njit(parallel=True, **OPTIONS)
 def render_tissue(  # type: ignore[no-untyped-def]
-    iq, X_FT, box, tile, rays, tables, pulse, kernel, regions, lumens, view, field
+    iq, X_FT, box, tile, rays, tables, pulse, kernel, regions, lumens, view, fields
 ):
     """Render the tissue's echoes in every frame.
 
@@ -67,7 +71,7 @@ def render_tissue(  # type: ignore[no-untyped-def]
         in m and phases of their blood in rad; see `weigh_scatterers`.
     view
         Apparent positions of points, or `NO_VIEW`.
-    field
+    fields
         Displacements of the tissue, or `NO_DISPLACEMENTS`.
     """
     frames, lines, samples = iq.shape
@@ -87,7 +91,7 @@ def render_tissue(  # type: ignore[no-untyped-def]
             regions,
             lumens[:, frame],
             view,
-            field,
+            fields,
             frame,
         )
         blur_lines(iq[frame], accumulator, kernel, taps)
@@ -95,7 +99,7 @@ def render_tissue(  # type: ignore[no-untyped-def]
 
 @njit(**OPTIONS)
 def deposit_tissue(  # type: ignore[no-untyped-def]
-    accumulator, X_FT, box, tile, rays, tables, pulse, regions, lumens, view, field, frame
+    accumulator, X_FT, box, tile, rays, tables, pulse, regions, lumens, view, fields, frame
 ):
     """Deposit the scatterers that a frame's beam meets.
 
@@ -115,7 +119,7 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
     pulse
         (FRACTIONS + 1, 2 taps) envelope around a scatterer, every value twice; a multiple of
         `LANES` wide.
-    regions, lumens, view, field, frame
+    regions, lumens, view, fields, frame
         See `render_tissue`, and the frame's number.
     """
     block_size, positions, ranks, starts = tile
@@ -138,20 +142,21 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
     thickness = reach.max() + abs(twist_per_radian) * half_angle * (depth + rays.array_radius)
     edge_cosine = np.cos(min(half_angle, np.pi / 2))
     edge_sine = np.sin(min(half_angle, np.pi / 2))
-    bends, deforms = len(view.table) > 0, len(field.counts) > 0
-    node, bent = np.empty(15), np.empty((3, 3))
-    F, G = np.empty((3, 3)), np.empty((3, 3))
+    bends, deforms = len(view.table) > 0, len(fields.counts) > 0
+    field = frame_field(fields, frame)
+    node, bent, F = np.empty(15), np.empty((3, 3)), np.empty((3, 3))
     M = np.empty((3, 3)) if deforms else X_FT
     A = bent if bends else M
-    margin = field.deepest + field.widest_push
+    margin = field.depth + field.widest_push
+    widest_bend = largest_aside(view, frame)
     widest = half_angle
     straight_reach = thickness
     if bends:
         # Lines bent outwards reach further, and slower tissue appears deeper.
         widest *= _BENT
-        thickness += view.aside
+        thickness += widest_bend
     widest_slope = np.tan(min(widest, 1.5))
-    closest = thickness + margin
+    closest = thickness + limit_along(margin, X_FT[2, 2], field)
     first, last = frame_blocks(X_FT, box, block_size, depth, widest, closest, margin, rays)
     largest = 0
     for block in range(starts.size - 1):
@@ -166,9 +171,11 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
     for bx in range(first[0], last[0]):
         for by in range(first[1], last[1]):
             for bz in range(first[2], last[2]):
-                px = (bx + 0.5) * block_size
-                py = (by + 0.5) * block_size
-                pz = (bz + 0.5) * block_size
+                px, py, pz = (
+                    (bx + 0.5) * block_size,
+                    (by + 0.5) * block_size,
+                    (bz + 0.5) * block_size,
+                )
                 z = X_FT[2, 0] * px + X_FT[2, 1] * py + X_FT[2, 2] * pz + X_FT[2, 3]
                 if abs(z) > closest + support:
                     continue
@@ -177,17 +184,20 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                 near = False
                 segment = 0
                 thick = support
+                if bends or deforms:
+                    limit = displacement_limit(px, py, pz, field)
+                    if abs(x) - (y + rays.centre_offset) * widest_slope > 2 * (radius + limit):
+                        continue
+                    aside = limit_along(limit, X_FT[2, 2], field) + widest_bend + support
+                    limit += radius + view.furthest
+                    if misses(x, y, z, limit, aside, reach, 1.0, twist_per_radian, rays):
+                        continue
                 if deforms:
-                    limit = radius + displacement_limit(px, py, pz, field, frame)
-                    if abs(x) - (y + rays.centre_offset) * widest_slope > 2 * limit:
-                        continue
-                    if not bends and misses(x, y, z, limit, reach, twist_per_radian, rays):
-                        continue
                     # Within a block, the displacement is linear, except beside the needle.
-                    if field.counts[frame] > 0:
-                        distance, segment, _ = nearest_on_shaft(px, py, pz, field, frame)
+                    if field.points > 1:
+                        distance, segment = nearest_on_shaft(px, py, pz, field)
                         near = distance < radius + _NEAR_NEEDLE
-                    x, y, z = displace(px, py, pz, field, frame, not near, F, G)
+                    x, y, z = displace(px, py, pz, field, not near, F)
                     x, y, z = transformed(X_FT, x, y, z)
                     for i in range(3):
                         for j in range(3):
@@ -253,11 +263,11 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                 ys = positions[1, start : start + n]
                 zs = positions[2, start : start + n]
                 rank = ranks[start : start + n]
+                corner = (bx * block_size, by * block_size, bz * block_size)
                 source = positions
                 at_source = start
                 if near:
-                    corner = (bx * block_size, by * block_size, bz * block_size)
-                    push_scatterers(pushed, xs, ys, zs, *corner, segment, field, frame)
+                    push_scatterers(pushed, xs, ys, zs, *corner, segment, field)
                     source = pushed
                     at_source = 0
                 txs = source[0, at_source : at_source + n]
@@ -309,17 +319,7 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                     chosen[number] = i
                     number += kept[i]
                 if len(box) > 2:
-                    number = keep_inside(
-                        chosen,
-                        number,
-                        xs,
-                        ys,
-                        zs,
-                        bx * block_size,
-                        by * block_size,
-                        bz * block_size,
-                        box,
-                    )
+                    number = keep_inside(chosen, number, xs, ys, zs, *corner, box)
                 if regions.content.size > 0:
                     content = regions.content[
                         bx - regions.first_block[0],
@@ -328,18 +328,7 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                     ]
                     if content >= 0:
                         number = weigh_scatterers(
-                            chosen,
-                            number,
-                            xs,
-                            ys,
-                            zs,
-                            bx * block_size,
-                            by * block_size,
-                            bz * block_size,
-                            content,
-                            cosine,
-                            sine,
-                            regions,
-                            lumens,
-                        )
+                            chosen, number, xs, ys, zs, *corner,
+                            content, cosine, sine, regions, lumens,
+                        )  # fmt: skip
                 deposit(accumulator, chosen, number, line, sample, cosine, sine, pulse)

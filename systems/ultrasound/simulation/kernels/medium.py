@@ -49,12 +49,20 @@ class View(NamedTuple):
     """Distance in m of the first depth from the array's centre of curvature."""
     depths_per_metre: float
     centre_offset: float
-    aside: float
-    """Largest change of the distance from a frame's plane for points near it, in m."""
+    asides: NDArray[np.float64]
+    """(frames,) largest changes of the distance from a frame's plane for points near it, in m."""
+    furthest: float
+    """Largest distance between true and apparent position of points near the plane, in m."""
 
 
-NO_VIEW = View(np.empty((0, 0, 0, 15)), 1.0, 0.0, 0.0, 1.0, 0.0, 0.0)
+NO_VIEW = View(np.empty((0, 0, 0, 15)), 1.0, 0.0, 0.0, 1.0, 0.0, np.empty(0), 0.0)
 """View of points that appear at their true positions."""
+
+
+@njit(**OPTIONS)
+def largest_aside(view, frame):  # type: ignore[no-untyped-def]
+    """Return the entry of ``view.asides`` for a frame, and 0 if nothing is bent."""
+    return view.asides[frame] if len(view.table) > 0 else 0.0
 
 
 @njit(**OPTIONS)
@@ -320,27 +328,3 @@ def integrate_paths(  # type: ignore[no-untyped-def]
 def _row(row, x, y, z):  # type: ignore[no-untyped-def]
     """Return one coordinate of a transformed point."""
     return row[0] * x + row[1] * y + row[2] * z + row[3]
-
-
-@njit(parallel=True, **OPTIONS)
-def expand_gains(transmission, gains, nodes_per_sample):  # type: ignore[no-untyped-def]
-    """Interpolate gains to samples.
-
-    Parameters
-    ----------
-    transmission, gains
-        (frames, lines, samples) float32 transmission, written, and (frames, lines, nodes) gains.
-    nodes_per_sample
-        Number of nodes from one sample to the next.
-    """
-    frames, lines, samples = transmission.shape
-    last = gains.shape[2] - 2
-    for each in prange(frames):
-        frame = np.int64(each)
-        for j in range(lines):
-            for i in range(samples):
-                node = i * nodes_per_sample
-                k = min(np.int64(node), last)
-                near = gains[frame, j, k]
-                share = np.float32(min(node - k, 1.0))
-                transmission[frame, j, i] = near + share * (gains[frame, j, k + 1] - near)

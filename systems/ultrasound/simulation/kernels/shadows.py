@@ -1,7 +1,7 @@
-"""Shadows of surfaces, and the addition of a layer of echoes to those of the tissue."""
+"""Transmission of the tissue, shadows of surfaces, and addition of their echoes to the tissue's."""
 
 import numpy as np
-from numba import njit
+from numba import njit, prange
 
 from sonoservo.systems.sampling.options import OPTIONS
 
@@ -44,3 +44,27 @@ def join_layer(iq, transmission, layer, touched, weakened, pad):  # type: ignore
         elif weakened:
             for i in range(iq.shape[1]):
                 iq[j, i] *= transmission[j, i]
+
+
+@njit(parallel=True, **OPTIONS)
+def expand_gains(transmission, gains, nodes_per_sample):  # type: ignore[no-untyped-def]
+    """Interpolate gains to samples.
+
+    Parameters
+    ----------
+    transmission, gains
+        (frames, lines, samples) float32 transmission, written, and (frames, lines, nodes) gains.
+    nodes_per_sample
+        Number of nodes from one sample to the next.
+    """
+    frames, lines, samples = transmission.shape
+    last = gains.shape[2] - 2
+    for each in prange(frames):
+        frame = np.int64(each)
+        for j in range(lines):
+            for i in range(samples):
+                node = i * nodes_per_sample
+                k = min(np.int64(node), last)
+                near = gains[frame, j, k]
+                share = np.float32(min(node - k, 1.0))
+                transmission[frame, j, i] = near + share * (gains[frame, j, k + 1] - near)

@@ -19,6 +19,8 @@ from sonoservo.systems.ultrasound.simulation.kernels.displacement import (
 _MOST_POINTS = 7
 _SPACING = 4e-3
 _ROUNDING = 8
+_STRAIGHT = 1e-6
+"""Distance in m from the chord within which a shaft counts as straight."""
 _NO_SHAFT = np.zeros((0, 3))
 _NO_SHAFT.flags.writeable = False
 
@@ -143,20 +145,17 @@ def displacements(deformations: Sequence[Deformation] | None) -> Displacements:
         return NO_DISPLACEMENTS
     frames = len(deformations)
     pushing = [d for d in deformations if len(d.shaft) and (d.drag != 0 or d.hole_radius > 0)]
-    most = max((min(len(d.shaft), _MOST_POINTS) for d in pushing), default=1)
-    shafts, counts = np.zeros((frames, most, 3)), np.zeros(frames, np.int64)
-    for frame, deformation in enumerate(deformations):
-        if len(deformation.shaft) > 1 and pushing:
-            shaft = _thinned(deformation.shaft, most)
-            shafts[frame, : len(shaft)] = np.round(shaft, _ROUNDING)
-            counts[frame] = len(shaft)
+    paths = [_thinned(d.shaft) if len(d.shaft) > 1 and pushing else _NO_SHAFT for d in deformations]
+    counts = np.array([len(path) for path in paths])
+    shafts = np.zeros((frames, max(counts.max(), 1), 3))
+    for shaft, path in zip(shafts, paths, strict=True):
+        shaft[: len(path)] = np.round(path, _ROUNDING)
     contacts = [d.indentation for d in deformations]
     places = np.array([[c.x, c.y, c.depth, c.radius] for c in contacts]).round(_ROUNDING)
     drags = np.array([d.drag for d in deformations]).round(_ROUNDING)
     hole = max((d.hole_radius for d in pushing), default=0.0)
     return Displacements(
-        centres=np.column_stack([places[:, :2], np.zeros(frames)]),
-        normals=np.tile([0.0, 0.0, -1.0], (frames, 1)),
+        contacts=places[:, :2].copy(),
         depths=places[:, 2].copy(),
         radii=np.maximum(places[:, 3], 1e-6),
         shafts=shafts,
@@ -169,8 +168,12 @@ def displacements(deformations: Sequence[Deformation] | None) -> Displacements:
     )
 
 
-def _thinned(shaft: NDArray[np.float64], most: int) -> NDArray[np.float64]:
-    """Return at most ``most`` of a shaft's points, with both ends."""
-    if len(shaft) <= most:
+def _thinned(shaft: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a few of a shaft's points, with both ends; only these if it is straight."""
+    along = shaft[-1] - shaft[0]
+    length = max(float(np.linalg.norm(along)), 1e-9)
+    if np.linalg.norm(np.cross(shaft - shaft[0], along), axis=1).max() < _STRAIGHT * length:
+        return shaft[[0, -1]]
+    if len(shaft) <= _MOST_POINTS:
         return shaft
-    return shaft[np.linspace(0, len(shaft) - 1, most).round().astype(int)]
+    return shaft[np.linspace(0, len(shaft) - 1, _MOST_POINTS).round().astype(int)]

@@ -1,0 +1,131 @@
+"""Displacement of the tissue by a needle: drag along its shaft, and its volume."""
+
+import numpy as np
+from numba import njit
+
+from sonoservo.systems.sampling.options import OPTIONS
+
+
+@njit(**OPTIONS)
+def nearest_on_shaft(x, y, z, field):  # type: ignore[no-untyped-def]
+    """Return the distance in m from a frame's needle, and its nearest segment."""
+    shaft = field.shaft
+    least = np.inf
+    nearest = 0
+    for k in range(field.points - 1):
+        ax = shaft[k + 1, 0] - shaft[k, 0]
+        ay = shaft[k + 1, 1] - shaft[k, 1]
+        az = shaft[k + 1, 2] - shaft[k, 2]
+        bx = x - shaft[k, 0]
+        by = y - shaft[k, 1]
+        bz = z - shaft[k, 2]
+        length = ax * ax + ay * ay + az * az
+        at = min(max((bx * ax + by * ay + bz * az) / max(length, 1e-18), 0.0), 1.0)
+        bx -= at * ax
+        by -= at * ay
+        bz -= at * az
+        squared = bx * bx + by * by + bz * bz
+        if squared < least:
+            least = squared
+            nearest = k
+    return np.sqrt(least), nearest
+
+
+@njit(**OPTIONS)
+def segment_of(field, k):  # type: ignore[no-untyped-def]
+    """Return a segment's unit direction, its length, and how far it begins from entry and tip."""
+    shaft = field.shaft
+    last = field.points - 1
+    dx = shaft[k + 1, 0] - shaft[k, 0]
+    dy = shaft[k + 1, 1] - shaft[k, 1]
+    dz = shaft[k + 1, 2] - shaft[k, 2]
+    length = max(np.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
+    dx /= length
+    dy /= length
+    dz /= length
+    entry = (shaft[k, 0] - shaft[0, 0]) * dx
+    entry += (shaft[k, 1] - shaft[0, 1]) * dy + (shaft[k, 2] - shaft[0, 2]) * dz
+    tip = (shaft[k, 0] - shaft[last, 0]) * dx
+    tip += (shaft[k, 1] - shaft[last, 1]) * dy + (shaft[k, 2] - shaft[last, 2]) * dz
+    return dx, dy, dz, length, entry, tip
+
+
+@njit(**OPTIONS)
+def push(px, py, pz, dx, dy, dz, length, entry, tip, drag, reach, hole):  # type: ignore[no-untyped-def]
+    """Return the displacement by a segment of a needle, and how the drag changes.
+
+    Parameters
+    ----------
+    px, py, pz
+        Point relative to the segment's beginning, in m.
+    dx, dy, dz, length, entry, tip
+        See `segment_of`.
+    drag, reach, hole
+        See `Displacements`.
+
+    Returns
+    -------
+    Displacement in m; slope of the drag away from the needle, per m of the vector that follows; and
+    the vector from the nearest point of the needle.
+    """
+    along = px * dx + py * dy + pz * dz
+    clipped = min(max(along, 0.0), length)
+    px -= clipped * dx
+    py -= clipped * dy
+    pz -= clipped * dz
+    distance = np.sqrt(px * px + py * py + pz * pz)
+    u = drag * np.exp(-distance / reach)
+    slope = -u / (reach * max(distance, 1e-6))
+    w = 0.0
+    if hole > 0:
+        over = along - clipped
+        first = along + entry
+        beyond = along + tip
+        rr = max(distance * distance - over * over, 0.0)
+        from_entry = np.sqrt(first * first + rr + 1e-12)
+        from_tip = np.sqrt(beyond * beyond + rr + 1e-12)
+        opened = 0.5 * hole * max(first / from_entry - beyond / from_tip, 0.0)
+        # The same as (sqrt(r^2 + opened) - r) / r.
+        r = np.sqrt(rr)
+        w = opened / ((np.sqrt(rr + opened) + r + 1e-12) * max(r, 1e-9))
+        u += (
+            0.25
+            * hole
+            * (
+                1 / np.sqrt(from_tip * from_tip + hole)
+                - 1 / np.sqrt(from_entry * from_entry + hole)
+            )
+        )
+        u -= w * over
+    return u * dx + w * px, u * dy + w * py, u * dz + w * pz, slope, px, py, pz
+
+
+@njit(**OPTIONS)
+def push_scatterers(moved, xs, ys, zs, x0, y0, z0, k, field):  # type: ignore[no-untyped-def]
+    """Write the positions of a block's scatterers, displaced by the needle beside them.
+
+    Parameters
+    ----------
+    moved
+        (3, n or more) float32 positions within the block, written.
+    xs, ys, zs
+        (n,) undisplaced positions within the block, in m.
+    x0, y0, z0
+        Corner of the block in T, in m.
+    k
+        Number of the needle's segment nearest to the block.
+    field
+        `FrameField`.
+    """
+    dx, dy, dz, length, entry, tip = segment_of(field, k)
+    x0 -= field.shaft[k, 0]
+    y0 -= field.shaft[k, 1]
+    z0 -= field.shaft[k, 2]
+    for i in range(len(xs)):
+        ux, uy, uz, _, _, _, _ = push(
+            x0 + xs[i], y0 + ys[i], z0 + zs[i],
+            dx, dy, dz, length, entry, tip, field.drag, field.drag_reach, field.hole,
+        )  # fmt: skip
+        moved[0, i] = xs[i] + ux
+        moved[1, i] = ys[i] + uy
+        moved[2, i] = zs[i] + uz
