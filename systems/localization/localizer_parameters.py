@@ -46,16 +46,16 @@ class NeedleLocalizerParameters:
         Standard deviation of the tip along the axis in addition to that of its extent, in m; see
         `NeedleExtent`.
     entry_std
-        Standard deviation of the entry along the axis, in m. A volume does not show that position. The entry is at rest, so its last position is
-        taken as measured. If its predicted position were taken, nothing would ever contradict a
-        velocity along the axis.
+        Standard deviation of the entry along the axis, in m. A volume does not show that position.
+        The entry is at rest, so its last position is taken as measured. If its predicted position
+        were taken, nothing would ever contradict a velocity along the axis.
     unseen_tip_std
         Standard deviation of the tip along the axis if the needle leaves the field of view, in m;
         also the largest one.
     echo_offset, echo_offset_std
-        Distance from the centre of the needle's echo to its axis, away from the probe, in m, and its
-        standard deviation, as the gauge is unknown. Most of the sound returns from the front wall.
-        The rest is reflected to and fro inside.
+        Distance from the centre of the needle's echo to its axis, away from the probe, in m, and
+        its standard deviation, as the gauge is unknown. Most of the sound returns from the front
+        wall. The rest is reflected to and fro inside.
     systematic_std
         Standard deviation added to every control point in every direction, in m.
     volume_of_interest

@@ -60,9 +60,6 @@ class TipParameters:
     end_contrast, least_end_contrast
         Largest and smallest contrast below which the blurred end of the needle is lost in the
         background, in dB. In between, it is half the needle's contrast near its end.
-    side_lobes
-        Level below the brightest part of the needle near its end, in dB, at which the side lobes of
-        the beam may show. What is fainter does not belong to the end.
     end_length
         Length of needle whose largest contrast is the end's level, in m. The needle's contrast near
         its end is the median over twice this length.
@@ -77,9 +74,8 @@ class TipParameters:
     contrast: float = 3.0
     max_evidence: float = 3.0
     smoothing: float = 1.25e-3
-    end_contrast: float = 9.0
+    end_contrast: float = 6.0
     least_end_contrast: float = 2.5
-    side_lobes: float = 16.0
     end_length: float = 4e-3
     beam_width: float = 2.4e-3
 
@@ -93,7 +89,6 @@ class TipParameters:
             smoothing=self.smoothing,
             end_contrast=self.end_contrast,
             least_end_contrast=self.least_end_contrast,
-            side_lobes=self.side_lobes,
             end_length=self.end_length,
             beam_width=self.beam_width,
         )
@@ -305,8 +300,9 @@ def _tip(
 
     first, last, _ = stretch(contrast, profile.seen, parameters.least_end_contrast)
     near = contrast[max(first, last - round(2 * parameters.end_length / step)) : last + 1]
-    threshold = max(0.5 * float(np.median(near)), float(near.max()) - parameters.side_lobes)
-    threshold = float(np.clip(threshold, parameters.least_end_contrast, parameters.end_contrast))
+    threshold = float(
+        np.clip(np.median(near) / 2, parameters.least_end_contrast, parameters.end_contrast)
+    )
     inside = contrast[first : last + 1]
     end = first + max(stretch(inside, np.ones_like(inside, dtype=bool), threshold)[1], 0)
     begin = max(first, int(np.searchsorted(a, a[end] - parameters.end_length)))
