@@ -13,12 +13,7 @@ from typing import Annotated
 
 import typer
 
-from sonoservo.diagrams.app.interruption import (
-    INTERRUPTED,
-    catch_interruptions,
-    interrupted_code,
-    is_interrupted,
-)
+from sonoservo.diagrams.app.interruption import INTERRUPTED, is_interrupted
 from sonoservo.diagrams.app.options import (
     ChangesOption,
     ExplainOption,
@@ -30,47 +25,40 @@ from sonoservo.diagrams.app.options import (
     ServeOption,
     WaitOption,
     console,
+    free_folder,
     with_common_options,
     write_printed,
 )
+from sonoservo.diagrams.app.scenario_commands import list_command, new_command, show_command
 from sonoservo.diagrams.app.study_commands import dataset_command, reproduce_command
 from sonoservo.diagrams.app.volume_commands import bridge_command, locate_command, track_command
 from sonoservo.systems.files.refusals import ConfigurationError, describe, shorten
 
 app = typer.Typer(
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
-    help="A robot holds a 3D ultrasound probe, finds a needle and follows it.",
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
 
 
-def list_command(json_path: JsonOption = None) -> None:
-    """List the built-in scenarios, and the dials that make a scenario harder."""
-    from rich.table import Table
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
 
-    from sonoservo.diagrams.dials import load_dials
-    from sonoservo.diagrams.experiments.registry import describe_scenarios
+        print(f"sonoservo {version('sonoservo')}")
+        raise typer.Exit
 
-    scenarios, dials = describe_scenarios(), load_dials()
-    table = Table("scenario", "description")
-    for name, description in scenarios.items():
-        table.add_row(name, description)
-    console.print(table)
-    table = Table("dial", "description", "moderate strength, with --set")
-    for name, dial in dials.items():
-        table.add_row(name, dial.line, "\n".join(dial.changes()))
-    console.print(table)
-    write_printed(
-        json_path,
-        {
-            "scenarios": scenarios,
-            "dials": {
-                name: {"description": dial.line, "moderate": dict(dial.moderate)}
-                for name, dial in dials.items()
-            },
-        },
-    )
+
+@app.callback()
+def _program(
+    _: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version and exit."
+        ),
+    ] = False,
+) -> None:
+    """A robot holds a 3D ultrasound probe, finds a needle and follows it."""
 
 
 def compile_command() -> None:
@@ -105,7 +93,8 @@ def run_command(
     from sonoservo.diagrams.app.run import run
     from sonoservo.diagrams.app.terminal import (
         Progress,
-        look_up,
+        end_run,
+        open_site,
         start_display,
         start_monitor,
         summary_table,
@@ -113,10 +102,11 @@ def run_command(
     from sonoservo.diagrams.experiments.registry import experiment_class, load_scenario
 
     loaded = load_scenario(scenario, changes=changes, seed=seed)
-    folder = out or Path("out") / f"{loaded.name}_seed{loaded.seed}"
+    folder = out or free_folder(f"{loaded.name}_seed{loaded.seed}")
     has_monitor = "monitor" in experiment_class(loaded.experiment).options
-    monitor = start_monitor(console, host) if meshcat and has_monitor else None
-    display = start_display(console, host) if meshcat else None
+    site = open_site(host) if meshcat else None
+    monitor = start_monitor(console, site) if site and has_monitor else None
+    display = start_display(console, site) if site else None
     with (
         serving(console, serve, loaded, wait_for) as observers,
         Progress(console, loaded) as progress,
@@ -135,12 +125,9 @@ def run_command(
     console.print(summary_table(result, loaded.published_figures))
     console.print(f"Report: {folder / 'report.html'}", soft_wrap=True)
     write_printed(json_path, result.summary)
-    if result.failure is not None:
-        raise result.failure
-    if result.summary["interrupted"]:
+    if not result.failure and result.summary["interrupted"]:
         raise typer.Exit(INTERRUPTED)
-    if look_up(result.summary, "guard.stopped_at_end"):
-        raise typer.Exit(3)
+    end_run(result)
 
 
 def drive_command(
@@ -157,13 +144,15 @@ def drive_command(
 
     The scenario's own pushes, moves and changes are ignored. Your actions are saved as
     scenario.yaml in the output folder; `sonoservo run` repeats them. Finish in the page or with
-    Ctrl-C.
+    Ctrl-C. Exit status 3: the guard stopped the robot for good.
     """
     from sonoservo.diagrams.app.drive import DRIVING, drive
     from sonoservo.diagrams.app.kept_run import refusing
     from sonoservo.diagrams.app.live.commands import serving
     from sonoservo.diagrams.app.terminal import (
         Progress,
+        end_run,
+        open_site,
         start_display,
         start_monitor,
         summary_table,
@@ -177,8 +166,9 @@ def drive_command(
     with refusing(loaded):
         following = replace(following, duration=duration)
     folder = out or Path("out") / f"{loaded.name}_driven_seed{loaded.seed}"
-    monitor = start_monitor(console, host)
-    display = start_display(console, host)
+    site = open_site(host)
+    monitor = start_monitor(console, site)
+    display = start_display(console, site)
     console.print(DRIVING)
     with (
         serving(console, serve, following) as observers,
@@ -197,8 +187,7 @@ def drive_command(
     again = f"sonoservo run {folder / 'scenario.yaml'}"
     console.print(f"To repeat this run: {again}", soft_wrap=True)
     write_printed(json_path, result.summary)
-    if result.failure is not None:
-        raise result.failure
+    end_run(result)
 
 
 def scan_command(
@@ -234,7 +223,7 @@ def scan_command(
     following = require_scenario(loaded, FollowingScenario)
     result = scan(following, time=time)
     summary = summarize_scan(result, following)
-    folder = out or Path("out") / f"{loaded.name}_seed{loaded.seed}_scan"
+    folder = out or free_folder(f"{loaded.name}_seed{loaded.seed}_scan")
     paths = write_scan(result, following, folder)
     console.print(caption(result, following), soft_wrap=True)
     console.print(
@@ -281,6 +270,8 @@ def explain_command(
 
 _COMMANDS = (
     list_command,
+    show_command,
+    new_command,
     compile_command,
     run_command,
     drive_command,
@@ -294,16 +285,6 @@ _COMMANDS = (
 )
 for _command in _COMMANDS:
     app.command(_command.__name__.removesuffix("_command"))(with_common_options(_command))
-
-
-def main() -> None:
-    """Run the command line as a program of its own."""
-    try:
-        catch_interruptions()
-        code = run_arguments(sys.argv[1:])
-    except KeyboardInterrupt:
-        code = INTERRUPTED
-    sys.exit(interrupted_code() if code == INTERRUPTED else code)
 
 
 def run_arguments(arguments: Sequence[str]) -> int:

@@ -1,7 +1,6 @@
 """The leaf that logs a run in which the robot follows a needle."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import TypeVar
 
 import numpy as np
@@ -11,7 +10,8 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialForce
 from pydrake.systems.framework import Context, LeafSystem, ValueProducer
 
-from sonoservo.systems.evaluation.log import Array, Row, columns, stack_rows
+from sonoservo.systems.evaluation.log import Array, Column, Row, columns
+from sonoservo.systems.evaluation.log_rows import LogRows
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.signals.guard_status import GuardStatus
 from sonoservo.systems.signals.immutable import NotFound
@@ -27,16 +27,25 @@ from sonoservo.systems.signals.volume_check import VolumeCheck
 T = TypeVar("T")
 
 _OBJECTS = (
-    "motion_record", "needle", "estimate", "measurement", "detection", "guard", "volume_check",
+    "motion_record", "needle", "estimate", "measurement", "detection", "guard", "hold_reason",
+    "volume_check",
 )  # fmt: skip
 
 
-@dataclass
 class _Rows:
-    """Rows kept so far."""
+    """Rows kept so far, of samples and of volumes."""
 
-    samples: list[Row] = field(default_factory=list)
-    volumes: list[Row] = field(default_factory=list)
+    def __init__(self, extents: Mapping[str, int]) -> None:
+        for_samples: dict[str, Column] = {}
+        for_volumes: dict[str, Column] = {}
+        for name, column in columns(RunLog).items():
+            (for_samples if column.shape[0] == "n" else for_volumes)[name] = column
+        self.samples = LogRows(for_samples, extents)
+        self.volumes = LogRows(for_volumes, extents)
+
+    def arrays(self) -> dict[str, Array]:
+        """Return all arrays by their names."""
+        return self.samples.arrays() | self.volumes.arrays()
 
 
 class RunLogger(LeafSystem):
@@ -59,6 +68,7 @@ class RunLogger(LeafSystem):
         - contact_force (optional)
         - planar_velocity (optional)
         - guard (optional)
+        - hold_reason (optional)
         - volume_check (optional)
 
     Every port may stay unconnected; its values are then missing in the log. `X_WP`, `true_X_WP` and
@@ -70,7 +80,7 @@ class RunLogger(LeafSystem):
     `detection` may hold any value: it is logged as True or False, and the reason of a NotFound is
     kept. `joint_state` holds the positions, then the velocities, of the arm's joints in rad and
     rad/s. `planar_velocity` holds v_x and v_z in m/s and omega_y in rad/s, in P. `guard` is a
-    GuardStatus and `volume_check` a VolumeCheck.
+    GuardStatus, `hold_reason` the text of a VisualServo and `volume_check` a VolumeCheck.
 
     `measurement` and `detection` are those from which the estimate was made: a tracker holds them
     until its next volume. The log therefore adds a row whenever the estimate names a newer volume,
@@ -113,11 +123,10 @@ class RunLogger(LeafSystem):
         self.DeclareAbstractInputPort("wrist_force", Value(SpatialForce()))
         self.DeclareVectorInputPort("contact_force", 1)
         self.DeclareVectorInputPort("planar_velocity", 3)
-        self._joint_state = 2 * joints
         self._geometry = geometry
         self._rows = self.DeclareCacheEntry(
             "log",
-            ValueProducer(lambda: Value[object](_Rows()), ValueProducer.NoopCalc),
+            ValueProducer(lambda: Value[object](_Rows({"2j": 2 * joints})), ValueProducer.NoopCalc),
             {self.nothing_ticket()},
         )
         self.DeclareInitializationPublishEvent(self._start)
@@ -137,18 +146,8 @@ class RunLogger(LeafSystem):
         compute
             Computing time per volume in s, by stage, if it was measured.
         """
-        kept = self._kept(context)
-        arrays = {
-            name: stack_rows(
-                column,
-                name,
-                kept.samples if column.shape[0] == "n" else kept.volumes,
-                {"2j": self._joint_state},
-            )
-            for name, column in columns(RunLog).items()
-        }
         times = {name: np.asarray(each, float) for name, each in (compute or {}).items()}
-        return RunLog(**arrays, compute=times)
+        return RunLog(**self._kept(context).arrays(), compute=times)
 
     def _kept(self, context: Context) -> _Rows:
         value = self._rows.get_mutable_cache_entry_value(context).GetMutableValueOrThrow()
@@ -172,7 +171,7 @@ class RunLogger(LeafSystem):
 
     def _sample(self, context: Context) -> None:
         time, samples = context.get_time(), self._kept(context).samples
-        if samples and samples[-1]["time"] >= time:
+        if samples.newest and samples.newest["time"] >= time:
             return
         row: Row = {"time": time}
         X_WT = self._value(context, "X_WT", RigidTransform)
@@ -213,6 +212,9 @@ class RunLogger(LeafSystem):
         if guard is not None:
             row["guard_state"] = str(guard.state)
             row["guard_reason"] = guard.reason if guard.stopped else ""
+        hold = self._value(context, "hold_reason", str)
+        if hold is not None:
+            row["hold_reason"] = hold
         check = self._value(context, "volume_check", VolumeCheck)
         if check is not None:
             row["volumes_refused"], row["refusal_reason"] = check.refused, check.reason
@@ -224,7 +226,7 @@ class RunLogger(LeafSystem):
         if estimate is None or not np.isfinite(estimate.volume_time):
             return
         volumes = self._kept(context).volumes
-        if volumes and volumes[-1]["volume_time"] >= estimate.volume_time:
+        if volumes.newest and volumes.newest["volume_time"] >= estimate.volume_time:
             return
         row: Row = {"volume_time": estimate.volume_time, "volume_seen": context.get_time()}
         row |= self._motions(context, estimate.volume_time)
