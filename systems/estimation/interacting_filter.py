@@ -224,15 +224,15 @@ class InteractingFilter:
         z, R = measurement.curve.control_points.ravel(), measurement.covariance
         size = len(z)
         kept = self._correlation(state.seen, measurement)
-        A, Q = np.eye(3 * size), np.zeros((3 * size, 3 * size))
-        A[2 * size :, 2 * size :] *= kept
-        Q[2 * size :, 2 * size :] = (1 - kept**2) * np.eye(size)
+        fades = np.r_[np.ones(2 * size), np.full(size, kept)]
+        renewed = np.diag(np.r_[np.zeros(2 * size), np.full(size, 1 - kept**2)])
         C = np.hstack([np.eye(size), np.zeros((size, size)), np.sqrt(self.repeated) * _root(R)])
         noise = (1 - self.constant - self.repeated) * R
         means, covariances = np.empty_like(state.means), np.empty_like(state.covariances)
         fits = np.empty(2)
         for model in range(2):
-            mean, P = predict(state.means[model], state.covariances[model], A, Q)
+            mean = fades * state.means[model]
+            P = np.outer(fades, fades) * state.covariances[model] + renewed
             S = C @ P @ C.T + noise
             y = z - C @ mean
             fits[model] = -0.5 * (y @ np.linalg.solve(S, y) + np.linalg.slogdet(S)[1])
@@ -253,10 +253,9 @@ class InteractingFilter:
         if before.X_WP is None or now.X_WP is None:
             return 0.0
         tips = before.curve.tip, now.curve.tip
-        seen = [
-            each.X_WP.inverse().multiply(tip) for each, tip in zip((before, now), tips, strict=True)
-        ]
-        turn = before.X_WP.rotation().InvertAndCompose(now.X_WP.rotation()).ToAngleAxis().angle()
+        poses = before.X_WP, now.X_WP
+        seen = [X.inverse().multiply(tip) for X, tip in zip(poses, tips, strict=True)]
+        turn = poses[0].rotation().InvertAndCompose(poses[1].rotation()).ToAngleAxis().angle()
         apart = np.array(
             [
                 np.linalg.norm(tips[1] - tips[0]) / self.place_length,

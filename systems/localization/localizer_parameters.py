@@ -1,6 +1,6 @@
 """Parameters of the needle localizer."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from sonoservo.systems.localization.ransac import RansacParameters
 from sonoservo.systems.localization.tip import TipParameters
@@ -119,3 +119,23 @@ class NeedleLocalizerParameters:
             systematic_std=self.systematic_std,
         )
         require_not_negative(echo_offset_std=self.echo_offset_std)
+
+    def knowing(
+        self, *, beam_width: float | None = None, echo_offset: float | None = None
+    ) -> "NeedleLocalizerParameters":
+        """Return the parameters with what a user knows about probe and needle.
+
+        Parameters
+        ----------
+        beam_width
+            Width of the beam along the needle at half amplitude, in m, for volumes that do not
+            carry their point spread; None if unknown.
+        echo_offset
+            Distance from the centre of the needle's echo to its axis, in m; None if unknown.
+        """
+        known = self
+        if beam_width is not None:
+            known = replace(known, tip=replace(known.tip, beam_width=beam_width))
+        if echo_offset is not None:
+            known = replace(known, echo_offset=echo_offset, echo_offset_std=0.0)
+        return known
