@@ -20,7 +20,7 @@ from sonoservo.diagrams.app.run import RunResult
 from sonoservo.diagrams.experiments.experiment import Experiment
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.studies.study_report import Study, target_text
-from sonoservo.systems.evaluation.metrics import LABELS
+from sonoservo.systems.evaluation.labels import LABELS
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 
@@ -290,19 +290,20 @@ def start_display(console: Console, site: "Site") -> Meshcat:
     """Start a Meshcat on a site, and print its address with the token that opens it."""
     from sonoservo.systems.display.pages.meshcat_page import open_meshcat
 
-    meshcat = open_meshcat(site)
     logging.getLogger("drake").addFilter(_is_news)
+    meshcat = open_meshcat(site)
     console.print("Watch at", Text(meshcat.web_url(), style="bold"), soft_wrap=True)
     return meshcat
 
 
 def _is_news(record: logging.LogRecord) -> bool:
-    """Return False for Drake's log records about a page that asked for a replaced picture.
+    """Return False for Drake's log records that tell a user nothing new.
 
     A slow page asks for pictures that newer ones have replaced, and gets these next. Nothing is
-    wrong, and a line for each would break the progress bar.
+    wrong, and a line for each would break the progress bar. The page's address is printed anyway.
     """
-    return "Unknown CAS key" not in record.getMessage()
+    text = record.getMessage()
+    return "Unknown CAS key" not in text and "listening for connections" not in text
 
 
 def start_monitor(console: Console, site: "Site") -> "Monitor":

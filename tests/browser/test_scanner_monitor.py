@@ -4,7 +4,7 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from browser_view import eventually, project, screenshot, still
+from page_clients.browser_view import eventually, project, screenshot, still
 from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.systems.display.monitor.monitor import Monitor

@@ -89,10 +89,12 @@ class Access:
             urlsplit(f"//{host}").port  # noqa: B018 - raises a ValueError if there is no such port
         except ValueError:
             return False
-        if name in ("localhost", "127.0.0.1", "::1", self.host.lower().strip("[]")):
+        if name in ("localhost", "127.0.0.1", "::1"):
             return True
+        if not self.listens_everywhere:
+            return name == self.host.lower().strip("[]")
         # DNS rebinding needs a name: an address in numbers stands for itself.
-        return self.listens_everywhere and (name == gethostname().lower() or _is_address(name))
+        return name == gethostname().lower() or _is_address(name)
 
 
 def _is_address(name: str) -> bool:

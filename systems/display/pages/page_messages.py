@@ -12,12 +12,14 @@ _MAX_AXES = 64
 def checked_message(data: bytes) -> bytes:
     """Return a message of a Meshcat page, packed anew from its known fields only.
 
-    Drake's server ends itself, and the run with it, on some messages that are not whole.
+    Drake's server ends itself, and the run with it, on messages that are not whole. Poses of the
+    page's camera are refused, because it does the same if one is no rotation, and nobody reads
+    them.
 
     Parameters
     ----------
     data
-        Message as the page sent it: a MessagePack map of a button, a slider, a gamepad or a camera.
+        Message as the page sent it: a MessagePack map of a button, a slider or a gamepad.
 
     Raises
     ------
@@ -35,11 +37,6 @@ def checked_message(data: bytes) -> bytes:
         fields = {"name": _name(message), "value": _number(message.get("value"))}
     elif kind == "gamepad":
         fields = {"name": "", "gamepad": _gamepad(message.get("gamepad"))}
-    elif kind == "camera_pose":
-        pose = _numbers(message.get("camera_pose"))
-        if len(pose) != 16 or not isinstance(message.get("is_perspective"), bool):
-            raise ValueError("it has no pose of a camera")
-        fields = {"camera_pose": pose, "is_perspective": message["is_perspective"]}
     else:
         raise ValueError("it is of no known type")
     packed: bytes = umsgpack.packb({"type": kind, **fields})

@@ -135,7 +135,13 @@ class Site:
             it.
         close
             Function called on the site's thread before it stops.
+
+        Raises
+        ------
+        ValueError
+            If the site has a page of this name.
         """
+        require(page not in self._titles, "page", page, "a name that the site does not have yet")
 
         def do() -> None:
             self._titles[page] = title

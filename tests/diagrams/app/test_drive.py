@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from meshcat_socket import MeshcatSocket
+from page_clients.meshcat_socket import MeshcatSocket
 from pydrake.geometry import Meshcat, MeshcatParams
 from typer.testing import CliRunner
 

@@ -4,7 +4,7 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from page_socket import open_socket
+from page_clients.page_socket import open_socket
 from pydrake.common.value import Value
 from pydrake.systems.framework import LeafSystem
 

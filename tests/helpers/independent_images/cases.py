@@ -183,7 +183,7 @@ def draw_beams(rng, extent):
 
 def draw_kinds(rng):
     """Names of one to four kinds of structures."""
-    return tuple(rng.choice(list(KINDS), rng.integers(1, 5), replace=False))
+    return tuple(rng.choice(list(KINDS), rng.integers(1, 5), replace=False).tolist())
 
 
 def volume_case(

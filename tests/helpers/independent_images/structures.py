@@ -73,8 +73,9 @@ class Medium:
         return np.clip(1 - np.abs(distance) / self.pitch, 0, 1)
 
     def block(self, blocked, amplitude):
-        """Let a share of the amplitude through beneath the samples that are blocked."""
-        self.passing *= np.where(np.maximum.accumulate(blocked, axis=0), amplitude, 1)
+        """Let a share of the amplitude through beneath an obstacle."""
+        beneath = np.maximum.accumulate(blocked, axis=0) & ~blocked
+        self.passing *= np.where(beneath, amplitude, 1)
 
     def brighten(self, weight, level, mirror):
         """Add a reflector of a level in dB, a share of which is like a mirror."""
@@ -179,7 +180,6 @@ class Calcification:
         inside = np.einsum("...i,...i", v, v) < 1
         medium.brighten(inside, self.level, 0.2)
         medium.block(inside, self.through)
-        medium.passing[inside] = 1
 
 
 class NearField:

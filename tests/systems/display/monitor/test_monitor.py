@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from meshcat.commands import SetProperty
 from meshcat.path import Path
-from page_socket import CLOSE, open_socket, send_frame
+from page_clients.page_socket import CLOSE, open_socket, send_frame
 
 from sonoservo.systems.display.monitor.drawing import MonitorScreen
 from sonoservo.systems.display.monitor.monitor import Monitor

@@ -29,7 +29,7 @@ def test_a_server_at_all_addresses_is_known_by_numbers_but_not_by_any_name(monke
     monkeypatch.setattr("sonoservo.systems.display.pages.access.gethostname", lambda: "Theatre3")
     for host in ("192.0.2.7:7000", "[2001:db8::7]:7000", "theatre3:7000", "localhost:7000"):
         assert asks(EVERYWHERE, host) is None
-    for host in ("evil.example", "theatre3.evil.example", "192.0.2.7.evil.example"):
+    for host in ("evil.example", "theatre3.evil.example", "192.0.2.7.evil.example", "", "*"):
         assert "does not name this server" in asks(EVERYWHERE, host)
     assert EVERYWHERE.public_name == "Theatre3"
 

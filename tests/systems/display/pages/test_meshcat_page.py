@@ -11,8 +11,8 @@ from urllib.request import urlopen
 
 import pytest
 import umsgpack
-from meshcat_socket import MeshcatSocket
-from page_socket import ask, open_socket, read_frame, read_until_closed, send_frame
+from page_clients.meshcat_socket import MeshcatSocket
+from page_clients.page_socket import ask, open_socket, read_frame, read_until_closed, send_frame
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.display.pages import meshcat_page
@@ -113,6 +113,9 @@ MALFORMED = {
     "half a message": umsgpack.packb({"type": "button", "name": "pause"})[:-2],
     "nothing": b"",
     "not a number": umsgpack.packb({"type": "slider", "name": "depth", "value": math.nan}),
+    "a camera that is no rotation": umsgpack.packb(
+        {"type": "camera_pose", "camera_pose": [1.0] * 16, "is_perspective": True}
+    ),
     "of no known type": umsgpack.packb({"type": "delete", "path": "/"}),
     "ten megabytes": bytes(10**7),
 }

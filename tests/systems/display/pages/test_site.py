@@ -6,7 +6,7 @@ from urllib.parse import urlsplit
 from urllib.request import Request, urlopen
 
 import pytest
-from page_socket import ask, open_socket
+from page_clients.page_socket import ask, open_socket
 from tornado.websocket import WebSocketHandler
 
 from sonoservo.systems.display.pages.site import Document, Guarded, Site
@@ -56,6 +56,11 @@ def test_the_root_lists_the_pages(site):
     status, _, text = get(site.address())
     assert status == 200
     assert '<a href="page/">A &lt;page&gt;</a>' in text
+
+
+def test_a_name_stands_for_one_page(site):
+    with pytest.raises(ValueError, match="page: 'page' is not allowed"):
+        site.add("page", "Another page", [])
 
 
 def test_without_the_token_a_page_says_where_its_address_stands(site):

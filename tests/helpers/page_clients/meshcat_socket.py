@@ -5,7 +5,8 @@ import threading
 from contextlib import suppress
 
 import umsgpack
-from page_socket import open_socket, send_frame
+
+from page_clients.page_socket import open_socket, send_frame
 
 
 class MeshcatSocket:
