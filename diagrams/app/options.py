@@ -88,6 +88,21 @@ PatienceOption = Annotated[
 DebugOption = Annotated[
     bool, typer.Option("--debug", help="Show the traceback of an error.", show_default=False)
 ]
+BeamWidthOption = Annotated[
+    float | None,
+    typer.Option(
+        "--beam-width",
+        help="Width of the beam along the needle in mm, for volumes that do not carry it.",
+    ),
+]
+EchoOffsetOption = Annotated[
+    float | None,
+    typer.Option(
+        "--echo-offset",
+        help="Distance in mm from the centre of the needle's echo to its axis, if known; "
+        "about two thirds of its radius.",
+    ),
+]
 MemoryOption = Annotated[
     float | None,
     typer.Option(

@@ -9,8 +9,10 @@ import typer
 
 from sonoservo.diagrams.app.interruption import INTERRUPTED
 from sonoservo.diagrams.app.options import (
+    BeamWidthOption,
     DepthOption,
     DynamicRangeOption,
+    EchoOffsetOption,
     ExplainOption,
     FramesOption,
     HostOption,
@@ -53,6 +55,8 @@ def track_command(
     dynamic_range_db: DynamicRangeOption = None,
     volume_rate: RateOption = None,
     poses: PosesOption = None,
+    beam_width: BeamWidthOption = None,
+    echo_offset: EchoOffsetOption = None,
     seed: Annotated[
         int | None, typer.Option(min=0, help="Random seed; by default, the recorder's.")
     ] = None,
@@ -99,7 +103,13 @@ def track_command(
     from sonoservo.systems.live.connection.protocols import is_address
     from sonoservo.systems.recording.recording import Recording
 
-    parameters = tracker_parameters(tracker, order=order, start=start)
+    parameters = tracker_parameters(
+        tracker,
+        order=order,
+        start=start,
+        beam_width=_metres(beam_width),
+        echo_offset=_metres(echo_offset),
+    )
     if is_address(source):
         if explain:
             raise ConfigurationError(
@@ -232,14 +242,23 @@ def locate_command(
     depth: DepthOption = "P",
     window: WindowOption = None,
     dynamic_range_db: DynamicRangeOption = None,
+    beam_width: BeamWidthOption = None,
+    echo_offset: EchoOffsetOption = None,
     json_path: JsonOption = None,
 ) -> None:
     """Find the needle in one volume, in the file's coordinates; exit with 1 if there is none."""
     import numpy as np
 
     from sonoservo.diagrams.app.volumes.locate import locate_in_recording
+    from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
     from sonoservo.systems.recording.recording import Recording
 
+    try:
+        parameters = NeedleLocalizerParameters().knowing(
+            beam_width=_metres(beam_width), echo_offset=_metres(echo_offset)
+        )
+    except ValueError as error:
+        raise ConfigurationError(str(error)) from error
     # Times and poses do not matter for a single volume.
     opened = Recording(
         volume,
@@ -249,10 +268,15 @@ def locate_command(
         volume_rate=1.0,
         poses="none",
     )
-    found = locate_in_recording(opened, number, order=order)
+    found = locate_in_recording(opened, number, order=order, parameters=parameters)
     for name, value in found.items():
         shown = np.round(value, 3).tolist() if isinstance(value, list | float) else value
         console.print(f"{name}: {shown}", soft_wrap=True, highlight=False)
     write_printed(json_path, found)
     if not found["found"]:
         raise typer.Exit(1)
+
+
+def _metres(millimetres: float | None) -> float | None:
+    """Return a length in m of one in mm; None if it is unknown."""
+    return None if millimetres is None else 1e-3 * millimetres

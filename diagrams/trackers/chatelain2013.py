@@ -9,7 +9,7 @@ from sonoservo.diagrams.trackers.tracker_parts import (
     add_tracker_parts,
     require_order,
 )
-from sonoservo.systems.estimation.control_point_filter import ControlPointFilter
+from sonoservo.systems.estimation.interacting_filter import InteractingFilter
 from sonoservo.systems.estimation.needle_filter import AnyFilter
 
 
@@ -22,11 +22,11 @@ class Chatelain2013TrackerParameters(TrackerParameters):
     kind
         "chatelain2013".
     filter
-        Filter of the track: by default "control_points", the paper's.
+        Filter of the track: by default "interacting"; "control_points" is the paper's.
     """
 
     kind: str = "chatelain2013"
-    filter: AnyFilter = field(default_factory=ControlPointFilter)
+    filter: AnyFilter = field(default_factory=InteractingFilter)
 
     def __post_init__(self) -> None:
         super().__post_init__()

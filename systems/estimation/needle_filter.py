@@ -10,6 +10,7 @@ from pydrake.math import RigidTransform
 
 from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter
 from sonoservo.systems.estimation.control_point_filter import ControlPointFilter
+from sonoservo.systems.estimation.interacting_filter import InteractingFilter
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
@@ -71,7 +72,7 @@ class NeedleFilter(Protocol[S]):
         """Return the state corrected by measurements at its time; each of them may be missing."""
 
 
-FILTERS: tuple[type, ...] = (ControlPointFilter, AxisTipFilter)
+FILTERS: tuple[type, ...] = (InteractingFilter, ControlPointFilter, AxisTipFilter)
 """All needle filters; a new one needs a file and an entry here."""
 
 if TYPE_CHECKING:

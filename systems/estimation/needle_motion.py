@@ -37,11 +37,12 @@ class NeedleMotionParameters:
         n = curve.order
         u = np.linspace(0, 1, n)
         k = curve.direction
-        return (
-            self.insertion * np.kron(np.outer(u, u), np.outer(k, k))
-            + self.body * np.kron(np.ones((n, n)), np.eye(3))
-            + self.bending * np.eye(3 * n)
-        )
+        # By points and coordinates, (n, 3, n, 3): a Kronecker product without its overhead.
+        along = np.multiply.outer(u, k)
+        density = self.insertion * np.multiply.outer(along, along)
+        density += self.body * np.eye(3)[:, np.newaxis]
+        flat = density.reshape(3 * n, 3 * n)
+        return np.asarray(flat + self.bending * np.eye(3 * n))
 
 
 def constant_velocity(
@@ -61,7 +62,10 @@ def constant_velocity(
     A, Q
         (2d, 2d) transition matrix, and (2d, 2d) covariance of the process noise.
     """
-    identity = np.eye(len(density))
-    A: NDArray[np.float64] = np.kron(np.array([[1.0, dt], [0.0, 1.0]]), identity)
-    Q: NDArray[np.float64] = np.kron(np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]]), density)
+    d = len(density)
+    A: NDArray[np.float64] = np.eye(2 * d)
+    A[:d, d:] = dt * np.eye(d)
+    Q: NDArray[np.float64] = np.empty((2 * d, 2 * d))
+    Q[:d, :d], Q[d:, d:] = dt**3 / 3 * density, dt * density
+    Q[:d, d:] = Q[d:, :d] = dt**2 / 2 * density
     return A, Q

@@ -1,10 +1,10 @@
 """Parameters of the needle localizer."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from sonoservo.systems.localization.ransac import RansacParameters
 from sonoservo.systems.localization.tip import TipParameters
-from sonoservo.systems.signals.requirements import require_positive
+from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 
 
 @dataclass(kw_only=True)
@@ -42,16 +42,20 @@ class NeedleLocalizerParameters:
         Smallest evidence along the needle, in dB m; see `NeedleExtent`.
     correlation_length
         Length of needle that one beam width blurs into one observation, in m.
-    tip_std, entry_std
-        Standard deviations of the tip and the entry along the axis, in m. A volume does not show
-        the position of the entry along the axis. The entry is at rest, so its last position is
-        taken as measured. If its predicted position were taken, nothing would ever contradict a
-        velocity along the axis.
+    tip_std
+        Standard deviation of the tip along the axis in addition to that of its extent, in m; see
+        `NeedleExtent`.
+    entry_std
+        Standard deviation of the entry along the axis, in m. A volume does not show that position.
+        The entry is at rest, so its last position is taken as measured. If its predicted position
+        were taken, nothing would ever contradict a velocity along the axis.
     unseen_tip_std
-        Standard deviation of the tip along the axis if the needle leaves the field of view, in m.
-    echo_offset
-        Distance from the centre of the needle's echo to its axis, away from the probe, in m. Most
-        of the sound returns from the front wall. The rest is reflected to and fro inside.
+        Standard deviation of the tip along the axis if the needle leaves the field of view, in m;
+        also the largest one.
+    echo_offset, echo_offset_std
+        Distance from the centre of the needle's echo to its axis, away from the probe, in m, and
+        its standard deviation, as the gauge is unknown. Most of the sound returns from the front
+        wall. The rest is reflected to and fro inside.
     systematic_std
         Standard deviation added to every control point in every direction, in m.
     volume_of_interest
@@ -81,10 +85,11 @@ class NeedleLocalizerParameters:
     min_inlier_ratio: float = 0.15
     min_evidence: float = 12e-3
     correlation_length: float = 2e-3
-    tip_std: float = 0.6e-3
+    tip_std: float = 0.25e-3
     entry_std: float = 1e-3
     unseen_tip_std: float = 10e-3
     echo_offset: float = 0.4e-3
+    echo_offset_std: float = 0.2e-3
     systematic_std: float = 0.1e-3
     volume_of_interest: bool = True
     angle_gate: bool = True
@@ -113,3 +118,24 @@ class NeedleLocalizerParameters:
             unseen_tip_std=self.unseen_tip_std,
             systematic_std=self.systematic_std,
         )
+        require_not_negative(echo_offset_std=self.echo_offset_std)
+
+    def knowing(
+        self, *, beam_width: float | None = None, echo_offset: float | None = None
+    ) -> "NeedleLocalizerParameters":
+        """Return the parameters with what a user knows about probe and needle.
+
+        Parameters
+        ----------
+        beam_width
+            Width of the beam along the needle at half amplitude, in m, for volumes that do not
+            carry their point spread; None if unknown.
+        echo_offset
+            Distance from the centre of the needle's echo to its axis, in m; None if unknown.
+        """
+        known = self
+        if beam_width is not None:
+            known = replace(known, tip=replace(known.tip, beam_width=beam_width))
+        if echo_offset is not None:
+            known = replace(known, echo_offset=echo_offset, echo_offset_std=0.0)
+        return known

@@ -304,16 +304,19 @@ def _judge(
     a = start + u * (extent.tip - start)
     k = fit.axis.direction
     deeper = volume.X_WP.rotation().matrix()[:, 1]
-    offset = parameters.echo_offset * (deeper - (deeper @ k) * k)
-    curve = NeedleCurve(fit.axis.position(a) + offset)
+    deeper = deeper - (deeper @ k) * k
+    curve = NeedleCurve(fit.axis.position(a) + parameters.echo_offset * deeper)
     independent = max((extent.tip - extent.start) / parameters.correlation_length, order + 1.0)
-    tip_std = parameters.unseen_tip_std if extent.leaves else parameters.tip_std
+    tip_std = parameters.unseen_tip_std
+    if not extent.leaves:
+        tip_std = min(float(np.hypot(parameters.tip_std, extent.tip_std)), tip_std)
     ends = np.stack([1 - u, u], axis=1)
     along = ends @ np.diag([parameters.entry_std**2, tip_std**2]) @ ends.T
     covariance = (
         fit.covariance(a, independent)
         + np.kron(along, np.outer(k, k))
+        + parameters.echo_offset_std**2 * np.kron(np.ones((order, order)), np.outer(deeper, deeper))
         + parameters.systematic_std**2 * np.eye(3 * len(u))
     )
     time = float(volume.to_world(acquired_from(volume, curve.control_points[-1:]))[1][0])
-    return NeedleMeasurement(curve, covariance, time, inliers, ratio)
+    return NeedleMeasurement(curve, covariance, time, inliers, ratio, volume.X_WP)

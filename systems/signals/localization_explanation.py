@@ -98,6 +98,8 @@ class NeedleExtent(Immutable):
     evidence
         Integral along the stretch of the evidence for a needle, in dB m. It is about 2 dB times the
         length. Lines through speckle reach 6 dB mm, and a needle of 5 mm reaches 12 to 30 dB mm.
+    tip_std
+        Standard deviation of the tip due to the blur and the shape of the end, in m.
     """
 
     start: float
@@ -105,6 +107,7 @@ class NeedleExtent(Immutable):
     entered: float
     leaves: bool
     evidence: float
+    tip_std: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.math import RigidTransform
 
 from sonoservo.systems.signals.immutable import Immutable, read_only
 from sonoservo.systems.signals.needle_curve import NeedleCurve
@@ -26,6 +27,8 @@ class NeedleMeasurement(Immutable):
     inlier_count, inlier_ratio
         Number of candidate voxels within the residual threshold, and their share of the candidates
         between entry and tip.
+    X_WP
+        Pose of the probe from which the tip was seen; None if unknown.
     """
 
     curve: NeedleCurve
@@ -33,6 +36,7 @@ class NeedleMeasurement(Immutable):
     time: float
     inlier_count: int
     inlier_ratio: float
+    X_WP: RigidTransform | None = None
 
     def __post_init__(self) -> None:
         size = 3 * self.curve.order

@@ -35,11 +35,14 @@ def estimate_row(
         "estimate_time_s": estimate.time,
     }
     entry = middle = tip = velocity = w_tip = np.full(3, np.nan)
+    covariance = np.full((3, 3), np.nan)
     if estimate.curve is not None:
         X_LW = X_WL.inverse()
         entry, middle, tip = 1e3 * X_LW.multiply(estimate.curve.position([0, 0.5, 1]).T).T
         velocity = 1e3 * (X_LW.rotation() @ estimate.tip_velocity)
         w_tip = 1e3 * estimate.curve.tip
+        R_LW = X_LW.rotation().matrix()
+        covariance = 1e6 * R_LW @ estimate.tip_covariance @ R_LW.T
     direction = (tip - entry) / np.linalg.norm(tip - entry) if estimate else tip
     for name, vector, unit in (
         ("tip", tip, "mm"),
@@ -50,6 +53,8 @@ def estimate_row(
     ):
         for axis, value in zip("lps", vector, strict=True):
             row["_".join(filter(None, (name, axis, unit)))] = float(value)
+    for i, j in zip(*np.triu_indices(3), strict=True):
+        row[f"tip_covariance_{'lps'[i]}{'lps'[j]}_mm2"] = float(covariance[i, j])
     if posed:
         for axis, value in zip("xyz", w_tip, strict=True):
             row[f"world_tip_{axis}_mm"] = float(value)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -31,12 +31,15 @@ class LocatedNeedle(Immutable):
         Number of bright voxels on the needle, and their share of all bright voxels around it.
     evidence
         Integral of the contrast with the surroundings along the needle, in dB m (`NeedleLine`).
+    covariance
+        (3, 3) covariance of the tip, in m^2.
     """
 
     curve: NeedleCurve
     inlier_count: int
     inlier_ratio: float
     evidence: float
+    covariance: NDArray[np.float64]
 
     @property
     def confidence(self) -> float:
@@ -87,20 +90,41 @@ def locate(
     return locate_in(volume, order=order, seed=seed)
 
 
-def locate_in(volume: Volume, *, order: int = 2, seed: int = 0) -> LocatedNeedle | NotFound:
-    """Locate the needle in a `Volume`, in W; see `locate`."""
+def locate_in(
+    volume: Volume,
+    *,
+    order: int = 2,
+    seed: int = 0,
+    parameters: NeedleLocalizerParameters | None = None,
+) -> LocatedNeedle | NotFound:
+    """Locate the needle in a `Volume`, in W; see `locate`.
+
+    ``parameters`` are those of the localizer.
+    """
     require(order in (2, 3), "order", order, "2 or 3")
     anywhere = NeedlePrediction(order, volume.time, everywhere=True)
     explained = explain_localization(
-        volume, anywhere, NeedleLocalizerParameters(), np.random.default_rng(seed)
+        volume, anywhere, parameters or NeedleLocalizerParameters(), np.random.default_rng(seed)
     )
     found = explained.measurement
     if isinstance(found, NotFound):
         return found
-    return LocatedNeedle(found.curve, found.inlier_count, found.inlier_ratio, explained.evidence)
+    return LocatedNeedle(
+        found.curve,
+        found.inlier_count,
+        found.inlier_ratio,
+        explained.evidence,
+        found.covariance[-3:, -3:],
+    )
 
 
-def locate_in_recording(recording: Recording, number: int = 0, *, order: int = 2) -> dict[str, Any]:
+def locate_in_recording(
+    recording: Recording,
+    number: int = 0,
+    *,
+    order: int = 2,
+    parameters: NeedleLocalizerParameters | None = None,
+) -> dict[str, Any]:
     """Locate the needle in a volume of a file, and describe it in the file's coordinates.
 
     Parameters
@@ -111,6 +135,8 @@ def locate_in_recording(recording: Recording, number: int = 0, *, order: int = 2
         Number of the volume.
     order
         Order of the curve: 2 for a straight needle, 3 for a bent one.
+    parameters
+        Parameters of the localizer.
 
     Returns
     -------
@@ -125,14 +151,16 @@ def locate_in_recording(recording: Recording, number: int = 0, *, order: int = 2
         raise ConfigurationError(
             f"{recording.path}: volume {number} is out of range (0 to {len(recording) - 1})"
         )
-    found = locate_in(recording[number], order=order)
+    found = locate_in(recording[number], order=order, parameters=parameters)
     result: dict[str, Any] = {"file": str(recording.path), "volume": number, "found": bool(found)}
     if isinstance(found, NotFound):
         return result | {"reason": found.reason}
-    curve = found.curve.transformed(recording.X_WL(number).inverse())
+    X_LW = recording.X_WL(number).inverse()
+    curve, R_LW = found.curve.transformed(X_LW), X_LW.rotation().matrix()
     return result | {
         "entry_lps_mm": (1e3 * curve.entry).tolist(),
         "tip_lps_mm": (1e3 * curve.tip).tolist(),
+        "tip_covariance_lps_mm2": (1e6 * R_LW @ found.covariance @ R_LW.T).tolist(),
         "direction_lps": curve.direction.tolist(),
         "control_points_lps_mm": (1e3 * curve.control_points).tolist(),
         "length_mm": 1e3 * curve.chord,

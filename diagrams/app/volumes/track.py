@@ -85,7 +85,12 @@ class _Progress:
 
 
 def tracker_parameters(
-    tracker: str = "chatelain2013", *, order: int = 2, start: str = "search"
+    tracker: str = "chatelain2013",
+    *,
+    order: int = 2,
+    start: str = "search",
+    beam_width: float | None = None,
+    echo_offset: float | None = None,
 ) -> TrackerParameters:
     """Return the parameters of a tracker for recordings.
 
@@ -98,6 +103,8 @@ def tracker_parameters(
     start
         "search" to find the needle when it is pushed in; "anywhere" to localize it in the whole
         volume from the first volume on, without seeing the insertion.
+    beam_width, echo_offset
+        Values that the user knows, in m; see `NeedleLocalizerParameters.knowing`.
 
     Raises
     ------
@@ -110,7 +117,11 @@ def tracker_parameters(
     if start not in STARTS:
         raise ConfigurationError(f"start: {start!r}; {suggest(start, STARTS)}")
     try:
-        return trackers[tracker](order=order, start=start)
+        parameters = trackers[tracker](order=order, start=start)
+        parameters.localizer = parameters.localizer.knowing(
+            beam_width=beam_width, echo_offset=echo_offset
+        )
+        return parameters
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
 

@@ -7,6 +7,7 @@ import pytest
 from filterpy.kalman import predict, update
 from pydrake.math import RigidTransform, RollPitchYaw
 
+from sonoservo.systems.estimation.interacting_filter import InteractingFilter
 from sonoservo.systems.estimation.needle_filter import FILTERS
 from sonoservo.systems.estimation.needle_motion import NeedleMotionParameters, constant_velocity
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -53,6 +54,14 @@ def followed(needle_filter, order, steps=6, frame=None, noise=0.0):
     return state
 
 
+def with_motion(needle_filter, motion):
+    """The filter with one motion model, and errors that do not repeat themselves."""
+    if isinstance(needle_filter, InteractingFilter):
+        return InteractingFilter(steady=motion, unsteady=motion, constant=0.0, repeated=0.0)
+    needle_filter.motion = motion
+    return needle_filter
+
+
 def is_covariance(P):
     np.testing.assert_allclose(P, P.T, atol=1e-12 * np.abs(P).max())
     return np.linalg.eigvalsh(P).min() > -1e-12 * np.abs(P).max()
@@ -94,6 +103,7 @@ def test_prediction_grows_uncertain_and_never_goes_back(case):
 
 def test_two_predictions_are_one(case):
     needle_filter, order = case
+    needle_filter = with_motion(needle_filter, NeedleMotionParameters())
     state = followed(needle_filter, order)
     halfway = needle_filter.predict(state, state.time + 0.4)
     twice, once = (needle_filter.predict(each, state.time + 1.0) for each in (halfway, state))
@@ -122,7 +132,8 @@ def test_update_takes_away_uncertainty(case):
 def test_tip_agrees_with_a_kalman_filter_on_the_tip_alone(case):
     """The tip moves at constant velocity; a closed form if nothing else is uncertain."""
     needle_filter, order = case
-    needle_filter.motion = NeedleMotionParameters(insertion=1e-5, body=1e-6, bending=0.0)
+    motion = NeedleMotionParameters(insertion=1e-5, body=1e-6, bending=0.0)
+    needle_filter = with_motion(needle_filter, motion)
     covariance = 1e-7 * np.eye(3 * order)
     state = needle_filter.start(
         NeedleMeasurement(measurement(0.02, order).curve, covariance, 0.0, 1, 1.0)

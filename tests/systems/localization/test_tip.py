@@ -139,7 +139,7 @@ def test_candidates_outside_the_volume():
 
 @pytest.mark.parametrize("dip_deg", [0, 30])
 def test_the_blur_along_the_needle_is_the_volume_s_own(dip_deg):
-    """Lateral where the needle lies across the beam, less where it dips; else the parameter's."""
+    """Between the blur on the axis and its projection on the axis, else the parameter's."""
     volume = SCENE_VOLUME
     dip = np.deg2rad(dip_deg)
     k = np.array([np.cos(dip), np.sin(dip), 0])
@@ -150,7 +150,9 @@ def test_the_blur_along_the_needle_is_the_volume_s_own(dip_deg):
     known = replace(volume, point_spread=spread)
     width = axis_profile(known, axis, 0.0, 0.02, PARAMETERS).beam_width
     middle = width[len(width) // 2]
-    assert middle == pytest.approx(np.hypot(2e-3 * k[0], 0.5e-3 * k[1]), rel=0.02)
+    projected = np.hypot(2e-3 * k[0], 0.5e-3 * k[1])
+    on_axis = 1 / np.hypot(k[0] / 2e-3, k[1] / 0.5e-3)
+    assert middle == pytest.approx((projected + on_axis) / 2, rel=0.02)
 
 
 @pytest.mark.parametrize("sigma", [0.5e-3, 0.8e-3, 1.2e-3])
@@ -159,3 +161,44 @@ def test_a_known_blur_is_undone_whatever_the_parameter_says(sigma):
     width = np.full(len(blurred.a), sigma * np.sqrt(8 * np.log(2)))
     extent = find_extent(replace(blurred, beam_width=width), TipParameters(beam_width=9e-3))
     assert extent.tip == pytest.approx(0.03, abs=0.5 * sigma)
+
+
+def faded(tip, length, level=20.0):
+    """Profile of a needle whose contrast falls over a length before its end."""
+    sharp = profile(tip, level)
+    fade = np.clip((tip - sharp.a) / length, 0, 1)
+    return replace(sharp, level=20 + (sharp.level - 20) * fade)
+
+
+@pytest.mark.parametrize("level", [16.0, 25.0])
+def test_a_clear_and_abrupt_end_is_known_to_a_fraction_of_the_blur(level):
+    extent = find_extent(profile(0.03, level), PARAMETERS)
+    assert extent.tip_std == pytest.approx(0.45 * SIGMA, rel=0.1)
+
+
+def test_the_longer_a_needle_fades_the_less_is_known_about_its_tip():
+    stds = [find_extent(faded(0.03, length), PARAMETERS).tip_std for length in (1e-4, 8e-3, 16e-3)]
+    assert stds[0] < stds[1] < stds[2]
+    assert stds[2] > 2 * stds[0]
+
+
+def test_the_tip_of_a_faint_needle_is_uncertain_and_no_shorter():
+    clear, faint = (find_extent(profile(0.03, level), PARAMETERS) for level in (20.0, 6.0))
+    assert faint.tip_std > 3 * clear.tip_std
+    assert faint.tip == pytest.approx(0.03, abs=1.5e-3)
+
+
+def test_a_rough_end_blurs_as_an_intensity_and_a_mirror_as_an_amplitude():
+    """Simulated: points with random phases, and points in phase, that end at 30 mm."""
+    rng = np.random.default_rng(5)
+    a = np.arange(-0.01, 0.05, STEP)
+    blur = np.exp(-((a[:, None] - a) ** 2) / (2 * SIGMA**2))
+    ends = []
+    for level, rough in [(18.0, True)] * 60 + [(30.0, False)]:
+        phases = rng.uniform(0, 2 * np.pi, len(a)) if rough else np.zeros(len(a))
+        echo = np.abs(blur @ ((np.abs(a - 0.015) < 0.015) * np.exp(1j * phases)))
+        level = 20 * np.log10(10 ** (level / 20) * echo / np.sqrt(np.mean(echo[50:110] ** 2)) + 1)
+        line = AxisProfile(a, np.outer(a, [1, 0, 0]), 20 + level, np.full(len(a), 20.0), a < 0.04)
+        ends.append(find_extent(line, PARAMETERS).tip)
+    assert np.median(ends[:-1]) == pytest.approx(0.03, abs=0.4e-3)
+    assert ends[-1] == pytest.approx(0.03, abs=0.3e-3)

@@ -67,6 +67,12 @@ def assert_same_needle(found, wanted, R=None, tip_mm=0.3, angle_deg=0.3):
     assert np.linalg.norm(R.T @ found["tip_lps_mm"] - wanted["tip_lps_mm"]) <= tip_mm
     cosine = (R.T @ found["direction_lps"]) @ wanted["direction_lps"]
     assert np.degrees(np.arccos(min(cosine, 1))) <= angle_deg
+    covariance = R.T @ found["tip_covariance_lps_mm2"] @ R
+    assert np.linalg.eigvalsh(covariance).min() > 0
+    k = np.array(wanted["direction_lps"])
+    both = covariance, np.array(wanted["tip_covariance_lps_mm2"])
+    stated = [np.sqrt(k @ each @ k) for each in both]
+    assert stated[0] == pytest.approx(stated[1], rel=0.5)
 
 
 def test_the_same_volume_stored_otherwise_has_the_same_needle(tmp_path, made):

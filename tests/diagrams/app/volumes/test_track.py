@@ -74,6 +74,13 @@ def test_a_recording_gives_the_estimates_of_the_live_run_exactly(live, tmp_path)
     volume = Recording(path)[len(rows) - 1]
     # LPS are the axes of the probe in a file of ours.
     np.testing.assert_allclose(last, 1e3 * volume.to_probe([seen.estimates[-1].curve.tip])[0])
+    names = [f"tip_covariance_{axes}_mm2" for axes in ("ll", "lp", "ls", "pp", "ps", "ss")]
+    assert rows[0][names[0]] == ""
+    stated = np.zeros((3, 3))
+    stated[np.triu_indices(3)] = [float(rows[-1][name]) for name in names]
+    R_PW = volume.X_WP.rotation().matrix().T
+    expected = 1e6 * R_PW @ seen.estimates[-1].tip_covariance @ R_PW.T
+    np.testing.assert_allclose(stated, np.triu(expected), atol=1e-9)
 
 
 def test_an_interrupted_run_leaves_a_recording(tmp_path):
@@ -283,3 +290,11 @@ def test_a_thousand_volumes_leave_the_memory_flat(tmp_path):
 
     track_recording(Recording(path), after_volume=note)
     assert used[999] - used[100] < 15e3  # kB
+
+
+def test_what_a_user_knows_about_the_probe_and_the_needle_is_taken():
+    localizer = tracker_parameters(beam_width=1.5e-3, echo_offset=0.2e-3).localizer
+    assert localizer.tip.beam_width == 1.5e-3
+    assert (localizer.echo_offset, localizer.echo_offset_std) == (0.2e-3, 0.0)
+    with pytest.raises(ConfigurationError, match="beam_width"):
+        tracker_parameters(beam_width=0.0)
