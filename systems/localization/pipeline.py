@@ -86,12 +86,12 @@ def explain_localization(
         measurement = attempts[-1].measurement
     elif prediction.curve is not None:
         # A lost needle still points the same way, and is the longest of the needle-like lines.
-        for ends in bright_lines(volume, rng):
+        for ends in bright_lines(volume):
             region = lost_region(volume.to_world(ends)[0], prediction.curve, parameters)
             attempts += _localize_around(volume, region, parameters, rng)
         measurement = _longest(attempts)
     else:
-        line = localize_line(volume, rng)
+        line = localize_line(volume)
         if isinstance(line, NotFound):
             measurement = line
         else:

@@ -9,7 +9,7 @@ from pydrake.math import RigidTransform
 
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
-from sonoservo.systems.localization.needle_line import MIN_EVIDENCE
+from sonoservo.systems.localization.needle_line import MIN_PROBABILITY as MIN_EVIDENCE
 from sonoservo.systems.localization.pipeline import explain_localization
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.signals.immutable import Immutable, NotFound
