@@ -120,6 +120,7 @@ def MakeProbeController(
         output_ports:
         - joint_command
         - planar_velocity
+        - hold_reason
         - approach_velocity
         - pressing_force
         - guard (unless the guard is disabled)
@@ -196,7 +197,8 @@ def MakeProbeController(
         builder.Connect(arm_command, kinematics.GetInputPort("sent_command"))
         builder.ExportOutput(guard.GetOutputPort("guard"), "guard")
     builder.ExportOutput(arm_command, "joint_command")
-    builder.ExportOutput(servo.GetOutputPort("planar_velocity"), "planar_velocity")
+    for name in ("planar_velocity", "hold_reason"):
+        builder.ExportOutput(servo.GetOutputPort(name), name)
     for name in ("approach_velocity", "pressing_force"):
         builder.ExportOutput(force.GetOutputPort(name), name)
     controller = builder.Build()

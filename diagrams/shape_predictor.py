@@ -7,10 +7,10 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
-from sonoservo.systems.estimation.cross_section_memory import CrossSectionMemory
-from sonoservo.systems.estimation.shape_estimator import ShapeEstimator
-from sonoservo.systems.estimation.shape_filter import ShapeFilter
-from sonoservo.systems.estimation.shape_filters import SHAPE_FILTERS
+from sonoservo.systems.estimation.shape.cross_section_memory import CrossSectionMemory
+from sonoservo.systems.estimation.shape.shape_estimator import ShapeEstimator
+from sonoservo.systems.estimation.shape.shape_filter import ShapeFilter
+from sonoservo.systems.estimation.shape.shape_filters import SHAPE_FILTERS
 from sonoservo.systems.localization.cross_section import CrossSectionParameters
 from sonoservo.systems.localization.cross_section_localizer import CrossSectionLocalizer
 from sonoservo.systems.signals.cross_section import CrossSection

@@ -13,12 +13,7 @@ from typing import Annotated
 
 import typer
 
-from sonoservo.diagrams.app.interruption import (
-    INTERRUPTED,
-    catch_interruptions,
-    interrupted_code,
-    is_interrupted,
-)
+from sonoservo.diagrams.app.interruption import INTERRUPTED, is_interrupted
 from sonoservo.diagrams.app.options import (
     ChangesOption,
     ExplainOption,
@@ -33,44 +28,36 @@ from sonoservo.diagrams.app.options import (
     with_common_options,
     write_printed,
 )
+from sonoservo.diagrams.app.scenario_commands import list_command, new_command, show_command
 from sonoservo.diagrams.app.study_commands import dataset_command, reproduce_command
 from sonoservo.diagrams.app.volume_commands import bridge_command, locate_command, track_command
 from sonoservo.systems.files.refusals import ConfigurationError, describe, shorten
 
 app = typer.Typer(
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
-    help="A robot holds a 3D ultrasound probe, finds a needle and follows it.",
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
 
 
-def list_command(json_path: JsonOption = None) -> None:
-    """List the built-in scenarios, and the dials that make a scenario harder."""
-    from rich.table import Table
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
 
-    from sonoservo.diagrams.dials import load_dials
-    from sonoservo.diagrams.experiments.registry import describe_scenarios
+        print(f"sonoservo {version('sonoservo')}")
+        raise typer.Exit
 
-    scenarios, dials = describe_scenarios(), load_dials()
-    table = Table("scenario", "description")
-    for name, description in scenarios.items():
-        table.add_row(name, description)
-    console.print(table)
-    table = Table("dial", "description", "moderate strength, with --set")
-    for name, dial in dials.items():
-        table.add_row(name, dial.line, "\n".join(dial.changes()))
-    console.print(table)
-    write_printed(
-        json_path,
-        {
-            "scenarios": scenarios,
-            "dials": {
-                name: {"description": dial.line, "moderate": dict(dial.moderate)}
-                for name, dial in dials.items()
-            },
-        },
-    )
+
+@app.callback()
+def _program(
+    _: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version and exit."
+        ),
+    ] = False,
+) -> None:
+    """A robot holds a 3D ultrasound probe, finds a needle and follows it."""
 
 
 def compile_command() -> None:
@@ -281,6 +268,8 @@ def explain_command(
 
 _COMMANDS = (
     list_command,
+    show_command,
+    new_command,
     compile_command,
     run_command,
     drive_command,
@@ -294,16 +283,6 @@ _COMMANDS = (
 )
 for _command in _COMMANDS:
     app.command(_command.__name__.removesuffix("_command"))(with_common_options(_command))
-
-
-def main() -> None:
-    """Run the command line as a program of its own."""
-    try:
-        catch_interruptions()
-        code = run_arguments(sys.argv[1:])
-    except KeyboardInterrupt:
-        code = INTERRUPTED
-    sys.exit(interrupted_code() if code == INTERRUPTED else code)
 
 
 def run_arguments(arguments: Sequence[str]) -> int:

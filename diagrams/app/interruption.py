@@ -3,8 +3,13 @@
 import os
 import signal
 import socket
+import sys
 import threading
 from types import FrameType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sys import UnraisableHookArgs
 
 PATIENCE = 3.0
 """Time in s from an interruption to the end of the program, whatever it is doing."""
@@ -13,6 +18,9 @@ INTERRUPTED = 130
 """Exit code after Ctrl-C."""
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+_RETRY = 0.01
+"""Time in s until an interruption that was swallowed is raised again."""
 
 _received: list[int] = []
 
@@ -34,6 +42,9 @@ def catch_interruptions() -> None:
     its summary. What is not written by then is left out. The watch is kept by a thread, because the
     main thread may be inside a compiler. A second signal ends the program at once. A signal that is
     ignored at the start, as by ``nohup``, stays ignored.
+
+    Callbacks from C and finalizers swallow exceptions. An interruption that arrives in one is
+    raised again shortly after it.
     """
     watch, wake = socket.socketpair()
     wake.setblocking(False)
@@ -41,6 +52,8 @@ def catch_interruptions() -> None:
     for number in _SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _interrupt)
+    signal.signal(signal.SIGALRM, _interrupt_again)
+    sys.unraisablehook = _retry_if_swallowed
     threading.Thread(target=_end_in_time, args=(watch, wake), daemon=True).start()
 
 
@@ -48,6 +61,18 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     if not _received:
         _received.append(number)
         raise KeyboardInterrupt
+
+
+def _interrupt_again(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+def _retry_if_swallowed(swallowed: "UnraisableHookArgs") -> None:
+    """Hook for an exception that a callback from C or a finalizer has swallowed."""
+    if isinstance(swallowed.exc_value, KeyboardInterrupt) and _received:
+        signal.setitimer(signal.ITIMER_REAL, _RETRY)
+    else:
+        sys.__unraisablehook__(swallowed)
 
 
 def _end_in_time(watch: socket.socket, wake: socket.socket) -> None:

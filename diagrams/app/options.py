@@ -11,10 +11,12 @@ import typer
 from rich.console import Console
 
 from sonoservo.systems.files.memory import DEFAULT_MEMORY_GB, MEMORY_VARIABLE, memory_budget
-from sonoservo.systems.files.writing import write_json
+from sonoservo.systems.files.writing import to_json, write_json
 
 console = Console(markup=False, emoji=False)
 """Console of all commands. It takes no markup, because paths may contain square brackets."""
+
+_STANDARD_OUTPUT = Path("-")
 
 ScenarioArgument = Annotated[
     str, typer.Argument(help="Name from `sonoservo list`, or path of a YAML file.")
@@ -26,7 +28,8 @@ SeedOption = Annotated[int | None, typer.Option(min=0, help="Random seed of the 
 OutOption = Annotated[Path | None, typer.Option(help="Folder for the results.")]
 JobsOption = Annotated[int, typer.Option(help="Number of processes; -1 for one per core.")]
 JsonOption = Annotated[
-    Path | None, typer.Option("--json", help="Also write the printed figures to this file.")
+    Path | None,
+    typer.Option("--json", help="Also write the printed figures to this file; - prints only them."),
 ]
 HostOption = Annotated[
     str, typer.Option(help="Address to serve the page on; * for all addresses of this machine.")
@@ -95,8 +98,8 @@ MemoryOption = Annotated[
 def with_common_options(command: Callable[..., None]) -> Callable[..., None]:
     """Return a command with the options that all have: ``--debug`` and ``--max-memory``.
 
-    An error carries the choice of ``--debug`` to `sonoservo.diagrams.app.cli.main` as its attribute
-    ``debug``.
+    An error carries the choice of ``--debug`` to `sonoservo.diagrams.app.cli.run_arguments` as its
+    attribute ``debug``.
     """
 
     @wraps(command)
@@ -105,6 +108,7 @@ def with_common_options(command: Callable[..., None]) -> Callable[..., None]:
             if max_memory is not None:
                 os.environ[MEMORY_VARIABLE] = repr(max_memory)
             memory_budget()
+            console.stderr = options.get("json_path") == _STANDARD_OUTPUT
             command(*args, **options)
         except BaseException as error:
             error.debug = debug  # type: ignore[attr-defined]
@@ -124,6 +128,8 @@ def with_common_options(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def write_printed(path: Path | None, data: Any) -> None:
-    """Write the figures that a command printed, if ``--json`` names a file."""
-    if path is not None:
+    """Write the figures that a command printed, if ``--json`` names a file or is ``-``."""
+    if path == _STANDARD_OUTPUT:
+        print(to_json(data))
+    elif path is not None:
         write_json(path, data)

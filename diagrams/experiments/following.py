@@ -216,7 +216,14 @@ class FollowingExperiment(Experiment[FollowingScenario]):
                 "convert": (self.scan_converter, "volume"),
             },
             event="track",
-            optional=("deformation", "measurement", "detection", "guard", "volume_check"),
+            optional=(
+                "deformation",
+                "measurement",
+                "detection",
+                "guard",
+                "hold_reason",
+                "volume_check",
+            ),
             sees_truth={"station", *sources, *_OBSERVERS, *observers},
         )
 
@@ -227,11 +234,13 @@ class FollowingExperiment(Experiment[FollowingScenario]):
 
     @property
     def status(self) -> str:
-        """Why the guard stops the robot, or the tracker's mode and why it sees no needle."""
+        """Why the robot is stopped or holds, or the tracker's mode and why it sees no needle."""
         if self.probe_controller.HasOutputPort("guard"):
             guard: GuardStatus = self.evaluate(self.probe_controller, "guard")
             if guard.stopped:
                 return f"stopped: {guard.reason}"
+        if hold := self.evaluate(self.probe_controller, "hold_reason"):
+            return f"held: {hold}"
         estimate = self.estimate
         return f"{estimate.mode}: {estimate.reason}" if estimate.reason else str(estimate.mode)
 

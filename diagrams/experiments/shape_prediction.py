@@ -17,9 +17,9 @@ from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.diagrams.shape_predictor import MakeShapePredictor
 from sonoservo.systems.display.world.shape_view import ShapeView
-from sonoservo.systems.estimation.shape_estimator import ShapeEstimator
-from sonoservo.systems.estimation.shape_filter import ShapeFilter
-from sonoservo.systems.estimation.shape_filters import SHAPE_FILTERS
+from sonoservo.systems.estimation.shape.shape_estimator import ShapeEstimator
+from sonoservo.systems.estimation.shape.shape_filter import ShapeFilter
+from sonoservo.systems.estimation.shape.shape_filters import SHAPE_FILTERS
 from sonoservo.systems.evaluation.log import Row
 from sonoservo.systems.evaluation.shape.shape_log import ShapeLog
 from sonoservo.systems.evaluation.shape.shape_metrics import LABELS, summarize_shape

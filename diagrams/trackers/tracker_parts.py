@@ -13,8 +13,8 @@ from sonoservo.systems.detection.volume_gate import VolumeGate
 from sonoservo.systems.detection.volume_memory import VolumeMemory
 from sonoservo.systems.detection.volume_plausibility import VolumePlausibilityParameters
 from sonoservo.systems.estimation.needle_filter import NeedleFilter
-from sonoservo.systems.estimation.track import TrackParameters
 from sonoservo.systems.estimation.track_manager import TrackManager
+from sonoservo.systems.estimation.track_parameters import TrackParameters
 from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.localization.needle_localizer import NeedleLocalizer
 from sonoservo.systems.signals.requirements import require, require_not_negative

@@ -19,6 +19,9 @@ from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMo
 from sonoservo.systems.signals.ports import evaluate
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 
+_FOLLOWED = (TrackingMode.TRACKING, TrackingMode.COASTING)
+"""Modes in which an estimate is followed."""
+
 
 @dataclass(kw_only=True)
 class VisualServoParameters:
@@ -42,6 +45,9 @@ class VisualServoParameters:
         Smallest angle between the needle and the beam at which the probe rotates, in deg.
     stale_after
         Age of an estimate above which the visual motion stops, in s.
+    max_tip_std
+        Standard deviation of the tip, the root of its covariance's trace, above which the estimate
+        is not followed, in m. A needle that reaches out of the volume is known to about 10 mm.
     max_speed, max_angular_speed_deg
         Highest commanded speeds, in m/s and deg/s.
     """
@@ -51,12 +57,14 @@ class VisualServoParameters:
     min_speed: float = 1.5e-3
     min_inclination_deg: float = 10.0
     stale_after: float = 1.5
+    max_tip_std: float = 0.025
     max_speed: float = 0.03
     max_angular_speed_deg: float = 20.0
 
     def __post_init__(self) -> None:
         require_positive(
             stale_after=self.stale_after,
+            max_tip_std=self.max_tip_std,
             max_speed=self.max_speed,
             max_angular_speed_deg=self.max_angular_speed_deg,
         )
@@ -67,6 +75,29 @@ class VisualServoParameters:
         )
 
 
+def hold_reason(estimate: NeedleEstimate, time: float, parameters: VisualServoParameters) -> str:
+    """Return the reason why a tracked needle is not followed; empty if it is or none is tracked.
+
+    Parameters
+    ----------
+    estimate
+        Estimate of the needle in W, at its own time.
+    time
+        Present time, in s.
+    parameters
+        Parameters of the visual servo.
+    """
+    if estimate.mode not in _FOLLOWED or estimate.curve is None:
+        return ""
+    age = time - estimate.time
+    if age > parameters.stale_after:
+        return f"the estimate is {age:.1f} s old"
+    std = math.sqrt(estimate.tip_covariance.trace())
+    if std > parameters.max_tip_std:
+        return f"the tip is uncertain by {1e3 * std:.0f} mm"
+    return ""
+
+
 def planar_velocity(
     estimate: NeedleEstimate, X_WP: RigidTransform, time: float, parameters: VisualServoParameters
 ) -> NDArray[np.float64]:
@@ -75,8 +106,8 @@ def planar_velocity(
     Parameters
     ----------
     estimate
-        Estimate of the needle in W, at its own time. Visual motion stops if nothing is tracked or
-        the estimate is stale.
+        Estimate of the needle in W, at its own time. Visual motion stops if nothing is tracked, and
+        for the reasons of `hold_reason`.
     X_WP
         Present pose of the probe.
     time
@@ -88,12 +119,11 @@ def planar_velocity(
     -------
     (3,) velocity (v_x, v_z, omega_y) of P, in P, in m/s and rad/s.
     """
-    age = max(time - estimate.time, 0)
-    followed = estimate.mode in (TrackingMode.TRACKING, TrackingMode.COASTING)
-    fresh = age <= parameters.stale_after
-    if estimate.curve is None or not followed or not fresh or parameters.gain == 0:
+    followed = estimate.mode in _FOLLOWED and parameters.gain != 0
+    if estimate.curve is None or not followed or hold_reason(estimate, time, parameters):
         return np.zeros(3)
 
+    age = max(time - estimate.time, 0)
     R_PW = X_WP.rotation().matrix().T
     tip = estimate.curve.tip - X_WP.translation()
     rates = np.zeros(3)
@@ -129,12 +159,14 @@ class VisualServo(LeafSystem):
         - gain (optional)
         output_ports:
         - planar_velocity
+        - hold_reason
 
     v_c = -L_s^+ (lambda s + rates), with s = (X_tip, Z_tip, Theta). `estimate` is a NeedleEstimate
     and `X_WP` a RigidTransform. `gain` is lambda in 1/s and replaces the parameter's value.
-    `planar_velocity` is (v_x, v_z, omega_y) of P, in P, in m/s and rad/s. The system has no state.
-    Between two estimates the features still follow the probe's own motion, and with feed-forward
-    the needle's.
+    `planar_velocity` is (v_x, v_z, omega_y) of P, in P, in m/s and rad/s. `hold_reason` tells why a
+    tracked needle is not followed; it is an empty text otherwise. The system has no state. Between
+    two estimates the features still follow the probe's own motion, and with feed-forward the
+    needle's.
 
     Parameters
     ----------
@@ -149,6 +181,15 @@ class VisualServo(LeafSystem):
         self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
         self.DeclareVectorInputPort("gain", 1)
         self.DeclareVectorOutputPort("planar_velocity", 3, self._calc_planar_velocity)
+        self.DeclareAbstractOutputPort(
+            "hold_reason",
+            lambda: Value[object](),
+            self._calc_hold_reason,
+            prerequisites_of_calc={
+                self.input_port_ticket(self.GetInputPort("estimate").get_index()),
+                self.time_ticket(),
+            },
+        )
 
     def _calc_planar_velocity(self, context: Context, output: BasicVector) -> None:
         estimate = evaluate(self, context, "estimate", NeedleEstimate)
@@ -158,3 +199,7 @@ class VisualServo(LeafSystem):
         if gain != parameters.gain:  # because replacing them costs another validation
             parameters = replace(parameters, gain=gain)
         output.SetFromVector(planar_velocity(estimate, X_WP, context.get_time(), parameters))
+
+    def _calc_hold_reason(self, context: Context, output: Value) -> None:
+        estimate = evaluate(self, context, "estimate", NeedleEstimate)
+        output.set_value(hold_reason(estimate, context.get_time(), self._parameters))

@@ -3,31 +3,33 @@ from .axis_tip_filter import AxisTipState as AxisTipState
 from .axis_tip_filter import direction_angles as direction_angles
 from .control_point_filter import ControlPointFilter as ControlPointFilter
 from .control_point_filter import ControlPointState as ControlPointState
-from .cross_section_memory import CrossSectionMemory as CrossSectionMemory
 from .needle_filter import NeedleFilter as NeedleFilter
 from .needle_filter import NeedleState as NeedleState
 from .needle_motion import NeedleMotionParameters as NeedleMotionParameters
 from .needle_motion import constant_velocity as constant_velocity
-from .published_particle_filter import PublishedBelief as PublishedBelief
-from .published_particle_filter import PublishedParticleFilter as PublishedParticleFilter
-from .published_particle_filter import (
+from .shape.cross_section_memory import CrossSectionMemory as CrossSectionMemory
+from .shape.published_particle_filter import PublishedBelief as PublishedBelief
+from .shape.published_particle_filter import PublishedParticleFilter as PublishedParticleFilter
+from .shape.published_particle_filter import (
     PublishedParticleFilterParameters as PublishedParticleFilterParameters,
 )
-from .shape_estimator import ShapeEstimator as ShapeEstimator
-from .shape_filter import ShapeFilter as ShapeFilter
-from .shape_filter import ShapePaths as ShapePaths
-from .shape_filters import ShapeFilterChoice as ShapeFilterChoice
-from .shape_least_squares import FittedShape as FittedShape
-from .shape_least_squares import ShapeLeastSquares as ShapeLeastSquares
-from .shape_least_squares import ShapeLeastSquaresParameters as ShapeLeastSquaresParameters
-from .shape_parameters import ShapeEstimatorParameters as ShapeEstimatorParameters
-from .shape_particle_filter import ParticleBelief as ParticleBelief
-from .shape_particle_filter import ShapeParticleFilter as ShapeParticleFilter
-from .shape_particle_filter import ShapeParticleFilterParameters as ShapeParticleFilterParameters
-from .shape_particle_filter import ShapePosterior as ShapePosterior
-from .shape_posterior import MeasurementNoise as MeasurementNoise
+from .shape.shape_estimator import ShapeEstimator as ShapeEstimator
+from .shape.shape_filter import ShapeFilter as ShapeFilter
+from .shape.shape_filter import ShapePaths as ShapePaths
+from .shape.shape_filters import ShapeFilterChoice as ShapeFilterChoice
+from .shape.shape_least_squares import FittedShape as FittedShape
+from .shape.shape_least_squares import ShapeLeastSquares as ShapeLeastSquares
+from .shape.shape_least_squares import ShapeLeastSquaresParameters as ShapeLeastSquaresParameters
+from .shape.shape_parameters import ShapeEstimatorParameters as ShapeEstimatorParameters
+from .shape.shape_particle_filter import ParticleBelief as ParticleBelief
+from .shape.shape_particle_filter import ShapeParticleFilter as ShapeParticleFilter
+from .shape.shape_particle_filter import (
+    ShapeParticleFilterParameters as ShapeParticleFilterParameters,
+)
+from .shape.shape_particle_filter import ShapePosterior as ShapePosterior
+from .shape.shape_posterior import MeasurementNoise as MeasurementNoise
 from .track import Track as Track
-from .track import TrackLifecycle as TrackLifecycle
-from .track import TrackParameters as TrackParameters
-from .track import innovation_distance as innovation_distance
+from .track_lifecycle import TrackLifecycle as TrackLifecycle
+from .track_lifecycle import innovation_distance as innovation_distance
 from .track_manager import TrackManager as TrackManager
+from .track_parameters import TrackParameters as TrackParameters

@@ -7,7 +7,9 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from sonoservo.systems.estimation.needle_filter import NeedleFilter
-from sonoservo.systems.estimation.track import Track, TrackLifecycle, TrackParameters
+from sonoservo.systems.estimation.track import Track
+from sonoservo.systems.estimation.track_lifecycle import TrackLifecycle
+from sonoservo.systems.estimation.track_parameters import TrackParameters
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.insertion_detection import InsertionDetection
 from sonoservo.systems.signals.localization_explanation import LocalizationExplanation

@@ -56,6 +56,9 @@ class RunLog(Log):
     guard_reason: Annotated[
         Array, Column("reason why the guard stops the robot at this time", "", ("n",), "U")
     ]
+    hold_reason: Annotated[
+        Array, Column("reason why the servo does not follow a tracked needle", "", ("n",), "U")
+    ]
     volumes_refused: Annotated[
         Array, Column("number of volumes refused as implausible so far", "", ("n",))
     ]

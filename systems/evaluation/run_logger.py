@@ -27,7 +27,8 @@ from sonoservo.systems.signals.volume_check import VolumeCheck
 T = TypeVar("T")
 
 _OBJECTS = (
-    "motion_record", "needle", "estimate", "measurement", "detection", "guard", "volume_check",
+    "motion_record", "needle", "estimate", "measurement", "detection", "guard", "hold_reason",
+    "volume_check",
 )  # fmt: skip
 
 
@@ -59,6 +60,7 @@ class RunLogger(LeafSystem):
         - contact_force (optional)
         - planar_velocity (optional)
         - guard (optional)
+        - hold_reason (optional)
         - volume_check (optional)
 
     Every port may stay unconnected; its values are then missing in the log. `X_WP`, `true_X_WP` and
@@ -70,7 +72,7 @@ class RunLogger(LeafSystem):
     `detection` may hold any value: it is logged as True or False, and the reason of a NotFound is
     kept. `joint_state` holds the positions, then the velocities, of the arm's joints in rad and
     rad/s. `planar_velocity` holds v_x and v_z in m/s and omega_y in rad/s, in P. `guard` is a
-    GuardStatus and `volume_check` a VolumeCheck.
+    GuardStatus, `hold_reason` the text of a VisualServo and `volume_check` a VolumeCheck.
 
     `measurement` and `detection` are those from which the estimate was made: a tracker holds them
     until its next volume. The log therefore adds a row whenever the estimate names a newer volume,
@@ -213,6 +215,9 @@ class RunLogger(LeafSystem):
         if guard is not None:
             row["guard_state"] = str(guard.state)
             row["guard_reason"] = guard.reason if guard.stopped else ""
+        hold = self._value(context, "hold_reason", str)
+        if hold is not None:
+            row["hold_reason"] = hold
         check = self._value(context, "volume_check", VolumeCheck)
         if check is not None:
             row["volumes_refused"], row["refusal_reason"] = check.refused, check.reason

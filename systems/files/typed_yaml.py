@@ -26,9 +26,10 @@ _MAX_BYTES = 4 * MAX_LENGTH
 
 
 def suggest(name: str, known: Iterable[str]) -> str:
-    """Return the nearest known name as a hint, or all known names if none is near."""
+    """Return the known name that contains a name or is nearest to it as a hint, or all names."""
     known = sorted(known)
-    nearest = difflib.get_close_matches(name, known, n=1)
+    containing = [each for each in known if len(name) > 2 and name in each]
+    nearest = containing if len(containing) == 1 else difflib.get_close_matches(name, known, n=1)
     return f"did you mean {nearest[0]!r}?" if nearest else f"known: {', '.join(known)}"
 
 

@@ -127,7 +127,12 @@ def write_json(path: str | Path, data: Any) -> Path:
     -------
     Path of the file.
     """
-    return write_atomically(path, json.dumps(to_plain(data), indent=2, allow_nan=False))
+    return write_atomically(path, to_json(data))
+
+
+def to_json(data: Any) -> str:
+    """Return data as JSON; see `write_json`."""
+    return json.dumps(to_plain(data), indent=2, allow_nan=False)
 
 
 def to_plain(data: Any) -> Any:

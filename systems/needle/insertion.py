@@ -1,6 +1,7 @@
 """Insertion of a needle as a function of time, composed of its path and its motion."""
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from sonoservo.systems.needle.insertion_parameters import (
 )
 from sonoservo.systems.needle.needle_motion import Feed, HandMotion, NeedleMotion
 from sonoservo.systems.needle.steered_path import SteeredPath, draw_wander
-from sonoservo.systems.signals.immutable import Immutable
+from sonoservo.systems.signals.immutable import Immutable, seal
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.requirements import require
 
@@ -214,17 +215,23 @@ class _Aim:
 
     def axes(self, tilt: Floats) -> Floats:
         """Return (3, 3) rows along the needle, up and beside it, in T, tilted by (2,) rad."""
-        azimuth, dip = np.deg2rad([self.azimuth_deg, self.dip_deg]) + tilt
-        heading = np.array([np.cos(azimuth), np.sin(azimuth), 0])
-        up = np.array([0, 0, 1.0])
-        direction = np.cos(dip) * heading - np.sin(dip) * up
-        normal = np.sin(dip) * heading + np.cos(dip) * up
-        return np.array([direction, normal, np.cross(direction, normal)])
+        return _axes(self.azimuth_deg, self.dip_deg, *tilt.tolist())
 
     def angle_to(self, other: "_Aim") -> float:
         """Return the angle in deg to another aim's direction."""
         d, e = (aim.axes(np.zeros(2))[0] for aim in (self, other))
         return float(np.rad2deg(np.arctan2(np.linalg.norm(np.cross(d, e)), d @ e)))
+
+
+@lru_cache(maxsize=16)
+def _axes(azimuth_deg: float, dip_deg: float, turn: float, lean: float) -> Floats:
+    """Return the axes of an aim turned in azimuth and dip, in rad; a hand rests at few of them."""
+    azimuth, dip = np.deg2rad([azimuth_deg, dip_deg]) + np.array([turn, lean])
+    heading = np.array([np.cos(azimuth), np.sin(azimuth), 0])
+    up = np.array([0, 0, 1.0])
+    direction = np.cos(dip) * heading - np.sin(dip) * up
+    normal = np.sin(dip) * heading + np.cos(dip) * up
+    return seal(np.array([direction, normal, np.cross(direction, normal)]))
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from sonoservo.diagrams.app.cli import run_arguments
 def sonoservo(*arguments):
     """Run the command in a process of its own."""
     return subprocess.run(
-        [sys.executable, "-c", "from sonoservo.diagrams.app.cli import main; main()", *arguments],
+        [sys.executable, "-m", "sonoservo.diagrams.app", *arguments],
         capture_output=True,
         text=True,
         timeout=300,

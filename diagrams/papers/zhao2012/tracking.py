@@ -9,8 +9,8 @@ from pydrake.common.value import Value
 from sonoservo.diagrams.trackers.zhao2012 import MakeZhao2012Tracker, Zhao2012TrackerParameters
 from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter
 from sonoservo.systems.estimation.needle_motion import NeedleMotionParameters
-from sonoservo.systems.estimation.track import TrackParameters
 from sonoservo.systems.estimation.track_manager import TrackManager
+from sonoservo.systems.estimation.track_parameters import TrackParameters
 from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.localization.ransac import RansacParameters
 from sonoservo.systems.localization.speckle_velocimeter import SpeckleVelocimeterParameters

@@ -1,6 +1,8 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
+from importlib.metadata import version
 
 import pytest
 from commands import sonoservo, sonoservo_here
@@ -26,9 +28,37 @@ def test_list_names_every_scenario_and_dial(tmp_path):
     assert "hand.dip_deg=60" in result.stdout
 
 
+def test_figures_alone_can_be_printed():
+    result = runner.invoke(app, ["list", "--json", "-"])
+    assert json.loads(result.stdout)["dials"]["dip"]["moderate"] == {"hand.dip_deg": 60.0}
+    assert "chatelain2013_fig5" in result.stderr
+
+
+def test_version_and_help_are_where_people_look():
+    assert runner.invoke(app, ["--version"]).stdout == f"sonoservo {version('sonoservo')}\n"
+    assert runner.invoke(app, ["run", "-h"]).stdout.strip().startswith("Usage:")
+
+
+def test_a_scenario_of_one_s_own_begins_as_a_copy(tmp_path):
+    path = tmp_path / "mine.yaml"
+    assert runner.invoke(app, ["new", str(path), "--from", "clinic"]).exit_code == 0
+    copy, original = load_scenario(path), load_scenario("clinic")
+    assert copy == replace(original, name="mine")
+    shown = tmp_path / "shown.yaml"
+    shown.write_text(runner.invoke(app, ["show", str(path)]).stdout)
+    assert load_scenario(shown) == copy
+    changed = runner.invoke(app, ["show", str(path), "--set", "duration=5"]).stdout
+    assert "duration: 5.0" in changed
+    before = path.read_text()
+    again = sonoservo_here("new", str(path))
+    assert (again.returncode, path.read_text()) == (2, before)
+    assert "exists already" in again.stderr
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        (["fig5"], "did you mean 'chatelain2013_fig5'"),
         (["chatelain2031_fig5"], "did you mean 'chatelain2013_fig5'"),
         (["chatelain2013_fig5", "--set", "imaging.frames=31"], "lines x 2 x"),
         (["chatelain2013_fig5", "--set", "station.probe.x=3"], "cannot reach"),
@@ -223,7 +253,7 @@ def test_help_and_list_load_nothing_that_takes_long():
     code = """
 import sys
 from contextlib import suppress
-from sonoservo.diagrams.app.cli import main
+from sonoservo.diagrams.app.__main__ import main
 with suppress(SystemExit):
     main()
 print([name for name in ("numpy", "scipy", "numba", "pydrake") if name in sys.modules])

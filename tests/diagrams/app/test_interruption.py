@@ -26,6 +26,30 @@ except KeyboardInterrupt:
 """
 
 
+_SWALLOWING = """
+import os, signal, sys, time
+from sonoservo.diagrams.app import interruption
+interruption.catch_interruptions()
+class Finalized:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(0.01)
+try:
+    Finalized()
+    time.sleep(1)
+    print("slept")
+except KeyboardInterrupt:
+    sys.exit(interruption.interrupted_code())
+"""
+
+
+def test_an_interruption_that_a_finalizer_swallows_is_raised_again():
+    result = subprocess.run(
+        [sys.executable, "-c", _SWALLOWING], capture_output=True, text=True, timeout=20
+    )
+    assert (result.returncode, result.stdout, result.stderr) == (128 + signal.SIGTERM, "", "")
+
+
 @pytest.mark.parametrize("how", ["end", "hang"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_every_signal_ends_the_program_even_if_it_hangs(number, how):
@@ -51,7 +75,7 @@ def test_a_run_that_is_ended_leaves_its_summary(tmp_path):
     assert PATIENCE < 5
     out = tmp_path / "out"
     process = subprocess.Popen(
-        [sys.executable, "-c", "from sonoservo.diagrams.app.cli import main; main()",
+        [sys.executable, "-m", "sonoservo.diagrams.app",
          "run", "chatelain2013_fig5", "--no-meshcat", "--set", "duration=600", "--out", str(out)],
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
     )  # fmt: skip

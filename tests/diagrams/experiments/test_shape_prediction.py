@@ -9,7 +9,7 @@ from sonoservo.diagrams.experiments.shape_prediction_scenario import (
     ShapePredictionScenario,
 )
 from sonoservo.diagrams.shape_predictor import estimate_shape
-from sonoservo.systems.estimation.shape_filters import SHAPE_FILTERS
+from sonoservo.systems.estimation.shape.shape_filters import SHAPE_FILTERS
 from sonoservo.systems.evaluation.log import read_log
 from sonoservo.systems.evaluation.shape.shape_log import ShapeLog
 from sonoservo.systems.evaluation.shape.shape_metrics import cross_section_errors, prediction

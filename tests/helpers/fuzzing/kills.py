@@ -18,7 +18,7 @@ from sonoservo.systems.recording.recording import Recording
 GONE_S = 5.0
 """Time in s after which no process of the command may remain."""
 
-_PROGRAM = [sys.executable, "-c", "from sonoservo.diagrams.app.cli import main; main()"]
+_PROGRAM = [sys.executable, "-m", "sonoservo.diagrams.app"]
 _SHORT = ["--set", "duration={duration}", "--out", "{folder}/out"]
 _COMMANDS = {
     "run": ["run", "chatelain2013_fig5", "--no-meshcat", *_SHORT],

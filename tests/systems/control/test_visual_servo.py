@@ -8,6 +8,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from sonoservo.systems.control.visual_servo import (
     VisualServo,
     VisualServoParameters,
+    hold_reason,
     planar_velocity,
 )
 from sonoservo.systems.signals.needle_curve import NeedleCurve
@@ -114,6 +115,27 @@ def test_leaf_refuses_what_is_no_estimate():
         TypeError, match="'estimate'.*received a value of type int; expected NeedleEstimate"
     ):
         servo.GetOutputPort("planar_velocity").Eval(context)
+
+
+@pytest.mark.parametrize(
+    ("mode", "age", "std", "reason"),
+    [
+        (TrackingMode.TRACKING, 0.3, 5e-3, ""),
+        (TrackingMode.COASTING, 0.3, 20e-3, "the tip is uncertain by 35 mm"),
+        (TrackingMode.TRACKING, 1.6, 1e-3, "the estimate is 1.6 s old"),
+        (TrackingMode.LOST, 1.6, 20e-3, ""),
+    ],
+)
+def test_the_probe_holds_for_a_reason(mode, age, std, reason):
+    uncertain = replace(estimate(mode=mode), covariance=std**2 * np.eye(12))
+    assert hold_reason(uncertain, age, PAPER) == reason
+    velocity = planar_velocity(uncertain, X_WP, age, PAPER)
+    assert velocity.any() == (reason == "" and mode is TrackingMode.TRACKING)
+    servo = VisualServo(parameters=PAPER)
+    context = servo.CreateDefaultContext()
+    context.SetTime(age)
+    servo.GetInputPort("estimate").FixValue(context, Value[object](uncertain))
+    assert servo.GetOutputPort("hold_reason").Eval(context) == reason
 
 
 @pytest.mark.parametrize(

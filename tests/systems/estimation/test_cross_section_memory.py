@@ -2,7 +2,7 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.estimation.cross_section_memory import CrossSectionMemory, remembered
+from sonoservo.systems.estimation.shape.cross_section_memory import CrossSectionMemory, remembered
 from sonoservo.systems.signals.cross_section import CrossSection
 from sonoservo.systems.signals.cross_section_track import CrossSectionTrack
 from sonoservo.systems.signals.image_slice import ImageSlice

@@ -4,11 +4,11 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform, RotationMatrix
 from scipy.stats import chi2
 
-from sonoservo.systems.estimation.shape_estimator import ShapeEstimator
-from sonoservo.systems.estimation.shape_filter import ShapePaths
-from sonoservo.systems.estimation.shape_filters import SHAPE_FILTERS
-from sonoservo.systems.estimation.shape_parameters import ShapeEstimatorParameters
-from sonoservo.systems.estimation.shape_posterior import MeasurementNoise
+from sonoservo.systems.estimation.shape.shape_estimator import ShapeEstimator
+from sonoservo.systems.estimation.shape.shape_filter import ShapePaths
+from sonoservo.systems.estimation.shape.shape_filters import SHAPE_FILTERS
+from sonoservo.systems.estimation.shape.shape_parameters import ShapeEstimatorParameters
+from sonoservo.systems.estimation.shape.shape_posterior import MeasurementNoise
 from sonoservo.systems.needle.bicycle_model import BicyclePath
 from sonoservo.systems.signals.cross_section import CrossSection
 from sonoservo.systems.signals.immutable import NotFound

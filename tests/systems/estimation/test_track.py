@@ -6,12 +6,9 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.estimation.track import (
-    Track,
-    TrackLifecycle,
-    TrackParameters,
-    gate_distance,
-)
+from sonoservo.systems.estimation.track import Track
+from sonoservo.systems.estimation.track_lifecycle import TrackLifecycle, gate_distance
+from sonoservo.systems.estimation.track_parameters import TrackParameters
 from sonoservo.systems.signals.immutable import Immutable, NotFound
 from sonoservo.systems.signals.insertion_detection import InsertionDetection
 from sonoservo.systems.signals.needle_curve import NeedleCurve
@@ -106,7 +103,7 @@ def test_a_needle_that_is_withdrawn_starts_no_track():
 
 def test_the_prediction_says_what_is_known():
     life = lifecycle()
-    nothing = life.predict(life.without_needle(0.0), 1.0, STILL)
+    nothing = life.predict(life.without_needle(0.0, searched=0.5), 1.0, STILL)
     assert nothing.reason == "no needle has been detected"
     guess = life.initiate(life.initiate(life.without_needle(0.0), detection(2e-3)), detection(6e-3))
     guessed = life.predict(guess, 1.0, STILL)
@@ -180,9 +177,49 @@ def test_coast_lose_find_again_and_give_up():
         track = life.next(track, time, **NOTHING)
         modes.append(track.mode)
     assert modes == ["coasting", "lost", "lost", "searching"]
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_needle_found_in_the_whole_volume_is_tracked_once_others_confirm_it(known):
+    life = lifecycle(volumes_to_find_again=3, seconds_to_give_up=3.0)
+    track = dataclasses.replace(tracked(life), mode=TrackingMode.LOST)
+    track = track if known else life.without_needle(0.0)
+    seen = {"measurement": measurement(y=0.1)}
+    modes, everywhere = [], []
+    for time in (1.0, 1.3, 1.6):
+        everywhere.append(life.predict(track, time, STILL).everywhere)
+        track = life.next(track, time, **NOTHING | seen)
+        modes.append(track.mode)
+    before = TrackingMode.LOST if known else TrackingMode.SEARCHING
+    assert modes == [before, before, TrackingMode.TRACKING]
+    assert everywhere == [True, False, False]
+    np.testing.assert_allclose(track.estimate.curve.tip, [0.03, 0.1, 0.0])
+
+
+@pytest.mark.parametrize("then", ["nothing", "another needle"])
+def test_a_needle_that_is_not_confirmed_is_forgotten(then):
+    life = lifecycle(volumes_to_find_again=2)
     lost = dataclasses.replace(tracked(life), mode=TrackingMode.LOST)
-    found = life.next(lost, 1.0, **NOTHING | {"measurement": measurement(y=0.1)})
-    assert found.mode == TrackingMode.TRACKING
+    once = life.next(lost, 1.0, **NOTHING | {"measurement": measurement(y=0.1)})
+    assert once.reason == "a needle was found in the whole volume; it is not confirmed yet"
+    np.testing.assert_allclose(once.estimate.curve.tip, [0.03, 0.0, 0.0])
+    other = {"measurement": measurement(y=0.2)} if then == "another needle" else {}
+    then_seen = life.next(once, 1.3, **NOTHING | other)
+    assert then_seen.mode == TrackingMode.LOST
+    assert then_seen.seen == len(other)
+
+
+def test_the_whole_volume_is_searched_now_and_then_while_nothing_moves():
+    life = lifecycle(seconds_between_searches=1.0)
+    track, times = life.without_needle(0.0), []
+    for time in np.arange(0, 3, 0.3):
+        expected = life.predict(track, time, STILL)
+        times += [time] if not isinstance(expected, NotFound) else []
+        track = life.next(track, time, **NOTHING)
+    np.testing.assert_allclose(times, [0.0, 1.2, 2.4])
+    never = lifecycle(seconds_between_searches=0.0)
+    waiting = never.next(never.without_needle(0.0), 0.3, **NOTHING)
+    assert isinstance(never.predict(waiting, 99.0, STILL), NotFound)
 
 
 def test_a_guess_that_is_not_confirmed_is_forgotten():

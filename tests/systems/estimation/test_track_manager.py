@@ -7,8 +7,8 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter
 from sonoservo.systems.estimation.control_point_filter import ControlPointFilter
-from sonoservo.systems.estimation.track import TrackParameters
 from sonoservo.systems.estimation.track_manager import TrackManager
+from sonoservo.systems.estimation.track_parameters import TrackParameters
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.insertion_detection import InsertionDetection
 from sonoservo.systems.signals.localization_explanation import LocalizationExplanation
@@ -131,13 +131,13 @@ def test_detection_then_confirmation():
 
 
 def test_unconfirmed_detection_is_forgotten():
-    bench = Bench(volumes_to_confirm=2)
+    bench = Bench(volumes_to_confirm=2, seconds_between_searches=10.0)
     bench.step(0.0, detection=detection(3e-3, 0.0))
     bench.step(0.3, detection=detection(6e-3, 0.3))
     for k in range(3):
         bench.step(0.6 + 0.3 * k)
     assert not bench.output("prediction")
-    assert not bench.step(2.0, measurement=measurement(time=2.0))
+    assert not bench.step(1.3, measurement=measurement(time=1.3))
 
 
 def test_loss_ladder():
@@ -148,11 +148,13 @@ def test_loss_ladder():
     assert bench.estimate.reason == "no detection"
 
 
-def test_lost_needle_found_elsewhere_is_tracked_at_once():
-    bench = Bench(volumes_to_lose=1)
+def test_lost_needle_found_elsewhere_is_tracked_once_confirmed():
+    bench = Bench(volumes_to_lose=1, volumes_to_find_again=2)
     bench.track_from()
     assert bench.step(0.9).mode == TrackingMode.LOST
     estimate = bench.step(1.2, measurement=measurement(0.08, 1.2, y=0.04, entry=0.05))
+    assert estimate.mode == TrackingMode.LOST
+    estimate = bench.step(1.5, measurement=measurement(0.08, 1.5, y=0.04, entry=0.05))
     assert estimate.mode == TrackingMode.TRACKING
     np.testing.assert_allclose(estimate.curve.tip, [0.08, 0.04, 0])
 

@@ -50,6 +50,7 @@ def connect(logger, context):
         "detection": Value[object](NotFound("nothing moved")),
         "wrist_force": Value(SpatialForce([1, 2, 3], [4, 5, 6])),
         "guard": Value[object](GuardStatus(GuardState.HOLDING, "the sensor is frozen", 0.2, 1)),
+        "hold_reason": Value[object]("the tip is uncertain by 35 mm"),
         "volume_check": Value[object](VolumeCheck(5, 2, "a volume is refused: it is blank")),
     }.items():
         logger.GetInputPort(name).FixValue(context, value)
@@ -79,6 +80,7 @@ def test_a_sample_and_a_volume():
     np.testing.assert_array_equal(log.wrist_force, [[1, 2, 3, 4, 5, 6]])
     np.testing.assert_array_equal(log.planar_velocity, [[0.1, 0.2, 0.3]])
     assert (log.guard_state, log.guard_reason) == (["holding"], ["the sensor is frozen"])
+    assert log.hold_reason == ["the tip is uncertain by 35 mm"]
     assert log.volumes_refused == [2]
     assert log.refusal_reason == ["a volume is refused: it is blank"]
     assert (log.volume_time, log.volume_seen) == ([0.5], [0.7])

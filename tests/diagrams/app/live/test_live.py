@@ -42,7 +42,7 @@ from sonoservo.systems.signals.immutable import NotFound
 COUNT = 10
 ENTRY = entry_on_side()
 K = np.array([1, 0.25, 0.1]) / np.linalg.norm([1, 0.25, 0.1])
-COMMAND = [sys.executable, "-c", "from sonoservo.diagrams.app.cli import main; main()"]
+COMMAND = [sys.executable, "-m", "sonoservo.diagrams.app"]
 
 
 def needle(time):

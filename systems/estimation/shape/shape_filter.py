@@ -5,7 +5,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.estimation.shape_parameters import ShapeEstimatorParameters
+from sonoservo.systems.estimation.shape.shape_parameters import ShapeEstimatorParameters
 from sonoservo.systems.signals.immutable import NotFound
 
 Floats = NDArray[np.float64]

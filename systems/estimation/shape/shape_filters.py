@@ -3,17 +3,17 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from sonoservo.systems.estimation.published_particle_filter import (
+from sonoservo.systems.estimation.shape.published_particle_filter import (
     PublishedParticleFilter,
     PublishedParticleFilterParameters,
 )
-from sonoservo.systems.estimation.shape_filter import ShapeFilter
-from sonoservo.systems.estimation.shape_least_squares import (
+from sonoservo.systems.estimation.shape.shape_filter import ShapeFilter
+from sonoservo.systems.estimation.shape.shape_least_squares import (
     ShapeLeastSquares,
     ShapeLeastSquaresParameters,
 )
-from sonoservo.systems.estimation.shape_parameters import ShapeEstimatorParameters
-from sonoservo.systems.estimation.shape_particle_filter import (
+from sonoservo.systems.estimation.shape.shape_parameters import ShapeEstimatorParameters
+from sonoservo.systems.estimation.shape.shape_particle_filter import (
     ShapeParticleFilter,
     ShapeParticleFilterParameters,
 )

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.estimation.shape_filter import ShapePaths
-from sonoservo.systems.estimation.shape_parameters import ShapeEstimatorParameters
-from sonoservo.systems.estimation.shape_posterior import MeasurementNoise
+from sonoservo.systems.estimation.shape.shape_filter import ShapePaths
+from sonoservo.systems.estimation.shape.shape_parameters import ShapeEstimatorParameters
+from sonoservo.systems.estimation.shape.shape_posterior import MeasurementNoise
 from sonoservo.systems.signals.bicycle_paths import deflections
 from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.requirements import require

@@ -12,9 +12,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.estimation.shape_filter import ShapePaths
-from sonoservo.systems.estimation.shape_parameters import MAX_PARTICLES, ShapeEstimatorParameters
-from sonoservo.systems.estimation.shape_posterior import (
+from sonoservo.systems.estimation.shape.shape_filter import ShapePaths
+from sonoservo.systems.estimation.shape.shape_parameters import (
+    MAX_PARTICLES,
+    ShapeEstimatorParameters,
+)
+from sonoservo.systems.estimation.shape.shape_posterior import (
     MeasurementNoise,
     about_best_origin,
     residual_sums,

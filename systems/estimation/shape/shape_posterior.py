@@ -7,7 +7,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sonoservo.systems.estimation.shape_filter import ShapePaths
+from sonoservo.systems.estimation.shape.shape_filter import ShapePaths
 from sonoservo.systems.signals.needle_shape import bicycle_paths, path_statistics
 from sonoservo.systems.signals.requirements import require, require_positive
 

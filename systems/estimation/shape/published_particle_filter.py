@@ -19,8 +19,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.estimation.shape_filter import ShapePaths
-from sonoservo.systems.estimation.shape_parameters import MAX_PARTICLES, ShapeEstimatorParameters
+from sonoservo.systems.estimation.shape.shape_filter import ShapePaths
+from sonoservo.systems.estimation.shape.shape_parameters import (
+    MAX_PARTICLES,
+    ShapeEstimatorParameters,
+)
 from sonoservo.systems.signals.bicycle_paths import deflections
 from sonoservo.systems.signals.immutable import Immutable, NotFound
 from sonoservo.systems.signals.requirements import require, require_positive, require_within

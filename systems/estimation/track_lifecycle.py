@@ -1,0 +1,246 @@
+"""Life of a track: initiate, confirm, gate, coast, lose, find again, end.
+
+A `NeedleFilter` models the needle's motion and its correction in between.
+"""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from pydrake.math import RigidTransform
+from scipy.stats import chi2
+
+from sonoservo.systems.estimation.needle_filter import NeedleFilter, NeedleState
+from sonoservo.systems.estimation.track import Track
+from sonoservo.systems.estimation.track_parameters import TrackParameters
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.insertion_detection import InsertionDetection
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_estimate import TrackingMode
+from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals.needle_prediction import NeedlePrediction
+from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
+
+
+def innovation_distance(state: NeedleState, measurement: NeedleMeasurement) -> float:
+    """Return the Mahalanobis distance of a measurement from a state predicted to its time."""
+    points = state.curve.control_points.ravel()
+    y = measurement.curve.control_points.ravel() - points
+    S = state.covariance[: len(points), : len(points)] + measurement.covariance
+    return float(np.sqrt(y @ np.linalg.solve(S, y)))
+
+
+@lru_cache
+def gate_distance(gate: float, order: int) -> float:
+    """Return the Mahalanobis distance that a true measurement exceeds with probability 1 - gate."""
+    return float(np.sqrt(chi2.ppf(gate, 3 * order)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackLifecycle:
+    """Rules by which a track begins, continues and ends, as pure functions.
+
+    Parameters
+    ----------
+    order
+        Number n of control points of the needle's curve.
+    parameters
+        Thresholds.
+    needle_filter
+        Filter that starts, predicts and updates the track's state.
+    anywhere
+        Whether the whole volume is searched while there is no needle. The insertion then need not
+        be seen.
+    """
+
+    order: int
+    parameters: TrackParameters
+    needle_filter: NeedleFilter[Any]
+    anywhere: bool = False
+
+    def without_needle(self, time: float, reason: str = "", searched: float = -np.inf) -> Track:
+        """Return the track at a time in s while there is no needle.
+
+        ``searched`` is the time in s at which the whole volume was last searched for one.
+        """
+        mode = TrackingMode.LOST if self.anywhere else TrackingMode.SEARCHING
+        return Track(mode, time, searched=searched, reason=reason)
+
+    def confirm(self, state: NeedleState, time: float, innovation: float | None = None) -> Track:
+        """Return a track that is confirmed by a measurement at a time in s."""
+        return Track(TrackingMode.TRACKING, state.time, state, since=time, innovation=innovation)
+
+    def predict(
+        self, track: Track, time: float, X_WP: RigidTransform
+    ) -> NeedlePrediction | NotFound:
+        """Return the prediction for a volume.
+
+        A lost needle is not predicted. Its last curve only tells which of its ends is the tip.
+
+        Parameters
+        ----------
+        track
+            Track after the previous volume.
+        time, X_WP
+            Time of the volume in s, and pose of the probe.
+        """
+        track = track.seen_from(X_WP)
+        everywhere = self._is_searched_everywhere(track, time)
+        last = track.candidate or track.state
+        if last is None:
+            if everywhere:
+                return NeedlePrediction(self.order, time, everywhere=True)
+            return NotFound("no needle has been detected")
+        state = last if everywhere else self.needle_filter.predict(last, time)
+        points = 3 * self.order
+        return NeedlePrediction(
+            self.order,
+            state.time,
+            state.curve,
+            state.velocity,
+            state.covariance[:points, :points],
+            entry=last.curve.entry
+            if track.mode != TrackingMode.SEARCHING or track.candidate
+            else None,
+            missed=0 if track.candidate else track.missed,
+            everywhere=everywhere,
+        )
+
+    def next(
+        self,
+        track: Track,
+        time: float,
+        *,
+        detection: InsertionDetection | NotFound,
+        measurement: NeedleMeasurement | NotFound,
+        velocity: VelocityMeasurement | NotFound,
+    ) -> Track:
+        """Return the track after a volume.
+
+        Parameters
+        ----------
+        track
+            Track before the volume, seen from the probe's pose at the volume.
+        time
+            Time of the volume, in s.
+        detection, measurement, velocity
+            Results of detector, localizer and velocimeter for the volume.
+        """
+        everywhere = self._is_searched_everywhere(track, time)
+        track = replace(track, searched=time if everywhere else track.searched)
+        speed = velocity if isinstance(velocity, VelocityMeasurement) else None
+        if isinstance(measurement, NotFound):
+            missed = replace(track, innovation=None, candidate=None, seen=0)
+            return self._miss(missed, time, detection, speed, measurement.reason)
+        if everywhere or track.candidate is not None:
+            return self._find_again(track, time, measurement)
+        if track.mode == TrackingMode.SEARCHING or not self.parameters.filtering:
+            return self.confirm(self.needle_filter.start(measurement), measurement.time)
+        state = self.needle_filter.predict(track.state, measurement.time)
+        distance = innovation_distance(state, measurement)
+        if distance <= self.gate:
+            state = self.needle_filter.update(state, measurement, speed)
+            return self.confirm(state, measurement.time, distance)
+        if track.rejected is not None:
+            # If two rejected measurements agree with each other, the prediction is wrong.
+            before = self.needle_filter.start(track.rejected)
+            before = self.needle_filter.predict(before, measurement.time)
+            if innovation_distance(before, measurement) <= self.gate:
+                state = self.needle_filter.start(measurement)
+                return self.confirm(state, measurement.time, distance)
+        missed = replace(track, rejected=measurement, innovation=distance)
+        reason = f"the measurement is {distance:.1f} standard deviations from the prediction"
+        return self._miss(missed, time, detection, speed, reason)
+
+    def _is_searched_everywhere(self, track: Track, time: float) -> bool:
+        """Return True if a needle may be anywhere: it is lost, or none is seen to move for long."""
+        if track.candidate is not None:
+            return False
+        period = self.parameters.seconds_between_searches
+        waited = period > 0 and time - track.searched >= period
+        awaited = track.mode == TrackingMode.SEARCHING and track.state is None
+        return track.mode == TrackingMode.LOST or (awaited and waited)
+
+    def _find_again(self, track: Track, time: float, measurement: NeedleMeasurement) -> Track:
+        """Return the track after a volume in which a search in the whole of it found a needle."""
+        state, seen = self.needle_filter.start(measurement), 1
+        if track.candidate is not None:
+            expected = self.needle_filter.predict(track.candidate, measurement.time)
+            if innovation_distance(expected, measurement) <= self.gate:
+                state = self.needle_filter.update(expected, measurement, None)
+                seen = track.seen + 1
+        if seen >= self.parameters.volumes_to_find_again:
+            return self.confirm(state, measurement.time)
+        reason = "a needle was found in the whole volume; it is not confirmed yet"
+        track = self._miss(track, time, NotFound(reason), None, reason)
+        return replace(track, candidate=state, seen=seen)
+
+    @property
+    def gate(self) -> float:
+        """Largest Mahalanobis distance at which a measurement is accepted."""
+        return gate_distance(self.parameters.gate, self.order)
+
+    def _miss(
+        self,
+        track: Track,
+        time: float,
+        detection: InsertionDetection | NotFound,
+        velocity: VelocityMeasurement | None,
+        reason: str,
+    ) -> Track:
+        """Return the track after a volume that did not confirm it."""
+        p = self.parameters
+        track = replace(track, missed=track.missed + 1)
+        if track.mode == TrackingMode.SEARCHING:
+            return self._await(track, time, detection, reason)
+        if time - track.since > p.seconds_to_give_up:
+            return self.without_needle(time, reason, track.searched)
+        if track.mode == TrackingMode.LOST:
+            return replace(track, reason=reason)
+        assert track.state is not None
+        state = self.needle_filter.predict(track.state, time)
+        state = self.needle_filter.update(state, None, velocity)
+        length = (state.curve.tip - state.curve.entry) @ track.state.curve.direction
+        if length < p.withdrawn_length:
+            return self.without_needle(time, "the needle was withdrawn", track.searched)
+        mode = TrackingMode.LOST if track.missed >= p.volumes_to_lose else TrackingMode.COASTING
+        return replace(track, mode=mode, time=state.time, state=state, reason=reason)
+
+    def _await(
+        self, track: Track, time: float, detection: InsertionDetection | NotFound, reason: str
+    ) -> Track:
+        """Return the track after a volume in which no needle was localized yet."""
+        if isinstance(detection, InsertionDetection):
+            return self.initiate(track, detection)
+        if track.detections is None or track.missed >= self.parameters.volumes_to_confirm:
+            return self.without_needle(time, detection.reason, track.searched)
+        return replace(track, reason=reason if track else detection.reason)
+
+    def initiate(self, track: Track, detection: InsertionDetection) -> Track:
+        """Start an unconfirmed track once successive detections have advanced.
+
+        If the tissue trembles, something bright may seem to change, but it does not advance. The
+        needle points from the first detection's tip to the last one's.
+        """
+        p = self.parameters
+        first, last = track.detections or (detection, detection)
+        jump = float(np.linalg.norm(detection.p_WTip - last.p_WTip))
+        depths = [np.linalg.norm(each.p_WTip - first.p_WEntry) for each in (first, detection)]
+        if jump > p.max_detection_jump or depths[1] < depths[0]:
+            # Something else moves, or a needle is being withdrawn.
+            first = detection
+        started = Track(
+            TrackingMode.SEARCHING,
+            detection.time,
+            detections=(first, detection),
+            searched=track.searched,
+            reason="something moved; the needle is not confirmed yet",
+        )
+        advance = detection.p_WTip - first.p_WTip
+        if np.linalg.norm(advance) < p.min_advance:
+            return started
+        points = first.p_WTip + np.outer(np.linspace(0, 1, self.order), advance)
+        covariance = p.first_std**2 * np.eye(points.size)
+        guess = NeedleMeasurement(NeedleCurve(points), covariance, detection.time, 0, 0.0)
+        return replace(started, state=self.needle_filter.start(guess), reason="")

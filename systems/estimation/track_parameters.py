@@ -1,0 +1,77 @@
+"""Parameters of a track's life."""
+
+from dataclasses import dataclass
+
+from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+
+
+@dataclass(kw_only=True)
+class TrackParameters:
+    """Rules for the start, the gate and the end of a track. The papers publish no values.
+
+    Parameters
+    ----------
+    first_std
+        Standard deviation of the control points at a detection, in m.
+    min_advance
+        Distance by which the tip must advance from the first to the last of successive detections,
+        in m.
+    max_detection_jump
+        Largest distance of the tip between successive detections, in m.
+    gate
+        Probability that a true measurement passes the gate on the innovation.
+    volumes_to_confirm
+        Number of volumes within which a detection must be repeated and the needle be localized.
+    volumes_to_lose
+        Number of successive volumes without the needle after which it is lost and the whole volume
+        is searched.
+    volumes_to_find_again
+        Number of successive volumes that must show a needle found in the whole volume before it is
+        tracked. Until then no robot moves for it.
+    seconds_between_searches
+        Time between two searches in the whole volume while no insertion is seen, in s. They find a
+        needle that rests. Zero switches them off.
+    withdrawn_length
+        Predicted length below which a needle that is not found counts as withdrawn, in m.
+    seconds_to_give_up
+        Time without the needle after which a new insertion is awaited, in s.
+    filtering
+        Whether measurements are filtered. If not, each one starts the track anew, without a
+        velocity for the prediction and without a gate on the innovation.
+    max_approach
+        Largest motion of the probe along its axis during a sweep, in m, at which a needle may be
+        found anywhere. A probe that lands shows the edge of its contact, which looks like a needle.
+    probe_frame
+        Whether the needle's state is kept in the probe's frame, as in Chatelain 2013. The state
+        then moves along with the probe, and its velocity is that in the image, which suits only the
+        servo without feed-forward. If not, the state is kept in W.
+    """
+
+    first_std: float = 1.0e-3
+    min_advance: float = 2.5e-3
+    max_detection_jump: float = 10e-3
+    gate: float = 0.9999
+    volumes_to_confirm: int = 4
+    volumes_to_lose: int = 4
+    volumes_to_find_again: int = 3
+    seconds_between_searches: float = 1.0
+    withdrawn_length: float = 6e-3
+    seconds_to_give_up: float = 10.0
+    filtering: bool = True
+    max_approach: float = 0.5e-3
+    probe_frame: bool = False
+
+    def __post_init__(self) -> None:
+        require_positive(
+            first_std=self.first_std,
+            min_advance=self.min_advance,
+            max_detection_jump=self.max_detection_jump,
+            gate=self.gate,
+            withdrawn_length=self.withdrawn_length,
+            seconds_to_give_up=self.seconds_to_give_up,
+            max_approach=self.max_approach,
+        )
+        require_not_negative(seconds_between_searches=self.seconds_between_searches)
+        require(self.gate < 1, "gate", self.gate, "below 1")
+        for name in ("volumes_to_confirm", "volumes_to_lose", "volumes_to_find_again"):
+            require(getattr(self, name) >= 1, name, getattr(self, name), "1 or more")
