@@ -10,13 +10,7 @@ from scipy.ndimage import uniform_filter
 from sonoservo.systems.signals.volume import Volume
 
 _DIRECTIONS = np.array(
-    [
-        (i, j, k)
-        for i in (-1, 0, 1)
-        for j in (-1, 0, 1)
-        for k in (-1, 0, 1)
-        if (i, j, k) > (0, 0, 0)
-    ]
+    [(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if (i, j, k) > (0, 0, 0)]
 )
 """Normals of 13 planes through a block, one of each pair of opposite neighbours."""
 

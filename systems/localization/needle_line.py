@@ -14,18 +14,29 @@ from scipy.special import expit
 from sonoservo.systems.localization.line_search import bright_lines
 from sonoservo.systems.localization.tip import most_evident_stretch
 from sonoservo.systems.sampling.interpolation import trilinear
-from sonoservo.systems.signals.immutable import Immutable, NotFound, read_only
+from sonoservo.systems.signals.immutable import Immutable, read_only
 from sonoservo.systems.signals.volume import Volume
 
 Floats = NDArray[np.float64]
 
-MIN_PROBABILITY = 0.75
-"""Smallest probability at which a line counts as a needle."""
-
 _WEIGHTS = {
-    "constant": 1.0,
+    "constant": 1.75,
+    "evidence": 0.46,
+    "length": 1.9,
+    "length squared": -1.61,
+    "behind": -0.7,
+    "border": -2.76,
+    "sides": -1.22,
+    "texture": 0.3,
+    "scatter": -0.71,
+    "rise": -0.84,
+    "tip at edge": -2.47,
 }
-"""Weights of a line's features (`_features`) in the logarithm of the odds that it is a needle."""
+"""Weights of a line's features (`_features`) in the logarithm of the odds that it is a needle.
+
+They are a logistic regression on the best lines of 410 volumes with and without a needle, from two
+independent generators of images. Most have bones, fasciae, vessels, calcifications or gas.
+"""
 
 _SHORTEST, _FARTHEST, _STEEPEST = 10e-3, 8e-3, 0.9
 """Smallest visible length of a needle and largest distance of its entry from the side of the field
@@ -62,8 +73,7 @@ _MAX_EVIDENCE = 6.0
 
 _DEEPER = np.array([0.0, 1.0, 0.0])
 _ABOVE, _BELOW, _FAR_BELOW, _BESIDE = (
-    1e-3 * np.array(each)
-    for each in ((4, 6, 8, 10), (2.5, 3.5, 4.5), (5, 7, 9, 11, 13), (5, 7, 9))
+    1e-3 * np.array(each) for each in ((4, 6, 8, 10), (2.5, 3.5, 4.5), (5, 7, 9, 11, 13), (5, 7, 9))
 )
 """Distances from a line at which its surroundings are compared, in m."""
 
@@ -344,13 +354,42 @@ def refined_line(volume: Volume, ends: Floats) -> NeedleLine | None:
 
 def most_evident_line(volume: Volume, ends: Floats) -> NeedleLine | None:
     """Return the stretch of a line, (2, 3) ends in P, in m, that looks most like a needle."""
+    points, contrast, seen = _contrast_along(volume, ends)
+    first, last, evidence = most_evident_stretch(
+        contrast, seen, step=_STEP, neutral=_CONTRAST, max_evidence=_MAX_EVIDENCE
+    )
+    if last - first < 8:
+        return None
+    before, beyond = _gaps(seen, first, last)
+    stretch = points[[first, last]]
+    if beyond < before:
+        stretch, before, beyond = stretch[::-1], beyond, before
+    return NeedleLine(stretch, evidence, before, beyond)
+
+
+def line_between(volume: Volume, ends: Floats) -> NeedleLine | None:
+    """Judge the stretch between two points, (2, 3) entry and tip in P, in m; None if unseen."""
+    points, contrast, seen = _contrast_along(volume, ends)
+    a = (points - ends[0]) @ (ends[1] - ends[0]) / float(np.linalg.norm(ends[1] - ends[0]))
+    inside = (a >= 0) & (a <= float(np.linalg.norm(ends[1] - ends[0]))) & seen
+    if np.count_nonzero(inside) < 8:
+        return None
+    first, last = np.flatnonzero(inside)[[0, -1]]
+    evidence = _STEP * np.clip(contrast[inside] - _CONTRAST, -_CONTRAST, _MAX_EVIDENCE).sum()
+    return judged(
+        volume,
+        NeedleLine(points[[first, last]], float(evidence), *_gaps(seen, int(first), int(last))),
+    )
+
+
+def _contrast_along(
+    volume: Volume, ends: Floats
+) -> tuple[Floats, NDArray[np.float64], NDArray[np.bool_]]:
+    """Return (m, 3) points on a line through the grid, their contrasts in dB, and what is seen."""
     along, across = _across(ends)
     reach = float(np.linalg.norm(volume.upper - volume.origin))
-    a = np.arange(-reach, reach, _STEP)
-    points = ends[0] + a[:, np.newaxis] * along
+    points = ends[0] + np.arange(-reach, reach, _STEP)[:, np.newaxis] * along
     points = points[np.all((points >= volume.origin) & (points <= volume.upper), axis=1)]
-    if len(points) < 2:
-        return None
     core, sides = _profile(
         volume.intensities,
         volume.index(points),
@@ -358,20 +397,17 @@ def most_evident_line(volume: Volume, ends: Floats) -> NeedleLine | None:
         _RING @ across / volume.spacing,
         _HALF,
     )
-    seen = core > 0
-    contrast = volume.decibels_per_level * uniform_filter1d(core - sides, 3)
-    first, last, evidence = most_evident_stretch(
-        contrast, seen, step=_STEP, neutral=_CONTRAST, max_evidence=_MAX_EVIDENCE
-    )
-    if last - first < 8:
-        return None
-    unseen = np.concatenate([[-1], np.flatnonzero(~seen), [len(points)]])
-    before = _STEP * float(first - 1 - unseen[unseen < first].max())
-    beyond = _STEP * float(unseen[unseen > last].min() - 1 - last)
-    stretch = points[[first, last]]
-    if beyond < before:
-        stretch, before, beyond = stretch[::-1], beyond, before
-    return NeedleLine(stretch, evidence, before, beyond)
+    if len(points) < 2:
+        return points, core, core > 0
+    return points, volume.decibels_per_level * uniform_filter1d(core - sides, 3), core > 0
+
+
+def _gaps(seen: NDArray[np.bool_], first: int, last: int) -> tuple[float, float]:
+    """Return the lengths seen before the first and beyond the last sample of a stretch, in m."""
+    unseen = np.concatenate([[-1], np.flatnonzero(~seen), [len(seen)]])
+    before = first - 1 - unseen[unseen < first].max()
+    beyond = unseen[unseen > last].min() - 1 - last
+    return _STEP * float(before), _STEP * float(beyond)
 
 
 def needle_lines(volume: Volume, *, count: int = 24) -> list[NeedleLine]:
@@ -387,27 +423,3 @@ def needle_lines(volume: Volume, *, count: int = 24) -> list[NeedleLine]:
     lines = (refined_line(volume, ends) for ends in bright_lines(volume, count=count))
     possible = [line for line in lines if line is not None and line.log_odds > -math.inf]
     return sorted(possible, key=lambda line: -line.log_odds)
-
-
-def localize_line(
-    volume: Volume, *, min_probability: float = MIN_PROBABILITY
-) -> NeedleLine | NotFound:
-    """Localize the line in a volume that looks most like a needle.
-
-    Parameters
-    ----------
-    volume
-        Volume to search.
-    min_probability
-        Smallest probability of a needle.
-
-    Returns
-    -------
-    The line, or a `NotFound` with the reason why there is none.
-    """
-    lines = needle_lines(volume)
-    if not lines:
-        return NotFound("no bright line comes from outside the field of view")
-    if lines[0].probability < min_probability:
-        return NotFound("no line stands out from its surroundings as a needle does")
-    return lines[0]

@@ -9,7 +9,6 @@ from pydrake.math import RigidTransform
 
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
-from sonoservo.systems.localization.needle_line import MIN_PROBABILITY as MIN_EVIDENCE
 from sonoservo.systems.localization.pipeline import explain_localization
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.signals.immutable import Immutable, NotFound
@@ -29,19 +28,14 @@ class LocatedNeedle(Immutable):
         Curve of the needle from its entry into the field of view to its tip, in m.
     inlier_count, inlier_ratio
         Number of bright voxels on the needle, and their share of all bright voxels around it.
-    evidence
-        Integral of the contrast with the surroundings along the needle, in dB m (`NeedleLine`).
+    confidence
+        Probability that what was found is a needle, judged by this volume alone.
     """
 
     curve: NeedleCurve
     inlier_count: int
     inlier_ratio: float
-    evidence: float
-
-    @property
-    def confidence(self) -> float:
-        """Confidence from 0.5, where the evidence just suffices, towards 1; not a probability."""
-        return self.evidence / (self.evidence + MIN_EVIDENCE)
+    confidence: float
 
 
 def locate(
@@ -97,7 +91,7 @@ def locate_in(volume: Volume, *, order: int = 2, seed: int = 0) -> LocatedNeedle
     found = explained.measurement
     if isinstance(found, NotFound):
         return found
-    return LocatedNeedle(found.curve, found.inlier_count, found.inlier_ratio, explained.evidence)
+    return LocatedNeedle(found.curve, found.inlier_count, found.inlier_ratio, explained.probability)
 
 
 def locate_in_recording(recording: Recording, number: int = 0, *, order: int = 2) -> dict[str, Any]:
