@@ -8,6 +8,7 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem
 
 from sonoservo.systems.detection.geometric_median import geometric_median
+from sonoservo.systems.detection.motion_compensation import compensate_motion
 from sonoservo.systems.detection.volume_difference import top_differences
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.insertion_detection import InsertionDetection
@@ -31,7 +32,8 @@ class InsertionDetectorParameters:
         Square root of the variance threshold tau, in m. It is compared with the root of the trace
         of the candidates' covariance.
     max_depth
-        Largest distance delta from the side of the field of view to the median, in m.
+        Largest distance delta from the side of the field of view to the median, in m. A needle that
+        no scan line meets at a right angle near the side stands out only further inside.
     min_change
         Smallest difference T_t of the candidates that counts as motion, in dB; less is noise.
     floor_quantile
@@ -42,15 +44,21 @@ class InsertionDetectorParameters:
     stillness
         Largest displacement of a voxel in W at which the probe counts as still between two volumes,
         in m.
+    max_motion
+        Largest displacement of a voxel in W that is compensated, in m. 0 is the paper's form.
+    min_correlation
+        Smallest correlation of a volume with the previous one after the probe moved.
     """
 
     candidate_volume: float = 5e-9
     max_std: float = 6e-3
-    max_depth: float = 12e-3
+    max_depth: float = 20e-3
     min_change: float = 4.5
     floor_quantile: float = 0.9
     reach: float = 0.7e-3
     stillness: float = 0.3e-3
+    max_motion: float = 10e-3
+    min_correlation: float = 0.5
 
     def __post_init__(self) -> None:
         require_positive(
@@ -59,7 +67,13 @@ class InsertionDetectorParameters:
             max_depth=self.max_depth,
             stillness=self.stillness,
         )
-        require_not_negative(min_change=self.min_change, reach=self.reach)
+        require_not_negative(
+            min_change=self.min_change,
+            reach=self.reach,
+            max_motion=self.max_motion,
+            min_correlation=self.min_correlation,
+        )
+        require(self.min_correlation < 1, "min_correlation", self.min_correlation, "below 1")
         require(
             0 <= self.floor_quantile < 1, "floor_quantile", self.floor_quantile, "from 0 to below 1"
         )
@@ -153,14 +167,20 @@ def detect_insertion(
         and np.allclose(volume.spacing, previous.spacing)
     ):
         return NotFound("the previous volume lies on another grid")
-    motion = max_motion(volume, previous)
     if volume.decibels_per_level != previous.decibels_per_level:
         return NotFound("the previous volume has another scale of grey levels")
-    if motion > parameters.stillness:
+    motion = max_motion(volume, previous)
+    if motion > max(parameters.stillness, parameters.max_motion):
         return NotFound(f"the probe moved {1e3 * motion:.2f} mm between the volumes")
+    compensated = motion > parameters.stillness
+    if compensated:
+        aligned = compensate_motion(volume, previous, parameters.min_correlation)
+        if aligned is None:
+            return NotFound(f"the tissue changed while the probe moved {1e3 * motion:.2f} mm")
+        previous = aligned
     count = max(4, round(parameters.candidate_volume / float(np.prod(volume.spacing))))
     # Sweeps in opposite directions see slightly different sectors, whose edges are no change.
-    unlike = (
+    unlike = compensated or (
         volume.motion is not None
         and previous.motion is not None
         and volume.motion.direction != previous.motion.direction
@@ -207,7 +227,7 @@ class InsertionDetector(LeafSystem):
     The system has no state. The variance of the voxels that changed most (Chatelain 2013, eq. 1)
     distinguishes a local motion from a global one. Their geometric median (eq. 2), projected on the
     closest side of the field of view, gives the entry point. The output is an `InsertionDetection`,
-    or a `NotFound` with the reason why there is none. If the probe moved, nothing is detected.
+    or a `NotFound` with the reason why there is none. Motion of the probe is compensated.
 
     Parameters
     ----------
