@@ -80,7 +80,7 @@ class NeedleLocalizerParameters:
     max_aside: float = 2.5e-3
     max_entry_gap: float = 8e-3
     search_reach: float = 40e-3
-    min_probability: float = 0.75
+    min_probability: float = 0.8
     min_inlier_ratio: float = 0.15
     min_evidence: float = 12e-3
     correlation_length: float = 2e-3

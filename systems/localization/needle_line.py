@@ -20,17 +20,17 @@ from sonoservo.systems.signals.volume import Volume
 Floats = NDArray[np.float64]
 
 _WEIGHTS = {
-    "constant": 1.75,
-    "evidence": 0.46,
-    "length": 1.9,
-    "length squared": -1.61,
-    "behind": -0.7,
-    "border": -2.76,
-    "sides": -1.22,
-    "texture": 0.3,
-    "scatter": -0.71,
-    "rise": -0.84,
-    "tip at edge": -2.47,
+    "constant": 1.89,
+    "evidence": 0.47,
+    "length": 1.83,
+    "length squared": -1.96,
+    "behind": -0.57,
+    "border": -2.65,
+    "sides": -0.94,
+    "texture": 0.25,
+    "scatter": -0.52,
+    "rise": -1.17,
+    "tip at edge": -2.92,
 }
 """Weights of a line's features (`_features`) in the logarithm of the odds that it is a needle.
 
@@ -45,11 +45,11 @@ of view, in m, and largest share of the depth's direction in its own."""
 _STEP = 0.5e-3
 """Distance between samples along a line, in m."""
 
-_ANGLES = np.pi / 4 * np.arange(8)
+_ANGLES = np.pi / 8 * np.arange(16)
 _CIRCLE = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
-_CORE = np.concatenate([np.zeros((1, 2)), 0.6e-3 * _CIRCLE[::2]])
+_CORE = np.concatenate([np.zeros((1, 2)), 0.6e-3 * _CIRCLE[::4]])
 _RING = np.stack([4e-3 * _CIRCLE, 5.5e-3 * _CIRCLE])
-"""Points of a cross-section that show the needle, and points of eight sectors beside it, in m."""
+"""Points of a cross-section that show the needle, and points of sixteen sectors beside it, in m."""
 
 _HALF = 5
 """Number of samples to either side over which a sector's level is averaged."""
