@@ -6,7 +6,7 @@ SCENARIO ?= chatelain2013_fig5
 ARGS ?=
 
 SHELL := /bin/bash
-.PHONY: help run test fuzz bench notebooks pictures lint clean
+.PHONY: help run test fuzz bench docs notebooks pictures lint clean
 .DEFAULT_GOAL := help
 
 help:
@@ -14,6 +14,7 @@ help:
 	@echo "make test   run the tests            make bench  run the benchmarks"
 	@echo "make fuzz   damage files, scenarios and commands at random (an hour)"
 	@echo "make lint   ruff, mypy, imports      make clean  remove what was built"
+	@echo "make docs   build the documentation in build/docs"
 	@echo "make notebooks   write the .ipynb    make pictures   take the README's screens"
 
 $(VENV)/.run: pyproject.toml setup.py
@@ -42,6 +43,11 @@ bench: $(VENV)/.dev
 	@mkdir -p out
 	@$(BIN)/python -m pytest tests/benchmarks -m "slow or not slow" --benchmark-enable --benchmark-only --benchmark-json=out/bench.json $(ARGS)
 	@$(BIN)/python tests/benchmarks/plot_cost.py out/bench.json out/render_cost.png
+
+docs: $(VENV)/.run
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	@$(BIN)/sphinx-build -q -W -E -b html notebooks/docs build/docs
+	@echo "Written: build/docs/index.html"
 
 KERNEL := '{"kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}}'
 # The notebooks are written as scripts; what Jupyter opens is made of them.

@@ -2,14 +2,13 @@
 
 import shutil
 import sys
-from contextlib import closing
 from pathlib import Path
 
 from playwright.sync_api import Browser, Error, Page, sync_playwright
-from pydrake.geometry import Meshcat, MeshcatParams
 
 from sonoservo.diagrams import load_scenario, run
 from sonoservo.systems.display.monitor import Monitor
+from sonoservo.systems.display.pages import Site, open_meshcat
 
 HERE = Path(__file__).parent
 NO_CHROMIUM = "no Chromium: install it with your package manager, or `playwright install chromium`"
@@ -37,9 +36,9 @@ def picture(page: Page, url: str, path: Path) -> None:
 
 def main() -> None:
     """Take all screenshots once the needle of fig. 5 is centred."""
-    with sync_playwright() as playwright, closing(Monitor()) as monitor:
+    with sync_playwright() as playwright, Site() as site:
         browser = launch(playwright)
-        meshcat = Meshcat(MeshcatParams(host="localhost"))
+        meshcat, monitor = open_meshcat(site), Monitor(site)
         scenario = load_scenario("chatelain2013_fig5", changes=["duration=14"])
         run(scenario, meshcat=meshcat, monitor=monitor)
         for url, name in ((meshcat.web_url(), "world.png"), (monitor.web_url, "monitor.png")):

@@ -96,7 +96,11 @@ def imported(code):
 NOTEBOOKS = sorted(ROOT.glob("notebooks/[1-9]*.py"))
 
 
-@pytest.mark.parametrize("path", [ROOT / "README.md", *NOTEBOOKS], ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path",
+    [ROOT / "README.md", ROOT / "notebooks/docs/volumes.md", *NOTEBOOKS],
+    ids=lambda path: path.stem,
+)
 def test_users_code_imports_from_faces(path):
     text = path.read_text()
     blocks = re.findall("```python\n(.*?)```", text, re.S) if path.suffix == ".md" else [text]

@@ -25,6 +25,7 @@ from sonoservo.diagrams.app.options import (
     ServeOption,
     WaitOption,
     console,
+    free_folder,
     with_common_options,
     write_printed,
 )
@@ -92,7 +93,8 @@ def run_command(
     from sonoservo.diagrams.app.run import run
     from sonoservo.diagrams.app.terminal import (
         Progress,
-        look_up,
+        end_run,
+        open_site,
         start_display,
         start_monitor,
         summary_table,
@@ -100,10 +102,11 @@ def run_command(
     from sonoservo.diagrams.experiments.registry import experiment_class, load_scenario
 
     loaded = load_scenario(scenario, changes=changes, seed=seed)
-    folder = out or Path("out") / f"{loaded.name}_seed{loaded.seed}"
+    folder = out or free_folder(f"{loaded.name}_seed{loaded.seed}")
     has_monitor = "monitor" in experiment_class(loaded.experiment).options
-    monitor = start_monitor(console, host) if meshcat and has_monitor else None
-    display = start_display(console, host) if meshcat else None
+    site = open_site(host) if meshcat else None
+    monitor = start_monitor(console, site) if site and has_monitor else None
+    display = start_display(console, site) if site else None
     with (
         serving(console, serve, loaded, wait_for) as observers,
         Progress(console, loaded) as progress,
@@ -122,12 +125,9 @@ def run_command(
     console.print(summary_table(result, loaded.published_figures))
     console.print(f"Report: {folder / 'report.html'}", soft_wrap=True)
     write_printed(json_path, result.summary)
-    if result.failure is not None:
-        raise result.failure
-    if result.summary["interrupted"]:
+    if not result.failure and result.summary["interrupted"]:
         raise typer.Exit(INTERRUPTED)
-    if look_up(result.summary, "guard.stopped_at_end"):
-        raise typer.Exit(3)
+    end_run(result)
 
 
 def drive_command(
@@ -144,13 +144,15 @@ def drive_command(
 
     The scenario's own pushes, moves and changes are ignored. Your actions are saved as
     scenario.yaml in the output folder; `sonoservo run` repeats them. Finish in the page or with
-    Ctrl-C.
+    Ctrl-C. Exit status 3: the guard stopped the robot for good.
     """
     from sonoservo.diagrams.app.drive import DRIVING, drive
     from sonoservo.diagrams.app.kept_run import refusing
     from sonoservo.diagrams.app.live.commands import serving
     from sonoservo.diagrams.app.terminal import (
         Progress,
+        end_run,
+        open_site,
         start_display,
         start_monitor,
         summary_table,
@@ -164,8 +166,9 @@ def drive_command(
     with refusing(loaded):
         following = replace(following, duration=duration)
     folder = out or Path("out") / f"{loaded.name}_driven_seed{loaded.seed}"
-    monitor = start_monitor(console, host)
-    display = start_display(console, host)
+    site = open_site(host)
+    monitor = start_monitor(console, site)
+    display = start_display(console, site)
     console.print(DRIVING)
     with (
         serving(console, serve, following) as observers,
@@ -184,8 +187,7 @@ def drive_command(
     again = f"sonoservo run {folder / 'scenario.yaml'}"
     console.print(f"To repeat this run: {again}", soft_wrap=True)
     write_printed(json_path, result.summary)
-    if result.failure is not None:
-        raise result.failure
+    end_run(result)
 
 
 def scan_command(
@@ -221,7 +223,7 @@ def scan_command(
     following = require_scenario(loaded, FollowingScenario)
     result = scan(following, time=time)
     summary = summarize_scan(result, following)
-    folder = out or Path("out") / f"{loaded.name}_seed{loaded.seed}_scan"
+    folder = out or free_folder(f"{loaded.name}_seed{loaded.seed}_scan")
     paths = write_scan(result, following, folder)
     console.print(caption(result, following), soft_wrap=True)
     console.print(

@@ -21,6 +21,9 @@ from sonoservo.systems.files.writing import Unwritten, write_atomically, write_j
 _SAVE_EVERY = 10.0
 """Wall-clock time in s after which the log is saved again during a run."""
 
+_RESULTS = ("summary.json", "log.npz", "report.html", "replay.html")
+"""Results that do not stay beside those of a newer run."""
+
 
 @contextmanager
 def refusing(scenario: Scenario) -> Iterator[None]:
@@ -76,6 +79,8 @@ class KeptRun:
 
     def __enter__(self) -> Self:
         if self.out is not None:
+            for name in _RESULTS:  # of an earlier run
+                (self.out / name).unlink(missing_ok=True)
             write_atomically(self.out / "scenario.yaml", self._scenario.to_yaml())
             clear_explanations(self.out)
         if self._meshcat is not None:

@@ -4,6 +4,7 @@ import inspect
 import os
 from collections.abc import Callable
 from functools import wraps
+from itertools import chain, count
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -125,6 +126,13 @@ def with_common_options(command: Callable[..., None]) -> Callable[..., None]:
     hints = {name: each for name, (each, _) in common.items()}
     run.__annotations__ = {**command.__annotations__, **hints}
     return run
+
+
+def free_folder(name: str) -> Path:
+    """Return the folder for results that nobody named, numbered if there is one of that name."""
+    first = Path("out") / name
+    numbered = (first.with_name(f"{name}_{number}") for number in count(2))
+    return next(path for path in chain([first], numbered) if not path.exists())
 
 
 def write_printed(path: Path | None, data: Any) -> None:

@@ -8,7 +8,8 @@ from contextlib import suppress
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from pydrake.geometry import Meshcat, MeshcatParams
+import typer
+from pydrake.geometry import Meshcat
 from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as RichProgress
@@ -19,12 +20,13 @@ from sonoservo.diagrams.app.run import RunResult
 from sonoservo.diagrams.experiments.experiment import Experiment
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.studies.study_report import Study, target_text
-from sonoservo.systems.evaluation.metrics import LABELS
+from sonoservo.systems.evaluation.labels import LABELS
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 
 if TYPE_CHECKING:
     from sonoservo.systems.display.monitor.monitor import Monitor
+    from sonoservo.systems.display.pages.site import Site
 
 
 def look_up(summary: Mapping[str, Any], path: str) -> Any:
@@ -47,10 +49,12 @@ def summary_table(result: RunResult, published: Mapping[str, float] | None = Non
     """
     summary = result.summary
     table = Table(title=f"{summary['scenario']}, seed {summary['seed']}")
+    caption = Text(stops_text(summary))
     if reason := look_up(summary, "detection.reason"):
         advice = look_up(summary, "detection.advice") or ""
         found_none = Text("No needle was found.", style="bold not italic")
-        table.caption = Text.assemble(found_none, f" {reason} {advice}")
+        missing = Text.assemble(found_none, f" {reason} {advice}")
+        caption = Text("\n").join([missing, caption] if caption else [missing])
     table.add_column("quantity")
     table.add_column("this run", justify="right")
     if published:
@@ -60,7 +64,7 @@ def summary_table(result: RunResult, published: Mapping[str, float] | None = Non
         if published:
             cells.append(format_figure(published[path]) if path in published else "")
         table.add_row(*cells)
-    table.caption = stops_text(summary)
+    table.caption = caption or None
     return table
 
 
@@ -75,6 +79,20 @@ def stops_text(summary: Mapping[str, Any]) -> str:
     if refusal := look_up(summary, "guard.refusal"):
         lines.append(refusal)
     return "\n".join(lines)
+
+
+def end_run(result: RunResult) -> None:
+    """Raise the error of a file that could not be written, if any, or set the exit status.
+
+    Raises
+    ------
+    typer.Exit
+        With status 3, if the guard had stopped the robot at the end.
+    """
+    if result.failure is not None:
+        raise result.failure
+    if look_up(result.summary, "guard.stopped_at_end"):
+        raise typer.Exit(3)
 
 
 _MET: Mapping[bool | None, Text] = {
@@ -247,13 +265,11 @@ def live_table(summary: Mapping[str, Any]) -> Table:
     return table
 
 
-def start_display(console: Console, host: str = "localhost") -> Meshcat:
-    """Start a Meshcat on the first free port from 7000 on, and print its address.
+def open_site(host: str = "localhost") -> "Site":
+    """Return a site for the pages of a run, on the first free port from 7000 on.
 
     Parameters
     ----------
-    console
-        Console to print to.
     host
         Address to listen on; ``*`` for all addresses of this machine.
 
@@ -262,36 +278,40 @@ def start_display(console: Console, host: str = "localhost") -> Meshcat:
     ConfigurationError
         If it cannot listen there.
     """
+    from sonoservo.systems.display.pages.site import Site
+
     try:
-        meshcat = Meshcat(MeshcatParams(host=host))
-    except RuntimeError as error:
-        raise ConfigurationError(
-            f"host: {host!r} is not allowed; it must be an address of this machine with a free "
-            "port from 7000 to 7999"
-        ) from error
+        return Site(host=host)
+    except OSError as error:
+        raise ConfigurationError(str(error)) from error
+
+
+def start_display(console: Console, site: "Site") -> Meshcat:
+    """Start a Meshcat on a site, and print its address with the token that opens it."""
+    from sonoservo.systems.display.pages.meshcat_page import open_meshcat
+
     logging.getLogger("drake").addFilter(_is_news)
-    console.print("Watch at", Text(meshcat.web_url(), style="bold"))
+    meshcat = open_meshcat(site)
+    console.print("Watch at", Text(meshcat.web_url(), style="bold"), soft_wrap=True)
     return meshcat
 
 
 def _is_news(record: logging.LogRecord) -> bool:
-    """Return False for Drake's log records about a page that asked for a replaced picture.
+    """Return False for Drake's log records that tell a user nothing new.
 
     A slow page asks for pictures that newer ones have replaced, and gets these next. Nothing is
-    wrong, and a line for each would break the progress bar.
+    wrong, and a line for each would break the progress bar. The page's address is printed anyway.
     """
-    return "Unknown CAS key" not in record.getMessage()
+    text = record.getMessage()
+    return "Unknown CAS key" not in text and "listening for connections" not in text
 
 
-def start_monitor(console: Console, host: str = "localhost") -> "Monitor":
-    """Start a scanner's monitor, and print its address; see `start_display`."""
+def start_monitor(console: Console, site: "Site") -> "Monitor":
+    """Start a scanner's monitor on a site, and print its address with the token that opens it."""
     from sonoservo.systems.display.monitor.monitor import Monitor
 
-    try:
-        monitor = Monitor(host=host)
-    except OSError as error:
-        raise ConfigurationError(str(error)) from error
-    console.print("The scanner's monitor:", Text(monitor.web_url, style="bold"))
+    monitor = Monitor(site)
+    console.print("The scanner's monitor:", Text(monitor.web_url, style="bold"), soft_wrap=True)
     return monitor
 
 

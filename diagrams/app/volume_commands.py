@@ -91,6 +91,7 @@ def track_command(
         VolumeProgress,
         keep_shown,
         mode_table,
+        open_site,
         start_monitor,
     )
     from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
@@ -121,7 +122,7 @@ def track_command(
             maker=maker,
             poses=poses,
             seed=seed,
-            monitor=start_monitor(console, host) if show else None,
+            monitor=start_monitor(console, open_site(host)) if show else None,
             serve=serve or [],
             names=needle_names(names or [], points=points),
             limits=LiveLimits(volumes=volumes, patience=patience),
@@ -150,7 +151,7 @@ def track_command(
             poses=poses,
         )
     folder = out or Path("out") / f"{recording.name.partition('.')[0]}_track"
-    monitor = start_monitor(console, host) if show else None
+    monitor = start_monitor(console, open_site(host)) if show else None
     with VolumeProgress(console, recording.name, len(opened)) as progress:
         result = track_recording(
             opened,

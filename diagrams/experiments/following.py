@@ -28,7 +28,8 @@ from sonoservo.systems.control.scheduled_settings import ScheduledSettings
 from sonoservo.systems.display.monitor.scanner_monitor import ScannerMonitor
 from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
 from sonoservo.systems.evaluation.explanation.explanation_recorder import ExplanationRecorder
-from sonoservo.systems.evaluation.metrics import LABELS, MetricsParameters, summarize
+from sonoservo.systems.evaluation.labels import LABELS
+from sonoservo.systems.evaluation.metrics import MetricsParameters, summarize
 from sonoservo.systems.evaluation.plots import plot_errors, plot_run
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.run_logger import RunLogger

@@ -27,7 +27,7 @@ class InsertionDetectorParameters:
     Parameters
     ----------
     candidate_volume
-        Total volume of the candidate voxels |X|, in m^3.
+        Total volume of the candidate voxels ``|X|``, in m^3.
     max_std
         Square root of the variance threshold tau, in m. It is compared with the root of the trace
         of the candidates' covariance.

@@ -13,6 +13,7 @@ from sonoservo.systems.evaluation.run_errors import (
     Floats,
     Mask,
     at_times,
+    consistency,
     estimate_errors,
     features,
     is_known,
@@ -21,35 +22,6 @@ from sonoservo.systems.evaluation.run_errors import (
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
-
-LABELS = {
-    "detection.volume": "insertion detected at volume",
-    "detection.visible_mm": "needle in view at detection, mm",
-    "detection.false_starts": "false starts in the whole run",
-    "tracking.volumes": "volumes since then, with the needle in the tissue",
-    "tracking.tracked": "of these, needle tracked",
-    "tracking.lost_events": "times lost",
-    "tracking.tip_error_mm.median": "tip error, median, mm",
-    "tracking.tip_error_mm.p95": "tip error, 95 %, mm",
-    "tracking.axis_error_deg.median": "axis error, median, deg",
-    "tracking.axis_error_deg.p95": "axis error, 95 %, deg",
-    "servo.at_rest.x_mm": "at rest: mean |X|, true, mm",
-    "servo.at_rest.z_mm": "at rest: mean |Z|, true, mm",
-    "servo.at_rest.theta_deg": "at rest: mean |Theta|, true, deg",
-    "servo.at_rest_estimated.x_mm": "at rest: mean |X|, estimated, mm",
-    "servo.at_rest_estimated.z_mm": "at rest: mean |Z|, estimated, mm",
-    "servo.at_rest_estimated.theta_deg": "at rest: mean |Theta|, estimated, deg",
-    "force.mean_n": "contact force, mean, N",
-    "force.rms_error_n": "contact force, RMS error, N",
-    "force.max_n": "contact force, largest, N",
-    "guard.interventions": "times stopped by the guard",
-    "guard.volumes_refused": "volumes refused as implausible",
-    "compute_ms.render.median": "rendering a sweep, median, ms",
-    "compute_ms.convert.median": "scan conversion, median, ms",
-    "compute_ms.track.median": "tracking, median, ms",
-    "real_time_factor": "simulated time / wall time",
-}
-"""Label of each figure of a summary that tables show, by its dotted path."""
 
 
 @dataclass(kw_only=True)
@@ -128,7 +100,8 @@ def detection(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     """Summarise the detection of the needle.
 
     The detection is the first start of tracking that is not false. A start is false if its tip is
-    more than `start_tolerance` away from the true needle, or if there is no needle.
+    more than `start_tolerance` away from the true needle, or if there is no needle. To track a
+    lost needle again is a start too.
 
     Returns
     -------
@@ -171,6 +144,9 @@ def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     `estimated`: number of these with an estimate, over which the errors are taken;
     `lost`: number of these not tracked although more than `min_length` of the needle was in view;
     `lost_events`: number of times that the needle became lost;
+    `absent_s`: time with an estimate, not a lost one, while no needle is in the tissue;
+    `absent_travel_mm`: distance that the servo commands the probe to go while there is none;
+    `consistency`: see `consistency`;
     `tip_error_mm`: distance from the estimated to the true tip in W, which contains the errors of
     the probe's measured pose;
     `tip_error_in_probe_mm`: the same in the probe's frame, which does not contain them;
@@ -193,18 +169,24 @@ def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     lost = judged & ~tracked & (in_view > parameters.min_length)
 
     errors = estimate_errors(log)
+    followed = is_known(log.estimate_tip) & (log.estimate_mode != TrackingMode.LOST)
+    absent = log.inserted_length == 0
+    speed = np.linalg.norm(log.planar_velocity[:, :2], axis=1)
     return {
         "volumes": int(np.sum(judged)),
         "tracked": int(np.sum(judged & tracked)),
         "estimated": int(np.sum(judged & np.isfinite(errors.tip))),
         "lost": int(np.sum(lost)),
         "lost_events": int(np.sum(_begins(lost))),
+        "absent_s": _seconds(followed & absent, log.time),
+        "absent_travel_mm": 1e3 * _seconds(absent, log.time, np.nan_to_num(speed)),
         "tip_error_mm": spread(1e3 * errors.tip[judged]),
         "tip_error_in_probe_mm": spread(1e3 * errors.in_probe[judged]),
         "tip_axial_error_mm": spread(1e3 * np.abs(errors.axial[judged])),
         "tip_lateral_error_mm": spread(1e3 * errors.lateral[judged]),
         "tip_axial_bias_mm": _number(_mean(1e3 * errors.axial[judged])),
         "axis_error_deg": spread(np.degrees(errors.axis[judged])),
+        "consistency": consistency(log, judged),
     }
 
 
@@ -283,8 +265,8 @@ def guard(log: RunLog) -> dict[str, Any]:
 
 def _starts(log: RunLog, parameters: MetricsParameters) -> tuple[NDArray[np.intp], Mask]:
     """Return the volumes with which tracking began, and a mask of those that are not false."""
-    there = is_known(log.volume_estimate_tip)
-    started = np.flatnonzero(_begins(there))
+    followed = log.volume_estimate_mode != TrackingMode.LOST
+    started = np.flatnonzero(_begins(is_known(log.volume_estimate_tip) & followed))
     time, p = log.volume_estimate_time[started], log.volume_estimate_tip[started]
     tip, entry = at_times(log, log.needle_tip, time), at_times(log, log.needle_entry, time)
     along = np.sum((p - entry) * (tip - entry), axis=1)
@@ -320,9 +302,10 @@ def _feature_errors(errors: Floats, counted: Mask, time: Floats) -> dict[str, fl
     }
 
 
-def _seconds(counted: Mask, time: Floats) -> float:
+def _seconds(counted: Mask, time: Floats, weights: Floats | float = 1.0) -> float:
+    """Return the time that samples cover, or the integral of their weights over it."""
     steps = np.diff(time, append=time[-1:])
-    return float(steps[counted].sum())
+    return float((steps * weights)[counted].sum())
 
 
 def spread(values: Floats) -> dict[str, float | None]:

@@ -6,12 +6,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
+from scipy.stats import chi2
 
 from sonoservo.systems.control.visual_features import needle_features
 from sonoservo.systems.evaluation.run_log import RunLog, unit
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+_WINDOW = 0.3
+"""Time in s over which the tip's true velocity is taken; it averages out the hand's tremor."""
 
 
 def features(X_WP: ArrayLike, p_WTip: ArrayLike, p_WEntry: ArrayLike) -> Floats:
@@ -100,7 +104,7 @@ def estimate_errors(log: RunLog) -> EstimateErrors:
     """Compare the estimate after each volume with ground truth at the estimate's time."""
     time = log.volume_estimate_time
     tip = at_times(log, log.needle_tip, time)
-    true = _direction(at_times(log, log.needle_points, time), log.volume_estimate_entry)
+    true = _true_direction(log)
     estimated = unit(log.volume_estimate_tip - log.volume_estimate_entry)
     miss = log.volume_estimate_tip - tip
     axial = np.sum(miss * true, axis=1)
@@ -114,6 +118,74 @@ def estimate_errors(log: RunLog) -> EstimateErrors:
         axis=np.arctan2(sine, np.sum(true * estimated, axis=1)),
         in_probe=np.linalg.norm(seen - lies, axis=1),
     )
+
+
+def normalized_squared_errors(errors: Floats, covariances: Floats) -> Floats:
+    """Return the normalised estimation error squared (NEES) of each estimate.
+
+    Parameters
+    ----------
+    errors
+        (v, 3) errors.
+    covariances
+        (v, 3, 3) stated covariances, perhaps of lower rank.
+
+    Returns
+    -------
+    (v,) squared Mahalanobis distances; NaN where an error or a covariance is unknown. Their mean is
+    the rank if the uncertainty is right.
+    """
+    result = np.full(len(errors), np.nan)
+    known = is_known(errors) & is_known(covariances.reshape(-1, 9))
+    inverse = np.linalg.pinv(covariances[known], rcond=1e-9, hermitian=True)
+    result[known] = np.einsum("ni,nij,nj->n", errors[known], inverse, errors[known])
+    return result
+
+
+def consistency(log: RunLog, judged: Mask) -> dict[str, dict[str, float | None]]:
+    """Compare the errors of tip, axis and velocity with the uncertainty that was stated.
+
+    Parameters
+    ----------
+    log
+        Log of the run.
+    judged
+        (v,) mask of the volumes that count, if they have an estimate.
+
+    Returns
+    -------
+    `tip`, `axis`, `velocity`: each with `nees`, the median of the normalised estimation error
+    squared over that of the chi-squared distribution (1 if the uncertainty is right, more if it is
+    stated too small), and `within_95`, the share of truths inside the stated 95 %.
+    """
+    time = log.volume_estimate_time
+    tip, before, after = (
+        at_times(log, log.needle_tip, time + shift) for shift in (0, -_WINDOW / 2, _WINDOW / 2)
+    )
+    estimated = unit(log.volume_estimate_tip - log.volume_estimate_entry)
+    velocity = (after - before) / _WINDOW
+    compared = {
+        "tip": (log.volume_estimate_tip - tip, log.volume_estimate_tip_covariance, 3),
+        "axis": (estimated - _true_direction(log), log.volume_estimate_direction_covariance, 2),
+        "velocity": (
+            log.volume_estimate_velocity - velocity, log.volume_estimate_velocity_covariance, 3
+        ),
+    }  # fmt: skip
+    figures: dict[str, dict[str, float | None]] = {}
+    for name, (errors, covariances, freedom) in compared.items():
+        squared = normalized_squared_errors(errors[judged], covariances[judged])
+        squared = squared[np.isfinite(squared)]
+        figures[name] = {"nees": None, "within_95": None}
+        if len(squared):
+            within = squared <= chi2.ppf(0.95, freedom)
+            nees = float(np.median(squared) / chi2.median(freedom))
+            figures[name] = {"nees": nees, "within_95": float(within.mean())}
+    return figures
+
+
+def _true_direction(log: RunLog) -> Floats:
+    points = at_times(log, log.needle_points, log.volume_estimate_time)
+    return _direction(points, log.volume_estimate_entry)
 
 
 def in_frame(X_WP: Floats, p_W: Floats) -> Floats:

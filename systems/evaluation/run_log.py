@@ -109,6 +109,18 @@ class RunLog(Log):
         Array,
         Column("entry, middle and tip of the estimated curve after the volume", "m", ("v", 3, 3)),
     ]
+    volume_estimate_velocity: Annotated[
+        Array, Column("estimated velocity of the tip after the volume", "m/s", ("v", 3))
+    ]
+    volume_estimate_tip_covariance: Annotated[
+        Array, Column("stated covariance of the estimated tip", "m^2", ("v", 3, 3))
+    ]
+    volume_estimate_direction_covariance: Annotated[
+        Array, Column("stated covariance of the direction, entry to tip", "", ("v", 3, 3))
+    ]
+    volume_estimate_velocity_covariance: Annotated[
+        Array, Column("stated covariance of the tip's velocity", "m^2/s^2", ("v", 3, 3))
+    ]
 
     compute: Mapping[str, Array] = field(default_factory=dict)
     """Computing time per volume in s, by stage; in the file as `compute_<name>`."""

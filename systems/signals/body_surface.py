@@ -19,7 +19,7 @@ class BodySurface:
     """Surface of a body inscribed in a box, whose highest point is the origin of T.
 
     Along the axes on which a body is round, u = (p - centre) / half of the extents satisfies
-    |u| = 1 on its surface. Along the others, it ends at the faces of the box.
+    ``|u|`` = 1 on its surface. Along the others, it ends at the faces of the box.
 
     Parameters
     ----------

@@ -77,3 +77,26 @@ class NeedleEstimate(Immutable):
         assert self.covariance is not None
         tip = slice(3 * self.curve.order - 3, 3 * self.curve.order)
         return self.covariance[tip, tip]
+
+    @property
+    def tip_velocity_covariance(self) -> NDArray[np.float64]:
+        """(3, 3) covariance of the velocity of the tip in W, in m^2/s^2; requires a curve."""
+        assert self.covariance is not None
+        return self.covariance[-3:, -3:]
+
+    @property
+    def direction_covariance(self) -> NDArray[np.float64]:
+        """(3, 3) covariance of the unit vector from entry to tip in W; requires a curve.
+
+        It is that of small errors, which lie across the needle, and has rank 2.
+        """
+        assert self.curve is not None
+        assert self.covariance is not None
+        n = 3 * self.curve.order
+        chord = self.curve.tip - self.curve.entry
+        length = np.linalg.norm(chord)
+        across = (np.eye(3) - np.outer(chord, chord) / length**2) / length
+        J = np.hstack([-across, across])
+        ends = np.r_[0:3, n - 3 : n]
+        covariance: NDArray[np.float64] = J @ self.covariance[np.ix_(ends, ends)] @ J.T
+        return covariance

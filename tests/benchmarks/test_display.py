@@ -3,17 +3,18 @@
 import subprocess
 import sys
 import time
-from contextlib import closing, contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext
 
 import numpy as np
 import pytest
 from meshcat import Visualizer
-from pydrake.geometry import Meshcat, MeshcatParams
 from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.diagrams import load_scenario, make_experiment
 from sonoservo.systems.display.monitor.drawing import MonitorScreen
 from sonoservo.systems.display.monitor.monitor import Monitor
+from sonoservo.systems.display.pages.meshcat_page import open_meshcat
+from sonoservo.systems.display.pages.site import Site
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 
@@ -67,10 +68,13 @@ def test_drawing_a_volume(benchmark, shown):
 
 PAGE = """
 import asyncio, sys
+from urllib.parse import urlsplit
+from tornado.httpclient import HTTPRequest
 from tornado.websocket import websocket_connect
 
 async def watch(url, answer):
-    page = await websocket_connect(url, max_message_size=1 << 30)
+    request = HTTPRequest(url, headers={"Origin": f"http://{urlsplit(url).netloc}"})
+    page = await websocket_connect(request, max_message_size=1 << 30)
     print("open", flush=True)
     while await page.read_message() is not None:
         if answer:
@@ -83,7 +87,7 @@ asyncio.run(watch(*sys.argv[1:]))
 @contextmanager
 def pages_that_draw_nothing(meshcat, monitor):
     """Processes that fetch all a page would: a browser without a graphics chip eats a core."""
-    monitor_url = f"{monitor.web_url.replace('http', 'ws')}commands"
+    monitor_url = monitor.web_url.replace("http", "ws").replace("?", "commands?")
     processes = [
         subprocess.Popen([sys.executable, "-c", PAGE, url, answer], stdout=subprocess.PIPE)
         for url, answer in ((meshcat.ws_url(), ""), (monitor_url, "drawn"))
@@ -114,14 +118,14 @@ def test_a_run_with_both_screens(benchmark, watched):
     """With the film for the replay; without a display it is timed in between."""
     enabled = benchmark.enabled
     scenario = load_scenario("chatelain2013_fig5", changes=[f"duration={16 if enabled else 1}"])
-    meshcat = Meshcat(MeshcatParams(host="localhost"))
     plain, shown = [], []
 
     def both():
         plain.append(run_once(scenario))
         shown.append(run_once(scenario, meshcat, monitor))
 
-    with closing(Monitor()) as monitor:
+    with Site() as site:
+        meshcat, monitor = open_meshcat(site), Monitor(site)
         both()
         with pages_that_draw_nothing(meshcat, monitor) if watched else nullcontext():
             benchmark.pedantic(both, rounds=5 if enabled else 1)

@@ -4,7 +4,9 @@ import shutil
 
 import pytest
 from playwright.sync_api import Error, sync_playwright
-from pydrake.geometry import Meshcat, MeshcatParams
+
+from sonoservo.systems.display.pages.meshcat_page import open_meshcat
+from sonoservo.systems.display.pages.site import Site
 
 NO_CHROMIUM = "no Chromium: install it with your package manager, or `playwright install chromium`"
 KNOWN_WARNINGS = (
@@ -44,19 +46,21 @@ def no_garbage():
 @pytest.fixture
 def meshcat():
     """A Meshcat that outlives the pages, if it comes before `open_page` among the arguments."""
-    meshcat = Meshcat(MeshcatParams(host="localhost"))
-    yield meshcat
-    del meshcat
+    with Site() as site:
+        yield open_meshcat(site)
 
 
 @pytest.fixture
-def open_page(browser):
+def open_page(browser, request):
     """Open an address and wait until it shows something.
 
-    At the end, anything on the console but known warnings fails the test, and so does a request
-    that left this machine.
+    Pages are 1000 x 700 pixels unless the test is marked with another `viewport`. At the end,
+    anything on the console but known warnings fails the test, and so does a request that left this
+    machine.
     """
-    context = browser.new_context(viewport={"width": 1000, "height": 700})
+    marker = request.node.get_closest_marker("viewport")
+    width, height = marker.args if marker else (1000, 700)
+    context = browser.new_context(viewport={"width": width, "height": height})
     complaints = []
 
     def listen(page):

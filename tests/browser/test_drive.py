@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pydrake.geometry import Meshcat, MeshcatParams
 
 from sonoservo.diagrams import load_scenario, run
 from sonoservo.diagrams.app.drive import drive
+from sonoservo.diagrams.app.kept_run import KeptRun
 
 CHEAP = [
     "station.plant.contact_model=point",
@@ -27,8 +27,9 @@ def slide(page, name, fraction):
     return float(row.locator("input").input_value())
 
 
-def test_the_page_drives_the_simulation(open_page, tmp_path):
-    meshcat = Meshcat(MeshcatParams(host="localhost"))
+@pytest.mark.viewport(480, 360)
+def test_the_page_drives_the_simulation(meshcat, open_page, tmp_path, monkeypatch):
+    monkeypatch.setattr(KeptRun, "write", lambda *_: None)  # plots, which other tests look at
     seen = {}
 
     def script():
@@ -38,18 +39,18 @@ def test_the_page_drives_the_simulation(open_page, tmp_path):
         yield lambda time, text: time > 0.5
         for _ in range(12):
             page.keyboard.press("KeyW")
-        seen["turn"] = slide(page, "turn (deg)", 0.75)
+        seen["turn"] = slide(page, "turn (deg)", 0.625)
         seen["phantom"] = slide(page, "phantom x", 0.8)
         seen["lambda"] = slide(page, "lambda", 0.25)
         seen["force"] = slide(page, "force (N)", 0.5)
-        yield lambda time, text: time > 3.0
+        yield lambda time, text: time > 2.0
         page.get_by_text("pause / resume").click()
         yield lambda time, text: text == "paused"
         for _ in range(10):
             stopped = yield lambda time, text: True
             seen.setdefault("stopped", set()).add(stopped)
         page.keyboard.press("Space")
-        yield lambda time, text: time > 3.5
+        yield lambda time, text: time > 2.5
         page.get_by_text("save scenario").click()
         yield lambda time, text: (tmp_path / "scenario_1.yaml").exists()
         page.get_by_text("restart").click()
@@ -62,7 +63,7 @@ def test_the_page_drives_the_simulation(open_page, tmp_path):
         page.wait_for_function("viewer.gui_controllers['depth (mm) S W'].getValue() == 7")
         second.close()
         page.close()
-        yield lambda time, text: time > 2.0
+        yield lambda time, text: time > 1.0
         last = open_page(meshcat.web_url())
         last.keyboard.press("KeyF")
         yield lambda time, text: False
@@ -83,7 +84,7 @@ def test_the_page_drives_the_simulation(open_page, tmp_path):
     pushes = saved.hand.pushes
     assert sum(push.duration * push.speed for push in pushes) == pytest.approx(0.012)
     assert sum(push.duration * push.turning_deg for push in pushes) == pytest.approx(seen["turn"])
-    assert seen["turn"] == pytest.approx(180, abs=15)
+    assert seen["turn"] == pytest.approx(90, abs=15)
     (move,) = saved.phantom_motion.moves
     assert 1e3 * move.translation[0] == pytest.approx(seen["phantom"])
     changes = saved.controller_changes
@@ -98,9 +99,9 @@ def test_the_page_drives_the_simulation(open_page, tmp_path):
     assert log.contact_force[-1] == pytest.approx(seen["force"], abs=0.1)
 
     assert len(seen["stopped"]) == 1
-    assert seen["stopped"].pop() < 4.0
+    assert seen["stopped"].pop() < 3.0
     assert result.log.inserted_length[-1] == pytest.approx(0.007, abs=3e-4)
-    assert 2.0 < result.log.time[-1] < 59
+    assert 1.0 < result.log.time[-1] < 59
     again = run(load_scenario(tmp_path / "scenario.yaml")).log
     for name in ("needle_points", "X_WT", "X_WP"):
         np.testing.assert_allclose(

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from browser_view import eventually, project, screenshot, wait_for_object
+from page_clients.browser_view import eventually, project, screenshot, wait_for_object
 from pydrake.geometry import Rgba, Sphere
 from pydrake.math import RigidTransform
 

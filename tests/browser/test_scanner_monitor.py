@@ -4,11 +4,12 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from browser_view import eventually, project, screenshot, still
+from page_clients.browser_view import eventually, project, screenshot, still
 from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.systems.display.monitor.monitor import Monitor
 from sonoservo.systems.display.monitor.views import monitor_views
+from sonoservo.systems.display.pages.site import Site
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 
@@ -121,12 +122,14 @@ def test_every_page_shows_the_newest_volume(open_page, monitor, shown):
 
 def test_a_page_says_when_its_monitor_ends_and_goes_on_with_the_next(open_page, shown):
     port = 8640  # no other test looks here
-    with closing(Monitor(port=port)) as monitor:
+    with Site(port=port) as site:
+        monitor = Monitor(site)
         page = open_page(monitor.web_url)
         monitor.show(*shown[0])
         drawn(page, *shown[0])
         assert not page.is_visible("#stopped")
-    with closing(Monitor(port=port)) as following:
+    with Site(port=port) as site:
+        following = Monitor(site)
         assert following.web_url == monitor.web_url
         page.wait_for_selector("#stopped", state="visible")
         following.show(*shown[1])

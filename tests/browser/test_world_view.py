@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
-from browser_view import eventually, project, screenshot, wait_for_object
+from page_clients.browser_view import eventually, project, screenshot, wait_for_object
 from pydrake.common.value import Value
 from pydrake.geometry import Meshcat, MeshcatParams
 from pydrake.math import RigidTransform, RotationMatrix
 
 from sonoservo.diagrams import load_scenario, make_experiment
+from sonoservo.systems.display.pages.meshcat_page import open_meshcat
+from sonoservo.systems.display.pages.site import Site
 from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
 from sonoservo.systems.evaluation.report import save_replay
 from sonoservo.systems.signals.needle_estimate import TrackingMode
@@ -23,10 +25,6 @@ LAYERS = [
     "arm", "probe", "phantom", "needle", "estimate", "uncertainty", "sector", "slices", "screen",
     "phase", "force", "legend",
 ]  # fmt: skip
-
-
-def local_meshcat():
-    return Meshcat(MeshcatParams(host="localhost"))
 
 
 class Run:
@@ -52,7 +50,7 @@ class Run:
 @pytest.fixture(scope="module")
 def run(browser):
     """It is watched by two pages, of which one is closed, and one reloaded and closed."""
-    meshcat, pages = local_meshcat(), []
+    pages = []
 
     def disturb(number):
         if number in (2, 3):
@@ -67,7 +65,9 @@ def run(browser):
         elif number == 16:
             pages[1].close()
 
-    return Run(meshcat, disturb)
+    with Site() as site:
+        meshcat = open_meshcat(site)
+        yield Run(meshcat, disturb)
 
 
 @pytest.fixture(scope="module")
@@ -249,6 +249,6 @@ def test_the_replay_plays_by_itself_in_step(run, replay, open_page):
 
 def test_a_minute_of_replay_is_below_20_mb(run, replay):
     # Beside the viewer itself, all that the size depends on is how long it was recorded.
-    viewer = len(local_meshcat().StaticHtml())
+    viewer = len(Meshcat(MeshcatParams(host="localhost")).StaticHtml())
     per_second = (replay.stat().st_size - viewer) / run.times[-1]
     assert viewer + 60 * per_second < 20e6

@@ -6,12 +6,10 @@ from html import escape
 from meshcat import Visualizer
 
 from sonoservo.systems.display.monitor.drawing import MonitorScreen
-from sonoservo.systems.display.monitor.page_server import PageServer, read_page
+from sonoservo.systems.display.monitor.scene_page import ScenePage, read_page
+from sonoservo.systems.display.pages.site import Site
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.volume import Volume
-
-PORT = 7600
-"""Port that a monitor tries first."""
 
 
 class Monitor:
@@ -27,29 +25,35 @@ class Monitor:
 
     Parameters
     ----------
-    host
-        Name or address to listen on.
-    port
-        Port to listen on, or the next free one if it is in use.
+    site
+        Site to which the page is added. By default, the monitor opens one of its own, and closes
+        it.
 
     Raises
     ------
     OSError
-        If the host is not an address of this machine, or no port is free.
+        If no port is free for a site of its own.
     """
 
-    def __init__(self, *, host: str = "localhost", port: int = PORT) -> None:
+    def __init__(self, site: Site | None = None) -> None:
         self._newest: tuple[Volume, NeedleEstimate | None, int] | None = None
         self._drawn: object = None
         self._shown = 0
-        page = read_page("monitor_page.html")
-        self._server = PageServer(page=page, host=host, port=port, asked=self._draw)
+        self._owns_site = site is None
+        self._site = site or Site()
+        self._page = ScenePage(
+            self._site,
+            name="monitor",
+            title="Scanner's monitor",
+            page=read_page("monitor_page.html"),
+            asked=self._draw,
+        )
         self._screen: MonitorScreen | None = None
 
     @property
     def web_url(self) -> str:
-        """Address of the monitor's page."""
-        return self._server.web_url
+        """Address of the monitor's page, with the token that opens it."""
+        return self._site.address("monitor")
 
     def show(
         self, volume: Volume, estimate: NeedleEstimate | None = None, number: int | None = None
@@ -67,28 +71,31 @@ class Monitor:
         """
         self._shown = self._shown + 1 if number is None else number
         self._newest = volume, estimate, self._shown
-        self._server.call(self._draw)
+        self._site.call(self._draw)
 
     def html(self) -> str:
         """Return the current page as one self-contained HTML document."""
 
         def document() -> str:
             self._draw(needed=True)
-            return self._server.html()
+            return self._page.html()
 
-        return self._server.ask(document)
+        return self._site.ask(document)
 
     def close(self) -> None:
-        """Stop serving; open pages keep the last picture and say that they are not connected."""
-        self._server.close()
+        """Disconnect the pages, which keep the last picture; close the monitor's own site."""
+        if self._owns_site:
+            self._site.close()
+        else:
+            self._site.call(self._page.disconnect)
 
     def _draw(self, needed: bool = False) -> None:
         newest = self._newest
-        if newest is None or newest is self._drawn or not (needed or self._server.wanted):
+        if newest is None or newest is self._drawn or not (needed or self._page.wanted):
             return
         self._drawn = newest
         if self._screen is None:
-            self._screen = MonitorScreen(Visualizer(window=self._server))
+            self._screen = MonitorScreen(Visualizer(window=self._page))
         # Drake aborts if a Meshcat is destroyed on a thread other than its own, so garbage must not
         # be collected on this thread.
         collects = gc.isenabled()

@@ -10,7 +10,10 @@ from numpy.typing import NDArray
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.ultrasound.beam import Beam
-from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import render_needles
+from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import (
+    NO_NEEDLE_VIEW,
+    render_needles,
+)
 from sonoservo.systems.ultrasound.simulation.kernels.displacement import Displacements
 from sonoservo.systems.ultrasound.simulation.kernels.medium import View, apparent_points
 from sonoservo.systems.ultrasound.simulation.kernels.projection import DepthTables, Rays
@@ -34,10 +37,10 @@ class FrameViews(NamedTuple):
     """(frames, 3, 4) poses of the tissue in each frame's F."""
     rays: Rays
     tables: DepthTables
-    bent: View | None
-    """Apparent positions of points; None if they equal the true ones."""
-    transmission: NDArray[np.float32] | None
-    """(frames, lines, samples) factors on echoes from behind structures."""
+    bent: View
+    """Apparent positions of points."""
+    transmission: NDArray[np.float32]
+    """(frames, lines, samples) factors on echoes from behind structures, or `NO_TRANSMISSION`."""
     times: NDArray[np.float64]
     """(frames,) times of the frames, in s."""
 
@@ -95,14 +98,14 @@ class NeedleRenderer:
             Geometry and propagation of the frames.
         """
         parameters, X_FT = self._parameters, views.X_FT
-        view = None
+        view = NO_NEEDLE_VIEW
         if parameters.varies:
             offset = self._geometry.array_radius - self._geometry.motor_radius
             view = needle_view(
                 parameters, self._fading, self._beam, needles, X_FT, offset, views.times
             )
         shafts = [needle.shaft for needle in needles]
-        if views.bent is not None:
+        if len(views.bent.table):
             shafts = [
                 _apparent(needle, X, views.bent, frame)
                 for frame, (needle, X) in enumerate(zip(needles, X_FT, strict=True))
@@ -126,12 +129,13 @@ class NeedleRenderer:
         self,
         iq: NDArray[np.complex64],
         needle: Needle,
-        field: Displacements | None,
+        field: Displacements,
         views: FrameViews,
     ) -> None:
         """Add a needle at rest in T, which moves with the tissue if a field deforms it."""
         frames = range(len(iq))
-        moved = [needle if field is None else moved_needle(needle, field, f) for f in frames]
+        deformed = len(field.counts) > 0
+        moved = [moved_needle(needle, field, f) if deformed else needle for f in frames]
         self.add(iq, moved, views)
 
     def _pulse(self, radius: float) -> NDArray[np.float32]:

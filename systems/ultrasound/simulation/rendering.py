@@ -13,8 +13,14 @@ from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.ultrasound.beam import Beam, beam_profile, point_spread
 from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
 from sonoservo.systems.ultrasound.simulation.air_pockets import AirPockets
-from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import render_points
-from sonoservo.systems.ultrasound.simulation.kernels.displacement import Displacements
+from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import (
+    NO_TRANSMISSION,
+    render_points,
+)
+from sonoservo.systems.ultrasound.simulation.kernels.displacement import (
+    NO_DISPLACEMENTS,
+    Displacements,
+)
 from sonoservo.systems.ultrasound.simulation.kernels.echo import FADE, render_tissue
 from sonoservo.systems.ultrasound.simulation.kernels.image_formation import form_image, modulate
 from sonoservo.systems.ultrasound.simulation.kernels.line_blur import line_kernel
@@ -248,7 +254,7 @@ class SweepRenderer:
         """
         X_FT, rays = frame_poses(self._acoustic, X_TP), self._rays[direction]
         view, *_ = self._scene.view(X_FT, float(rays.twist))
-        beams = (rays, self._tables, self._point_pulse, view, None)
+        beams = (rays, self._tables, self._point_pulse, view, NO_DISPLACEMENTS)
         render_points(iq, X_FT, points, amplitudes, *beams)
 
     def render(
@@ -295,7 +301,7 @@ class SweepRenderer:
         X_TP: NDArray[np.float64],
         direction: int,
         times: NDArray[np.float64],
-        field: Displacements | None,
+        field: Displacements,
     ) -> FrameViews:
         """Render everything except the needle; return the views needed for the needle's echo."""
         X_FT, rays = frame_poses(self._acoustic, X_TP), self._rays[direction]
@@ -306,7 +312,7 @@ class SweepRenderer:
         if len(self._inclusions[0]):
             points = (*self._inclusions, rays, tables, self._point_pulse, view, field)
             render_points(iq, X_FT, *points)
-        transmission = None
+        transmission = NO_TRANSMISSION
         if scene.pieces is not None:
             transmission = np.ones(self.geometry.shape, np.float32)
             if gains is not None:
@@ -333,7 +339,7 @@ class SweepRenderer:
         tissue = self._tissue[direction]
         key = X_TP.tobytes() + (times.tobytes() if self._varies else b"")
         field = displacements(deformations)
-        key += b"".join(np.asarray(each).tobytes() for each in field or ())
+        key += b"".join(np.asarray(each).tobytes() for each in field)
         if self._tissue_keys[direction] != key:
             self._views[direction] = self._render_tissue(tissue, X_TP, direction, times, field)
             self._tissue_keys[direction] = key

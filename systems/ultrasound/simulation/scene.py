@@ -9,6 +9,7 @@ from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.ultrasound.beam import Beam
 from sonoservo.systems.ultrasound.simulation.kernels.medium import (
+    NO_VIEW,
     Medium,
     View,
     integrate_paths,
@@ -66,7 +67,7 @@ class Scene:
     Attributes
     ----------
     regions, pieces
-        Regions of other scattering and pieces of surfaces, for the kernels; None if there are none.
+        Regions of other scattering, and pieces of surfaces or None, for the kernels.
     pulses, taps
         See `render_surfaces`.
     """
@@ -88,7 +89,7 @@ class Scene:
         rng = np.random.default_rng([tissue.seed, 2])
         grid = tissue.anatomy.grid() if tissue.anatomy is not None else None
         self._tubes: list[Tube] = [t for each in tissue.structures for t in each.tubes()]
-        self.regions: Regions | None = scatterer_regions(tissue, grid, self._tubes, block_size)
+        self.regions: Regions = scatterer_regions(tissue, grid, self._tubes, block_size)
         self._paths: PathLabels | None = path_labels(
             tissue, grid, self._tubes, sound_speed, frequency
         )
@@ -160,7 +161,7 @@ class Scene:
 
     def view(
         self, X_FT: NDArray[np.float64], twist: float
-    ) -> tuple[View | None, NDArray[np.float32] | None, float]:
+    ) -> tuple[View, NDArray[np.float32] | None, float]:
         """Return the effects of propagation through the tissue on every frame's echoes.
 
         Parameters
@@ -172,11 +173,11 @@ class Scene:
 
         Returns
         -------
-        Apparent positions from refraction and delay, or None; (frames, lines, nodes) factors on
-        amplitudes, or None; and nodes per metre.
+        Apparent positions from refraction and delay, (frames, lines, nodes) factors on amplitudes
+        or None, and nodes per metre.
         """
         if self._fat.thickness == 0 and self._paths is None:
-            return None, None, 1 / _NODE
+            return NO_VIEW, None, 1 / _NODE
         geometry = self._geometry
         frames = len(X_FT)
         normals = np.zeros((frames, 3))
@@ -220,10 +221,10 @@ class Scene:
             medium = medium._replace(delays=delays)
         return self._tabulated(medium), gains, 1 / _NODE
 
-    def _tabulated(self, medium: Medium) -> View | None:
-        """Return the apparent positions of points; None if they equal the true ones."""
+    def _tabulated(self, medium: Medium) -> View:
+        """Return the apparent positions of points."""
         if not medium.delays.size and not (medium.offsets > _NO_FAT).any():
-            return None
+            return NO_VIEW
         geometry = self._geometry
         half = 1.1 * geometry.line_pitch * geometry.lines / 2 + 0.05
         angles = 2 * int(np.ceil(half / _VIEW_ANGLE)) + 1

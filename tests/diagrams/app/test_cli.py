@@ -3,12 +3,14 @@ import subprocess
 import sys
 from dataclasses import replace
 from importlib.metadata import version
+from pathlib import Path
 
 import pytest
 from commands import sonoservo, sonoservo_here
 from typer.testing import CliRunner
 
 from sonoservo.diagrams.app.cli import app
+from sonoservo.diagrams.app.options import free_folder
 from sonoservo.diagrams.experiments.registry import list_scenarios, load_scenario
 from sonoservo.systems.evaluation.log import read_log
 from sonoservo.systems.evaluation.run_log import RunLog
@@ -26,6 +28,14 @@ def test_list_names_every_scenario_and_dial(tmp_path):
     assert all(rows["scenarios"].values())
     assert rows["dials"]["dip"]["moderate"] == {"hand.dip_deg": 60.0}
     assert "hand.dip_deg=60" in result.stdout
+
+
+def test_results_of_an_earlier_run_are_not_overwritten(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert free_folder("fig5_seed0") == Path("out/fig5_seed0")
+    for name in ("fig5_seed0", "fig5_seed0_2"):
+        (tmp_path / "out" / name).mkdir(parents=True)
+    assert free_folder("fig5_seed0") == Path("out/fig5_seed0_3")
 
 
 def test_figures_alone_can_be_printed():

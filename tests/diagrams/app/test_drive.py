@@ -8,11 +8,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from meshcat_socket import MeshcatSocket
+from page_clients.meshcat_socket import MeshcatSocket
 from pydrake.geometry import Meshcat, MeshcatParams
+from typer.testing import CliRunner
 
 from sonoservo.diagrams import load_scenario, run
+from sonoservo.diagrams.app.cli import app
 from sonoservo.diagrams.app.drive import DrivenExperiment, drive
+from sonoservo.diagrams.app.run import RunResult
 from sonoservo.systems.evaluation.log import read_log
 from sonoservo.systems.evaluation.run_log import RunLog
 
@@ -182,3 +185,16 @@ def test_nothing_a_page_says_stops_the_run(meshcat):
     for name in ("X_WP", "X_WT", "inserted_length", "joint_state", "contact_force"):
         assert np.isfinite(getattr(log, name)).all()
     assert log.inserted_length.max() <= 0.1
+
+
+@pytest.mark.parametrize(("reason", "status"), [("too much force", 3), (None, 0)])
+def test_a_drive_that_ends_stopped_has_exit_status_3(tmp_path, monkeypatch, reason, status):
+    summary = {"scenario": "drive", "seed": 0, "guard": {"stopped_at_end": reason}}
+    ended = RunResult(summary=summary, log=None, labels={})
+    monkeypatch.setattr("sonoservo.diagrams.app.drive.drive", lambda *_, **__: ended)
+    arguments = ["drive", "--out", str(tmp_path), "--json", str(tmp_path / "printed.json")]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == status
+    assert json.loads((tmp_path / "printed.json").read_text()) == summary
+    said = " ".join(result.output.split())
+    assert (f"still stopped at the end because {reason}" in said) == bool(reason)

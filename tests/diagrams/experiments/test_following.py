@@ -1,10 +1,10 @@
 """The closed loop against what the paper reports, with the truth as judge."""
 
-import socket
 from contextlib import closing
 
 import numpy as np
 import pytest
+from page_clients.page_socket import open_socket
 from pydrake.common.value import Value
 from pydrake.systems.framework import LeafSystem
 
@@ -121,17 +121,9 @@ def test_a_tracker_of_one_s_own_takes_the_place_of_the_scenario_s():
 
 
 def test_a_page_that_never_answers_changes_nothing():
-    scenario = load_scenario("chatelain2013_fig5", changes=["duration=3"])
+    scenario = load_scenario("chatelain2013_fig5", changes=["duration=1.5"])
     alone = run(scenario).log
-    with closing(Monitor()) as monitor:
-        port = int(monitor.web_url.rstrip("/").rpartition(":")[2])
-        with socket.create_connection(("localhost", port)) as page:
-            page.sendall(
-                b"GET /commands HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\n"
-                b"Connection: Upgrade\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
-                b"Sec-WebSocket-Version: 13\r\n\r\n"
-            )
-            assert page.recv(12) == b"HTTP/1.1 101"
-            shown = run(scenario, monitor=monitor).log
+    with closing(Monitor()) as monitor, open_socket(monitor.web_url, "commands"):
+        shown = run(scenario, monitor=monitor).log
     np.testing.assert_array_equal(shown.X_WP, alone.X_WP)
     np.testing.assert_array_equal(shown.volume_time, alone.volume_time)

@@ -52,6 +52,31 @@ def test_a_start_away_from_the_needle_is_false(insertion_log, volume):
     assert summarize(log)["tracking"] == summarize(insertion_log)["tracking"]
 
 
+def test_a_ghost_that_is_found_again_is_a_false_start(insertion_log):
+    mode = insertion_log.volume_estimate_mode.copy()
+    mode[30:34] = "lost"
+    lost = replace(insertion_log, volume_estimate_mode=mode)
+    assert summarize(lost)["detection"]["false_starts"] == 0
+    tip = insertion_log.volume_estimate_tip + np.where(np.arange(len(mode)) >= 34, 0.02, 0)[:, None]
+    ghost = replace(lost, volume_estimate_tip=tip)
+    assert summarize(ghost)["detection"]["false_starts"] == 1
+
+
+def test_an_estimate_that_stays_when_the_needle_has_gone_is_counted(insertion_log):
+    time = insertion_log.time
+    gone = time >= 15
+    log = replace(
+        insertion_log,
+        inserted_length=np.where(gone, 0.0, insertion_log.inserted_length),
+        planar_velocity=np.tile([3e-3, 4e-3, 0.1], (len(time), 1)),
+    )
+    tracking = summarize(log)["tracking"]
+    assert tracking["absent_s"] == pytest.approx(time[-1] - 15, abs=1 / 32)
+    without_needle = time[-1] - 15 + 2.0
+    assert tracking["absent_travel_mm"] == pytest.approx(5 * without_needle, abs=0.5)
+    assert summarize(insertion_log)["tracking"]["absent_s"] == 0
+
+
 def test_tracking_errors(insertion_log):
     tracking = summarize(insertion_log)["tracking"]
     found = int(np.sum(np.isfinite(insertion_log.volume_estimate_tip[:, 0])))

@@ -7,7 +7,15 @@ from hypothesis import strategies as st
 from pydrake.math import RigidTransform, RollPitchYaw
 
 from sonoservo.systems.evaluation.metrics import summarize
-from sonoservo.systems.evaluation.run_errors import estimate_errors, features, needle_speed
+from sonoservo.systems.evaluation.run_errors import (
+    consistency,
+    estimate_errors,
+    features,
+    needle_speed,
+    normalized_squared_errors,
+)
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 
 coordinate = st.floats(-0.2, 0.2)
 point = st.tuples(coordinate, coordinate, coordinate)
@@ -95,3 +103,74 @@ def test_features_do_not_depend_on_where_the_probe_is(roll, pitch, yaw, origin, 
             X_WP.multiply(p_PEntry)[np.newaxis],
         )
         np.testing.assert_allclose(result, [[tip[0], tip[2], theta]], atol=1e-9)
+
+
+def test_normalized_squared_errors_are_chi_squared():
+    rng = np.random.default_rng(1)
+    root = rng.normal(size=(3, 3))
+    for rank in (3, 2):
+        root[:, rank:] = 0
+        errors = rng.normal(size=(20000, 3)) @ root.T
+        covariances = np.tile(root @ root.T, (20000, 1, 1))
+        squared = normalized_squared_errors(errors, covariances)
+        assert squared.mean() == pytest.approx(rank, rel=0.03)
+        assert squared.var() == pytest.approx(2 * rank, rel=0.1)
+    errors[3] = covariances[5] = np.nan
+    assert np.flatnonzero(np.isnan(normalized_squared_errors(errors, covariances))).tolist() == [
+        3,
+        5,
+    ]
+
+
+def test_direction_is_as_uncertain_as_its_ends():
+    rng = np.random.default_rng(2)
+    points = np.array([[0.0, 0, 0], [0.02, 0.01, 0], [0.04, 0.03, 0.01]])
+    root = 2e-4 * rng.normal(size=(18, 18))
+    stated = NeedleEstimate(
+        TrackingMode.TRACKING, 0.0, NeedleCurve(points), np.zeros((3, 3)), root @ root.T
+    ).direction_covariance
+    drawn = points + (rng.normal(size=(50000, 18)) @ root.T)[:, :9].reshape(-1, 3, 3)
+    directions = drawn[:, -1] - drawn[:, 0]
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    np.testing.assert_allclose(np.cov(directions.T), stated, atol=0.03 * np.abs(stated).max())
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.5])
+def test_share_of_truth_inside_the_stated_doubt(insertion_log, factor):
+    rng = np.random.default_rng(3)
+    volumes = len(insertion_log.volume_time)
+    known = np.isfinite(insertion_log.volume_estimate_tip[:, 0])
+    length = np.clip(5e-3 * (insertion_log.volume_time - 2), 0, 50e-3)
+    tip = np.stack([length, 0 * length, 0 * length - 0.04], axis=1)
+    moves = insertion_log.volume_time < 12
+    velocity = np.where(moves, 5e-3, 0.0)[:, np.newaxis] * [1, 0, 0]
+    stated = {}
+    for name in ("tip", "velocity", "direction"):
+        across = np.diag([1.0, 1.0, 1.0]) if name != "direction" else np.diag([0.0, 1.0, 1.0])
+        stated[name] = np.tile((factor * 1e-3) ** 2 * across, (volumes, 1, 1))
+    shares = []
+    for _ in range(20):
+        drawn = 1e-3 * rng.normal(size=(3, volumes, 3))
+        turned = np.array([1.0, 0, 0]) + drawn[2] * [0, 1, 1]
+        estimate = tip + drawn[0]
+        log = replace(
+            insertion_log,
+            volume_estimate_tip=estimate,
+            volume_estimate_entry=estimate - 0.05 * turned,
+            volume_estimate_velocity=velocity + drawn[1],
+            **{f"volume_estimate_{name}_covariance": each for name, each in stated.items()},
+        )
+        figures = consistency(log, known & (np.abs(insertion_log.volume_time - 12) > 0.3))
+        shares.append([figures[name]["within_95"] for name in ("tip", "axis", "velocity")])
+    tip_share, axis_share, velocity_share = np.mean(shares, axis=0)
+    if factor == 1:
+        np.testing.assert_allclose([tip_share, axis_share, velocity_share], 0.95, atol=0.02)
+    else:  # chi-squared with 3 and 2 degrees of freedom below a quarter of the 95 % limit
+        np.testing.assert_allclose([tip_share, velocity_share], 0.42, atol=0.03)
+        assert axis_share == pytest.approx(0.53, abs=0.03)
+
+
+def test_a_log_without_covariances_states_nothing(insertion_log):
+    known = np.ones(len(insertion_log.volume_time), bool)
+    nothing = {"nees": None, "within_95": None}
+    assert consistency(insertion_log, known) == dict.fromkeys(("tip", "axis", "velocity"), nothing)

@@ -58,6 +58,13 @@ class NeedleView(NamedTuple):
     """Number of points behind the tip in the dimpled part."""
 
 
+NO_NEEDLE_VIEW = NeedleView(np.empty((0, 0)), np.empty((0, 0)), np.empty(0), 1.0, 0.0, 1, 0)
+"""Factors on the echo of a needle that looks the same from every angle at any time."""
+
+NO_TRANSMISSION = np.empty((0, 0, 0), np.float32)
+"""Transmission of tissue in which nothing weakens an echo."""
+
+
 @njit(**OPTIONS)
 def _add_point(  # type: ignore[no-untyped-def]
     layer, shadow, x, y, z, closer, real, imaginary, shadow_strength, rays, tables, pulse
@@ -142,9 +149,9 @@ def render_points(  # type: ignore[no-untyped-def]
     rays, tables, pulse
         See `_add_point`.
     view
-        Displacements by refraction, a `View`, or None.
+        Apparent positions of points, or `NO_VIEW`.
     field
-        Displacements of the tissue, `Displacements`, or None.
+        Displacements of the tissue, or `NO_DISPLACEMENTS`.
     """
     frames, lines, samples = iq.shape
     taps = pulse.shape[2]
@@ -152,11 +159,10 @@ def render_points(  # type: ignore[no-untyped-def]
     furthest = rays.array_radius + samples / rays.samples_per_metre
     slab = np.sqrt(_FURTHEST / tables.elevation_precision.min())
     slab += abs(rays.twist) * rays.middle_line * furthest
-    if view is not None:
-        slab += view.aside
-    if field is not None:
-        slab += field.deepest + field.widest_push
-    for frame in prange(frames):
+    bends, deforms = len(view.table) > 0, len(field.counts) > 0
+    slab += view.aside + field.deepest + field.widest_push
+    for each in prange(frames):
+        frame = np.int64(each)
         layer = np.zeros((2, lines, samples + 2 * taps), np.float32)
         no_shadow = np.empty((0, 0), np.float32)
         node = np.empty(15)
@@ -167,12 +173,12 @@ def render_points(  # type: ignore[no-untyped-def]
             x, y, z = transformed(X_FT[frame], points[i, 0], points[i, 1], points[i, 2])
             if abs(z) > slab:
                 continue
-            if field is not None:
+            if deforms:
                 x, y, z = displace(
                     points[i, 0], points[i, 1], points[i, 2], field, frame, True, F, G
                 )
                 x, y, z = transformed(X_FT[frame], x, y, z)
-            if view is not None:
+            if bends:
                 x, y, z = look_up(x, y, z, view, frame, node)
             re = amplitudes[i].real
             im = amplitudes[i].imag
@@ -199,11 +205,13 @@ def render_needles(  # type: ignore[no-untyped-def]
     radius, echo, phases, rays, tables, pulse, view
         See `_add_needle`.
     transmission
-        (frames, lines, samples) float32 factors on echoes from behind structures, or None.
+        (frames, lines, samples) float32 factors on echoes from behind structures, or
+        `NO_TRANSMISSION`.
     """
     frames, lines, samples = iq.shape
     taps = pulse.shape[2]
-    for frame in prange(frames):
+    for each in prange(frames):
+        frame = np.int64(each)
         shaft = shafts[starts[frame] : starts[frame + 1]]
         if len(shaft) > 1:
             layer = np.zeros((2, lines, samples + 2 * taps), np.float32)
@@ -223,7 +231,7 @@ def render_needles(  # type: ignore[no-untyped-def]
                 frame,
             ):
                 _cast_shadow(iq[frame], shadow)
-                if transmission is not None:
+                if len(transmission) > 0:
                     _weaken_layer(layer, transmission[frame], taps)
                 _add_layer(iq[frame], layer, taps)
 
@@ -252,11 +260,12 @@ def _add_needle(  # type: ignore[no-untyped-def]
     rays, tables, pulse
         See `_add_point`.
     view, frame
-        Factors on the echo, a `NeedleView` or None, and the frame's number.
+        Factors on the echo, or `NO_NEEDLE_VIEW`, and the frame's number.
     """
     bevel_points = max(int(echo.bevel * radius / echo.spacing), 1)
     bevel = echo.tip / np.sqrt(bevel_points)
-    if view is not None:
+    varies = len(view.tips) > 0
+    if varies:
         bevel *= view.tips[frame]
     number = 0
     along = 0.0
@@ -276,7 +285,7 @@ def _add_needle(  # type: ignore[no-untyped-def]
             )
             # Along the bevel the wall tapers off, and the bevel's face scatters.
             wall = min((number + 0.5) / bevel_points, 1.0)
-            if view is None:
+            if not varies:
                 specular = wall * echo.specular
                 diffuse = wall * echo.diffuse + (bevel if number < bevel_points else 0.0)
             else:

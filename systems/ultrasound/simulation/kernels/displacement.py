@@ -39,6 +39,22 @@ class Displacements(NamedTuple):
     """Upper limit of all displacements by the needle, in m."""
 
 
+NO_DISPLACEMENTS = Displacements(
+    centres=np.empty((0, 3)),
+    normals=np.empty((0, 3)),
+    depths=np.empty(0),
+    radii=np.empty(0),
+    shafts=np.empty((0, 0, 3)),
+    counts=np.empty(0, np.int64),
+    drags=np.empty(0),
+    drag_reach=1.0,
+    hole=0.0,
+    deepest=0.0,
+    widest_push=0.0,
+)
+"""Fields of tissue that nothing deforms."""
+
+
 @njit(**OPTIONS)
 def _add_products(F, one, nx, ny, nz, px, py, pz, np_, pn, pp, nn):  # type: ignore[no-untyped-def]
     """Write one I + np_ n p' + pn p n' - pp p p' - nn n n' to F."""

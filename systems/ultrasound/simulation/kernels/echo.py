@@ -63,17 +63,18 @@ def render_tissue(  # type: ignore[no-untyped-def]
     kernel
         Kernel from `line_kernel`.
     regions, lumens
-        Regions of other scattering or None, and (2, frames, tubes) radii of their tubes in m and
-        phases of their blood in rad; see `weigh_scatterers`.
+        Regions of other scattering, or `NO_REGIONS`, and (2, frames, tubes) radii of their tubes
+        in m and phases of their blood in rad; see `weigh_scatterers`.
     view
-        Displacements by refraction, a `View`, or None.
+        Apparent positions of points, or `NO_VIEW`.
     field
-        Displacements of the tissue, `Displacements`, or None.
+        Displacements of the tissue, or `NO_DISPLACEMENTS`.
     """
     frames, lines, samples = iq.shape
     pad = len(kernel.ends) // 2 + 1
     taps = pulse.shape[1] // 2
-    for frame in prange(frames):
+    for each in prange(frames):
+        frame = np.int64(each)
         accumulator = np.zeros((lines + 2 * pad, 2 * (samples + 2 * taps)), np.float32)
         deposit_tissue(
             accumulator,
@@ -137,23 +138,18 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
     thickness = reach.max() + abs(twist_per_radian) * half_angle * (depth + rays.array_radius)
     edge_cosine = np.cos(min(half_angle, np.pi / 2))
     edge_sine = np.sin(min(half_angle, np.pi / 2))
-    M = X_FT
-    margin = 0.0
-    if field is not None:
-        margin = field.deepest + field.widest_push
-        F = np.empty((3, 3))
-        G = np.empty((3, 3))
-        M = np.empty((3, 3))
-    A = M
+    bends, deforms = len(view.table) > 0, len(field.counts) > 0
+    node, bent = np.empty(15), np.empty((3, 3))
+    F, G = np.empty((3, 3)), np.empty((3, 3))
+    M = np.empty((3, 3)) if deforms else X_FT
+    A = bent if bends else M
+    margin = field.deepest + field.widest_push
     widest = half_angle
-    if view is not None:
+    straight_reach = thickness
+    if bends:
         # Lines bent outwards reach further, and slower tissue appears deeper.
         widest *= _BENT
-        straight_reach = thickness
         thickness += view.aside
-        node = np.empty(15)
-        bent = np.empty((3, 3))
-        A = bent
     widest_slope = np.tan(min(widest, 1.5))
     closest = thickness + margin
     first, last = frame_blocks(X_FT, box, block_size, depth, widest, closest, margin, rays)
@@ -181,11 +177,11 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                 near = False
                 segment = 0
                 thick = support
-                if field is not None:
+                if deforms:
                     limit = radius + displacement_limit(px, py, pz, field, frame)
                     if abs(x) - (y + rays.centre_offset) * widest_slope > 2 * limit:
                         continue
-                    if view is None and misses(x, y, z, limit, reach, twist_per_radian, rays):
+                    if not bends and misses(x, y, z, limit, reach, twist_per_radian, rays):
                         continue
                     # Within a block, the displacement is linear, except beside the needle.
                     if field.counts[frame] > 0:
@@ -202,7 +198,7 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                     thick = (abs(M[2, 0]) + abs(M[2, 1]) + abs(M[2, 2])) * block_size / 2
                     if abs(z) > thickness + thick:
                         continue
-                if view is not None:
+                if bends:
                     if abs(x) - (y + rays.centre_offset) * widest_slope > 2 * radius:
                         continue
                     # Within a block, the displacement by refraction is taken as linear.
@@ -259,7 +255,7 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                 rank = ranks[start : start + n]
                 source = positions
                 at_source = start
-                if field is not None and near:
+                if near:
                     corner = (bx * block_size, by * block_size, bz * block_size)
                     push_scatterers(pushed, xs, ys, zs, *corner, segment, field, frame)
                     source = pushed
@@ -324,7 +320,7 @@ def deposit_tissue(  # type: ignore[no-untyped-def]
                         bz * block_size,
                         box,
                     )
-                if regions is not None:
+                if regions.content.size > 0:
                     content = regions.content[
                         bx - regions.first_block[0],
                         by - regions.first_block[1],

@@ -45,7 +45,8 @@ def form_image(  # type: ignore[no-untyped-def]
     noise, keys, grey_per_db, offset
         See `compress`; keys is (frames,).
     """
-    for frame in prange(len(grey)):
+    for each in prange(len(grey)):
+        frame = np.int64(each)
         share = coupling(X_TP[frame], origins[frame], directions[frame], box, gel_thickness)
         share *= open_shares[frame]
         compress(grey[frame], iq[frame], share, noise, keys[frame], grey_per_db, offset)
@@ -157,7 +158,8 @@ def modulate(lines, iq, cosine, sine):  # type: ignore[no-untyped-def]
     cosine, sine
         (samples,) float32 cosine and sine of the carrier's phase.
     """
-    for frame in prange(len(lines)):
+    for each in prange(len(lines)):
+        frame = np.int64(each)
         for j in range(lines.shape[1]):
             for i in range(lines.shape[2]):
                 echo = iq[frame, j, i]

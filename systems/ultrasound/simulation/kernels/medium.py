@@ -53,6 +53,10 @@ class View(NamedTuple):
     """Largest change of the distance from a frame's plane for points near it, in m."""
 
 
+NO_VIEW = View(np.empty((0, 0, 0, 15)), 1.0, 0.0, 0.0, 1.0, 0.0, 0.0)
+"""View of points that appear at their true positions."""
+
+
 @njit(**OPTIONS)
 def interpolated(table, line, node):  # type: ignore[no-untyped-def]
     """Interpolate a (lines, nodes) table, held constant beyond its edges."""
@@ -175,7 +179,8 @@ def tabulate_views(table, medium, view):  # type: ignore[no-untyped-def]
     medium, view
         Layers, and the view that defines the table's axes.
     """
-    for frame in prange(len(table)):
+    for each in prange(len(table)):
+        frame = np.int64(each)
         slope = np.empty((3, 3))
         for j in range(table.shape[1]):
             phi = (j - view.middle) / view.angles_per_radian
@@ -283,7 +288,8 @@ def integrate_paths(  # type: ignore[no-untyped-def]
     frames, lines, nodes = gains.shape
     nx, ny, nz = labels.shape
     step = 1 / medium.nodes_per_metre
-    for frame in prange(frames):
+    for each in prange(frames):
+        frame = np.int64(each)
         X = X_TF[frame]
         bends = medium.offsets[frame] > -1e6
         for j in range(lines):
@@ -329,7 +335,8 @@ def expand_gains(transmission, gains, nodes_per_sample):  # type: ignore[no-unty
     """
     frames, lines, samples = transmission.shape
     last = gains.shape[2] - 2
-    for frame in prange(frames):
+    for each in prange(frames):
+        frame = np.int64(each)
         for j in range(lines):
             for i in range(samples):
                 node = i * nodes_per_sample

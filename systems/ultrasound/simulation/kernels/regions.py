@@ -46,6 +46,26 @@ class Regions(NamedTuple):
     """(256,) shuffled quantiles of the standard normal distribution, used as rates of blood."""
 
 
+NO_REGIONS = Regions(
+    first_block=np.zeros(3, np.int64),
+    content=np.empty((0, 0, 0), np.int32),
+    starts=np.zeros(1, np.int32),
+    members=np.empty(0, np.int32),
+    ends=np.empty((0, 2, 3)),
+    tubes=np.empty(0, np.int32),
+    tube_amplitudes=np.empty(0, np.float32),
+    labels=np.empty((0, 0, 0), np.uint8),
+    origin=np.zeros(3),
+    per_metre=1.0,
+    amplitudes=np.empty(0, np.float32),
+    shares=np.empty(0, np.float32),
+    fat_thickness=0.0,
+    fat_amplitude=1.0,
+    quantiles=np.empty(0),
+)
+"""Regions of plain tissue."""
+
+
 @njit(**OPTIONS)
 def weigh_scatterers(  # type: ignore[no-untyped-def]
     chosen, count, xs, ys, zs, x0, y0, z0, block_list, cosine, sine, regions, lumens

@@ -81,13 +81,13 @@ def _in_frame(  # type: ignore[no-untyped-def]
     x = pieces.points[i, 0] + growth[surface] * nx
     y = pieces.points[i, 1] + growth[surface] * ny
     z = pieces.points[i, 2] + growth[surface] * nz
-    if field is not None:
+    if len(field.counts) > 0:
         x, y, z = displace(x, y, z, field, frame, True, F, G)
         nx, ny, nz = _turned(nx, ny, nz, F)
     px = X_FT[0, 0] * x + X_FT[0, 1] * y + X_FT[0, 2] * z + X_FT[0, 3]
     py = X_FT[1, 0] * x + X_FT[1, 1] * y + X_FT[1, 2] * z + X_FT[1, 3]
     pz = X_FT[2, 0] * x + X_FT[2, 1] * y + X_FT[2, 2] * z + X_FT[2, 3]
-    if view is None:
+    if len(view.table) == 0:
         q = py + rays.centre_offset
         r = np.sqrt(px * px + q * q)
         ux = px / r
@@ -245,9 +245,9 @@ def render_surfaces(  # type: ignore[no-untyped-def]
         (kinds, 2, FRACTIONS + 1, longest) float32 pulses, and (kinds,) their lengths. The first one
         is the echo; the others follow it.
     view
-        Displacements by refraction, a `View`, or None.
+        Apparent positions of points, or `NO_VIEW`.
     field
-        Displacements of the tissue, `Displacements`, or None.
+        Displacements of the tissue, or `NO_DISPLACEMENTS`.
     weakened
         Whether the transmission is initially below 1 anywhere.
     """
@@ -256,10 +256,11 @@ def render_surfaces(  # type: ignore[no-untyped-def]
     furthest = rays.array_radius + samples / rays.samples_per_metre
     slab = np.sqrt(_FURTHEST / tables.elevation_precision.min())
     slab += abs(rays.twist) * rays.middle_line * furthest
-    if view is not None:
-        slab += view.aside
+    slab += view.aside
+    deforms = len(field.counts) > 0
     margin = np.int64(_OWN_SHADOW * rays.samples_per_metre)
-    for frame in prange(frames):
+    for each in prange(frames):
+        frame = np.int64(each)
         X = X_FT[frame]
         seen = np.empty(len(pieces.points), np.int64)
         count = 0
@@ -267,7 +268,7 @@ def render_surfaces(  # type: ignore[no-untyped-def]
             z = X[2, 0] * pieces.points[i, 0] + X[2, 1] * pieces.points[i, 1]
             z += X[2, 2] * pieces.points[i, 2] + X[2, 3]
             thick = slab
-            if field is not None and abs(z) < slab + field.deepest + field.widest_push:
+            if deforms and abs(z) < slab + field.deepest + field.widest_push:
                 p = pieces.points[i]
                 thick += displacement_limit(p[0], p[1], p[2], field, frame)
             if abs(z) < thick and not _is_turned_away(i, X, pieces, rays):

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +11,7 @@ from sonoservo.systems.signals.immutable import Immutable, read_only
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 from sonoservo.systems.ultrasound.simulation.kernels.displacement import (
+    NO_DISPLACEMENTS,
     Displacements,
     displace_points,
 )
@@ -133,17 +133,14 @@ def moved_needle(
     return Needle(shaft, needle.radius, roll=needle.roll)
 
 
-@overload
-def displacements(deformations: None) -> None: ...
-@overload
-def displacements(deformations: Sequence[Deformation]) -> Displacements: ...
-def displacements(deformations: Sequence[Deformation] | None) -> Displacements | None:
-    """Return the fields of the frames' deformations for the kernels; None for undeformed tissue.
+def displacements(deformations: Sequence[Deformation] | None) -> Displacements:
+    """Return the fields of the frames' deformations for the kernels.
 
     Lengths are rounded to 10 nm, so that tissue at rest is the same from one sweep to the next.
+    None stands for undeformed tissue.
     """
     if deformations is None:
-        return None
+        return NO_DISPLACEMENTS
     frames = len(deformations)
     pushing = [d for d in deformations if len(d.shaft) and (d.drag != 0 or d.hole_radius > 0)]
     most = max((min(len(d.shaft), _MOST_POINTS) for d in pushing), default=1)

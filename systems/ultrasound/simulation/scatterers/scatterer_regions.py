@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from sonoservo.systems.ultrasound.simulation.anatomy.anatomy_grid import AnatomyGrid
-from sonoservo.systems.ultrasound.simulation.kernels.regions import Regions
+from sonoservo.systems.ultrasound.simulation.kernels.regions import NO_REGIONS, Regions
 from sonoservo.systems.ultrasound.simulation.structures.structure import Tube
 from sonoservo.systems.ultrasound.simulation.structures.vessel import distance_to_segment
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
@@ -15,8 +15,8 @@ from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 
 def scatterer_regions(
     tissue: Tissue, grid: AnatomyGrid | None, tubes: list[Tube], block_size: float
-) -> Regions | None:
-    """Prepare lumens, labels and fat for the scatterers' kernel; return None for plain tissue.
+) -> Regions:
+    """Prepare lumens, labels and fat for the scatterers' kernel.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def scatterer_regions(
     """
     fat = tissue.fat
     if grid is None and not tubes and (fat.thickness == 0 or fat.level_db == 0):
-        return None
+        return NO_REGIONS
     size = np.array(tissue.size)
     low = np.array([-size[0] / 2, -size[1] / 2, -size[2]])
     first = np.floor(low / block_size).astype(np.int64)
@@ -67,8 +67,8 @@ def scatterer_regions(
         ends=np.array([[start, end] for _, start, end in ends]).reshape(-1, 2, 3),
         tubes=np.array([number for number, _, _ in ends], dtype=np.int32),
         tube_amplitudes=np.array([10 ** (t.level_db / 20) for t in tubes], dtype=np.float32),
-        labels=np.zeros((1, 1, 1), np.uint8) if grid is None else grid.numbers,
-        origin=np.full(3, 1e3) if grid is None else grid.origin,
+        labels=np.zeros((1, 1, 1), np.uint8) if grid is None else grid.numbers.copy(),
+        origin=np.full(3, 1e3) if grid is None else grid.origin.copy(),
         per_metre=1.0 if grid is None else 1 / grid.spacing,
         amplitudes=(10 ** (levels / 20) / np.sqrt(shares)).astype(np.float32),
         shares=shares.astype(np.float32),

@@ -3,7 +3,7 @@ import time
 
 import numpy as np
 import pytest
-from meshcat_socket import MeshcatSocket
+from page_clients.meshcat_socket import MeshcatSocket
 from pydrake.geometry import Meshcat, MeshcatParams
 from pydrake.systems.analysis import Simulator
 

@@ -1,10 +1,5 @@
-"""Study of localization and tracking in volumes made independently of the project's renderer.
+"""Runs of localization and tracking on the independent volumes, compared with the truth."""
 
-Run ``python -m independent_study --volumes 60 --sequences 24 --first-seed 100`` for its table. Tune
-with seeds from 100 on only; seeds 0 to 99 are for reports.
-"""
-
-import argparse
 import itertools
 import time
 from dataclasses import dataclass
@@ -38,6 +33,7 @@ class Outcome:
     along: float
     across: float
     tip_seen: bool
+    turned: bool
     within_along: bool | None = None
     within_across: bool | None = None
 
@@ -62,6 +58,7 @@ def compare(truth, curve, covariance=None):
     outcome = Outcome(
         bool(distance < RIGHT_DISTANCE and tilt < RIGHT_ANGLE),
         float(np.linalg.norm(error)), along, float(np.linalg.norm(across)), tip_seen,
+        bool(curve.direction @ k < 0),
     )  # fmt: skip
     if covariance is not None:
         outcome.within_along = bool(along**2 <= chi2.ppf(0.95, 1) * (k @ covariance @ k))
@@ -102,8 +99,9 @@ def describe(row, truth):
     if row["outcome"] is None:
         return f"{text} FALSE, confidence {row['confidence']:.2f}"
     o = row["outcome"]
+    turned = ", turned" if o.turned else ""
     errors = f"along {1e3 * o.along:.1f}, across {1e3 * o.across:.1f} mm"
-    return f"{text} {'right' if o.right else 'WRONG'}, {errors}, {row['confidence']:.2f}"
+    return f"{text} {'right' if o.right else 'WRONG'}{turned}, {errors}, {row['confidence']:.2f}"
 
 
 def draw_sequence(i, seed):
@@ -129,17 +127,19 @@ def study_sequences(count, first_seed, say=None):
             trackers[start] = tracker, tracker.CreateDefaultContext()
         made = [
             {"kind": kind, "kinds": kinds, "seed": first_seed + i, "start": start, "outcomes": [],
-             "starts": [], "expected": 0, "tracked": 0, "volumes": 0, "ghosts": 0}
+             "starts": [], "expected": 0, "tracked": 0, "volumes": 0, "ghosts": 0, "moving": False}
             for start in STARTS
         ]  # fmt: skip
         had = dict.fromkeys(STARTS, False)
-        path = None
+        path, pose = None, None
         for volume, truth in case:
+            pose = pose or volume.X_WP
             if truth is not None and (path is None or len(truth.curve) >= len(path)):
                 path = truth.curve
             for row in made:
                 estimate = track_volume(*trackers[row["start"]], volume)
                 note(row, estimate, truth, path, had)
+                row["moving"] |= not volume.X_WP.IsNearlyEqualTo(pose, 1e-6)
         rows += made
         if say:
             for row in made:
@@ -167,107 +167,11 @@ def describe_sequence(row):
     """Return a line about one sequence."""
     tips = 1e3 * np.array([o.tip for o in row["outcomes"]] or [np.nan])
     right = np.mean([o.right for o in row["outcomes"]] or [np.nan])
+    motion = ", probe moves" if row["moving"] else ""
     return (
         f"sequence {row['seed']} {row['kind']}, {'+'.join(row['kinds']) or 'plain'}, "
-        f"{row['start']}: tracked {row['tracked']} of {row['expected']} expected, "
+        f"{row['start']}{motion}: tracked {row['tracked']} of {row['expected']} expected, "
         f"{row['starts'].count(False)} false starts of {len(row['starts'])}, "
         f"{row['ghosts']} after the end, right {right:.2f}, "
         f"tip median {np.median(tips):.1f}, largest {tips.max():.1f} mm"
     )
-
-
-def quantiles(values):
-    """Median and 95 % quantile of absolute values in m, as text in mm."""
-    if not len(values):
-        return "-, -"
-    return ", ".join(f"{1e3 * q:.2f}" for q in np.quantile(np.abs(values), [0.5, 0.95]))
-
-
-def share(flags):
-    """Share of flags that are set, as text."""
-    flags = list(flags)
-    return f"{np.mean(flags):.0%} of {len(flags)}" if flags else "-"
-
-
-def table_of_volumes(rows):
-    """Lines of the table about single volumes."""
-    lines = []
-    groups = {
-        "needle, plain": [r for r in rows if r["needle"] and not r["kinds"]],
-        "needle, structures": [r for r in rows if r["needle"] and r["kinds"]],
-        "needle, all": [r for r in rows if r["needle"]],
-        f"needle, {1e3 * SEEN:.0f} mm visible": [r for r in rows if r["seen"] >= SEEN],
-    }
-    for name, group in groups.items():
-        found = [r for r in group if r["found"]]
-        right = [r["outcome"] for r in found if r["outcome"].right]
-        wrong = len(found) - len(right)
-        tips = [o.tip for o in right]
-        clear = [o.tip for o in right if o.tip_seen]
-        confidence = [r["confidence"] for r in found if r["outcome"].right]
-        lines.append(
-            f"{name:26} found {share(bool(r.get('outcome')) and r['outcome'].right for r in group)}"
-            f", wrong {wrong}; tip {quantiles(tips)} mm, visible tip {quantiles(clear)} mm; along "
-            f"{quantiles([o.along for o in right])}, across "
-            f"{quantiles([o.across for o in right])} mm; confidence "
-            f"{np.median(confidence or [np.nan]):.2f}"
-        )
-    for name, chosen in (("no needle, plain", False), ("no needle, structures", True)):
-        group = [r for r in rows if not r["needle"] and bool(r["kinds"]) == chosen]
-        false = [r["confidence"] for r in group if r["found"]]
-        lines.append(
-            f"{name:26} false {len(false)} of {len(group)}; confidence "
-            f"{', '.join(f'{each:.2f}' for each in sorted(false)) or '-'}"
-        )
-    lines.append(f"locate: median {1e3 * np.median([r['s'] for r in rows]):.0f} ms")
-    return lines
-
-
-def table_of_sequences(rows):
-    """Lines of the table about sequences."""
-    lines = []
-    for start, kind in itertools.product(STARTS, (*KINDS, None)):
-        group = [r for r in rows if r["start"] == start and kind in (r["kind"], None)]
-        needles = [r for r in group if r["kind"] != "no needle"]
-        outcomes = [o for r in needles for o in r["outcomes"]]
-        expected, tracked = (sum(r[name] for r in needles) for name in ("expected", "tracked"))
-        found = share(any(o.right for o in r["outcomes"]) for r in needles if r["expected"])
-        false = sum(r["starts"].count(False) for r in group)
-        ghosts = sum(r["ghosts"] for r in group)
-        clear = [o.tip for o in outcomes if o.tip_seen]
-        lines.append(
-            f"{start:8} {kind or 'all':15} found {found}, tracked {tracked} of {expected} volumes, "
-            f"right {share(o.right for o in outcomes)}; false starts {false} in {len(group)} "
-            f"sequences, tracked without needle {ghosts}; tip "
-            f"{quantiles([o.tip for o in outcomes])} mm, visible tip {quantiles(clear)} mm; "
-            f"in stated 95 %: along {share(o.within_along for o in outcomes)}, across "
-            f"{share(o.within_across for o in outcomes)}"
-        )
-    return lines
-
-
-def main(arguments=None):
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--volumes", type=int, default=60, help="volumes with, and without needle")
-    parser.add_argument("--sequences", type=int, default=24)
-    parser.add_argument("--first-seed", type=int, default=100)
-    parser.add_argument("--verbose", action="store_true", help="print a line for each case")
-    chosen = parser.parse_args(arguments)
-
-    def say(line):
-        print(line, flush=True)
-
-    detail = say if chosen.verbose else None
-    if chosen.volumes:
-        for line in table_of_volumes(study_volumes(chosen.volumes, chosen.first_seed, detail)):
-            say(line)
-    if chosen.sequences:
-        for line in table_of_sequences(
-            study_sequences(chosen.sequences, chosen.first_seed, detail)
-        ):
-            say(line)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,0 +1,153 @@
+"""Meshcat's page on a site: Drake's server is hidden, and reached through the site's rule alone."""
+
+import asyncio
+import base64
+import secrets
+from contextlib import suppress
+from mimetypes import guess_type
+
+from pydrake.geometry import Meshcat, MeshcatParams
+from tornado.httpclient import AsyncHTTPClient
+from tornado.iostream import IOStream, StreamClosedError
+from tornado.tcpclient import TCPClient
+from tornado.websocket import WebSocketHandler
+
+from sonoservo.systems.display.pages.page_messages import checked_message
+from sonoservo.systems.display.pages.site import Guarded, Site
+
+PATIENCE = 20.0
+"""Time in s for which a page may leave what it was sent unread before it is disconnected."""
+
+_FILES = r"(|index\.html|meshcat\.html|favicon\.ico|download|cas-v1/[0-9a-f]{64})"
+"""Paths of Meshcat's server that are passed on."""
+
+_CHUNK = 65_536
+_BINARY, _PONG = 0x82, 0x8A
+"""First bytes of a WebSocket's frames (RFC 6455)."""
+
+
+def open_meshcat(site: Site, *, page: str = "world", title: str = "World") -> Meshcat:
+    """Return a Meshcat whose page is on a site; its `web_url` is the page's address there.
+
+    Drake's server checks neither Host nor Origin, and a message that is not whole ends it. It
+    therefore listens where no page finds it: at a random address of this machine's own loop,
+    127.x.y.z, and a random port. The site passes files on from it and, to it, the messages that
+    `checked_message` accepts. A page that sends anything else, or reads nothing for `PATIENCE`, is
+    disconnected.
+
+    Parameters
+    ----------
+    site
+        Site of the page. It keeps the Meshcat alive until it is closed.
+    page, title
+        Name of the page in its address, and title in the list of pages.
+
+    Notes
+    -----
+    The hidden server itself still answers everybody. A page of another origin would have to guess
+    24 bits of its address and about 15 bits of its port, at some hundreds of attempts per second.
+    If the system has no loop address but 127.0.0.1, as macOS, only the port is hidden, and a
+    patient page can find it. Programs on this machine can list open ports in any case.
+    """
+    for host in (_random_loop_address(), "127.0.0.1"):
+        parameters = MeshcatParams(host=host, port=0, web_url_pattern=site.address(page))
+        with suppress(RuntimeError):
+            meshcat = Meshcat(parameters)
+            break
+    else:
+        raise OSError("no port of this machine's loop is free for Meshcat")
+    server = host, meshcat.port()
+    site.add(page, title, [(_FILES, MeshcatPage, {"server": server})], keep=meshcat)
+    return meshcat
+
+
+def _random_loop_address() -> str:
+    last = [secrets.randbelow(256), secrets.randbelow(256), 1 + secrets.randbelow(254)]
+    return ".".join(map(str, [127, *last]))
+
+
+class MeshcatPage(Guarded, WebSocketHandler):
+    """Passes requests and messages of one page on to Meshcat's server.
+
+    What the server sends is passed on unread; a page costs about 1 % of a core.
+    """
+
+    def initialize(self, server: tuple[str, int]) -> None:
+        """Keep the address and the port of Meshcat's server."""
+        self._server = server
+        self._upstream: IOStream | None = None
+
+    def check_origin(self, origin: str) -> bool:
+        """Return True, because the site's rule has checked the origin."""
+        return True
+
+    async def get(self, path: str) -> None:
+        """Open a WebSocket, or answer with a file."""
+        if self.request.headers.get("Upgrade", "").lower() == "websocket":
+            await super().get(path)
+            return
+        host, port = self._server
+        answer = await AsyncHTTPClient().fetch(
+            f"http://{host}:{port}/{path}", raise_error=False, request_timeout=60
+        )
+        self.set_status(answer.code, answer.reason)
+        named = guess_type(answer.headers.get("Meshcat-Cas-Filename", ""))[0]
+        kind = answer.headers.get("Content-Type", named or "application/octet-stream")
+        self.set_header("Content-Type", kind)
+        if "javascript" in kind:  # it is Drake's, and large
+            self.set_header("Cache-Control", answer.headers.get("Cache-Control", "no-store"))
+        await self.finish(answer.body)
+
+    async def open(self, path: str) -> None:
+        """Open a WebSocket to Meshcat's server."""
+        page: IOStream = self.ws_connection.stream
+        try:
+            self._upstream = await TCPClient().connect(*self._server)
+            key = base64.b64encode(secrets.token_bytes(16)).decode()
+            await self._upstream.write(
+                "GET / HTTP/1.1\r\nHost: meshcat\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+                f"Sec-WebSocket-Key: {key}\r\nSec-WebSocket-Version: 13\r\n\r\n".encode()
+            )
+            await self._upstream.read_until(b"\r\n\r\n", max_bytes=_CHUNK)
+        except OSError:
+            self.close(1011, "Meshcat has ended")
+            return
+        self._relay = asyncio.create_task(self._pass_on(self._upstream, page))
+
+    async def on_message(self, message: str | bytes) -> None:
+        """Pass a message on to the server, or disconnect a page that sends anything else."""
+        try:
+            if isinstance(message, str):
+                raise ValueError("it is a text")
+            await self._send(_BINARY, checked_message(message))
+        except ValueError as error:
+            self.close(1008, f"message refused: {error}")
+
+    def on_pong(self, data: bytes) -> None:
+        """Tell the server that the page is alive: it disconnects those that do not answer."""
+        self._answer = asyncio.create_task(self._send(_PONG, data))
+
+    def on_close(self) -> None:
+        """Close the connection to the server."""
+        if self._upstream is not None:
+            self._upstream.close()
+
+    async def _send(self, kind: int, data: bytes) -> None:
+        """Send a frame to the server, masked by zero."""
+        length = len(data)
+        head = bytes([kind, 0x80 | length]) if length < 126 else bytes([kind, 0xFE])
+        extended = b"" if length < 126 else length.to_bytes(2)
+        if self._upstream is not None:
+            with suppress(StreamClosedError):
+                await self._upstream.write(head + extended + bytes(4) + data)
+
+    async def _pass_on(self, upstream: IOStream, page: IOStream) -> None:
+        """Pass bytes from the server on to the page, until one of them closes or does not read."""
+        with suppress(StreamClosedError):
+            while True:
+                written = page.write(await upstream.read_bytes(_CHUNK, partial=True))
+                await asyncio.wait({written}, timeout=PATIENCE)
+                if not written.done():
+                    break
+        page.close()
+        upstream.close()

@@ -1,0 +1,284 @@
+"""Server of all pages of a run, on a thread of its own."""
+
+import asyncio
+import atexit
+import errno
+import html
+import socket
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+from tornado.httpserver import HTTPServer
+from tornado.netutil import bind_sockets
+from tornado.web import Application, HTTPError, RequestHandler
+
+from sonoservo.systems.display.pages.access import Access
+from sonoservo.systems.signals.requirements import require
+
+T = TypeVar("T")
+
+PORT = 7000
+"""Port that a site tries first."""
+
+MAX_MESSAGE = 65_536
+"""Maximum size in bytes of a page's message; real ones stay below a kilobyte."""
+
+_PORTS = 100
+"""Number of successive ports that are tried."""
+
+_FAREWELL = 0.05
+"""Time in s for telling open pages that the server stops."""
+
+_REFUSED = """\
+<!DOCTYPE html><meta charset="utf-8"><title>Refused</title>
+<style>body {{ font: 16px sans-serif; max-width: 40em; margin: 15vh auto; }}</style>
+<h1>This page is private</h1>
+<p>It can steer a robot, so the request was refused. {reason}</p>
+<p>Open the whole address that the program printed in its terminal, up to the end of
+<code>?token=...</code>. Each start of the program has a new one.</p>
+"""
+
+
+class Site:
+    """Serves all pages of a run under one address, and only to those who know its token.
+
+    Pages are added with `add`. Each page has an address of its own, with the token in it, from
+    `address`. A browser that has opened one keeps the token as a cookie, which it sends to this
+    site only (SameSite=Strict) and shows to no script (HttpOnly). `Access` is the rule for every
+    request, and the list of the pages is at the site's root.
+
+    The site serves on a thread of its own, and ends with the process.
+
+    Parameters
+    ----------
+    host
+        Name or address to listen on; ``*`` for all addresses of this machine.
+    port
+        Port to listen on, or the next free one if it is in use.
+
+    Attributes
+    ----------
+    access
+        Rule for every request.
+
+    Raises
+    ------
+    ValueError
+        If the port is not between 1 and 65535.
+    OSError
+        If the host is not an address of this machine, or no port is free.
+    """
+
+    def __init__(self, *, host: str = "localhost", port: int = PORT) -> None:
+        require(0 < port <= 65535, "port", port, "1 to 65535")
+        self.access = Access(host)
+        sockets = _listen(host, port)
+        self.port: int = sockets[0].getsockname()[1]
+        self._titles: dict[str, str] = {}
+        self._kept: list[object] = []
+        self._loop = asyncio.new_event_loop()
+        self._application = Application(
+            [("/", _Index, {"titles": self._titles})],
+            default_handler_class=_Unknown,
+            default_handler_args={},
+            access=self.access,
+            cookie=f"sonoservo_{self.port}",
+            log_function=lambda handler: None,
+            websocket_max_message_size=MAX_MESSAGE,
+        )
+        self._closing: list[Callable[[], None]] = []
+        self._thread = threading.Thread(target=self._serve, args=(sockets,), daemon=True)
+        self._thread.start()
+        atexit.register(self.close)  # a thread that draws must not outlive the interpreter
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def address(self, page: str = "") -> str:
+        """Return the address at which a user opens a page, by its name; it holds the token."""
+        path = f"{page}/" if page else ""
+        token = self.access.token
+        return f"http://{self.access.public_name}:{self.port}/{path}?token={token}"
+
+    def add(
+        self,
+        page: str,
+        title: str,
+        handlers: Sequence[tuple[str, type["Guarded"], dict[str, Any]]],
+        *,
+        keep: object = None,
+        close: Callable[[], None] | None = None,
+    ) -> None:
+        """Add a page.
+
+        Parameters
+        ----------
+        page
+            Name of the page in its address.
+        title
+            Title in the list of pages.
+        handlers
+            Path below the page's, class and arguments of each of its request handlers.
+        keep
+            Object that is kept alive until the site is closed, and let go on the thread that closes
+            it.
+        close
+            Function called on the site's thread before it stops.
+
+        Raises
+        ------
+        ValueError
+            If the site has a page of this name.
+        """
+        require(page not in self._titles, "page", page, "a name that the site does not have yet")
+
+        def do() -> None:
+            self._titles[page] = title
+            below = [(f"/{page}/{path}", handler, args) for path, handler, args in handlers]
+            self._application.add_handlers(".*", below)
+            if close is not None:
+                self._closing.append(close)
+
+        self.ask(do)
+        self._kept.append(keep)
+
+    def call(self, function: Callable[[], None]) -> None:
+        """Call a function on the site's thread soon; return at once, even if it is closed."""
+        with suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(function)
+
+    def ask(self, function: Callable[[], T]) -> T:
+        """Call a function on the site's thread, and return its result."""
+
+        async def answer() -> T:
+            return function()
+
+        return asyncio.run_coroutine_threadsafe(answer(), self._loop).result()
+
+    def close(self) -> None:
+        """Stop serving."""
+        atexit.unregister(self.close)
+        if self._thread.is_alive():
+            self._loop.call_soon_threadsafe(self._loop.stop)
+            self._thread.join()
+        self._kept.clear()
+
+    def _serve(self, sockets: list[socket.socket]) -> None:
+        asyncio.set_event_loop(self._loop)
+        server = HTTPServer(self._application, max_body_size=4096, idle_connection_timeout=60)
+        server.add_sockets(sockets)
+        try:
+            self._loop.run_forever()
+        finally:
+            server.stop()
+            for close in self._closing:
+                close()
+            self._loop.run_until_complete(asyncio.sleep(_FAREWELL))
+            self._loop.run_until_complete(server.close_all_connections())
+            left = asyncio.all_tasks(self._loop)
+            for task in left:
+                task.cancel()
+            self._loop.run_until_complete(asyncio.gather(*left, return_exceptions=True))
+            self._loop.close()
+
+
+class Guarded(RequestHandler):
+    """Request handler that answers only what the site's rule allows.
+
+    Attributes
+    ----------
+    needs_token
+        Whether requests need the token; a published library needs none.
+    """
+
+    needs_token = True
+
+    def prepare(self) -> None:
+        """Refuse the request, or remember the token in the browser."""
+        access: Access = self.settings["access"]
+        cookie: str = self.settings["cookie"]
+        shown = self.get_query_argument("token", "")
+        known = self.get_cookie(cookie, "") or ""
+        reason = access.refusal(
+            self.request.headers.get("Host"),
+            self.request.headers.get("Origin"),
+            (shown, known) if self.needs_token else (access.token,),
+            websocket=self.request.headers.get("Upgrade", "").lower() == "websocket",
+        )
+        if reason is not None:
+            self.set_status(403)
+            self.finish(_REFUSED.format(reason=html.escape(reason)))
+        elif self.needs_token and known != access.token:
+            self.set_cookie(cookie, access.token, httponly=True, samesite="Strict")
+        elif self.needs_token and shown != access.token:
+            # Another page's frame would let it steal clicks; a notebook's frame shows the token.
+            self.set_header("Content-Security-Policy", "frame-ancestors 'none'")
+
+    def set_default_headers(self) -> None:
+        """Keep what is served away from other pages, and from disks."""
+        self.set_header("Cache-Control", "no-store")
+        self.set_header("Cross-Origin-Resource-Policy", "same-origin")
+        self.set_header("Referrer-Policy", "no-referrer")
+        self.set_header("X-Content-Type-Options", "nosniff")
+
+
+class Document(Guarded):
+    """Serves one text."""
+
+    def initialize(self, text: str) -> None:
+        """Keep the text."""
+        self._text = text
+
+    def get(self) -> None:
+        """Answer with the text."""
+        self.finish(self._text)
+
+
+class _Index(Guarded):
+    """Serves the list of the pages."""
+
+    def initialize(self, titles: dict[str, str]) -> None:
+        self._titles = titles
+
+    def get(self) -> None:
+        rows = "".join(
+            f'<li><a href="{page}/">{html.escape(title)}</a>'
+            for page, title in self._titles.items()
+        )
+        self.finish(f'<!DOCTYPE html><meta charset="utf-8"><title>sonoservo</title><ul>{rows}</ul>')
+
+
+class _Unknown(Guarded):
+    """Answers for a path that no page has, but only to those who may ask."""
+
+    def prepare(self) -> None:
+        super().prepare()
+        if not self._finished:
+            raise HTTPError(404)
+
+
+def _listen(host: str, port: int) -> list[socket.socket]:
+    """Return sockets that listen on the first free port."""
+    last = min(port + _PORTS - 1, 65535)
+    for number in range(port, last + 1):
+        try:
+            return bind_sockets(number, "" if host == "*" else host)
+        except socket.gaierror as error:
+            raise OSError(f"host: {host!r} is no name or address of this machine") from error
+        except OSError as error:
+            if error.errno == errno.EADDRNOTAVAIL:
+                raise OSError(f"host: {host!r} is no name or address of this machine") from error
+            if error.errno != errno.EADDRINUSE:
+                raise
+    raise OSError(f"port: none of {port} to {last} is free on {host!r}")

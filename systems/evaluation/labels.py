@@ -1,0 +1,32 @@
+"""Labels of a run's figures."""
+
+LABELS = {
+    "detection.volume": "insertion detected at volume",
+    "detection.visible_mm": "needle in view at detection, mm",
+    "detection.false_starts": "false starts in the whole run",
+    "tracking.volumes": "volumes since then, with the needle in the tissue",
+    "tracking.tracked": "of these, needle tracked",
+    "tracking.lost_events": "times lost",
+    "tracking.tip_error_mm.median": "tip error, median, mm",
+    "tracking.tip_error_mm.p95": "tip error, 95 %, mm",
+    "tracking.axis_error_deg.median": "axis error, median, deg",
+    "tracking.axis_error_deg.p95": "axis error, 95 %, deg",
+    "tracking.consistency.tip.within_95": "share of tips inside the stated 95 %",
+    "tracking.absent_s": "time with an estimate but no needle, s",
+    "servo.at_rest.x_mm": "at rest: mean |X|, true, mm",
+    "servo.at_rest.z_mm": "at rest: mean |Z|, true, mm",
+    "servo.at_rest.theta_deg": "at rest: mean |Theta|, true, deg",
+    "servo.at_rest_estimated.x_mm": "at rest: mean |X|, estimated, mm",
+    "servo.at_rest_estimated.z_mm": "at rest: mean |Z|, estimated, mm",
+    "servo.at_rest_estimated.theta_deg": "at rest: mean |Theta|, estimated, deg",
+    "force.mean_n": "contact force, mean, N",
+    "force.rms_error_n": "contact force, RMS error, N",
+    "force.max_n": "contact force, largest, N",
+    "guard.interventions": "times stopped by the guard",
+    "guard.volumes_refused": "volumes refused as implausible",
+    "compute_ms.render.median": "rendering a sweep, median, ms",
+    "compute_ms.convert.median": "scan conversion, median, ms",
+    "compute_ms.track.median": "tracking, median, ms",
+    "real_time_factor": "simulated time / wall time",
+}
+"""Label of each figure of a summary that tables show, by its dotted path."""

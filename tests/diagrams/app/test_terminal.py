@@ -1,0 +1,31 @@
+import pytest
+import typer
+from rich.console import Console
+
+from sonoservo.diagrams.app.run import RunResult
+from sonoservo.diagrams.app.terminal import end_run, summary_table
+
+
+def result(failure=None, **summary):
+    summary = {"scenario": "fig", "seed": 0, **summary}
+    return RunResult(summary=summary, log=None, labels={}, failure=failure)
+
+
+@pytest.mark.parametrize("stopped", [None, "the force is 12 N"])
+@pytest.mark.parametrize("reason", [None, "Nothing [moved]."])
+def test_the_table_says_why_no_needle_was_found_and_why_the_robot_stands(stopped, reason):
+    console = Console(record=True, width=200)
+    detection = {"reason": reason, "advice": "Push."} if reason else {}
+    console.print(summary_table(result(detection=detection, guard={"stopped_at_end": stopped})))
+    said = " ".join(console.export_text().split())
+    assert ("No needle was found. Nothing [moved]. Push." in said) == (reason is not None)
+    assert (f"still stopped at the end because {stopped}" in said) == (stopped is not None)
+
+
+def test_a_file_that_was_not_written_goes_before_the_exit_status():
+    end_run(result(guard={"stopped_at_end": None}))
+    with pytest.raises(typer.Exit) as ended:
+        end_run(result(guard={"stopped_at_end": "the force is 12 N"}))
+    assert ended.value.exit_code == 3
+    with pytest.raises(OSError, match="disk full"):
+        end_run(result(OSError("disk full"), guard={"stopped_at_end": "the force is 12 N"}))

@@ -1,0 +1,1 @@
+"""Clients of our pages: a browser, and sockets that speak as one."""

@@ -1,0 +1,149 @@
+"""Pages of a site, and those who must not see them."""
+
+import socket
+from urllib.error import HTTPError
+from urllib.parse import urlsplit
+from urllib.request import Request, urlopen
+
+import pytest
+from page_clients.page_socket import ask, open_socket
+from tornado.websocket import WebSocketHandler
+
+from sonoservo.systems.display.pages.site import Document, Guarded, Site
+
+
+class Echo(Guarded, WebSocketHandler):
+    def check_origin(self, origin):
+        return True
+
+    async def on_message(self, message):
+        await self.write_message(message, binary=True)
+
+
+@pytest.fixture(scope="module")
+def site():
+    with Site() as site:
+        site.add("page", "A <page>", [("", Document, {"text": "hello"}), ("socket", Echo, {})])
+        yield site
+
+
+def get(url, **headers):
+    """Status, headers and text of the answer."""
+    try:
+        answer = urlopen(Request(url, headers=headers), timeout=10)
+    except HTTPError as error:
+        answer = error
+    with answer:
+        return answer.status, answer.headers, answer.read().decode()
+
+
+def test_the_address_opens_a_page_and_leaves_a_cookie(site):
+    status, headers, text = get(site.address("page"))
+    assert (status, text) == (200, "hello")
+    cookie = headers["Set-Cookie"]
+    for each in (f"sonoservo_{site.port}=", "HttpOnly", "SameSite=Strict", "Path=/"):
+        assert each in cookie
+    bare = site.address("page").partition("?")[0]
+    status, headers, text = get(bare, Cookie=cookie.partition(";")[0])
+    assert (status, text) == (200, "hello")
+    assert "Set-Cookie" not in headers
+    assert headers["Content-Security-Policy"] == "frame-ancestors 'none'"
+    for each in ("Cache-Control", "Cross-Origin-Resource-Policy", "Referrer-Policy"):
+        assert headers[each] in ("no-store", "same-origin", "no-referrer")
+
+
+def test_the_root_lists_the_pages(site):
+    status, _, text = get(site.address())
+    assert status == 200
+    assert '<a href="page/">A &lt;page&gt;</a>' in text
+
+
+def test_a_name_stands_for_one_page(site):
+    with pytest.raises(ValueError, match="page: 'page' is not allowed"):
+        site.add("page", "Another page", [])
+
+
+def test_without_the_token_a_page_says_where_its_address_stands(site):
+    bare = site.address("page").partition("?")[0]
+    for url in (bare, f"{bare}?token=", f"{bare}?token=x", bare.replace("page", "no-page")):
+        status, headers, text = get(url, Cookie=f"sonoservo_{site.port}=guessed")
+        assert status == 403
+        assert "in its terminal" in text
+        assert "It lacks the token of this run." in text
+        assert site.access.token not in text + str(headers)
+
+
+def test_what_no_page_has_is_not_found_by_those_who_may_ask(site):
+    assert get(site.address("no-page"))[0] == 404
+
+
+HOSTILE = {
+    "another name, as after DNS rebinding": {"Host": "evil.example:7000"},
+    "no name": {"Host": None},
+    "another site's page": {"Origin": "http://evil.example"},
+    "a page in a box": {"Origin": "null"},
+    "a page of another server on this machine": {"Origin": "http://localhost:9999"},
+    "no page at all": {"Origin": None},
+}
+
+
+@pytest.mark.parametrize("headers", HOSTILE.values(), ids=HOSTILE)
+def test_hostile_pages_are_refused_even_with_the_token(site, headers):
+    url = site.address("page")
+    cookie = f"sonoservo_{site.port}={site.access.token}"
+    assert ask(url, "socket")[0].endswith("101 Switching Protocols")
+    for more in ({}, {"Cookie": cookie}):
+        refused = ask(url, "socket", **headers, **more)
+        assert "403" in refused[0] or "400" in refused[0]
+        assert site.access.token not in "".join(refused)
+
+
+def test_a_socket_needs_the_token(site):
+    bare = site.address("page").partition("?")[0]
+    cookie = f"sonoservo_{site.port}={site.access.token}"
+    assert "403" in ask(bare, "socket")[0]
+    assert "403" in ask(f"{bare}?token=guessed", "socket")[0]
+    assert "101" in ask(bare, "socket", Cookie=cookie)[0]
+
+
+def test_requests_that_are_no_requests_stop_nothing(site):
+    place = urlsplit(site.address("page"))
+    for data in (
+        b"",
+        b"\0" * 1000,
+        b"GET",
+        b"GET / HTTP/1.1\r\n" * 5000,
+        b"\xff\xfe\r\n\r\n",
+        b"POST / HTTP/1.1\r\nHost: localhost\r\nContent-Length: 10000000\r\n\r\n" + b"x" * 9999,
+    ):
+        with socket.create_connection((place.hostname, place.port), timeout=10) as connection:
+            connection.sendall(data)
+    assert get(site.address("page"))[0] == 200
+
+
+def test_pages_are_let_go_when_the_site_closes():
+    with Site() as site:
+        site.add("page", "Page", [("socket", Echo, {})])
+        connection = open_socket(site.address("page"), "socket")
+    with connection, pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("localhost", site.port), timeout=5)
+
+
+def test_a_busy_port_is_stepped_over():
+    with Site() as first, Site(port=first.port) as second:
+        assert second.port > first.port
+
+
+def test_what_is_wrong_with_a_host_or_a_port_is_said():
+    with pytest.raises(ValueError, match="port: 0 is not allowed; it must be 1 to 65535"):
+        Site(port=0)
+    with pytest.raises(OSError, match=r"host: '192\.0\.2\.7' is no name or address of this machi"):
+        Site(host="192.0.2.7")
+
+
+def test_no_free_port_is_said():
+    with socket.socket() as busy:
+        busy.bind(("127.0.0.1", 65535))
+        busy.listen()
+        with pytest.raises(OSError, match="port: none of 65535 to 65535 is free on 'localhost'"):
+            Site(port=65535)
