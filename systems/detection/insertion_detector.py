@@ -17,6 +17,10 @@ from sonoservo.systems.signals.random_streams import random_stream
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 from sonoservo.systems.signals.volume import Volume
 
+_TIP_QUANTILE = 0.85
+"""Quantile of the distances from the entry beyond which a stretched change is the needle's tip;
+a compact change is halved."""
+
 
 @dataclass(kw_only=True)
 class InsertionDetectorParameters:
@@ -31,6 +35,8 @@ class InsertionDetectorParameters:
     max_std
         Square root of the variance threshold tau, in m. It is compared with the root of the trace
         of the candidates' covariance.
+    max_stretched_std
+        The same for voxels along a line, as a fast needle leaves them, in m. 0 is the paper's form.
     max_depth
         Largest distance delta from the side of the field of view to the median, in m. A needle that
         no scan line meets at a right angle near the side stands out only further inside.
@@ -52,6 +58,7 @@ class InsertionDetectorParameters:
 
     candidate_volume: float = 5e-9
     max_std: float = 6e-3
+    max_stretched_std: float = 15e-3
     max_depth: float = 20e-3
     min_change: float = 4.5
     floor_quantile: float = 0.9
@@ -71,6 +78,7 @@ class InsertionDetectorParameters:
             min_change=self.min_change,
             reach=self.reach,
             max_motion=self.max_motion,
+            max_stretched_std=self.max_stretched_std,
             min_correlation=self.min_correlation,
         )
         require(self.min_correlation < 1, "min_correlation", self.min_correlation, "below 1")
@@ -141,6 +149,21 @@ def _floor(volume: Volume, quantile: float) -> float:
     return float(np.quantile(sample, quantile, method="lower"))
 
 
+def _is_stretched(p_P: NDArray[np.float64], parameters: InsertionDetectorParameters) -> bool:
+    """Return True if voxels lie along a line, as those of a needle that moved fast do."""
+    *across, along = np.linalg.eigvalsh(np.cov(p_P.T))
+    narrow = bool(sum(across) <= (parameters.max_std / 2) ** 2)
+    return narrow and bool(along <= parameters.max_stretched_std**2)
+
+
+def _outer_end(volume: Volume, p_P: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the end of a stretched change that is closer to a side of the field of view."""
+    along = (p_P - p_P.mean(axis=0)) @ np.linalg.eigh(np.cov(p_P.T))[1][:, -1]
+    most = np.quantile(along, [1 - _TIP_QUANTILE, _TIP_QUANTILE])
+    ends = [geometric_median(p_P[far]) for far in (along <= most[0], along >= most[1])]
+    return min(ends, key=lambda end: float(np.linalg.norm(closest_side(volume, end) - end)))
+
+
 def detect_insertion(
     volume: Volume,
     previous: Volume,
@@ -199,15 +222,17 @@ def detect_insertion(
         return NotFound(f"nothing changed by more than {change:.1f} dB")
     p_P = volume.position(index)
     std = float(np.sqrt(p_P.var(axis=0).sum()))
-    if std > parameters.max_std:
+    long = std > parameters.max_std
+    if long and not _is_stretched(p_P, parameters):
         return NotFound(f"the change is spread over {1e3 * std:.1f} mm")
     median = geometric_median(p_P)
-    entry = closest_side(volume, median)
-    depth = float(np.linalg.norm(entry - median))
+    outer = _outer_end(volume, p_P) if long else median
+    entry = closest_side(volume, outer)
+    depth = float(np.linalg.norm(entry - outer))
     if depth > parameters.max_depth:
         return NotFound(f"the change lies {1e3 * depth:.1f} mm inside the field of view")
     away = np.linalg.norm(p_P - entry, axis=1)
-    tip = geometric_median(p_P[away >= np.median(away)])
+    tip = geometric_median(p_P[away >= np.quantile(away, _TIP_QUANTILE if long else 0.5)])
     p_W, times = volume.to_world(np.stack([entry, median, tip]))
     return InsertionDetection(p_W[0], p_W[1], p_W[2], std, change, float(times[2]))
 

@@ -103,10 +103,10 @@ def _prominence(  # pragma: no cover - compiled
                     beside = 0.0
                     p, q, r = i + dp, j + dq, k + dr
                     if 0 <= p < nx and 0 <= q < ny and 0 <= r < nz:
-                        beside = mean[p, q, r]
+                        beside = max(mean[p, q, r], float(maxima[p, q, r]))
                     p, q, r = i - dp, j - dq, k - dr
                     if 0 <= p < nx and 0 <= q < ny and 0 <= r < nz:
-                        beside = max(beside, mean[p, q, r])
+                        beside = max(beside, mean[p, q, r], float(maxima[p, q, r]))
                     drop = level - beside
                     if drop < third:
                         if drop < second:

@@ -67,6 +67,18 @@ def test_a_change_deep_inside_is_not_an_insertion(before):
     assert "inside" in found.reason
 
 
+def test_a_fast_needle_leaves_a_stretched_change(before):
+    dim = lambda v: dataclasses.replace(v, intensities=np.minimum(v.intensities, 120))  # noqa: E731
+    volume, before = dim(SCENE.volume(2, needle(35e-3))), dim(before)
+    found = detect_insertion(volume, before, PARAMETERS, RNG)
+    assert isinstance(found, InsertionDetection)
+    assert found.std > PARAMETERS.max_std
+    along = (found.p_WTip - ENTRY) @ INWARD
+    assert 20e-3 < along < 36e-3
+    published = dataclasses.replace(PARAMETERS, max_stretched_std=0.0)
+    assert "spread" in detect_insertion(volume, before, published, RNG).reason
+
+
 def test_tissue_that_moves_along_with_the_probe(before):
     volume = SCENE.volume(2, needle(5e-3), X_WP=RigidTransform([0, 1e-3, 0]))
     at_rest = SCENE.volume(2, X_WP=RigidTransform([0, 1e-3, 0]))
