@@ -8,6 +8,7 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem
 
 from sonoservo.systems.detection.geometric_median import geometric_median
+from sonoservo.systems.detection.motion_compensation import compensate_motion
 from sonoservo.systems.detection.volume_difference import top_differences
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.insertion_detection import InsertionDetection
@@ -15,6 +16,10 @@ from sonoservo.systems.signals.ports import evaluate
 from sonoservo.systems.signals.random_streams import random_stream
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 from sonoservo.systems.signals.volume import Volume
+
+_TIP_QUANTILE = 0.85
+"""Quantile of the distances from the entry beyond which a stretched change is the needle's tip;
+a compact change is halved."""
 
 
 @dataclass(kw_only=True)
@@ -30,8 +35,11 @@ class InsertionDetectorParameters:
     max_std
         Square root of the variance threshold tau, in m. It is compared with the root of the trace
         of the candidates' covariance.
+    max_stretched_std
+        The same for voxels along a line, as a fast needle leaves them, in m. 0 is the paper's form.
     max_depth
-        Largest distance delta from the side of the field of view to the median, in m.
+        Largest distance delta from the side of the field of view to the median, in m. A needle that
+        no scan line meets at a right angle near the side stands out only further inside.
     min_change
         Smallest difference T_t of the candidates that counts as motion, in dB; less is noise.
     floor_quantile
@@ -42,15 +50,22 @@ class InsertionDetectorParameters:
     stillness
         Largest displacement of a voxel in W at which the probe counts as still between two volumes,
         in m.
+    max_motion
+        Largest displacement of a voxel in W that is compensated, in m. 0 is the paper's form.
+    min_correlation
+        Smallest correlation of a volume with the previous one after the probe moved.
     """
 
     candidate_volume: float = 5e-9
     max_std: float = 6e-3
-    max_depth: float = 12e-3
+    max_stretched_std: float = 15e-3
+    max_depth: float = 20e-3
     min_change: float = 4.5
     floor_quantile: float = 0.9
     reach: float = 0.7e-3
     stillness: float = 0.3e-3
+    max_motion: float = 10e-3
+    min_correlation: float = 0.5
 
     def __post_init__(self) -> None:
         require_positive(
@@ -59,7 +74,14 @@ class InsertionDetectorParameters:
             max_depth=self.max_depth,
             stillness=self.stillness,
         )
-        require_not_negative(min_change=self.min_change, reach=self.reach)
+        require_not_negative(
+            min_change=self.min_change,
+            reach=self.reach,
+            max_motion=self.max_motion,
+            max_stretched_std=self.max_stretched_std,
+            min_correlation=self.min_correlation,
+        )
+        require(self.min_correlation < 1, "min_correlation", self.min_correlation, "below 1")
         require(
             0 <= self.floor_quantile < 1, "floor_quantile", self.floor_quantile, "from 0 to below 1"
         )
@@ -127,6 +149,21 @@ def _floor(volume: Volume, quantile: float) -> float:
     return float(np.quantile(sample, quantile, method="lower"))
 
 
+def _is_stretched(p_P: NDArray[np.float64], parameters: InsertionDetectorParameters) -> bool:
+    """Return True if voxels lie along a line, as those of a needle that moved fast do."""
+    *across, along = np.linalg.eigvalsh(np.cov(p_P.T))
+    narrow = bool(sum(across) <= (parameters.max_std / 2) ** 2)
+    return narrow and bool(along <= parameters.max_stretched_std**2)
+
+
+def _outer_end(volume: Volume, p_P: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the end of a stretched change that is closer to a side of the field of view."""
+    along = (p_P - p_P.mean(axis=0)) @ np.linalg.eigh(np.cov(p_P.T))[1][:, -1]
+    most = np.quantile(along, [1 - _TIP_QUANTILE, _TIP_QUANTILE])
+    ends = [geometric_median(p_P[far]) for far in (along <= most[0], along >= most[1])]
+    return min(ends, key=lambda end: float(np.linalg.norm(closest_side(volume, end) - end)))
+
+
 def detect_insertion(
     volume: Volume,
     previous: Volume,
@@ -153,14 +190,20 @@ def detect_insertion(
         and np.allclose(volume.spacing, previous.spacing)
     ):
         return NotFound("the previous volume lies on another grid")
-    motion = max_motion(volume, previous)
     if volume.decibels_per_level != previous.decibels_per_level:
         return NotFound("the previous volume has another scale of grey levels")
-    if motion > parameters.stillness:
+    motion = max_motion(volume, previous)
+    if motion > max(parameters.stillness, parameters.max_motion):
         return NotFound(f"the probe moved {1e3 * motion:.2f} mm between the volumes")
+    compensated = motion > parameters.stillness
+    if compensated:
+        aligned = compensate_motion(volume, previous, parameters.min_correlation)
+        if aligned is None:
+            return NotFound(f"the tissue changed while the probe moved {1e3 * motion:.2f} mm")
+        previous = aligned
     count = max(4, round(parameters.candidate_volume / float(np.prod(volume.spacing))))
     # Sweeps in opposite directions see slightly different sectors, whose edges are no change.
-    unlike = (
+    unlike = compensated or (
         volume.motion is not None
         and previous.motion is not None
         and volume.motion.direction != previous.motion.direction
@@ -179,15 +222,17 @@ def detect_insertion(
         return NotFound(f"nothing changed by more than {change:.1f} dB")
     p_P = volume.position(index)
     std = float(np.sqrt(p_P.var(axis=0).sum()))
-    if std > parameters.max_std:
+    long = std > parameters.max_std
+    if long and not _is_stretched(p_P, parameters):
         return NotFound(f"the change is spread over {1e3 * std:.1f} mm")
     median = geometric_median(p_P)
-    entry = closest_side(volume, median)
-    depth = float(np.linalg.norm(entry - median))
+    outer = _outer_end(volume, p_P) if long else median
+    entry = closest_side(volume, outer)
+    depth = float(np.linalg.norm(entry - outer))
     if depth > parameters.max_depth:
         return NotFound(f"the change lies {1e3 * depth:.1f} mm inside the field of view")
     away = np.linalg.norm(p_P - entry, axis=1)
-    tip = geometric_median(p_P[away >= np.median(away)])
+    tip = geometric_median(p_P[away >= np.quantile(away, _TIP_QUANTILE if long else 0.5)])
     p_W, times = volume.to_world(np.stack([entry, median, tip]))
     return InsertionDetection(p_W[0], p_W[1], p_W[2], std, change, float(times[2]))
 
@@ -207,7 +252,7 @@ class InsertionDetector(LeafSystem):
     The system has no state. The variance of the voxels that changed most (Chatelain 2013, eq. 1)
     distinguishes a local motion from a global one. Their geometric median (eq. 2), projected on the
     closest side of the field of view, gives the entry point. The output is an `InsertionDetection`,
-    or a `NotFound` with the reason why there is none. If the probe moved, nothing is detected.
+    or a `NotFound` with the reason why there is none. Motion of the probe is compensated.
 
     Parameters
     ----------

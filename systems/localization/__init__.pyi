@@ -9,7 +9,7 @@ from .cross_section_localizer import CrossSectionLocalizer as CrossSectionLocali
 from .line_search import bright_lines as bright_lines
 from .localizer_parameters import NeedleLocalizerParameters as NeedleLocalizerParameters
 from .needle_line import NeedleLine as NeedleLine
-from .needle_line import localize_line as localize_line
+from .needle_line import needle_lines as needle_lines
 from .needle_localizer import NeedleLocalizer as NeedleLocalizer
 from .normalized_cross_correlation import Match as Match
 from .normalized_cross_correlation import best_match as best_match

@@ -35,7 +35,9 @@ class NeedleLocalizerParameters:
         Largest gap between the side of the field of view and a newly found needle, in m. A needle
         comes from outside, inclusions do not.
     search_reach
-        Distance to search beyond either end of a bright line for a lost needle, in m.
+        Distance to search outwards for the rest of a needle of which only the end was found, in m.
+    min_probability
+        Smallest probability at which a line in the whole volume counts as a needle.
     min_inlier_ratio
         Smallest share of inliers among the candidates between entry and tip.
     min_evidence
@@ -82,6 +84,7 @@ class NeedleLocalizerParameters:
     max_aside: float = 2.5e-3
     max_entry_gap: float = 8e-3
     search_reach: float = 40e-3
+    min_probability: float = 0.8
     min_inlier_ratio: float = 0.15
     min_evidence: float = 12e-3
     correlation_length: float = 2e-3
@@ -110,6 +113,7 @@ class NeedleLocalizerParameters:
             max_aside=self.max_aside,
             max_entry_gap=self.max_entry_gap,
             search_reach=self.search_reach,
+            min_probability=self.min_probability,
             min_inlier_ratio=self.min_inlier_ratio,
             min_evidence=self.min_evidence,
             correlation_length=self.correlation_length,

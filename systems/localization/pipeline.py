@@ -5,17 +5,17 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit
 
 from sonoservo.systems.localization.axis import axis_through
 from sonoservo.systems.localization.axis_fit import AxisFit, fit_axis
 from sonoservo.systems.localization.candidates import select_candidates
-from sonoservo.systems.localization.line_search import bright_lines
 from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
-from sonoservo.systems.localization.needle_line import localize_line
+from sonoservo.systems.localization.needle_line import NeedleLine, line_between, needle_lines
 from sonoservo.systems.localization.ransac import ransac_axis
 from sonoservo.systems.localization.search_region import (
+    found_again,
     line_region,
-    lost_region,
     outer_region,
     predicted_region,
 )
@@ -38,6 +38,7 @@ _REPEATS = 7
 """Number of searches around a line without a prediction; the result nearest the median counts."""
 
 T = TypeVar("T")
+Floats = NDArray[np.float64]
 Attempts = list[LocalizationAttempt]
 
 
@@ -75,7 +76,7 @@ def explain_localization(
 ) -> LocalizationExplanation:
     """Localize the needle as `localize` does, and return all intermediate results."""
     attempts: Attempts = []
-    evidence = 0.0
+    probability = 0.0
     if not parameters.sweep_time:
         volume = volume.at_once()
     if isinstance(prediction, NotFound):
@@ -84,30 +85,50 @@ def explain_localization(
         region = predicted_region(prediction, parameters)
         attempts = _localize_around(volume, region, parameters, rng)
         measurement = attempts[-1].measurement
-    elif prediction.curve is not None:
-        # A lost needle still points the same way, and is the longest of the needle-like lines.
-        for ends in bright_lines(volume, rng):
-            region = lost_region(volume.to_world(ends)[0], prediction.curve, parameters)
-            attempts += _localize_around(volume, region, parameters, rng)
-        measurement = _longest(attempts)
     else:
-        line = localize_line(volume, rng)
-        if isinstance(line, NotFound):
-            measurement = line
-        else:
-            # The beam makes a short needle look thick, so its axis varies with the random draws.
-            region = line_region(volume.to_world(line.ends)[0], prediction.order, parameters)
-            repeats = [_localize_around(volume, region, parameters, rng) for _ in range(_REPEATS)]
-            attempts = [attempt for each in repeats for attempt in each]
-            measurement = _middlemost([each[-1].measurement for each in repeats])
-            evidence = line.evidence
-    return LocalizationExplanation(volume.time, prediction, tuple(attempts), measurement, evidence)
+        attempts, measurement, log_odds = _localize_everywhere(volume, prediction, parameters, rng)
+        probability = float(expit(log_odds))
+    return LocalizationExplanation(
+        volume.time, prediction, tuple(attempts), measurement, probability
+    )
 
 
-def _longest(attempts: Attempts) -> NeedleMeasurement | NotFound:
-    found = [a.measurement for a in attempts if isinstance(a.measurement, NeedleMeasurement)]
-    nothing = NotFound("no needle in the whole volume")
-    return max(found, key=lambda each: each.curve.chord) if found else nothing
+def _localize_everywhere(
+    volume: Volume,
+    prediction: NeedlePrediction,
+    parameters: NeedleLocalizerParameters,
+    rng: np.random.Generator,
+) -> tuple[Attempts, NeedleMeasurement | NotFound, float]:
+    """Localize a needle that was lost or never seen, and return the logarithm of its odds."""
+    last = prediction.curve
+
+    def odds(line: NeedleLine) -> tuple[float, Floats]:
+        """Return the logarithm of a line's odds, and its ends in W, the entry first."""
+        ends = volume.to_world(line.ends)[0]
+        return (line.log_odds, ends) if last is None else found_again(line.log_odds, ends, last)
+
+    lines = needle_lines(volume)
+    if not lines:
+        return [], NotFound("no bright line comes from outside the field of view"), -np.inf
+    log_odds, ends = max((odds(line) for line in lines), key=lambda each: each[0])
+    if expit(log_odds) < parameters.min_probability:
+        reason = "no line stands out from its surroundings as a needle does"
+        if last is not None:
+            reason = "no line looks like the needle that was lost"
+        return [], NotFound(reason), log_odds
+    # The beam makes a short needle look thick, so its axis varies with the random draws.
+    region = line_region(ends, prediction.order, parameters)
+    repeats = [_localize_around(volume, region, parameters, rng) for _ in range(_REPEATS)]
+    attempts = [attempt for each in repeats for attempt in each]
+    measurement = _middlemost([each[-1].measurement for each in repeats])
+    if isinstance(measurement, NotFound):
+        return attempts, measurement, -np.inf
+    # What was measured must look like a needle, too, over all its length.
+    ends_P = acquired_from(volume, measurement.curve.control_points[[0, -1]])
+    measured = line_between(volume, ends_P)
+    if measured is None or odds(measured)[0] < 0:
+        measurement = NotFound("the line found does not look like a needle over all its length")
+    return attempts, measurement, log_odds
 
 
 def _middlemost(found: Sequence[NeedleMeasurement | NotFound]) -> NeedleMeasurement | NotFound:

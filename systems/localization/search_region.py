@@ -16,6 +16,13 @@ from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 _EVERYWHERE = 0.3
 """Length that exceeds any volume, in m."""
 
+_LOST = 1.0
+"""Logarithm of the odds that a needle lost a short while ago is still there."""
+
+_MOST_TURNED, _MOST_ASIDE, _MOST_ADVANCED, _MOST_LENGTHENED = math.radians(20), 25e-3, 50e-3, 1.0
+"""Standard deviations of what may have changed since a needle was lost: direction in rad, distances
+of the line from the last axis and between the tips in m, and logarithm of the visible length."""
+
 
 def predicted_region(
     prediction: NeedlePrediction, parameters: NeedleLocalizerParameters
@@ -53,32 +60,38 @@ def predicted_region(
     return region
 
 
-def lost_region(
-    line: NDArray[np.float64], last: NeedleCurve, parameters: NeedleLocalizerParameters
-) -> SearchRegion:
-    """Return the capsule around a bright line that may be a lost needle.
+def found_again(
+    log_odds: float, ends: NDArray[np.float64], last: NeedleCurve
+) -> tuple[float, NDArray[np.float64]]:
+    """Return the odds that a line is the needle that was lost, and its ends, the entry first.
+
+    There was a needle, so less evidence suffices. The tissue, or the probe, may have been moved
+    since, so place, direction and length need not agree exactly with those that were known. The
+    less they agree, the more evidence is needed.
 
     Parameters
     ----------
-    line
+    log_odds
+        Logarithm of the odds that the line is a needle, judged by its looks.
+    ends
         (2, 3) ends of the line in W, in m. They are swapped if the needle last pointed the other
         way.
     last
         Curve of the needle in W when it was last seen.
-    parameters
-        Search regions and thresholds.
     """
-    if (line[1] - line[0]) @ last.direction < 0:
-        line = line[::-1]
-    reach = parameters.search_reach
-    return SearchRegion(
-        curve=NeedleCurve(np.linspace(line[0], line[1], last.order)),
-        radius=2 * parameters.margin,
-        before=reach,
-        beyond=reach,
-        shaft_beyond=reach,
-        max_angle=math.radians(2 * parameters.max_angle_deg),
+    if (ends[1] - ends[0]) @ last.direction < 0:
+        ends = ends[::-1]
+    length = float(np.linalg.norm(ends[1] - ends[0]))
+    angle = math.acos(min(float((ends[1] - ends[0]) @ last.direction) / length, 1.0))
+    aside = ends.mean(axis=0) - last.tip
+    aside -= (aside @ last.direction) * last.direction
+    disagreement = (
+        (angle / _MOST_TURNED) ** 2
+        + (float(np.linalg.norm(aside)) / _MOST_ASIDE) ** 2
+        + (float(np.linalg.norm(ends[1] - last.tip)) / _MOST_ADVANCED) ** 2
+        + (math.log(length / max(last.chord, 1e-3)) / _MOST_LENGTHENED) ** 2
     )
+    return log_odds + _LOST - disagreement / 2, ends
 
 
 def line_region(

@@ -170,9 +170,9 @@ class LocalizationExplanation(Immutable):
         needle that was lost or never seen.
     measurement
         Best result among the attempts, or the reason why there is none.
-    evidence
-        Evidence for the bright line around which a needle never seen before was localized, in dB m;
-        0 if there was no such line.
+    probability
+        Probability that the line found in the whole volume is a needle; 0 if there is no line, or
+        if the needle was predicted.
     innovation, gate
         Mahalanobis distance of the measurement from its prediction, and the largest accepted
         distance; None until a filter has compared them.
@@ -182,6 +182,6 @@ class LocalizationExplanation(Immutable):
     prediction: NeedlePrediction | NotFound
     attempts: tuple[LocalizationAttempt, ...]
     measurement: NeedleMeasurement | NotFound
-    evidence: float = 0.0
+    probability: float = 0.0
     innovation: float | None = None
     gate: float | None = None

@@ -9,7 +9,6 @@ from pydrake.math import RigidTransform
 
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
-from sonoservo.systems.localization.needle_line import MIN_EVIDENCE
 from sonoservo.systems.localization.pipeline import explain_localization
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.signals.immutable import Immutable, NotFound
@@ -29,15 +28,19 @@ class LocatedNeedle(Immutable):
         Curve of the needle from its entry into the field of view to its tip, in m.
     inlier_count, inlier_ratio
         Number of bright voxels on the needle, and their share of all bright voxels around it.
-    evidence
-        Integral of the contrast with the surroundings along the needle, in dB m (`NeedleLine`).
-    covariance
-        (3, 3) covariance of the tip, in m^2.
+    return LocatedNeedle(
+        found.curve,
+        found.inlier_count,
+        found.inlier_ratio,
+        explained.probability,
+        found.covariance[-3:, -3:],
+    )
     """
 
     curve: NeedleCurve
     inlier_count: int
     inlier_ratio: float
+<<<<<<< HEAD
     evidence: float
     covariance: NDArray[np.float64]
 
@@ -45,6 +48,9 @@ class LocatedNeedle(Immutable):
     def confidence(self) -> float:
         """Confidence from 0.5, where the evidence just suffices, towards 1; not a probability."""
         return self.evidence / (self.evidence + MIN_EVIDENCE)
+=======
+    confidence: float
+>>>>>>> search
 
 
 def locate(
@@ -109,6 +115,7 @@ def locate_in(
     found = explained.measurement
     if isinstance(found, NotFound):
         return found
+<<<<<<< HEAD
     return LocatedNeedle(
         found.curve,
         found.inlier_count,
@@ -116,6 +123,9 @@ def locate_in(
         explained.evidence,
         found.covariance[-3:, -3:],
     )
+=======
+    return LocatedNeedle(found.curve, found.inlier_count, found.inlier_ratio, explained.probability)
+>>>>>>> search
 
 
 def locate_in_recording(

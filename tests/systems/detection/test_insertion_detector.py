@@ -67,11 +67,51 @@ def test_a_change_deep_inside_is_not_an_insertion(before):
     assert "inside" in found.reason
 
 
-def test_a_probe_that_moved(before):
+def test_a_fast_needle_leaves_a_stretched_change(before):
+    dim = lambda v: dataclasses.replace(v, intensities=np.minimum(v.intensities, 120))  # noqa: E731
+    volume, before = dim(SCENE.volume(2, needle(35e-3))), dim(before)
+    found = detect_insertion(volume, before, PARAMETERS, RNG)
+    assert isinstance(found, InsertionDetection)
+    assert found.std > PARAMETERS.max_std
+    along = (found.p_WTip - ENTRY) @ INWARD
+    assert 20e-3 < along < 36e-3
+    published = dataclasses.replace(PARAMETERS, max_stretched_std=0.0)
+    assert "spread" in detect_insertion(volume, before, published, RNG).reason
+
+
+def test_tissue_that_moves_along_with_the_probe(before):
     volume = SCENE.volume(2, needle(5e-3), X_WP=RigidTransform([0, 1e-3, 0]))
+    at_rest = SCENE.volume(2, X_WP=RigidTransform([0, 1e-3, 0]))
+    # The scene's tissue rests in the probe's frame, and its needle in the world.
+    assert detect_insertion(volume, before, PARAMETERS, RNG)
+    assert not detect_insertion(at_rest, before, PARAMETERS, RNG)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_probe_that_moved_across_the_tissue_is_compensated(before, axis):
+    voxels = 3
+    X_WP = RigidTransform(np.eye(3)[axis] * voxels * before.spacing)
+    across = lambda v: dataclasses.replace(  # noqa: E731
+        v, intensities=np.roll(v.intensities, -voxels, axis), X_WP=X_WP
+    )
+    assert not detect_insertion(across(SCENE.volume(2)), before, PARAMETERS, RNG)
+    found = detect_insertion(across(SCENE.volume(2, needle(8e-3))), before, PARAMETERS, RNG)
+    assert np.linalg.norm(found.p_WMedian - ENTRY) < 8e-3
+
+
+def test_a_probe_that_moved_too_far(before):
+    volume = SCENE.volume(2, needle(5e-3), X_WP=RigidTransform([0, 11e-3, 0]))
     found = detect_insertion(volume, before, PARAMETERS, RNG)
     assert not found
-    assert "moved 1.00 mm" in found.reason
+    assert "moved 11.00 mm" in found.reason
+    published = dataclasses.replace(PARAMETERS, max_motion=0.0)
+    moved = SCENE.volume(2, needle(5e-3), X_WP=RigidTransform([0, 1e-3, 0]))
+    assert "moved 1.00 mm" in detect_insertion(moved, before, published, RNG).reason
+
+
+def test_tissue_that_changed_while_the_probe_moved(before):
+    other = Scene(seed=2, spacing=1e-3).volume(2, X_WP=RigidTransform([0, 1e-3, 0]))
+    assert "changed" in detect_insertion(other, before, PARAMETERS, RNG).reason
 
 
 def test_another_grid(before):

@@ -18,9 +18,9 @@ def tilt(line):
     return abs(k @ K)
 
 
-def test_the_needle_is_the_longest_line():
+def test_the_needle_is_the_most_prominent_line():
     scene = Scene(seed=5, spacing=1e-3, balls=BALLS, rods=RODS)
-    lines = bright_lines(scene.volume(1, lambda time: NEEDLE), np.random.default_rng(0))
+    lines = bright_lines(scene.volume(1, lambda time: NEEDLE))
     assert tilt(lines[0]) > np.cos(np.radians(10))
 
 
@@ -29,6 +29,16 @@ def test_the_bottom_of_the_tissue_is_no_line():
     depth = volume.origin[1] + volume.spacing[1] * np.arange(volume.intensities.shape[1])
     beneath = (depth > 0.07)[np.newaxis, :, np.newaxis] & (volume.intensities > 0)
     volume = replace(volume, intensities=np.where(beneath, np.uint8(1), volume.intensities))
-    lines = bright_lines(volume, np.random.default_rng(0))
+    lines = bright_lines(volume)
     assert tilt(lines[0]) > np.cos(np.radians(10))
     assert np.abs(lines[0][:, 1].mean() - 0.5 * (NEEDLE[0] + NEEDLE[1])[1]) < 5e-3
+
+
+def test_no_more_lines_than_asked_for():
+    volume = Scene(seed=5, spacing=1e-3).volume(1, lambda time: NEEDLE)
+    assert len(bright_lines(volume, count=2)) == 2
+
+
+def test_a_volume_without_content_holds_no_line():
+    volume = Scene(seed=5, spacing=1e-3).volume(1)
+    assert bright_lines(replace(volume, intensities=np.zeros_like(volume.intensities))) == []

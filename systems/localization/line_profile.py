@@ -1,0 +1,127 @@
+"""Compiled refinement of a line, and levels along it and beside it."""
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from sonoservo.systems.sampling.interpolation import trilinear
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _level(intensities: Any, x: float, y: float, z: float) -> Any:  # pragma: no cover - compiled
+    """Return the intensity at fractional indices; 0 outside the grid."""
+    nx, ny, nz = intensities.shape
+    if 0 <= x <= nx - 1 and 0 <= y <= ny - 1 and 0 <= z <= nz - 1:
+        return trilinear(intensities, x, y, z)
+    return 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def refine(  # pragma: no cover - compiled
+    intensities: Any, decibels: float, start: Any, stop: Any, u: Any, w: Any, length: float,
+    radius: float, share: float, aside: float,
+) -> Any:  # fmt: skip
+    """Fit a line robustly to the bright centres of its cross-sections.
+
+    Parameters
+    ----------
+    intensities, decibels
+        Intensities, and decibels per unit.
+    start, stop, u, w
+        (3,) fractional indices of the ends, and differences of index for 1 mm across the line.
+    length, radius
+        Length of the line and radius of the cross-sections, in m.
+    share, aside
+        Share of a cross-section's largest amplitude below which a sample does not count, and
+        distance from the line at which a cross-section has half the weight, in m.
+
+    Returns
+    -------
+    (2, 2) displacements of start and stop along u and w, in mm.
+    """
+    count = max(int(length / 2e-3) + 1, 3)
+    half = int(radius * 1e3)
+    centres, weights = np.zeros((count, 2)), np.zeros(count)
+    levels, places = np.zeros((2 * half + 1) ** 2), np.zeros(((2 * half + 1) ** 2, 2))
+    a = np.linspace(0, 1, count)
+    for s in range(count):
+        x, y, z = start + a[s] * (stop - start)
+        n, peak = 0, 0.0
+        for p in range(-half, half + 1):
+            for q in range(-half, half + 1):
+                if p * p + q * q <= half * half:
+                    levels[n] = decibels * _level(
+                        intensities, x + p * u[0] + q * w[0], y + p * u[1] + q * w[1],
+                        z + p * u[2] + q * w[2],
+                    )  # fmt: skip
+                    places[n, 0], places[n, 1] = p, q
+                    peak = max(peak, levels[n])
+                    n += 1
+        total = 0.0
+        for m in range(n):
+            if levels[m] > peak + 20 * np.log10(share):
+                amplitude = 10 ** ((levels[m] - peak) / 20) - share
+                total += amplitude
+                centres[s, 0] += amplitude * places[m, 0]
+                centres[s, 1] += amplitude * places[m, 1]
+        centres[s] /= total
+        weights[s] = min(max(peak - np.median(levels[:n]) - 3, 0.1), 12.0)
+    near, ends = np.ones(count), np.zeros((2, 2))
+    for _ in range(5):
+        v = weights * near
+        mean = np.sum(v * a) / np.sum(v)
+        spread = max(np.sum(v * (a - mean) ** 2), 1e-12)
+        for c in range(2):
+            centre = np.sum(v * centres[:, c]) / np.sum(v)
+            slope = np.sum(v * (a - mean) * (centres[:, c] - centre)) / spread
+            ends[0, c], ends[1, c] = centre - slope * mean, centre + slope * (1 - mean)
+        for s in range(count):
+            off = centres[s] - ends[0] - a[s] * (ends[1] - ends[0])
+            near[s] = 1 / (1 + np.sum(off**2) / (1e3 * aside) ** 2)
+    return ends
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def profile(  # pragma: no cover - compiled
+    intensities: Any, points: Any, core: Any, ring: Any, half: int
+) -> Any:
+    """Return the levels along a line and those of the brightest side beside it.
+
+    Parameters
+    ----------
+    intensities
+        Intensities; zero outside the field of view.
+    points
+        (m, 3) fractional indices of points on the line.
+    core, ring
+        (c, 3) and (rings, sectors, 3) differences of index between a point and the samples.
+    half
+        Number of points to either side over which a sector's level is averaged.
+
+    Returns
+    -------
+    (m,) means of the core and (m,) largest means of a sector.
+    """
+    m, sectors = len(points), ring.shape[1]
+    levels, sides = np.zeros(m), np.zeros(m)
+    total, seen = np.zeros((m, sectors)), np.zeros((m, sectors))
+    for s in range(m):
+        x, y, z = points[s]
+        for c in range(len(core)):
+            levels[s] += _level(intensities, x + core[c, 0], y + core[c, 1], z + core[c, 2])
+        levels[s] /= len(core)
+        for c in range(sectors):
+            for t in range(ring.shape[0]):
+                level = _level(
+                    intensities, x + ring[t, c, 0], y + ring[t, c, 1], z + ring[t, c, 2]
+                )  # fmt: skip
+                total[s, c] += level
+                seen[s, c] += level > 0
+    for s in range(m):
+        first, last = max(s - half, 0), min(s + half + 1, m)
+        for c in range(sectors):
+            count = np.sum(seen[first:last, c])
+            if count > half:
+                sides[s] = max(sides[s], np.sum(total[first:last, c]) / count)
+    return levels, sides

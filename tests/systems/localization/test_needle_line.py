@@ -1,0 +1,131 @@
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from independent_images import volume_case
+from independent_images.cases import draw_kinds
+from synthetic_volumes import Scene, entry_on_side
+
+from sonoservo.diagrams.app.volumes.locate import locate_in
+from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
+from sonoservo.systems.localization.needle_line import line_between, needle_lines, refined_line
+from sonoservo.systems.localization.search_region import found_again
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+
+ENTRY = entry_on_side()
+K = np.array([0.92, 0.25, 0.3]) / np.linalg.norm([0.92, 0.25, 0.3])
+NEEDLE = np.array([ENTRY, ENTRY + 0.035 * K])
+LEAST = NeedleLocalizerParameters().min_probability
+SCENE = Scene(seed=5, spacing=1e-3)
+
+
+@lru_cache
+def volume():
+    return SCENE.volume(1, lambda time: NEEDLE)
+
+
+def test_a_rough_line_is_refined_and_cut_to_the_needle():
+    rough = NEEDLE + np.array([[0.0, 2e-3, -1e-3], [0.0, -1.5e-3, 2e-3]])
+    found = refined_line(volume(), rough)
+    assert np.degrees(np.arccos(found.direction @ K)) < 1
+    assert np.linalg.norm(found.ends[1] - NEEDLE[1]) < 2e-3
+    assert found.entry_gap < 2e-3 < found.tip_gap
+    assert found.probability > 0.9
+
+
+def test_the_needle_is_the_most_probable_line():
+    first, *others = needle_lines(volume())
+    assert abs(first.direction @ K) > np.cos(np.radians(2))
+    assert all(each.log_odds <= first.log_odds for each in others)
+
+
+def test_a_longer_stretch_than_the_needle_is_less_probable():
+    exact = line_between(volume(), NEEDLE)
+    longer = line_between(volume(), np.array([NEEDLE[0], NEEDLE[0] + 0.07 * K]))
+    assert longer.evidence < exact.evidence
+    assert longer.log_odds < exact.log_odds
+    assert line_between(volume(), NEEDLE + 1.0) is None
+
+
+@pytest.mark.parametrize("needle", [True, False])
+def test_a_bright_sheet_is_no_needle(needle):
+    image = volume() if needle else SCENE.volume(1)
+    p_P = image.position(np.moveaxis(np.indices(image.intensities.shape), 0, -1))
+    normal = np.array([0.1, 1.0, -0.2]) / np.linalg.norm([0.1, 1.0, -0.2])
+    near = np.abs((p_P - [0.0, 0.068, 0.0]) @ normal) < 1e-3
+    sheet = np.where(near & (image.intensities > 0), np.uint8(230), image.intensities)
+    lines = needle_lines(replace(image, intensities=sheet))
+    if needle:
+        assert abs(lines[0].direction @ K) > np.cos(np.radians(2))
+        lines = [each for each in lines if abs(each.direction @ K) < np.cos(np.radians(10))]
+    assert all(each.probability < LEAST for each in lines)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"start": 0.012, "stop": 0.035}, {"start": 0.0, "stop": 0.006}],
+    ids=["gap", "short"],
+)
+def test_what_starts_inside_or_is_short_is_no_needle(changes):
+    ends = ENTRY + np.outer([changes["start"], changes["stop"]], K)
+    scene = SCENE.volume(1, lambda time: ends)
+    assert line_between(scene, ends).probability == 0
+
+
+def test_the_border_of_dark_tissue_is_no_needle():
+    p_P = volume().position(np.moveaxis(np.indices(volume().intensities.shape), 0, -1))
+    along = (p_P - NEEDLE[0]) @ K
+    depth = (NEEDLE[0] + along[..., np.newaxis] * K)[..., 1]
+    beneath = (p_P[..., 1] > depth + 1.5e-3) & (volume().intensities > 0)
+    dark = np.where(beneath, volume().intensities // 3 + 1, volume().intensities)
+    border = line_between(replace(volume(), intensities=dark), NEEDLE)
+    assert border.probability < LEAST < line_between(volume(), NEEDLE).probability
+
+
+LAST = NeedleCurve(NEEDLE)
+
+
+def turned(angle_deg):
+    angle = np.radians(angle_deg)
+    across = np.cross(K, [0.0, 1.0, 0.0])
+    across /= np.linalg.norm(across)
+    return NEEDLE[1] + np.outer([-0.035, 0.0], np.cos(angle) * K + np.sin(angle) * across)
+
+
+def test_a_lost_needle_in_its_place_needs_less_evidence():
+    odds, ends = found_again(0.0, NEEDLE[::-1], LAST)
+    assert odds == pytest.approx(1.0)
+    np.testing.assert_array_equal(ends, NEEDLE)
+
+
+@pytest.mark.parametrize(
+    "ends",
+    [turned(87), NEEDLE + np.array([0.0, 0.03, 0.05]), NEEDLE[1] + np.outer([-0.0043, 0.0], K)],
+    ids=["turned", "elsewhere", "short"],
+)
+def test_what_disagrees_with_the_lost_needle_needs_more_evidence(ends):
+    assert found_again(0.0, ends, LAST)[0] < -1
+
+
+def test_moderate_moves_of_the_phantom_are_allowed():
+    moved = turned(20) + np.array([0.02, 0.0, 0.01])
+    assert found_again(2.5, moved, LAST)[0] > 1.4
+
+
+@pytest.mark.slow
+def test_structures_of_independent_images_are_no_needles():
+    false = right = count = 0
+    for seed in range(100, 140):
+        for needle in (True, False):
+            rng = np.random.default_rng([seed, int(needle)])
+            kinds = draw_kinds(rng) if seed % 2 else ()
+            image, truth = volume_case(rng, needle, kinds)
+            found = locate_in(image, seed=seed)
+            if truth is None:
+                false += bool(found)
+            elif truth.length * np.mean(truth.visible) > 15e-3:
+                count += 1
+                right += bool(found) and np.linalg.norm(found.curve.tip - truth.tip) < 5e-3
+    assert false == 0
+    assert right > 0.25 * count
