@@ -28,29 +28,17 @@ class LocatedNeedle(Immutable):
         Curve of the needle from its entry into the field of view to its tip, in m.
     inlier_count, inlier_ratio
         Number of bright voxels on the needle, and their share of all bright voxels around it.
-    return LocatedNeedle(
-        found.curve,
-        found.inlier_count,
-        found.inlier_ratio,
-        explained.probability,
-        found.covariance[-3:, -3:],
-    )
+    confidence
+        Probability that what was found is a needle, judged by this volume alone.
+    covariance
+        (3, 3) covariance of the tip, in m^2.
     """
 
     curve: NeedleCurve
     inlier_count: int
     inlier_ratio: float
-<<<<<<< HEAD
-    evidence: float
-    covariance: NDArray[np.float64]
-
-    @property
-    def confidence(self) -> float:
-        """Confidence from 0.5, where the evidence just suffices, towards 1; not a probability."""
-        return self.evidence / (self.evidence + MIN_EVIDENCE)
-=======
     confidence: float
->>>>>>> search
+    covariance: NDArray[np.float64]
 
 
 def locate(
@@ -115,17 +103,13 @@ def locate_in(
     found = explained.measurement
     if isinstance(found, NotFound):
         return found
-<<<<<<< HEAD
     return LocatedNeedle(
         found.curve,
         found.inlier_count,
         found.inlier_ratio,
-        explained.evidence,
+        explained.probability,
         found.covariance[-3:, -3:],
     )
-=======
-    return LocatedNeedle(found.curve, found.inlier_count, found.inlier_ratio, explained.probability)
->>>>>>> search
 
 
 def locate_in_recording(
