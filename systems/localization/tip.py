@@ -57,7 +57,7 @@ class TipParameters:
         Largest evidence of one sample for the needle, in dB above ``contrast``.
     smoothing
         Length over which the intensity is averaged, in m.
-    end_contrast, least_end_contrast
+    end_contrast, min_end_contrast
         Largest and smallest contrast below which the blurred end of the needle is lost in the
         background, in dB. In between, it is half the needle's contrast near its end.
     end_length
@@ -75,7 +75,7 @@ class TipParameters:
     max_evidence: float = 3.0
     smoothing: float = 1.25e-3
     end_contrast: float = 6.0
-    least_end_contrast: float = 2.5
+    min_end_contrast: float = 2.5
     end_length: float = 4e-3
     beam_width: float = 2.4e-3
 
@@ -88,7 +88,7 @@ class TipParameters:
             max_evidence=self.max_evidence,
             smoothing=self.smoothing,
             end_contrast=self.end_contrast,
-            least_end_contrast=self.least_end_contrast,
+            min_end_contrast=self.min_end_contrast,
             end_length=self.end_length,
             beam_width=self.beam_width,
         )
@@ -298,10 +298,10 @@ def _tip(
             contrast, seen, step=step, neutral=neutral, max_evidence=neutral
         )
 
-    first, last, _ = stretch(contrast, profile.seen, parameters.least_end_contrast)
+    first, last, _ = stretch(contrast, profile.seen, parameters.min_end_contrast)
     near = contrast[max(first, last - round(2 * parameters.end_length / step)) : last + 1]
     threshold = float(
-        np.clip(np.median(near) / 2, parameters.least_end_contrast, parameters.end_contrast)
+        np.clip(np.median(near) / 2, parameters.min_end_contrast, parameters.end_contrast)
     )
     inside = contrast[first : last + 1]
     end = first + max(stretch(inside, np.ones_like(inside, dtype=bool), threshold)[1], 0)
