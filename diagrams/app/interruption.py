@@ -22,6 +22,9 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _RETRY = 0.01
 """Time in s until an interruption that was swallowed is raised again."""
 
+_COMPILER = os.path.join("llvmlite", "binding", "executionengine.py")
+"""Module of the compiler's callbacks."""
+
 _received: list[int] = []
 
 
@@ -44,7 +47,8 @@ def catch_interruptions() -> None:
     ignored at the start, as by ``nohup``, stays ignored.
 
     Callbacks from C and finalizers swallow exceptions. An interruption that arrives in one is
-    raised again shortly after it.
+    raised again shortly after it. The compiler's callbacks crash it if they fail, so there an
+    interruption waits.
     """
     watch, wake = socket.socketpair()
     wake.setblocking(False)
@@ -60,10 +64,16 @@ def catch_interruptions() -> None:
 def _interrupt(number: int, frame: FrameType | None) -> None:
     if not _received:
         _received.append(number)
-        raise KeyboardInterrupt
+        _interrupt_again(number, frame)
 
 
 def _interrupt_again(number: int, frame: FrameType | None) -> None:
+    """Raise KeyboardInterrupt, or wait if the compiler is calling back."""
+    while frame is not None:
+        if frame.f_code.co_filename.endswith(_COMPILER):
+            signal.setitimer(signal.ITIMER_REAL, _RETRY)
+            return
+        frame = frame.f_back
     raise KeyboardInterrupt
 
 

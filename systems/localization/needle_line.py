@@ -41,6 +41,10 @@ _SHORTEST, _FARTHEST, _STEEPEST = 10e-3, 8e-3, 0.9
 """Smallest visible length of a needle and largest distance of its entry from the side of the field
 of view, in m, and largest share of the depth's direction in its own."""
 
+_LONG = 42e-3
+"""Length in m above which a line is no less likely a needle: how far one was pushed in tells
+nothing, though few were so far in the volumes behind `_WEIGHTS`."""
+
 _STEP = 0.5e-3
 """Distance between samples along a line, in m."""
 
@@ -191,7 +195,7 @@ def _features(volume: Volume, line: NeedleLine) -> dict[str, float]:
         border = -difference(below, above)
         behind = difference(far_below, above)
         texture = float(np.nan_to_num(np.nanstd(core), nan=3.5))
-    length = math.log(line.length / 20e-3)
+    length = math.log(min(line.length, _LONG) / 20e-3)
     return {
         "constant": 1.0,
         "evidence": math.log(max(line.evidence, 1e-3) / 80e-3),

@@ -75,7 +75,7 @@ class TipParameters:
     max_evidence: float = 3.0
     smoothing: float = 1.25e-3
     end_contrast: float = 6.0
-    min_end_contrast: float = 2.5
+    min_end_contrast: float = 4.0
     end_length: float = 4e-3
     beam_width: float = 2.4e-3
 

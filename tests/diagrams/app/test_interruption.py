@@ -50,6 +50,33 @@ def test_an_interruption_that_a_finalizer_swallows_is_raised_again():
     assert (result.returncode, result.stdout, result.stderr) == (128 + signal.SIGTERM, "", "")
 
 
+_COMPILING = """
+import os, signal, sys, time
+from sonoservo.diagrams.app import interruption
+interruption.catch_interruptions()
+callback = '''
+def notify():
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(0.05)
+    print("not disturbed", flush=True)
+'''
+exec(compile(callback, os.path.join("llvmlite", "binding", "executionengine.py"), "exec"))
+try:
+    notify()
+    time.sleep(1)
+    print("slept")
+except KeyboardInterrupt:
+    sys.exit(interruption.interrupted_code())
+"""
+
+
+def test_an_interruption_waits_for_the_compiler_s_callbacks():
+    result = subprocess.run(
+        [sys.executable, "-c", _COMPILING], capture_output=True, text=True, timeout=20
+    )
+    assert (result.returncode, result.stdout) == (128 + signal.SIGTERM, "not disturbed\n")
+
+
 @pytest.mark.parametrize("how", ["end", "hang"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_every_signal_ends_the_program_even_if_it_hangs(number, how):
