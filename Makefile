@@ -21,20 +21,20 @@ $(VENV)/.run: pyproject.toml setup.py
 	@echo "Setting up $(VENV): sonoservo and what it needs (two or three minutes, once) ..."
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v <= (3, 13) else "sonoservo needs Python 3.11 to 3.13; this is %d.%d" % v)'
 	@$(PYTHON) -m venv $(VENV) || { echo "Could not make $(VENV): on Debian or Ubuntu, install the package python3-venv."; exit 1; }
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --editable .
 	@$(BIN)/sonoservo compile
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.run
 	@echo "Adding the development tools ..."
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --editable '.[dev]'
 	@touch $@
 
 run: $(VENV)/.run
 	@$(BIN)/sonoservo run $(SCENARIO) $(ARGS)
 
 test: $(VENV)/.dev
-	@$(BIN)/python -m pytest -n 2 --dist loadfile $(ARGS)
+	@$(BIN)/python -m pytest -n 3 --dist loadfile $(ARGS)
 
 fuzz: $(VENV)/.dev
 	@PYTHONPATH=tests/helpers $(BIN)/python -m fuzzing $(ARGS)
