@@ -34,7 +34,7 @@ run: $(VENV)/.run
 	@$(BIN)/sonoservo run $(SCENARIO) $(ARGS)
 
 test: $(VENV)/.dev
-	@$(BIN)/python -m pytest -n 3 --dist loadfile $(ARGS)
+	@$(BIN)/python -m pytest -n 2 --dist loadfile $(ARGS)
 
 fuzz: $(VENV)/.dev
 	@PYTHONPATH=tests/helpers $(BIN)/python -m fuzzing $(ARGS)
