@@ -49,6 +49,7 @@ def test_over_seeds_the_tip_is_centred_as_well_as_the_paper_reports():
     assert np.mean([each["servo"]["at_rest"]["x_mm"] for each in summaries]) <= 1.10
 
 
+@pytest.mark.slow  # recordings and driven runs are repeated bit for bit in quick tests
 def test_the_same_seed_gives_the_same_summary():
     scenario = load_scenario(
         "chatelain2013_fig5",

@@ -270,6 +270,7 @@ def test_choices_are_checked(choice, message):
         tracker_parameters(**choice)
 
 
+@pytest.mark.slow
 def test_a_thousand_volumes_leave_the_memory_flat(tmp_path):
     """200 MB of volumes; what is held grows by the estimates only."""
     shape = (60, 60, 56)
