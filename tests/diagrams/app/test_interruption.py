@@ -25,17 +25,13 @@ except KeyboardInterrupt:
     sys.exit(interruption.interrupted_code())
 """
 
-
-_SWALLOWING = """
+_INTERRUPTED = """
 import os, signal, sys, time
 from sonoservo.diagrams.app import interruption
 interruption.catch_interruptions()
-class Finalized:
-    def __del__(self):
-        os.kill(os.getpid(), signal.SIGTERM)
-        time.sleep(0.01)
+{setting}
 try:
-    Finalized()
+    {act}
     time.sleep(1)
     print("slept")
 except KeyboardInterrupt:
@@ -43,17 +39,26 @@ except KeyboardInterrupt:
 """
 
 
+def interrupted(setting, act):
+    """Run a program in which ``act`` is interrupted."""
+    code = _INTERRUPTED.format(setting=setting, act=act)
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=20)
+
+
+_FINALIZED = """
+class Finalized:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(0.01)
+"""
+
+
 def test_an_interruption_that_a_finalizer_swallows_is_raised_again():
-    result = subprocess.run(
-        [sys.executable, "-c", _SWALLOWING], capture_output=True, text=True, timeout=20
-    )
+    result = interrupted(_FINALIZED, "Finalized()")
     assert (result.returncode, result.stdout, result.stderr) == (128 + signal.SIGTERM, "", "")
 
 
-_COMPILING = """
-import os, signal, sys, time
-from sonoservo.diagrams.app import interruption
-interruption.catch_interruptions()
+_CALLED_BACK = """
 callback = '''
 def notify():
     os.kill(os.getpid(), signal.SIGTERM)
@@ -61,19 +66,11 @@ def notify():
     print("not disturbed", flush=True)
 '''
 exec(compile(callback, os.path.join("llvmlite", "binding", "executionengine.py"), "exec"))
-try:
-    notify()
-    time.sleep(1)
-    print("slept")
-except KeyboardInterrupt:
-    sys.exit(interruption.interrupted_code())
 """
 
 
 def test_an_interruption_waits_for_the_compiler_s_callbacks():
-    result = subprocess.run(
-        [sys.executable, "-c", _COMPILING], capture_output=True, text=True, timeout=20
-    )
+    result = interrupted(_CALLED_BACK, "notify()")
     assert (result.returncode, result.stdout) == (128 + signal.SIGTERM, "not disturbed\n")
 
 
