@@ -3,6 +3,9 @@ from .explain import ExplainedRun as ExplainedRun
 from .explain import explanation_table as explanation_table
 from .explain import read_explained_run as read_explained_run
 from .kept_run import KeptRun as KeptRun
+from .pacer import Pacer as Pacer
+from .pages import Pages as Pages
+from .pages import open_pages as open_pages
 from .real_time import RealTime as RealTime
 from .run import RunResult as RunResult
 from .scan import Scan as Scan
@@ -12,10 +15,7 @@ from .scan import write_scan as write_scan
 from .terminal import Progress as Progress
 from .terminal import VolumeProgress as VolumeProgress
 from .terminal import format_figure as format_figure
-from .terminal import keep_shown as keep_shown
 from .terminal import mode_table as mode_table
-from .terminal import start_display as start_display
-from .terminal import start_monitor as start_monitor
 from .terminal import study_table as study_table
 from .terminal import summary_table as summary_table
 from .volumes.estimates_table import estimates_csv as estimates_csv

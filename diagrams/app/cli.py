@@ -19,6 +19,7 @@ from sonoservo.diagrams.app.options import (
     ExplainOption,
     HostOption,
     JsonOption,
+    OpenOption,
     OutOption,
     ScenarioArgument,
     SeedOption,
@@ -77,6 +78,7 @@ def run_command(
     out: OutOption = None,
     meshcat: Annotated[bool, typer.Option(help="Show the run in a browser, in real time.")] = True,
     host: HostOption = "localhost",
+    open_page: OpenOption = True,
     record: Annotated[
         Path | None, typer.Option(help="Record the volumes and the truth to NAME.seq.nrrd.")
     ] = None,
@@ -91,22 +93,17 @@ def run_command(
     """Run a scenario and write its results; exit status 3: the guard stopped the robot for good."""
     from sonoservo.diagrams.app.live.commands import serving
     from sonoservo.diagrams.app.run import run
-    from sonoservo.diagrams.app.terminal import (
-        Progress,
-        end_run,
-        open_site,
-        start_display,
-        start_monitor,
-        summary_table,
-    )
-    from sonoservo.diagrams.experiments.registry import experiment_class, load_scenario
+    from sonoservo.diagrams.app.terminal import Progress, end_run, end_words, summary_table
+    from sonoservo.diagrams.experiments.registry import load_scenario
 
     loaded = load_scenario(scenario, changes=changes, seed=seed)
     folder = out or free_folder(f"{loaded.name}_seed{loaded.seed}")
-    has_monitor = "monitor" in experiment_class(loaded.experiment).options
-    site = open_site(host) if meshcat else None
-    monitor = start_monitor(console, site) if site and has_monitor else None
-    display = start_display(console, site) if site else None
+    pages = None
+    if meshcat:
+        from sonoservo.diagrams.app.pages import open_pages
+
+        title = f"{loaded.name}, seed {loaded.seed}"
+        pages = open_pages(console, title, host=host, by_itself=open_page)
     with (
         serving(console, serve, loaded, wait_for) as observers,
         Progress(console, loaded) as progress,
@@ -114,8 +111,8 @@ def run_command(
         result = run(
             loaded,
             out=folder,
-            meshcat=display,
-            monitor=monitor,
+            meshcat=pages.meshcat if pages else None,
+            console=pages.console if pages else None,
             record=record,
             record_sweeps=record_sweeps,
             explain=explain,
@@ -125,6 +122,8 @@ def run_command(
     console.print(summary_table(result, loaded.published_figures))
     console.print(f"Report: {folder / 'report.html'}", soft_wrap=True)
     write_printed(json_path, result.summary)
+    if pages:
+        pages.end(console, end_words(result), folder / "report.html")
     if not result.failure and result.summary["interrupted"]:
         raise typer.Exit(INTERRUPTED)
     end_run(result)

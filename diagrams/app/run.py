@@ -9,15 +9,17 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.framework import System
 
 from sonoservo.diagrams.app.kept_run import KeptRun, refusing
+from sonoservo.diagrams.app.pacer import Pacer
 from sonoservo.diagrams.experiments.experiment import Experiment
-from sonoservo.diagrams.experiments.registry import make_experiment
+from sonoservo.diagrams.experiments.registry import experiment_class, make_experiment
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.evaluation.log import write_log
 from sonoservo.systems.files.claims import claim_folder
 from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.writing import write_atomically
 
 if TYPE_CHECKING:
-    from sonoservo.systems.display.monitor.monitor import Monitor
+    from sonoservo.systems.display.console.console import Console
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,7 @@ def run(
     *,
     out: Path | None = None,
     meshcat: Meshcat | None = None,
-    monitor: "Monitor | None" = None,
+    console: "Console | None" = None,
     tracker: System | None = None,
     record: Path | None = None,
     record_sweeps: bool = False,
@@ -67,9 +69,11 @@ def run(
     out
         Folder for scenario.yaml, summary.json, log.npz, plots, report.html and, with a Meshcat,
         replay.html; None writes nothing.
-    meshcat, monitor
-        Displays of the world and of the volumes, if any. With either, the run is limited to real
-        time.
+    meshcat
+        Meshcat that draws the world, if any. With it, the run is limited to real time.
+    console
+        Console that shows and controls the run, if any: its pages may pause it, step through it,
+        change its speed (real time at first) and the controller's settings, and end it.
     tracker
         Custom tracker that replaces the scenario's; see `FollowingExperiment`.
     record
@@ -99,26 +103,33 @@ def run(
         experiment = make_experiment(
             scenario,
             meshcat=meshcat,
-            monitor=monitor,
+            console=console if "console" in experiment_class(scenario.experiment).options else None,
             tracker=tracker,
             record=record,
             record_sweeps=record_sweeps,
             explain=out if explain else None,
             observers=observers,
         )
-    kept = KeptRun(
-        scenario, lambda path: write_log(path, experiment.log()), out=out, meshcat=meshcat
-    )
+    pacer = Pacer(console) if console is not None else None
+
+    def save(path: Path) -> None:
+        write_log(path, experiment.log())
+        if console is not None:  # which may have changed it
+            write_atomically(path.with_name("scenario.yaml"), experiment.happened().to_yaml())
+
+    kept = KeptRun(scenario, save, out=out, meshcat=meshcat)
 
     def note(experiment: Experiment[Any]) -> None:
         kept.go_on()
         if after_step is not None:
             after_step(experiment)
+        if pacer is not None and pacer.wait(experiment.time):
+            experiment.set_speed(pacer.speed)
 
     with claim_folder(out):
         with kept:
             try:
-                experiment.run(note, real_time=bool(meshcat or monitor or observers))
+                experiment.run(note, real_time=bool(meshcat or console or observers))
             finally:
                 experiment.close()
         return finish(kept, experiment)

@@ -24,8 +24,11 @@ from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.diagrams.station import MakeStation
 from sonoservo.systems.control.controller_schedule import ControllerSchedule
+from sonoservo.systems.control.operator_settings import OperatorSettings
 from sonoservo.systems.control.scheduled_settings import ScheduledSettings
-from sonoservo.systems.display.monitor.scanner_monitor import ScannerMonitor
+from sonoservo.systems.display.console.console_feed import ConsoleFeed
+from sonoservo.systems.display.console.controls import controller_controls
+from sonoservo.systems.display.console.operator_panel import OperatorPanel
 from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
 from sonoservo.systems.evaluation.explanation.explanation_recorder import ExplanationRecorder
 from sonoservo.systems.evaluation.labels import LABELS
@@ -50,9 +53,9 @@ from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
 if TYPE_CHECKING:
-    from sonoservo.systems.display.monitor.monitor import Monitor
+    from sonoservo.systems.display.console.console import Console
 
-_OBSERVERS = ("scanner", "run_logger", "world_view", "volume_recorder")
+_OBSERVERS = ("scanner", "run_logger", "world_view", "console_feed", "volume_recorder")
 """Systems that see the truth, apart from the station and the sources that produce it."""
 
 
@@ -64,7 +67,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         name: (the scenario's)
 
     The subsystems are station, scanner, scan_converter, needle_tracker, probe_controller,
-    run_logger, the sources, the observers and, on request, world_view, scanner_monitor,
+    run_logger, the sources, the observers and, on request, world_view, console_feed,
     volume_recorder and explanation_recorder.
 
     Parameters
@@ -76,13 +79,14 @@ class FollowingExperiment(Experiment[FollowingScenario]):
     sources
         Systems that move needle and phantom and set the controller, by name; their outputs are
         needle, phantom_command, gain and force_target. By default they are phantom_motion, hand and
-        controller_settings, which follow the scenario.
+        controller_settings, which follow the scenario; with a console, its operator may also move
+        the controller's gain and force.
     tracker
         System that replaces the scenario's tracker, with the input volume and the output estimate.
         If it has outputs measurement and detection, they are logged too. `tracker_events` returns
         the times at which it should look for a volume.
-    monitor
-        Monitor that shows the volumes, if any.
+    console
+        Console that shows the run, if any.
     film
         Whether to keep the slices for a replay.
     record
@@ -103,7 +107,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
 
     scenario_class = FollowingScenario
     options = frozenset(
-        {"explain", "meshcat", "monitor", "observers", "record", "record_sweeps", "tracker"}
+        {"console", "explain", "meshcat", "observers", "record", "record_sweeps", "tracker"}
     )
     labels = LABELS
 
@@ -114,7 +118,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         *,
         sources: Mapping[str, System] | None = None,
         tracker: System | None = None,
-        monitor: "Monitor | None" = None,
+        console: "Console | None" = None,
         film: bool = True,
         record: Path | None = None,
         record_sweeps: bool = False,
@@ -176,7 +180,11 @@ class FollowingExperiment(Experiment[FollowingScenario]):
             joints=self.station.GetOutputPort("joint_state").size() // 2,
             geometry=geometry,
         )
-        sources = _planned_sources(scenario, insertion) if sources is None else sources
+        if sources is None:
+            sources = _planned_sources(scenario, insertion)
+            if console is not None:
+                sources |= controlled_from(console, scenario)
+        self._settings = sources["controller_settings"]
         sources = with_tissue_reaction(scenario, sources)
         systems: dict[str, System] = {
             "station": self.station,
@@ -192,8 +200,8 @@ class FollowingExperiment(Experiment[FollowingScenario]):
             systems["world_view"] = WorldView(
                 meshcat=meshcat, parameters=WorldViewParameters(film_frames=frames)
             )
-        if monitor is not None:
-            systems["scanner_monitor"] = ScannerMonitor(monitor=monitor, **a_moment_later)
+        if console is not None:
+            systems["console_feed"] = ConsoleFeed(console=console, **a_moment_later)
         self._recorder: VolumeRecorder | None = None
         if record is not None:
             self._recorder = systems["volume_recorder"] = VolumeRecorder(
@@ -260,6 +268,13 @@ class FollowingExperiment(Experiment[FollowingScenario]):
             "errors.png": ("errors", plot_errors(log)),
         }
 
+    def happened(self) -> FollowingScenario:
+        """Return the scenario that repeats the run, with the changes made in the console."""
+        if not isinstance(self._settings, OperatorSettings):
+            return self.scenario
+        changes = self._settings.schedule(self.context_of(self._settings)).changes
+        return replace(self.scenario, controller_changes=list(changes))
+
     def _force_target(self) -> float | None:
         """Return the controller's target force in N; None if it changes during the run."""
         happened = self.happened()
@@ -280,6 +295,23 @@ def _planned_sources(scenario: FollowingScenario, insertion: Insertion) -> dict[
         ),
         "hand": Hand(insertion=insertion),
         "controller_settings": ScheduledSettings(schedule=schedule),
+    }
+
+
+def controlled_from(console: "Console", scenario: FollowingScenario) -> dict[str, System]:
+    """Return the systems by which an operator changes the controller's gain and force."""
+    controller = scenario.controller
+    start = controller.settings
+    controls = controller_controls(
+        gain=start.gain,
+        force=start.force,
+        min_force=controller.force.touch_force + 0.1,
+        max_force=min(5.0, 0.8 * controller.guards.max_force),
+    )
+    schedule = ControllerSchedule(start, tuple(scenario.controller_changes))
+    return {
+        "operator_panel": OperatorPanel(controls=controls, inputs=console.controls),
+        "controller_settings": OperatorSettings(schedule=schedule),
     }
 
 
