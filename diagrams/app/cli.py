@@ -136,6 +136,7 @@ def drive_command(
     duration: Annotated[float, typer.Option(help="Maximum simulated time, in s.")] = 600.0,
     out: OutOption = None,
     host: HostOption = "localhost",
+    open_page: OpenOption = True,
     serve: ServeOption = None,
     json_path: JsonOption = None,
 ) -> None:
@@ -148,14 +149,8 @@ def drive_command(
     from sonoservo.diagrams.app.drive import DRIVING, drive
     from sonoservo.diagrams.app.kept_run import refusing
     from sonoservo.diagrams.app.live.commands import serving
-    from sonoservo.diagrams.app.terminal import (
-        Progress,
-        end_run,
-        open_site,
-        start_display,
-        start_monitor,
-        summary_table,
-    )
+    from sonoservo.diagrams.app.pages import open_pages
+    from sonoservo.diagrams.app.terminal import Progress, end_run, end_words, summary_table
     from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
     from sonoservo.diagrams.experiments.registry import load_scenario
     from sonoservo.diagrams.scenario import require_scenario
@@ -165,9 +160,8 @@ def drive_command(
     with refusing(loaded):
         following = replace(following, duration=duration)
     folder = out or Path("out") / f"{loaded.name}_driven_seed{loaded.seed}"
-    site = open_site(host)
-    monitor = start_monitor(console, site)
-    display = start_display(console, site)
+    title = f"{loaded.name}, driven"
+    pages = open_pages(console, title, host=host, by_itself=open_page)
     console.print(DRIVING)
     with (
         serving(console, serve, following) as observers,
@@ -175,8 +169,8 @@ def drive_command(
     ):
         result = drive(
             following,
-            display,
-            monitor=monitor,
+            pages.console,
+            meshcat=pages.meshcat,
             observers=observers,
             out=folder,
             show=progress.show,
@@ -186,6 +180,7 @@ def drive_command(
     again = f"sonoservo run {folder / 'scenario.yaml'}"
     console.print(f"To repeat this run: {again}", soft_wrap=True)
     write_printed(json_path, result.summary)
+    pages.end(console, end_words(result), folder / "report.html")
     end_run(result)
 
 

@@ -13,6 +13,7 @@ from sonoservo.diagrams.app.pacer import Pacer
 from sonoservo.diagrams.experiments.experiment import Experiment
 from sonoservo.diagrams.experiments.registry import experiment_class, make_experiment
 from sonoservo.diagrams.scenario import Scenario
+from sonoservo.systems.display.console.readings import Sample
 from sonoservo.systems.evaluation.log import write_log
 from sonoservo.systems.files.claims import claim_folder
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -99,11 +100,14 @@ def run(
     """
     if explain and out is None:
         raise ConfigurationError("explain: there is no folder to keep explanations in; give out")
+    has_feed = "console" in experiment_class(scenario.experiment).options
+    if console is not None and not has_feed:
+        console.say(without=["slices", "strips", "readings"])
     with refusing(scenario):
         experiment = make_experiment(
             scenario,
             meshcat=meshcat,
-            console=console if "console" in experiment_class(scenario.experiment).options else None,
+            console=console if has_feed else None,
             tracker=tracker,
             record=record,
             record_sweeps=record_sweeps,
@@ -123,6 +127,8 @@ def run(
         kept.go_on()
         if after_step is not None:
             after_step(experiment)
+        if console is not None and not has_feed:
+            console.add(Sample(time=experiment.time, reason=experiment.status))
         if pacer is not None and pacer.wait(experiment.time):
             experiment.set_speed(pacer.speed)
 

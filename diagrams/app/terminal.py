@@ -17,7 +17,6 @@ from sonoservo.diagrams.experiments.experiment import Experiment
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.studies.study_report import Study, target_text
 from sonoservo.systems.evaluation.labels import LABELS
-from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 
 

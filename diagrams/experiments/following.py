@@ -19,7 +19,7 @@ from sonoservo.diagrams.experiments.following_insertion import (
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.experiments.following_tissue import with_tissue_reaction
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
-from sonoservo.diagrams.probe_controller import MakeProbeController
+from sonoservo.diagrams.probe_controller import MakeProbeController, ProbeControllerParameters
 from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.diagrams.station import MakeStation
@@ -27,7 +27,7 @@ from sonoservo.systems.control.controller_schedule import ControllerSchedule
 from sonoservo.systems.control.operator_settings import OperatorSettings
 from sonoservo.systems.control.scheduled_settings import ScheduledSettings
 from sonoservo.systems.display.console.console_feed import ConsoleFeed
-from sonoservo.systems.display.console.controls import controller_controls
+from sonoservo.systems.display.console.controls import Control, controller_controls
 from sonoservo.systems.display.console.operator_panel import OperatorPanel
 from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
 from sonoservo.systems.evaluation.explanation.explanation_recorder import ExplanationRecorder
@@ -183,7 +183,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         if sources is None:
             sources = _planned_sources(scenario, insertion)
             if console is not None:
-                sources |= controlled_from(console, scenario)
+                sources |= _controlled_from(console, scenario)
         self._settings = sources["controller_settings"]
         sources = with_tissue_reaction(scenario, sources)
         systems: dict[str, System] = {
@@ -298,17 +298,22 @@ def _planned_sources(scenario: FollowingScenario, insertion: Insertion) -> dict[
     }
 
 
-def controlled_from(console: "Console", scenario: FollowingScenario) -> dict[str, System]:
-    """Return the systems by which an operator changes the controller's gain and force."""
-    controller = scenario.controller
+def settings_controls(controller: ProbeControllerParameters) -> list[Control]:
+    """Return the sliders of a controller's gain and force."""
     start = controller.settings
-    controls = controller_controls(
+    return controller_controls(
         gain=start.gain,
         force=start.force,
         min_force=controller.force.touch_force + 0.1,
         max_force=min(5.0, 0.8 * controller.guards.max_force),
     )
-    schedule = ControllerSchedule(start, tuple(scenario.controller_changes))
+
+
+def _controlled_from(console: "Console", scenario: FollowingScenario) -> dict[str, System]:
+    """Return the systems by which an operator changes the controller's gain and force."""
+    controls = settings_controls(scenario.controller)
+    changes = tuple(scenario.controller_changes)
+    schedule = ControllerSchedule(scenario.controller.settings, changes)
     return {
         "operator_panel": OperatorPanel(controls=controls, inputs=console.controls),
         "controller_settings": OperatorSettings(schedule=schedule),

@@ -13,6 +13,7 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import DiagramBuilder
 
+from sonoservo.diagrams.app.pacer import Pacer
 from sonoservo.diagrams.app.volumes.estimates_table import estimate_row, estimates_csv
 from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
@@ -42,7 +43,7 @@ from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.volume import Volume
 
 if TYPE_CHECKING:
-    from sonoservo.systems.display.monitor.monitor import Monitor
+    from sonoservo.systems.display.console.console import Console
 
 _PICTURES = 6
 """Number of volumes of a recording that the report shows."""
@@ -132,7 +133,7 @@ def track_recording(
     parameters: TrackerParameters | None = None,
     seed: int | None = None,
     real_time: bool = False,
-    monitor: "Monitor | None" = None,
+    console: "Console | None" = None,
     out: Path | None = None,
     explain: bool = False,
     command: str = "",
@@ -153,8 +154,9 @@ def track_recording(
         Seed of every random choice; by default the recorder's, or else 0.
     real_time
         Whether to limit the pace to that of the acquisition.
-    monitor
-        Monitor that shows the volumes, if any.
+    console
+        Console that shows the volumes, if any. Its pages may pause the tracking, step through the
+        volumes, change the speed and end it.
     out
         Folder for estimates.csv, estimates.json, summary.json, log.npz, plots and report.html; None
         writes nothing.
@@ -176,7 +178,7 @@ def track_recording(
         raise ConfigurationError("explain: there is no folder to keep explanations in; give out")
     with claim_folder(out):
         return _track(
-            recording, parameters, seed, real_time, monitor, out, explain, command, after_volume
+            recording, parameters, seed, real_time, console, out, explain, command, after_volume
         )
 
 
@@ -185,7 +187,7 @@ def _track(
     parameters: TrackerParameters | None,
     seed: int | None,
     real_time: bool,
-    monitor: "Monitor | None",
+    console: "Console | None",
     out: Path | None,
     explain: bool,
     command: str,
@@ -222,6 +224,8 @@ def _track(
     tracker_context = tracker.GetMyContextFromRoot(context)
 
     done = _Progress()
+    speed = 1.0 if real_time else 0.0
+    pacer = Pacer(console, speed=speed, keeps_speed=True) if console is not None else None
     pictured = set(np.linspace(0, len(recording) - 1, _PICTURES).round().astype(int).tolist())
     interrupted = False
     started = time.perf_counter()
@@ -230,7 +234,7 @@ def _track(
             clock = [time.perf_counter()]
             volume = recording[number]
             clock.append(time.perf_counter())
-            if real_time:
+            if real_time and pacer is None:
                 ahead = recording.times[number] - recording.times[0] - (clock[1] - started)
                 time.sleep(max(0.0, ahead))
                 clock[1] = time.perf_counter()
@@ -248,10 +252,12 @@ def _track(
             estimate: NeedleEstimate = estimate_port.Eval(tracker_context)
             clock.append(time.perf_counter())
             _note(done, recording, number, volume, estimate, clock, number in pictured)
-            if monitor is not None:
-                monitor.show(volume, estimate, number + 1)
+            if console is not None:
+                console.show(volume, estimate, number + 1, **_true_values(truth, volume, estimate))
             if after_volume is not None:
                 after_volume(number, estimate)
+            if pacer is not None:
+                pacer.wait(volume.time)
     except KeyboardInterrupt:
         interrupted = True
     wall = time.perf_counter() - started
@@ -265,6 +271,17 @@ def _track(
     if out is not None:
         _write(out, done, summary, log, truth, command, unwritten)
     return TrackedRecording(done.estimates, done.rows, summary, log, unwritten.failure)
+
+
+def _true_values(truth: Truth | None, volume: Volume, estimate: NeedleEstimate) -> dict[str, float]:
+    """Return the error of the tip in mm and the contact force in N, if there is a truth."""
+    if truth is None:
+        return {}
+    sample = truth.at(volume.time)
+    needle, error = truth.needles[sample], np.nan
+    if needle and estimate.curve is not None:
+        error = 1e3 * float(np.linalg.norm(estimate.curve.tip - needle.tip))
+    return {"error": error, "force": float(truth.contact_force[sample])}
 
 
 def _note(

@@ -180,6 +180,29 @@ window.sonoservo = (() => {
     }
   }
 
+  // World
+
+  let far = null;
+  function closeUp(frame) {
+    const viewer = frame.contentWindow.viewer, probe = viewer?.scene_tree.find(["sector"]).object;
+    if (!probe) return;
+    const camera = ["Cameras", "default", "rotated", "<object>"];
+    const look = (position, target) => {
+      viewer.set_property(camera, "position", position);
+      viewer.set_camera_target(target);
+    };
+    if (far) {
+      look(...far);
+      far = null;
+    } else {
+      far = [viewer.camera.position.toArray(), viewer.controls.target.toArray()];
+      // The camera's frame has Y up; the sector is at the face of the probe.
+      const { x, y, z } = probe.position, target = [x, z - 0.04, -y];
+      look([target[0] + 0.16, target[1] + 0.1, target[2] + 0.24], target);
+    }
+    $("close-up").setAttribute("aria-pressed", Boolean(far));
+  }
+
   // Slices
 
   function fit() {
@@ -270,10 +293,13 @@ window.sonoservo = (() => {
     if (state.world && !frame.getAttribute("src")) {
       frame.src = `../${state.world}/${location.search}`;
       frame.hidden = false;
-      $("legend").hidden = state.world !== "world";
+      $("legend").hidden = $("see").hidden = state.world !== "world";
     }
+    const without = state.without ?? [];
     for (const each of ["slices", "strips", "readings"])
-      document.body.classList.toggle(`no-${each}`, Boolean(state.without?.includes(each)));
+      document.body.classList.toggle(`no-${each}`, without.includes(each));
+    for (const each of ["force", "error"])
+      $(`strip-${each}`).hidden = $(each).parentElement.hidden = without.includes(each);
     scale();
     fit();
     contrast();
@@ -319,7 +345,16 @@ window.sonoservo = (() => {
       if (!document.hasFocus()) arm(false);
     }));
     const frame = $("world").firstElementChild;
-    frame.onload = () => frame.contentWindow?.addEventListener("keydown", key);
+    frame.onload = () => {
+      frame.contentWindow.addEventListener("keydown", key);
+      if (frame.contentWindow.viewer) frame.contentWindow.viewer.gui.domElement.hidden = true;
+    };
+    $("layers").onclick = () => {
+      const gui = frame.contentWindow.viewer?.gui;
+      if (gui) { gui.domElement.hidden = !gui.domElement.hidden; gui.open(); }
+      $("layers").blur();
+    };
+    $("close-up").onclick = () => { closeUp(frame); $("close-up").blur(); };
     setInterval(readGamepad, 100);
     describe();
     show();

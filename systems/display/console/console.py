@@ -2,7 +2,7 @@
 
 import gc
 import time as clock
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +16,8 @@ from sonoservo.systems.signals.volume import Volume
 
 if TYPE_CHECKING:
     from bokeh.document import Document
+
+    from sonoservo.systems.display.console.probe_page import ProbePage
 
 _PERIOD = 0.12
 """Shortest time between two updates of a page, in s."""
@@ -70,6 +72,10 @@ class Console:
         self._views: set[_View] = set()
         self.strips, self.cine = Strips(), Cine()
         self.controls = Controls(self._wake)
+        self._probe: ProbePage | None = None
+        if not world:
+            self._probe = _open_probe(self._site, self._wake)
+            self._facts["world"] = "probe"
         open_bokeh_page(self._site, page="console", title="Console", make=self._open)
 
     @property
@@ -78,7 +84,11 @@ class Console:
         return self._site.address("console")
 
     def show(
-        self, volume: Volume, estimate: NeedleEstimate | None = None, number: int | None = None
+        self,
+        volume: Volume,
+        estimate: NeedleEstimate | None = None,
+        number: int | None = None,
+        **values: float,
     ) -> None:
         """Show a volume and the readings of its estimate soon, and return at once.
 
@@ -90,9 +100,12 @@ class Console:
             Estimate of the needle in the volume, if a tracker has processed it.
         number
             Number of the volume; by default volumes are counted from 1.
+        values
+            Tip's ``error`` in mm and contact ``force`` in N, if they are known.
         """
+        self.say(without=[name for name in ("force", "error") if name not in values])
         self.show_volume(volume, estimate, number)
-        self.add(sample_estimate(volume.time, estimate, volume.X_WP))
+        self.add(sample_estimate(volume.time, estimate, volume.X_WP, **values))
 
     def show_volume(
         self, volume: Volume, estimate: NeedleEstimate | None = None, number: int | None = None
@@ -108,7 +121,14 @@ class Console:
         self._wake()
 
     def say(self, **facts: Any) -> None:
-        """Show facts about the run: ``paused``, ``pace``, ``speed``, ``note``, ``ended``."""
+        """Show facts about the run.
+
+        Parameters
+        ----------
+        facts
+            ``paused``; ``pace``, ``note`` and ``ended`` in words; address of the ``report``; and
+            the parts of the page that it goes ``without``: slices, strips, readings, force, error.
+        """
         if any(self._facts.get(name) != value for name, value in facts.items()):
             self._facts = self._facts | facts
             self._wake()
@@ -128,7 +148,7 @@ class Console:
         newest = self._newest
         if newest is None:
             return None
-        volume, estimate, number = newest
+        volume, _, number = newest
         last = self.cine.at(volume.time)
         if last is None or (last.number, last.time) != (number, volume.time):
             last = picture_volume(*newest)
@@ -149,6 +169,8 @@ class Console:
         self._site.call(self._update)
 
     def _update(self) -> None:
+        if self._probe is not None and self._newest is not None:
+            self._probe.show(*self._newest[:2])
         for view in self._views:
             view.wake()
 
@@ -281,6 +303,12 @@ class _View:
             first, second = (min(max(_number(each) or 0.0, -200.0), 200.0) for each in asked)
             self._offsets = 1e-3 * first, 1e-3 * second
         self.wake()
+
+
+def _open_probe(site: Site, asked: Callable[[], None]) -> "ProbePage":
+    from sonoservo.systems.display.console.probe_page import ProbePage
+
+    return ProbePage(site, asked)
 
 
 def picture_volume(

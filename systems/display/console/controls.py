@@ -2,7 +2,7 @@
 
 import math
 import threading
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -82,9 +82,7 @@ def controller_controls(
     ]  # fmt: skip
 
 
-def operator_controls(
-    *, depth: float = 0.0, azimuth_deg: float, dip_deg: float
-) -> list[Control]:
+def operator_controls(*, depth: float = 0.0, azimuth_deg: float, dip_deg: float) -> list[Control]:
     """Return the controls of the needle and the phantom.
 
     Parameters

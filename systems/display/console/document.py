@@ -24,6 +24,9 @@ _MODES = [str(mode) for mode in MODE_COLOURS]
 _COLOURS = {str(mode): hexadecimal(colour) for mode, colour in MODE_COLOURS.items()}
 _DASHES = {"tracking": "solid", "coasting": "dashed", "lost": "dotted"}
 _LINK: Mapping[str, Any] = {"state": {}, "described": {}, "order": {}, "drawn": -1}
+_LONGEST = 0.5
+"""Longest time before a sample for which its mode is drawn, in s."""
+
 _RING = 2.5
 """Radius of the ring at the tip, in mm."""
 
@@ -76,9 +79,11 @@ class PageDocument:
         self.link = Link()
         self._images = [_image_source() for _ in range(2)]
         self._marks = [_mark_source() for _ in range(2)]
-        self._strips = ColumnDataSource({name: [] for name in (*STRIPS, "colour")})
+        self._strips = ColumnDataSource({name: [] for name in (*STRIPS, "colour", "begin")})
+        self._time: float | None = None
         grey = LinearColorMapper(palette=Greys256, low=0, high=255, name="grey")
         self._rails: list[Any] = []
+        self._axes: list[tuple[Any, Any]] = []
         roots = {
             f"slice_{number}": self._slice_figure(number, grey) for number in range(2)
         } | self._strip_figures()
@@ -110,6 +115,8 @@ class PageDocument:
             self._images[number].data = {
                 "image": [picture.grey], "x": [x], "y": [y], "dw": [width], "dh": [height],
             }  # fmt: skip
+            for axis, label in zip(self._axes[number], picture.axes, strict=True):
+                axis.axis_label = f"{label} (mm)"
             xs = [rail[:, 0].tolist() for rail in picture.rails]
             ys = [rail[:, 1].tolist() for rail in picture.rails]
             tip = [[value] for value in picture.tip.tolist()] or [[], []]
@@ -134,6 +141,13 @@ class PageDocument:
         """
         data = dict(columns)
         data["colour"] = [_COLOURS.get(str(mode), _INK) for mode in data["mode"]]
+        begins = [self._time if not anew else None, *data["time"]]
+        if data["time"]:
+            self._time = data["time"][-1]
+        data["begin"] = [
+            time - _LONGEST if begin is None else max(begin, time - _LONGEST)
+            for begin, time in zip(begins, data["time"], strict=False)
+        ]
         if anew:
             self._strips.data = data
         elif data["time"]:
@@ -148,8 +162,7 @@ class PageDocument:
         _style(plot)
         plot.background_fill_color = "#000000"
         plot.grid.visible = False
-        plot.xaxis.axis_label = "mm"
-        plot.yaxis.axis_label = "mm"
+        self._axes.append((plot.xaxis[0], plot.yaxis[0]))
         plot.image(source=self._images[number], color_mapper=grey)
         rails = plot.multi_line(
             "xs", "ys", source=self._marks[number], line_width=2, name=f"rails_{number}"
@@ -188,8 +201,8 @@ class PageDocument:
         )  # fmt: skip
         _style(modes)
         modes.ygrid.visible = False
-        modes.rect("time", "mode", source=self._strips, width=0.2, height=0.7,
-                   fill_color="colour", line_color=None)  # fmt: skip
+        modes.hbar(left="begin", right="time", y="mode", source=self._strips, height=0.7,
+                   fill_color="colour", line_color="colour")  # fmt: skip
         modes.xaxis.axis_label = "time (s)"
         plots["mode"] = modes
         for plot in plots.values():

@@ -124,8 +124,10 @@ def describe_state(sample: Sample | None) -> dict[str, str]:
             "kind": "stopped", "word": "stopped by the guard", "detail": sample.stopped,
             "advice": "",
         }  # fmt: skip
-    kind = sample.mode or "showing"
-    detail = sample.reason
+    if not sample.mode:
+        word = sample.reason or "showing"
+        return {"kind": "showing", "word": word, "detail": "", "advice": ""}
+    kind, detail = sample.mode, sample.reason
     advice = ""
     if kind == "searching" and detail != _WAITING:
         words = search_words(detail)

@@ -22,11 +22,14 @@ _POINTS = 21
 _IN_PLANE = 1.5e-3
 """Largest distance of a slice from the needle at which the overlay belongs to it, in m."""
 
-TITLES = (
-    ("Lateral plane", "Elevation plane"),
-    ("Along needle and beam", "Along needle, across beam"),
+_NAMES = (
+    (("Lateral plane", ("X", "depth")), ("Elevation plane", ("Z", "depth"))),
+    (
+        ("Along needle and beam", ("along needle", "depth")),
+        ("Along needle, across beam", ("along needle", "across beam")),
+    ),
 )
-"""Titles of the two slices, without and with a needle."""
+"""Titles and axes of the two slices, without and with a needle."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,8 @@ class SlicePicture:
     ----------
     title
         Title of the slice.
+    axes
+        Names of the coordinates to the right and down.
     grey
         (rows, columns) levels from 0 to 255, the first row at the top; 0 outside the sector.
     corner, size
@@ -73,6 +78,7 @@ class SlicePicture:
     """
 
     title: str
+    axes: tuple[str, str]
     grey: NDArray[np.uint8]
     corner: tuple[float, float]
     size: tuple[float, float]
@@ -133,7 +139,8 @@ def slice_pictures(
     """Return the pictures of the two orthogonal planes through the needle; see `slice_views`."""
     pictures = []
     views = slice_views(volume, curve, offsets)
-    for view, title, offset in zip(views, TITLES[curve is not None], offsets, strict=False):
+    names = _NAMES[curve is not None]
+    for view, (title, axes), offset in zip(views, names, offsets, strict=False):
         sampled = sample_plane(volume, view.plane, max(_PIXEL, 0.5 * float(volume.spacing.min())))
         half = 0.5 * np.array([view.plane.width, view.plane.height])
         corner = 1e3 * (view.coordinates(view.plane.X_PS.translation()) - half)
@@ -146,6 +153,7 @@ def slice_pictures(
         pictures.append(
             SlicePicture(
                 title,
+                axes,
                 np.ascontiguousarray(sampled[..., 0]),
                 (float(corner[0]), float(corner[1])),
                 (2e3 * float(half[0]), 2e3 * float(half[1])),

@@ -49,9 +49,7 @@ class _Nothing(Guarded):
         raise HTTPError(404)
 
 
-def open_bokeh_page(
-    site: Site, *, page: str, title: str, make: Callable[[Document], None]
-) -> None:
+def open_bokeh_page(site: Site, *, page: str, title: str, make: Callable[[Document], None]) -> None:
     """Add a page to a site that is served by Bokeh, on the site's own thread.
 
     The page and its WebSocket are answered only if the site's rule allows it. Bokeh's published
