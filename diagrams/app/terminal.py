@@ -75,8 +75,8 @@ def stops_text(summary: Mapping[str, Any]) -> str:
 def end_words(result: RunResult) -> str:
     """Return the end of a run in words, for its page."""
     summary = result.summary
-    words = f"{summary['simulated_s']:.1f} s simulated"
-    if summary["interrupted"]:
+    words = f"{summary.get('simulated_s', 0.0):.1f} s simulated"
+    if summary.get("interrupted"):
         words += "; stopped before the end"
     if error := look_up(summary, "tracking.tip_error_mm.median"):
         words += f"; median tip error {error:.2f} mm"

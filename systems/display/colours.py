@@ -11,15 +11,15 @@ from pydrake.geometry import Rgba
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 
 STEEL = (0.62, 0.65, 0.70)
-HUB = (0.90, 0.55, 0.70)
+HUB = (0.78, 0.30, 0.55)
 SECTOR = (0.0, 0.35, 0.65)
 UNCERTAINTY = (0.70, 0.0, 1.0)
 FORCE = (0.95, 0.65, 0.0)
-STOPPED = (0.55, 0.0, 0.35)
+STOPPED = (0.80, 0.35, 0.65)
 PANEL = (0.06, 0.06, 0.07)
 
 MODE_COLOURS = {
-    TrackingMode.SEARCHING: (0.55, 0.58, 0.62),
+    TrackingMode.SEARCHING: (0.52, 0.54, 0.60),
     TrackingMode.TRACKING: (0.05, 0.68, 0.47),
     TrackingMode.COASTING: (1.00, 0.75, 0.10),
     TrackingMode.LOST: (0.86, 0.16, 0.12),

@@ -206,7 +206,9 @@ window.sonoservo = (() => {
   // Slices
 
   function fit() {
-    (state.windows ?? []).forEach(([left, right, top, bottom], n) => {
+    (state.windows ?? []).forEach((window, n) => {
+      if (!window) return;
+      const [left, right, top, bottom] = window;
       const plot = figures[`slice_${n}`];
       const [width, height] = [plot.inner_width, plot.inner_height];
       if (!(width > 0 && height > 0)) return;

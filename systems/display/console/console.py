@@ -222,17 +222,20 @@ class _View:
         drawn = self._page.link.get("drawn")
         if (drawn is None or drawn < self._sent) and silent < _PATIENCE:
             return  # it says when it is ready
+        self._push()
+
+    def _push(self) -> None:
         # Drake aborts if a Meshcat is destroyed on a thread other than its own, so garbage must not
         # be collected on this thread.
         collects = gc.isenabled()
         gc.disable()
         try:
-            self._push()
+            self._send()
         finally:
             if collects:
                 gc.enable()
 
-    def _push(self) -> None:
+    def _send(self) -> None:
         console, page = self._console, self._page
         newest = console.frame()
         frame = newest
@@ -280,8 +283,8 @@ class _View:
                 "volume": frame.number,
                 "volume_time": frame.time,
                 "decibels_per_level": frame.decibels_per_level,
-                "windows": [list(each.window) for each in frame.pictures],
-                "titles": [each.title for each in frame.pictures],
+                "windows": [list(each.window) if each else None for each in frame.pictures],
+                "titles": [each.title if each else "" for each in frame.pictures],
             }
         state["offsets"] = [round(1e3 * each, 1) for each in self._offsets]
         return state

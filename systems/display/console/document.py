@@ -15,13 +15,26 @@ from bokeh.models import (
 from bokeh.palettes import Greys256
 from bokeh.plotting import figure
 
-from sonoservo.systems.display.colours import MODE_COLOURS, hexadecimal
+from sonoservo.systems.display.colours import (
+    FORCE,
+    MODE_COLOURS,
+    SECTOR,
+    STEEL,
+    STOPPED,
+    UNCERTAINTY,
+    hexadecimal,
+)
 from sonoservo.systems.display.console.history import STRIPS, Frame
 
 _GROUND, _PLOT, _INK, _GRID = "#10141a", "#0a0d11", "#aeb7c2", "#242c36"
 _FIRST, _SECOND = "#58b4f0", "#f0a35e"
 _MODES = [str(mode) for mode in MODE_COLOURS]
 _COLOURS = {str(mode): hexadecimal(colour) for mode, colour in MODE_COLOURS.items()}
+_PAGE_COLOURS = {
+    **{str(mode): colour for mode, colour in MODE_COLOURS.items()},
+    "stopped": STOPPED, "steel": STEEL, "sector": SECTOR, "uncertainty": UNCERTAINTY,
+    "force": FORCE,
+}  # fmt: skip
 _DASHES = {"tracking": "solid", "coasting": "dashed", "lost": "dotted"}
 _LINK: Mapping[str, Any] = {"state": {}, "described": {}, "order": {}, "drawn": -1}
 _LONGEST = 0.5
@@ -82,20 +95,22 @@ class PageDocument:
         self._strips = ColumnDataSource({name: [] for name in (*STRIPS, "colour", "begin")})
         self._time: float | None = None
         grey = LinearColorMapper(palette=Greys256, low=0, high=255, name="grey")
+        self._rings = [ColumnDataSource({"x": [], "y": []}) for _ in range(2)]
         self._rails: list[Any] = []
         self._axes: list[tuple[Any, Any]] = []
         roots = {
             f"slice_{number}": self._slice_figure(number, grey) for number in range(2)
         } | self._strip_figures()
-        for name, root in roots.items():
-            root.name = name
-            document.add_root(root)
+        # They belong to the document, and follow its changes, only if one of its roots names them.
+        roots["mode"].tags = list(self.link.models.values())
+        with document.models.freeze():
+            for name, root in roots.items():
+                root.name = name
+                document.add_root(root)
         document.title = title
         document.template = page_template()
         document.config.reconnect_session = False
         document.config.notify_connection_status = False
-        # They belong to the document, and follow its changes, only if one of its roots names them.
-        roots["mode"].tags = list(self.link.models.values())
         start = CustomJS(
             args={"link": self.link.models, "grey": grey, "figures": roots},
             code="window.sonoservo.start(link, grey, figures)",
@@ -108,8 +123,8 @@ class PageDocument:
         for number in range(2):
             picture = frame.pictures[number] if number < len(frame.pictures) else None
             if picture is None:
-                self._images[number].data = _image_source().data
-                self._marks[number].data = _mark_source().data
+                for source in (self._images[number], self._marks[number], self._rings[number]):
+                    source.data = {name: [] for name in source.data}
                 continue
             (x, y), (width, height) = picture.corner, picture.size
             self._images[number].data = {
@@ -122,7 +137,7 @@ class PageDocument:
             tip = [[value] for value in picture.tip.tolist()] or [[], []]
             self._marks[number].data = {"xs": xs, "ys": ys}
             rails, ring = self._rails[number]
-            ring.data_source.data = {"x": tip[0], "y": tip[1]}
+            self._rings[number].data = {"x": tip[0], "y": tip[1]}
             for glyph in (rails.glyph, ring.glyph):
                 glyph.line_color = colour
                 glyph.line_dash = _DASHES.get(frame.mode, "solid")
@@ -168,7 +183,7 @@ class PageDocument:
             "xs", "ys", source=self._marks[number], line_width=2, name=f"rails_{number}"
         )
         ring = plot.circle(
-            "x", "y", radius=_RING, source=ColumnDataSource({"x": [], "y": []}),
+            "x", "y", radius=_RING, source=self._rings[number],
             fill_color=None, line_width=2, name=f"ring_{number}",
         )  # fmt: skip
         self._rails.append((rails, ring))
@@ -215,6 +230,8 @@ def page_template() -> str:
     """Return the template of the page, with its style and its script."""
     folder = files("sonoservo.systems.display.console")
     text = (folder / "console.html").read_text()
+    colours = "".join(f"--{name}: {hexadecimal(each)}; " for name, each in _PAGE_COLOURS.items())
+    text = text.replace("/* colours */", f":root {{ {colours}}}")
     for name in ("console.css", "console.js"):
         text = text.replace(f"/* {name} */", (folder / name).read_text())
     return text

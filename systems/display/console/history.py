@@ -25,7 +25,7 @@ class Frame:
     mode
         Tracking mode after the volume; empty without a tracker.
     pictures
-        Slices through the needle.
+        Slices through the needle; None for one that misses the volume.
     decibels_per_level
         Decibels per grey level.
     """
@@ -33,7 +33,7 @@ class Frame:
     number: int
     time: float
     mode: str
-    pictures: Sequence[SlicePicture]
+    pictures: Sequence[SlicePicture | None]
     decibels_per_level: float
 
 

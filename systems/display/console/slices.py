@@ -89,13 +89,14 @@ class SlicePicture:
 
 def slice_views(
     volume: Volume, curve: NeedleCurve | None = None, offsets: tuple[float, float] = (0.0, 0.0)
-) -> list[SliceView]:
+) -> list[SliceView | None]:
     """Return the views of the two orthogonal planes through the needle.
 
     See `slice_planes`. X or else Z of P runs to the right, and the depth, or else Z, runs down.
     Coordinates are those of P seen in the plane. Along a needle that dips, zero is the point below
     the middle of the probe, or the middle of the slice from a dip of 60 deg on. Both windows have
-    the same width and height, which depend on the size of the volume alone.
+    the same width and height, which depend on the size of the volume alone. A slice that misses the
+    volume is None.
 
     Parameters
     ----------
@@ -109,7 +110,7 @@ def slice_views(
     size = volume.upper - volume.origin
     middle = 0.5 * (volume.upper + volume.origin)
     half = 0.5 * np.array([np.hypot(size[0], size[2]), max(size[1], size[2])])
-    views = []
+    views: list[SliceView | None] = []
     for slice_, offset in zip(slice_planes(volume, curve), offsets, strict=False):
         R = slice_.X_PS.rotation().matrix()
         right = 1.0 if R[0, 0] + 1e-6 * R[2, 0] >= 0 else -1.0
@@ -126,7 +127,10 @@ def slice_views(
         at = (centre - origin) @ R[:, :2]
         held = 0.5 * np.array([slice_.width, slice_.height])
         low, high = np.maximum(at - held, place - half), np.minimum(at + held, place + half)
-        if (low < high).all():
+        inside = volume.origin - 1e-9 <= centre, centre <= volume.upper + 1e-9
+        if not (low < high).all() or (offset and not np.all(inside)):
+            views.append(None)
+        else:
             p_P = centre + R[:, :2] @ (0.5 * (low + high) - at)
             plane = Plane(RigidTransform(RotationMatrix(R), p_P), *(high - low))
             views.append(SliceView(plane, origin, np.stack([place - half, place + half])))
@@ -135,12 +139,15 @@ def slice_views(
 
 def slice_pictures(
     volume: Volume, curve: NeedleCurve | None = None, offsets: tuple[float, float] = (0.0, 0.0)
-) -> list[SlicePicture]:
+) -> list[SlicePicture | None]:
     """Return the pictures of the two orthogonal planes through the needle; see `slice_views`."""
-    pictures = []
+    pictures: list[SlicePicture | None] = []
     views = slice_views(volume, curve, offsets)
     names = _NAMES[curve is not None]
     for view, (title, axes), offset in zip(views, names, offsets, strict=False):
+        if view is None:
+            pictures.append(None)
+            continue
         sampled = sample_plane(volume, view.plane, max(_PIXEL, 0.5 * float(volume.spacing.min())))
         half = 0.5 * np.array([view.plane.width, view.plane.height])
         corner = 1e3 * (view.coordinates(view.plane.X_PS.translation()) - half)
