@@ -18,7 +18,11 @@ window.sonoservo = (() => {
 
   let link, grey, figures, state = {}, described = {}, orders = 0, armed = false, held = null;
 
-  const order = (fields) => { link.order.tags = [{ ...fields, order: ++orders }]; };
+  let connected = true;
+  const send = (name, value) => { if (connected) link[name].tags = [value]; };
+  const order = (fields) => send("order", { ...fields, order: ++orders });
+  // What was asked for here holds until the console has heard of it.
+  const asked = new Map();
   const text = (id, value) => { if ($(id).textContent !== value) $(id).textContent = value; };
   const number = (value, digits) =>
     value == null ? "–" : value.toFixed(digits).replace("-", "−");
@@ -116,6 +120,7 @@ window.sonoservo = (() => {
     value = Math.min(Math.max(Number(value.toFixed(6)), each.least), each.most);
     state.values[each.name] = value;
     order({ set: each.name, value });
+    asked.set(each.name, { value, order: orders });
     showValues();
   }
 
@@ -233,8 +238,13 @@ window.sonoservo = (() => {
     event.preventDefault();
     const offsets = [...(state.offsets ?? [0, 0])];
     offsets[n] = Number((offsets[n] + Math.sign(event.deltaY)).toFixed(1));
+    shift(offsets);
+  }
+
+  function shift(offsets) {
     state.offsets = offsets;
     order({ offsets });
+    asked.set("offsets", { value: offsets, order: orders });
     showOffsets();
   }
 
@@ -262,6 +272,10 @@ window.sonoservo = (() => {
 
   function show() {
     state = plain(link.state.tags[0]);
+    for (const [name, each] of asked) {
+      if (state.heard >= each.order) asked.delete(name);
+      else (name === "offsets" ? state : state.values)[name] = each.value;
+    }
     $("state").dataset.kind = state.ended ? "showing" : state.kind;
     for (const each of $("mark").children)
       each.style.display = each.classList.contains($("state").dataset.kind) ? "inline" : "none";
@@ -306,7 +320,7 @@ window.sonoservo = (() => {
     fit();
     contrast();
     const shown = state.number;
-    requestAnimationFrame(() => { link.drawn.tags = [shown]; });
+    requestAnimationFrame(() => { send("drawn", shown); });
   }
 
   function describe() {
@@ -315,6 +329,7 @@ window.sonoservo = (() => {
   }
 
   function gone() {
+    connected = false;
     $("gone").hidden = false;
     $("state").style.opacity = 0.5;
     const again = setInterval(() => fetch(location.href).then((answer) => {
@@ -339,7 +354,7 @@ window.sonoservo = (() => {
     $("cine").oninput = cine;
     $("cine").onchange = () => $("cine").blur();
     $("live").onclick = () => { $("cine").value = 1000; cine(); $("live").blur(); };
-    $("centre").onclick = () => { order({ offsets: [0, 0] }); $("centre").blur(); };
+    $("centre").onclick = () => { shift([0, 0]); $("centre").blur(); };
     $("overlay").onclick = () => { overlay(); $("overlay").blur(); };
     $("help-button").onclick = () => { $("help").showModal(); };
     window.addEventListener("keydown", key);

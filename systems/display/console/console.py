@@ -195,6 +195,7 @@ class _View:
         self._strips_end = -1
         self._offsets = (0.0, 0.0)
         self._cine: float | None = None
+        self._heard = 0
         self._looked: object = None
         self._described: dict[str, Any] = {}
         self._state_sent: dict[str, Any] = {}
@@ -286,12 +287,14 @@ class _View:
                 "windows": [list(each.window) if each else None for each in frame.pictures],
                 "titles": [each.title if each else "" for each in frame.pictures],
             }
+        state["heard"] = self._heard
         state["offsets"] = [round(1e3 * each, 1) for each in self._offsets]
         return state
 
     def _obey(self, order: Mapping[str, Any]) -> None:
         """Carry out what the page asks for; whatever is malformed is ignored."""
         controls = self._console.controls
+        self._heard = int(_number(order.get("order")) or 0)
         if isinstance(button := order.get("press"), str):
             controls.press(button)
         if isinstance(name := order.get("set"), str):
