@@ -11,11 +11,11 @@
 import os
 
 import matplotlib.pyplot as plt
-from rich.console import Console
+from rich.console import Console as Terminal
 
 from sonoservo.diagrams import load_scenario, make_experiment, run
 from sonoservo.diagrams.app import summary_table
-from sonoservo.systems.display.monitor import Monitor
+from sonoservo.systems.display.console import Console
 from sonoservo.systems.evaluation import estimate_errors, plot_run
 
 QUICK = ["duration=7", "hand.start=1", "hand.pushes.0.speed=0.016"]
@@ -42,23 +42,23 @@ for system in make_experiment(scenario).diagram.GetSystems():
     print(f"{', '.join(inputs) or '(none)':>60}  ->  {system.get_name()}  ->  {', '.join(outputs)}")
 
 # %% [markdown]
-# The scanner's monitor shows each volume as it is acquired: the two orthogonal planes through the
-# estimated needle, in red, with a ring around the tip. Run the next two cells and watch it here.
-# (In the terminal, `make run` also shows the whole world.)
+# The console shows each volume as it is acquired: the two orthogonal planes through the estimated
+# needle, with lines beside its echo and a ring around the tip. Run the next two cells and watch it
+# here. (In the terminal, `make run` also shows the whole world in it.)
 
 # %%
-monitor = Monitor()
-monitor
+console = Console()
+console
 
 # %%
-result = run(scenario, monitor=monitor)
+result = run(scenario, console=console)
 
 # %% [markdown]
 # The figures of the run beside the paper's. The paper could report estimated errors only; here
 # they can be compared with ground truth.
 
 # %%
-Console(width=100).print(summary_table(result, scenario.published_figures))
+Terminal(width=100).print(summary_table(result, scenario.published_figures))
 
 # %% [markdown]
 # The features that the servo drives to zero, the tip, the motion of the probe and the force. Solid

@@ -54,6 +54,7 @@ class Pages:
         if report is not None and report.is_file():
             self.site.add("report", "Report", [("(.*)", Files, {"path": str(report.parent)})])
             self.console.say(report=f"../report/{report.name}")
+        self.console.controls.offer([])
         self.console.controls.offer_buttons()
         self.console.say(ended=said, paused=False, pace="")
         if terminal.is_interactive and sys.stdin.isatty():
