@@ -17,14 +17,8 @@ from sonoservo.diagrams.studies.store import Store
 from sonoservo.diagrams.studies.study import DIED, Case, Finished, Outcome, Work
 from sonoservo.systems.files.refusals import ConfigurationError, shorten
 
-AGAIN = 3
-"""Number of times that a lost case is run again."""
-
 _LOOK_S = 1.0
 """Time in s between two looks at which workers there are."""
-
-_SILENCE_S = 15.0
-"""Time in s without an answer after which the scheduler is considered gone."""
 
 _GRACE_S = 60.0
 """Time in s beyond a case's limit after which its worker is considered frozen."""
@@ -45,9 +39,9 @@ class Cluster:
     """Executor on the workers of a Dask scheduler.
 
     Every worker gets as many cases at a time as it has threads, and the next one when one ends. A
-    case whose worker dies, leaves or takes too long is run again, at most three times, and the last
-    time on a worker that runs nothing else, so that a case which kills its worker is told apart
-    from its neighbours. A worker whose package differs from this process's gets no cases.
+    case whose worker dies, leaves or takes too long is run again a few times, and the last time on
+    a worker that runs nothing else, so that a case which kills its worker is told apart from its
+    neighbours. A worker whose package differs from this process's gets no cases.
 
     Parameters
     ----------
@@ -55,12 +49,16 @@ class Cluster:
         Client of the scheduler.
     limit
         Longest time in s that a case may take.
-    grace
-        Time in s beyond the limit after which a worker that does not answer is given up.
+    again
+        Number of times that a lost case is run again.
+    patience
+        Time in s without an answer after which the scheduler is considered gone.
     """
 
-    def __init__(self, client: Client, *, limit: float, grace: float = _GRACE_S) -> None:
-        self._client, self._limit, self._grace = client, limit, grace
+    def __init__(
+        self, client: Client, *, limit: float, again: int = 3, patience: float = 15.0
+    ) -> None:
+        self._client, self._limit, self._again, self._patience = client, limit, again, patience
         self._threads: Mapping[str, int] = {}
         self._refused: dict[str, str] = {}
         self._looked = -_LOOK_S
@@ -120,7 +118,7 @@ class Cluster:
                 elif reply.kind == "refused":
                     self._refuse(attempt.worker, reply.content, notify)
                     waiting.appendleft((attempt.case, attempt.number))
-                elif attempt.number <= AGAIN:
+                elif attempt.number <= self._again:
                     notify(f"{attempt.case.name}: {reply.content} ({attempt.worker}); runs again")
                     waiting.append((attempt.case, attempt.number + 1))
                 else:
@@ -146,10 +144,10 @@ class Cluster:
         if now - self._looked < _LOOK_S:
             return
         try:
-            threads = self._client.nthreads(callback_timeout=_SILENCE_S)
+            threads = self._client.nthreads(callback_timeout=self._patience)
             self._answered = time.monotonic()
         except (OSError, TimeoutError, AttributeError) as error:  # None while it reconnects
-            if self._client.status == "closed" or now - self._answered > _SILENCE_S:
+            if self._client.status == "closed" or now - self._answered > self._patience:
                 raise ConnectionError(
                     "the cluster's scheduler is gone; finished cases are kept, and the same "
                     "command goes on with the others"
@@ -163,7 +161,7 @@ class Cluster:
 
     def _stray(self, attempts: Iterable[tuple[str, _Attempt]]) -> list[str]:
         """Return the keys of the attempts whose worker is gone or does not answer."""
-        latest = time.monotonic() - self._limit - self._grace
+        latest = time.monotonic() - self._limit - _GRACE_S
         return [
             key
             for key, attempt in attempts
@@ -176,7 +174,7 @@ class Cluster:
         """Take cases from those that wait, and yield each with its number and a free worker."""
         attempts = list(attempts)
         busy = Counter(attempt.worker for attempt in attempts)
-        alone = {attempt.worker for attempt in attempts if attempt.number > AGAIN}
+        alone = {attempt.worker for attempt in attempts if attempt.number > self._again}
         free = [
             worker
             for worker, threads in self._threads.items()
@@ -185,7 +183,7 @@ class Cluster:
         ]
         while waiting and free:
             case, number = waiting[0]
-            if number <= AGAIN:
+            if number <= self._again:
                 worker = free.pop()
             else:
                 empty = [each for each in free if not busy[each]]
@@ -206,7 +204,7 @@ class Cluster:
                 if attempt.worker in self._threads:
                     self._refuse(attempt.worker, "it does not answer any more", notify)
                 return Reply("lost", DIED)
-            reply: Reply = future.result(timeout=_SILENCE_S)
+            reply: Reply = future.result(timeout=self._patience)
             return reply
         except (CancelledError, KilledWorker, OSError, TimeoutError, KeyError):
             return Reply("lost", DIED)
