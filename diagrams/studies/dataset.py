@@ -12,7 +12,7 @@ from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.diagrams.studies.dataset_sequence import FORMAT, make_sequence
 from sonoservo.diagrams.studies.runs import run_cases
-from sonoservo.diagrams.studies.store import Store
+from sonoservo.diagrams.studies.store import Store, absolute
 from sonoservo.diagrams.studies.study import Case, Executor, Outcome
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.writing import to_json, write_json
@@ -97,7 +97,7 @@ def make_dataset(
     }
     seeds = range(scenario.seed, scenario.seed + count)
     cases = [Case("sequence", seed, settings) for seed in seeds]
-    place = Store(str(out) if store is None else store, shared=store is not None)
+    place = Store(str(out)) if store is None else Store(absolute(store), shared=True)
     merged = _read_manifest(place)
     outcomes = run_cases(
         make_sequence,

@@ -127,7 +127,7 @@ class StudyProgress:
         self._began, self._ended, self._failed = time.monotonic(), 0, sum(not e for e in known)
         self._bar = Progress(
             TextColumn("{task.description}"),
-            BarColumn(bar_width=20),
+            BarColumn(bar_width=12),
             MofNCompleteColumn(),
             _StatusColumn(self),
             console=self._console,
@@ -166,9 +166,8 @@ class StudyProgress:
         slots = self._executor.slots
         rate = 60 * self._ended / max(time.monotonic() - self._began, _PERIOD)
         left = self._left.seconds(slots)
-        return f"{rate:.3g}/min, {slots} at a time, {self._failed} failed, " + (
-            "waiting for workers" if left is None else f"about {_duration(left)} left"
-        )
+        time_left = "no workers yet" if left is None else f"~{_duration(left)} left"
+        return f"{rate:.3g}/min, {slots} at once, {self._failed} failed, {time_left}"
 
 
 class _StatusColumn(ProgressColumn):

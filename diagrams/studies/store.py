@@ -126,3 +126,8 @@ def _size(path: Path) -> int:
         return path.stat().st_size
     except OSError:  # removed meanwhile
         return -1
+
+
+def absolute(url: str) -> str:
+    """Return a URL as it is, and a folder by its absolute path, for processes elsewhere."""
+    return url if "://" in url else str(Path(url).resolve())
