@@ -1,4 +1,7 @@
 from .curve_error import curve_deviations as curve_deviations
+from .intervals import Interval as Interval
+from .intervals import bootstrap_interval as bootstrap_interval
+from .intervals import proportion_interval as proportion_interval
 from .log import Column as Column
 from .log import Log as Log
 from .log import column_table as column_table
