@@ -1,7 +1,4 @@
 from .curve_error import curve_deviations as curve_deviations
-from .intervals import Interval as Interval
-from .intervals import bootstrap_interval as bootstrap_interval
-from .intervals import proportion_interval as proportion_interval
 from .log import Column as Column
 from .log import Log as Log
 from .log import column_table as column_table
@@ -34,6 +31,9 @@ from .shape.shape_metrics import shape_coverage as shape_coverage
 from .shape.shape_metrics import shape_errors as shape_errors
 from .shape.shape_metrics import summarize_shape as summarize_shape
 from .shape.shape_plots import plot_shape as plot_shape
+from .statistics.intervals import Interval as Interval
+from .statistics.intervals import bootstrap_interval as bootstrap_interval
+from .statistics.intervals import proportion_interval as proportion_interval
 from .track_plots import PlanePicture as PlanePicture
 from .track_plots import VolumePictures as VolumePictures
 from .track_plots import picture_planes as picture_planes

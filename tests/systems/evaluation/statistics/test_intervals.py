@@ -3,7 +3,10 @@ import warnings
 import numpy as np
 import pytest
 
-from sonoservo.systems.evaluation.intervals import bootstrap_interval, proportion_interval
+from sonoservo.systems.evaluation.statistics.intervals import (
+    bootstrap_interval,
+    proportion_interval,
+)
 
 
 def test_a_proportion_has_wilson_s_interval():
