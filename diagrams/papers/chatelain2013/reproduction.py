@@ -7,19 +7,18 @@ the last are run with the published method, too.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from sonoservo.diagrams.experiments.following import FollowingExperiment
 from sonoservo.diagrams.papers.chatelain2013.cases import AS_PUBLISHED, load_case
 from sonoservo.diagrams.papers.chatelain2013.report import report
-from sonoservo.diagrams.studies.study import Case, StudyOptions, run_cases
+from sonoservo.diagrams.studies.runs import run_cases
+from sonoservo.diagrams.studies.store import Store
+from sonoservo.diagrams.studies.study import Case, StudyOptions, WithFiles
 from sonoservo.diagrams.studies.study_report import Study
 from sonoservo.systems.evaluation.curve_error import curve_deviations
-from sonoservo.systems.evaluation.log import write_log
+from sonoservo.systems.evaluation.log import encode_log
 from sonoservo.systems.ultrasound.imaging import sweep_geometry
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
@@ -179,14 +178,17 @@ def reproduce(options: StudyOptions) -> Study:
     options
         Number of runs, folder and number of processes.
     """
+    logs = options.folder / "logs"
     outcomes = run_cases(
-        partial(run_case, logs=options.folder / "logs"),
+        run_case,
         study_cases(options),
         options.folder / "cases",
         jobs=options.jobs,
+        cluster=options.cluster,
+        store=Store(str(logs)),
         console=options.console,
     )
-    return report(outcomes, options.folder / "logs", list(ABLATIONS))
+    return report(outcomes, logs, list(ABLATIONS))
 
 
 def study_cases(options: StudyOptions) -> list[Case]:
@@ -204,26 +206,25 @@ def study_cases(options: StudyOptions) -> list[Case]:
     return cases
 
 
-def run_case(case: Case, *, logs: Path) -> dict[str, Any]:
-    """Run a case's scenario, and keep its log.
+def run_case(case: Case) -> WithFiles:
+    """Run a case's scenario.
 
     Parameters
     ----------
     case
         Case whose settings name a `scenario`, `changes` to it, and perhaps `as_published`.
-    logs
-        Folder for the log.
 
     Returns
     -------
-    `summary`: figures as in summary.json; `curve_deviation`: see `curve_deviations`, in m.
+    `summary`: figures as in summary.json; `curve_deviation`: see `curve_deviations`, in m; and the
+    log as a file.
     """
     experiment = FollowingExperiment(load_case(case))
     experiment.run()
     log, scenario = experiment.log(), experiment.scenario
-    write_log(logs / f"{case.name}.npz", log)
     geometry = sweep_geometry(load_transducer(scenario.probe), scenario.imaging)
-    return {
+    result = {
         "summary": experiment.summarize(log),
         "curve_deviation": curve_deviations(log, geometry),
     }
+    return WithFiles(result, {f"{case.name}.npz": encode_log(log)})
