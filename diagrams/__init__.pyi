@@ -15,7 +15,7 @@ from .assembly import load_dome_radius as load_dome_radius
 from .assembly import load_probe_body as load_probe_body
 from .experiments.experiment import Experiment as Experiment
 from .experiments.following import FollowingExperiment as FollowingExperiment
-from .experiments.following import tracker_events as tracker_events
+from .experiments.following_events import tracker_events as tracker_events
 from .experiments.following_insertion import make_insertion as make_insertion
 from .experiments.following_scenario import FollowingScenario as FollowingScenario
 from .experiments.registry import list_scenarios as list_scenarios

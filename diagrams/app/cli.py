@@ -83,6 +83,12 @@ def run_command(
     record_sweeps: Annotated[
         bool, typer.Option("--record-sweeps", help="Also record the sweeps as acquired.")
     ] = False,
+    replay: Annotated[
+        bool, typer.Option("--replay", help="Write replay.html without a page, too.")
+    ] = False,
+    movie: Annotated[
+        Path | None, typer.Option(help="Movie of slices and curves: NAME.gif or NAME.mp4.")
+    ] = None,
     explain: ExplainOption = False,
     serve: ServeOption = None,
     wait_for: WaitOption = 0,
@@ -116,11 +122,14 @@ def run_command(
             out=folder,
             meshcat=display,
             monitor=monitor,
+            replay=replay,
+            movie=movie,
             record=record,
             record_sweeps=record_sweeps,
             explain=explain,
             observers=observers,
             after_step=progress,
+            progress=False,
         )
     console.print(summary_table(result, loaded.published_figures))
     console.print(f"Report: {folder / 'report.html'}", soft_wrap=True)

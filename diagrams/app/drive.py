@@ -111,6 +111,7 @@ class DrivenExperiment(FollowingExperiment):
             monitor=monitor,
             observers=observers,
             film=False,
+            pictures=True,
             sources={
                 "operator_panel": panel,
                 "hand": self._hand,

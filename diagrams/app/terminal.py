@@ -20,21 +20,13 @@ from sonoservo.diagrams.app.run import RunResult
 from sonoservo.diagrams.experiments.experiment import Experiment
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.studies.study_report import Study, target_text
-from sonoservo.systems.evaluation.labels import LABELS
+from sonoservo.systems.evaluation.labels import LABELS, look_up, recording_labels
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 
 if TYPE_CHECKING:
     from sonoservo.systems.display.monitor.monitor import Monitor
     from sonoservo.systems.display.pages.site import Site
-
-
-def look_up(summary: Mapping[str, Any], path: str) -> Any:
-    """Return the entry of a nested mapping at a dotted path; None if there is none."""
-    node: Any = summary
-    for key in path.split("."):
-        node = node.get(key) if isinstance(node, Mapping) else None
-    return node
 
 
 def summary_table(result: RunResult, published: Mapping[str, float] | None = None) -> Table:
@@ -48,13 +40,12 @@ def summary_table(result: RunResult, published: Mapping[str, float] | None = Non
         Published figures by their dotted paths into the summary.
     """
     summary = result.summary
-    table = Table(title=f"{summary['scenario']}, seed {summary['seed']}")
+    table = Table(title=f"{summary['scenario']}, seed {summary['seed']}", caption_justify="left")
     caption = Text(stops_text(summary))
-    if reason := look_up(summary, "detection.reason"):
-        advice = look_up(summary, "detection.advice") or ""
-        found_none = Text("No needle was found.", style="bold not italic")
-        missing = Text.assemble(found_none, f" {reason} {advice}")
-        caption = Text("\n").join([missing, caption] if caption else [missing])
+    if result.verdict is not None:
+        headline = Text(f"{result.verdict.headline}.", style="bold not italic")
+        verdict = Text.assemble(headline, f" {result.verdict.text}")
+        caption = Text("\n").join([verdict, caption] if caption else [verdict])
     table.add_column("quantity")
     table.add_column("this run", justify="right")
     if published:
@@ -66,6 +57,14 @@ def summary_table(result: RunResult, published: Mapping[str, float] | None = Non
         table.add_row(*cells)
     table.caption = caption or None
     return table
+
+
+def result_text(result: RunResult) -> str:
+    """Return the verdict on a run and its figures as plain text."""
+    console = Console(width=100, color_system=None, force_jupyter=False)
+    with console.capture() as captured:
+        console.print(summary_table(result, result.published))
+    return captured.get()
 
 
 def stops_text(summary: Mapping[str, Any]) -> str:
@@ -230,11 +229,7 @@ def mode_table(summary: Mapping[str, Any]) -> Table:
     table = Table(title=str(summary["scenario"]))
     table.add_column("quantity")
     table.add_column("this recording", justify="right")
-    table.add_row("volumes", str(summary["volumes"]))
-    table.add_row("skipped, because the file marks them as invalid", str(summary["skipped"]))
-    for mode, count in summary["modes"].items():
-        table.add_row(f"volumes after which the mode was {mode}", str(count))
-    for path, label in LABELS.items():
+    for path, label in (recording_labels(summary["modes"]) | LABELS).items():
         figure = look_up(summary, path)
         if figure is not None:
             table.add_row(label, format_figure(figure))

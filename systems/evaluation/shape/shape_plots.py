@@ -10,6 +10,14 @@ from sonoservo.systems.signals.needle_shape import NeedleShape
 
 _GREY, _BLUE, _RED = "#808080", "#56B4E9", "#D55E00"
 
+SHAPE_CAPTION = (
+    "The needle's path over depth: in the plane in which it bends most, and across that plane. The "
+    "band holds the predicted needle with a probability of 95 %; left of the dashed line, slices "
+    "were used; at a dotted line, the bevel was turned. Below, the error of the tip predicted for "
+    "the full depth as the slices arrive, and the bound that the estimate states."
+)
+"""Caption of `plot_shape`."""
+
 
 def plot_shape(log: ShapeLog, shape: object) -> Figure:
     """Return a figure like Carriere 2016, fig. 8: measured, true and predicted path, and errors.
