@@ -1,7 +1,7 @@
 from .app.drive import DrivenExperiment as DrivenExperiment
 from .app.drive import drive as drive
-from .app.run import RunResult as RunResult
 from .app.run import run as run
+from .app.run_result import RunResult as RunResult
 from .app.scan import Scan as Scan
 from .app.scan import scan as scan
 from .app.volumes.locate import LocatedNeedle as LocatedNeedle

@@ -97,13 +97,13 @@ def run_command(
     """Run a scenario and write its results; exit status 3: the guard stopped the robot for good."""
     from sonoservo.diagrams.app.live.commands import serving
     from sonoservo.diagrams.app.run import run
+    from sonoservo.diagrams.app.run_result import summary_table
     from sonoservo.diagrams.app.terminal import (
         Progress,
         end_run,
         open_site,
         start_display,
         start_monitor,
-        summary_table,
     )
     from sonoservo.diagrams.experiments.registry import experiment_class, load_scenario
 
@@ -131,7 +131,7 @@ def run_command(
             after_step=progress,
             progress=False,
         )
-    console.print(summary_table(result, loaded.published_figures))
+    console.print(summary_table(result))
     console.print(f"Report: {folder / 'report.html'}", soft_wrap=True)
     write_printed(json_path, result.summary)
     if not result.failure and result.summary["interrupted"]:
@@ -158,13 +158,13 @@ def drive_command(
     from sonoservo.diagrams.app.drive import DRIVING, drive
     from sonoservo.diagrams.app.kept_run import refusing
     from sonoservo.diagrams.app.live.commands import serving
+    from sonoservo.diagrams.app.run_result import summary_table
     from sonoservo.diagrams.app.terminal import (
         Progress,
         end_run,
         open_site,
         start_display,
         start_monitor,
-        summary_table,
     )
     from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
     from sonoservo.diagrams.experiments.registry import load_scenario

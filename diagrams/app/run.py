@@ -3,15 +3,16 @@
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from matplotlib.figure import Figure
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import System
+from rich.console import Console
 
 from sonoservo.diagrams.app.kept_run import KeptRun, refusing
+from sonoservo.diagrams.app.run_result import RunResult
+from sonoservo.diagrams.app.terminal import Progress
 from sonoservo.diagrams.experiments.experiment import Experiment
 from sonoservo.diagrams.experiments.registry import (
     change_scenario,
@@ -23,77 +24,11 @@ from sonoservo.systems.display.pages.meshcat_page import open_meshcat
 from sonoservo.systems.display.pages.site import Site
 from sonoservo.systems.evaluation.log import write_log
 from sonoservo.systems.evaluation.movie import check_movie
-from sonoservo.systems.evaluation.report import Story, report_body
-from sonoservo.systems.evaluation.verdict import Verdict
 from sonoservo.systems.files.claims import claim_folder
 from sonoservo.systems.files.refusals import ConfigurationError
 
 if TYPE_CHECKING:
-    from sonoservo.diagrams.app.terminal import Progress
     from sonoservo.systems.display.monitor.monitor import Monitor
-
-
-@dataclass(frozen=True)
-class RunResult:
-    """Results of a run.
-
-    Parameters
-    ----------
-    summary
-        Figures, as in summary.json.
-    log
-        Log of the run; its class depends on the experiment.
-    labels
-        Label of each figure of the summary that tables show, by its dotted path.
-    results
-        Further results of the experiment, by name: shape prediction has the last `shape`.
-    failure
-        Error of the first file that could not be written; None if all were.
-    verdict
-        Verdict on the run in words; None if nothing judged it.
-    published
-        Published figures to compare with, by their dotted paths into the summary.
-    plots
-        Caption and figure of each plot of the run, by name.
-    """
-
-    summary: dict[str, Any]
-    log: Any
-    labels: Mapping[str, str]
-    results: Mapping[str, Any] = field(default_factory=dict)
-    failure: OSError | None = None
-    verdict: Verdict | None = None
-    published: Mapping[str, float] = field(default_factory=dict)
-    plots: Mapping[str, tuple[str, Figure]] = field(default_factory=dict)
-
-    def plot(self) -> Figure:
-        """Return the run's first plot, which a notebook shows.
-
-        Raises
-        ------
-        ValueError
-            If the run was too short for one.
-        """
-        if not self.plots:
-            raise ValueError("the run was too short for a plot")
-        _, figure = next(iter(self.plots.values()))
-        return figure
-
-    def __str__(self) -> str:
-        from sonoservo.diagrams.app.terminal import result_text
-
-        return result_text(self)
-
-    def __repr__(self) -> str:
-        return str(self)
-
-    def _repr_html_(self) -> str:
-        return report_body(
-            self.summary,
-            story=Story(verdict=self.verdict),
-            labels=self.labels,
-            paper=self.published,
-        )
 
 
 def run(
@@ -243,12 +178,8 @@ def _scenario(
     return change_scenario(scenario, changes=changes, seed=seed)
 
 
-def _bar(scenario: Scenario, wanted: bool | None) -> "Progress | None":
+def _bar(scenario: Scenario, wanted: bool | None) -> Progress | None:
     """Return a progress bar, if it is wanted or, by default, if somebody sees it."""
-    from rich.console import Console
-
-    from sonoservo.diagrams.app.terminal import Progress
-
     console = Console()
     seen = console.is_jupyter or (console.is_terminal and sys.stdout.isatty())
     return Progress(console, scenario) if (seen if wanted is None else wanted) else None

@@ -1,7 +1,6 @@
 """Output in the terminal: progress during a run, and figures at its end."""
 
 import logging
-import math
 import sys
 from collections.abc import Mapping
 from contextlib import suppress
@@ -16,7 +15,7 @@ from rich.progress import Progress as RichProgress
 from rich.table import Table
 from rich.text import Text
 
-from sonoservo.diagrams.app.run import RunResult
+from sonoservo.diagrams.app.run_result import RunResult, format_figure
 from sonoservo.diagrams.experiments.experiment import Experiment
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.studies.study_report import Study, target_text
@@ -27,57 +26,6 @@ from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 if TYPE_CHECKING:
     from sonoservo.systems.display.monitor.monitor import Monitor
     from sonoservo.systems.display.pages.site import Site
-
-
-def summary_table(result: RunResult, published: Mapping[str, float] | None = None) -> Table:
-    """Return the figures of a run beside the published ones, for a terminal.
-
-    Parameters
-    ----------
-    result
-        Results of the run.
-    published
-        Published figures by their dotted paths into the summary.
-    """
-    summary = result.summary
-    table = Table(title=f"{summary['scenario']}, seed {summary['seed']}", caption_justify="left")
-    caption = Text(stops_text(summary))
-    if result.verdict is not None:
-        headline = Text(f"{result.verdict.headline}.", style="bold not italic")
-        verdict = Text.assemble(headline, f" {result.verdict.text}")
-        caption = Text("\n").join([verdict, caption] if caption else [verdict])
-    table.add_column("quantity")
-    table.add_column("this run", justify="right")
-    if published:
-        table.add_column("paper", justify="right")
-    for path, label in result.labels.items():
-        cells = [label, format_figure(look_up(summary, path))]
-        if published:
-            cells.append(format_figure(published[path]) if path in published else "")
-        table.add_row(*cells)
-    table.caption = caption or None
-    return table
-
-
-def result_text(result: RunResult) -> str:
-    """Return the verdict on a run and its figures as plain text."""
-    console = Console(width=100, color_system=None, force_jupyter=False)
-    with console.capture() as captured:
-        console.print(summary_table(result, result.published))
-    return captured.get()
-
-
-def stops_text(summary: Mapping[str, Any]) -> str:
-    """Return the reasons for which a run was stopped and volumes were refused; may be empty."""
-    lines = []
-    reasons, at_end = (look_up(summary, f"guard.{key}") for key in ("reasons", "stopped_at_end"))
-    if reasons:
-        lines.append(f"stopped because {reasons}")
-    if at_end:
-        lines.append(f"still stopped at the end because {at_end}")
-    if refusal := look_up(summary, "guard.refusal"):
-        lines.append(refusal)
-    return "\n".join(lines)
 
 
 def end_run(result: RunResult) -> None:
@@ -120,15 +68,6 @@ def study_table(study: Study) -> Table:
             _MET[row.met],
         )
     return table
-
-
-def format_figure(value: Any) -> str:
-    """Return a figure with three significant digits, a whole number as it is, or a dash."""
-    if value is None or (isinstance(value, float) and math.isnan(value)):
-        return "-"
-    if value == math.inf:
-        return "∞"
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 def _make_bar(console: Console) -> RichProgress:

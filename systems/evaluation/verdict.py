@@ -47,6 +47,7 @@ def following_verdict(summary: Mapping[str, Any], *, follows: bool = True) -> Ve
     if summary.get("interrupted"):
         text = f"The run was interrupted after {summary['simulated_s']:.1f} s. {text}"
     if stopped:
+        text = text if found else f"No needle was found. {text}"
         return Verdict(f"The guard stopped the robot because {stopped}", text, "bad")
     if not found:
         return Verdict("No needle was found", text, "bad")

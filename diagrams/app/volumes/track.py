@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import DiagramBuilder
@@ -48,6 +47,7 @@ from sonoservo.systems.signals.volume import Volume
 if TYPE_CHECKING:
     from sonoservo.systems.display.monitor.monitor import Monitor
 
+_PLOTS = ("planes.png", "tip.png", "errors.png")
 _PICTURES = 6
 """Number of volumes of a recording that the report shows."""
 
@@ -332,23 +332,18 @@ def _write(
     if not done.rows:
         return
     p_LTip = 1e-3 * np.array([[row[f"tip_{axis}_mm"] for axis in "lps"] for row in done.rows])
-    times: NDArray[np.float64] = np.array(done.times)
     figures = {
         PLANES_CAPTION: plot_planes(done.pictures),
-        TIP_CAPTION: plot_tip(times, done.estimates, p_LTip.reshape(-1, 3)),
+        TIP_CAPTION: plot_tip(np.array(done.times), done.estimates, p_LTip.reshape(-1, 3)),
     }
     if truth is not None:
         figures[ERRORS_CAPTION] = plot_errors(log)
     images = {name: png(figure) for name, figure in figures.items()}
     with unwritten.collect():
-        for name, image in zip(
-            ("planes.png", "tip.png", "errors.png"), images.values(), strict=False
-        ):
+        for name, image in zip(_PLOTS, images.values(), strict=False):
             write_atomically(out / name, image)
         write_report(
-            out / "report.html",
-            summary,
-            images,
+            out / "report.html", summary, images,
             story=Story(verdict=recording_verdict(summary), command=command),
             labels=recording_labels(summary["modes"]) | LABELS,
-        )
+        )  # fmt: skip

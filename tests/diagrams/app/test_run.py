@@ -2,7 +2,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from sonoservo.diagrams import load_scenario, run
-from sonoservo.diagrams.app.run import RunResult
+from sonoservo.diagrams.app.run_result import RunResult
 from sonoservo.diagrams.experiments.scenario_changes import base_of, changed_fields
 from sonoservo.diagrams.experiments.scenario_words import following_words, shape_words
 from sonoservo.systems.files.refusals import ConfigurationError
