@@ -1,3 +1,5 @@
+from .app.compare import Comparison as Comparison
+from .app.compare import compare as compare
 from .app.drive import DrivenExperiment as DrivenExperiment
 from .app.drive import drive as drive
 from .app.run import run as run

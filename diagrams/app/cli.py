@@ -29,6 +29,7 @@ from sonoservo.diagrams.app.options import (
     with_common_options,
     write_printed,
 )
+from sonoservo.diagrams.app.result_commands import compare_command, explain_command
 from sonoservo.diagrams.app.scenario_commands import list_command, new_command, show_command
 from sonoservo.diagrams.app.study_commands import dataset_command, reproduce_command
 from sonoservo.diagrams.app.volume_commands import bridge_command, locate_command, track_command
@@ -243,40 +244,6 @@ def scan_command(
     write_printed(json_path, summary)
 
 
-def explain_command(
-    folder: Annotated[Path, typer.Argument(help="Folder of a run made with --explain.")],
-    time: Annotated[
-        float | None, typer.Option(help="Draw the kept volume nearest to this time, in s.")
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Picture, FILE.png; by default in the run's folder.")
-    ] = None,
-    json_path: JsonOption = None,
-) -> None:
-    """Show why an estimate was wrong: what the tracker looked at, beside the truth.
-
-    Without --time the volumes that were kept are listed.
-    """
-    from sonoservo.diagrams.app.explain import explanation_table, read_explained_run
-    from sonoservo.systems.evaluation.explanation.explanation_sheet import describe
-    from sonoservo.systems.evaluation.plots import png
-    from sonoservo.systems.files.writing import write_atomically
-
-    explained_run = read_explained_run(folder)
-    if time is None:
-        rows = explained_run.rows()
-        console.print(explanation_table(rows))
-        console.print(f"Draw one of them: sonoservo explain {folder} --time T", soft_wrap=True)
-        write_printed(json_path, rows)
-        return
-    explained = explained_run.nearest(time)
-    path = out or folder / f"explanation_{float(explained.volume_time):.2f}s.png"
-    write_atomically(path, png(explained_run.sheet(explained)))
-    console.print(describe(explained, explained_run.tip_error(explained)), soft_wrap=True)
-    console.print(f"Drawn: {path}", soft_wrap=True)
-    write_printed(json_path, explained_run.row(explained))
-
-
 _COMMANDS = (
     list_command,
     show_command,
@@ -286,6 +253,7 @@ _COMMANDS = (
     drive_command,
     scan_command,
     explain_command,
+    compare_command,
     track_command,
     bridge_command,
     locate_command,

@@ -58,6 +58,10 @@ class Experiment(ABC, Generic[ScenarioT]):
         Options that `make_experiment` may be given.
     labels
         Label of each figure of the summary that tables show, by its dotted path.
+    log_class
+        Class of the log.
+    overlay_caption
+        Caption of `overlay`.
 
     Raises
     ------
@@ -68,6 +72,8 @@ class Experiment(ABC, Generic[ScenarioT]):
     scenario_class: ClassVar[type[Scenario]]
     options: ClassVar[frozenset[str]] = frozenset({"meshcat"})
     labels: ClassVar[Mapping[str, str]]
+    log_class: ClassVar[type[Log]]
+    overlay_caption: ClassVar[str]
 
     def __init__(
         self,
@@ -112,6 +118,11 @@ class Experiment(ABC, Generic[ScenarioT]):
     @abstractmethod
     def plots(self, log: Any) -> dict[str, tuple[str, Figure]]:
         """Return the plots of a log of this experiment: caption and figure by file name."""
+
+    @classmethod
+    @abstractmethod
+    def overlay(cls, logs: Mapping[str, Any]) -> Figure:
+        """Return a figure of the curves of several runs over one another, by name."""
 
     @abstractmethod
     def verdict(self, summary: Mapping[str, Any]) -> Verdict:

@@ -36,6 +36,7 @@ from sonoservo.systems.control.controller_schedule import ControllerSchedule
 from sonoservo.systems.control.scheduled_settings import ScheduledSettings
 from sonoservo.systems.display.monitor.scanner_monitor import ScannerMonitor
 from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
+from sonoservo.systems.evaluation.comparison_plots import CAPTION, plot_comparison
 from sonoservo.systems.evaluation.explanation.explanation_recorder import ExplanationRecorder
 from sonoservo.systems.evaluation.key_frames import plot_key_frames
 from sonoservo.systems.evaluation.labels import LABELS
@@ -135,6 +136,8 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         }
     )
     labels = LABELS
+    log_class = RunLog
+    overlay_caption = CAPTION
 
     def __init__(
         self,
@@ -293,6 +296,11 @@ class FollowingExperiment(Experiment[FollowingScenario]):
             "run.png": (RUN_CAPTION, plot_run(log, self._force_target())),
             "errors.png": (ERRORS_CAPTION, plot_errors(log)),
         }
+
+    @classmethod
+    def overlay(cls, logs: Mapping[str, RunLog]) -> Figure:
+        """Return a figure of the curves of several runs over one another, by name."""
+        return plot_comparison(logs)
 
     def verdict(self, summary: Mapping[str, Any]) -> Verdict:
         """Return the verdict on a run, from its summary."""

@@ -31,7 +31,12 @@ from sonoservo.systems.evaluation.shape.shape_pictures import (
     plot_key_slices,
     shape_movie_frames,
 )
-from sonoservo.systems.evaluation.shape.shape_plots import SHAPE_CAPTION, plot_shape
+from sonoservo.systems.evaluation.shape.shape_plots import (
+    OVERLAY_CAPTION,
+    SHAPE_CAPTION,
+    plot_shape,
+    plot_shape_comparison,
+)
 from sonoservo.systems.evaluation.shape.shape_verdict import shape_verdict
 from sonoservo.systems.evaluation.verdict import Verdict
 from sonoservo.systems.needle.hand import Hand
@@ -79,6 +84,8 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
 
     scenario_class = ShapePredictionScenario
     labels = LABELS
+    log_class = ShapeLog
+    overlay_caption = OVERLAY_CAPTION
     options = frozenset({"meshcat", "pictures"})
 
     def __init__(
@@ -214,6 +221,11 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
         if len(log.depth) < 2:
             return {}
         return {"shape.png": (SHAPE_CAPTION, plot_shape(log, self.shape))}
+
+    @classmethod
+    def overlay(cls, logs: Mapping[str, ShapeLog]) -> Figure:
+        """Return a figure of the curves of several runs over one another, by name."""
+        return plot_shape_comparison(logs)
 
     def verdict(self, summary: Mapping[str, Any]) -> Verdict:
         """Return the verdict on a run, from its summary."""
