@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.systems.evaluation.plots import png
-from sonoservo.systems.evaluation.web_page import cell_text, web_page
+from sonoservo.systems.evaluation.web_page import cell_text, table, web_page
 from sonoservo.systems.files.writing import write_atomically, write_json
 
 
@@ -196,9 +196,7 @@ def study_page(study: Study, command: str, pictures: Mapping[str, bytes]) -> str
             [html.escape(name), cell_text(each.get("median")), cell_text(each.get("max"))]
             for name, each in study.compute_ms.items()
         ]
-        body.append(
-            "<h2>Computing time per volume (ms)</h2>" + _table(["", "median", "max"], lines)
-        )
+        body.append("<h2>Computing time per volume (ms)</h2>" + table(["", "median", "max"], lines))
     return web_page(f"{study.paper} reproduced", facts, "\n".join(body), pictures)
 
 
@@ -251,7 +249,7 @@ def _rows_table(rows: Sequence[StudyRow]) -> str:
             ]
         )
         before = row.experiment
-    return "<h2>Results</h2>" + _table(heads, lines)
+    return "<h2>Results</h2>" + table(heads, lines)
 
 
 def _cases_table(study: Study) -> str:
@@ -259,7 +257,7 @@ def _cases_table(study: Study) -> str:
         [html.escape(name), _ranges(each["seeds"]), str(each["cases"]), str(each["failed"])]
         for name, each in study.experiments.items()
     ]
-    return "<h2>Runs</h2>" + _table(["", "seeds", "runs", "of these, failed"], lines)
+    return "<h2>Runs</h2>" + table(["", "seeds", "runs", "of these, failed"], lines)
 
 
 def _failures_table(study: Study) -> str:
@@ -270,16 +268,7 @@ def _failures_table(study: Study) -> str:
         [html.escape(each.case.name), str(each.case.seed), html.escape(each.error)]
         for each in failed
     ]
-    return "<h2>Failed runs</h2>" + _table(["", "seed", "error"], lines)
-
-
-def _table(heads: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    head = "".join(f"<th>{each}</th>" for each in heads)
-    body = "\n".join(
-        f"<tr><th>{line[0]}</th>{''.join(f'<td>{cell}</td>' for cell in line[1:])}</tr>"
-        for line in lines
-    )
-    return f"<table><tr>{head}</tr>\n{body}</table>"
+    return "<h2>Failed runs</h2>" + table(["", "seed", "error"], lines)
 
 
 def _ranges(numbers: Sequence[int]) -> str:
