@@ -91,6 +91,7 @@ def load_scenario(
     *,
     changes: Mapping[str, Any] | Sequence[str] | None = None,
     seed: int | None = None,
+    as_published: bool = False,
 ) -> "Scenario":
     """Load a scenario of any experiment.
 
@@ -103,6 +104,9 @@ def load_scenario(
         ``"path.to.field=value"`` with the value in YAML.
     seed
         Seed that replaces the scenario's own.
+    as_published
+        Whether to replace our methods by the whole published one, below the fields of the file and
+        the changes.
 
     Returns
     -------
@@ -123,7 +127,11 @@ def load_scenario(
     path = known.get(str(scenario), Path(scenario))
     if path.suffix not in (".yaml", ".yml"):
         raise ConfigurationError(f"unknown scenario {str(scenario)!r}; {suggest(path.name, known)}")
-    return _load({"name": path.stem, **read_yaml(path)}, str(scenario), changes, seed)
+    data: dict[str, Any] = {"name": path.stem, **read_yaml(path)}
+    if as_published:
+        published = _schema(data, scenario).as_published(data)
+        data = {**published, "name": f"{data['name']}_as_published"}
+    return _load(data, str(scenario), changes, seed)
 
 
 def change_scenario(
@@ -145,8 +153,12 @@ def _load(
     apply_changes(data, changes)
     if seed is not None:
         data["seed"] = seed
+    return load_typed(_schema(data, source), data, source)
+
+
+def _schema(data: Mapping[str, Any], scenario: str | Path) -> "type[Scenario]":
+    """Return the class of the scenarios of the experiment that a scenario's data name."""
     try:
-        schema = experiment_class(data.get("experiment", "following")).scenario_class
+        return experiment_class(data.get("experiment", "following")).scenario_class
     except ConfigurationError as error:
-        raise ConfigurationError(f"{source}: experiment: {error}") from error
-    return load_typed(schema, data, source)
+        raise ConfigurationError(f"{scenario}: experiment: {error}") from error

@@ -8,7 +8,7 @@ from sonoservo.systems.estimation.shape.published_particle_filter import (
 )
 from sonoservo.systems.estimation.shape.shape_filters import SHAPE_FILTERS
 from sonoservo.systems.estimation.shape.shape_least_squares import ShapeLeastSquaresParameters
-from sonoservo.systems.estimation.shape.shape_particle_filter import ShapeParticleFilterParameters
+from sonoservo.systems.estimation.shape.shape_posterior import ShapeParticleFilterParameters
 from sonoservo.systems.files.typed_yaml import suggest
 from sonoservo.systems.localization.cross_section import CrossSectionParameters
 from sonoservo.systems.needle.insertion_parameters import FeedParameters, InsertionParameters

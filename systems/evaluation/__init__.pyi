@@ -24,6 +24,9 @@ from .run_errors import EstimateErrors as EstimateErrors
 from .run_errors import estimate_errors as estimate_errors
 from .run_errors import features as features
 from .run_errors import needle_speed as needle_speed
+from .run_intervals import count_interval as count_interval
+from .run_intervals import mean_interval as mean_interval
+from .run_intervals import run_interval as run_interval
 from .run_log import RunLog as RunLog
 from .run_logger import RunLogger as RunLogger
 from .shape.shape_log import ShapeLog as ShapeLog
@@ -33,6 +36,9 @@ from .shape.shape_metrics import shape_coverage as shape_coverage
 from .shape.shape_metrics import shape_errors as shape_errors
 from .shape.shape_metrics import summarize_shape as summarize_shape
 from .shape.shape_plots import plot_shape as plot_shape
+from .statistics.intervals import Interval as Interval
+from .statistics.intervals import bootstrap_interval as bootstrap_interval
+from .statistics.intervals import proportion_interval as proportion_interval
 from .track_plots import PlanePicture as PlanePicture
 from .track_plots import VolumePictures as VolumePictures
 from .track_plots import picture_planes as picture_planes

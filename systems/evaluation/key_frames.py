@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from sonoservo.systems.evaluation.metrics import MetricsParameters, judged_volumes, resting
+from sonoservo.systems.evaluation.metrics import MetricsParameters, at_rest, judged_volumes
 from sonoservo.systems.evaluation.run_errors import at_times, estimate_errors, in_frame
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.track_plots import PlanePicture, VolumePictures
@@ -87,10 +87,10 @@ def key_volumes(log: RunLog, parameters: MetricsParameters | None = None) -> dic
             f"the largest error of the tip, {1e3 * tip[worst]:.2f} mm "
             f"({1e3 * along:.2f} mm along the needle, {1e3 * across:.2f} mm across it)"
         )
-    rest = at_times(log, resting(log, parameters).astype(float)[:, np.newaxis], log.volume_time)
-    at_rest = np.flatnonzero(judged & tracked & (rest[:, 0] > 0.5))
-    if len(at_rest):
-        moments.setdefault(int(at_rest[-1]), []).append("the needle is at rest")
+    rests = at_times(log, at_rest(log, parameters).astype(float)[:, np.newaxis], log.volume_time)
+    resting = np.flatnonzero(judged & tracked & (rests[:, 0] > 0.5))
+    if len(resting):
+        moments.setdefault(int(resting[-1]), []).append("the needle is at rest")
     return {volume: ", and ".join(moments[volume]) for volume in sorted(moments)}
 
 
