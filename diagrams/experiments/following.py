@@ -25,15 +25,14 @@ from sonoservo.diagrams.experiments.following_insertion import (
     make_insertion,
 )
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams.experiments.following_sources import planned_sources
 from sonoservo.diagrams.experiments.following_tissue import with_tissue_reaction
 from sonoservo.diagrams.experiments.scenario_words import following_words
-from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
+from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, require_tracker
 from sonoservo.diagrams.probe_controller import MakeProbeController
 from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.diagrams.station import MakeStation
-from sonoservo.systems.control.controller_schedule import ControllerSchedule
-from sonoservo.systems.control.scheduled_settings import ScheduledSettings
 from sonoservo.systems.display.monitor.scanner_monitor import ScannerMonitor
 from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
 from sonoservo.systems.evaluation.comparison_plots import CAPTION, plot_comparison
@@ -53,12 +52,8 @@ from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.run_logger import RunLogger
 from sonoservo.systems.evaluation.track_plots import VolumePictures
 from sonoservo.systems.evaluation.verdict import Verdict, following_verdict
-from sonoservo.systems.needle.hand import Hand
-from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.recording.volume_recorder import VolumeRecorder
 from sonoservo.systems.robot.errors.calibration import hand_eye_error
-from sonoservo.systems.robot.phantom import PhantomMotion
-from sonoservo.systems.robot.phantom_motion import phantom_trajectory
 from sonoservo.systems.signals.guard_status import GuardStatus
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.requirements import require
@@ -189,7 +184,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
             processing_time=scenario.processing_time if is_irregular(scenario, geometry) else 0.0,
         )
         self.scan_converter = ScanConverter(geometry=geometry, parameters=scenario.scan_conversion)
-        self.needle_tracker = tracker or MakeNeedleTracker(
+        self.needle_tracker = require_tracker(tracker) or MakeNeedleTracker(
             parameters=scenario.tracker,
             period=period,
             offset=offset,
@@ -209,7 +204,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
             joints=self.station.GetOutputPort("joint_state").size() // 2,
             geometry=geometry,
         )
-        sources = _planned_sources(scenario, insertion) if sources is None else sources
+        sources = planned_sources(scenario, insertion) if sources is None else sources
         sources = with_tissue_reaction(scenario, sources)
         systems: dict[str, System] = {
             "station": self.station,
@@ -340,14 +335,3 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         """Give a recording its final name."""
         if self._recorder is not None:
             self._recorder.close()
-
-
-def _planned_sources(scenario: FollowingScenario, insertion: Insertion) -> dict[str, System]:
-    schedule = ControllerSchedule(scenario.controller.settings, tuple(scenario.controller_changes))
-    return {
-        "phantom_motion": PhantomMotion(
-            trajectory=phantom_trajectory(scenario.phantom_motion, scenario.station.X_WT)
-        ),
-        "hand": Hand(insertion=insertion),
-        "controller_settings": ScheduledSettings(schedule=schedule),
-    }

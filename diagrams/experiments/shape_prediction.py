@@ -148,6 +148,7 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
         if meshcat is not None:
             systems["shape_view"] = ShapeView(
                 meshcat=meshcat, tissue_size=tissue.size, depth=scenario.depth,
+                probe_radius=geometry.array_radius,
                 period=scenario.period, offset=events["offset"] + INSTANT,
             )  # fmt: skip
         super().__init__(
