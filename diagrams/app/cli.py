@@ -83,6 +83,12 @@ def run_command(
     record_sweeps: Annotated[
         bool, typer.Option("--record-sweeps", help="Also record the sweeps as acquired.")
     ] = False,
+    as_published: Annotated[
+        bool,
+        typer.Option(
+            "--as-published", help="Tracker, controller and estimator as the paper printed them."
+        ),
+    ] = False,
     explain: ExplainOption = False,
     serve: ServeOption = None,
     wait_for: WaitOption = 0,
@@ -101,7 +107,7 @@ def run_command(
     )
     from sonoservo.diagrams.experiments.registry import experiment_class, load_scenario
 
-    loaded = load_scenario(scenario, changes=changes, seed=seed)
+    loaded = load_scenario(scenario, changes=changes, seed=seed, as_published=as_published)
     folder = out or free_folder(f"{loaded.name}_seed{loaded.seed}")
     has_monitor = "monitor" in experiment_class(loaded.experiment).options
     site = open_site(host) if meshcat else None

@@ -1,13 +1,18 @@
 """Commands that make many runs: data sets, and reproductions of papers."""
 
 import shlex
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from sonoservo.diagrams.app.options import (
+    CaseLimitOption,
     ChangesOption,
+    ClusterOption,
     JobsOption,
     JsonOption,
     OutOption,
@@ -16,7 +21,23 @@ from sonoservo.diagrams.app.options import (
     write_printed,
 )
 from sonoservo.diagrams.papers.registry import PAPERS, reproduce, require_paper
+from sonoservo.diagrams.studies.cluster.opening import CASE_LIMIT_S
 from sonoservo.systems.files.refusals import ConfigurationError
+
+if TYPE_CHECKING:
+    from sonoservo.diagrams.studies.study import Executor
+
+
+@contextmanager
+def _opened(cluster: str | None, case_limit: float) -> Iterator["Executor | None"]:
+    """Open the cluster that the user named, if any."""
+    from sonoservo.diagrams.studies.cluster.opening import open_cluster
+
+    if cluster is None:
+        yield None
+        return
+    with open_cluster(cluster, limit=case_limit, notify=console.print) as executor:
+        yield executor
 
 
 def dataset_command(
@@ -29,7 +50,13 @@ def dataset_command(
     ] = None,
     changes: ChangesOption = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Seed of the first sequence.")] = None,
+    store: Annotated[
+        str | None,
+        typer.Option(help="Folder or fsspec URL for the sequences; by default, the one of --out."),
+    ] = None,
     jobs: JobsOption = -1,
+    cluster: ClusterOption = None,
+    case_limit: CaseLimitOption = CASE_LIMIT_S,
     json_path: JsonOption = None,
 ) -> None:
     """Make labelled sequences of needles, tissues and probes drawn at random.
@@ -40,18 +67,21 @@ def dataset_command(
     from sonoservo.diagrams.studies.dataset import make_dataset
 
     loaded = load_scenario(scenario, changes=changes, seed=seed)
-    manifest = make_dataset(
-        loaded,
-        out,
-        count=count,
-        volumes=volumes,
-        transducers=transducers or (),
-        jobs=jobs,
-        console=console,
-    )
+    with _opened(cluster, case_limit) as executor:
+        manifest = make_dataset(
+            loaded,
+            out,
+            count=count,
+            volumes=volumes,
+            transducers=transducers or (),
+            store=store,
+            jobs=jobs,
+            cluster=executor,
+            console=console,
+        )
     console.print(
         f"{len(manifest['sequences'])} sequences, {len(manifest['failed'])} failed: "
-        f"{out / 'manifest.json'}",
+        f"{store or out}/manifest.json",
         soft_wrap=True,
     )
     write_printed(json_path, manifest)
@@ -68,6 +98,8 @@ def reproduce_command(
     first_seed: Annotated[int, typer.Option(help="First seed.")] = 0,
     out: OutOption = None,
     jobs: JobsOption = -1,
+    cluster: ClusterOption = None,
+    case_limit: CaseLimitOption = CASE_LIMIT_S,
     json_path: JsonOption = None,
 ) -> None:
     """Repeat a paper's experiments over many seeds, and compare with its figures and the truth.
@@ -96,7 +128,8 @@ def reproduce_command(
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
     try:
-        study = reproduce(paper, options)
+        with _opened(cluster, case_limit) as executor:
+            study = reproduce(paper, replace(options, cluster=executor))
     except KeyboardInterrupt:
         console.print(f"Interrupted. Finished runs are in {folder}; repeat the command to resume.")
         raise

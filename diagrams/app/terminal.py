@@ -19,7 +19,7 @@ from rich.text import Text
 from sonoservo.diagrams.app.run import RunResult
 from sonoservo.diagrams.experiments.experiment import Experiment
 from sonoservo.diagrams.scenario import Scenario
-from sonoservo.diagrams.studies.study_report import Study, target_text
+from sonoservo.diagrams.studies.study_report import Study, interval_text, target_text
 from sonoservo.systems.evaluation.labels import LABELS
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
@@ -102,6 +102,13 @@ _MET: Mapping[bool | None, Text] = {
 }
 
 
+_COLUMNS = (
+    "paper", "estimated", "true", "95 %",
+    "as published, estimated", "as published, true", "95 %", "target", "met",
+)  # fmt: skip
+"""Columns of a study's table after the quantity."""
+
+
 def study_table(study: Study) -> Table:
     """Return the rows of a study, for a terminal."""
     failed = sum(not each for each in study.outcomes)
@@ -110,13 +117,16 @@ def study_table(study: Study) -> Table:
     )
     table.add_column("experiment")
     table.add_column("quantity")
-    for name in ("paper", "estimated", "true", "target", "met"):
+    for name in _COLUMNS:
         table.add_column(name, justify="right")
     for row in study.rows:
         table.add_row(
             row.experiment,
             row.quantity + (f", {row.unit}" if row.unit else ""),
-            *(format_figure(value) for value in (row.paper, row.estimated, row.true)),
+            *map(format_figure, (row.paper, row.estimated, row.true)),
+            interval_text(row.low, row.high, format_figure),
+            *map(format_figure, (row.published_estimated, row.published_true)),
+            interval_text(row.published_low, row.published_high, format_figure),
             target_text(row),
             _MET[row.met],
         )

@@ -85,7 +85,11 @@ def describe_scenarios() -> dict[str, str]:
 
 
 def load_scenario(
-    scenario: str | Path, *, changes: list[str] | None = None, seed: int | None = None
+    scenario: str | Path,
+    *,
+    changes: list[str] | None = None,
+    seed: int | None = None,
+    as_published: bool = False,
 ) -> "Scenario":
     """Load a scenario of any experiment.
 
@@ -97,6 +101,9 @@ def load_scenario(
         Assignments ``path.to.field=value`` that change fields.
     seed
         Seed that replaces the scenario's own.
+    as_published
+        Whether to replace our methods by the whole published one, below the fields of the file and
+        the changes.
 
     Returns
     -------
@@ -113,12 +120,19 @@ def load_scenario(
     if path.suffix not in (".yaml", ".yml"):
         raise ConfigurationError(f"unknown scenario {str(scenario)!r}; {suggest(path.name, known)}")
     data: dict[str, Any] = {"name": path.stem, **read_yaml(path)}
+    if as_published:
+        published = _schema(data, scenario).as_published(data)
+        data = {**published, "name": f"{data['name']}_as_published"}
     for change in changes or []:
         assign(data, change)
     if seed is not None:
         data["seed"] = seed
+    return load_typed(_schema(data, scenario), data, str(scenario))
+
+
+def _schema(data: Mapping[str, Any], scenario: str | Path) -> "type[Scenario]":
+    """Return the class of the scenarios of the experiment that a scenario's data name."""
     try:
-        schema = experiment_class(data.get("experiment", "following")).scenario_class
+        return experiment_class(data.get("experiment", "following")).scenario_class
     except ConfigurationError as error:
         raise ConfigurationError(f"{scenario}: experiment: {error}") from error
-    return load_typed(schema, data, str(scenario))

@@ -1,46 +1,30 @@
 """Labelled sequences for training networks: volumes, needle, tip and mask."""
 
-import hashlib
 import json
-from collections.abc import Sequence
-from dataclasses import asdict
-from functools import partial
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from pydrake.math import RigidTransform
 from rich.console import Console
 
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
-from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.diagrams.scenario import Scenario, require_scenario
-from sonoservo.diagrams.studies.dataset_draws import draw_insertion, draw_scanner
-from sonoservo.diagrams.studies.dataset_labels import (
-    describe_needle,
-    needle_as_acquired,
-    needle_mask,
-)
-from sonoservo.diagrams.studies.study import Case, run_cases
+from sonoservo.diagrams.studies.dataset_sequence import FORMAT, make_sequence
+from sonoservo.diagrams.studies.runs import run_cases
+from sonoservo.diagrams.studies.store import Store, absolute
+from sonoservo.diagrams.studies.study import Case, Executor, Outcome
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.files.writing import write_json
-from sonoservo.systems.needle.insertion import Insertion
-from sonoservo.systems.recording.nrrd import write_mask
-from sonoservo.systems.recording.recording_writer import RecordingWriter
-from sonoservo.systems.signals.sweep import SweepMotion
-from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
-from sonoservo.systems.ultrasound.simulation.acquisition import acquire_sweep
-from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
+from sonoservo.systems.files.writing import to_json, write_json
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
-FORMAT = 1
-"""Format version of manifest.json and labels.json."""
+MANIFEST = "manifest.json"
+"""Name of the list of all sequences in a store."""
 
-
-_FIRST_VOLUME = 1.1
-"""Start of the first volume in s, after the push that no volume shows."""
+_REPRODUCIBLE = (
+    "The same seed gives the same bytes on the same type of processor with the same versions; "
+    "otherwise within one grey level in 99.9 % of the voxels."
+)
 
 
 def make_dataset(
@@ -50,7 +34,9 @@ def make_dataset(
     count: int,
     volumes: int = 10,
     transducers: Sequence[str] = (),
+    store: str | None = None,
     jobs: int = -1,
+    cluster: Executor | None = None,
     console: Console | None = None,
 ) -> dict[str, Any]:
     """Make labelled sequences with a different needle, tissue and probe each.
@@ -59,23 +45,30 @@ def make_dataset(
     phantom. Drawn at random are the entry, angle, bend, gauge and speed of the needle, the pose of
     the probe, the tissue with its inclusions, the transducer with its unpublished properties, and
     gain, frequency and focus. All draws follow from the sequence's seed, counted up from
-    `scenario.seed`. Complete sequences from an earlier call are kept.
+    `scenario.seed`. Complete sequences from an earlier call are kept, and the manifest lists those
+    of all calls with the same store.
 
     Parameters
     ----------
     scenario
         Scenario of following, with the seed of the first sequence.
     out
-        Folder: manifest.json, and for each sequence a folder with volumes.seq.nrrd,
-        volumes.acquisition.jsonl, mask_000.seg.nrrd and so on, and labels.json.
+        Folder for the outcomes and a copy of manifest.json.
     count
         Number of sequences.
     volumes
         Number of volumes in each sequence, at the scenario's rate.
     transducers
         Probes to draw from, by name or path; empty for the scenario's.
+    store
+        Folder or URL of fsspec for manifest.json and, for each sequence, a folder with
+        volumes.seq.nrrd, volumes.acquisition.jsonl, mask_000.seg.nrrd and so on, and labels.json;
+        by default, ``out``. The workers of a cluster write into a given store themselves; without
+        one, everything comes back to this process.
     jobs
         Number of processes; -1 for one per core.
+    cluster
+        Cluster to run on instead, from `open_cluster`.
     console
         Console on which to show progress, if any.
 
@@ -86,7 +79,7 @@ def make_dataset(
     Raises
     ------
     ConfigurationError
-        If a number or a transducer is not allowed.
+        If a number or a transducer is not allowed, or the store's manifest is damaged.
     """
     scenario = require_scenario(scenario, FollowingScenario)
     for name, value in (("count", count), ("volumes", volumes)):
@@ -104,95 +97,70 @@ def make_dataset(
     }
     seeds = range(scenario.seed, scenario.seed + count)
     cases = [Case("sequence", seed, settings) for seed in seeds]
-    kept = out / "cases"
-    for case in cases:
-        outcome = kept / f"{case.name}.json"
-        if not _is_whole(outcome, out / _folder(case)):
-            outcome.unlink(missing_ok=True)
-    work = partial(_make_sequence, out=out)
-    outcomes = run_cases(work, cases, kept, jobs=jobs, console=console)
-    manifest = {
-        "format": FORMAT,
-        "version": version("sonoservo"),
-        "scenario": scenario.name,
-        "sequences": [dict(outcome.result) for outcome in outcomes if outcome],
-        "failed": [
-            {"seed": outcome.case.seed, "error": outcome.error}
-            for outcome in outcomes
-            if not outcome
-        ],
-    }
-    write_json(out / "manifest.json", manifest)
+    place = Store(str(out)) if store is None else Store(absolute(store), shared=True)
+    merged = _read_manifest(place)
+    outcomes = run_cases(
+        make_sequence,
+        cases,
+        out / "cases",
+        jobs=jobs,
+        cluster=cluster,
+        store=place,
+        console=console,
+    )
+    manifest = _merge(merged, [_entry(each, scenario.name) for each in outcomes])
+    place.remove(_unlisted(place.sizes(), manifest))
+    place.write({MANIFEST: to_json(manifest).encode()})
+    if store is not None:
+        write_json(out / MANIFEST, manifest)
     return manifest
 
 
-def _folder(case: Case) -> str:
-    return f"sequence_{case.seed:05d}"
+def _entry(outcome: Outcome, scenario: str) -> dict[str, Any]:
+    """Return a sequence's entry in the manifest."""
+    seed = outcome.case.seed
+    if not outcome:
+        return {"seed": seed, "error": outcome.error}
+    folder = outcome.result["folder"]
+    files = {name.removeprefix(f"{folder}/"): each for name, each in outcome.files.items()}
+    return {"scenario": scenario, **outcome.result, "files": files}
 
 
-def _is_whole(outcome: Path, folder: Path) -> bool:
-    """Return True if all files of a sequence exist and have their recorded sizes."""
-    try:
-        files = json.loads(outcome.read_text(encoding="utf-8"))["result"]["files"]
-        return all((folder / name).stat().st_size == file["bytes"] for name, file in files.items())
-    except (OSError, ValueError, KeyError):
-        return False
-
-
-def _make_sequence(case: Case, *, out: Path) -> dict[str, Any]:
-    """Make a sequence, and return its entry in the manifest."""
-    folder = out / _folder(case)
-    folder.mkdir(parents=True, exist_ok=True)
-    for old in folder.iterdir():
-        old.unlink()
-    scenario_file = folder / "scenario.yaml"
-    scenario_file.write_text(case.settings["scenario"], encoding="utf-8")
-    scenario = require_scenario(load_scenario(scenario_file, seed=case.seed), FollowingScenario)
-    scenario_file.unlink()
-    rng = np.random.default_rng([case.seed, 3])
-    drawn = draw_scanner(scenario, list(case.settings["transducers"]), rng)
-    renderer: SweepRenderer = drawn.pop("renderer")
-    X_TP, hand = draw_insertion(scenario, renderer.geometry, case.settings["volumes"], rng)
-    insertion = Insertion(hand, rng)
-    conversion = ScanConversion(
-        renderer.geometry, make_grid(renderer.geometry, scenario.scan_conversion.spacing)
-    )
-    labels = []
-    with RecordingWriter(folder / "volumes.seq.nrrd") as writer:
-        for number in range(case.settings["volumes"]):
-            volume = _acquire(renderer, conversion, insertion, X_TP, number)
-            needle = needle_as_acquired(volume, insertion)
-            writer.append(volume)
-            write_mask(
-                folder / f"mask_{number:03d}.seg.nrrd",
-                volume,
-                needle_mask(volume, needle),
-                "needle",
-            )
-            labels.append({"volume": number, "time_s": volume.time, **describe_needle(needle)})
-    about = {"format": FORMAT, "seed": case.seed, **drawn, "hand": asdict(hand)}
-    write_json(folder / "labels.json", {**about, "volumes": labels})
-    files = {
-        path.name: {
-            "bytes": path.stat().st_size,
-            "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
-        }
-        for path in sorted(folder.iterdir())
+def _merge(manifest: Mapping[str, Any], entries: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return a manifest with further entries, which replace those of the same seeds."""
+    known = {each["seed"]: each for each in (*manifest["sequences"], *manifest["failed"])}
+    known |= {each["seed"]: each for each in entries}
+    ordered = [known[seed] for seed in sorted(known)]
+    return {
+        "format": FORMAT,
+        "version": version("sonoservo"),
+        "reproducible": _REPRODUCIBLE,
+        "sequences": [each for each in ordered if "error" not in each],
+        "failed": [each for each in ordered if "error" in each],
     }
-    return {"folder": folder.name, "seed": case.seed, "volumes": len(labels), "files": files}
 
 
-def _acquire(
-    renderer: SweepRenderer,
-    conversion: ScanConversion,
-    insertion: Insertion,
-    X_TP: RigidTransform,
-    number: int,
-) -> Volume:
-    """Acquire a volume; the tissue's frame is the world frame."""
-    geometry, direction = renderer.geometry, 1 - 2 * (number % 2)
-    begin = _FIRST_VOLUME + number * geometry.period
-    times = geometry.frame_times(begin, direction)
-    needles = [insertion.needle(float(time)) for time in times]
-    motion = SweepMotion.at_rest(geometry, X_TP, times, direction)
-    return conversion(acquire_sweep(renderer, motion, needles, number=number))
+def _read_manifest(store: Store) -> Mapping[str, Any]:
+    """Return the manifest of a store; an empty one if there is none."""
+    data = store.read(MANIFEST)
+    if data is None:
+        return {"sequences": [], "failed": []}
+    try:
+        manifest = json.loads(data)
+        if manifest["format"] != FORMAT:
+            raise ValueError(f"its format is {manifest['format']}, not {FORMAT}")
+        _merge(manifest, [])
+    except (ValueError, LookupError, TypeError) as error:
+        raise ConfigurationError(
+            f"{store}/{MANIFEST}: cannot be merged with ({error}); give another store"
+        ) from error
+    return manifest
+
+
+def _unlisted(names: Mapping[str, int], manifest: Mapping[str, Any]) -> list[str]:
+    """Return the files of listed sequences that the manifest does not name."""
+    files = {each["folder"]: each["files"] for each in manifest["sequences"]}
+    split = [(name, *name.partition("/")) for name in names]
+    return [
+        name for name, folder, _, rest in split if folder in files and rest not in files[folder]
+    ]

@@ -1,7 +1,8 @@
 """Results of a study, and their files: JSON, pictures and a web page."""
 
 import html
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -17,19 +18,24 @@ from sonoservo.systems.files.writing import write_atomically, write_json
 
 @dataclass(frozen=True, kw_only=True)
 class StudyRow:
-    """One quantity of a study: published and simulated values, and the target.
+    """One quantity of a study: the paper's figure, ours, the published method's, and the target.
 
     Parameters
     ----------
     experiment, quantity, unit
-        Experiment, quantity and unit to display.
+        Experiment, quantity with its conditions, and unit to display.
     paper
-        Published figure; None if there is none.
+        Figure of the publication; None if there is none.
     estimated
         Simulated value from the estimates of tracker or controller, as a real experiment could
         report it.
     true
         Simulated value from ground truth.
+    low, high
+        95 % confidence interval of the true value over runs, or of the estimated one without it.
+        Infinite ends: too few runs to tell. None: no interval was computed.
+    published_estimated, published_true, published_low, published_high
+        The same figures of the published method as published, on the same seeds.
     target
         Target, for the true value or, without one, for the estimated value.
     wanted
@@ -42,6 +48,12 @@ class StudyRow:
     paper: float | None = None
     estimated: float | None = None
     true: float | None = None
+    low: float | None = None
+    high: float | None = None
+    published_estimated: float | None = None
+    published_true: float | None = None
+    published_low: float | None = None
+    published_high: float | None = None
     target: float | None = None
     wanted: Literal["at most", "at least"] = "at most"
 
@@ -197,17 +209,43 @@ def target_text(row: StudyRow) -> str:
     return f"{'≤' if row.wanted == 'at most' else '≥'} {row.target:g}"
 
 
+def interval_text(low: float | None, high: float | None, figure: Callable[[float], str]) -> str:
+    """Return an interval such as "0.40 to 0.60"; empty if there is none.
+
+    Parameters
+    ----------
+    low, high
+        Ends of the interval, infinite if too few runs tell.
+    figure
+        Function that returns an end as text.
+    """
+    if low is None or high is None:
+        return ""
+    if low == -math.inf and high == math.inf:
+        return "too few runs"
+    return f"{figure(low)} to {figure(high)}"
+
+
+def _cell(value: float | None) -> str:
+    return "" if value is None else cell_text(value)
+
+
 def _rows_table(rows: Sequence[StudyRow]) -> str:
-    heads = ["", "", "paper", "ours, estimated", "ours, true", "target", "met"]
+    heads = [
+        "", "", "paper", "ours, estimated", "ours, true", "95 %",
+        "as published, estimated", "as published, true", "95 %", "target", "met",
+    ]  # fmt: skip
     lines, before = [], ""
     for row in rows:
         quantity = row.quantity + (f" ({row.unit})" if row.unit else "")
-        values = (row.paper, row.estimated, row.true)
         lines.append(
             [
                 html.escape(row.experiment if row.experiment != before else ""),
                 html.escape(quantity),
-                *("" if value is None else cell_text(value) for value in values),
+                *map(_cell, (row.paper, row.estimated, row.true)),
+                interval_text(row.low, row.high, cell_text),
+                *map(_cell, (row.published_estimated, row.published_true)),
+                interval_text(row.published_low, row.published_high, cell_text),
                 target_text(row),
                 {None: "", True: "yes", False: "<b>no</b>"}[row.met],
             ]

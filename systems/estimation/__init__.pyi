@@ -3,10 +3,12 @@ from .axis_tip_filter import AxisTipState as AxisTipState
 from .axis_tip_filter import direction_angles as direction_angles
 from .control_point_filter import ControlPointFilter as ControlPointFilter
 from .control_point_filter import ControlPointState as ControlPointState
+from .lifecycle import Lifecycle as Lifecycle
 from .needle_filter import NeedleFilter as NeedleFilter
 from .needle_filter import NeedleState as NeedleState
 from .needle_motion import NeedleMotionParameters as NeedleMotionParameters
 from .needle_motion import constant_velocity as constant_velocity
+from .published_lifecycle import PublishedLifecycle as PublishedLifecycle
 from .shape.cross_section_memory import CrossSectionMemory as CrossSectionMemory
 from .shape.measurement_noise import MeasurementNoise as MeasurementNoise
 from .shape.published_particle_filter import PublishedBelief as PublishedBelief

@@ -202,7 +202,7 @@ def servo(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     """
     tracked = log.estimate_mode == TrackingMode.TRACKING
     moves = needle_speed(log, parameters.rest_window) >= parameters.rest_speed
-    rest = _held(~moves & is_known(log.needle_tip), log.time, parameters.rest_time)
+    rest = at_rest(log, parameters)
     true = features(log.X_WP, log.needle_tip, log.needle_entry)
     estimated = features(log.measured_X_WP, log.estimate_tip, log.estimate_entry)
     return {
@@ -210,6 +210,13 @@ def servo(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
         "at_rest_estimated": _feature_errors(estimated, tracked & rest, log.time),
         "moving": _feature_errors(true, tracked & moves, log.time),
     }
+
+
+def at_rest(log: RunLog, parameters: MetricsParameters | None = None) -> Mask:
+    """Return an (n,) mask of the samples at which the needle has rested for `rest_time`."""
+    p = parameters or MetricsParameters()
+    moves = needle_speed(log, p.rest_window) >= p.rest_speed
+    return _held(~moves & is_known(log.needle_tip), log.time, p.rest_time)
 
 
 def force(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:

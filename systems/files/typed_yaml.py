@@ -138,6 +138,15 @@ def assign(data: dict[str, Any], assignment: str) -> None:
         node[last] = value
 
 
+def merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """Return two nested mappings as one, in which the fields of ``above`` hide those below."""
+    result = {**below, **above}
+    for key in below.keys() & above.keys():
+        if isinstance(below[key], Mapping) and isinstance(above[key], Mapping):
+            result[key] = merged(below[key], above[key])
+    return result
+
+
 def _index(items: list[Any], key: str, path: str) -> int:
     if not key.isdecimal() or len(key) > 9 or int(key) >= len(items):
         raise ConfigurationError(f"{path}: {key!r} must be a number below {len(items)}")

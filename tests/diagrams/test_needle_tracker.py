@@ -8,8 +8,13 @@ from pydrake.systems.analysis import Simulator
 from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, track
-from sonoservo.diagrams.trackers import Chatelain2013TrackerParameters, Zhao2012TrackerParameters
+from sonoservo.diagrams.trackers import (
+    Chatelain2013AsPublishedParameters,
+    Chatelain2013TrackerParameters,
+    Zhao2012TrackerParameters,
+)
 from sonoservo.diagrams.trackers.registry import TRACKERS
+from sonoservo.systems.detection.published_detection import PublishedDetectionParameters
 from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_estimate import TrackingMode
@@ -163,6 +168,16 @@ def test_zhao_s_tracker_has_the_same_face(volumes, zhao):
     speeds = [e.tip_velocity @ K for e in inserted if 5 < e.time < 6.5]
     assert np.median(speeds) == pytest.approx(SPEED, abs=2e-3)
     assert zhao[-1].mode == TrackingMode.SEARCHING
+
+
+def test_the_published_tracker_follows_the_same_needle(volumes):
+    parameters = Chatelain2013AsPublishedParameters(
+        detection=PublishedDetectionParameters(candidate_volume=5e-9)
+    )
+    found = [e for e in track(volumes[:30], parameters=parameters) if e]
+    assert len(found) > 8
+    assert np.linalg.norm(found[-1].curve.tip - needle(found[-1].time)[1]) < 4e-3
+    assert all(e.X_WP is not None for e in found)  # kept in the probe's frame
 
 
 @pytest.mark.parametrize("parameters", TRACKERS)

@@ -117,11 +117,9 @@ def tracker_parameters(
     if start not in STARTS:
         raise ConfigurationError(f"start: {start!r}; {suggest(start, STARTS)}")
     try:
-        parameters = trackers[tracker](order=order, start=start)
-        parameters.localizer = parameters.localizer.knowing(
-            beam_width=beam_width, echo_offset=echo_offset
+        return trackers[tracker](order=order).knowing(
+            start=start, beam_width=beam_width, echo_offset=echo_offset
         )
-        return parameters
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
 

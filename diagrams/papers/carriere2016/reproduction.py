@@ -10,7 +10,8 @@ from typing import Any
 
 from sonoservo.diagrams.papers.carriere2016.report import make_study
 from sonoservo.diagrams.papers.carriere2016.runs import SETS, UNEVEN, run_needle
-from sonoservo.diagrams.studies.study import Case, StudyOptions, run_cases
+from sonoservo.diagrams.studies.runs import run_cases
+from sonoservo.diagrams.studies.study import Case, StudyOptions
 from sonoservo.diagrams.studies.study_report import Study
 
 NEEDLES, UNEVEN_NEEDLES, QUICK_NEEDLES = 100, 30, 4
@@ -30,7 +31,12 @@ def reproduce(options: StudyOptions) -> Study:
         for seed in options.seed_range(NEEDLES if name in SETS else UNEVEN_NEEDLES, QUICK_NEEDLES)
     ]
     outcomes = run_cases(
-        run_needle, cases, options.folder / "runs", jobs=options.jobs, console=options.console
+        run_needle,
+        cases,
+        options.folder / "runs",
+        jobs=options.jobs,
+        cluster=options.cluster,
+        console=options.console,
     )
     return make_study(outcomes)
 
