@@ -170,10 +170,12 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
         }
         return SHAPE_FILTERS[name].make(replace(getattr(scenario, name), **plan))
 
-    def make_estimator(self, name: str) -> ShapeEstimator:
-        """Make a shape estimator like the experiment's own, with any of `SHAPE_FILTERS`."""
+    def make_estimator(
+        self, name: str, scenario: ShapePredictionScenario | None = None
+    ) -> ShapeEstimator:
+        """Make a shape estimator for this needle, with a filter as from `make_filter`."""
         return ShapeEstimator(
-            shape_filter=self.make_filter(name),
+            shape_filter=self.make_filter(name, scenario),
             X_WI=self.X_WP,
             period=self.scenario.period,
             seed=self._estimator_seed,

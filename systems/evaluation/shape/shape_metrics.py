@@ -136,6 +136,7 @@ def summarize_shape(log: ShapeLog, shape: object) -> dict[str, Any]:
             "slices": len(errors),
             "found": len(found),
             "to_the_end": tracked_to_the_end(log) if len(errors) else False,
+            "tip_found": bool(len(errors) and np.isfinite(errors[-1])),
             "error_mm": spread(found),
         },
         "prediction": prediction(log, shape) if isinstance(shape, NeedleShape) else {},
