@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import bootstrap, chi2
 
-from sonoservo.systems.evaluation.intervals import Interval
+from sonoservo.systems.evaluation.statistics.intervals import Interval
 
 _FEWEST = 6
 """Number of runs below which there is no 95 % interval: the smallest and the largest of n values
