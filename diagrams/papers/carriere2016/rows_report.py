@@ -162,8 +162,11 @@ def _error_rows(runs: _Set, paper: dict[str, float]) -> list[StudyRow]:
         key = f"{quantity}_error_{{}}_{unit.replace('²', '2')}"
         rows.append(
             runs.mean_row(
-                f"{quantity} error, mean", unit, key,
-                paper=paper.get(quantity), target=paper.get(quantity),
+                f"{quantity} error, mean",
+                unit,
+                key,
+                paper=paper.get(quantity),
+                target=paper.get(quantity),
             )
         )
         spread = {
@@ -179,6 +182,12 @@ def _error_rows(runs: _Set, paper: dict[str, float]) -> list[StudyRow]:
             if method != "particle_filter" and runs.has(method):
                 means = runs._means(method, key)
                 rows.append(runs.row(f"{quantity} error, {label}, mean", unit, **means))
+    rows.append(
+        runs.mean_row(
+            "largest distance from the shape, in and out of the plane, mean", "mm",
+            "max_error_{}_mm",
+        )
+    )  # fmt: skip
     least = np.array([each.get("bound", {}).get("tip_mm", np.nan) for each in runs.results])
     rows.append(
         runs.row(
