@@ -1,6 +1,7 @@
 """Shape prediction: the final shape of a bevelled needle is predicted from axial slices."""
 
 import time
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any, cast
 
@@ -12,6 +13,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import Diagram, System
 
 from sonoservo.diagrams.experiments.experiment import INSTANT, Experiment
+from sonoservo.diagrams.experiments.scenario_words import shape_words
 from sonoservo.diagrams.experiments.shape_prediction_scenario import ShapePredictionScenario
 from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.diagrams.seeds import draw_seeds
@@ -23,12 +25,26 @@ from sonoservo.systems.estimation.shape.shape_filters import SHAPE_FILTERS
 from sonoservo.systems.evaluation.log import Row
 from sonoservo.systems.evaluation.shape.shape_log import ShapeLog
 from sonoservo.systems.evaluation.shape.shape_metrics import LABELS, summarize_shape
-from sonoservo.systems.evaluation.shape.shape_plots import plot_shape
+from sonoservo.systems.evaluation.shape.shape_pictures import (
+    SlicePicture,
+    picture_slice,
+    plot_key_slices,
+    shape_movie_frames,
+)
+from sonoservo.systems.evaluation.shape.shape_plots import (
+    OVERLAY_CAPTION,
+    SHAPE_CAPTION,
+    plot_shape,
+    plot_shape_comparison,
+)
+from sonoservo.systems.evaluation.shape.shape_verdict import shape_verdict
+from sonoservo.systems.evaluation.verdict import Verdict
 from sonoservo.systems.needle.hand import Hand
 from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.needle.insertion_parameters import OUTER_DIAMETER
 from sonoservo.systems.robot.probe_stepper import ProbeStepper
 from sonoservo.systems.signals.cross_section import CrossSection
+from sonoservo.systems.signals.image_slice import ImageSlice
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_shape import NeedleShape
 from sonoservo.systems.signals.requirements import require
@@ -57,6 +73,8 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
         Scenario of shape prediction.
     meshcat
         Meshcat that draws the run, if any.
+    pictures
+        Whether to keep pictures of the slices, for `key_frames` and `frames`.
 
     Raises
     ------
@@ -66,8 +84,14 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
 
     scenario_class = ShapePredictionScenario
     labels = LABELS
+    log_class = ShapeLog
+    overlay_caption = OVERLAY_CAPTION
+    options = frozenset({"meshcat", "pictures"})
 
-    def __init__(self, scenario: Scenario, meshcat: Meshcat | None = None) -> None:
+    def __init__(
+        self, scenario: Scenario, meshcat: Meshcat | None = None, *, pictures: bool = False
+    ) -> None:
+        self._pictured = pictures
         self.scenario = scenario = require_scenario(scenario, ShapePredictionScenario)
         seeds = draw_seeds(scenario)
         self._estimator_seed = seeds.tracker
@@ -217,11 +241,33 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
         """Return the plot of the paths, if there are at least two slices."""
         if len(log.depth) < 2:
             return {}
-        return {"shape.png": ("path, measured, true and predicted", plot_shape(log, self.shape))}
+        return {"shape.png": (SHAPE_CAPTION, plot_shape(log, self.shape))}
+
+    @classmethod
+    def overlay(cls, logs: Mapping[str, ShapeLog]) -> Figure:
+        """Return a figure of the curves of several runs over one another, by name."""
+        return plot_shape_comparison(logs)
+
+    def verdict(self, summary: Mapping[str, Any]) -> Verdict:
+        """Return the verdict on a run, from its summary."""
+        return shape_verdict(summary)
+
+    def words(self) -> list[str]:
+        """Return sentences that describe the scenario."""
+        return shape_words(self.scenario)
+
+    def key_frames(self, log: ShapeLog) -> dict[str, Figure]:
+        """Return pictures of a run's telling slices, by caption; none unless they were kept."""
+        return plot_key_slices(log, self._pictures)
+
+    def frames(self, log: ShapeLog) -> Iterator[NDArray[np.uint8]]:
+        """Yield the frames of a movie of a run, (rows, columns, 3) each, one per slice."""
+        return shape_movie_frames(log, self._pictures, self.shape)
 
     def _begin(self) -> None:
         super()._begin()
         self._rows: list[Row] = []
+        self._pictures: list[SlicePicture] = []
 
     def _after_step(self, number: int) -> None:
         """Record the result of a slice, and its computing time."""
@@ -241,3 +287,7 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
             mean, covariance = shape.predict([self.scenario.depth])
             row["tip"], row["tip_covariance"] = mean[0], covariance[0]
         self._rows.append(row)
+        image = self.evaluate(self.slice_converter, "slice")
+        if self._pictured and isinstance(image, ImageSlice):
+            (middle,) = self.true_path(np.array([row["depth"]]))
+            self._pictures.append(picture_slice(image, row["depth"], middle[:2]))

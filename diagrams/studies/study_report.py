@@ -14,7 +14,7 @@ from sonoservo.diagrams.studies.commit import present_commit
 from sonoservo.diagrams.studies.fingerprint import code_fingerprint
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.systems.evaluation.plots import png
-from sonoservo.systems.evaluation.web_page import cell_text, web_page
+from sonoservo.systems.evaluation.web_page import cell_text, table, web_page
 from sonoservo.systems.files.writing import write_atomically, write_json
 
 
@@ -238,9 +238,7 @@ def _body(study: Study, command: str) -> str:
             [html.escape(name), cell_text(each.get("median")), cell_text(each.get("max"))]
             for name, each in study.compute_ms.items()
         ]
-        body.append(
-            "<h2>Computing time per volume (ms)</h2>" + _table(["", "median", "max"], lines)
-        )
+        body.append("<h2>Computing time per volume (ms)</h2>" + table(["", "median", "max"], lines))
     return "\n".join(body)
 
 
@@ -293,7 +291,7 @@ def _rows_table(rows: Sequence[StudyRow]) -> str:
             ]
         )
         before = row.experiment
-    return "<h2>Results</h2>" + _table(heads, lines)
+    return "<h2>Results</h2>" + table(heads, lines)
 
 
 def _cases_table(study: Study) -> str:
@@ -301,7 +299,7 @@ def _cases_table(study: Study) -> str:
         [html.escape(name), _ranges(each["seeds"]), str(each["cases"]), str(each["failed"])]
         for name, each in study.experiments.items()
     ]
-    return "<h2>Runs</h2>" + _table(["", "seeds", "runs", "of these, failed"], lines)
+    return "<h2>Runs</h2>" + table(["", "seeds", "runs", "of these, failed"], lines)
 
 
 def _failures_table(study: Study) -> str:
@@ -312,16 +310,7 @@ def _failures_table(study: Study) -> str:
         [html.escape(each.case.name), str(each.case.seed), html.escape(each.error)]
         for each in failed
     ]
-    return "<h2>Failed runs</h2>" + _table(["", "seed", "error"], lines)
-
-
-def _table(heads: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    head = "".join(f"<th>{each}</th>" for each in heads)
-    body = "\n".join(
-        f"<tr><th>{line[0]}</th>{''.join(f'<td>{cell}</td>' for cell in line[1:])}</tr>"
-        for line in lines
-    )
-    return f"<table><tr>{head}</tr>\n{body}</table>"
+    return "<h2>Failed runs</h2>" + table(["", "seed", "error"], lines)
 
 
 def _ranges(numbers: Sequence[int]) -> str:

@@ -1,4 +1,5 @@
 from .curve_error import curve_deviations as curve_deviations
+from .key_frames import plot_key_frames as plot_key_frames
 from .log import Column as Column
 from .log import Log as Log
 from .log import column_table as column_table
@@ -7,11 +8,15 @@ from .log import read_log as read_log
 from .log import write_log as write_log
 from .metrics import MetricsParameters as MetricsParameters
 from .metrics import summarize as summarize
+from .movie import movie_frames as movie_frames
+from .movie import write_movie as write_movie
 from .needle_echo import NeedleEchoFigures as NeedleEchoFigures
 from .needle_echo import measure_needle_echo as measure_needle_echo
+from .picture_recorder import PictureRecorder as PictureRecorder
 from .plots import plot_errors as plot_errors
 from .plots import plot_run as plot_run
 from .plots import png as png
+from .report import Story as Story
 from .report import report_page as report_page
 from .report import save_replay as save_replay
 from .report import write_report as write_report
@@ -36,3 +41,5 @@ from .track_plots import VolumePictures as VolumePictures
 from .track_plots import picture_planes as picture_planes
 from .track_plots import plot_planes as plot_planes
 from .track_plots import plot_tip as plot_tip
+from .verdict import Verdict as Verdict
+from .verdict import following_verdict as following_verdict
