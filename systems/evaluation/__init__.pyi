@@ -24,9 +24,6 @@ from .run_errors import EstimateErrors as EstimateErrors
 from .run_errors import estimate_errors as estimate_errors
 from .run_errors import features as features
 from .run_errors import needle_speed as needle_speed
-from .run_intervals import count_interval as count_interval
-from .run_intervals import mean_interval as mean_interval
-from .run_intervals import run_interval as run_interval
 from .run_log import RunLog as RunLog
 from .run_logger import RunLogger as RunLogger
 from .shape.shape_log import ShapeLog as ShapeLog

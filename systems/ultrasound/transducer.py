@@ -8,7 +8,7 @@ from sonoservo.systems.files.typed_yaml import load_typed
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 
 _LARGEST = {
-    "array_radius": 0.5,
+    "array_radius": 10.0,
     "motor_radius": 0.5,
     "element_pitch": 0.01,
     "element_height": 0.1,
@@ -27,6 +27,7 @@ class Transducer:
     array_radius, motor_radius
         Distances from the face to the array's centre of curvature and to the motor's axis, in m. An
         array radius of zero makes the array flat, with the sector's apex in the middle of the face.
+        One of some metres makes a linear array, with lines that are all but parallel.
     lines
         Number of scan lines of the full sector.
     line_pitch_deg
