@@ -35,12 +35,13 @@ from sonoservo.systems.control.guard_rules import (
     outside,
     reason,
     region,
+    remark,
 )
 from sonoservo.systems.signals.guard_status import GuardState, GuardStatus
 from sonoservo.systems.signals.requirements import require_positive
 from sonoservo.systems.signals.scratch_context import declare_scratch_context, scratch_context
 
-_QUIET = 1.5
+_QUIET = 0.75
 """Change of a component of the wrist force in N at which everything is checked at once."""
 
 _AHEAD = 0.05
@@ -66,6 +67,7 @@ class Guard(LeafSystem):
         output_ports:
         - joint_command
         - guard
+        - approach_scale
 
     As long as nothing is wrong, `joint_command` is `wanted_command`, bit for bit. A command that
     breaks a limit of the joints is not sent. With too much force, or a wrist sensor that cannot be
@@ -77,7 +79,8 @@ class Guard(LeafSystem):
     `wrist_force` is the SpatialForce of the arm on the probe in P, and `X_WP` the measured pose of
     the probe. `joint_state` is read only at the start. `guard` is a `GuardStatus`. A controller
     that integrates its commands must continue from `joint_command`, so it starts from where the
-    guard left the arm.
+    guard left the arm. `approach_scale` is the factor by which it should approach more slowly: each
+    landing with too much force halves it, and a calm contact doubles it again, up to one.
 
     Parameters
     ----------
@@ -145,6 +148,12 @@ class Guard(LeafSystem):
             self._calc_guard,
             prerequisites_of_calc={self.xd_ticket()},
         )
+        self.DeclareVectorOutputPort(
+            "approach_scale",
+            1,
+            self._calc_approach_scale,
+            prerequisites_of_calc={self.xd_ticket()},
+        )
         self.DeclareInitializationDiscreteUpdateEvent(self._initialize)
         self.DeclarePeriodicDiscreteUpdateEvent(time_step, 0, self._update)
 
@@ -177,8 +186,12 @@ class Guard(LeafSystem):
             reason(memory.cause, memory.value, self._limits),
             memory.since,
             int(memory.interventions),
+            remark(memory.sensor.ignored, memory.sensor.ignored_as, memory.pose_frozen),
         )
         output.set_value(status)
+
+    def _calc_approach_scale(self, context: Context, output: BasicVector) -> None:
+        output.SetAtIndex(0, self._memory_in(context).approach_scale)
 
     def _accepts(self, wanted: NDArray[np.float64], sent: NDArray[np.float64]) -> bool:
         """Return True if a command keeps the joints' limits and continues the one sent last."""
