@@ -136,6 +136,7 @@ class Guard(LeafSystem):
         nothing[-1] = Mode.MONITORING
         self._command = self.DeclareDiscreteState(nothing)
         self._memory = self.DeclareDiscreteState(np.array(GuardMemory().pack()))
+        self._approach_scale = self.DeclareDiscreteState([1.0])
         self._sent = self.DeclareVectorOutputPort(
             "joint_command",
             2 * n,
@@ -148,12 +149,7 @@ class Guard(LeafSystem):
             self._calc_guard,
             prerequisites_of_calc={self.xd_ticket()},
         )
-        self.DeclareVectorOutputPort(
-            "approach_scale",
-            1,
-            self._calc_approach_scale,
-            prerequisites_of_calc={self.xd_ticket()},
-        )
+        self.DeclareStateOutputPort("approach_scale", self._approach_scale)
         self.DeclareInitializationDiscreteUpdateEvent(self._initialize)
         self.DeclarePeriodicDiscreteUpdateEvent(time_step, 0, self._update)
 
@@ -162,6 +158,7 @@ class Guard(LeafSystem):
         command = np.concatenate([q, np.zeros_like(q), [context.get_time(), Mode.MONITORING]])
         discrete_state.set_value(self._command, command)
         discrete_state.set_value(self._memory, GuardMemory().pack())
+        discrete_state.set_value(self._approach_scale, [1.0])
         return EventStatus.Succeeded()
 
     def _memory_in(self, context: Context) -> GuardMemory:
@@ -190,22 +187,12 @@ class Guard(LeafSystem):
         )
         output.set_value(status)
 
-    def _calc_approach_scale(self, context: Context, output: BasicVector) -> None:
-        output.SetAtIndex(0, self._memory_in(context).approach_scale)
-
     def _accepts(self, wanted: NDArray[np.float64], sent: NDArray[np.float64]) -> bool:
         """Return True if a command keeps the joints' limits and continues the one sent last."""
         return bool(keeps_limits(wanted, sent, self._lowest, self._highest, self._reach))
 
     def _is_quiet(self, context: Context) -> bool:
-        """Return True if the next check may wait: nothing is suspected, and the force is the same.
-
-        Everything is checked at least every `WINDOW`; this saves three quarters of the time.
-        """
-        sent_at, mode = context.get_discrete_state(self._command).value()[-2:].tolist()
-        soon = context.get_time() - sent_at < WINDOW - 0.5 * self._time_step
-        if mode != Mode.MONITORING or not soon:
-            return False
+        """Return True if nothing is suspected, and the force is that of the last check."""
         last = last_force(context.get_discrete_state(self._memory).value())
         force = self._wrist_force.Eval(context).translational()
         return last is not None and all(
@@ -213,10 +200,13 @@ class Guard(LeafSystem):
         )
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
-        if self._is_quiet(context):
+        sent_at, mode = context.get_discrete_state(self._command).value()[-2:].tolist()
+        elapsed = context.get_time() - sent_at
+        # Everything is checked at least every `WINDOW`; this saves three quarters of the time.
+        soon = elapsed < WINDOW - 0.5 * self._time_step
+        if mode == Mode.MONITORING and soon and self._is_quiet(context):
             return EventStatus.DidNothing()
         before = self._memory_in(context)
-        elapsed = context.get_time() - context.get_discrete_state(self._command).value()[-2]
         sent = self._sent.Eval(context)
         seen = self._observe(context, before, sent)
         memory = next_memory(
@@ -234,7 +224,9 @@ class Guard(LeafSystem):
                 v *= self._slowed(memory, v)
         command[-1] = memory.mode
         discrete_state.set_value(self._command, command)
-        discrete_state.set_value(self._memory, memory.pack())
+        discrete_state.set_value(self._memory, np.array(memory.pack()))
+        if memory.caution != before.caution:
+            discrete_state.set_value(self._approach_scale, [memory.approach_scale])
         return EventStatus.Succeeded()
 
     def _observe(

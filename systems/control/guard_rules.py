@@ -71,9 +71,10 @@ NO_BREACH = Breach(Cause.NONE)
 
 def reason(cause: int, value: float, limits: GuardParameters) -> str:
     """Return the reason for an intervention as a sentence without its full stop."""
+    if cause == Cause.NONE:
+        return ""
     sensor = limits.wrist_sensor
     texts = {
-        Cause.NONE: "",
         Cause.COMMAND: "the controller's command breaks a limit of the joints' positions, speeds "
         "or accelerations, or is not a number",
         Cause.SPEED: f"the probe was commanded to move at {value:.2f} m/s, above "
