@@ -18,7 +18,7 @@ from sonoservo.systems.control.force_law import ForceControllerParameters
 from sonoservo.systems.control.guard import Guard
 from sonoservo.systems.control.guard_parameters import GuardParameters
 from sonoservo.systems.control.visual_servo import VisualServo, VisualServoParameters
-from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.requirements import require, require_within
 
 MAX_FORCE = 8.0
 """Highest force that the controller may be asked to hold, in N."""
@@ -70,7 +70,7 @@ class ProbeControllerParameters:
     guards: GuardParameters = field(default_factory=GuardParameters)
 
     def __post_init__(self) -> None:
-        require_positive(time_step=self.time_step)
+        require_within("time_step", self.time_step, 1e-4, 0.1)
         for name, (ceiling, unit) in _CEILINGS.items():
             block, parameter = name.split(".")
             value = getattr(getattr(self, block), parameter)
