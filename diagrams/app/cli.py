@@ -299,6 +299,8 @@ def _report(error: BaseException) -> int:
         line = f"{error.format_message()} `sonoservo --help` lists the commands and their options."
     elif isinstance(error, MemoryError):
         line = "there is not enough memory for this"
+    elif isinstance(error, OSError) and error.filename and error.strerror:
+        line = f"{error.filename}: {error.strerror}"
     elif isinstance(error, ConfigurationError | OSError):
         line = str(error)
     else:
