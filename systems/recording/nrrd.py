@@ -77,7 +77,7 @@ def write_mask(path: str | Path, volume: Volume, mask: NDArray[np.bool_], name: 
     return write_atomically(path, _encode(mask.astype(np.uint8), header, compression_level=6))
 
 
-def _encode(array: NDArray[np.uint8], header: dict[str, Any], compression_level: int) -> bytes:
+def _encode(array: NDArray[Any], header: dict[str, Any], compression_level: int) -> bytes:
     """Return the contents of an NRRD file without the date: equal data give equal bytes."""
     buffer = io.BytesIO()
     nrrd.write(buffer, array, header, compression_level=compression_level, index_order="F")
