@@ -11,8 +11,8 @@ from rich.table import Table
 from rich.text import Text
 
 from sonoservo.systems.evaluation.labels import look_up
-from sonoservo.systems.evaluation.report import Story, report_body
-from sonoservo.systems.evaluation.verdict import Verdict
+from sonoservo.systems.evaluation.reports.report import Story, report_body
+from sonoservo.systems.evaluation.reports.verdict import Verdict
 
 
 @dataclass(frozen=True)

@@ -35,23 +35,23 @@ from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.diagrams.station import MakeStation
 from sonoservo.systems.display.monitor.scanner_monitor import ScannerMonitor
 from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
-from sonoservo.systems.evaluation.comparison_plots import CAPTION, plot_comparison
 from sonoservo.systems.evaluation.explanation.explanation_recorder import ExplanationRecorder
-from sonoservo.systems.evaluation.key_frames import plot_key_frames
 from sonoservo.systems.evaluation.labels import LABELS
 from sonoservo.systems.evaluation.metrics import MetricsParameters, summarize
-from sonoservo.systems.evaluation.movie import movie_frames
-from sonoservo.systems.evaluation.picture_recorder import PictureRecorder
-from sonoservo.systems.evaluation.plots import (
+from sonoservo.systems.evaluation.reports.comparison_plots import CAPTION, plot_comparison
+from sonoservo.systems.evaluation.reports.key_frames import plot_key_frames
+from sonoservo.systems.evaluation.reports.movie import movie_frames
+from sonoservo.systems.evaluation.reports.picture_recorder import PictureRecorder
+from sonoservo.systems.evaluation.reports.plots import (
     ERRORS_CAPTION,
     RUN_CAPTION,
     plot_errors,
     plot_run,
 )
+from sonoservo.systems.evaluation.reports.track_plots import VolumePictures
+from sonoservo.systems.evaluation.reports.verdict import Verdict, following_verdict
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.run_logger import RunLogger
-from sonoservo.systems.evaluation.track_plots import VolumePictures
-from sonoservo.systems.evaluation.verdict import Verdict, following_verdict
 from sonoservo.systems.recording.volume_recorder import VolumeRecorder
 from sonoservo.systems.robot.errors.calibration import hand_eye_error
 from sonoservo.systems.signals.guard_status import GuardState, GuardStatus

@@ -9,8 +9,8 @@ import SimpleITK
 from pydrake.math import RigidTransform
 
 from sonoservo.diagrams import load_scenario
-from sonoservo.diagrams.studies.dataset import make_dataset
-from sonoservo.diagrams.studies.dataset_labels import needle_mask
+from sonoservo.diagrams.studies.datasets.dataset import make_dataset
+from sonoservo.diagrams.studies.datasets.dataset_labels import needle_mask
 from sonoservo.diagrams.studies.store import Store
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.recording.recording import Recording

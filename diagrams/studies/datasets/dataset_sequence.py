@@ -16,15 +16,19 @@ from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.experiments.following_tissue import scanned_deformations
 from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.diagrams.scenario import require_scenario
-from sonoservo.diagrams.studies.dataset_dials import DrawnDials, draw_dials
-from sonoservo.diagrams.studies.dataset_draws import DrawnScanner, draw_insertion, draw_scanner
-from sonoservo.diagrams.studies.dataset_labels import (
+from sonoservo.diagrams.studies.datasets.dataset_dials import DrawnDials, draw_dials
+from sonoservo.diagrams.studies.datasets.dataset_draws import (
+    DrawnScanner,
+    draw_insertion,
+    draw_scanner,
+)
+from sonoservo.diagrams.studies.datasets.dataset_labels import (
     describe_needle,
     needle_as_acquired,
     needle_as_imaged,
     needle_mask,
 )
-from sonoservo.diagrams.studies.dataset_layouts import Labelled, write_layout
+from sonoservo.diagrams.studies.datasets.dataset_layouts import Labelled, write_layout
 from sonoservo.diagrams.studies.study import Case, WithFiles
 from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.signals.needle import Needle

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
-from sonoservo.diagrams.studies.dataset_dials import DrawnDials
+from sonoservo.diagrams.studies.datasets.dataset_dials import DrawnDials
 from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.needle.insertion_parameters import InsertionParameters, Push
 from sonoservo.systems.signals.sweep import SweepGeometry

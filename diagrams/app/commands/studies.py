@@ -72,7 +72,7 @@ def dataset_command(
     Finished sequences are kept; repeat the command to resume after an interruption.
     """
     from sonoservo.diagrams.experiments.registry import load_scenario
-    from sonoservo.diagrams.studies.dataset import make_dataset
+    from sonoservo.diagrams.studies.datasets.dataset import make_dataset
 
     loaded = load_scenario(scenario, changes=changes, seed=seed)
     with _opened(cluster, case_limit) as executor:
