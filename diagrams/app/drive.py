@@ -12,10 +12,12 @@ from pydrake.systems.framework import System
 
 from sonoservo.diagrams.app.kept_run import KeptRun, refusing
 from sonoservo.diagrams.app.real_time import RealTime
-from sonoservo.diagrams.app.run import RunResult, finish
-from sonoservo.diagrams.experiments.following import FollowingExperiment, settings_controls
+from sonoservo.diagrams.app.run import finish
+from sonoservo.diagrams.app.run_result import RunResult
+from sonoservo.diagrams.experiments.following import FollowingExperiment
 from sonoservo.diagrams.experiments.following_insertion import make_insertion, placed_hand
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams.experiments.following_sources import settings_controls
 from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.systems.control.controller_schedule import ControllerSchedule
 from sonoservo.systems.control.operator_settings import OperatorSettings
@@ -95,6 +97,7 @@ class DrivenExperiment(FollowingExperiment):
             console=console,
             observers=observers,
             film=False,
+            pictures=True,
             sources={
                 "operator_panel": panel,
                 "hand": self._hand,

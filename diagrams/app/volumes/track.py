@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import DiagramBuilder
@@ -16,23 +15,28 @@ from pydrake.systems.framework import DiagramBuilder
 from sonoservo.diagrams.app.pacer import Pacer
 from sonoservo.diagrams.app.volumes.estimates_table import estimate_row, estimates_csv
 from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
+from sonoservo.diagrams.app.volumes.true_values import true_values
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
 from sonoservo.diagrams.trackers.registry import TRACKERS
 from sonoservo.diagrams.trackers.tracker_parts import STARTS, TrackerParameters
 from sonoservo.systems.evaluation.explanation.explanation_files import clear_explanations
 from sonoservo.systems.evaluation.explanation.explanation_recorder import ExplanationRecorder
+from sonoservo.systems.evaluation.labels import LABELS, recording_labels
 from sonoservo.systems.evaluation.log import write_log
 from sonoservo.systems.evaluation.metrics import summarize
-from sonoservo.systems.evaluation.plots import plot_errors, png
-from sonoservo.systems.evaluation.report import write_report
-from sonoservo.systems.evaluation.run_log import RunLog
-from sonoservo.systems.evaluation.run_logger import RunLogger
-from sonoservo.systems.evaluation.track_plots import (
+from sonoservo.systems.evaluation.reports.plots import ERRORS_CAPTION, plot_errors, png
+from sonoservo.systems.evaluation.reports.report import Story, write_report
+from sonoservo.systems.evaluation.reports.track_plots import (
+    PLANES_CAPTION,
+    TIP_CAPTION,
     VolumePictures,
     picture_planes,
     plot_planes,
     plot_tip,
 )
+from sonoservo.systems.evaluation.reports.verdict import recording_verdict
+from sonoservo.systems.evaluation.run_log import RunLog
+from sonoservo.systems.evaluation.run_logger import RunLogger
 from sonoservo.systems.files.claims import claim_folder
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import suggest
@@ -45,6 +49,7 @@ from sonoservo.systems.signals.volume import Volume
 if TYPE_CHECKING:
     from sonoservo.systems.display.console.console import Console
 
+_PLOTS = ("planes.png", "tip.png", "errors.png")
 _PICTURES = 6
 """Number of volumes of a recording that the report shows."""
 
@@ -118,11 +123,9 @@ def tracker_parameters(
     if start not in STARTS:
         raise ConfigurationError(f"start: {start!r}; {suggest(start, STARTS)}")
     try:
-        parameters = trackers[tracker](order=order, start=start)
-        parameters.localizer = parameters.localizer.knowing(
-            beam_width=beam_width, echo_offset=echo_offset
+        return trackers[tracker](order=order).knowing(
+            start=start, beam_width=beam_width, echo_offset=echo_offset
         )
-        return parameters
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
 
@@ -155,8 +158,7 @@ def track_recording(
     real_time
         Whether to limit the pace to that of the acquisition.
     console
-        Console that shows the volumes, if any. Its pages may pause the tracking, step through the
-        volumes, change the speed and end it.
+        Console that shows and controls the tracking, if any.
     out
         Folder for estimates.csv, estimates.json, summary.json, log.npz, plots and report.html; None
         writes nothing.
@@ -224,8 +226,7 @@ def _track(
     tracker_context = tracker.GetMyContextFromRoot(context)
 
     done = _Progress()
-    speed = 1.0 if real_time else 0.0
-    pacer = Pacer(console, speed=speed, keeps_speed=True) if console is not None else None
+    pacer = Pacer(console, speed=float(real_time), keeps_speed=True) if console else None
     pictured = set(np.linspace(0, len(recording) - 1, _PICTURES).round().astype(int).tolist())
     interrupted = False
     started = time.perf_counter()
@@ -252,11 +253,10 @@ def _track(
             estimate: NeedleEstimate = estimate_port.Eval(tracker_context)
             clock.append(time.perf_counter())
             _note(done, recording, number, volume, estimate, clock, number in pictured)
-            if console is not None:
-                console.show(volume, estimate, number + 1, **_true_values(truth, volume, estimate))
             if after_volume is not None:
                 after_volume(number, estimate)
-            if pacer is not None:
+            if console is not None and pacer is not None:
+                console.show(volume, estimate, number + 1, **true_values(truth, volume, estimate))
                 pacer.wait(volume.time)
     except KeyboardInterrupt:
         interrupted = True
@@ -271,17 +271,6 @@ def _track(
     if out is not None:
         _write(out, done, summary, log, truth, command, unwritten)
     return TrackedRecording(done.estimates, done.rows, summary, log, unwritten.failure)
-
-
-def _true_values(truth: Truth | None, volume: Volume, estimate: NeedleEstimate) -> dict[str, float]:
-    """Return the error of the tip in mm and the contact force in N, if there is a truth."""
-    if truth is None:
-        return {}
-    sample = truth.at(volume.time)
-    needle, error = truth.needles[sample], np.nan
-    if needle and estimate.curve is not None:
-        error = 1e3 * float(np.linalg.norm(estimate.curve.tip - needle.tip))
-    return {"error": error, "force": float(truth.contact_force[sample])}
 
 
 def _note(
@@ -345,17 +334,18 @@ def _write(
     if not done.rows:
         return
     p_LTip = 1e-3 * np.array([[row[f"tip_{axis}_mm"] for axis in "lps"] for row in done.rows])
-    times: NDArray[np.float64] = np.array(done.times)
     figures = {
-        "needle, in the two orthogonal planes through it": plot_planes(done.pictures),
-        "tip": plot_tip(times, done.estimates, p_LTip.reshape(-1, 3)),
+        PLANES_CAPTION: plot_planes(done.pictures),
+        TIP_CAPTION: plot_tip(np.array(done.times), done.estimates, p_LTip.reshape(-1, 3)),
     }
     if truth is not None:
-        figures["errors"] = plot_errors(log)
+        figures[ERRORS_CAPTION] = plot_errors(log)
     images = {name: png(figure) for name, figure in figures.items()}
     with unwritten.collect():
-        for name, image in zip(
-            ("planes.png", "tip.png", "errors.png"), images.values(), strict=False
-        ):
+        for name, image in zip(_PLOTS, images.values(), strict=False):
             write_atomically(out / name, image)
-        write_report(out / "report.html", summary, images, command=command)
+        write_report(
+            out / "report.html", summary, images,
+            story=Story(verdict=recording_verdict(summary), command=command),
+            labels=recording_labels(summary["modes"]) | LABELS,
+        )  # fmt: skip
