@@ -91,8 +91,9 @@ def test_a_foreign_page_neither_reads_nor_steers_a_console(browser, open_page):
         token = session_token(console.web_url)  # even if it had guessed it
         for origin in ("http://evil.example", "http://localhost:9999"):
             context = browser.new_context(viewport={"width": 100, "height": 100})
-            answer = {"body": "<p>", "content_type": "text/html"}
-            context.route(f"{origin}/", lambda route, answer=answer: route.fulfill(**answer))
+            context.route(
+                f"{origin}/", lambda route: route.fulfill(body="<p>", content_type="text/html")
+            )
             own = context.new_page()
             own.goto(console.web_url)  # this browser has the cookie
             own.wait_for_selector("body[data-ready]", state="attached")

@@ -47,7 +47,7 @@ _LINES: Sequence[tuple[str, str, Sequence[tuple[str, str, str]], float]] = (
     ("features", "X, Z (mm)", (("x", _FIRST, "X"), ("z", _SECOND, "Z")), 2.0),
     ("angle", "Theta (deg)", (("theta", _FIRST, ""),), 4.0),
     ("force", "force (N)", (("force", _FIRST, "force"), ("target", _SECOND, "target")), 1.0),
-    ("error", "tip error (mm)", (("error", _FIRST, ""),), 0.5),
+    ("error", "error (mm)", (("error", _FIRST, ""),), 0.5),
 )
 """Name, axis, lines (column, colour and label) and smallest range of each strip."""
 
