@@ -164,6 +164,12 @@ class VolumeProgress:
         self._bar.update(self._task, completed=number + 1, state=state)
 
 
+def mode_words(summary: Mapping[str, Any]) -> str:
+    """Return the numbers of volumes by mode in words, for a page."""
+    counted = ", ".join(f"{mode} {count}" for mode, count in summary["modes"].items())
+    return f"{summary['volumes']} volumes: {counted}"
+
+
 def mode_table(summary: Mapping[str, Any]) -> Table:
     """Return the figures of a tracked recording, for a terminal."""
     table = Table(title=str(summary["scenario"]))

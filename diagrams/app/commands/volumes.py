@@ -93,7 +93,7 @@ def track_command(
     """Track a needle through recorded or live volumes, and write a folder of results."""
     from sonoservo.diagrams.app.live.commands import make_maker, needle_names, track_address
     from sonoservo.diagrams.app.live.track_live import LiveLimits
-    from sonoservo.diagrams.app.terminal import VolumeProgress, mode_table
+    from sonoservo.diagrams.app.terminal import VolumeProgress, mode_table, mode_words
     from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
     from sonoservo.diagrams.app.volumes.track import track_recording, tracker_parameters
     from sonoservo.systems.live.connection.protocols import is_address
@@ -141,6 +141,8 @@ def track_command(
             out=out,
         )
         write_printed(json_path, summary)
+        if pages:
+            pages.end(console, mode_words(summary))
         return
     recording = Path(source)
     opened: Recording | ReconstructedRecording
@@ -181,9 +183,7 @@ def track_command(
     if result.failure is not None:
         raise result.failure
     if pages:
-        counted = ", ".join(f"{mode} {count}" for mode, count in result.summary["modes"].items())
-        said = f"{result.summary['volumes']} volumes: {counted}"
-        pages.end(console, said, folder / "report.html")
+        pages.end(console, mode_words(result.summary), folder / "report.html")
     if result.summary["interrupted"]:
         raise typer.Exit(INTERRUPTED)
 
