@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import System
+from pydrake.systems.framework import Diagram, System
 
 from sonoservo.diagrams.experiments.experiment import INSTANT, Experiment
 from sonoservo.diagrams.experiments.scenario_words import shape_words
@@ -23,6 +23,7 @@ from sonoservo.systems.estimation.shape.shape_estimator import ShapeEstimator
 from sonoservo.systems.estimation.shape.shape_filter import ShapeFilter
 from sonoservo.systems.estimation.shape.shape_filters import SHAPE_FILTERS
 from sonoservo.systems.evaluation.log import Row
+from sonoservo.systems.evaluation.reports.verdict import Verdict
 from sonoservo.systems.evaluation.shape.shape_log import ShapeLog
 from sonoservo.systems.evaluation.shape.shape_metrics import LABELS, summarize_shape
 from sonoservo.systems.evaluation.shape.shape_pictures import (
@@ -38,7 +39,6 @@ from sonoservo.systems.evaluation.shape.shape_plots import (
     plot_shape_comparison,
 )
 from sonoservo.systems.evaluation.shape.shape_verdict import shape_verdict
-from sonoservo.systems.evaluation.verdict import Verdict
 from sonoservo.systems.needle.hand import Hand
 from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.needle.insertion_parameters import OUTER_DIAMETER
@@ -124,13 +124,12 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
         geometry = self.scanner.geometry
         events = {"period": scenario.period, "offset": scenario.period + scenario.processing_time}
         self.slice_converter = SliceConverter(geometry=geometry, spacing=scenario.pixel)
-        self.shape_predictor = MakeShapePredictor(
-            localizer=replace(scenario.tracker, needle_radius=OUTER_DIAMETER[hand.gauge] / 2),
-            shape_filter=self.make_filter(scenario.estimator),
-            X_WI=self.X_WP,
-            seed=self._estimator_seed,
-            **events,
+        # A person points at the needle; neither tracker nor estimator see where it truly is.
+        rng = np.random.default_rng([seeds.insertion, 1])
+        self._click = self.true_path(np.zeros(1))[0, :2] + (scenario.click_std or 0.0) * rng.normal(
+            size=2
         )
+        self.shape_predictor = self.make_predictor(scenario)
         systems: dict[str, System] = {
             "hand": Hand(insertion=self.insertion),
             "probe_stepper": ProbeStepper(
@@ -139,6 +138,8 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
                 period=scenario.period,
                 steps=scenario.steps,
                 tissue_shift=scenario.tissue_shift,
+                breathing=scenario.breathing,
+                breathing_period=scenario.breathing_period,
                 seed=seeds.station,
             ),
             "scanner": self.scanner,
@@ -166,9 +167,27 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
             sees_truth=("scanner", "shape_view"),
         )
 
-    def make_filter(self, name: str) -> ShapeFilter:
-        """Make one of `SHAPE_FILTERS` with the scenario's parameters."""
-        scenario = self.scenario
+    def make_predictor(self, scenario: ShapePredictionScenario) -> Diagram:
+        """Make a shape predictor for this needle, with the tracker and estimator of a scenario."""
+        tracker = replace(
+            scenario.tracker, needle_radius=OUTER_DIAMETER[self.insertion.parameters.gauge] / 2
+        )
+        if scenario.click_std is not None and tracker.start is None:
+            tracker = replace(tracker, start=self._click.tolist())
+        return MakeShapePredictor(
+            localizer=tracker,
+            shape_filter=self.make_filter(scenario.estimator, scenario),
+            X_WI=self.X_WP,
+            seed=self._estimator_seed,
+            period=self.scenario.period,
+            offset=self.scenario.period + self.scenario.processing_time,
+        )
+
+    def make_filter(
+        self, name: str, scenario: ShapePredictionScenario | None = None
+    ) -> ShapeFilter:
+        """Make one of `SHAPE_FILTERS` with the parameters of a scenario, by default its own."""
+        scenario = scenario or self.scenario
         plan: dict[str, Any] = {
             "depth": scenario.depth,
             "rotations": scenario.rotations,
@@ -176,10 +195,12 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
         }
         return SHAPE_FILTERS[name].make(replace(getattr(scenario, name), **plan))
 
-    def make_estimator(self, name: str) -> ShapeEstimator:
-        """Make a shape estimator like the experiment's own, with any of `SHAPE_FILTERS`."""
+    def make_estimator(
+        self, name: str, scenario: ShapePredictionScenario | None = None
+    ) -> ShapeEstimator:
+        """Make a shape estimator for this needle, with a filter as from `make_filter`."""
         return ShapeEstimator(
-            shape_filter=self.make_filter(name),
+            shape_filter=self.make_filter(name, scenario),
             X_WI=self.X_WP,
             period=self.scenario.period,
             seed=self._estimator_seed,

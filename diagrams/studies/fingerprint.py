@@ -8,7 +8,7 @@ from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
 
-_SHOWS_RESULTS = ("display", "cli", "terminal", "plots", "report", "page", "analysis")
+_SHOWS_RESULTS = ("display", "cli", "terminal", "plots", "report", "page", "analysis", "results")
 """Endings of the names of folders and modules that do not affect results."""
 
 _PACKAGES = ("sonoservo", "drake", "numpy", "scipy", "numba", "llvmlite", "filterpy")

@@ -10,9 +10,11 @@ from typing import Any, Literal
 
 from matplotlib.figure import Figure
 
+from sonoservo.diagrams.studies.commit import present_commit
+from sonoservo.diagrams.studies.fingerprint import code_fingerprint
 from sonoservo.diagrams.studies.study import Outcome
-from sonoservo.systems.evaluation.plots import png
-from sonoservo.systems.evaluation.web_page import cell_text, table, web_page
+from sonoservo.systems.evaluation.reports.plots import png
+from sonoservo.systems.evaluation.reports.web_page import cell_text, table, web_page
 from sonoservo.systems.files.writing import write_atomically, write_json
 
 
@@ -128,6 +130,9 @@ class Study:
             "title": self.title,
             "command": command,
             "version": version("sonoservo"),
+            "drake": version("drake"),
+            "commit": present_commit(),
+            "fingerprint": code_fingerprint(),
             "seeds": {name: each["seeds"] for name, each in self.experiments.items()},
             "rows": [
                 {key: value for key, value in asdict(row).items() if key != "wanted"}
@@ -185,9 +190,46 @@ def study_page(study: Study, command: str, pictures: Mapping[str, bytes]) -> str
     pictures
         Contents of PNG files by caption.
     """
-    judged = [row.met for row in study.rows if row.met is not None]
-    met = f"{sum(judged)} of {len(judged)} targets met"
-    facts = html.escape(f"{study.title} · sonoservo {version('sonoservo')} · {met}")
+    facts = html.escape(f"{study.title} · sonoservo {version('sonoservo')} · {_met([study])}")
+    return web_page(f"{study.paper} reproduced", facts, _body(study, command), pictures)
+
+
+def write_studies(folder: Path, studies: Sequence[Study], command: str) -> dict[str, Any]:
+    """Write studies to their own folders inside a folder, and one report of all of them.
+
+    Parameters
+    ----------
+    folder
+        Folder for report.html and for a folder of each paper; see `write_study`.
+    studies
+        Studies to write.
+    command
+        Command that repeats all of them.
+
+    Returns
+    -------
+    Contents of each study.json by paper.
+    """
+    data = {each.paper: write_study(folder / each.paper, each, command) for each in studies}
+    pictures = {
+        f"{each.paper}. {shown.caption}": png(shown.figure)
+        for each in studies
+        for shown in each.figures
+    }
+    bodies = (f"<h1>{html.escape(each.title)}</h1>{_body(each, command)}" for each in studies)
+    facts = html.escape(f"sonoservo {version('sonoservo')} · {_met(studies)}")
+    page = web_page("Papers reproduced", facts, "\n".join(bodies), pictures)
+    write_atomically(folder / "report.html", page)
+    return data
+
+
+def _met(studies: Sequence[Study]) -> str:
+    judged = [row.met for each in studies for row in each.rows if row.met is not None]
+    return f"{sum(judged)} of {len(judged)} targets met"
+
+
+def _body(study: Study, command: str) -> str:
+    """Return the HTML of a study's command, notes and tables."""
     body = [f"<p><code>{html.escape(command)}</code></p>"]
     body += [f"<p>{html.escape(note)}</p>" for note in study.notes]
     body += [_rows_table(study.rows), _cases_table(study), _failures_table(study)]
@@ -197,7 +239,7 @@ def study_page(study: Study, command: str, pictures: Mapping[str, bytes]) -> str
             for name, each in study.compute_ms.items()
         ]
         body.append("<h2>Computing time per volume (ms)</h2>" + table(["", "median", "max"], lines))
-    return web_page(f"{study.paper} reproduced", facts, "\n".join(body), pictures)
+    return "\n".join(body)
 
 
 def target_text(row: StudyRow) -> str:

@@ -32,6 +32,7 @@ from .shape.shape_posterior import (
 )
 from .shape.shape_posterior import ShapePosterior as ShapePosterior
 from .shape.shape_posterior import WanderParameters as WanderParameters
+from .shape.shape_posterior import combined_wander as combined_wander
 from .track import Track as Track
 from .track_lifecycle import TrackLifecycle as TrackLifecycle
 from .track_lifecycle import innovation_distance as innovation_distance

@@ -92,7 +92,7 @@ def quick(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("page", ["README.md", "scenarios.md", "results.md"])
+@pytest.mark.parametrize("page", ["README.md", "scenarios.md", "report.md"])
 def test_commands_do_what_the_pages_say(page, quick, capsys):
     done = set()
     for words in (each.values[0] for each in commands(page)):
@@ -107,7 +107,7 @@ def test_commands_do_what_the_pages_say(page, quick, capsys):
     assert done
 
 
-@pytest.mark.parametrize("page", ["README.md", "results.md", "parts.md", "volumes.md"])
+@pytest.mark.parametrize("page", ["README.md", "report.md", "parts.md", "volumes.md"])
 def test_snippets_run(page, quick, capsys):
     path = ROOT / page if page == "README.md" else DOCS / page
     names = {}

@@ -13,8 +13,12 @@ from sonoservo.diagrams.papers.chatelain2013.analysis import Run, Volumes, poole
 from sonoservo.diagrams.papers.chatelain2013.cases import AS_PUBLISHED
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.study_report import StudyRow
-from sonoservo.systems.evaluation.run_intervals import count_interval, mean_interval, run_interval
 from sonoservo.systems.evaluation.statistics.intervals import proportion_interval
+from sonoservo.systems.evaluation.statistics.run_intervals import (
+    count_interval,
+    mean_interval,
+    run_interval,
+)
 
 Floats = NDArray[np.float64]
 

@@ -19,7 +19,7 @@ from sonoservo.diagrams.papers.chatelain2013.notes_report import NOTES, TITLE
 from sonoservo.diagrams.papers.chatelain2013.plots import study_figures
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.study_report import Study
-from sonoservo.systems.evaluation.run_intervals import run_interval
+from sonoservo.systems.evaluation.statistics.run_intervals import run_interval
 from sonoservo.systems.ultrasound.imaging import sweep_geometry
 from sonoservo.systems.ultrasound.transducer import load_transducer
 

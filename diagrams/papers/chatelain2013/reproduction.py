@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from rich.console import Console
 
 from sonoservo.diagrams.experiments.following import FollowingExperiment
 from sonoservo.diagrams.papers.chatelain2013.cases import AS_PUBLISHED, load_case
@@ -188,7 +189,8 @@ def reproduce(options: StudyOptions) -> Study:
         store=Store(str(logs)),
         console=options.console,
     )
-    return report(outcomes, logs, list(ABLATIONS))
+    with (options.console or Console(quiet=True)).status("Making the report from the logs ..."):
+        return report(outcomes, logs, list(ABLATIONS))
 
 
 def study_cases(options: StudyOptions) -> list[Case]:

@@ -21,3 +21,4 @@ from .shape_posterior import (
 )
 from .shape_posterior import ShapePosterior as ShapePosterior
 from .shape_posterior import WanderParameters as WanderParameters
+from .shape_posterior import combined_wander as combined_wander

@@ -12,7 +12,8 @@ and ln beta. Given these, origin and coefficients are integrated in closed form.
 alpha and beta are thus learnt together with the path.
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -67,6 +68,39 @@ class WanderParameters:
             across_spread=self.across_spread,
             length=self.length,
         )
+
+
+def combined_wander(
+    prior: WanderParameters, learnt: Sequence[WanderParameters]
+) -> WanderParameters:
+    """Return the wander's distribution after several needles in the same tissue.
+
+    Parameters
+    ----------
+    prior
+        Distribution before the first needle.
+    learnt
+        Distribution after each needle alone; see `ShapeParticleFilter.learned_wander`. Their
+        logarithms count as normal, and the prior counts only once.
+    """
+
+    def combined(median: str, spread: str) -> dict[str, float]:
+        """Add up what each needle tells, as precisions of the logarithm."""
+        first = getattr(prior, spread) ** -2
+        precision, weighted = first, first * np.log(getattr(prior, median))
+        for each in learnt:
+            theirs = getattr(each, spread) ** -2
+            gained = max(theirs - first, 0.0)
+            middle = np.log(getattr(prior, median))
+            if gained:
+                told = theirs * np.log(getattr(each, median)) - first * middle
+                # A needle that says little must not say something extreme.
+                middle = np.clip(told / gained, middle - 3, middle + 3)
+            precision, weighted = precision + gained, weighted + gained * middle
+        return {median: float(np.exp(weighted / precision)), spread: float(precision**-0.5)}
+
+    along, across = combined("amplitude", "spread"), combined("across", "across_spread")
+    return replace(prior, **along, **across)
 
 
 @dataclass(kw_only=True)

@@ -6,6 +6,7 @@ from sonoservo.systems.estimation.shape.shape_particle_filter import ShapePartic
 from sonoservo.systems.estimation.shape.shape_posterior import (
     ShapeParticleFilterParameters,
     WanderParameters,
+    combined_wander,
 )
 from sonoservo.systems.needle.steered_path import SteeredPath, draw_wander
 from sonoservo.systems.signals.bicycle_paths import deflections
@@ -128,17 +129,22 @@ def test_the_posterior_is_the_exact_one_of_the_linear_model():
 
 @pytest.mark.parametrize("wander", [0.0, 0.3])
 def test_whole_needles_teach_the_amplitude_for_the_next(wander):
-    learnt = WanderParameters(amplitude=0.1, spread=1.0, across=0.05, across_spread=1.0)
-    for seed in range(4):
-        points, _ = needle(seed, wander, DEPTH, 2e-3)
-        shape_filter = make_filter(learnt)
-        learnt = shape_filter.learned_wander(believe(shape_filter, points, seed))
+    prior = WanderParameters(amplitude=0.1, spread=1.0, across=0.05, across_spread=1.0)
+    shape_filter = make_filter(prior)
+    alone = [
+        shape_filter.learned_wander(believe(shape_filter, needle(seed, wander, DEPTH, 2e-3)[0]))
+        for seed in range(5)
+    ]
+    learnt = combined_wander(prior, alone)
     if wander:
         assert learnt.amplitude == pytest.approx(wander, rel=0.4)
         assert learnt.spread < 0.4
     else:
         assert learnt.amplitude < 0.06
     assert learnt.across < 0.06
+    # Needles that told nothing change nothing.
+    nothing = combined_wander(prior, [prior, prior])
+    assert (nothing.amplitude, nothing.spread) == pytest.approx((prior.amplitude, prior.spread))
 
 
 @pytest.mark.parametrize("wander", [0.0, 0.1, 0.3])

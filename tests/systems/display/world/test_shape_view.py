@@ -6,7 +6,7 @@ from pydrake.math import RigidTransform
 
 from sonoservo.systems.display.world.rod import Rod
 from sonoservo.systems.display.world.shape_view import ShapeView
-from sonoservo.systems.evaluation.report import save_replay
+from sonoservo.systems.evaluation.reports.report import save_replay
 from sonoservo.systems.signals.confidence import RADIUS_95
 from sonoservo.systems.signals.image_slice import ImageSlice
 from sonoservo.systems.signals.immutable import NotFound

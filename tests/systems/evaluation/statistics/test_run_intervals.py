@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from sonoservo.systems.evaluation.run_intervals import (
+from sonoservo.systems.evaluation.statistics.run_intervals import (
     UNBOUNDED,
     count_interval,
     mean_interval,

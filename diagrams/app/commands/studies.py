@@ -20,8 +20,9 @@ from sonoservo.diagrams.app.options import (
     console,
     write_printed,
 )
-from sonoservo.diagrams.papers.registry import PAPERS, reproduce, require_paper
+from sonoservo.diagrams.papers.registry import ALL, PAPERS, reproduce, require_paper
 from sonoservo.diagrams.studies.cluster.opening import CASE_LIMIT_S
+from sonoservo.diagrams.studies.heartbeat import Heartbeat
 from sonoservo.systems.files.refusals import ConfigurationError
 
 if TYPE_CHECKING:
@@ -50,6 +51,13 @@ def dataset_command(
     ] = None,
     changes: ChangesOption = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Seed of the first sequence.")] = None,
+    randomize: Annotated[
+        bool,
+        typer.Option("--randomize", help="Also draw the dials that `sonoservo list` names."),
+    ] = False,
+    layout: Annotated[
+        str, typer.Option(help="Layout of the files: sequences, or nnunet.")
+    ] = "sequences",
     store: Annotated[
         str | None,
         typer.Option(help="Folder or fsspec URL for the sequences; by default, the one of --out."),
@@ -64,7 +72,7 @@ def dataset_command(
     Finished sequences are kept; repeat the command to resume after an interruption.
     """
     from sonoservo.diagrams.experiments.registry import load_scenario
-    from sonoservo.diagrams.studies.dataset import make_dataset
+    from sonoservo.diagrams.studies.datasets.dataset import make_dataset
 
     loaded = load_scenario(scenario, changes=changes, seed=seed)
     with _opened(cluster, case_limit) as executor:
@@ -74,6 +82,8 @@ def dataset_command(
             count=count,
             volumes=volumes,
             transducers=transducers or (),
+            randomize=randomize,
+            layout=layout,
             store=store,
             jobs=jobs,
             cluster=executor,
@@ -90,12 +100,17 @@ def dataset_command(
 
 
 def reproduce_command(
-    paper: Annotated[str, typer.Argument(help=f"Paper to reproduce: {', '.join(PAPERS)}.")],
+    paper: Annotated[
+        str, typer.Argument(help=f"Paper to reproduce: {', '.join(PAPERS)}; or all of them: all.")
+    ],
     quick: Annotated[
         bool, typer.Option("--quick", help="Make a few short runs only (minutes).")
     ] = False,
     seeds: Annotated[int | None, typer.Option(help="Number of seeds per experiment.")] = None,
     first_seed: Annotated[int, typer.Option(help="First seed.")] = 0,
+    keep: Annotated[
+        bool, typer.Option("--keep", help="Keep the results in the repository, with its tables.")
+    ] = False,
     out: OutOption = None,
     jobs: JobsOption = -1,
     cluster: ClusterOption = None,
@@ -107,10 +122,15 @@ def reproduce_command(
     Finished runs are kept; repeat the command to resume after an interruption.
     """
     from sonoservo.diagrams.app.terminal import study_table
+    from sonoservo.diagrams.papers.results import keep_results
     from sonoservo.diagrams.studies.study import StudyOptions
-    from sonoservo.diagrams.studies.study_report import write_study
+    from sonoservo.diagrams.studies.study_report import write_studies, write_study
 
-    require_paper(paper)
+    papers = PAPERS if paper == ALL else (paper,)
+    for each in papers:
+        require_paper(each)
+    if keep and (quick or seeds is not None or first_seed):
+        raise ConfigurationError("--keep: only the results of the whole study are kept")
     folder = out or Path("out") / f"{paper}{'_quick' if quick else ''}"
     command = ["sonoservo", "reproduce", paper, *(["--quick"] if quick else [])]
     command += [] if seeds is None else ["--seeds", str(seeds)]
@@ -127,13 +147,23 @@ def reproduce_command(
         )
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
+    studies = []
     try:
         with _opened(cluster, case_limit) as executor:
-            study = reproduce(paper, replace(options, cluster=executor))
+            for each in papers:
+                into = folder / each if paper == ALL else folder
+                with Heartbeat(console, f"Reproducing {each}"):
+                    studies.append(reproduce(each, replace(options, folder=into, cluster=executor)))
+                # before its files, which a full disk would prevent
+                console.print(study_table(studies[-1]))
     except KeyboardInterrupt:
         console.print(f"Interrupted. Finished runs are in {folder}; repeat the command to resume.")
         raise
-    console.print(study_table(study))  # before its files, which a full disk would prevent
-    data = write_study(folder, study, shlex.join(command))
+    if paper == ALL:
+        data = write_studies(folder, studies, shlex.join(command))
+    else:
+        data = write_study(folder, studies[0], shlex.join(command))
     console.print(f"Report: {folder / 'report.html'}", soft_wrap=True)
+    if keep:
+        keep_results(data if paper == ALL else {paper: data})
     write_printed(json_path, data)
