@@ -1,7 +1,9 @@
+from .app.compare import Comparison as Comparison
+from .app.compare import compare as compare
 from .app.drive import DrivenExperiment as DrivenExperiment
 from .app.drive import drive as drive
-from .app.run import RunResult as RunResult
 from .app.run import run as run
+from .app.run_result import RunResult as RunResult
 from .app.scan import Scan as Scan
 from .app.scan import scan as scan
 from .app.volumes.locate import LocatedNeedle as LocatedNeedle
@@ -15,7 +17,7 @@ from .assembly import load_dome_radius as load_dome_radius
 from .assembly import load_probe_body as load_probe_body
 from .experiments.experiment import Experiment as Experiment
 from .experiments.following import FollowingExperiment as FollowingExperiment
-from .experiments.following import tracker_events as tracker_events
+from .experiments.following_events import tracker_events as tracker_events
 from .experiments.following_insertion import make_insertion as make_insertion
 from .experiments.following_scenario import FollowingScenario as FollowingScenario
 from .experiments.registry import list_scenarios as list_scenarios

@@ -1,7 +1,8 @@
 """Base class of the scenarios of all experiments."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import dump_typed
@@ -47,6 +48,22 @@ class Scenario:
     def duration(self) -> float:
         """Simulated time in s."""
         raise NotImplementedError
+
+    @classmethod
+    def as_published(cls, data: Mapping[str, Any]) -> dict[str, Any]:
+        """Return a scenario's data with the whole published method under the data's own fields.
+
+        Parameters
+        ----------
+        data
+            Fields of a scenario of this experiment, as read from its file.
+
+        Raises
+        ------
+        ConfigurationError
+            If the experiment does not belong to a paper.
+        """
+        raise ConfigurationError(f"the experiment {cls.experiment!r} is of no paper")
 
     def to_yaml(self) -> str:
         """Return all fields as YAML that `load_scenario` reads."""

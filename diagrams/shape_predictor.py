@@ -14,6 +14,7 @@ from sonoservo.systems.estimation.shape.shape_filters import SHAPE_FILTERS
 from sonoservo.systems.localization.cross_section import CrossSectionParameters
 from sonoservo.systems.localization.cross_section_localizer import CrossSectionLocalizer
 from sonoservo.systems.signals.cross_section import CrossSection
+from sonoservo.systems.signals.image_slice import ImageSlice
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_shape import NeedleShape
 
@@ -26,6 +27,7 @@ def MakeShapePredictor(
     period: float,
     offset: float = 0.0,
     seed: int = 0,
+    click: bool = False,
 ) -> Diagram:
     """Make a shape predictor.
 
@@ -34,12 +36,14 @@ def MakeShapePredictor(
         name: shape_predictor
         input_ports:
         - slice
+        - click (on request)
         output_ports:
         - cross_section
         - shape
 
     ``slice`` is an `ImageSlice`, or a `NotFound` while there is none. ``cross_section`` is the
-    `CrossSection` in it and ``shape`` the `NeedleShape` so far, or a `NotFound`.
+    `CrossSection` in it and ``shape`` the `NeedleShape` so far, or a `NotFound`. ``click`` is a
+    person's `ImageClick` on the needle, or a `NotFound` before it.
 
     Parameters
     ----------
@@ -53,6 +57,8 @@ def MakeShapePredictor(
         Period and offset of the events at which it processes a new slice, in s.
     seed
         Seed of every random choice.
+    click
+        Whether to add the port ``click``, and to wait for a click on the needle.
     """
     parameters = localizer or CrossSectionParameters()
     if shape_filter is None:
@@ -64,7 +70,8 @@ def MakeShapePredictor(
         "cross_section_localizer", CrossSectionLocalizer(parameters=parameters)
     )
     # A start given by the user needs one slice only.
-    start_slices = parameters.start_slices if parameters.start is None else 1
+    given = click or parameters.start is not None
+    start_slices = 1 if given else parameters.start_slices
     memory = builder.AddNamedSystem(
         "cross_section_memory", CrossSectionMemory(start_slices=start_slices, **events)
     )
@@ -81,11 +88,34 @@ def MakeShapePredictor(
         (localize, "cross_section", estimator),
     ):
         builder.Connect(source.GetOutputPort(port), target.GetInputPort(port))
+    if click:
+        builder.ExportInput(localize.GetInputPort("click"), "click")
     builder.ExportOutput(localize.GetOutputPort("cross_section"), "cross_section")
     builder.ExportOutput(estimator.GetOutputPort("shape"), "shape")
     diagram = builder.Build()
     diagram.set_name("shape_predictor")
     return diagram
+
+
+def predict_from_slices(
+    predictor: Diagram, slices: Iterable[ImageSlice]
+) -> tuple[list[CrossSection | NotFound], list[NeedleShape | NotFound]]:
+    """Predict a needle's shape from recorded slices, without a simulation.
+
+    Returns
+    -------
+    The result of the search in each slice, and the shape after each.
+    """
+    context = predictor.CreateDefaultContext()
+    found: list[CrossSection | NotFound] = []
+    shapes: list[NeedleShape | NotFound] = []
+    for each in slices:
+        predictor.GetInputPort("slice").FixValue(context, Value[object](each))
+        # The search must see the track before the slice; the forced event makes the one after it.
+        found.append(predictor.GetOutputPort("cross_section").Eval(context))
+        predictor.ExecuteForcedEvents(context)
+        shapes.append(predictor.GetOutputPort("shape").Eval(context))
+    return found, shapes
 
 
 def estimate_shape(

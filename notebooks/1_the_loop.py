@@ -11,12 +11,10 @@
 import os
 
 import matplotlib.pyplot as plt
-from rich.console import Console
 
 from sonoservo.diagrams import load_scenario, make_experiment, run
-from sonoservo.diagrams.app import summary_table
 from sonoservo.systems.display.monitor import Monitor
-from sonoservo.systems.evaluation import estimate_errors, plot_run
+from sonoservo.systems.evaluation import estimate_errors
 
 QUICK = ["duration=7", "hand.start=1", "hand.pushes.0.speed=0.016"]
 scenario = load_scenario(
@@ -58,14 +56,14 @@ result = run(scenario, monitor=monitor)
 # they can be compared with ground truth.
 
 # %%
-Console(width=100).print(summary_table(result, scenario.published_figures))
+result
 
 # %% [markdown]
 # The features that the servo drives to zero, the tip, the motion of the probe and the force. Solid
 # lines show the truth, dashed lines the estimate. No needle had been found yet in the grey part.
 
 # %%
-plot_run(result.log, scenario.controller.force.force)
+result.plot()
 
 # %% [markdown]
 # `result.log` holds every signal as an array, in SI units and in W (see the list in

@@ -13,6 +13,10 @@ from typing import Annotated
 
 import typer
 
+from sonoservo.diagrams.app.commands.results import compare_command, explain_command
+from sonoservo.diagrams.app.commands.scenarios import list_command, new_command, show_command
+from sonoservo.diagrams.app.commands.studies import dataset_command, reproduce_command
+from sonoservo.diagrams.app.commands.volumes import bridge_command, locate_command, track_command
 from sonoservo.diagrams.app.interruption import INTERRUPTED, is_interrupted
 from sonoservo.diagrams.app.options import (
     ChangesOption,
@@ -29,9 +33,6 @@ from sonoservo.diagrams.app.options import (
     with_common_options,
     write_printed,
 )
-from sonoservo.diagrams.app.scenario_commands import list_command, new_command, show_command
-from sonoservo.diagrams.app.study_commands import dataset_command, reproduce_command
-from sonoservo.diagrams.app.volume_commands import bridge_command, locate_command, track_command
 from sonoservo.systems.files.refusals import ConfigurationError, describe, shorten
 
 app = typer.Typer(
@@ -83,6 +84,18 @@ def run_command(
     record_sweeps: Annotated[
         bool, typer.Option("--record-sweeps", help="Also record the sweeps as acquired.")
     ] = False,
+    as_published: Annotated[
+        bool,
+        typer.Option(
+            "--as-published", help="Tracker, controller and estimator as the paper printed them."
+        ),
+    ] = False,
+    replay: Annotated[
+        bool, typer.Option("--replay", help="Write replay.html without a page, too.")
+    ] = False,
+    movie: Annotated[
+        Path | None, typer.Option(help="Movie of slices and curves: NAME.gif or NAME.mp4.")
+    ] = None,
     explain: ExplainOption = False,
     serve: ServeOption = None,
     wait_for: WaitOption = 0,
@@ -91,17 +104,17 @@ def run_command(
     """Run a scenario and write its results; exit status 3: the guard stopped the robot for good."""
     from sonoservo.diagrams.app.live.commands import serving
     from sonoservo.diagrams.app.run import run
+    from sonoservo.diagrams.app.run_result import summary_table
     from sonoservo.diagrams.app.terminal import (
         Progress,
         end_run,
         open_site,
         start_display,
         start_monitor,
-        summary_table,
     )
     from sonoservo.diagrams.experiments.registry import experiment_class, load_scenario
 
-    loaded = load_scenario(scenario, changes=changes, seed=seed)
+    loaded = load_scenario(scenario, changes=changes, seed=seed, as_published=as_published)
     folder = out or free_folder(f"{loaded.name}_seed{loaded.seed}")
     has_monitor = "monitor" in experiment_class(loaded.experiment).options
     site = open_site(host) if meshcat else None
@@ -116,13 +129,16 @@ def run_command(
             out=folder,
             meshcat=display,
             monitor=monitor,
+            replay=replay,
+            movie=movie,
             record=record,
             record_sweeps=record_sweeps,
             explain=explain,
             observers=observers,
             after_step=progress,
+            progress=False,
         )
-    console.print(summary_table(result, loaded.published_figures))
+    console.print(summary_table(result))
     console.print(f"Report: {folder / 'report.html'}", soft_wrap=True)
     write_printed(json_path, result.summary)
     if not result.failure and result.summary["interrupted"]:
@@ -149,13 +165,13 @@ def drive_command(
     from sonoservo.diagrams.app.drive import DRIVING, drive
     from sonoservo.diagrams.app.kept_run import refusing
     from sonoservo.diagrams.app.live.commands import serving
+    from sonoservo.diagrams.app.run_result import summary_table
     from sonoservo.diagrams.app.terminal import (
         Progress,
         end_run,
         open_site,
         start_display,
         start_monitor,
-        summary_table,
     )
     from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
     from sonoservo.diagrams.experiments.registry import load_scenario
@@ -234,40 +250,6 @@ def scan_command(
     write_printed(json_path, summary)
 
 
-def explain_command(
-    folder: Annotated[Path, typer.Argument(help="Folder of a run made with --explain.")],
-    time: Annotated[
-        float | None, typer.Option(help="Draw the kept volume nearest to this time, in s.")
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Picture, FILE.png; by default in the run's folder.")
-    ] = None,
-    json_path: JsonOption = None,
-) -> None:
-    """Show why an estimate was wrong: what the tracker looked at, beside the truth.
-
-    Without --time the volumes that were kept are listed.
-    """
-    from sonoservo.diagrams.app.explain import explanation_table, read_explained_run
-    from sonoservo.systems.evaluation.explanation.explanation_sheet import describe
-    from sonoservo.systems.evaluation.plots import png
-    from sonoservo.systems.files.writing import write_atomically
-
-    explained_run = read_explained_run(folder)
-    if time is None:
-        rows = explained_run.rows()
-        console.print(explanation_table(rows))
-        console.print(f"Draw one of them: sonoservo explain {folder} --time T", soft_wrap=True)
-        write_printed(json_path, rows)
-        return
-    explained = explained_run.nearest(time)
-    path = out or folder / f"explanation_{float(explained.volume_time):.2f}s.png"
-    write_atomically(path, png(explained_run.sheet(explained)))
-    console.print(describe(explained, explained_run.tip_error(explained)), soft_wrap=True)
-    console.print(f"Drawn: {path}", soft_wrap=True)
-    write_printed(json_path, explained_run.row(explained))
-
-
 _COMMANDS = (
     list_command,
     show_command,
@@ -277,6 +259,7 @@ _COMMANDS = (
     drive_command,
     scan_command,
     explain_command,
+    compare_command,
     track_command,
     bridge_command,
     locate_command,

@@ -13,7 +13,8 @@ from pydrake.systems.framework import System
 
 from sonoservo.diagrams.app.kept_run import KeptRun, refusing
 from sonoservo.diagrams.app.real_time import RealTime
-from sonoservo.diagrams.app.run import RunResult, finish
+from sonoservo.diagrams.app.run import finish
+from sonoservo.diagrams.app.run_result import RunResult
 from sonoservo.diagrams.experiments.following import FollowingExperiment
 from sonoservo.diagrams.experiments.following_insertion import make_insertion, placed_hand
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
@@ -111,6 +112,7 @@ class DrivenExperiment(FollowingExperiment):
             monitor=monitor,
             observers=observers,
             film=False,
+            pictures=True,
             sources={
                 "operator_panel": panel,
                 "hand": self._hand,

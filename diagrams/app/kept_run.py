@@ -1,5 +1,7 @@
 """Output files of a run of any experiment."""
 
+import os
+import shlex
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -11,10 +13,15 @@ from typing import Any, Self
 from matplotlib.figure import Figure
 from pydrake.geometry import Meshcat
 
+from sonoservo.diagrams.experiments.experiment import Experiment
+from sonoservo.diagrams.experiments.scenario_changes import base_of, changed_fields
 from sonoservo.diagrams.scenario import Scenario
+from sonoservo.systems.evaluation.compile_free_clock import CompileFreeClock
 from sonoservo.systems.evaluation.explanation.explanation_files import clear_explanations
-from sonoservo.systems.evaluation.plots import png
-from sonoservo.systems.evaluation.report import save_replay, write_report
+from sonoservo.systems.evaluation.log import Log
+from sonoservo.systems.evaluation.reports.movie import write_movie
+from sonoservo.systems.evaluation.reports.plots import png
+from sonoservo.systems.evaluation.reports.report import Story, save_replay, write_report
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.writing import Unwritten, write_atomically, write_json
 
@@ -53,9 +60,13 @@ class KeptRun:
         Folder of all files; None writes nothing.
     meshcat
         Meshcat that draws the run, if any; its recording becomes the replay.
+    movie
+        File for a movie of the run, if any.
 
     Attributes
     ----------
+    scenario
+        Scenario of the run.
     out
         Folder of all files, or None.
     interrupted
@@ -71,9 +82,11 @@ class KeptRun:
         *,
         out: Path | None = None,
         meshcat: Meshcat | None = None,
+        movie: Path | None = None,
     ) -> None:
-        self._scenario, self._write_log = scenario, write_log
-        self.out, self._meshcat = out, meshcat
+        self.scenario, self._write_log = scenario, write_log
+        self.out, self._meshcat, self._movie = out, meshcat, movie
+        self._clock = CompileFreeClock()
         self.interrupted = False
         self.unwritten = Unwritten()
 
@@ -81,11 +94,12 @@ class KeptRun:
         if self.out is not None:
             for name in _RESULTS:  # of an earlier run
                 (self.out / name).unlink(missing_ok=True)
-            write_atomically(self.out / "scenario.yaml", self._scenario.to_yaml())
+            write_atomically(self.out / "scenario.yaml", self.scenario.to_yaml())
             clear_explanations(self.out)
         if self._meshcat is not None:
             self._meshcat.StartRecording(set_visualizations_while_recording=True)
         self._saved = time.perf_counter()
+        self._clock.__enter__()
         self.begin()
         return self
 
@@ -95,7 +109,8 @@ class KeptRun:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> bool:
-        self._wall = time.perf_counter() - self._started
+        self._wall = self._clock() - self._started
+        self._clock.__exit__()
         self.interrupted = kind is KeyboardInterrupt
         self._save()
         if isinstance(error, OSError):
@@ -103,8 +118,8 @@ class KeptRun:
         return self.interrupted or isinstance(error, OSError)
 
     def begin(self) -> None:
-        """Start the clock, or restart it inside the context."""
-        self._started = time.perf_counter()
+        """Start the clock, or restart it inside the context; it leaves out compilation."""
+        self._started = self._clock()
 
     def go_on(self) -> None:
         """Save the log so far if the last time was long ago; call this regularly."""
@@ -122,12 +137,13 @@ class KeptRun:
             Figures of the run.
         """
         return {
-            "scenario": self._scenario.name,
-            "seed": self._scenario.seed,
+            "scenario": self.scenario.name,
+            "seed": self.scenario.seed,
             "version": version("sonoservo"),
             "interrupted": self.interrupted,
             "simulated_s": simulated,
             "wall_s": self._wall,
+            "compile_s": self._clock.compiled,
             "real_time_factor": simulated / self._wall,
             **figures,
         }
@@ -135,27 +151,35 @@ class KeptRun:
     def write(
         self,
         summary: Mapping[str, Any],
+        experiment: Experiment[Any],
+        log: Log,
         plots: Mapping[str, tuple[str, Figure]],
-        published: Mapping[str, float],
     ) -> None:
-        """Write summary.json, the plots, report.html and, with a Meshcat, replay.html.
+        """Write summary.json, the plots, report.html, the movie and, with a Meshcat, replay.html.
 
         Parameters
         ----------
         summary
             Summary as `summary` returned it.
+        experiment, log
+            Experiment that has ended, and its log.
         plots
             Caption and figure of each plot, by the name of its file.
-        published
-            Figures of the publication, by their dotted paths into the summary.
         """
+        if self._movie is not None:
+            with self.unwritten.collect():
+                write_movie(self._movie, experiment.frames(log), experiment.frame_rate)
         if self.out is None:
             return
         with self.unwritten.collect():
             write_json(self.out / "summary.json", summary)
+        links = {}
         if self._meshcat is not None:
             with self.unwritten.collect():
                 save_replay(self._meshcat, self.out / "replay.html")
+            links["replay.html"] = "Watch the replay in 3D"
+        if self._movie is not None:
+            links[os.path.relpath(self._movie, self.out)] = "Watch the movie"
         images = {}
         for name, (caption, figure) in plots.items():
             images[caption] = png(figure)
@@ -166,10 +190,41 @@ class KeptRun:
                 self.out / "report.html",
                 summary,
                 images,
-                command=f"sonoservo run {self.out / 'scenario.yaml'}",
-                paper=published,
-                replay="replay.html" if self._meshcat is not None else "",
+                story=self.story(summary, experiment, links),
+                key_frames={
+                    caption: png(figure) for caption, figure in experiment.key_frames(log).items()
+                },
+                labels=experiment.labels,
+                paper=experiment.happened().published_figures,
             )
+
+    def story(
+        self,
+        summary: Mapping[str, Any],
+        experiment: Experiment[Any],
+        links: Mapping[str, str] | None = None,
+    ) -> Story:
+        """Return what the report tells besides figures and plots.
+
+        Parameters
+        ----------
+        summary
+            Summary as `summary` returned it.
+        experiment
+            Experiment that has ended.
+        links
+            Text of each link, by its relative address.
+        """
+        base, name = base_of(self.scenario)
+        path = "" if self.out is None else str(self.out / "scenario.yaml")
+        return Story(
+            verdict=experiment.verdict(summary),
+            scenario=experiment.words(),
+            base=name,
+            changes=changed_fields(base, self.scenario),
+            command=shlex.join(["sonoservo", "run", path]) if path else "",
+            links=links or {},
+        )
 
     def _save(self) -> None:
         if self.out is not None:

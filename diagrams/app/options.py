@@ -28,6 +28,15 @@ ChangesOption = Annotated[
 SeedOption = Annotated[int | None, typer.Option(min=0, help="Random seed of the run.")]
 OutOption = Annotated[Path | None, typer.Option(help="Folder for the results.")]
 JobsOption = Annotated[int, typer.Option(help="Number of processes; -1 for one per core.")]
+ClusterOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Run on a cluster of Dask: tcp://HOST:PORT, local:N, or a FILE.yaml for a job queue."
+    ),
+]
+CaseLimitOption = Annotated[
+    float, typer.Option("--case-limit", help="Longest time in s of a run on a cluster.")
+]
 JsonOption = Annotated[
     Path | None,
     typer.Option("--json", help="Also write the printed figures to this file; - prints only them."),

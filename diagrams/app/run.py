@@ -1,18 +1,29 @@
 """One run of a scenario, from the first step to its output files."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import System
+from rich.console import Console
 
 from sonoservo.diagrams.app.kept_run import KeptRun, refusing
+from sonoservo.diagrams.app.run_result import RunResult
+from sonoservo.diagrams.app.terminal import Progress
 from sonoservo.diagrams.experiments.experiment import Experiment
-from sonoservo.diagrams.experiments.registry import make_experiment
+from sonoservo.diagrams.experiments.registry import (
+    change_scenario,
+    load_scenario,
+    make_experiment,
+)
 from sonoservo.diagrams.scenario import Scenario
+from sonoservo.systems.display.pages.meshcat_page import open_meshcat
+from sonoservo.systems.display.pages.site import Site
 from sonoservo.systems.evaluation.log import write_log
+from sonoservo.systems.evaluation.reports.movie import check_movie
 from sonoservo.systems.files.claims import claim_folder
 from sonoservo.systems.files.refusals import ConfigurationError
 
@@ -20,56 +31,42 @@ if TYPE_CHECKING:
     from sonoservo.systems.display.monitor.monitor import Monitor
 
 
-@dataclass(frozen=True)
-class RunResult:
-    """Results of a run.
-
-    Parameters
-    ----------
-    summary
-        Figures, as in summary.json.
-    log
-        Log of the run; its class depends on the experiment.
-    labels
-        Label of each figure of the summary that tables show, by its dotted path.
-    results
-        Further results of the experiment, by name: shape prediction has the last `shape`.
-    failure
-        Error of the first file that could not be written; None if all were.
-    """
-
-    summary: dict[str, Any]
-    log: Any
-    labels: Mapping[str, str]
-    results: Mapping[str, Any] = field(default_factory=dict)
-    failure: OSError | None = None
-
-
 def run(
-    scenario: Scenario,
+    scenario: Scenario | str | Path,
     *,
-    out: Path | None = None,
+    changes: Mapping[str, Any] | Sequence[str] | None = None,
+    seed: int | None = None,
+    out: str | Path | None = None,
     meshcat: Meshcat | None = None,
     monitor: "Monitor | None" = None,
+    replay: bool = False,
+    movie: str | Path | None = None,
     tracker: System | None = None,
-    record: Path | None = None,
+    record: str | Path | None = None,
     record_sweeps: bool = False,
     explain: bool = False,
     observers: Mapping[str, System] | None = None,
     after_step: Callable[[Experiment[Any]], None] | None = None,
+    progress: bool | None = None,
 ) -> RunResult:
     """Run a scenario of any experiment to its end, or until it is interrupted from the keyboard.
 
     Parameters
     ----------
     scenario
-        Scenario of any experiment.
+        Scenario of any experiment, the name of a built-in one, or the path of a YAML file.
+    changes, seed
+        Fields to change, such as ``{"imaging.gain": 0.5}``, and the seed; see `load_scenario`.
     out
         Folder for scenario.yaml, summary.json, log.npz, plots, report.html and, with a Meshcat,
         replay.html; None writes nothing.
     meshcat, monitor
         Displays of the world and of the volumes, if any. With either, the run is limited to real
         time.
+    replay
+        Whether to write replay.html even without a Meshcat.
+    movie
+        File for a movie of the run, ``NAME.gif`` or ``NAME.mp4``; None writes none.
     tracker
         Custom tracker that replaces the scenario's; see `FollowingExperiment`.
     record
@@ -86,6 +83,8 @@ def run(
     after_step
         Function called after every volume or slice with the experiment, which provides the time and
         the tracker's status.
+    progress
+        Whether to show a progress bar; by default, in a terminal and in a notebook only.
 
     Raises
     ------
@@ -93,32 +92,49 @@ def run(
         If the scenario cannot be carried out, its experiment does not have an option, or there is
         no folder for what is to be explained.
     """
+    scenario = _scenario(scenario, changes, seed)
+    out, movie, record = (None if each is None else Path(each) for each in (out, movie, record))
     if explain and out is None:
         raise ConfigurationError("explain: there is no folder to keep explanations in; give out")
-    with refusing(scenario):
-        experiment = make_experiment(
+    if replay and out is None:
+        raise ConfigurationError("replay: there is no folder to write replay.html in; give out")
+    if movie is not None:
+        check_movie(movie)
+    shown = bool(meshcat or monitor or observers)
+    bar = _bar(scenario, progress)
+    with ExitStack() as stack:
+        if replay and meshcat is None:
+            meshcat = open_meshcat(stack.enter_context(Site()))
+        with refusing(scenario):
+            experiment = make_experiment(
+                scenario,
+                meshcat=meshcat,
+                monitor=monitor,
+                tracker=tracker,
+                record=record,
+                record_sweeps=record_sweeps,
+                explain=out if explain else None,
+                pictures=out is not None or movie is not None,
+                observers=observers,
+            )
+        kept = KeptRun(
             scenario,
+            lambda path: write_log(path, experiment.log()),
+            out=out,
             meshcat=meshcat,
-            monitor=monitor,
-            tracker=tracker,
-            record=record,
-            record_sweeps=record_sweeps,
-            explain=out if explain else None,
-            observers=observers,
+            movie=movie,
         )
-    kept = KeptRun(
-        scenario, lambda path: write_log(path, experiment.log()), out=out, meshcat=meshcat
-    )
 
-    def note(experiment: Experiment[Any]) -> None:
-        kept.go_on()
-        if after_step is not None:
-            after_step(experiment)
+        def note(experiment: Experiment[Any]) -> None:
+            kept.go_on()
+            for notified in (bar, after_step):
+                if notified is not None:
+                    notified(experiment)
 
-    with claim_folder(out):
-        with kept:
+        stack.enter_context(claim_folder(out))
+        with bar or nullcontext(), kept:
             try:
-                experiment.run(note, real_time=bool(meshcat or monitor or observers))
+                experiment.run(note, real_time=shown)
             finally:
                 experiment.close()
         return finish(kept, experiment)
@@ -136,6 +152,34 @@ def finish(kept: KeptRun, experiment: Experiment[Any]) -> RunResult:
     """
     log = experiment.log()
     summary = kept.summary(experiment.time, experiment.summarize(log))
-    if kept.out is not None:
-        kept.write(summary, experiment.plots(log), experiment.happened().published_figures)
-    return RunResult(summary, log, experiment.labels, experiment.results(), kept.unwritten.failure)
+    plots = experiment.plots(log)
+    kept.write(summary, experiment, log, plots)
+    return RunResult(
+        summary=summary,
+        log=log,
+        labels=experiment.labels,
+        results=experiment.results(),
+        failure=kept.unwritten.failure,
+        verdict=experiment.verdict(summary),
+        published=experiment.happened().published_figures,
+        plots=plots,
+    )
+
+
+def _scenario(
+    scenario: Scenario | str | Path,
+    changes: Mapping[str, Any] | Sequence[str] | None,
+    seed: int | None,
+) -> Scenario:
+    if not isinstance(scenario, Scenario):
+        return load_scenario(scenario, changes=changes, seed=seed)
+    if changes is None and seed is None:
+        return scenario
+    return change_scenario(scenario, changes=changes, seed=seed)
+
+
+def _bar(scenario: Scenario, wanted: bool | None) -> Progress | None:
+    """Return a progress bar, if it is wanted or, by default, if somebody sees it."""
+    console = Console()
+    seen = console.is_jupyter or (console.is_terminal and sys.stdout.isatty())
+    return Progress(console, scenario) if (seen if wanted is None else wanted) else None

@@ -1,7 +1,6 @@
 """Output in the terminal: progress during a run, and figures at its end."""
 
 import logging
-import math
 import sys
 from collections.abc import Mapping
 from contextlib import suppress
@@ -16,68 +15,17 @@ from rich.progress import Progress as RichProgress
 from rich.table import Table
 from rich.text import Text
 
-from sonoservo.diagrams.app.run import RunResult
+from sonoservo.diagrams.app.run_result import RunResult, format_figure
 from sonoservo.diagrams.experiments.experiment import Experiment
 from sonoservo.diagrams.scenario import Scenario
-from sonoservo.diagrams.studies.study_report import Study, target_text
-from sonoservo.systems.evaluation.labels import LABELS
+from sonoservo.diagrams.studies.study_report import Study, interval_text, target_text
+from sonoservo.systems.evaluation.labels import LABELS, look_up, recording_labels
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 
 if TYPE_CHECKING:
     from sonoservo.systems.display.monitor.monitor import Monitor
     from sonoservo.systems.display.pages.site import Site
-
-
-def look_up(summary: Mapping[str, Any], path: str) -> Any:
-    """Return the entry of a nested mapping at a dotted path; None if there is none."""
-    node: Any = summary
-    for key in path.split("."):
-        node = node.get(key) if isinstance(node, Mapping) else None
-    return node
-
-
-def summary_table(result: RunResult, published: Mapping[str, float] | None = None) -> Table:
-    """Return the figures of a run beside the published ones, for a terminal.
-
-    Parameters
-    ----------
-    result
-        Results of the run.
-    published
-        Published figures by their dotted paths into the summary.
-    """
-    summary = result.summary
-    table = Table(title=f"{summary['scenario']}, seed {summary['seed']}")
-    caption = Text(stops_text(summary))
-    if reason := look_up(summary, "detection.reason"):
-        advice = look_up(summary, "detection.advice") or ""
-        found_none = Text("No needle was found.", style="bold not italic")
-        missing = Text.assemble(found_none, f" {reason} {advice}")
-        caption = Text("\n").join([missing, caption] if caption else [missing])
-    table.add_column("quantity")
-    table.add_column("this run", justify="right")
-    if published:
-        table.add_column("paper", justify="right")
-    for path, label in result.labels.items():
-        cells = [label, format_figure(look_up(summary, path))]
-        if published:
-            cells.append(format_figure(published[path]) if path in published else "")
-        table.add_row(*cells)
-    table.caption = caption or None
-    return table
-
-
-def stops_text(summary: Mapping[str, Any]) -> str:
-    """Return the reasons for which a run was stopped and volumes were refused; may be empty."""
-    lines = []
-    reasons, at_end = (look_up(summary, f"guard.{key}") for key in ("reasons", "stopped_at_end"))
-    if reasons:
-        lines.append(f"stopped because {reasons}")
-    if at_end:
-        lines.append(f"still stopped at the end because {at_end}")
-    lines += filter(None, (look_up(summary, f"guard.{key}") for key in ("noticed", "refusal")))
-    return "\n".join(lines)
 
 
 def end_run(result: RunResult) -> None:
@@ -101,6 +49,13 @@ _MET: Mapping[bool | None, Text] = {
 }
 
 
+_COLUMNS = (
+    "paper", "estimated", "true", "95 %",
+    "as published, estimated", "as published, true", "95 %", "target", "met",
+)  # fmt: skip
+"""Columns of a study's table after the quantity."""
+
+
 def study_table(study: Study) -> Table:
     """Return the rows of a study, for a terminal."""
     failed = sum(not each for each in study.outcomes)
@@ -109,26 +64,20 @@ def study_table(study: Study) -> Table:
     )
     table.add_column("experiment")
     table.add_column("quantity")
-    for name in ("paper", "estimated", "true", "target", "met"):
+    for name in _COLUMNS:
         table.add_column(name, justify="right")
     for row in study.rows:
         table.add_row(
             row.experiment,
             row.quantity + (f", {row.unit}" if row.unit else ""),
-            *(format_figure(value) for value in (row.paper, row.estimated, row.true)),
+            *map(format_figure, (row.paper, row.estimated, row.true)),
+            interval_text(row.low, row.high, format_figure),
+            *map(format_figure, (row.published_estimated, row.published_true)),
+            interval_text(row.published_low, row.published_high, format_figure),
             target_text(row),
             _MET[row.met],
         )
     return table
-
-
-def format_figure(value: Any) -> str:
-    """Return a figure with three significant digits, a whole number as it is, or a dash."""
-    if value is None or (isinstance(value, float) and math.isnan(value)):
-        return "-"
-    if value == math.inf:
-        return "∞"
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 def _make_bar(console: Console) -> RichProgress:
@@ -229,11 +178,7 @@ def mode_table(summary: Mapping[str, Any]) -> Table:
     table = Table(title=str(summary["scenario"]))
     table.add_column("quantity")
     table.add_column("this recording", justify="right")
-    table.add_row("volumes", str(summary["volumes"]))
-    table.add_row("skipped, because the file marks them as invalid", str(summary["skipped"]))
-    for mode, count in summary["modes"].items():
-        table.add_row(f"volumes after which the mode was {mode}", str(count))
-    for path, label in LABELS.items():
+    for path, label in (recording_labels(summary["modes"]) | LABELS).items():
         figure = look_up(summary, path)
         if figure is not None:
             table.add_row(label, format_figure(figure))

@@ -1,6 +1,6 @@
 from .experiment import Experiment as Experiment
 from .following import FollowingExperiment as FollowingExperiment
-from .following import tracker_events as tracker_events
+from .following_events import tracker_events as tracker_events
 from .following_insertion import make_insertion as make_insertion
 from .following_scenario import FollowingScenario as FollowingScenario
 from .following_tissue import MakeReactingTissue as MakeReactingTissue

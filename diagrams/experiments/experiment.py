@@ -2,17 +2,20 @@
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from typing import Any, ClassVar, Generic, Self
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder, System
 
 from sonoservo.diagrams.scenario import Scenario, ScenarioT
 from sonoservo.diagrams.wiring import connect_by_name
+from sonoservo.systems.evaluation.compile_free_clock import CompileFreeClock
 from sonoservo.systems.evaluation.log import Log
+from sonoservo.systems.evaluation.reports.verdict import Verdict
 from sonoservo.systems.signals.immutable import NotFound
 
 INSTANT = 1e-6
@@ -43,7 +46,7 @@ class Experiment(ABC, Generic[ScenarioT]):
     event
         Name of the last stage: whatever is computed at the event itself.
     clock
-        Clock of the stages, in s.
+        Clock of the stages, in s. The compilation of kernels is not counted.
     optional, sees_truth
         Inputs that need no output, and systems that may see the truth; see `connect_by_name`.
 
@@ -55,6 +58,10 @@ class Experiment(ABC, Generic[ScenarioT]):
         Options that `make_experiment` may be given.
     labels
         Label of each figure of the summary that tables show, by its dotted path.
+    log_class
+        Class of the log.
+    overlay_caption
+        Caption of `overlay`.
 
     Raises
     ------
@@ -65,6 +72,8 @@ class Experiment(ABC, Generic[ScenarioT]):
     scenario_class: ClassVar[type[Scenario]]
     options: ClassVar[frozenset[str]] = frozenset({"meshcat"})
     labels: ClassVar[Mapping[str, str]]
+    log_class: ClassVar[type[Log]]
+    overlay_caption: ClassVar[str]
 
     def __init__(
         self,
@@ -81,7 +90,7 @@ class Experiment(ABC, Generic[ScenarioT]):
     ) -> None:
         self.scenario = scenario
         self._period, self._offset = period, offset
-        self._stages, self._event, self._clock = stages, event, clock
+        self._stages, self._event, self._clock = stages, event, CompileFreeClock(clock)
         builder = DiagramBuilder()
         for name, system in systems.items():
             builder.AddNamedSystem(name, system)
@@ -109,6 +118,32 @@ class Experiment(ABC, Generic[ScenarioT]):
     @abstractmethod
     def plots(self, log: Any) -> dict[str, tuple[str, Figure]]:
         """Return the plots of a log of this experiment: caption and figure by file name."""
+
+    @classmethod
+    @abstractmethod
+    def overlay(cls, logs: Mapping[str, Any]) -> Figure:
+        """Return a figure of the curves of several runs over one another, by name."""
+
+    @abstractmethod
+    def verdict(self, summary: Mapping[str, Any]) -> Verdict:
+        """Return the verdict on a run of this experiment, from its summary."""
+
+    @abstractmethod
+    def words(self) -> list[str]:
+        """Return sentences that describe the scenario."""
+
+    def key_frames(self, log: Any) -> dict[str, Figure]:
+        """Return pictures of a run's telling moments, by caption; none unless they were kept."""
+        return {}
+
+    def frames(self, log: Any) -> Iterator[NDArray[np.uint8]]:
+        """Yield the frames of a movie, (rows, columns, 3) each, one per volume or slice."""
+        raise NotImplementedError
+
+    @property
+    def frame_rate(self) -> float:
+        """Volumes or slices per second, and so frames per second of a movie."""
+        return 1 / self._period
 
     def results(self) -> dict[str, Any]:
         """Return results of the run that are neither in the log nor in the summary, by name."""
@@ -157,15 +192,16 @@ class Experiment(ABC, Generic[ScenarioT]):
 
     def advance(self, time: float, after_step: Callable[[Self], None] | None = None) -> None:
         """Simulate up to a time in s, including a step due at that time; call `start` first."""
-        while (due := self._offset + self._steps * self._period) < time + INSTANT:
-            self._simulator.AdvanceTo(due - INSTANT)
-            made = self._make_step(due)
-            if made:
-                self._after_step(self._steps)
-            self._steps += 1
-            if made and after_step is not None:
-                after_step(self)
-        self._simulator.AdvanceTo(max(time, self.time))
+        with self._clock:
+            while (due := self._offset + self._steps * self._period) < time + INSTANT:
+                self._simulator.AdvanceTo(due - INSTANT)
+                made = self._make_step(due)
+                if made:
+                    self._after_step(self._steps)
+                self._steps += 1
+                if made and after_step is not None:
+                    after_step(self)
+            self._simulator.AdvanceTo(max(time, self.time))
 
     def forgive_delay(self) -> None:
         """Continue in real time from now on, without making up for lost time."""

@@ -1,15 +1,23 @@
 """Following: the robot finds a needle in volumes, keeps it centred and presses the probe."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import System
 
-from sonoservo.diagrams.experiments.experiment import INSTANT, Experiment
+from sonoservo.diagrams.experiments.experiment import Experiment
+from sonoservo.diagrams.experiments.following_events import (
+    is_irregular,
+    observer_events,
+    recording_settings,
+    tracker_events,
+)
 from sonoservo.diagrams.experiments.following_insertion import (
     check_beside_probe,
     check_entry,
@@ -17,32 +25,38 @@ from sonoservo.diagrams.experiments.following_insertion import (
     make_insertion,
 )
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams.experiments.following_sources import planned_sources
 from sonoservo.diagrams.experiments.following_tissue import with_tissue_reaction
-from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
+from sonoservo.diagrams.experiments.scenario_words import following_words
+from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, require_tracker
 from sonoservo.diagrams.probe_controller import MakeProbeController
 from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.diagrams.station import MakeStation
-from sonoservo.systems.control.controller_schedule import ControllerSchedule
-from sonoservo.systems.control.scheduled_settings import ScheduledSettings
 from sonoservo.systems.display.monitor.scanner_monitor import ScannerMonitor
 from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
 from sonoservo.systems.evaluation.explanation.explanation_recorder import ExplanationRecorder
 from sonoservo.systems.evaluation.labels import LABELS
 from sonoservo.systems.evaluation.metrics import MetricsParameters, summarize
-from sonoservo.systems.evaluation.plots import plot_errors, plot_run
+from sonoservo.systems.evaluation.reports.comparison_plots import CAPTION, plot_comparison
+from sonoservo.systems.evaluation.reports.key_frames import plot_key_frames
+from sonoservo.systems.evaluation.reports.movie import movie_frames
+from sonoservo.systems.evaluation.reports.picture_recorder import PictureRecorder
+from sonoservo.systems.evaluation.reports.plots import (
+    ERRORS_CAPTION,
+    RUN_CAPTION,
+    plot_errors,
+    plot_run,
+)
+from sonoservo.systems.evaluation.reports.track_plots import VolumePictures
+from sonoservo.systems.evaluation.reports.verdict import Verdict, following_verdict
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.run_logger import RunLogger
-from sonoservo.systems.needle.hand import Hand
-from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.recording.volume_recorder import VolumeRecorder
 from sonoservo.systems.robot.errors.calibration import hand_eye_error
-from sonoservo.systems.robot.phantom import PhantomMotion
-from sonoservo.systems.robot.phantom_motion import phantom_trajectory
 from sonoservo.systems.signals.guard_status import GuardState, GuardStatus
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.requirements import require
-from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.ultrasound.imaging import sweep_geometry
 from sonoservo.systems.ultrasound.scan_converter import ScanConverter
 from sonoservo.systems.ultrasound.simulation.scanner import Scanner
@@ -91,6 +105,8 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         Whether to also record the sweeps.
     explain
         Folder of the run that keeps what the tracker looked at around a loss, if any.
+    pictures
+        Whether to keep pictures of the volumes, for `key_frames` and `frames`.
     observers
         Observing systems without outputs, by name, such as senders of a live connection.
         `observer_events` returns the times at which they should look for a volume.
@@ -103,9 +119,20 @@ class FollowingExperiment(Experiment[FollowingScenario]):
 
     scenario_class = FollowingScenario
     options = frozenset(
-        {"explain", "meshcat", "monitor", "observers", "record", "record_sweeps", "tracker"}
+        {
+            "explain",
+            "meshcat",
+            "monitor",
+            "observers",
+            "pictures",
+            "record",
+            "record_sweeps",
+            "tracker",
+        }
     )
     labels = LABELS
+    log_class = RunLog
+    overlay_caption = CAPTION
 
     def __init__(
         self,
@@ -119,6 +146,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         record: Path | None = None,
         record_sweeps: bool = False,
         explain: Path | None = None,
+        pictures: bool = False,
         observers: Mapping[str, System] | None = None,
     ) -> None:
         scenario = require_scenario(scenario, FollowingScenario)
@@ -153,10 +181,10 @@ class FollowingExperiment(Experiment[FollowingScenario]):
             tissue=tissue,
             parameters=scenario.scanner,
             seed=seeds.noise,
-            processing_time=scenario.processing_time if _irregular(scenario, geometry) else 0.0,
+            processing_time=scenario.processing_time if is_irregular(scenario, geometry) else 0.0,
         )
         self.scan_converter = ScanConverter(geometry=geometry, parameters=scenario.scan_conversion)
-        self.needle_tracker = tracker or MakeNeedleTracker(
+        self.needle_tracker = require_tracker(tracker) or MakeNeedleTracker(
             parameters=scenario.tracker,
             period=period,
             offset=offset,
@@ -176,7 +204,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
             joints=self.station.GetOutputPort("joint_state").size() // 2,
             geometry=geometry,
         )
-        sources = _planned_sources(scenario, insertion) if sources is None else sources
+        sources = planned_sources(scenario, insertion) if sources is None else sources
         sources = with_tissue_reaction(scenario, sources)
         systems: dict[str, System] = {
             "station": self.station,
@@ -203,6 +231,10 @@ class FollowingExperiment(Experiment[FollowingScenario]):
                 truth_period=geometry.frame_period,
                 **a_moment_later,
             )
+        self._picture_recorder: PictureRecorder | None = None
+        if pictures:
+            self._picture_recorder = PictureRecorder(**a_moment_later)
+            systems["picture_recorder"] = self._picture_recorder
         if explain is not None:
             systems["explanation_recorder"] = ExplanationRecorder(
                 folder=explain, period=period, offset=a_moment_later["offset"]
@@ -262,9 +294,42 @@ class FollowingExperiment(Experiment[FollowingScenario]):
     def plots(self, log: RunLog) -> dict[str, tuple[str, Figure]]:
         """Return the plots of a run and of its errors."""
         return {
-            "run.png": ("features, tip, probe, force", plot_run(log, self._force_target())),
-            "errors.png": ("errors", plot_errors(log)),
+            "run.png": (RUN_CAPTION, plot_run(log, self._force_target())),
+            "errors.png": (ERRORS_CAPTION, plot_errors(log)),
         }
+
+    @classmethod
+    def overlay(cls, logs: Mapping[str, RunLog]) -> Figure:
+        """Return a figure of the curves of several runs over one another, by name."""
+        return plot_comparison(logs)
+
+    def verdict(self, summary: Mapping[str, Any]) -> Verdict:
+        """Return the verdict on a run, from its summary."""
+        return following_verdict(summary, follows=self.scenario.controller.settings.gain > 0)
+
+    def words(self) -> list[str]:
+        """Return sentences that describe the scenario."""
+        return following_words(self.happened())
+
+    def key_frames(self, log: RunLog) -> dict[str, Figure]:
+        """Return pictures of a run's telling moments, by caption; none unless they were kept."""
+        return plot_key_frames(log, self.pictures)
+
+    def frames(self, log: RunLog) -> Iterator[NDArray[np.uint8]]:
+        """Yield the frames of a movie of a run, (rows, columns, 3) each, one per volume."""
+        return movie_frames(log, self.pictures)
+
+    @property
+    def frame_rate(self) -> float:
+        """Volumes per second."""
+        return self.scenario.imaging.volume_rate
+
+    @property
+    def pictures(self) -> list[VolumePictures]:
+        """Pictures of the volumes so far; none unless they are kept."""
+        if self._picture_recorder is None:
+            return []
+        return self._picture_recorder.pictures(self.context_of(self._picture_recorder))
 
     def _force_target(self) -> float | None:
         """Return the controller's target force in N; None if it changes during the run."""
@@ -276,52 +341,3 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         """Give a recording its final name."""
         if self._recorder is not None:
             self._recorder.close()
-
-
-def _planned_sources(scenario: FollowingScenario, insertion: Insertion) -> dict[str, System]:
-    schedule = ControllerSchedule(scenario.controller.settings, tuple(scenario.controller_changes))
-    return {
-        "phantom_motion": PhantomMotion(
-            trajectory=phantom_trajectory(scenario.phantom_motion, scenario.station.X_WT)
-        ),
-        "hand": Hand(insertion=insertion),
-        "controller_settings": ScheduledSettings(schedule=schedule),
-    }
-
-
-def _irregular(scenario: FollowingScenario, geometry: SweepGeometry) -> bool:
-    """Return True if estimates do not come a fixed time after the end of each sweep."""
-    parameters = scenario.scanner
-    ahead = parameters.clock.offset > 0 or parameters.clock.drift > 0
-    busy = scenario.processing_time >= geometry.period
-    return busy or ahead or parameters.connection.lateness > 0
-
-
-def tracker_events(scenario: Scenario) -> dict[str, float]:
-    """Return the period and the offset in s of the events at which a tracker looks for a volume.
-
-    There is a new volume at each of them, unless volumes are lost. If they come late, or the
-    tracker needs longer than a sweep takes, it looks after every frame; the scanner then withholds
-    a volume for the processing time.
-
-    Raises
-    ------
-    ValueError
-        If the scenario's transducer or imaging is not possible.
-    """
-    scenario = require_scenario(scenario, FollowingScenario)
-    geometry = sweep_geometry(load_transducer(scenario.probe), scenario.imaging)
-    if _irregular(scenario, geometry):
-        return {"period": geometry.frame_period, "offset": geometry.period + 10 * INSTANT}
-    return {"period": geometry.period, "offset": geometry.period + scenario.processing_time}
-
-
-def observer_events(scenario: Scenario) -> dict[str, float]:
-    """Return the period and offset in s at which to look for a new volume and its estimate."""
-    events = tracker_events(scenario)
-    return {"period": events["period"], "offset": events["offset"] + 2 * INSTANT}
-
-
-def recording_settings(scenario: FollowingScenario) -> dict[str, Any]:
-    """Return the settings that a tracker of a scenario's recorded volumes needs."""
-    return {"tracker_seed": draw_seeds(scenario).tracker}

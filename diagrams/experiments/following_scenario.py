@@ -1,6 +1,8 @@
 """Scenarios of following: a robot finds a needle and follows it."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from sonoservo.diagrams.assembly import PHANTOM, PROBE
 from sonoservo.diagrams.probe_controller import MAX_FORCE, ProbeControllerParameters
@@ -9,6 +11,7 @@ from sonoservo.diagrams.station import StationParameters
 from sonoservo.diagrams.trackers.chatelain2013 import Chatelain2013TrackerParameters
 from sonoservo.diagrams.trackers.registry import AnyTrackerParameters
 from sonoservo.systems.control.controller_schedule import ControllerChange
+from sonoservo.systems.files.typed_yaml import merged
 from sonoservo.systems.needle.insertion_parameters import InsertionParameters
 from sonoservo.systems.robot.phantom_motion import PhantomMotionParameters
 from sonoservo.systems.signals.requirements import require, require_time
@@ -18,6 +21,22 @@ from sonoservo.systems.ultrasound.simulation.reaction.tissue_reaction import (
     TissueReactionParameters,
 )
 from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
+
+_AS_PUBLISHED = "_as_published"
+"""Ending of the kind of a published tracker."""
+
+_EQ_25 = {
+    "gain": 0.8,
+    "feed_forward": False,
+    "held": True,
+    "min_inclination_deg": 0.0,
+    "stale_after": 1e3,
+    "max_tip_std": 1e3,
+    "max_speed": 0.1,
+    "max_angular_speed_deg": 90.0,
+}
+"""Visual servo of Chatelain 2013, eq. 25 alone. The gain is not published: this one damps the loop
+best at 3.3 volumes/s. The speeds are limited to what the robot may do at most."""
 
 
 @dataclass(kw_only=True)
@@ -74,6 +93,18 @@ class FollowingScenario(Scenario):
     controller: ProbeControllerParameters = field(default_factory=ProbeControllerParameters)
     controller_changes: list[ControllerChange] = field(default_factory=list)
     processing_time: float = 0.02
+
+    @classmethod
+    def as_published(cls, data: Mapping[str, Any]) -> dict[str, Any]:
+        """Return data with a published tracker, and eq. 25 of Chatelain 2013 as the controller.
+
+        The tracker is the published form of the data's own, which is Chatelain's by default.
+        """
+        tracker = data.get("tracker", {})
+        tracker = {"kind": tracker} if isinstance(tracker, str) else dict(tracker)
+        kind = str(tracker.get("kind", Chatelain2013TrackerParameters.kind))
+        tracker["kind"] = kind.removesuffix(_AS_PUBLISHED) + _AS_PUBLISHED
+        return merged({"controller": {"visual_servo": _EQ_25}}, {**data, "tracker": tracker})
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -3,15 +3,17 @@
 A new experiment is a module of this package with a subclass of `Experiment`, and a line here.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import yaml
+
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import (
-    assign,
+    apply_changes,
     load_typed,
     read_yaml,
     suggest,
@@ -85,7 +87,11 @@ def describe_scenarios() -> dict[str, str]:
 
 
 def load_scenario(
-    scenario: str | Path, *, changes: list[str] | None = None, seed: int | None = None
+    scenario: str | Path,
+    *,
+    changes: Mapping[str, Any] | Sequence[str] | None = None,
+    seed: int | None = None,
+    as_published: bool = False,
 ) -> "Scenario":
     """Load a scenario of any experiment.
 
@@ -94,9 +100,13 @@ def load_scenario(
     scenario
         Name of a built-in scenario, or path of a YAML file.
     changes
-        Assignments ``path.to.field=value`` that change fields.
+        Fields to change: values by dotted path, ``{"imaging.gain": 0.5}``, or assignments
+        ``"path.to.field=value"`` with the value in YAML.
     seed
         Seed that replaces the scenario's own.
+    as_published
+        Whether to replace our methods by the whole published one, below the fields of the file and
+        the changes.
 
     Returns
     -------
@@ -108,17 +118,47 @@ def load_scenario(
         If there is no such scenario, or a field is wrong; the message then names the field, its
         value and what is allowed.
     """
+    if not isinstance(scenario, str | Path):
+        raise ConfigurationError(
+            f"scenario: a value of type {type(scenario).__name__}; expected the name of a built-in "
+            "scenario, or the path of a YAML file"
+        )
     known = list_scenarios()
     path = known.get(str(scenario), Path(scenario))
     if path.suffix not in (".yaml", ".yml"):
         raise ConfigurationError(f"unknown scenario {str(scenario)!r}; {suggest(path.name, known)}")
     data: dict[str, Any] = {"name": path.stem, **read_yaml(path)}
-    for change in changes or []:
-        assign(data, change)
+    if as_published:
+        published = _schema(data, scenario).as_published(data)
+        data = {**published, "name": f"{data['name']}_as_published"}
+    return _load(data, str(scenario), changes, seed)
+
+
+def change_scenario(
+    scenario: "Scenario",
+    *,
+    changes: Mapping[str, Any] | Sequence[str] | None = None,
+    seed: int | None = None,
+) -> "Scenario":
+    """Return a scenario with some of its fields changed; see `load_scenario`."""
+    return _load(yaml.safe_load(scenario.to_yaml()), scenario.name, changes, seed)
+
+
+def _load(
+    data: dict[str, Any],
+    source: str,
+    changes: Mapping[str, Any] | Sequence[str] | None,
+    seed: int | None,
+) -> "Scenario":
+    apply_changes(data, changes)
     if seed is not None:
         data["seed"] = seed
+    return load_typed(_schema(data, source), data, source)
+
+
+def _schema(data: Mapping[str, Any], scenario: str | Path) -> "type[Scenario]":
+    """Return the class of the scenarios of the experiment that a scenario's data name."""
     try:
-        schema = experiment_class(data.get("experiment", "following")).scenario_class
+        return experiment_class(data.get("experiment", "following")).scenario_class
     except ConfigurationError as error:
         raise ConfigurationError(f"{scenario}: experiment: {error}") from error
-    return load_typed(schema, data, str(scenario))

@@ -1,6 +1,7 @@
 """Shape prediction: the final shape of a bevelled needle is predicted from axial slices."""
 
 import time
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any, cast
 
@@ -9,9 +10,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import System
+from pydrake.systems.framework import Diagram, System
 
 from sonoservo.diagrams.experiments.experiment import INSTANT, Experiment
+from sonoservo.diagrams.experiments.scenario_words import shape_words
 from sonoservo.diagrams.experiments.shape_prediction_scenario import ShapePredictionScenario
 from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.diagrams.seeds import draw_seeds
@@ -21,14 +23,28 @@ from sonoservo.systems.estimation.shape.shape_estimator import ShapeEstimator
 from sonoservo.systems.estimation.shape.shape_filter import ShapeFilter
 from sonoservo.systems.estimation.shape.shape_filters import SHAPE_FILTERS
 from sonoservo.systems.evaluation.log import Row
+from sonoservo.systems.evaluation.reports.verdict import Verdict
 from sonoservo.systems.evaluation.shape.shape_log import ShapeLog
 from sonoservo.systems.evaluation.shape.shape_metrics import LABELS, summarize_shape
-from sonoservo.systems.evaluation.shape.shape_plots import plot_shape
+from sonoservo.systems.evaluation.shape.shape_pictures import (
+    SlicePicture,
+    picture_slice,
+    plot_key_slices,
+    shape_movie_frames,
+)
+from sonoservo.systems.evaluation.shape.shape_plots import (
+    OVERLAY_CAPTION,
+    SHAPE_CAPTION,
+    plot_shape,
+    plot_shape_comparison,
+)
+from sonoservo.systems.evaluation.shape.shape_verdict import shape_verdict
 from sonoservo.systems.needle.hand import Hand
 from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.needle.insertion_parameters import OUTER_DIAMETER
 from sonoservo.systems.robot.probe_stepper import ProbeStepper
 from sonoservo.systems.signals.cross_section import CrossSection
+from sonoservo.systems.signals.image_slice import ImageSlice
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_shape import NeedleShape
 from sonoservo.systems.signals.requirements import require
@@ -57,6 +73,8 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
         Scenario of shape prediction.
     meshcat
         Meshcat that draws the run, if any.
+    pictures
+        Whether to keep pictures of the slices, for `key_frames` and `frames`.
 
     Raises
     ------
@@ -66,8 +84,14 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
 
     scenario_class = ShapePredictionScenario
     labels = LABELS
+    log_class = ShapeLog
+    overlay_caption = OVERLAY_CAPTION
+    options = frozenset({"meshcat", "pictures"})
 
-    def __init__(self, scenario: Scenario, meshcat: Meshcat | None = None) -> None:
+    def __init__(
+        self, scenario: Scenario, meshcat: Meshcat | None = None, *, pictures: bool = False
+    ) -> None:
+        self._pictured = pictures
         self.scenario = scenario = require_scenario(scenario, ShapePredictionScenario)
         seeds = draw_seeds(scenario)
         self._estimator_seed = seeds.tracker
@@ -100,13 +124,12 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
         geometry = self.scanner.geometry
         events = {"period": scenario.period, "offset": scenario.period + scenario.processing_time}
         self.slice_converter = SliceConverter(geometry=geometry, spacing=scenario.pixel)
-        self.shape_predictor = MakeShapePredictor(
-            localizer=replace(scenario.tracker, needle_radius=OUTER_DIAMETER[hand.gauge] / 2),
-            shape_filter=self.make_filter(scenario.estimator),
-            X_WI=self.X_WP,
-            seed=self._estimator_seed,
-            **events,
+        # A person points at the needle; neither tracker nor estimator see where it truly is.
+        rng = np.random.default_rng([seeds.insertion, 1])
+        self._click = self.true_path(np.zeros(1))[0, :2] + (scenario.click_std or 0.0) * rng.normal(
+            size=2
         )
+        self.shape_predictor = self.make_predictor(scenario)
         systems: dict[str, System] = {
             "hand": Hand(insertion=self.insertion),
             "probe_stepper": ProbeStepper(
@@ -115,6 +138,8 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
                 period=scenario.period,
                 steps=scenario.steps,
                 tissue_shift=scenario.tissue_shift,
+                breathing=scenario.breathing,
+                breathing_period=scenario.breathing_period,
                 seed=seeds.station,
             ),
             "scanner": self.scanner,
@@ -124,6 +149,7 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
         if meshcat is not None:
             systems["shape_view"] = ShapeView(
                 meshcat=meshcat, tissue_size=tissue.size, depth=scenario.depth,
+                probe_radius=geometry.array_radius,
                 period=scenario.period, offset=events["offset"] + INSTANT,
             )  # fmt: skip
         super().__init__(
@@ -141,9 +167,27 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
             sees_truth=("scanner", "shape_view"),
         )
 
-    def make_filter(self, name: str) -> ShapeFilter:
-        """Make one of `SHAPE_FILTERS` with the scenario's parameters."""
-        scenario = self.scenario
+    def make_predictor(self, scenario: ShapePredictionScenario) -> Diagram:
+        """Make a shape predictor for this needle, with the tracker and estimator of a scenario."""
+        tracker = replace(
+            scenario.tracker, needle_radius=OUTER_DIAMETER[self.insertion.parameters.gauge] / 2
+        )
+        if scenario.click_std is not None and tracker.start is None:
+            tracker = replace(tracker, start=self._click.tolist())
+        return MakeShapePredictor(
+            localizer=tracker,
+            shape_filter=self.make_filter(scenario.estimator, scenario),
+            X_WI=self.X_WP,
+            seed=self._estimator_seed,
+            period=self.scenario.period,
+            offset=self.scenario.period + self.scenario.processing_time,
+        )
+
+    def make_filter(
+        self, name: str, scenario: ShapePredictionScenario | None = None
+    ) -> ShapeFilter:
+        """Make one of `SHAPE_FILTERS` with the parameters of a scenario, by default its own."""
+        scenario = scenario or self.scenario
         plan: dict[str, Any] = {
             "depth": scenario.depth,
             "rotations": scenario.rotations,
@@ -151,10 +195,12 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
         }
         return SHAPE_FILTERS[name].make(replace(getattr(scenario, name), **plan))
 
-    def make_estimator(self, name: str) -> ShapeEstimator:
-        """Make a shape estimator like the experiment's own, with any of `SHAPE_FILTERS`."""
+    def make_estimator(
+        self, name: str, scenario: ShapePredictionScenario | None = None
+    ) -> ShapeEstimator:
+        """Make a shape estimator for this needle, with a filter as from `make_filter`."""
         return ShapeEstimator(
-            shape_filter=self.make_filter(name),
+            shape_filter=self.make_filter(name, scenario),
             X_WI=self.X_WP,
             period=self.scenario.period,
             seed=self._estimator_seed,
@@ -196,11 +242,33 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
         """Return the plot of the paths, if there are at least two slices."""
         if len(log.depth) < 2:
             return {}
-        return {"shape.png": ("path, measured, true and predicted", plot_shape(log, self.shape))}
+        return {"shape.png": (SHAPE_CAPTION, plot_shape(log, self.shape))}
+
+    @classmethod
+    def overlay(cls, logs: Mapping[str, ShapeLog]) -> Figure:
+        """Return a figure of the curves of several runs over one another, by name."""
+        return plot_shape_comparison(logs)
+
+    def verdict(self, summary: Mapping[str, Any]) -> Verdict:
+        """Return the verdict on a run, from its summary."""
+        return shape_verdict(summary)
+
+    def words(self) -> list[str]:
+        """Return sentences that describe the scenario."""
+        return shape_words(self.scenario)
+
+    def key_frames(self, log: ShapeLog) -> dict[str, Figure]:
+        """Return pictures of a run's telling slices, by caption; none unless they were kept."""
+        return plot_key_slices(log, self._pictures)
+
+    def frames(self, log: ShapeLog) -> Iterator[NDArray[np.uint8]]:
+        """Yield the frames of a movie of a run, (rows, columns, 3) each, one per slice."""
+        return shape_movie_frames(log, self._pictures, self.shape)
 
     def _begin(self) -> None:
         super()._begin()
         self._rows: list[Row] = []
+        self._pictures: list[SlicePicture] = []
 
     def _after_step(self, number: int) -> None:
         """Record the result of a slice, and its computing time."""
@@ -220,3 +288,7 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
             mean, covariance = shape.predict([self.scenario.depth])
             row["tip"], row["tip_covariance"] = mean[0], covariance[0]
         self._rows.append(row)
+        image = self.evaluate(self.slice_converter, "slice")
+        if self._pictured and isinstance(image, ImageSlice):
+            (middle,) = self.true_path(np.array([row["depth"]]))
+            self._pictures.append(picture_slice(image, row["depth"], middle[:2]))

@@ -1,6 +1,8 @@
 """Scenarios of shape prediction."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.estimation.shape.published_particle_filter import (
@@ -8,7 +10,7 @@ from sonoservo.systems.estimation.shape.published_particle_filter import (
 )
 from sonoservo.systems.estimation.shape.shape_filters import SHAPE_FILTERS
 from sonoservo.systems.estimation.shape.shape_least_squares import ShapeLeastSquaresParameters
-from sonoservo.systems.estimation.shape.shape_particle_filter import ShapeParticleFilterParameters
+from sonoservo.systems.estimation.shape.shape_posterior import ShapeParticleFilterParameters
 from sonoservo.systems.files.typed_yaml import suggest
 from sonoservo.systems.localization.cross_section import CrossSectionParameters
 from sonoservo.systems.needle.insertion_parameters import FeedParameters, InsertionParameters
@@ -18,6 +20,14 @@ from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerPa
 
 ESTIMATORS = tuple(SHAPE_FILTERS)
 """Names of the shape estimators; each is also a field of `ShapePredictionScenario`."""
+
+_PUBLISHED_TRACKER = {
+    "deviations": "both",
+    "position": "match",
+    "min_correlation": 0.0,
+    "follow_shape_from": 10e-3,
+}
+"""Search for cross-sections as printed in Carriere 2016, section II."""
 
 
 def _hand() -> InsertionParameters:
@@ -74,6 +84,9 @@ class ShapePredictionScenario(Scenario):
     tissue_shift
         Standard deviation of the tissue's shift from slice to slice, along each of X and Y of P,
         in m; it is unknown to the estimator.
+    breathing, breathing_period
+        Amplitude in m and period in s of a shift of the tissue by breathing, along a random
+        direction across the insertion; it is unknown to the estimator.
     phantom
         Tissue: name of a file in models/phantoms, or a path.
     probe
@@ -84,6 +97,9 @@ class ShapePredictionScenario(Scenario):
         Needle and its feed through a template.
     tracker
         Settings of the search for cross-sections.
+    click_std
+        Standard deviation along X and along Y of a person's click on the needle in the first slice,
+        in m. None leaves the start to ``tracker``, as does ``tracker.start``.
     estimator
         Name of the shape estimator that guides the search, one of `ESTIMATORS`.
     particle_filter, least_squares, published
@@ -100,12 +116,15 @@ class ShapePredictionScenario(Scenario):
     pixel: float = 0.2e-3
     face: float = -2e-3
     tissue_shift: float = 0.1e-3
+    breathing: float = 0.0
+    breathing_period: float = 4.0
     phantom: str = "beef"
     probe: str = "trus"
     imaging: ImagingParameters = field(default_factory=_imaging)
     scanner: ScannerParameters = field(default_factory=ScannerParameters)
     hand: InsertionParameters = field(default_factory=_hand)
     tracker: CrossSectionParameters = field(default_factory=CrossSectionParameters)
+    click_std: float | None = None
     estimator: str = "particle_filter"
     particle_filter: ShapeParticleFilterParameters = field(
         default_factory=ShapeParticleFilterParameters
@@ -116,6 +135,17 @@ class ShapePredictionScenario(Scenario):
     )
     processing_time: float = 0.01
 
+    @classmethod
+    def as_published(cls, data: Mapping[str, Any]) -> dict[str, Any]:
+        """Return data with the printed tracker, guided by the printed particle filter.
+
+        The paper is silent on some points. The position is a whole pixel, because the paper
+        mentions no interpolation. No match is refused, so the tracker never loses the needle. The
+        size of the template and gamma are those of the data, or else our defaults.
+        """
+        tracker = {**_PUBLISHED_TRACKER, **data.get("tracker", {})}
+        return {**data, "estimator": "published", "tracker": tracker}
+
     def __post_init__(self) -> None:
         super().__post_init__()
         require_positive(
@@ -124,7 +154,12 @@ class ShapePredictionScenario(Scenario):
             pixel=self.pixel,
             processing_time=self.processing_time,
         )
-        require_not_negative(tissue_shift=self.tissue_shift)
+        require_positive(breathing_period=self.breathing_period)
+        require_not_negative(
+            tissue_shift=self.tissue_shift,
+            breathing=self.breathing,
+            click_std=self.click_std or 0.0,
+        )
         require(self.step <= self.depth / 2, "step", self.step, "at most half of depth")
         within = all(0 < each < self.depth for each in self.rotations)
         require(

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 PAPERS = ("carriere2016", "chatelain2013", "zhao2012")
 """Name of each paper's package."""
 
+ALL = "all"
+"""Name that stands for all papers on the command line."""
+
 
 def require_paper(paper: str) -> None:
     """Raise ConfigurationError unless there is a reproduction of a paper."""

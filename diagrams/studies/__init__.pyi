@@ -1,9 +1,12 @@
-from .dataset import make_dataset as make_dataset
+from .cluster.opening import open_cluster as open_cluster
+from .datasets.dataset import make_dataset as make_dataset
+from .fingerprint import code_fingerprint as code_fingerprint
+from .runs import run_cases as run_cases
+from .store import Store as Store
 from .study import Case as Case
 from .study import Outcome as Outcome
 from .study import StudyOptions as StudyOptions
-from .study import code_fingerprint as code_fingerprint
-from .study import run_cases as run_cases
+from .study import WithFiles as WithFiles
 from .study_report import Study as Study
 from .study_report import StudyFigure as StudyFigure
 from .study_report import StudyRow as StudyRow

@@ -1,7 +1,8 @@
 """Results of a study, and their files: JSON, pictures and a web page."""
 
 import html
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -9,27 +10,34 @@ from typing import Any, Literal
 
 from matplotlib.figure import Figure
 
+from sonoservo.diagrams.studies.commit import present_commit
+from sonoservo.diagrams.studies.fingerprint import code_fingerprint
 from sonoservo.diagrams.studies.study import Outcome
-from sonoservo.systems.evaluation.plots import png
-from sonoservo.systems.evaluation.web_page import cell_text, web_page
+from sonoservo.systems.evaluation.reports.plots import png
+from sonoservo.systems.evaluation.reports.web_page import cell_text, table, web_page
 from sonoservo.systems.files.writing import write_atomically, write_json
 
 
 @dataclass(frozen=True, kw_only=True)
 class StudyRow:
-    """One quantity of a study: published and simulated values, and the target.
+    """One quantity of a study: the paper's figure, ours, the published method's, and the target.
 
     Parameters
     ----------
     experiment, quantity, unit
-        Experiment, quantity and unit to display.
+        Experiment, quantity with its conditions, and unit to display.
     paper
-        Published figure; None if there is none.
+        Figure of the publication; None if there is none.
     estimated
         Simulated value from the estimates of tracker or controller, as a real experiment could
         report it.
     true
         Simulated value from ground truth.
+    low, high
+        95 % confidence interval of the true value over runs, or of the estimated one without it.
+        Infinite ends: too few runs to tell. None: no interval was computed.
+    published_estimated, published_true, published_low, published_high
+        The same figures of the published method as published, on the same seeds.
     target
         Target, for the true value or, without one, for the estimated value.
     wanted
@@ -42,6 +50,12 @@ class StudyRow:
     paper: float | None = None
     estimated: float | None = None
     true: float | None = None
+    low: float | None = None
+    high: float | None = None
+    published_estimated: float | None = None
+    published_true: float | None = None
+    published_low: float | None = None
+    published_high: float | None = None
     target: float | None = None
     wanted: Literal["at most", "at least"] = "at most"
 
@@ -116,6 +130,9 @@ class Study:
             "title": self.title,
             "command": command,
             "version": version("sonoservo"),
+            "drake": version("drake"),
+            "commit": present_commit(),
+            "fingerprint": code_fingerprint(),
             "seeds": {name: each["seeds"] for name, each in self.experiments.items()},
             "rows": [
                 {key: value for key, value in asdict(row).items() if key != "wanted"}
@@ -173,9 +190,46 @@ def study_page(study: Study, command: str, pictures: Mapping[str, bytes]) -> str
     pictures
         Contents of PNG files by caption.
     """
-    judged = [row.met for row in study.rows if row.met is not None]
-    met = f"{sum(judged)} of {len(judged)} targets met"
-    facts = html.escape(f"{study.title} · sonoservo {version('sonoservo')} · {met}")
+    facts = html.escape(f"{study.title} · sonoservo {version('sonoservo')} · {_met([study])}")
+    return web_page(f"{study.paper} reproduced", facts, _body(study, command), pictures)
+
+
+def write_studies(folder: Path, studies: Sequence[Study], command: str) -> dict[str, Any]:
+    """Write studies to their own folders inside a folder, and one report of all of them.
+
+    Parameters
+    ----------
+    folder
+        Folder for report.html and for a folder of each paper; see `write_study`.
+    studies
+        Studies to write.
+    command
+        Command that repeats all of them.
+
+    Returns
+    -------
+    Contents of each study.json by paper.
+    """
+    data = {each.paper: write_study(folder / each.paper, each, command) for each in studies}
+    pictures = {
+        f"{each.paper}. {shown.caption}": png(shown.figure)
+        for each in studies
+        for shown in each.figures
+    }
+    bodies = (f"<h1>{html.escape(each.title)}</h1>{_body(each, command)}" for each in studies)
+    facts = html.escape(f"sonoservo {version('sonoservo')} · {_met(studies)}")
+    page = web_page("Papers reproduced", facts, "\n".join(bodies), pictures)
+    write_atomically(folder / "report.html", page)
+    return data
+
+
+def _met(studies: Sequence[Study]) -> str:
+    judged = [row.met for each in studies for row in each.rows if row.met is not None]
+    return f"{sum(judged)} of {len(judged)} targets met"
+
+
+def _body(study: Study, command: str) -> str:
+    """Return the HTML of a study's command, notes and tables."""
     body = [f"<p><code>{html.escape(command)}</code></p>"]
     body += [f"<p>{html.escape(note)}</p>" for note in study.notes]
     body += [_rows_table(study.rows), _cases_table(study), _failures_table(study)]
@@ -184,10 +238,8 @@ def study_page(study: Study, command: str, pictures: Mapping[str, bytes]) -> str
             [html.escape(name), cell_text(each.get("median")), cell_text(each.get("max"))]
             for name, each in study.compute_ms.items()
         ]
-        body.append(
-            "<h2>Computing time per volume (ms)</h2>" + _table(["", "median", "max"], lines)
-        )
-    return web_page(f"{study.paper} reproduced", facts, "\n".join(body), pictures)
+        body.append("<h2>Computing time per volume (ms)</h2>" + table(["", "median", "max"], lines))
+    return "\n".join(body)
 
 
 def target_text(row: StudyRow) -> str:
@@ -197,23 +249,49 @@ def target_text(row: StudyRow) -> str:
     return f"{'≤' if row.wanted == 'at most' else '≥'} {row.target:g}"
 
 
+def interval_text(low: float | None, high: float | None, figure: Callable[[float], str]) -> str:
+    """Return an interval such as "0.40 to 0.60"; empty if there is none.
+
+    Parameters
+    ----------
+    low, high
+        Ends of the interval, infinite if too few runs tell.
+    figure
+        Function that returns an end as text.
+    """
+    if low is None or high is None:
+        return ""
+    if low == -math.inf and high == math.inf:
+        return "too few runs"
+    return f"{figure(low)} to {figure(high)}"
+
+
+def _cell(value: float | None) -> str:
+    return "" if value is None else cell_text(value)
+
+
 def _rows_table(rows: Sequence[StudyRow]) -> str:
-    heads = ["", "", "paper", "ours, estimated", "ours, true", "target", "met"]
+    heads = [
+        "", "", "paper", "ours, estimated", "ours, true", "95 %",
+        "as published, estimated", "as published, true", "95 %", "target", "met",
+    ]  # fmt: skip
     lines, before = [], ""
     for row in rows:
         quantity = row.quantity + (f" ({row.unit})" if row.unit else "")
-        values = (row.paper, row.estimated, row.true)
         lines.append(
             [
                 html.escape(row.experiment if row.experiment != before else ""),
                 html.escape(quantity),
-                *("" if value is None else cell_text(value) for value in values),
+                *map(_cell, (row.paper, row.estimated, row.true)),
+                interval_text(row.low, row.high, cell_text),
+                *map(_cell, (row.published_estimated, row.published_true)),
+                interval_text(row.published_low, row.published_high, cell_text),
                 target_text(row),
                 {None: "", True: "yes", False: "<b>no</b>"}[row.met],
             ]
         )
         before = row.experiment
-    return "<h2>Results</h2>" + _table(heads, lines)
+    return "<h2>Results</h2>" + table(heads, lines)
 
 
 def _cases_table(study: Study) -> str:
@@ -221,7 +299,7 @@ def _cases_table(study: Study) -> str:
         [html.escape(name), _ranges(each["seeds"]), str(each["cases"]), str(each["failed"])]
         for name, each in study.experiments.items()
     ]
-    return "<h2>Runs</h2>" + _table(["", "seeds", "runs", "of these, failed"], lines)
+    return "<h2>Runs</h2>" + table(["", "seeds", "runs", "of these, failed"], lines)
 
 
 def _failures_table(study: Study) -> str:
@@ -232,16 +310,7 @@ def _failures_table(study: Study) -> str:
         [html.escape(each.case.name), str(each.case.seed), html.escape(each.error)]
         for each in failed
     ]
-    return "<h2>Failed runs</h2>" + _table(["", "seed", "error"], lines)
-
-
-def _table(heads: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    head = "".join(f"<th>{each}</th>" for each in heads)
-    body = "\n".join(
-        f"<tr><th>{line[0]}</th>{''.join(f'<td>{cell}</td>' for cell in line[1:])}</tr>"
-        for line in lines
-    )
-    return f"<table><tr>{head}</tr>\n{body}</table>"
+    return "<h2>Failed runs</h2>" + table(["", "seed", "error"], lines)
 
 
 def _ranges(numbers: Sequence[int]) -> str:

@@ -5,17 +5,16 @@ from dataclasses import dataclass, field
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from sonoservo.diagrams.trackers.tracker_parts import (
-    TrackerParameters,
+    CommonTrackerParameters,
     add_tracker_parts,
-    require_order,
 )
 from sonoservo.systems.estimation.interacting_filter import InteractingFilter
-from sonoservo.systems.estimation.needle_filter import AnyFilter
+from sonoservo.systems.estimation.needle_filter import AnyFilter, require_order
 
 
 @dataclass(kw_only=True)
-class Chatelain2013TrackerParameters(TrackerParameters):
-    """Parameters of the tracker of Chatelain 2013; see `TrackerParameters` for the other fields.
+class Chatelain2013TrackerParameters(CommonTrackerParameters):
+    """Parameters of our tracker after Chatelain 2013; see `CommonTrackerParameters` for the others.
 
     Parameters
     ----------

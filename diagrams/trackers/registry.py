@@ -11,11 +11,16 @@ from sonoservo.diagrams.trackers.chatelain2013 import (
     Chatelain2013TrackerParameters,
     MakeChatelain2013Tracker,
 )
+from sonoservo.diagrams.trackers.chatelain2013_as_published import (
+    Chatelain2013AsPublishedParameters,
+    MakeChatelain2013AsPublishedTracker,
+)
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
 from sonoservo.diagrams.trackers.zhao2012 import MakeZhao2012Tracker, Zhao2012TrackerParameters
 
 TRACKERS: dict[type[TrackerParameters], Callable[..., Diagram]] = {
     Chatelain2013TrackerParameters: MakeChatelain2013Tracker,
+    Chatelain2013AsPublishedParameters: MakeChatelain2013AsPublishedTracker,
     Zhao2012TrackerParameters: MakeZhao2012Tracker,
 }
 """Function that makes each tracker, by the class of its parameters."""

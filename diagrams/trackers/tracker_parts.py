@@ -1,7 +1,7 @@
 """Parts common to the needle trackers, and their wiring."""
 
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
 
 from pydrake.systems.framework import DiagramBuilder
 
@@ -13,6 +13,7 @@ from sonoservo.systems.detection.volume_gate import VolumeGate
 from sonoservo.systems.detection.volume_memory import VolumeMemory
 from sonoservo.systems.detection.volume_plausibility import VolumePlausibilityParameters
 from sonoservo.systems.estimation.needle_filter import NeedleFilter
+from sonoservo.systems.estimation.track_lifecycle import TrackLifecycle
 from sonoservo.systems.estimation.track_manager import TrackManager
 from sonoservo.systems.estimation.track_parameters import TrackParameters
 from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
@@ -27,7 +28,7 @@ STARTS = ("search", "anywhere")
 
 @dataclass(kw_only=True)
 class TrackerParameters:
-    """Parameters of the parts common to the needle trackers.
+    """Parameters of any needle tracker.
 
     Parameters
     ----------
@@ -35,6 +36,51 @@ class TrackerParameters:
         Name of the tracker.
     order
         Number n of control points of the needle's curve: 2 for a straight needle, 3 for a bent one.
+    plausibility
+        Limits beyond which a volume is refused.
+    """
+
+    kind: str = ""
+    order: int = 2
+    plausibility: VolumePlausibilityParameters = field(default_factory=VolumePlausibilityParameters)
+
+    def __post_init__(self) -> None:
+        kind = type(self).kind
+        require(self.kind == kind, "kind", self.kind, repr(kind))
+
+    def knowing(
+        self,
+        *,
+        start: str = "search",
+        beam_width: float | None = None,
+        echo_offset: float | None = None,
+    ) -> Self:
+        """Return the parameters with what a user knows about a recording.
+
+        Parameters
+        ----------
+        start
+            Way in which the needle is first found, one of the `STARTS`.
+        beam_width, echo_offset
+            Known values in m; see `NeedleLocalizerParameters.knowing`.
+
+        Raises
+        ------
+        ValueError
+            If the tracker cannot make use of it.
+        """
+        require(start == "search", "start", start, f"'search' with the tracker {self.kind!r}")
+        for name, value in (("beam_width", beam_width), ("echo_offset", echo_offset)):
+            require(value is None, name, value, f"left out with the tracker {self.kind!r}")
+        return self
+
+
+@dataclass(kw_only=True)
+class CommonTrackerParameters(TrackerParameters):
+    """Parameters of the parts that our trackers share; see `TrackerParameters` for the others.
+
+    Parameters
+    ----------
     start
         "search" to find a needle when it is pushed in; "anywhere" to look for one in the whole
         volume from the first volume on, so that the insertion need not be seen.
@@ -48,45 +94,42 @@ class TrackerParameters:
         Parameters of the detector and of the localizer.
     track
         Rules by which a track begins, continues and ends.
-    plausibility
-        Limits beyond which a volume is refused.
     """
 
-    kind: str = ""
-    order: int = 2
     start: str = "search"
     look_back: float = 1.8
     same_direction: bool = True
     detector: InsertionDetectorParameters = field(default_factory=InsertionDetectorParameters)
     localizer: NeedleLocalizerParameters = field(default_factory=NeedleLocalizerParameters)
     track: TrackParameters = field(default_factory=TrackParameters)
-    plausibility: VolumePlausibilityParameters = field(default_factory=VolumePlausibilityParameters)
 
     def __post_init__(self) -> None:
-        kind = type(self).kind
-        require(self.kind == kind, "kind", self.kind, repr(kind))
+        super().__post_init__()
         require(self.start in STARTS, "start", self.start, " or ".join(map(repr, STARTS)))
         require_not_negative(look_back=self.look_back)
 
-
-def require_order(order: int, needle_filter: NeedleFilter[Any]) -> None:
-    """Raise ValueError unless a filter supports curves of an order."""
-    orders = needle_filter.orders
-    names = {2: "straight", 3: "bent"}
-    allowed = " or ".join(f"{each} ({names[each]})" for each in orders)
-    require(order in orders, "order", order, allowed)
+    def knowing(
+        self,
+        *,
+        start: str = "search",
+        beam_width: float | None = None,
+        echo_offset: float | None = None,
+    ) -> Self:
+        """Return the parameters with what a user knows; see `TrackerParameters.knowing`."""
+        known = self.localizer.knowing(beam_width=beam_width, echo_offset=echo_offset)
+        return replace(self, start=start, localizer=known)
 
 
 def add_tracker_parts(
     builder: DiagramBuilder,
     *,
-    parameters: TrackerParameters,
+    parameters: CommonTrackerParameters,
     needle_filter: NeedleFilter[Any],
     period: float,
     offset: float,
     seed: int,
 ) -> TrackManager:
-    """Add and connect the parts of a tracker, and export its ports.
+    """Add and connect the parts of one of our trackers, and export its ports.
 
     Parameters
     ----------
@@ -103,36 +146,54 @@ def add_tracker_parts(
     -------
     The track manager, for further connections.
     """
-    gate = builder.AddNamedSystem(
-        VOLUME_GATE, VolumeGate(parameters=parameters.plausibility, period=period, offset=offset)
+    events = {"period": period, "offset": offset}
+    lifecycle = TrackLifecycle(
+        order=parameters.order,
+        parameters=parameters.track,
+        needle_filter=needle_filter,
+        anywhere=parameters.start == "anywhere",
     )
-    memory = builder.AddNamedSystem(
-        "volume_memory",
-        VolumeMemory(
-            look_back=parameters.look_back,
-            same_direction=parameters.same_direction,
-            period=period,
-            offset=offset,
+    manager = TrackManager(lifecycle=lifecycle, **events)
+    connect_parts(
+        builder,
+        gate=VolumeGate(parameters=parameters.plausibility, **events),
+        memory=VolumeMemory(
+            look_back=parameters.look_back, same_direction=parameters.same_direction, **events
         ),
+        detector=InsertionDetector(parameters=parameters.detector, seed=seed),
+        localizer=NeedleLocalizer(parameters=parameters.localizer, seed=seed),
+        manager=manager,
     )
-    detector = builder.AddNamedSystem(
-        "insertion_detector",
-        InsertionDetector(parameters=parameters.detector, seed=seed),
-    )
-    localizer = builder.AddNamedSystem(
-        "needle_localizer", NeedleLocalizer(parameters=parameters.localizer, seed=seed)
-    )
-    manager: TrackManager = builder.AddNamedSystem(
-        "track_manager",
-        TrackManager(
-            needle_filter=needle_filter,
-            parameters=parameters.track,
-            order=parameters.order,
-            anywhere=parameters.start == "anywhere",
-            period=period,
-            offset=offset,
-        ),
-    )
+    return manager
+
+
+def connect_parts(
+    builder: DiagramBuilder,
+    *,
+    gate: VolumeGate,
+    memory: VolumeMemory,
+    detector: InsertionDetector,
+    localizer: NeedleLocalizer,
+    manager: TrackManager,
+) -> None:
+    """Add the parts of any tracker to a builder, connect them, and export the tracker's ports.
+
+    Parameters
+    ----------
+    builder
+        Builder to add to.
+    gate, memory, detector, localizer, manager
+        Parts, with whatever method each of them applies.
+    """
+    parts = {
+        VOLUME_GATE: gate,
+        "volume_memory": memory,
+        "insertion_detector": detector,
+        "needle_localizer": localizer,
+        "track_manager": manager,
+    }
+    for name, part in parts.items():
+        builder.AddNamedSystem(name, part)
     builder.ExportInput(gate.GetInputPort("volume"), "volume")
     for each in (memory, detector, localizer, manager):
         builder.Connect(gate.GetOutputPort("volume"), each.GetInputPort("volume"))
@@ -152,4 +213,3 @@ def add_tracker_parts(
     ):
         builder.ExportOutput(manager.GetOutputPort(port), name)
     builder.ExportOutput(gate.GetOutputPort("volume_check"), "volume_check")
-    return manager

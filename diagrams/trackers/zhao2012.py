@@ -6,13 +6,12 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from sonoservo.diagrams.trackers.tracker_parts import (
     VOLUME_GATE,
-    TrackerParameters,
+    CommonTrackerParameters,
     add_tracker_parts,
-    require_order,
 )
 from sonoservo.systems.detection.volume_memory import VolumeMemory
 from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter
-from sonoservo.systems.estimation.needle_filter import AnyFilter
+from sonoservo.systems.estimation.needle_filter import AnyFilter, require_order
 from sonoservo.systems.localization.speckle_velocimeter import (
     SpeckleVelocimeter,
     SpeckleVelocimeterParameters,
@@ -20,8 +19,8 @@ from sonoservo.systems.localization.speckle_velocimeter import (
 
 
 @dataclass(kw_only=True)
-class Zhao2012TrackerParameters(TrackerParameters):
-    """Parameters of the tracker of Zhao 2012; see `TrackerParameters` for the other fields.
+class Zhao2012TrackerParameters(CommonTrackerParameters):
+    """Parameters of our tracker after Zhao 2012; see `CommonTrackerParameters` for the others.
 
     The paper does not describe the initial detection of a needle, which follows Chatelain 2013.
 

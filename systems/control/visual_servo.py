@@ -50,6 +50,10 @@ class VisualServoParameters:
         is not followed, in m. A needle that reaches out of the volume is known to about 10 mm.
     max_speed, max_angular_speed_deg
         Highest commanded speeds, in m/s and deg/s.
+    held
+        Whether the command of a volume is held until the next one, as in the paper. That needs a
+        tracker that keeps the needle in the probe's frame. Otherwise the needle is kept in W and
+        seen from the probe's present pose.
     """
 
     gain: float = 1.6
@@ -60,6 +64,7 @@ class VisualServoParameters:
     max_tip_std: float = 0.025
     max_speed: float = 0.03
     max_angular_speed_deg: float = 20.0
+    held: bool = False
 
     def __post_init__(self) -> None:
         require_positive(
@@ -123,6 +128,8 @@ def planar_velocity(
     if estimate.curve is None or not followed or hold_reason(estimate, time, parameters):
         return np.zeros(3)
 
+    if parameters.held and estimate.X_WP is not None:
+        X_WP = estimate.X_WP
     age = max(time - estimate.time, 0)
     R_PW = X_WP.rotation().matrix().T
     tip = estimate.curve.tip - X_WP.translation()

@@ -1,7 +1,10 @@
+from .field_of_view import closest_face as closest_face
+from .field_of_view import closest_side as closest_side
 from .insertion_detector import InsertionDetector as InsertionDetector
 from .insertion_detector import InsertionDetectorParameters as InsertionDetectorParameters
-from .insertion_detector import closest_side as closest_side
 from .insertion_detector import detect_insertion as detect_insertion
+from .published_detection import PublishedDetectionParameters as PublishedDetectionParameters
+from .published_detection import detect_as_published as detect_as_published
 from .volume_difference import top_differences as top_differences
 from .volume_gate import VolumeGate as VolumeGate
 from .volume_memory import VolumeMemory as VolumeMemory

@@ -1,12 +1,15 @@
 """Detection of a needle that enters the field of view."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem
 
+from sonoservo.systems.detection.field_of_view import closest_side
 from sonoservo.systems.detection.geometric_median import geometric_median
 from sonoservo.systems.detection.motion_compensation import compensate_motion
 from sonoservo.systems.detection.volume_difference import top_differences
@@ -85,48 +88,6 @@ class InsertionDetectorParameters:
         require(
             0 <= self.floor_quantile < 1, "floor_quantile", self.floor_quantile, "from 0 to below 1"
         )
-
-
-def closest_side(volume: Volume, p_P: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Project a position on the closest lateral or elevation side of the field of view.
-
-    A needle enters beside the probe, so the probe's face and the far end of the depth are no
-    candidates. If the volume knows its sweep, the sides are those of the swept sector. Otherwise
-    they are those of the region of non-zero voxels.
-
-    Parameters
-    ----------
-    volume
-        Volume whose field of view is used.
-    p_P
-        (3,) position in the probe frame, in m.
-
-    Returns
-    -------
-    (3,) projected position in the probe frame, in m.
-    """
-    if volume.motion is None:
-        sides = _sides_of_what_is_seen(volume, p_P)
-    else:
-        geometry, direction = volume.motion.geometry, volume.motion.direction
-        k, j, i = (float(x) for x in geometry.index(p_P, direction))
-        frames, lines = geometry.frames - 1, geometry.lines - 1
-        sides = geometry.position([k, k, 0, frames], [0, lines, j, j], i, direction)
-    return np.asarray(sides[np.argmin(np.linalg.norm(sides - p_P, axis=1))])
-
-
-def _sides_of_what_is_seen(volume: Volume, p_P: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (4, 3) positions to either side along X and Z of P at which the voxels become zero."""
-    last = np.array(volume.intensities.shape) - 1
-    at = np.clip(np.rint((p_P - volume.origin) / volume.spacing), 0, last).astype(int)
-    sides = np.repeat(p_P[np.newaxis], 4, axis=0)
-    for row, axis in ((0, 0), (2, 2)):
-        line = [slice(int(i), int(i) + 1) for i in at]
-        line[axis] = slice(None)
-        seen = np.flatnonzero(volume.intensities[tuple(line)])
-        ends = seen[[0, -1]] if len(seen) else np.array([0, last[axis]])
-        sides[row : row + 2, axis] = volume.origin[axis] + volume.spacing[axis] * ends
-    return sides
 
 
 def max_motion(current: Volume, previous: Volume) -> float:
@@ -257,16 +218,23 @@ class InsertionDetector(LeafSystem):
     Parameters
     ----------
     parameters
-        Thresholds, in SI units.
+        Thresholds of the method, in SI units.
     seed
         Seed of the choice among equal differences.
+    method
+        Function that compares two volumes, with the arguments of `detect_insertion`.
     """
 
     def __init__(
-        self, *, parameters: InsertionDetectorParameters | None = None, seed: int = 0
+        self,
+        *,
+        parameters: Any = None,
+        seed: int = 0,
+        method: Callable[..., InsertionDetection | NotFound] = detect_insertion,
     ) -> None:
         super().__init__()
         self._parameters = parameters or InsertionDetectorParameters()
+        self._method = method
         self._seed = seed
         self.DeclareAbstractInputPort("volume", Value[object]())
         self.DeclareAbstractInputPort("previous_volume", Value[object]())
@@ -281,4 +249,4 @@ class InsertionDetector(LeafSystem):
             output.set_value(previous)
         else:
             rng = random_stream(self._seed, "detection", volume.time)
-            output.set_value(detect_insertion(volume, previous, self._parameters, rng))
+            output.set_value(self._method(volume, previous, self._parameters, rng))

@@ -13,6 +13,7 @@ from sonoservo.systems.estimation.control_point_filter import ControlPointFilter
 from sonoservo.systems.estimation.interacting_filter import InteractingFilter
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 
 
@@ -80,3 +81,11 @@ if TYPE_CHECKING:
 else:
     AnyFilter = reduce(or_, FILTERS)
     """Type of a YAML field whose ``kind`` chooses the filter."""
+
+
+def require_order(order: int, needle_filter: NeedleFilter[Any]) -> None:
+    """Raise ValueError unless a filter supports curves of an order."""
+    orders = needle_filter.orders
+    names = {2: "straight", 3: "bent"}
+    allowed = " or ".join(f"{each} ({names[each]})" for each in orders)
+    require(order in orders, "order", order, allowed)

@@ -78,7 +78,7 @@ class Track(Immutable):
     def estimate(self) -> NeedleEstimate:
         """Estimate of the needle; it contains no curve while the track is unconfirmed."""
         nothing = NeedleEstimate(
-            self.mode, self.time, volume_time=self.volume_time, reason=self.reason
+            self.mode, self.time, volume_time=self.volume_time, reason=self.reason, X_WP=self.X_WP
         )
         state = self.state
         if state is None or self.mode == TrackingMode.SEARCHING:

@@ -11,7 +11,7 @@ import numpy as np
 from pydrake.math import RigidTransform
 from scipy.stats import chi2
 
-from sonoservo.systems.estimation.needle_filter import NeedleFilter, NeedleState
+from sonoservo.systems.estimation.needle_filter import NeedleFilter, NeedleState, require_order
 from sonoservo.systems.estimation.track import Track
 from sonoservo.systems.estimation.track_parameters import TrackParameters
 from sonoservo.systems.signals.immutable import NotFound
@@ -58,6 +58,19 @@ class TrackLifecycle:
     parameters: TrackParameters
     needle_filter: NeedleFilter[Any]
     anywhere: bool = False
+
+    def __post_init__(self) -> None:
+        require_order(self.order, self.needle_filter)
+
+    @property
+    def probe_frame(self) -> bool:
+        """Whether the needle's state moves along with the probe between volumes."""
+        return self.parameters.probe_frame
+
+    @property
+    def max_approach(self) -> float:
+        """Largest motion of the probe along its axis at which a needle may be found, in m."""
+        return self.parameters.max_approach
 
     def without_needle(self, time: float, reason: str = "", searched: float = -np.inf) -> Track:
         """Return the track at a time in s while there is no needle.

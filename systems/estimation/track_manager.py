@@ -6,10 +6,8 @@ from typing import Any
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
-from sonoservo.systems.estimation.needle_filter import NeedleFilter
+from sonoservo.systems.estimation.lifecycle import Lifecycle
 from sonoservo.systems.estimation.track import Track
-from sonoservo.systems.estimation.track_lifecycle import TrackLifecycle
-from sonoservo.systems.estimation.track_parameters import TrackParameters
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.insertion_detection import InsertionDetection
 from sonoservo.systems.signals.localization_explanation import LocalizationExplanation
@@ -17,7 +15,7 @@ from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.signals.ports import evaluate
-from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 from sonoservo.systems.signals.volume import Volume
 
@@ -45,7 +43,7 @@ class TrackManager(LeafSystem):
     a volume does not show the needle, or its measurement fails the gate, the track coasts and the
     region of interest grows. After several such volumes the needle is lost, and the whole volume is
     searched. After some time, or once the needle was withdrawn, a new insertion is awaited. See
-    `TrackLifecycle`.
+    `TrackLifecycle`, or `PublishedLifecycle` for other rules.
 
     ``prediction`` is the `NeedlePrediction` for the volume at the input, or a `NotFound`. It
     depends only on the state and on that volume's time and pose, never on a measurement in it. It
@@ -56,14 +54,8 @@ class TrackManager(LeafSystem):
 
     Parameters
     ----------
-    needle_filter
-        Filter that models the needle's motion and its correction.
-    parameters
-        Rules of a track's life, in SI units.
-    order
-        Number n of control points of the needle's curve: 2 for straight, 3 for bent.
-    anywhere
-        Whether the whole volume is searched while there is no needle.
+    lifecycle
+        Rules of a track's life, with the filter that models the needle's motion and its correction.
     period, offset
         Period and offset of the event, in s.
     """
@@ -71,25 +63,14 @@ class TrackManager(LeafSystem):
     def __init__(
         self,
         *,
-        needle_filter: NeedleFilter[Any],
-        parameters: TrackParameters | None = None,
-        order: int = 2,
-        anywhere: bool = False,
+        lifecycle: Lifecycle,
         period: float,
         offset: float = 0.0,
     ) -> None:
         super().__init__()
         require_positive(period=period)
         require_not_negative(offset=offset)
-        orders = needle_filter.orders
-        require(order in orders, "order", order, f"one of the filter's, {orders}")
-        self._parameters = parameters or TrackParameters()
-        self._lifecycle = TrackLifecycle(
-            order=order,
-            parameters=self._parameters,
-            needle_filter=needle_filter,
-            anywhere=anywhere,
-        )
+        self._lifecycle = lifecycle
         for name in ("volume", "detection", "measurement", "velocity", "explanation"):
             self.DeclareAbstractInputPort(name, Value[object]())
         none = NotFound("no volume has been seen")
@@ -164,7 +145,7 @@ class TrackManager(LeafSystem):
         if track.mode == TrackingMode.SEARCHING:
             detection = evaluate(self, context, "detection", (InsertionDetection, NotFound))
         approach = 0.0 if track else _approach(volume)
-        if isinstance(prediction, NeedlePrediction) and approach > self._parameters.max_approach:
+        if isinstance(prediction, NeedlePrediction) and approach > self._lifecycle.max_approach:
             moved = f"the probe moved {1e3 * approach:.1f} mm along its axis during the sweep"
             measurement = NotFound(moved)
         elif isinstance(prediction, NeedlePrediction):
@@ -182,7 +163,7 @@ class TrackManager(LeafSystem):
         track = replace(
             track,
             volume_time=volume.time,
-            X_WP=volume.X_WP if self._parameters.probe_frame else None,
+            X_WP=volume.X_WP if self._lifecycle.probe_frame else None,
         )
         for index, value in (
             (self._track, track),

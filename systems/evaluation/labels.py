@@ -1,4 +1,7 @@
-"""Labels of a run's figures."""
+"""Labels of a run's figures, and the sections in which reports show them."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 LABELS = {
     "detection.volume": "insertion detected at volume",
@@ -30,3 +33,64 @@ LABELS = {
     "real_time_factor": "simulated time / wall time",
 }
 """Label of each figure of a summary that tables show, by its dotted path."""
+
+MORE_LABELS = {
+    "detection.inserted_mm": "needle in the tissue at detection, mm",
+    "tracking.tip_error_mm.max": "tip error, largest, mm",
+    "tracking.tip_axial_error_mm.median": "tip error along the needle, median, mm",
+    "tracking.tip_lateral_error_mm.median": "tip error across the needle, median, mm",
+    "tracking.axis_error_deg.max": "axis error, largest, deg",
+    "servo.moving.x_mm": "while the needle moves: mean |X|, true, mm",
+    "servo.moving.z_mm": "while the needle moves: mean |Z|, true, mm",
+    "servo.moving.theta_deg": "while the needle moves: mean |Theta|, true, deg",
+    "force.contact_lost_s": "time without contact after the first contact, s",
+    "guard.stopped_s": "time stopped by the guard, s",
+    "compute_ms.track.max": "tracking, longest, ms",
+}
+"""Labels of further figures, which only a report shows."""
+
+_RECORDING = {
+    "volumes": "volumes",
+    "skipped": "skipped, because the file marks them as invalid",
+}
+
+_SECTIONS = {
+    "detection": "Finding the needle",
+    "tracking": "Tracking",
+    "servo": "Keeping the needle centred",
+    "prediction": "Predicted shape",
+    "force": "Contact force",
+    "guard": "Guard",
+    "compute_ms": "Speed",
+    "real_time_factor": "Speed",
+}
+"""Heading of each block of a summary."""
+
+
+def look_up(summary: Mapping[str, Any], path: str) -> Any:
+    """Return the entry of a nested mapping at a dotted path; None if there is none."""
+    node: Any = summary
+    for key in path.split("."):
+        node = node.get(key) if isinstance(node, Mapping) else None
+    return node
+
+
+def recording_labels(modes: Iterable[str]) -> dict[str, str]:
+    """Return the labels of a tracked recording's figures.
+
+    Parameters
+    ----------
+    modes
+        Tracking modes that occurred.
+    """
+    after = {f"modes.{mode}": f"volumes after which the mode was {mode}" for mode in modes}
+    return _RECORDING | after
+
+
+def sections(labels: Mapping[str, str]) -> dict[str, dict[str, str]]:
+    """Return labels by the heading of the section to which they belong."""
+    found: dict[str, dict[str, str]] = {}
+    for path, label in labels.items():
+        heading = _SECTIONS.get(path.partition(".")[0], "Volumes")
+        found.setdefault(heading, {})[path] = label
+    return found

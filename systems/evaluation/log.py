@@ -132,12 +132,17 @@ def _text(shape: tuple[int | str, ...]) -> str:
 
 def write_log(path: str | Path, log: Log) -> Path:
     """Write a log to one `.npz` file, atomically."""
+    return write_atomically(path, encode_log(log))
+
+
+def encode_log(log: Log) -> bytes:
+    """Return the contents of a log's `.npz` file."""
     arrays = {name: getattr(log, name) for name in columns(type(log))}
     for group in _groups(type(log)):
         arrays |= {f"{group}_{key}": array for key, array in getattr(log, group).items()}
     buffer = io.BytesIO()
     np.savez_compressed(buffer, format=np.array(FORMAT), **arrays)
-    return write_atomically(path, buffer.getvalue())
+    return buffer.getvalue()
 
 
 def read_log(path: str | Path, log_class: type[LogT]) -> LogT:

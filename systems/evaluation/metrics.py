@@ -155,15 +155,10 @@ def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     `tip_axial_bias_mm`: mean of the signed axial part, positive if the estimate lies beyond the
     true tip. Each error has the keys median, p95 and max.
     """
-    started, true = _starts(log, parameters)
-    right = started[true]
-    time = np.where(
-        np.isfinite(log.volume_estimate_time), log.volume_estimate_time, log.volume_time
-    )
+    judged = judged_volumes(log, parameters)
+    time = _estimate_times(log)
     length = at_times(log, log.inserted_length, time)
     visible = at_times(log, log.visible_length, time)
-    judged = np.nan_to_num(length) > 0
-    judged &= np.arange(len(time)) >= (right[0] if len(right) else len(time))
     tracked = log.volume_estimate_mode == TrackingMode.TRACKING
     in_view = np.where(np.isfinite(visible), visible, length)
     lost = judged & ~tracked & (in_view > parameters.min_length)
@@ -190,6 +185,15 @@ def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     }
 
 
+def judged_volumes(log: RunLog, parameters: MetricsParameters) -> Mask:
+    """Return a (v,) mask of the volumes since the detection with the needle in the tissue."""
+    started, true = _starts(log, parameters)
+    right = started[true]
+    length = at_times(log, log.inserted_length, _estimate_times(log))
+    after = np.arange(len(length)) >= (right[0] if len(right) else len(length))
+    return after & (np.nan_to_num(length) > 0)
+
+
 def servo(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     """Return the mean absolute errors of the visual features in P (Chatelain 2013, eq. 23).
 
@@ -202,7 +206,7 @@ def servo(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     """
     tracked = log.estimate_mode == TrackingMode.TRACKING
     moves = needle_speed(log, parameters.rest_window) >= parameters.rest_speed
-    rest = _held(~moves & is_known(log.needle_tip), log.time, parameters.rest_time)
+    rest = at_rest(log, parameters)
     true = features(log.X_WP, log.needle_tip, log.needle_entry)
     estimated = features(log.measured_X_WP, log.estimate_tip, log.estimate_entry)
     return {
@@ -210,6 +214,13 @@ def servo(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
         "at_rest_estimated": _feature_errors(estimated, tracked & rest, log.time),
         "moving": _feature_errors(true, tracked & moves, log.time),
     }
+
+
+def at_rest(log: RunLog, parameters: MetricsParameters | None = None) -> Mask:
+    """Return an (n,) mask of the samples at which the needle has rested for `rest_time`."""
+    p = parameters or MetricsParameters()
+    moves = needle_speed(log, p.rest_window) >= p.rest_speed
+    return _held(~moves & is_known(log.needle_tip), log.time, p.rest_time)
 
 
 def force(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
@@ -261,6 +272,12 @@ def guard(log: RunLog) -> dict[str, Any]:
         "volumes_refused": int(np.nan_to_num(_max(log.volumes_refused))),
         "refusal": str(refusals[-1]) if len(refusals) else None,
     }
+
+
+def _estimate_times(log: RunLog) -> Floats:
+    """Return the (v,) times for which the estimates hold, or else of the volumes, in s."""
+    known = np.isfinite(log.volume_estimate_time)
+    return np.where(known, log.volume_estimate_time, log.volume_time)
 
 
 def _starts(log: RunLog, parameters: MetricsParameters) -> tuple[NDArray[np.intp], Mask]:

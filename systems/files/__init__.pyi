@@ -1,7 +1,7 @@
 from .memory import require_memory as require_memory
 from .refusals import ConfigurationError as ConfigurationError
 from .renamed import current_name as current_name
-from .typed_yaml import assign as assign
+from .typed_yaml import apply_changes as apply_changes
 from .typed_yaml import dump_typed as dump_typed
 from .typed_yaml import load_typed as load_typed
 from .typed_yaml import read_yaml as read_yaml

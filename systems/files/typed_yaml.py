@@ -9,7 +9,7 @@ import difflib
 import math
 import types
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -107,21 +107,46 @@ def _fields(schema: Any) -> dict[str, Any]:
     return {field.name: field.type for field in getattr(schema, "__fields__", ())}
 
 
-def assign(data: dict[str, Any], assignment: str) -> None:
-    """Apply ``path.to.field=value`` to a nested mapping, with the value in YAML.
+def apply_changes(data: dict[str, Any], changes: Mapping[str, Any] | Sequence[str] | None) -> None:
+    """Change fields of a nested mapping, in the given order.
 
-    A name on the path is equivalent to the mapping ``{kind: name}``; see `load_typed`.
+    Parameters
+    ----------
+    data
+        Mapping to change.
+    changes
+        Mapping of dotted paths to values, or texts ``path.to.field=value`` with the value in YAML.
 
     Raises
     ------
     ConfigurationError
-        If the text has another form, or the path leads through a value without fields.
+        If they have another form, or a path leads through a value without fields.
     """
-    path, equals, text = assignment.partition("=")
-    if not equals or not path:
-        raise ConfigurationError(f"{assignment!r}: expected the form path.to.field=value")
-    with refusing_failures(path, f"{text[:40]!r} is not YAML"):
-        value = load_yaml(text)
+    if isinstance(changes, Mapping):
+        for path, value in changes.items():
+            _assign(data, str(path), value)
+        return
+    if changes is None:
+        return
+    if isinstance(changes, str) or not isinstance(changes, Sequence):
+        raise ConfigurationError(
+            f"changes: {changes!r} is of type {type(changes).__name__}; expected a mapping such as "
+            "{'imaging.gain': 0.5} or a list such as ['imaging.gain=0.5']"
+        )
+    for change in changes:
+        path, equals, text = str(change).partition("=")
+        if not equals or not path:
+            raise ConfigurationError(f"{change!r}: expected the form path.to.field=value")
+        with refusing_failures(path, f"{text[:40]!r} is not YAML"):
+            value = load_yaml(text)
+        _assign(data, path, value)
+
+
+def _assign(data: dict[str, Any], path: str, value: Any) -> None:
+    """Set the value at a dotted path in a nested mapping.
+
+    A name on the path is equivalent to the mapping ``{kind: name}``; see `load_typed`.
+    """
     *parents, last = path.split(".")
     if len(parents) >= MAX_DEPTH:
         raise ConfigurationError(f"{path}: a field is nested at most {MAX_DEPTH} deep")
@@ -136,6 +161,15 @@ def assign(data: dict[str, Any], assignment: str) -> None:
         node[_index(node, last, path)] = value
     else:
         node[last] = value
+
+
+def merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """Return two nested mappings as one, in which the fields of ``above`` hide those below."""
+    result = {**below, **above}
+    for key in below.keys() & above.keys():
+        if isinstance(below[key], Mapping) and isinstance(above[key], Mapping):
+            result[key] = merged(below[key], above[key])
+    return result
 
 
 def _index(items: list[Any], key: str, path: str) -> int:

@@ -6,7 +6,9 @@ from .candidates import Candidates as Candidates
 from .candidates import select_candidates as select_candidates
 from .cross_section import CrossSectionParameters as CrossSectionParameters
 from .cross_section_localizer import CrossSectionLocalizer as CrossSectionLocalizer
+from .intensity_drop import intensity_drops as intensity_drops
 from .line_search import bright_lines as bright_lines
+from .local_optimization import optimize_locally as optimize_locally
 from .localizer_parameters import NeedleLocalizerParameters as NeedleLocalizerParameters
 from .needle_line import NeedleLine as NeedleLine
 from .needle_line import needle_lines as needle_lines
@@ -15,6 +17,12 @@ from .normalized_cross_correlation import Match as Match
 from .normalized_cross_correlation import best_match as best_match
 from .pipeline import explain_localization as explain_localization
 from .pipeline import localize as localize
+from .published_localization import (
+    PublishedLocalizationParameters as PublishedLocalizationParameters,
+)
+from .published_localization import (
+    explain_published_localization as explain_published_localization,
+)
 from .ransac import RansacParameters as RansacParameters
 from .ransac import RansacResult as RansacResult
 from .ransac import ransac_axis as ransac_axis

@@ -60,13 +60,23 @@ class Axis(Immutable):
         return np.linalg.norm(points - self.position(self.abscissa(points)), axis=-1)
 
 
-def axis_through(points: NDArray[np.float64]) -> Axis | NotFound:
-    """Fit an axis of order n through n points, (n, 3) in m, along the line from first to last."""
-    chord = points[-1] - points[0]
-    length = float(np.linalg.norm(chord))
+def axis_through(
+    points: NDArray[np.float64], along: NDArray[np.float64] | None = None
+) -> Axis | NotFound:
+    """Fit an axis of order n through n points.
+
+    Parameters
+    ----------
+    points
+        (n, 3) points in m.
+    along
+        (3,) principal direction of any length; by default that from the first to the last point.
+    """
+    along = points[-1] - points[0] if along is None else along
+    length = float(np.linalg.norm(along))
     if not length > 0:
         return NotFound("the first and the last point coincide")
-    direction = chord / length
+    direction = along / length
     a = (points - points[0]) @ direction
     if np.min(np.abs(np.diff(np.sort(a)))) <= 1e-9 * length:
         return NotFound("two points share an abscissa")

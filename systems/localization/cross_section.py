@@ -2,12 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from sonoservo.systems.localization.echo_vertex import echo_vertex
 from sonoservo.systems.localization.normalized_cross_correlation import Match, best_match
 from sonoservo.systems.signals.cross_section import CrossSection
 from sonoservo.systems.signals.image_slice import ImageSlice
@@ -20,6 +20,9 @@ Floats = NDArray[np.float64]
 DEVIATIONS = ("both", "signed", "brighter")
 """Choices of the deviations from the mean that a variance image shows."""
 
+POSITIONS = ("front", "match")
+"""Choices of the position of a cross-section."""
+
 
 @dataclass(kw_only=True)
 class CrossSectionParameters:
@@ -30,6 +33,8 @@ class CrossSectionParameters:
     start
         x and y in P of the needle in the first slice, in m, as a person would point at it. None
         finds the needle automatically.
+    start_reach
+        Reach of the search for the echo around the point of ``start``, along X and Y, in m.
     start_slices
         Number of slices that are examined before the start. A needle appears in all of them, a
         fibre does not.
@@ -42,10 +47,16 @@ class CrossSectionParameters:
         Deviations from the mean that the variance image (eq. 1) shows. "both" shows them alike, as
         printed. Shadows and the dark grains of speckle are then as bright as echoes. "signed" keeps
         their sign, and "brighter" shows only those above the mean.
+    position
+        Position of the cross-section. "match" takes the best match with the template, to a whole
+        pixel, as printed, and the person's point in the first slice. The errors of the successive
+        templates then add up to a drift. "front" takes the axis behind the front of the echo near
+        that place.
     min_correlation
         Correlation with the last template below which the needle counts as lost.
     min_contrast_db
-        Smallest level of the needle's echo above the mean of the image, in dB.
+        Smallest level of the needle's echo above the mean of the image, in dB; with "match" it is
+        not examined.
     vertex
         Half width and half height in m of the part of the echo to which a paraboloid is fitted.
     search
@@ -58,10 +69,12 @@ class CrossSectionParameters:
     """
 
     start: list[float] | None = None
+    start_reach: float = 1.6e-3
     start_slices: int = 4
     follow_shape_from: float = 10e-3
     template: list[float] = field(default_factory=lambda: [6e-3, 6e-3])
     deviations: str = "brighter"
+    position: str = "front"
     min_correlation: float = 0.4
     min_contrast_db: float = 12.0
     vertex: list[float] = field(default_factory=lambda: [0.6e-3, 0.2e-3])
@@ -73,16 +86,13 @@ class CrossSectionParameters:
             require(len(self.start) == 2, "start", self.start, "two coordinates in m")
         require(1 <= self.start_slices <= 20, "start_slices", self.start_slices, "from 1 to 20")
         require_not_negative(follow_shape_from=self.follow_shape_from)
-        require_positive(needle_radius=self.needle_radius)
+        require_positive(needle_radius=self.needle_radius, start_reach=self.start_reach)
         for name in ("template", "vertex", "search"):
             value = getattr(self, name)
             require(len(value) == 2 and min(value) > 0, name, value, "two lengths in m above 0")
-        require(
-            self.deviations in DEVIATIONS,
-            "deviations",
-            self.deviations,
-            f"one of {', '.join(DEVIATIONS)}",
-        )
+        for name, choices in (("deviations", DEVIATIONS), ("position", POSITIONS)):
+            value = getattr(self, name)
+            require(value in choices, name, value, f"one of {', '.join(choices)}")
         require(
             0 <= self.min_correlation < 1,
             "min_correlation",
@@ -127,13 +137,15 @@ def find_needle(image: ImageSlice, parameters: CrossSectionParameters) -> Floats
     blurred = gaussian_filter(image.intensities, sigma, output=np.float32)
     peak = np.unravel_index(np.argmax(blurred), blurred.shape)
     head = image.position(peak)
-    return _axis_of(_vertex(image, head, parameters), image, parameters)
+    return _axis_of(
+        echo_vertex(image, head, parameters.vertex, parameters.search), image, parameters
+    )
 
 
 def start_at(
     image: ImageSlice, centre: Floats, parameters: CrossSectionParameters
 ) -> CrossSection | NotFound:
-    """Find the first cross-section, near a point given by a person or by `find_needle`.
+    """Find the first cross-section, near a point found by `find_needle`.
 
     Parameters
     ----------
@@ -161,7 +173,8 @@ def find_first(
     """
     image = images[-1]
     if parameters.start is not None:
-        return start_at(image, np.array(parameters.start), parameters)
+        reach = [max(each, parameters.start_reach) for each in parameters.search]
+        return start_at(image, np.array(parameters.start), replace(parameters, search=reach))
     if len(images) < parameters.start_slices:
         return NotFound("the first slices are still being compared")
     lasting = np.min([each.intensities for each in images], axis=0)
@@ -206,8 +219,7 @@ def find_again(
     """Find a cross-section in the next slice.
 
     Normalized cross-correlation with the last template identifies the needle's echo. The vertex of
-    that echo's front gives the position. If the match itself gave the position, the errors of the
-    successive templates would add up to a drift.
+    that echo's front, or the match itself, gives the position.
 
     Parameters
     ----------
@@ -238,7 +250,8 @@ def find_again(
             f"the correlation {match.correlation:.2f} with the template is below "
             f"{parameters.min_correlation:g}"
         )
-    centre = image.position(low + match.position + 0.5 * (size - 1))
+    place = match.position if parameters.position == "front" else np.rint(match.position)
+    centre = image.position(low + place + 0.5 * (size - 1))
     return _at(image, centre, match.correlation, mean, parameters)
 
 
@@ -249,19 +262,13 @@ def _at(
     mean: float,
     parameters: CrossSectionParameters,
 ) -> CrossSection | NotFound:
-    """Refine a cross-section and cut its template."""
-    head = _vertex(image, _front_of(centre, image, parameters), parameters)
-    if isinstance(head, NotFound):
-        return head
-    at = tuple(np.rint(image.index(head)).astype(int))
-    contrast = image.decibels_per_level * (float(image.intensities[at]) - mean)
-    if contrast < parameters.min_contrast_db:
-        return NotFound(
-            f"the echo is only {contrast:.0f} dB above the tissue; "
-            f"{parameters.min_contrast_db:g} dB are required"
-        )
-    axis = _axis_of(head, image, parameters)
-    assert not isinstance(axis, NotFound)
+    """Refine a cross-section, if requested, and cut its template."""
+    axis = centre
+    if parameters.position == "front":
+        refined = _refined(image, centre, mean, parameters)
+        if isinstance(refined, NotFound):
+            return refined
+        axis = refined
     size = np.rint(parameters.template / image.spacing).astype(int)
     first = np.rint(image.index(axis) - 0.5 * (size - 1)).astype(int)
     if np.any(first < 0) or np.any(first + size > image.intensities.shape):
@@ -277,6 +284,24 @@ def _at(
     )
 
 
+def _refined(
+    image: ImageSlice, centre: Floats, mean: float, parameters: CrossSectionParameters
+) -> Floats | NotFound:
+    """Return the position of the axis behind the front of the echo near a point."""
+    front = _front_of(centre, image, parameters)
+    head = echo_vertex(image, front, parameters.vertex, parameters.search)
+    if isinstance(head, NotFound):
+        return head
+    at = tuple(np.rint(image.index(head)).astype(int))
+    contrast = image.decibels_per_level * (float(image.intensities[at]) - mean)
+    if contrast < parameters.min_contrast_db:
+        return NotFound(
+            f"the echo is only {contrast:.0f} dB above the tissue; "
+            f"{parameters.min_contrast_db:g} dB are required"
+        )
+    return _axis_of(head, image, parameters)
+
+
 def _front_of(axis: Floats, image: ImageSlice, parameters: CrossSectionParameters) -> Floats:
     """Return the position of the front wall's echo for a needle with this axis."""
     return axis - parameters.needle_radius * image.beam_direction(axis)
@@ -289,46 +314,3 @@ def _axis_of(
     if isinstance(head, NotFound):
         return head
     return head + parameters.needle_radius * image.beam_direction(head)
-
-
-def _vertex(
-    image: ImageSlice, head: Floats, parameters: CrossSectionParameters
-) -> Floats | NotFound:
-    """Return the (2,) vertex in P, in m, of the brightest echo near a point.
-
-    The echo of a thin needle is the beam's point spread function, which is nearly a Gaussian. Its
-    logarithm is a paraboloid. It is fitted by least squares to all pixels around the brightest.
-    """
-    half = np.maximum(np.rint(parameters.vertex / image.spacing).astype(int), 1)
-    reach = np.maximum(np.rint(parameters.search / image.spacing).astype(int), 1)
-    first = np.rint(image.index(head)).astype(int) - reach - half
-    last = first + 2 * (reach + half) + 1
-    if np.any(first < 0) or np.any(last > image.intensities.shape):
-        return NotFound("the needle is at the edge of the image")
-    around = image.intensities[first[0] : last[0], first[1] : last[1]].astype(np.float64)
-    windows = np.lib.stride_tricks.sliding_window_view(around, tuple(2 * half + 1))
-    # Across the beam the echo is as wide as the window. Along the beam it is as thin as a pixel.
-    level = windows[..., half[1]].mean(axis=2)
-    window = np.array(np.unravel_index(np.argmax(level), level.shape))
-    offset = _paraboloid_vertex(windows[tuple(window)])
-    return image.position(first + window + half + np.clip(offset, -half, half))
-
-
-def _paraboloid_vertex(values: Floats) -> Floats:
-    """Return the (2,) offset of the vertex from the middle of an odd-sized array, in elements."""
-    _, a, b, c, d, e = _paraboloid_fit(values.shape) @ values.ravel()
-    determinant = 4 * c * e - d * d
-    if c >= 0 or determinant <= 0:
-        return np.zeros(2)
-    return np.array([d * b - 2 * e * a, d * a - 2 * c * b]) / determinant
-
-
-@lru_cache
-def _paraboloid_fit(shape: tuple[int, int]) -> Floats:
-    """Return the (6, n) matrix that fits the coefficients of 1, i, j, i^2, ij, j^2."""
-    rows, columns = ((extent - 1) // 2 for extent in shape)
-    i, j = np.meshgrid(
-        np.arange(-rows, rows + 1.0), np.arange(-columns, columns + 1.0), indexing="ij"
-    )
-    design = np.stack([np.ones_like(i), i, j, i * i, i * j, j * j], axis=-1).reshape(-1, 6)
-    return np.linalg.pinv(design)

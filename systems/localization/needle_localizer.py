@@ -1,5 +1,6 @@
 """Leaf system that localizes the needle in one volume, given a prediction."""
 
+from collections.abc import Callable
 from typing import Any
 
 from pydrake.common.value import Value
@@ -38,16 +39,23 @@ class NeedleLocalizer(LeafSystem):
     Parameters
     ----------
     parameters
-        Thresholds, in SI units.
+        Thresholds of the method, in SI units.
     seed
         Seed of the random samples.
+    method
+        Function that localizes the needle, with the arguments of `explain_localization`.
     """
 
     def __init__(
-        self, *, parameters: NeedleLocalizerParameters | None = None, seed: int = 0
+        self,
+        *,
+        parameters: Any = None,
+        seed: int = 0,
+        method: Callable[..., LocalizationExplanation] = explain_localization,
     ) -> None:
         super().__init__()
         self._parameters = parameters or NeedleLocalizerParameters()
+        self._method = method
         self._seed = seed
         self.DeclareAbstractInputPort("volume", Value[object]())
         self.DeclareAbstractInputPort("prediction", Value[object]())
@@ -66,7 +74,7 @@ class NeedleLocalizer(LeafSystem):
             output.set_value(volume)
             return
         rng = random_stream(self._seed, "localization", volume.time)
-        output.set_value(explain_localization(volume, prediction, self._parameters, rng))
+        output.set_value(self._method(volume, prediction, self._parameters, rng))
 
     def _calc_measurement(self, context: Context, output: Value) -> None:
         found: Any = self.GetOutputPort("explanation").Eval(context)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.localization.axis_fit import AxisFit
+from sonoservo.systems.localization.intensity_drop import intensity_drops
 from sonoservo.systems.localization.ransac import RansacParameters, ransac_axis
 from sonoservo.systems.localization.tip import TipParameters, axis_profile
 from sonoservo.systems.signals.immutable import NotFound
@@ -136,13 +137,5 @@ def localize_in_whole_volume(
     # The threshold is half the amplitude of the needle around its middle.
     inside = np.abs(profile.a - middle) <= parameters.max_gap
     bright = profile.level > np.median(profile.level[inside]) - 20 * np.log10(2)
-    start, tip = (_end(profile.a[bright], middle, side, parameters.max_gap) for side in (-1, 1))
+    start, tip = intensity_drops(profile.a[bright], middle, parameters.max_gap)
     return WholeVolumeNeedle(found.fit, start, tip)
-
-
-def _end(bright: NDArray[np.float64], middle: float, side: int, max_gap: float) -> float:
-    """Return the last abscissa to a side of the middle that no gap separates from it."""
-    away = np.sort(side * (bright - middle))
-    away = np.concatenate([[0.0], away[away > 0]])
-    last = np.flatnonzero(np.append(np.diff(away), np.inf) > max_gap)[0]
-    return middle + side * float(away[last])

@@ -14,7 +14,7 @@ from sonoservo.systems.needle.insertion_parameters import (
     Push,
 )
 from sonoservo.systems.needle.needle_motion import Feed, HandMotion, NeedleMotion
-from sonoservo.systems.needle.steered_path import SteeredPath, draw_wander
+from sonoservo.systems.needle.steered_path import WANDER_STEP, SteeredPath, draw_wander
 from sonoservo.systems.signals.immutable import Immutable, seal
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.requirements import require
@@ -40,7 +40,8 @@ class Insertion(Immutable):
     parameters
         Needle, path and hand or template.
     rng
-        Generator of this insertion's spreads, then of the tremor, then of the curvature's wander.
+        Generator of this insertion's spreads, then of the tremor, the curvature's wander, and the
+        errors of rotations and plane.
 
     Attributes
     ----------
@@ -77,12 +78,32 @@ class Insertion(Immutable):
             length = 1.1 * float(self._motion.steady_depth(times).max()) + 0.01
             wander = draw_wander(length, parameters.curvature_wander, parameters.wander_length, rng)
             path = replace(path, wander=wander)
+        if path is not None:
+            path = self._with_errors(path, rng)
         self.path = path
         if parameters.feed is not None and path is not None:
             deepest = self._motion.depth(self._motion.end)
             reached = np.isfinite(path.length_at(deepest))
             allowed = "a depth that the path reaches"
             require(bool(reached), "feed.depth", parameters.feed.depth, allowed)
+
+    def _with_errors(self, path: SteeredPath, rng: np.random.Generator) -> SteeredPath:
+        """Return a path with errors of its rotations and a drift of its plane, if they spread."""
+        p = self.parameters
+        if p.rotation_depth_spread:
+            errors = p.rotation_depth_spread * rng.uniform(-1, 1, len(path.rotations))
+            path = replace(path, rotations=tuple(np.add(path.rotations, errors).tolist()))
+        if p.rotation_angle_spread_deg:
+            errors = np.deg2rad(p.rotation_angle_spread_deg) * rng.uniform(
+                -1, 1, len(path.rotations)
+            )
+            path = replace(path, turn_errors=tuple(errors.tolist()))
+        if p.bend_drift_spread_deg:
+            drift = np.deg2rad(p.bend_drift_spread_deg) * rng.uniform(-1, 1) / 0.1
+            steps = int(np.ceil((1.1 * self._motion.depth(self._motion.end) + 0.01) / WANDER_STEP))
+            wander = path.wander if path.wander.size else np.ones(steps)
+            path = replace(path, twist=float(drift), wander=wander)
+        return path
 
     @property
     def entry(self) -> Floats:

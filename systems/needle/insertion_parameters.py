@@ -151,6 +151,10 @@ class InsertionParameters:
         Spread of the first direction about the aimed one, within the plane of the bend, in deg.
     rotations
         Depths along the aimed direction at which the bevel is turned by 180 deg, in m.
+    rotation_depth_spread, rotation_angle_spread_deg
+        Spreads of the depth and of the angle at which the bevel is really turned, in m and in deg.
+    bend_drift_spread_deg
+        Spread of the angle by which the direction of the bend drifts over 0.1 m of path, in deg.
     curvature_wander
         Standard deviation of the curvature along the path in uneven tissue, relative to 1 / R.
     wander_length
@@ -184,6 +188,9 @@ class InsertionParameters:
     bend_roll_spread_deg: float = 0.0
     bend_angle_spread_deg: float = 0.0
     rotations: list[float] = field(default_factory=list)
+    rotation_depth_spread: float = 0.0
+    rotation_angle_spread_deg: float = 0.0
+    bend_drift_spread_deg: float = 0.0
     curvature_wander: float = 0.0
     wander_length: float = 0.02
     start: float | None = None
@@ -217,6 +224,9 @@ class InsertionParameters:
             azimuth_spread_deg=self.azimuth_spread_deg,
             bend_radius_spread=self.bend_radius_spread,
             bend_roll_spread_deg=self.bend_roll_spread_deg,
+            rotation_depth_spread=self.rotation_depth_spread,
+            rotation_angle_spread_deg=self.rotation_angle_spread_deg,
+            bend_drift_spread_deg=self.bend_drift_spread_deg,
             curvature_wander=self.curvature_wander,
             tremor=self.tremor,
         )
@@ -230,10 +240,19 @@ class InsertionParameters:
             "from 0 to 20 deg",
         )
         require_rising(self.rotations)
+        gaps = np.diff([0.0, *self.rotations])
+        require(
+            not self.rotation_depth_spread
+            or float(gaps.min(initial=1)) > 2 * self.rotation_depth_spread,
+            "rotation_depth_spread",
+            self.rotation_depth_spread,
+            "below half of the distance between rotations",
+        )
         if self.bend_radius is None:
             self._require_none(
                 "a straight needle (bend_radius is null)",
                 "bend_radius_spread", "bend_angle_spread_deg", "rotations", "curvature_wander",
+                "bend_drift_spread_deg",
             )  # fmt: skip
         else:
             require(

@@ -96,6 +96,11 @@ class SteeredPath(Immutable):
         Depths along the aimed direction at which the bevel is turned by 180 deg, in m, ascending.
     wander
         (n,) curvature relative to 1 / R on each `WANDER_STEP` of the path; empty if it is constant.
+    twist
+        Rate at which the direction of the bend turns from one step of ``wander`` to the next, in
+        rad/m.
+    turn_errors
+        Errors of the angles of the rotations, in rad; empty for rotations by exactly 180 deg.
     """
 
     radius: float
@@ -103,6 +108,8 @@ class SteeredPath(Immutable):
     angle: float = 0.0
     rotations: tuple[float, ...] = ()
     wander: Floats = field(default_factory=lambda: np.zeros(0))
+    twist: float = 0.0
+    turn_errors: tuple[float, ...] = ()
 
     def positions(self, distances: Floats, cut: tuple[Floats, Floats] | None = None) -> Floats:
         """Return positions along the path.
@@ -155,11 +162,15 @@ class SteeredPath(Immutable):
             edges = np.union1d(ends, steps[steps < ends[-1]])
             starts = np.append(0.0, edges[:-1])
             lengths, angles = edges - starts, angles[np.searchsorted(ends, edges)]
+            angles = angles + self.twist * starts
             curvatures = self.wander[np.searchsorted(steps, starts, side="right")] / self.radius
         if not turns.size:
             return (lengths, angles, curvatures), turns
         axis = np.ascontiguousarray(self._first_axes[:, 0])
-        *arcs, reached = turn_at_depths(lengths, angles, curvatures, turns, axis)
+        errors = np.zeros(len(turns))
+        known = self.turn_errors[: len(turns)]
+        errors[: len(known)] = known
+        *arcs, reached = turn_at_depths(lengths, angles, curvatures, turns, errors, axis)
         return (arcs[0], arcs[1], arcs[2]), reached
 
 
@@ -203,7 +214,7 @@ def positions(lengths, angles, curvatures, distances):  # type: ignore[no-untype
 
 
 @njit(cache=True, nogil=True)
-def turn_at_depths(lengths, angles, curvatures, depths, axis):  # type: ignore[no-untyped-def]
+def turn_at_depths(lengths, angles, curvatures, depths, errors, axis):  # type: ignore[no-untyped-def]
     """Split arcs at depths, at each of which the bevel is turned by 180 deg.
 
     Parameters
@@ -212,6 +223,8 @@ def turn_at_depths(lengths, angles, curvatures, depths, axis):  # type: ignore[n
         (m,) lengths in m, angles of the bevel in rad and curvatures in 1/m of the arcs.
     depths
         (r,) depths along an axis in m, in ascending order.
+    errors
+        (r,) angles in rad by which the bevel is turned in addition.
     axis
         (3,) unit vector of the axis, in coordinates along the first d, u and v.
 
@@ -224,18 +237,19 @@ def turn_at_depths(lengths, angles, curvatures, depths, axis):  # type: ignore[n
     new_lengths, new_angles, new_curvatures = np.empty(most), np.empty(most), np.empty(most)
     reached = np.full(len(depths), np.inf)
     axes = np.eye(3)
-    count, k, depth, length, sign = 0, 0, 0.0, 0.0, 1.0
+    count, k, depth, length, sign, excess = 0, 0, 0.0, 0.0, 1.0, 0.0
     for i in range(len(lengths)):
         left = lengths[i]
         while True:
             curvature = sign * curvatures[i]
-            normal = np.cos(angles[i]) * axes[1] + np.sin(angles[i]) * axes[2]
+            roll = angles[i] + excess
+            normal = np.cos(roll) * axes[1] + np.sin(roll) * axes[2]
             forward, aside = np.dot(axes[0], axis), np.dot(normal, axis)
             to_turn = np.inf
             if k < len(depths):
                 to_turn = _length_of_rise(forward, aside, curvature, depths[k] - depth)
             piece = min(left, to_turn)
-            new_lengths[count], new_angles[count] = piece, angles[i]
+            new_lengths[count], new_angles[count] = piece, roll
             new_curvatures[count] = curvature
             count += 1
             if piece == np.inf:
@@ -243,10 +257,11 @@ def turn_at_depths(lengths, angles, curvatures, depths, axis):  # type: ignore[n
             angle = piece * curvature
             depth += (np.sin(angle) * forward + (1 - np.cos(angle)) * aside) / curvature
             length += piece
-            axes = _turned(axes, angles[i], angle)
+            axes = _turned(axes, roll, angle)
             if to_turn > left:
                 break
             reached[k] = length
+            excess += errors[k]
             k += 1
             sign = -sign
             left -= piece

@@ -31,6 +31,9 @@ from pydrake.systems.framework import DiagramBuilder
 from sonoservo.systems.robot.directives import add_directives
 from sonoservo.systems.signals.requirements import require, require_positive
 
+_FLAT = 1.0
+"""Radius of curvature in m from which a face counts as flat."""
+
 _MARGIN = 5e-3
 """Assumed width and depth in m of the housing's rim around a flat array."""
 
@@ -99,7 +102,7 @@ def dome_semi_axes(
 
     The radii of curvature of an ellipsoid with semi-axes a, b, c at its apex on Y are a^2 / b and
     c^2 / b. They are those of the array and of the motor. Along a flat side the ellipsoid extends
-    beyond the elements by an assumed rim of 5 mm.
+    beyond the elements by an assumed rim of 5 mm. A radius of more than 1 m counts as flat.
 
     Parameters
     ----------
@@ -112,6 +115,7 @@ def dome_semi_axes(
     -------
     (3,) semi-axes along X, Y, Z of P, in m.
     """
+    array_radius, motor_radius = (r if r < _FLAT else 0.0 for r in (array_radius, motor_radius))
     b = motor_radius or array_radius or _MARGIN
     a = math.sqrt(array_radius * b) or width / 2 + _MARGIN
     c = math.sqrt(motor_radius * b) or height / 2 + _MARGIN

@@ -20,7 +20,8 @@ class ProbeStepper(LeafSystem):
 
     ``X_WP`` is the pose of the probe. ``X_WT`` is the pose of the tissue, which moves slightly
     because the probe drags it along and the patient breathes. At every step it is shifted across
-    the insertion by an unknown random amount.
+    the insertion by an unknown random amount. Breathing adds a shift along one direction across the
+    insertion, with the square of a sine over time (Lujan et al. 1999) from zero to the amplitude.
 
     Parameters
     ----------
@@ -34,8 +35,10 @@ class ProbeStepper(LeafSystem):
         Number of steps, after which the probe rests.
     tissue_shift
         Standard deviation of the tissue's shift along X and along Y of P, in m.
+    breathing, breathing_period
+        Amplitude in m and period in s of the shift by breathing.
     seed
-        Seed of the shifts.
+        Seed of the shifts, and of the direction and phase of the breathing.
     """
 
     def __init__(
@@ -46,15 +49,23 @@ class ProbeStepper(LeafSystem):
         period: float,
         steps: int,
         tissue_shift: float = 0.0,
+        breathing: float = 0.0,
+        breathing_period: float = 4.0,
         seed: int = 0,
     ) -> None:
         super().__init__()
         self.set_name("probe_stepper")
-        require_positive(step=step, period=period)
-        require_not_negative(tissue_shift=tissue_shift)
+        require_positive(step=step, period=period, breathing_period=breathing_period)
+        require_not_negative(tissue_shift=tissue_shift, breathing=breathing)
         require(steps >= 1, "steps", steps, "at least 1")
         self._X_WP, self._step, self._period, self._steps = X_WP, step, period, steps
-        self._shifts = tissue_shift * np.random.default_rng(seed).normal(size=(steps + 1, 2))
+        rng = np.random.default_rng(seed)
+        self._shifts = tissue_shift * rng.normal(size=(steps + 1, 2))
+        if breathing:
+            direction, phase = rng.uniform(0, 2 * np.pi), rng.uniform(0, np.pi)
+            turns = np.pi * period * np.arange(steps + 1) / breathing_period
+            along = np.array([np.cos(direction), np.sin(direction)])
+            self._shifts += np.outer(breathing * np.sin(turns + phase) ** 2, along)
         for name, calc in (("X_WP", self._calc_probe), ("X_WT", self._calc_tissue)):
             self.DeclareAbstractOutputPort(
                 name,

@@ -4,8 +4,11 @@ from .blur import blur_covariance as blur_covariance
 from .body_surface import BodySurface as BodySurface
 from .cross_section import CrossSection as CrossSection
 from .cross_section_track import CrossSectionTrack as CrossSectionTrack
+from .curvature_wander import WanderModes as WanderModes
+from .curvature_wander import wander_modes as wander_modes
 from .guard_status import GuardState as GuardState
 from .guard_status import GuardStatus as GuardStatus
+from .image_click import ImageClick as ImageClick
 from .image_slice import ImageSlice as ImageSlice
 from .immutable import Immutable as Immutable
 from .immutable import NotFound as NotFound

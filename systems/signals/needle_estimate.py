@@ -5,6 +5,7 @@ from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.math import RigidTransform
 
 from sonoservo.systems.signals.immutable import Immutable, read_only
 from sonoservo.systems.signals.needle_curve import NeedleCurve
@@ -44,6 +45,9 @@ class NeedleEstimate(Immutable):
         Time of the newest volume seen, in s; -inf before the first one.
     reason
         Reason why the last volume did not confirm the needle; empty if it did.
+    X_WP
+        Pose of the probe at the newest volume, if the tracker keeps the needle in the probe's frame
+        and not in W; otherwise None.
     """
 
     mode: TrackingMode
@@ -53,6 +57,7 @@ class NeedleEstimate(Immutable):
     covariance: NDArray[np.float64] | None = None
     volume_time: float = -np.inf
     reason: str = ""
+    X_WP: RigidTransform | None = None
 
     def __post_init__(self) -> None:
         if self.curve is None:

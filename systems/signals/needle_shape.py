@@ -1,13 +1,14 @@
 """Estimated shape of a needle, from its entry to its full depth, with uncertainty."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.signals.bicycle_paths import deflections
+from sonoservo.systems.signals.curvature_wander import wander_modes
 from sonoservo.systems.signals.immutable import Immutable, read_only
 from sonoservo.systems.signals.requirements import require
 
@@ -17,6 +18,8 @@ Floats = NDArray[np.float64]
 @dataclass(frozen=True, eq=False)
 class NeedleShape(Immutable):
     """Belief of a shape estimator: a weighted set of paths of the bicycle model.
+
+    The curvature of a path may wander along it, which adds a deflection along X and along Y of I.
 
     Parameters
     ----------
@@ -40,6 +43,11 @@ class NeedleShape(Immutable):
         Time of the last slice that was used, in s.
     reason
         Reason why the newest slice was not used; empty if it was.
+    wander
+        (n, k, 2) coefficients of `wander_modes` along X and along Y, in 1/m; without modes, the
+        curvature of each path is constant.
+    wander_length
+        Length in m of the modes.
     """
 
     parameters: Floats
@@ -52,9 +60,14 @@ class NeedleShape(Immutable):
     X_WI: RigidTransform
     time: float
     reason: str = ""
+    wander: Floats = field(default_factory=lambda: np.zeros((0, 0, 2)))
+    wander_length: float = 0.02
 
     def __post_init__(self) -> None:
         n = len(self.parameters)
+        if not self.wander.size:
+            object.__setattr__(self, "wander", np.zeros((n, 0, 2)))
+        object.__setattr__(self, "wander", read_only(self.wander, "wander", (n, None, 2)))
         for name, shape in (("parameters", (n, 3)), ("origins", (n, 2)), ("weights", (n,))):
             object.__setattr__(self, name, read_only(getattr(self, name), name, shape))
         total = self.weights.sum()
@@ -62,7 +75,12 @@ class NeedleShape(Immutable):
 
     def paths(self, depths: ArrayLike) -> Floats:
         """Return (n, m, 2) x and y in I, in m, of every path at (m,) ascending depths in m."""
-        return self.origins[:, np.newaxis] + bicycle_paths(self.parameters, depths, self.rotations)
+        paths = self.origins[:, np.newaxis] + bicycle_paths(self.parameters, depths, self.rotations)
+        if not self.wander.size:
+            return paths
+        modes = wander_modes(self.depth, self.rotations, self.wander_length).at(depths)
+        wandering: Floats = paths + np.matmul(modes, self.wander)
+        return wandering
 
     def predict(self, depths: ArrayLike) -> tuple[Floats, Floats]:
         """Return mean and covariance of the needle's position across the insertion.

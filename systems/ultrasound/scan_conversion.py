@@ -10,13 +10,18 @@ from sonoservo.systems.signals.immutable import seal
 from sonoservo.systems.signals.requirements import require, require_positive
 from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
 from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.ultrasound.resampling import (
+from sonoservo.systems.ultrasound.motion_resampling import (
+    FRAMES_BEYOND,
+    NODE_STRIDE,
     POSES_PER_FRAME,
+    resample_moving,
+    tabulate_shifts,
+)
+from sonoservo.systems.ultrasound.resampling import (
     WIDEST_ANGLE,
     Sector,
     pack_corners,
     resample,
-    resample_moving,
     rows_in_sector,
 )
 
@@ -209,14 +214,21 @@ class ScanConversion:
         corners = np.stack(np.meshgrid(*([a[0], a[-1]] for a in self._axes)), -1).reshape(-1, 3)
         moved = corners @ poses[:, :, :3].swapaxes(1, 2) + poses[:, np.newaxis, :, 3]
         margin = np.linalg.norm(moved - corners, axis=-1).max() + _SLACK
+        sector = self._sector._replace(direction=np.float32(motion.direction))
+        nodes = [_nodes(axis) for axis in self._axes]
+        shifts = np.empty((len(nodes[0]), len(nodes[1]), 3, len(nodes[2])), np.float32)
+        tabulate_shifts(shifts, sector, *nodes, poses.reshape(-1, 12).astype(np.float32))
         volume = np.zeros(self.grid.shape, np.uint8)
         resample_moving(
             volume,
             rows_in_sector(self._sector, float(margin), *self._axes),
             *pack_corners(samples, (0, 0, 0), tuple(n - 2 for n in geometry.shape)),
-            self._sector._replace(direction=np.float32(motion.direction)),
-            *self._axes,
-            poses.reshape(-1, 12).astype(np.float32),
+            sector,
+            self._axes[0],
+            self._distance,
+            self._step,
+            shifts,
+            np.empty((len(volume), 3, NODE_STRIDE * len(nodes[2])), np.float32),
         )
         return volume
 
@@ -244,16 +256,23 @@ class ScanConversion:
         return first, last
 
 
+def _nodes(axis: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Return the coordinates of every `NODE_STRIDE`-th element, to beyond the last one."""
+    numbers = NODE_STRIDE * np.arange((len(axis) - 1) // NODE_STRIDE + 2)
+    return (axis[0] + (axis[1] - axis[0]) * numbers).astype(np.float32)
+
+
 def _relative_poses(motion: SweepMotion) -> NDArray[np.float64]:
     """Return transforms from the probe's frame at the middle frame to that at fractions of frames.
 
     Returns
     -------
-    (`POSES_PER_FRAME` (frames - 1) + 1, 3, 4) matrices, with the origins on the motor's axis.
+    (n, 3, 4) matrices, with the origins on the motor's axis; see `tabulate_shifts`.
     """
     geometry = motion.geometry
-    frame = np.arange(POSES_PER_FRAME * (geometry.frames - 1) + 1) / POSES_PER_FRAME
-    below = np.minimum(frame.astype(int), geometry.frames - 2)
+    count = POSES_PER_FRAME * (geometry.frames - 1 + 2 * FRAMES_BEYOND) + 1
+    frame = np.arange(count) / POSES_PER_FRAME - FRAMES_BEYOND
+    below = np.clip(frame.astype(int), 0, geometry.frames - 2)
     part = (frame - below)[:, np.newaxis, np.newaxis]
     X_WP = (1 - part) * motion.X_WP[below] + part * motion.X_WP[below + 1]
     X_PA = np.eye(4)

@@ -1,13 +1,14 @@
 """Hardware of a motorised ultrasound probe."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
-from sonoservo.systems.files.model_file import model_file, read_section
+from sonoservo.systems.files.model_file import model_file, read_once, read_section
 from sonoservo.systems.files.typed_yaml import load_typed
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 
 _LARGEST = {
-    "array_radius": 0.5,
+    "array_radius": 10.0,
     "motor_radius": 0.5,
     "element_pitch": 0.01,
     "element_height": 0.1,
@@ -26,6 +27,7 @@ class Transducer:
     array_radius, motor_radius
         Distances from the face to the array's centre of curvature and to the motor's axis, in m. An
         array radius of zero makes the array flat, with the sector's apex in the middle of the face.
+        One of some metres makes a linear array, with lines that are all but parallel.
     lines
         Number of scan lines of the full sector.
     line_pitch_deg
@@ -143,6 +145,10 @@ def load_transducer(name: str) -> Transducer:
     name
         Name of a file in ``models/probes`` ("4dc7_3_40", "zhao2012", "trus"), or a path.
     """
-    path = model_file("probes", name)
+    return _read_transducer(model_file("probes", name))
+
+
+@read_once
+def _read_transducer(path: Path) -> Transducer:
     content = read_section(path, "transducer", ("transducer", "body"))
     return load_typed(Transducer, content, f"{path}: transducer")

@@ -5,7 +5,10 @@ from pydrake.multibody.plant import MultibodyPlantConfig
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.experiments.registry import list_scenarios, load_scenario
 from sonoservo.diagrams.station import StationParameters
-from sonoservo.diagrams.trackers import Zhao2012TrackerParameters
+from sonoservo.diagrams.trackers import (
+    Chatelain2013AsPublishedParameters,
+    Zhao2012TrackerParameters,
+)
 from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter
 from sonoservo.systems.files.refusals import ConfigurationError
 
@@ -74,6 +77,26 @@ def test_the_tracker_is_chosen_by_name(tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_text(scenario.to_yaml())
     assert load_scenario(path).tracker == scenario.tracker
+
+
+def test_as_published_sets_tracker_and_controller_below_the_file_and_the_changes():
+    scenario = load_scenario("chatelain2013_fig5", as_published=True, changes=["tracker.order=3"])
+    assert scenario.name == "chatelain2013_fig5_as_published"
+    assert scenario.tracker == Chatelain2013AsPublishedParameters(order=3)
+    servo = scenario.controller.visual_servo
+    assert (servo.feed_forward, servo.held, servo.gain) == (False, True, 0.8)
+    assert scenario.hand == load_scenario("chatelain2013_fig5").hand
+    still = load_scenario("chatelain2013_fig4", as_published=True)
+    assert still.controller.visual_servo.gain == 0
+
+
+def test_as_published_keeps_the_tracker_of_the_file(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text("tracker: {kind: chatelain2013_as_published, order: 3}\n")
+    assert load_scenario(path, as_published=True).tracker.order == 3
+    path.write_text("tracker: {look_back: 1.0}\n")
+    with pytest.raises(ConfigurationError, match=r"tracker.look_back: unknown field"):
+        load_scenario(path, as_published=True)
 
 
 def test_a_filter_is_chosen_by_name_or_by_its_tracker():

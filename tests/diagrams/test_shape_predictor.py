@@ -7,6 +7,7 @@ from pydrake.systems.analysis import Simulator
 from sonoservo.diagrams.shape_predictor import MakeShapePredictor
 from sonoservo.systems.localization.cross_section import CrossSectionParameters
 from sonoservo.systems.signals.cross_section import CrossSection
+from sonoservo.systems.signals.image_click import ImageClick
 from sonoservo.systems.signals.image_slice import ImageSlice
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_shape import NeedleShape
@@ -100,3 +101,15 @@ def test_it_asks_for_slices_alone():
     ]
     names = {system.get_name() for system in predictor.GetSystems()}
     assert names == {"cross_section_localizer", "cross_section_memory", "shape_estimator"}
+
+
+def test_on_request_it_waits_for_a_click():
+    predictor = MakeShapePredictor(period=1.0, click=True)
+    context = predictor.CreateDefaultContext()
+    click = predictor.GetInputPort("click")
+    click.FixValue(context, Value[object](NotFound("no click")))
+    for number in range(5):
+        assert not show(predictor, context, picture([0.0, 0.025], seed=number, time=number))
+    click.FixValue(context, Value[object](ImageClick([0.3e-3, 0.025])))
+    found = show(predictor, context, picture([0.0, 0.025], seed=9, time=9))
+    assert np.allclose(found.centre, [0.0, 0.025], atol=0.2e-3)

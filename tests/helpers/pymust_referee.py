@@ -35,7 +35,8 @@ def middle_line(transducer, imaging, points, amplitudes, focus):
     p.focus = transducer.lens_focus
     p.c = imaging.sound_speed
     p.fs = 10 * p.fc
-    sending = np.abs(arc) <= transducer.transmit_elements * transducer.element_pitch / 2
+    widest = transducer.transmit_elements * transducer.element_pitch
+    sending = np.abs(arc) <= min(widest, imaging.focus_depth / transducer.transmit_f_number) / 2
     delays = -np.hypot(x, imaging.focus_depth - y) / p.c
     delays = np.where(sending, delays - delays[sending].min(), np.nan)
     p.TXapodization = sending.astype(float)

@@ -82,8 +82,8 @@ def test_every_model_parses_and_steps(name):
 
 def test_the_models_asked_for_are_there():
     assert set(ROBOTS) == set(DH)
-    assert PROBES == ["4dc7_3_40", "trus", "zhao2012"]
-    papers, shapes = {"agar", "beef", "prostate"}, {"abdomen", "limb", "liver"}
+    assert PROBES == ["4dc7_3_40", "4dl14_5_38", "trus", "zhao2012"]
+    papers, shapes = {"agar", "beef", "beef_two_needles", "prostate"}, {"abdomen", "limb", "liver"}
     assert set(PHANTOMS) == papers | shapes | {"calcified", "clinic", "rough", "slow"}
     assert {"robots/viper_s850.urdf", "probes/4dc7_3_40.sdf", "phantoms/phantom.sdf"} <= set(MODELS)
 

@@ -1,6 +1,5 @@
 """README and documentation: what they name is there, and what they tell people to type is right."""
 
-import importlib.util
 import re
 import shlex
 from pathlib import Path
@@ -10,6 +9,7 @@ import typer
 
 from sonoservo.diagrams.app.cli import app
 from sonoservo.diagrams.experiments.registry import EXPERIMENTS, experiment_class
+from sonoservo.systems.files.field_meanings import field_rows
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "notebooks" / "docs"
@@ -61,10 +61,7 @@ def test_volumes_of_one_s_own_are_tracked_as_the_page_says(capsys):
 
 
 def test_every_field_of_a_scenario_is_described():
-    spec = importlib.util.spec_from_file_location("field_reference", DOCS / "field_reference.py")
-    reference = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(reference)
     for name in EXPERIMENTS:
-        rows = list(reference.rows(experiment_class(name).scenario_class))
+        rows = list(field_rows(experiment_class(name).scenario_class))
         assert ("duration" in {row[0] for row in rows}) == (name == "following")
         assert not [path for path, _, text in rows if not text or text.endswith(": ")]

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import DiagramBuilder
@@ -20,18 +19,22 @@ from sonoservo.diagrams.trackers.registry import TRACKERS
 from sonoservo.diagrams.trackers.tracker_parts import STARTS, TrackerParameters
 from sonoservo.systems.evaluation.explanation.explanation_files import clear_explanations
 from sonoservo.systems.evaluation.explanation.explanation_recorder import ExplanationRecorder
+from sonoservo.systems.evaluation.labels import LABELS, recording_labels
 from sonoservo.systems.evaluation.log import write_log
 from sonoservo.systems.evaluation.metrics import summarize
-from sonoservo.systems.evaluation.plots import plot_errors, png
-from sonoservo.systems.evaluation.report import write_report
-from sonoservo.systems.evaluation.run_log import RunLog
-from sonoservo.systems.evaluation.run_logger import RunLogger
-from sonoservo.systems.evaluation.track_plots import (
+from sonoservo.systems.evaluation.reports.plots import ERRORS_CAPTION, plot_errors, png
+from sonoservo.systems.evaluation.reports.report import Story, write_report
+from sonoservo.systems.evaluation.reports.track_plots import (
+    PLANES_CAPTION,
+    TIP_CAPTION,
     VolumePictures,
     picture_planes,
     plot_planes,
     plot_tip,
 )
+from sonoservo.systems.evaluation.reports.verdict import recording_verdict
+from sonoservo.systems.evaluation.run_log import RunLog
+from sonoservo.systems.evaluation.run_logger import RunLogger
 from sonoservo.systems.files.claims import claim_folder
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import suggest
@@ -44,6 +47,7 @@ from sonoservo.systems.signals.volume import Volume
 if TYPE_CHECKING:
     from sonoservo.systems.display.monitor.monitor import Monitor
 
+_PLOTS = ("planes.png", "tip.png", "errors.png")
 _PICTURES = 6
 """Number of volumes of a recording that the report shows."""
 
@@ -117,11 +121,9 @@ def tracker_parameters(
     if start not in STARTS:
         raise ConfigurationError(f"start: {start!r}; {suggest(start, STARTS)}")
     try:
-        parameters = trackers[tracker](order=order, start=start)
-        parameters.localizer = parameters.localizer.knowing(
-            beam_width=beam_width, echo_offset=echo_offset
+        return trackers[tracker](order=order).knowing(
+            start=start, beam_width=beam_width, echo_offset=echo_offset
         )
-        return parameters
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
 
@@ -328,17 +330,18 @@ def _write(
     if not done.rows:
         return
     p_LTip = 1e-3 * np.array([[row[f"tip_{axis}_mm"] for axis in "lps"] for row in done.rows])
-    times: NDArray[np.float64] = np.array(done.times)
     figures = {
-        "needle, in the two orthogonal planes through it": plot_planes(done.pictures),
-        "tip": plot_tip(times, done.estimates, p_LTip.reshape(-1, 3)),
+        PLANES_CAPTION: plot_planes(done.pictures),
+        TIP_CAPTION: plot_tip(np.array(done.times), done.estimates, p_LTip.reshape(-1, 3)),
     }
     if truth is not None:
-        figures["errors"] = plot_errors(log)
+        figures[ERRORS_CAPTION] = plot_errors(log)
     images = {name: png(figure) for name, figure in figures.items()}
     with unwritten.collect():
-        for name, image in zip(
-            ("planes.png", "tip.png", "errors.png"), images.values(), strict=False
-        ):
+        for name, image in zip(_PLOTS, images.values(), strict=False):
             write_atomically(out / name, image)
-        write_report(out / "report.html", summary, images, command=command)
+        write_report(
+            out / "report.html", summary, images,
+            story=Story(verdict=recording_verdict(summary), command=command),
+            labels=recording_labels(summary["modes"]) | LABELS,
+        )  # fmt: skip

@@ -5,14 +5,26 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from sonoservo.systems.evaluation.shape.shape_metrics import plane_of
+from sonoservo.systems.evaluation.statistics.intervals import (
+    bootstrap_interval,
+    proportion_interval,
+)
+from sonoservo.systems.localization.cross_section import variance_image
 
 Results = Mapping[str, Sequence[Mapping[str, Any]]]
 
 # Okabe and Ito's colours stay distinguishable for colour-blind readers.
-_COLOURS = {"particle_filter": "#D55E00", "least_squares": "#0072B2", "published": "#808080"}
+_COLOURS = {
+    "taught": "#D55E00",
+    "particle_filter": "#E69F00",
+    "least_squares": "#0072B2",
+    "as_published": "#808080",
+    "published": "#808080",
+}
 _MEASURED = "#56B4E9"
 _NEEDLES = 6
 
@@ -64,7 +76,7 @@ def plot_error_against_depth(results: Results, names: Mapping[str, str]) -> Figu
             depth, colour = 1e3 * grid[known], _COLOURS[estimator]
             low, middle, high = np.nanpercentile(error[:, known], [5, 50, 95], axis=0)
             axes.plot(depth, middle, color=colour, label=label)
-            if estimator != "published":
+            if estimator != "as_published":
                 axes.fill_between(depth, low, high, color=colour, alpha=0.15, linewidth=0)
             axes.plot(depth, np.nanmedian(bound[:, known], axis=0), color=colour, linestyle="--",
                       linewidth=1)  # fmt: skip
@@ -86,8 +98,8 @@ def _by_depth(
     """Return (needles, depths) values at the last slice up to each depth; NaN before the first."""
     rows = []
     for needle in needles:
-        if estimator in needle["estimators"]:
-            table = needle["estimators"][estimator]["by_depth"]
+        if "by_depth" in needle["methods"].get(estimator, {}):
+            table = needle["methods"][estimator]["by_depth"]
             at = np.searchsorted(table["depth"], grid + 1e-9, side="right") - 1
             rows.append(np.where(at >= 0, np.array(table[key])[np.maximum(at, 0)], np.nan))
     return np.array(rows)
@@ -104,24 +116,24 @@ def plot_errors(
         for row, (name, needles) in enumerate(results.items()):
             for column, estimator in enumerate(names):
                 values = [
-                    needle["estimators"][estimator][f"{key}_error_true_{suffix}"]
+                    needle["methods"][estimator][f"{key}_error_true_{suffix}"]
                     for needle in needles
-                    if estimator in needle["estimators"]
+                    if "by_depth" in needle["methods"].get(estimator, {})
                 ]
                 if not values:
                     continue
-                at = 4 * row + column
+                at = 5 * row + column
                 axes.boxplot(
                     [values], positions=[at], widths=0.7, whis=(0, 100),
                     medianprops={"color": _COLOURS[estimator], "linewidth": 2},
                 )  # fmt: skip
                 axes.plot(at, np.mean(values), "o", color=_COLOURS[estimator], markersize=5,
                           label=names[estimator] if row == 0 else "")  # fmt: skip
-            axes.plot([4 * row - 0.5, 4 * row + 2.5], 2 * [paper[name][key]], "k:",
+            axes.plot([5 * row - 0.5, 5 * row + 3.5], 2 * [paper[name][key]], "k:",
                       label="" if row else "paper's mean, measured path")  # fmt: skip
         axes.set_yscale("log")
         axes.set_ylim(bottom=max(axes.get_ylim()[0], 3e-3))
-        axes.set_xticks(4 * np.arange(len(results)) + 1, list(results))
+        axes.set_xticks(5 * np.arange(len(results)) + 1.5, list(results))
         axes.set_ylabel(f"{key} error ({unit}); dot: mean, box: quartiles, whiskers: all")
         axes.grid(alpha=0.3, axis="y")
     figure.axes[0].legend(frameon=False, fontsize="small")
@@ -147,4 +159,84 @@ def plot_particles(
         axes_row[0].set_ylabel(r"$\theta_0$ (deg)")
     for axes in rows[-1]:
         axes.set_xlabel("R (mm)")
+    return figure
+
+
+def plot_slice(kept: Mapping[str, Any]) -> Figure:
+    """Return a figure like figs. 2 and 3: a slice, and its variance image with the template."""
+    intensities = np.array(kept["intensities"], dtype=np.uint8)
+    origin, spacing = (1e3 * np.array(kept[name]) for name in ("origin", "spacing"))
+    last = origin + spacing * np.array(intensities.shape)
+    variance = variance_image(intensities, float(intensities[intensities > 0].mean()))
+    figure = Figure(figsize=(9, 5), layout="constrained")
+    low = 1e3 * (np.array(kept["centre"]) - 0.5 * np.array(kept["template"]))
+    width, height = 1e3 * np.array(kept["template"])
+    for axes, picture, title in zip(
+        figure.subplots(1, 2),
+        (intensities, variance / variance.max()),
+        ("slice", "variance image, template"),
+        strict=True,
+    ):
+        axes.imshow(picture.T, cmap="gray", extent=(origin[0], last[0], last[1], origin[1]))
+        axes.set_title(title, loc="left", fontsize="medium")
+        axes.set_xlabel("x (mm)")
+        if picture is not intensities:
+            axes.add_patch(Rectangle((low[0], low[1]), width, height, fill=False, color=_MEASURED))
+    figure.axes[0].set_ylabel("y (mm)")
+    return figure
+
+
+def plot_departures(results: Results, names: Mapping[str, str]) -> Figure:
+    """Return a figure of tip errors and coverage for every departure from the model."""
+    experiments = [name for name in results if name not in ("d80", "patient")]
+    figure = Figure(figsize=(11, 0.55 * len(experiments) + 1.6), layout="constrained")
+    errors, shares = figure.subplots(1, 2, sharey=True)
+    for column, (method, label) in enumerate(names.items()):
+        for row, name in enumerate(experiments):
+            figures = [needle["methods"].get(method, {}) for needle in results[name]]
+            figures = [each for each in figures if "tip_error_true_mm" in each]
+            if not figures:
+                continue
+            at, colour = row + 0.16 * (column - 1.5), _COLOURS[method]
+            tips = [each["tip_error_true_mm"] for each in figures]
+            covered = int(sum(each["covers_tip"] for each in figures))
+            share = np.array([*proportion_interval(covered, len(figures))])
+            for axes, middle, ends in (
+                (errors, float(np.mean(tips)), np.array(bootstrap_interval(tips))),
+                (shares, 100 * covered / len(figures), 100 * share),
+            ):
+                axes.plot(ends, [at, at], color=colour, linewidth=1)
+                axes.plot(middle, at, "o", color=colour, markersize=4,
+                          label=label if row == 0 else "")  # fmt: skip
+    errors.set_xscale("log")
+    errors.set_xlabel("tip error, mean (mm)")
+    shares.axvspan(90, 99, color="0.9")
+    shares.set_xlabel("tips within the stated 95 % (%)")
+    errors.set_yticks(range(len(experiments)), experiments)
+    errors.invert_yaxis()
+    for axes in (errors, shares):
+        axes.grid(alpha=0.3)
+    handles, labels = errors.get_legend_handles_labels()
+    figure.legend(handles, labels, frameon=False, loc="outside lower center", ncols=4)
+    return figure
+
+
+def plot_sweeps(needles: Sequence[Mapping[str, Any]]) -> Figure:
+    """Return a figure of the published method's true errors against each of its parameters."""
+    sweeps = needles[0]["sweeps"]
+    figure = Figure(figsize=(11, 4.6), layout="constrained")
+    grid = figure.subplots(2, len(sweeps), sharey="row", squeeze=False)
+    for row, (quantity, unit) in zip(grid, (("tip", "mm"), ("shape", "mm2")), strict=True):
+        for axes, (name, values) in zip(row, sweeps.items(), strict=True):
+            for at, value in enumerate(values):
+                key = f"{quantity}_error_true_{unit}"
+                errors = [needle["sweeps"][name][value][key] for needle in needles]
+                errors = [each for each in errors if each is not None]
+                if errors:
+                    axes.plot([at, at], bootstrap_interval(errors), color="0.5", linewidth=1)
+                    axes.plot(at, np.mean(errors), "o", color="0.3")
+            axes.set_xticks(range(len(values)), list(values), fontsize="small")
+            axes.set_title(name, loc="left", fontsize="medium")
+            axes.grid(alpha=0.3)
+        row[0].set_ylabel(f"{quantity} error ({unit.replace('2', '²')})")
     return figure

@@ -2,18 +2,28 @@
 
 Every case is one needle, with its own tissue, radius, first angle, plane and noise. The truth is
 drawn with R uniform between 0.8 and 2.4 m and theta_0 uniform within 2 deg. This differs from the
-estimators' prior (R normal, 1.5 and 0.6 m; theta_0 normal, 5 deg). The particle filter guides the
-tracker; the other two estimators then receive the same cross-sections.
+estimators' prior (R normal, 1.5 and 0.6 m; theta_0 normal, 5 deg). All methods see the same slices.
+Whole needles in the same tissue, which are not reported, first teach our particle filter how much
+the curvature wanders.
 """
 
+from dataclasses import asdict
 from typing import Any
 
+from sonoservo.diagrams.papers.carriere2016.protocols import (
+    LESSON_SEEDS,
+    LESSONS,
+    PROTOCOLS,
+    QUICK_LESSON_SEEDS,
+    SWEEP_SEEDS,
+    SWEPT,
+)
 from sonoservo.diagrams.papers.carriere2016.report import make_study
-from sonoservo.diagrams.papers.carriere2016.runs import SETS, UNEVEN, run_needle
-from sonoservo.diagrams.studies.study import Case, StudyOptions, run_cases
+from sonoservo.diagrams.papers.carriere2016.runs import UNTAUGHT, run_needle, teach
+from sonoservo.diagrams.studies.runs import run_cases
+from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
 from sonoservo.diagrams.studies.study_report import Study
-
-NEEDLES, UNEVEN_NEEDLES, QUICK_NEEDLES = 100, 30, 4
+from sonoservo.systems.estimation.shape.shape_posterior import WanderParameters, combined_wander
 
 
 def reproduce(options: StudyOptions) -> Study:
@@ -22,21 +32,50 @@ def reproduce(options: StudyOptions) -> Study:
     Parameters
     ----------
     options
-        Folder, number of needles and number of processes.
+        Folder, number of needles, and processes or cluster.
     """
-    cases = [
-        Case(name, seed, _settings(name, seed == options.first_seed))
-        for name in (*SETS, UNEVEN)
-        for seed in options.seed_range(NEEDLES if name in SETS else UNEVEN_NEEDLES, QUICK_NEEDLES)
-    ]
+    lessons = _lessons(options)
+    cases = []
+    for name, protocol in PROTOCOLS.items():
+        settings = {
+            "scenario": protocol.scenario,
+            "changes": list(protocol.changes),
+            "whole": protocol.whole,
+            "wander": lessons.get(protocol.learnt),
+        }
+        for number, seed in enumerate(options.seed_range(protocol.seeds, protocol.quick)):
+            more = {"sweeps": name == SWEPT and number < SWEEP_SEEDS, "keep": number == 0}
+            cases.append(Case(name, seed, {**settings, **more}))
     outcomes = run_cases(
-        run_needle, cases, options.folder / "runs", jobs=options.jobs, console=options.console
+        run_needle,
+        cases,
+        options.folder / "runs",
+        jobs=options.jobs,
+        cluster=options.cluster,
+        console=options.console,
     )
     return make_study(outcomes)
 
 
-def _settings(name: str, first: bool) -> dict[str, Any]:
-    changes = []
-    if name == UNEVEN:
-        name, changes = SETS[0], ["hand.curvature_wander=0.1"]
-    return {"scenario": f"carriere2016_{name}", "changes": changes, "keep_particles": first}
+def _lessons(options: StudyOptions) -> dict[str, dict[str, Any]]:
+    """Return the distribution of the wander after the whole needles in each kind of tissue."""
+    seeds = QUICK_LESSON_SEEDS if options.quick else LESSON_SEEDS
+    cases = [
+        Case(kind, seed, {"scenario": "carriere2016_d60", "changes": list(changes)})
+        for kind, changes in LESSONS.items()
+        for seed in seeds
+    ]
+    outcomes = run_cases(
+        teach,
+        cases,
+        options.folder / "lessons",
+        jobs=options.jobs,
+        cluster=options.cluster,
+        console=options.console,
+    )
+
+    def learnt(kind: str) -> list[WanderParameters]:
+        mine: list[Outcome] = [each for each in outcomes if each and each.case.experiment == kind]
+        return [WanderParameters(**each.result) for each in mine]
+
+    return {kind: asdict(combined_wander(UNTAUGHT, learnt(kind))) for kind in LESSONS}

@@ -1,6 +1,7 @@
-"""Runs of the reproduction of Carriere 2016: one needle, with every estimator."""
+"""Runs of the reproduction of Carriere 2016: one needle, with every method on the same slices."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -9,76 +10,143 @@ from numpy.typing import NDArray
 
 from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.diagrams.experiments.shape_prediction import ShapePredictionExperiment
-from sonoservo.diagrams.experiments.shape_prediction_scenario import ESTIMATORS
-from sonoservo.diagrams.shape_predictor import estimate_shape
+from sonoservo.diagrams.experiments.shape_prediction_scenario import (
+    ESTIMATORS,
+    ShapePredictionScenario,
+)
+from sonoservo.diagrams.papers.carriere2016.protocols import SWEEPS
+from sonoservo.diagrams.scenario import require_scenario
+from sonoservo.diagrams.shape_predictor import estimate_shape, predict_from_slices
 from sonoservo.diagrams.studies.study import Case
+from sonoservo.systems.estimation.shape.shape_particle_filter import ShapeParticleFilter
+from sonoservo.systems.estimation.shape.shape_posterior import WanderParameters
+from sonoservo.systems.evaluation.shape.shape_bound import TrueBend, deflection_bound
 from sonoservo.systems.evaluation.shape.shape_log import ShapeLog
-from sonoservo.systems.evaluation.shape.shape_metrics import plane_of, prediction, summarize_shape
+from sonoservo.systems.evaluation.shape.shape_metrics import prediction, summarize_shape
 from sonoservo.systems.signals.confidence import RADIUS_95
 from sonoservo.systems.signals.cross_section import CrossSection
+from sonoservo.systems.signals.image_slice import ImageSlice
 from sonoservo.systems.signals.needle_shape import NeedleShape
 
 Floats = NDArray[np.float64]
 
-SETS = ("d60", "d80", "patient")
-
-UNEVEN = "d60_uneven"
-"""Name of the first set repeated with a curvature that the estimators do not model."""
-
 BEVEL_MARK_DEG = 60.0
 """Accuracy in deg with which the filter as printed is given the bevel's direction."""
 
+TAUGHT, AS_PUBLISHED = "taught", "as_published"
+"""Names of the methods beside `ESTIMATORS`: our particle filter with the learnt wander, and the
+whole published method."""
+
+UNTAUGHT = WanderParameters(amplitude=0.1, spread=1.0, across=0.05, across_spread=1.0)
+"""Distribution of the wander before the first needle is seen."""
+
 
 def run_needle(case: Case) -> dict[str, Any]:
-    """Push one needle, and predict its shape with every estimator.
+    """Push one needle, and predict its shape with every method.
 
     Returns
     -------
-    Summary of the run, `estimators` with the figures of each, and the data of the plots.
+    Summary of the run, `methods` with the figures of each, and the data of the plots.
     """
     _warm_up()
-    experiment = _experiment(case.settings["scenario"], case.seed, case.settings["changes"])
+    settings = case.settings
+    experiment = _experiment(settings["scenario"], case.seed, settings["changes"])
     scenario = experiment.scenario
-    experiment.run()
-    log = experiment.log()
-    found = experiment.cross_sections
-    needle_path = experiment.insertion.path
-    assert needle_path is not None
-    estimators, paths = {}, {}
-    for name in ESTIMATORS:
-        shapes = estimate_shape(experiment.make_estimator(name), found)
-        last = shapes[-1] if shapes else None
+    slices: list[ImageSlice] = []
+    experiment.start()
+    experiment.advance(
+        scenario.duration if settings["whole"] else _last_use(scenario),
+        lambda each: slices.append(each.evaluate(each.slice_converter, "slice")),
+    )
+    log = _to_full_depth(experiment.log(), experiment)
+    shapes: dict[str, Sequence[object]] = {
+        name: estimate_shape(experiment.make_estimator(name), experiment.cross_sections)
+        for name in ESTIMATORS
+    }
+    if settings["wander"] is not None:
+        taught = replace(scenario.particle_filter, wander=WanderParameters(**settings["wander"]))
+        shapes[TAUGHT] = estimate_shape(
+            experiment.make_estimator("particle_filter", replace(scenario, particle_filter=taught)),
+            experiment.cross_sections,
+        )
+    logs = dict.fromkeys(shapes, log)
+    published = _published(experiment, case)
+    found, shapes[AS_PUBLISHED] = predict_from_slices(experiment.make_predictor(published), slices)
+    logs[AS_PUBLISHED] = _with(log, experiment, found)
+    methods, paths = {}, {}
+    for name, each in shapes.items():
+        last = each[-1] if each else None
+        methods[name] = {"tracking": summarize_shape(logs[name], None)["tracking"]}
         if isinstance(last, NeedleShape):
-            estimators[name] = prediction(log, last) | expected_errors(log, last)
-            estimators[name]["by_depth"] = _errors_by_depth(shapes, log)
+            methods[name] |= prediction(logs[name], last)
+            methods[name]["by_depth"] = _errors_by_depth(each, log)
             paths[name] = last.predict(log.depth)[0]
     result = {
         **summarize_shape(log, experiment.shape),
-        "estimators": estimators,
+        "methods": methods,
+        "bound": _bound(experiment, log),
         "depth": log.depth,
         "true": log.true[:, :2],
         "measured": log.measured[:, :2],
         "paths": paths,
-        "rotations": scenario.rotations,
         "observe_until": scenario.observe_until,
-        "truth": {
-            "radius_m": needle_path.radius,
-            "angle_deg": np.rad2deg(needle_path.angle),
-        },
+        "sweeps": _sweeps(experiment, case, slices, log) if settings["sweeps"] else {},
     }
-    if case.settings["keep_particles"]:
-        result["particles"] = _particles(experiment, found)
+    if settings["keep"]:
+        result |= _kept(experiment, slices)
     return result
 
 
+def teach(case: Case) -> dict[str, float]:
+    """Return the wander's distribution after one needle that is seen along its whole path."""
+    experiment = _experiment(case.settings["scenario"], case.seed, case.settings["changes"])
+    experiment.run()
+    parameters = replace(experiment.scenario.particle_filter, wander=UNTAUGHT)
+    whole = replace(experiment.scenario, particle_filter=parameters, observe_until=None)
+    shape_filter = experiment.make_filter("particle_filter", whole)
+    assert isinstance(shape_filter, ShapeParticleFilter)
+    rng = np.random.default_rng(case.seed)
+    belief = shape_filter.begin(rng)
+    for each in experiment.cross_sections:
+        p_I = experiment.X_WP.inverse().multiply(each.position)
+        belief = shape_filter.update(belief, p_I, rng)
+    learnt = shape_filter.learned_wander(belief)
+    names = ("amplitude", "spread", "across", "across_spread", "length")
+    return {name: getattr(learnt, name) for name in names}
+
+
 def _experiment(name: str, seed: int, changes: Sequence[str] = ()) -> ShapePredictionExperiment:
-    experiment = ShapePredictionExperiment(load_scenario(name, changes=list(changes), seed=seed))
+    scenario = require_scenario(
+        load_scenario(name, changes=list(changes), seed=seed), ShapePredictionScenario
+    )
+    experiment = ShapePredictionExperiment(scenario)
+    scenario.published.bevel_direction_deg = _bevel_mark(experiment, seed)
+    return experiment
+
+
+def _bevel_mark(experiment: ShapePredictionExperiment, seed: int) -> float:
+    """Return the direction in deg that the mark on the needle's hub shows for the bevel."""
     mark = np.random.default_rng([seed, 1]).uniform(-BEVEL_MARK_DEG, BEVEL_MARK_DEG)
     assert experiment.insertion.path is not None
     # The path's roll is measured from the upward direction, the plane from the lateral X of P.
-    plane = np.rad2deg(experiment.insertion.path.roll) - 90
-    experiment.scenario.published.bevel_direction_deg = float(plane + mark)
-    return experiment
+    return float(np.rad2deg(experiment.insertion.path.roll) - 90 + mark)
+
+
+def _published(
+    experiment: ShapePredictionExperiment, case: Case, changes: Sequence[str] = ()
+) -> ShapePredictionScenario:
+    """Return the scenario with the published method, and with changes of it."""
+    scenario = require_scenario(
+        load_scenario(
+            case.settings["scenario"],
+            changes=[*case.settings["changes"], *changes],
+            seed=case.seed,
+            as_published=True,
+        ),
+        ShapePredictionScenario,
+    )
+    scenario.published.bevel_direction_deg = _bevel_mark(experiment, case.seed)
+    return scenario
 
 
 @cache
@@ -87,23 +155,81 @@ def _warm_up() -> None:
     _experiment("carriere2016_patient", 100).run()
 
 
-def expected_errors(log: ShapeLog, shape: NeedleShape) -> dict[str, float]:
-    """Return the mean errors that an estimate predicts for itself, in the plane of most deflection.
+def _last_use(scenario: ShapePredictionScenario) -> float:
+    """Return the time in s just after the last slice that the estimators use."""
+    used = round((scenario.observe_until or scenario.depth) / scenario.step)
+    return (used + 1) * scenario.period + scenario.processing_time
 
-    The mean of |e| is sqrt(2 / pi) standard deviations for a normal e. Against the measured path,
-    the scatter of the measurements adds to the variance.
+
+def _to_full_depth(log: ShapeLog, experiment: ShapePredictionExperiment) -> ShapeLog:
+    """Return a log with rows down to the full depth, for the slices that were not made."""
+    scenario = experiment.scenario
+    last = round(log.depth[-1] / scenario.step)
+    rest = scenario.step * np.arange(last + 1, scenario.steps + 1)
+    rows = [{"depth": depth, "reason": "not made"} for depth in rest]
+    more = ShapeLog.from_rows(rows, experiment.true_path)
+    arrays = {
+        name: np.concatenate([getattr(log, name), getattr(more, name)])
+        for name in ShapeLog.__dataclass_fields__
+    }
+    return ShapeLog(**arrays) if len(rest) else log
+
+
+def _with(
+    log: ShapeLog, experiment: ShapePredictionExperiment, found: Sequence[object]
+) -> ShapeLog:
+    """Return a log with the cross-sections that another tracker found in the same slices."""
+    measured = np.full_like(log.measured, np.nan)
+    for number, each in enumerate(found):
+        if isinstance(each, CrossSection):
+            measured[number] = experiment.X_WP.inverse().multiply(each.position)
+    return replace(log, measured=measured)
+
+
+def _bound(experiment: ShapePredictionExperiment, log: ShapeLog) -> dict[str, float]:
+    """Return the least root mean square error of tip in mm, with the scatter of this needle."""
+    scenario, path = experiment.scenario, experiment.insertion.path
+    assert path is not None
+    parameters = scenario.particle_filter
+    bend = TrueBend(
+        radius=path.radius,
+        angle=path.angle,
+        rotations=path.rotations,
+        wander=scenario.hand.curvature_wander,
+        wander_length=scenario.hand.wander_length,
+        radius_std=parameters.radius_std,
+        angle_std=parameters.angle_std,
+    )
+    used = np.isfinite(log.measured[:, 0])
+    used &= log.depth <= (scenario.observe_until or scenario.depth) + 1e-9
+    # Median, so that slices in which something else was found do not count.
+    apart = np.abs(log.measured[used, :2] - log.true[used, :2])
+    noise = 1.4826 * float(np.median(apart))
+    least = deflection_bound(bend, log.depth[used], noise, log.depth[1:])
+    return {"tip_mm": 1e3 * float(least[-1]), "noise_mm": 1e3 * noise}
+
+
+def _sweeps(
+    experiment: ShapePredictionExperiment, case: Case, slices: Sequence[ImageSlice], log: ShapeLog
+) -> Mapping[str, Mapping[str, Any]]:
+    """Return the published method's true errors with each value of each parameter.
+
+    A method that gives no shape has no errors.
     """
-    plane = plane_of(log.true)
-    mean, covariance = shape.predict(log.depth)
-    used = np.isfinite(log.measured[:, 0]) & (log.depth <= shape.observed + 1e-9)
-    scatter = np.mean(((log.measured[used, :2] - mean[used]) @ plane) ** 2)
-    variance = np.einsum("i,mij,j->m", plane, covariance, plane)
-    figures = {}
-    for against, each in (("true", variance), ("measured", variance + scatter)):
-        size = np.sqrt(2 / np.pi * each)
-        figures[f"expected_tip_{against}_mm"] = 1e3 * float(size[-1])
-        figures[f"expected_shape_{against}_mm2"] = 1e6 * float(np.trapezoid(size, log.depth))
-    return figures
+    used = slices[
+        : round((experiment.scenario.observe_until or 1.0) / experiment.scenario.step) + 1
+    ]
+    results: dict[str, dict[str, Any]] = {}
+    for name, values in SWEEPS.items():
+        results[name] = {}
+        for value, changes in values.items():
+            predictor = experiment.make_predictor(_published(experiment, case, changes))
+            shape = predict_from_slices(predictor, used)[1][-1]
+            figures = prediction(log, shape) if isinstance(shape, NeedleShape) else {}
+            results[name][value] = {
+                key: figures.get(key) for key in ("tip_error_true_mm", "shape_error_true_mm2")
+            }
+    return results
 
 
 def _errors_by_depth(shapes: Sequence[object], log: ShapeLog) -> dict[str, Floats]:
@@ -116,6 +242,25 @@ def _errors_by_depth(shapes: Sequence[object], log: ShapeLog) -> dict[str, Float
             bound = RADIUS_95 * float(np.sqrt(np.linalg.eigvalsh(covariance[0])[-1]))
             rows.append((shape.observed, 1e3 * error, 1e3 * bound))
     return dict(zip(("depth", "error_mm", "bound_mm"), np.array(rows).T, strict=True))
+
+
+def _kept(experiment: ShapePredictionExperiment, slices: Sequence[ImageSlice]) -> dict[str, Any]:
+    """Return the particles of both filters, and the first slice with the person's click."""
+    path, scenario = experiment.insertion.path, experiment.scenario
+    assert path is not None
+    first = slices[0]
+    found = experiment.cross_sections[0]
+    return {
+        "particles": _particles(experiment, experiment.cross_sections),
+        "truth": {"radius_m": path.radius, "angle_deg": float(np.rad2deg(path.angle))},
+        "slice": {
+            "intensities": first.intensities,
+            "origin": first.origin,
+            "spacing": first.spacing,
+            "centre": found.centre,
+            "template": scenario.tracker.template,
+        },
+    }
 
 
 def _particles(

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
-from sonoservo.diagrams.experiments.registry import load_scenario
+from sonoservo.diagrams.papers.chatelain2013.cases import load_case
 from sonoservo.diagrams.scenario import require_scenario
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.systems.evaluation.log import read_log
+from sonoservo.systems.evaluation.metrics import at_rest
 from sonoservo.systems.evaluation.run_errors import (
     at_times,
     estimate_errors,
@@ -72,14 +73,33 @@ class Run:
         """Figures of the run, as in summary.json."""
         return dict(self.outcome.result["summary"])
 
+    def figure(self, *path: str) -> float | None:
+        """Return a figure of the summary by its path."""
+        node: Any = self.summary
+        for key in path:
+            node = node[key]
+        return None if node is None else float(node)
+
     @cached_property
     def scenario(self) -> FollowingScenario:
         """Scenario of the run."""
-        case = self.outcome.case
-        loaded = load_scenario(
-            case.settings["scenario"], seed=case.seed, changes=case.settings["changes"]
-        )
+        loaded = load_case(self.outcome.case)
         return require_scenario(loaded, FollowingScenario)
+
+    @cached_property
+    def rest(self) -> tuple[Floats, Floats]:
+        """Mean errors at rest; see `rest_errors`."""
+        return rest_errors(self.log)
+
+    @cached_property
+    def found(self) -> list[tuple[float, float]]:
+        """Lengths when the needle was found; see `found_after`."""
+        return found_after(self.log)
+
+    @cached_property
+    def recovery_times(self) -> list[float]:
+        """Times of recovery after each move of the phantom; see `recovery_times`."""
+        return recovery_times(self.log, self.scenario)
 
     @cached_property
     def volumes(self) -> "Volumes":
@@ -166,9 +186,16 @@ def pooled(runs: Sequence[Run], failed: int, values: Callable[[Volumes], Floats]
     values
         Function that returns the (v,) values of a run.
     """
+    return np.concatenate([np.zeros(0), *pooled_runs(runs, failed, values)])
+
+
+def pooled_runs(
+    runs: Sequence[Run], failed: int, values: Callable[[Volumes], Floats]
+) -> list[Floats]:
+    """Return the values of each run's volumes with enough of the needle in view; see `pooled`."""
     each = [values(run.volumes)[run.volumes.enough] for run in runs]
     usual = int(np.median([len(one) for one in each])) if each else 0
-    return np.concatenate([*each, np.full(failed * usual, np.inf)])
+    return [*each, *(failed * [np.full(usual, np.inf)])]
 
 
 def quantile(values: Sequence[float] | Floats, q: float) -> float | None:
@@ -201,6 +228,24 @@ def found_after(log: RunLog) -> list[tuple[float, float]]:
         )
         lengths.append((float(visible[0]), float(inserted[0])) if len(first) else (np.inf, np.inf))
     return lengths
+
+
+def rest_errors(log: RunLog) -> tuple[Floats, Floats]:
+    """Return the mean absolute features while the needle rests: true, and as estimated.
+
+    All samples count, tracked or not. Without an estimate, the true error takes its place.
+
+    Returns
+    -------
+    Two (3,) errors of X, Z and Theta in m and rad; NaN if the needle never rests.
+    """
+    rest = at_rest(log)
+    if not rest.any():
+        return np.full(3, np.nan), np.full(3, np.nan)
+    true = np.abs(features(log.X_WP, log.needle_tip, log.needle_entry))[rest]
+    seen = np.abs(features(log.measured_X_WP, log.estimate_tip, log.estimate_entry))[rest]
+    seen = np.where(np.isfinite(seen), seen, true)
+    return true.mean(axis=0), seen.mean(axis=0)
 
 
 def centred(log: RunLog, straight: bool = True) -> NDArray[np.bool_]:

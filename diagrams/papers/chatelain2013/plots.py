@@ -9,8 +9,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from sonoservo.diagrams.papers.chatelain2013.analysis import Run, pooled, quantile
+from sonoservo.diagrams.papers.chatelain2013.cases import AS_PUBLISHED
 from sonoservo.diagrams.studies.study_report import StudyFigure
-from sonoservo.systems.evaluation.plots import BLUE, GREEN, ORANGE, PURPLE, plot_run
+from sonoservo.systems.evaluation.reports.plots import BLUE, GREEN, ORANGE, PURPLE, plot_run
 
 Floats = NDArray[np.float64]
 Groups = Mapping[str, Sequence[Run]]
@@ -32,7 +33,7 @@ def study_figures(groups: Groups, ablations: Sequence[str]) -> list[StudyFigure]
     groups
         Finished runs by experiment.
     ablations
-        Names of the ablations, as in the experiments "fig5, NAME" and "fig6, NAME".
+        Names of the ablations, as in the experiments "fig5, NAME".
     """
     figures = []
     if groups.get("fig4"):
@@ -73,18 +74,17 @@ def study_figures(groups: Groups, ablations: Sequence[str]) -> list[StudyFigure]
             figure=plot_errors(groups),
         )
     )
-    for name in ("fig5", "fig6"):
-        variants = {"all on": groups.get(name, [])}
-        variants |= {what: groups.get(f"{name}, {what}", []) for what in ablations}
-        if sum(map(bool, variants.values())) > 1:
-            figures.append(
-                StudyFigure(
-                    name=f"{name}_ablations",
-                    caption=f"Fig. {name[-1]} with one part switched off at a time: a point for "
-                    "each seed, and a bar for the volumes of all seeds.",
-                    figure=plot_ablations(variants),
-                )
+    variants = {"all on": groups.get("fig5", [])}
+    variants |= {what: groups.get(f"fig5, {what}", []) for what in ablations}
+    if sum(map(bool, variants.values())) > 1:
+        figures.append(
+            StudyFigure(
+                name="fig5_ablations",
+                caption="Fig. 5 with one part of our method switched off at a time: a point for "
+                "each seed, and a bar for the volumes of all seeds.",
+                figure=plot_ablations(variants),
             )
+        )
     return figures
 
 
@@ -128,7 +128,7 @@ def plot_features(groups: Groups, name: str) -> Figure:
         (1e3, 1e3, np.rad2deg(1)),
         strict=True,
     ):
-        variants = {name: "with feed-forward", f"{name}, no feed-forward": "eq. 25 alone"}
+        variants = {name: "ours", name + AS_PUBLISHED: "as published"}
         for (group, label), colour in zip(variants.items(), (BLUE, ORANGE), strict=True):
             runs = groups.get(group, [])
             if runs:

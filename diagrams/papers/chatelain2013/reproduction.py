@@ -1,24 +1,25 @@
 """Reproduction of Chatelain, Krupa and Marchal (ICRA 2013) over many seeds, with ground truth.
 
-In addition to figs. 4, 5 and 6, there are bent needles, volumes without a needle, and the same
-experiments with one part of the method switched off.
+In addition to figs. 4, 5 and 6, there are bent needles, other directions, other settings of the
+transducer, volumes without a needle, and fig. 5 with one part of our method switched off. All but
+the last are run with the published method, too.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
-from pathlib import Path
-from typing import Any
 
 import numpy as np
+from rich.console import Console
 
 from sonoservo.diagrams.experiments.following import FollowingExperiment
-from sonoservo.diagrams.experiments.registry import load_scenario
+from sonoservo.diagrams.papers.chatelain2013.cases import AS_PUBLISHED, load_case
 from sonoservo.diagrams.papers.chatelain2013.report import report
-from sonoservo.diagrams.studies.study import Case, StudyOptions, run_cases
+from sonoservo.diagrams.studies.runs import run_cases
+from sonoservo.diagrams.studies.store import Store
+from sonoservo.diagrams.studies.study import Case, StudyOptions, WithFiles
 from sonoservo.diagrams.studies.study_report import Study
 from sonoservo.systems.evaluation.curve_error import curve_deviations
-from sonoservo.systems.evaluation.log import write_log
+from sonoservo.systems.evaluation.log import encode_log
 from sonoservo.systems.ultrasound.imaging import sweep_geometry
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
@@ -37,6 +38,16 @@ ABLATIONS: Mapping[str, Sequence[str]] = {
 """Changes of the scenario by name of the ablation. A velocity in the probe's frame cannot be fed
 forward, so the last ablation is to be compared with the one before."""
 
+SETTINGS: Mapping[str, Sequence[str]] = {
+    "7 cm deep, 9 volumes/s": ["imaging.depth=0.07", "imaging.volume_rate=9"],
+    "12 cm deep, 2.5 volumes/s": ["imaging.depth=0.12", "imaging.volume_rate=2.5"],
+    "11 frames, 7 volumes/s": ["imaging.frames=11", "imaging.volume_rate=7"],
+    "31 frames, 2 volumes/s": ["imaging.frames=31", "imaging.volume_rate=2"],
+    "full sector, 3.3 volumes/s": ["imaging.sector=1.0", "imaging.volume_rate=3.3"],
+}
+"""Changes of the scenario by settings of the transducer: depth, sector, frames and rate."""
+
+_ONE_PUSH = ["duration=26", "hand.pushes=[{duration: 20.0, speed: 0.004}]"]
 _NO_NEEDLE = ["hand.pushes=[]", "duration=44.5"]
 _NUDGES = [
     {"start": 4.0 + 3 * k, "duration": 1.0, "translation": translation}
@@ -60,80 +71,18 @@ class Protocol:
         Number of seeds and duration in s of a quick study.
     changes
         Changes of the scenario.
+    drawn
+        Function that draws further changes for a seed.
+    compared
+        Whether the published method is run, too.
     """
 
     scenario: str
     seeds: int
     quick: tuple[int, float]
     changes: Sequence[str] = ()
-
-
-PROTOCOLS: Mapping[str, Protocol] = {
-    "fig4": Protocol("chatelain2013_fig4", 20, (2, 32.0)),
-    "fig5": Protocol("chatelain2013_fig5", 20, (2, 24.0)),
-    "fig6": Protocol("chatelain2013_fig6", 50, (2, 25.0)),
-    "bent": Protocol("chatelain2013_fig5", 20, (2, 16.0), ["tracker.order=3"]),
-    # During the approach, the probe stops as soon as it touches.
-    "no needle, probe still": Protocol(
-        "chatelain2013_fig4",
-        4,
-        (1, 6.0),
-        [
-            *_NO_NEEDLE,
-            "controller.force.proportional_gain=1e-9",
-            "controller.force.integral_gain=0",
-        ],
-    ),
-    "no needle, probe pressed": Protocol(
-        "chatelain2013_fig4", 4, (1, 8.0), [*_NO_NEEDLE, f"phantom_motion.moves={_NUDGES}"]
-    ),
-    **{
-        f"fig5, {name}": Protocol(
-            "chatelain2013_fig5",
-            20 if name == "no feed-forward" else 5,
-            (1, 19.5 if name == "no feed-forward" else 12.0),
-            changes,
-        )
-        for name, changes in ABLATIONS.items()
-    },
-    **{
-        f"fig6, {name}": Protocol("chatelain2013_fig6", 5, (0, 0.0), changes)
-        for name, changes in ABLATIONS.items()
-    },
-}
-
-
-def reproduce(options: StudyOptions) -> Study:
-    """Run the experiments, and compare them with the paper.
-
-    Parameters
-    ----------
-    options
-        Number of runs, folder and number of processes.
-    """
-    outcomes = run_cases(
-        partial(run_case, logs=options.folder / "logs"),
-        study_cases(options),
-        options.folder / "cases",
-        jobs=options.jobs,
-        console=options.console,
-    )
-    return report(outcomes, options.folder / "logs", list(ABLATIONS))
-
-
-def study_cases(options: StudyOptions) -> list[Case]:
-    """Return the cases to run."""
-    cases = []
-    for name, protocol in PROTOCOLS.items():
-        seeds, duration = protocol.quick
-        if options.quick and seeds == 0:
-            continue
-        for seed in options.seed_range(protocol.seeds, seeds):
-            changes = [*protocol.changes, *([f"duration={duration}"] if options.quick else [])]
-            if name == "bent":
-                changes += bent_insertion(seed)
-            cases.append(Case(name, seed, {"scenario": protocol.scenario, "changes": changes}))
-    return cases
+    drawn: Callable[[int], list[str]] | None = None
+    compared: bool = True
 
 
 def bent_insertion(seed: int) -> list[str]:
@@ -168,29 +117,116 @@ def bent_insertion(seed: int) -> list[str]:
     ]
 
 
-def run_case(case: Case, *, logs: Path) -> dict[str, Any]:
-    """Run a case's scenario, and keep its log.
+def direction_of_insertion(seed: int) -> list[str]:
+    """Draw the direction of a needle that passes below the probe, as changes of fig. 5.
+
+    The azimuth is up to 50 deg to either side of the probe's longitudinal axis, which is the X axis
+    of P, the dip between 5 and 40 deg.
+    """
+    azimuth, dip = np.random.default_rng([2013, seed, 1]).uniform([-50.0, 5.0], [50.0, 40.0])
+    return [
+        "station.probe={x: 0.0, y: 0.0, yaw_deg: 0.0, height: 0.010}",
+        "hand.entry=null",
+        "hand.entry_spread=[0, 0, 0]",
+        "hand.angle_spread_deg=0",
+        f"hand.azimuth_deg={azimuth:.2f}",
+        f"hand.dip_deg={dip:.2f}",
+    ]
+
+
+PROTOCOLS: Mapping[str, Protocol] = {
+    "fig4": Protocol("chatelain2013_fig4", 10, (2, 26.0)),
+    "fig5": Protocol("chatelain2013_fig5", 20, (2, 23.0)),
+    "fig6": Protocol("chatelain2013_fig6", 50, (2, 24.0)),
+    "bent": Protocol("chatelain2013_fig5", 20, (1, 15.0), ["tracker.order=3"], bent_insertion),
+    "directions": Protocol("chatelain2013_fig5", 10, (1, 15.0), drawn=direction_of_insertion),
+    **{
+        f"settings, {name}": Protocol("chatelain2013_fig4", 5, (1, 14.0), [*_ONE_PUSH, *changes])
+        for name, changes in SETTINGS.items()
+    },
+    # During the approach, the probe stops as soon as it touches.
+    "no needle, probe still": Protocol(
+        "chatelain2013_fig4",
+        4,
+        (1, 6.0),
+        [
+            *_NO_NEEDLE,
+            "controller.force.proportional_gain=1e-9",
+            "controller.force.integral_gain=0",
+        ],
+    ),
+    "no needle, probe pressed": Protocol(
+        "chatelain2013_fig4", 4, (1, 8.0), [*_NO_NEEDLE, f"phantom_motion.moves={_NUDGES}"]
+    ),
+    **{
+        f"fig5, {name}": Protocol(
+            "chatelain2013_fig5",
+            20 if name == "no feed-forward" else 10,
+            (1, 19.5 if name == "no feed-forward" else 11.0),
+            changes,
+            compared=False,
+        )
+        for name, changes in ABLATIONS.items()
+    },
+}
+
+
+def reproduce(options: StudyOptions) -> Study:
+    """Run the experiments, and compare them with the paper.
+
+    Parameters
+    ----------
+    options
+        Number of runs, folder and number of processes.
+    """
+    logs = options.folder / "logs"
+    outcomes = run_cases(
+        run_case,
+        study_cases(options),
+        options.folder / "cases",
+        jobs=options.jobs,
+        cluster=options.cluster,
+        store=Store(str(logs)),
+        console=options.console,
+    )
+    with (options.console or Console(quiet=True)).status("Making the report from the logs ..."):
+        return report(outcomes, logs, list(ABLATIONS))
+
+
+def study_cases(options: StudyOptions) -> list[Case]:
+    """Return the cases to run."""
+    cases = []
+    for name, protocol in PROTOCOLS.items():
+        seeds, duration = protocol.quick
+        for seed in options.seed_range(protocol.seeds, seeds):
+            changes = [*protocol.changes, *([f"duration={duration}"] if options.quick else [])]
+            changes += protocol.drawn(seed) if protocol.drawn else []
+            settings = {"scenario": protocol.scenario, "changes": changes}
+            cases.append(Case(name, seed, settings))
+            if protocol.compared:
+                cases.append(Case(name + AS_PUBLISHED, seed, settings | {"as_published": True}))
+    return cases
+
+
+def run_case(case: Case) -> WithFiles:
+    """Run a case's scenario.
 
     Parameters
     ----------
     case
-        Case whose settings name a `scenario` and `changes` to it.
-    logs
-        Folder for the log.
+        Case whose settings name a `scenario`, `changes` to it, and perhaps `as_published`.
 
     Returns
     -------
-    `summary`: figures as in summary.json; `curve_deviation`: see `curve_deviations`, in m.
+    `summary`: figures as in summary.json; `curve_deviation`: see `curve_deviations`, in m; and the
+    log as a file.
     """
-    scenario = load_scenario(
-        case.settings["scenario"], seed=case.seed, changes=case.settings["changes"]
-    )
-    experiment = FollowingExperiment(scenario)
+    experiment = FollowingExperiment(load_case(case))
     experiment.run()
     log, scenario = experiment.log(), experiment.scenario
-    write_log(logs / f"{case.name}.npz", log)
     geometry = sweep_geometry(load_transducer(scenario.probe), scenario.imaging)
-    return {
+    result = {
         "summary": experiment.summarize(log),
         "curve_deviation": curve_deviations(log, geometry),
     }
+    return WithFiles(result, {f"{case.name}.npz": encode_log(log)})

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from sonoservo.diagrams.papers.zhao2012.phantom import DIRECTION
 from sonoservo.diagrams.papers.zhao2012.plots import plot_rmse, plot_velocimeter
 from sonoservo.diagrams.papers.zhao2012.runs import ESTIMATORS, QUANTITIES, VOLUMES, run_case
-from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions, run_cases
+from sonoservo.diagrams.studies.runs import run_cases
+from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
 from sonoservo.diagrams.studies.study_report import Study, StudyRow
 
 TITLE = (
@@ -59,9 +60,13 @@ _UNITS = dict(zip(QUANTITIES, ("deg", "deg", "mm", "mm", "mm", "mm"), strict=Tru
 def reproduce(options: StudyOptions) -> Study:
     """Run the experiments, and compare them with the paper."""
     outcomes = run_cases(
-        run_case, _cases(options), options.folder / "cases", jobs=options.jobs,
+        run_case,
+        _cases(options),
+        options.folder / "cases",
+        jobs=options.jobs,
+        cluster=options.cluster,
         console=options.console,
-    )  # fmt: skip
+    )
     errors = {name: _errors(outcomes, name) for name in _tracking_experiments()}
     rows = [row for name, found in errors.items() for row in _tracking_rows(name, found)]
     rows += _velocity_rows(outcomes) + _closed_loop_rows(outcomes)

@@ -1,4 +1,5 @@
 from .cross_section_memory import CrossSectionMemory as CrossSectionMemory
+from .measurement_noise import MeasurementNoise as MeasurementNoise
 from .published_particle_filter import PublishedBelief as PublishedBelief
 from .published_particle_filter import PublishedParticleFilter as PublishedParticleFilter
 from .published_particle_filter import (
@@ -14,8 +15,10 @@ from .shape_least_squares import ShapeLeastSquaresParameters as ShapeLeastSquare
 from .shape_parameters import ShapeEstimatorParameters as ShapeEstimatorParameters
 from .shape_particle_filter import ParticleBelief as ParticleBelief
 from .shape_particle_filter import ShapeParticleFilter as ShapeParticleFilter
-from .shape_particle_filter import (
+from .shape_posterior import Moments as Moments
+from .shape_posterior import (
     ShapeParticleFilterParameters as ShapeParticleFilterParameters,
 )
-from .shape_particle_filter import ShapePosterior as ShapePosterior
-from .shape_posterior import MeasurementNoise as MeasurementNoise
+from .shape_posterior import ShapePosterior as ShapePosterior
+from .shape_posterior import WanderParameters as WanderParameters
+from .shape_posterior import combined_wander as combined_wander

@@ -18,6 +18,8 @@ class ShapePaths(NamedTuple):
     origins: Floats
     weights: Floats
     origin_variance: float = 0.0
+    wander: Floats = np.zeros((0, 0, 2))
+    wander_length: float = 0.02
 
 
 class ShapeFilter(Protocol):

@@ -13,10 +13,8 @@ from sonoservo.systems.estimation.shape.shape_least_squares import (
     ShapeLeastSquaresParameters,
 )
 from sonoservo.systems.estimation.shape.shape_parameters import ShapeEstimatorParameters
-from sonoservo.systems.estimation.shape.shape_particle_filter import (
-    ShapeParticleFilter,
-    ShapeParticleFilterParameters,
-)
+from sonoservo.systems.estimation.shape.shape_particle_filter import ShapeParticleFilter
+from sonoservo.systems.estimation.shape.shape_posterior import ShapeParticleFilterParameters
 
 
 class ShapeFilterChoice(NamedTuple):

@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sonoservo.systems.estimation.shape.measurement_noise import MeasurementNoise
 from sonoservo.systems.estimation.shape.shape_filter import ShapePaths
 from sonoservo.systems.estimation.shape.shape_parameters import ShapeEstimatorParameters
-from sonoservo.systems.estimation.shape.shape_posterior import MeasurementNoise
 from sonoservo.systems.signals.bicycle_paths import deflections
 from sonoservo.systems.signals.immutable import Immutable
+from sonoservo.systems.signals.needle_shape import bicycle_paths
 from sonoservo.systems.signals.requirements import require
 
 Floats = NDArray[np.float64]
@@ -113,8 +114,11 @@ class ShapeLeastSquares:
         noise = self.parameters.noise
         weight = noise.independence
         if len(belief.points):
-            paths, rotations = self.represent(belief, rng), self.parameters.rotations
-            weight = noise.weight(point, paths, rotations, self._variance(belief))
+            paths = self.represent(belief, rng)
+            at = bicycle_paths(paths.parameters, point[2:], self.parameters.rotations)[:, 0]
+            weight = noise.weight(
+                point[:2], paths.origins + at, paths.weights, 0.0, self._variance(belief)
+            )
         points = np.vstack([belief.points, point])
         order = np.argsort(points[:, 2], kind="stable")
         points, weights = points[order], np.append(belief.weights, weight)[order]

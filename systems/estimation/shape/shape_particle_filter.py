@@ -13,53 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.estimation.shape.shape_filter import ShapePaths
-from sonoservo.systems.estimation.shape.shape_parameters import (
-    MAX_PARTICLES,
-    ShapeEstimatorParameters,
-)
 from sonoservo.systems.estimation.shape.shape_posterior import (
-    MeasurementNoise,
-    about_best_origin,
-    residual_sums,
+    Moments,
+    ShapeParticleFilterParameters,
+    ShapePosterior,
+    WanderFits,
+    WanderParameters,
 )
-from sonoservo.systems.signals.bicycle_paths import deflections
 from sonoservo.systems.signals.immutable import Immutable
-from sonoservo.systems.signals.requirements import require, require_within
+from sonoservo.systems.signals.needle_shape import bicycle_paths
 
 Floats = NDArray[np.float64]
-
-
-@dataclass(kw_only=True)
-class ShapeParticleFilterParameters(ShapeEstimatorParameters):
-    """Parameters of the particle filter, in addition to those of every shape estimator.
-
-    Parameters
-    ----------
-    particles
-        Number of particles n.
-    min_radius
-        Smallest radius in m, at which the normal distribution of R is cut off.
-    moves
-        Number of Metropolis steps after each resampling.
-    noise
-        Noise of the measured cross-sections.
-    """
-
-    particles: int = 500
-    min_radius: float = 0.2
-    moves: int = 2
-    noise: MeasurementNoise = field(default_factory=MeasurementNoise)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_within("particles", self.particles, 50, MAX_PARTICLES)
-        require(self.moves >= 1, "moves", self.moves, "at least 1")
-        require(
-            0 < self.min_radius < self.mean_radius,
-            "min_radius",
-            self.min_radius,
-            "above 0 and below mean_radius",
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,11 +33,17 @@ class ParticleBelief(Immutable):
     Parameters
     ----------
     particles
-        (n, 3) particles: R in m, theta_0 and phi in rad.
+        (n, 5) particles: R in m, theta_0 and phi in rad, ln alpha, ln beta.
     log_weights
         (n,) logarithms of the particles' weights, up to a constant.
     sums
-        (n, 3) sums of residuals; see `residual_sums`.
+        (n, k + 4) sums over the measurements; see `ShapePosterior.sums`.
+    moments
+        Moments of the measurements.
+    fits
+        Fit of each particle's wander; None before the first measurement.
+    variance
+        Learned variance of x and of y of a measurement, in m^2.
     points
         (m, 3) measured x, y and depth in I, in m.
     weights
@@ -83,6 +53,9 @@ class ParticleBelief(Immutable):
     particles: Floats
     log_weights: Floats
     sums: Floats
+    moments: Moments
+    fits: WanderFits | None
+    variance: float
     points: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     weights: Floats = field(default_factory=lambda: np.zeros(0))
 
@@ -91,53 +64,6 @@ class ParticleBelief(Immutable):
         """(n,) weights of the particles, with a sum of 1."""
         weights = np.exp(self.log_weights - self.log_weights.max())
         return weights / weights.sum()
-
-    @property
-    def total(self) -> float:
-        """Sum of the measurements' weights."""
-        return float(self.weights.sum())
-
-
-class ShapePosterior:
-    """Prior and likelihood of (n, 3) particles R, theta_0, phi."""
-
-    def __init__(self, parameters: ShapeParticleFilterParameters) -> None:
-        self._parameters = parameters
-        self._rotations = np.array(parameters.rotations, dtype=float)
-
-    def draw(self, rng: np.random.Generator) -> Floats:
-        """Draw (n, 3) particles from the prior, in which phi is uniform."""
-        p = self._parameters
-        radius = rng.normal(p.mean_radius, p.radius_std, p.particles)
-        while np.any(low := radius < p.min_radius):
-            radius[low] = rng.normal(p.mean_radius, p.radius_std, int(low.sum()))
-        angle = rng.normal(0.0, p.angle_std, p.particles)
-        return np.column_stack([radius, angle, rng.uniform(-np.pi, np.pi, p.particles)])
-
-    def log_prior(self, particles: Floats) -> Floats:
-        """Return (n,) logarithms of the prior, up to a constant."""
-        p = self._parameters
-        radius, angle, _ = particles.T
-        out = -0.5 * ((radius - p.mean_radius) / p.radius_std) ** 2
-        out -= 0.5 * (angle / p.angle_std) ** 2
-        possible = (radius >= p.min_radius) & (np.abs(angle) < np.pi / 2)
-        return np.where(possible, out, -np.inf)
-
-    def sums(self, particles: Floats, points: Floats, weights: Floats) -> Floats:
-        """Return the (n, 3) sums of residuals; see `residual_sums`."""
-        radius, angle, plane = particles.T
-        shape = np.column_stack([1 / radius, np.sin(angle)])
-        # The kernel needs ascending depths, but slices may come from deep to shallow.
-        order = np.argsort(points[:, 2], kind="stable")
-        u = deflections(shape, points[order, 2], self._rotations)
-        return residual_sums(u, plane, points[order, :2], weights[order])
-
-    def log_likelihood(self, sums: Floats, total: float) -> Floats:
-        """Return (n,) logarithms of the likelihood, up to a constant."""
-        if total <= 0:
-            return np.zeros(len(sums))
-        squares = about_best_origin(sums, total)
-        return self._parameters.noise.log_likelihood(squares, total)
 
 
 class ShapeParticleFilter:
@@ -156,8 +82,15 @@ class ShapeParticleFilter:
     def begin(self, rng: np.random.Generator) -> ParticleBelief:
         """Return particles drawn from the prior, before any measurement."""
         particles = self._posterior.draw(rng)
-        n = len(particles)
-        return ParticleBelief(particles, np.zeros(n), np.zeros((n, 3)))
+        points, weights = np.zeros((0, 3)), np.zeros(0)
+        return ParticleBelief(
+            particles,
+            log_weights=np.zeros(len(particles)),
+            sums=self._posterior.sums(particles, points, weights),
+            moments=self._posterior.moments(points, weights),
+            fits=None,
+            variance=self.parameters.noise.std**2,
+        )
 
     def update(
         self, belief: ParticleBelief, point: Floats, rng: np.random.Generator
@@ -173,44 +106,77 @@ class ShapeParticleFilter:
         rng
             Generator for the resampling and the moves.
         """
-        noise, posterior = self.parameters.noise, self._posterior
-        weight = noise.independence
-        if len(belief.points):
-            paths, rotations = self.represent(belief, rng), self.parameters.rotations
-            weight = noise.weight(point, paths, rotations, self._variance(belief))
-        new_points, new_weights = point[np.newaxis], np.array([weight])
-        sums = belief.sums + posterior.sums(belief.particles, new_points, new_weights)
-        total = belief.total + weight
-        gained = posterior.log_likelihood(sums, total)
-        gained = gained - posterior.log_likelihood(belief.sums, belief.total)
-        belief = ParticleBelief(
-            belief.particles,
-            belief.log_weights + gained,
-            sums,
-            np.vstack([belief.points, new_points]),
-            np.append(belief.weights, weight),
+        posterior, before = self._posterior, np.zeros(len(belief.particles))
+        if belief.fits is not None:
+            before = posterior.log_likelihood(belief.fits, belief.moments)
+        points = np.vstack([belief.points, point])
+        weights = np.append(belief.weights, self._weight(belief, point, rng))
+        moments = posterior.moments(points, weights)
+        sums = belief.sums + posterior.sums(belief.particles, points[-1:], weights[-1:])
+        fits = posterior.fit(belief.particles, sums, moments, belief.variance)
+        belief = replace(
+            belief,
+            log_weights=belief.log_weights + posterior.log_likelihood(fits, moments) - before,
+            sums=sums,
+            moments=moments,
+            fits=fits,
+            points=points,
+            weights=weights,
         )
         share = belief.normalized_weights
-        if 1 / np.sum(share**2) >= 0.5 * len(share):
-            return belief
-        return _move(_resample(belief, share, rng), posterior, self.parameters.moves, rng)
+        if 1 / np.sum(share**2) < 0.5 * len(share):
+            belief = _resample(belief, share, rng)
+            belief = _move(belief, posterior, self.parameters.moves, rng)
+            share = belief.normalized_weights
+        assert belief.fits is not None
+        usable = share > 0
+        squares = float(share[usable] @ belief.fits.squares[usable])
+        return replace(belief, variance=self.parameters.noise.variance(squares, moments.total))
 
     def represent(self, belief: ParticleBelief, rng: np.random.Generator) -> ShapePaths:
-        """Return the particles, each with its most probable origin."""
+        """Return the particles, each with its most probable origin and a draw of its wander."""
+        assert belief.fits is not None
+        wander, origins = self._posterior.sample(
+            belief.particles, belief.sums, belief.moments, belief.fits, belief.variance, rng
+        )
         return ShapePaths(
-            parameters=belief.particles,
-            origins=belief.sums[:, :2] / belief.total,
+            parameters=belief.particles[:, :3],
+            origins=origins,
             weights=belief.normalized_weights,
-            origin_variance=self._variance(belief) / belief.total,
+            origin_variance=belief.variance / belief.moments.total,
+            wander=wander,
+            wander_length=self.parameters.wander.length,
         )
 
-    def _variance(self, belief: ParticleBelief) -> float:
-        """Return the learned variance of a measurement, in m^2."""
-        squares = about_best_origin(belief.sums, belief.total)
-        share = belief.normalized_weights
-        usable = share > 0
-        mean = float(share[usable] @ squares[usable])
-        return self.parameters.noise.variance(mean, belief.total)
+    def learned_wander(self, belief: ParticleBelief) -> WanderParameters:
+        """Return the wander's prior for the next needle in the same tissue.
+
+        It is the log-normal distribution with the moments of the present posterior. A needle that
+        was seen along its whole path says much about the tissue, and one seen halfway very little.
+        """
+        share, amplitudes = belief.normalized_weights, belief.particles[:, 3:]
+        mean = share @ amplitudes
+        spread = np.sqrt(share @ (amplitudes - mean) ** 2)
+        return replace(
+            self.parameters.wander,
+            amplitude=float(np.exp(mean[0])),
+            spread=float(spread[0]),
+            across=float(np.exp(mean[1])),
+            across_spread=float(spread[1]),
+        )
+
+    def _weight(self, belief: ParticleBelief, point: Floats, rng: np.random.Generator) -> float:
+        """Return the weight of a measurement; see `MeasurementNoise.weight`."""
+        noise = self.parameters.noise
+        if not len(belief.points):
+            return noise.independence
+        paths = self.represent(belief, rng)
+        at = (
+            paths.origins
+            + bicycle_paths(paths.parameters, point[2:], self.parameters.rotations)[:, 0]
+        )
+        at += np.matmul(self._posterior.design(point[2:])[0, 1:], paths.wander)
+        return noise.weight(point[:2], at, paths.weights, paths.origin_variance, belief.variance)
 
 
 def _resample(belief: ParticleBelief, share: Floats, rng: np.random.Generator) -> ParticleBelief:
@@ -227,7 +193,10 @@ def _resample(belief: ParticleBelief, share: Floats, rng: np.random.Generator) -
 
 
 def _move(
-    belief: ParticleBelief, posterior: ShapePosterior, moves: int, rng: np.random.Generator
+    belief: ParticleBelief,
+    posterior: ShapePosterior,
+    moves: int,
+    rng: np.random.Generator,
 ) -> ParticleBelief:
     """Take Metropolis steps with the particles' own spread.
 
@@ -236,9 +205,12 @@ def _move(
     taken, with all particles turned to one side. Every other step also proposes the other side.
     """
     particles, sums = belief.particles, belief.sums
+    moments, variance = belief.moments, belief.variance
     side, spread = _spread(particles)
-    root = 2.38 / np.sqrt(3) * np.linalg.cholesky(spread)
-    density = posterior.log_prior(particles) + posterior.log_likelihood(sums, belief.total)
+    root = 2.38 / np.sqrt(len(spread)) * np.linalg.cholesky(spread)
+    prior = posterior.log_prior(particles)
+    fits = posterior.fit(particles, sums, moments, variance)
+    likelihood = posterior.log_likelihood(fits, moments)
     for number in range(moves):
         step = rng.normal(size=particles.shape) @ root.T
         step[:, 1] *= side
@@ -249,27 +221,31 @@ def _move(
             proposed[flip, 2] += np.pi
         else:
             flip = np.zeros(len(particles), bool)
-        prior = posterior.log_prior(proposed)
-        usable = np.isfinite(prior)
+        their_prior = posterior.log_prior(proposed)
+        usable = np.isfinite(their_prior)
         # The likelihood of particles that the prior excludes is useless and not always defined.
         proposed[~usable] = particles[~usable]
         their_sums = posterior.sums(proposed, belief.points, belief.weights)
-        their = prior + posterior.log_likelihood(their_sums, belief.total)
-        accepted = usable & (np.log(rng.random(len(particles))) < their - density)
+        fits = posterior.fit(proposed, their_sums, moments, variance)
+        theirs = posterior.log_likelihood(fits, moments)
+        gain = their_prior + theirs - prior - likelihood
+        accepted = usable & (np.log(rng.random(len(particles))) < gain)
         particles = np.where(accepted[:, np.newaxis], proposed, particles)
         sums = np.where(accepted[:, np.newaxis], their_sums, sums)
-        density = np.where(accepted, their, density)
+        prior = np.where(accepted, their_prior, prior)
+        likelihood = np.where(accepted, theirs, likelihood)
         side = np.where(accepted & flip, -side, side)
-    return replace(belief, particles=particles, sums=sums)
+    fits = posterior.fit(particles, sums, moments, variance)
+    return replace(belief, particles=particles, sums=sums, fits=fits)
 
 
 def _spread(particles: Floats) -> tuple[Floats, Floats]:
-    """Return the (n,) sides of the particles, +-1, and the (3, 3) covariance with all on side 1."""
+    """Return the (n,) sides of the particles, +-1, and the (5, 5) covariance with all on side 1."""
     plane = particles[:, 2]
     axis = 0.5 * np.angle(np.mean(np.exp(2j * plane)))
     side = np.where(np.cos(plane - axis) >= 0, 1.0, -1.0)
     turned = particles.copy()
     turned[:, 1] *= side
     turned[:, 2] = np.angle(side * np.exp(1j * (plane - axis)))
-    spread = np.cov(turned.T) + np.diag([1e-3, 1e-6, 1e-6]) ** 2
+    spread = np.cov(turned.T) + np.diag([1e-3, 1e-6, 1e-6, 1e-3, 1e-3]) ** 2
     return side, spread

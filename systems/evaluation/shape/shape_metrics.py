@@ -136,6 +136,7 @@ def summarize_shape(log: ShapeLog, shape: object) -> dict[str, Any]:
             "slices": len(errors),
             "found": len(found),
             "to_the_end": tracked_to_the_end(log) if len(errors) else False,
+            "tip_found": bool(len(errors) and np.isfinite(errors[-1])),
             "error_mm": spread(found),
         },
         "prediction": prediction(log, shape) if isinstance(shape, NeedleShape) else {},
@@ -149,7 +150,7 @@ def prediction(log: ShapeLog, shape: NeedleShape) -> dict[str, Any]:
     mean, covariance = shape.predict(log.depth)
     true = shape_errors(log.true, mean)
     found = np.isfinite(log.measured[:, 0])
-    figures = {
+    figures: dict[str, float | None] = {
         "observed_mm": 1e3 * shape.observed,
         "tip_error_true_mm": 1e3 * true.tip,
         "shape_error_true_mm2": 1e6 * true.shape,
@@ -158,7 +159,8 @@ def prediction(log: ShapeLog, shape: NeedleShape) -> dict[str, Any]:
     }
     if found.sum() > 2:
         measured = shape_errors(log.measured[found], mean[found])
-        figures["tip_error_measured_mm"] = 1e3 * measured.tip
+        # A tip that was not found has no error, and counts as missing.
+        figures["tip_error_measured_mm"] = 1e3 * measured.tip if found[-1] else None
         figures["shape_error_measured_mm2"] = 1e6 * measured.shape
     figures |= {f"covers_{name}": each for name, each in shape_coverage(shape, log.true).items()}
     return figures

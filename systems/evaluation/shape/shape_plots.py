@@ -1,14 +1,25 @@
 """Plots of a needle's predicted shape."""
 
+from collections.abc import Mapping
+
 import numpy as np
 from matplotlib.figure import Figure
 
+from sonoservo.systems.evaluation.reports.comparison_plots import COLOURS
 from sonoservo.systems.evaluation.shape.shape_log import ShapeLog
-from sonoservo.systems.evaluation.shape.shape_metrics import plane_of
+from sonoservo.systems.evaluation.shape.shape_metrics import cross_section_errors, plane_of
 from sonoservo.systems.signals.confidence import RADIUS_95
 from sonoservo.systems.signals.needle_shape import NeedleShape
 
 _GREY, _BLUE, _RED = "#808080", "#56B4E9", "#D55E00"
+
+SHAPE_CAPTION = (
+    "The needle's path over depth: in the plane in which it bends most, and across that plane. The "
+    "band holds the predicted needle with a probability of 95 %; left of the dashed line, slices "
+    "were used; at a dotted line, the bevel was turned. Below, the error of the tip predicted for "
+    "the full depth as the slices arrive, and the bound that the estimate states."
+)
+"""Caption of `plot_shape`."""
 
 
 def plot_shape(log: ShapeLog, shape: object) -> Figure:
@@ -62,4 +73,43 @@ def plot_shape(log: ShapeLog, shape: object) -> Figure:
     tip.set_xlabel("depth of the slice (mm)")
     tip.grid(alpha=0.3)
     tip.legend(loc="upper right", frameon=False)
+    return figure
+
+
+OVERLAY_CAPTION = (
+    "The runs over one another: the true path in the plane in which the needle bends most "
+    "(dotted: the measured one), the error of the tip predicted for the full depth as the slices "
+    "arrive, and the error of each cross-section."
+)
+"""Caption of `plot_shape_comparison`."""
+
+
+def plot_shape_comparison(logs: Mapping[str, ShapeLog]) -> Figure:
+    """Return a figure of the paths and errors of several runs.
+
+    Parameters
+    ----------
+    logs
+        Logs of the runs, by name.
+    """
+    figure = Figure(figsize=(9, 8), layout="constrained")
+    path, tip, found = figure.subplots(3, 1, sharex=True)
+    for number, (name, log) in enumerate(logs.items()):
+        colour, depth = COLOURS[number % len(COLOURS)], 1e3 * log.depth
+        plane, origin = plane_of(log.true), log.true[0, :2]
+        path.plot(depth, 1e3 * ((log.true[:, :2] - origin) @ plane), color=colour, label=name)
+        path.plot(depth, 1e3 * ((log.measured[:, :2] - origin) @ plane), ":", color=colour)
+        error = np.linalg.norm(log.tip - log.true[-1, :2], axis=1)
+        tip.semilogy(depth, 1e3 * error, color=colour)
+        found.plot(depth, 1e3 * cross_section_errors(log), ".-", markersize=3, color=colour)
+    for axes, title in (
+        (path, "deflection, mm"),
+        (tip, "error of the predicted tip, mm"),
+        (found, "error of the cross-section, mm"),
+    ):
+        axes.set_title(title, loc="left", fontsize="medium")
+        axes.grid(alpha=0.3)
+    found.set_xlabel("depth of the slice (mm)")
+    figure.legend(*path.get_legend_handles_labels(), loc="outside upper center", ncols=3,
+                  frameon=False)  # fmt: skip
     return figure

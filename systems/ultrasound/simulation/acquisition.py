@@ -1,6 +1,7 @@
 """Simulated acquisition of a sweep: its samples, and the time and pose of each frame."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from sonoservo.systems.ultrasound.simulation.errors.motor import (
     motor_error,
     turned,
 )
+from sonoservo.systems.ultrasound.simulation.frame_renderer import Frames
 from sonoservo.systems.ultrasound.simulation.reaction.deformation import Deformation
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
 
@@ -48,12 +50,43 @@ def acquire_sweep(
         (frames,) deformations of the tissue at each frame's time; None for undeformed tissue.
     """
     poses = motion.X_WP if X_TP is None else X_TP
-    motor, lost = renderer.parameters.motor, renderer.parameters.connection.lost_frames
-    direction, rng = motion.direction, np.random.default_rng([renderer.seed, 4, number])
-    if motor != MotorParameters():
-        angles = motor_error(motor, len(poses), direction, rng)
-        poses = turned(poses, angles, motion.geometry)
+    lost, direction = renderer.parameters.connection.lost_frames, motion.direction
+    rng = _random(renderer, number)
+    poses = _acquired(renderer, poses, slice(0, len(poses)), direction, rng)
     samples = renderer.render(poses, needles, direction, number, motion.times, deformations)
     if lost:
         samples = repeat_lost_frames(samples, lost, direction, rng)
     return Sweep(seal(samples), motion, renderer.decibels_per_level, renderer.point_spread)
+
+
+def begin_frames(renderer: SweepRenderer, frames: Frames, number: int) -> None:
+    """Begin to render frames of a sweep that `acquire_sweep` will be asked for.
+
+    Parameters
+    ----------
+    renderer, number
+        See `acquire_sweep`.
+    frames
+        Frames of one of the renderer's groups.
+    """
+    rng = _random(renderer, number)
+    X_TP = _acquired(renderer, frames.X_TP, frames.part, frames.direction, rng)
+    renderer.begin(replace(frames, X_TP=X_TP), number)
+
+
+def _random(renderer: SweepRenderer, number: int) -> np.random.Generator:
+    return np.random.default_rng([renderer.seed, 4, number])
+
+
+def _acquired(
+    renderer: SweepRenderer,
+    X_TP: NDArray[np.float64],
+    part: slice,
+    direction: int,
+    rng: np.random.Generator,
+) -> NDArray[np.float64]:
+    """Return the poses from which a motor without errors would acquire the same frames."""
+    motor, geometry = renderer.parameters.motor, renderer.geometry
+    if motor == MotorParameters():
+        return X_TP
+    return turned(X_TP, motor_error(motor, geometry.frames, direction, rng)[part], geometry)

@@ -3,7 +3,6 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.ultrasound.beam import Beam
 from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import SIDE_LOBE_WIDTH
@@ -37,19 +36,22 @@ def projection_rays(geometry: SweepGeometry, beam: Beam, direction: int, lead: i
     )
 
 
-def frame_poses(geometry: SweepGeometry, X_TP: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the pose of the tissue in each frame's F, (frames, 3, 4).
+def frame_poses(
+    geometry: SweepGeometry, X_TP: NDArray[np.float64], part: slice
+) -> NDArray[np.float64]:
+    """Return the pose of the tissue in each frame's F, (n, 3, 4).
 
     Parameters
     ----------
     geometry
         Geometry of the sweep.
     X_TP
-        (frames, 4, 4) pose of the probe in the tissue at each frame's time.
+        (n, 4, 4) pose of the probe in the tissue at each frame's time.
+    part
+        Numbers of the n frames.
     """
-    require(X_TP.shape == (geometry.frames, 4, 4), "X_TP", X_TP.shape, "(frames, 4, 4)")
-    theta = geometry.line_angles(1).mean(axis=1)
-    X_FP = np.zeros((geometry.frames, 4, 4))
+    theta = geometry.line_angles(1).mean(axis=1)[part]
+    X_FP = np.zeros((len(theta), 4, 4))
     X_FP[:, 0, 0] = X_FP[:, 3, 3] = 1
     X_FP[:, 1, 1] = X_FP[:, 2, 2] = np.cos(theta)
     X_FP[:, 1, 2] = np.sin(theta)

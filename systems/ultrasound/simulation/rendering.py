@@ -1,42 +1,36 @@
 """Renderer of sweeps of a motorised probe over tissue and needle."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from dataclasses import replace
+from threading import Lock
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sonoservo.systems.sampling.workers import workers
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.point_spread import PointSpread
 from sonoservo.systems.signals.requirements import require, require_not_negative
 from sonoservo.systems.signals.sweep import SweepGeometry
-from sonoservo.systems.ultrasound.beam import Beam, beam_profile, point_spread
-from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
-from sonoservo.systems.ultrasound.simulation.air_pockets import AirPockets
-from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import render_points
-from sonoservo.systems.ultrasound.simulation.kernels.displacement import Displacements
-from sonoservo.systems.ultrasound.simulation.kernels.echo import FADE, render_tissue
-from sonoservo.systems.ultrasound.simulation.kernels.image_formation import form_image, modulate
-from sonoservo.systems.ultrasound.simulation.kernels.line_blur import line_kernel
-from sonoservo.systems.ultrasound.simulation.kernels.shadows import expand_gains
-from sonoservo.systems.ultrasound.simulation.kernels.surface_echo import render_surfaces
-from sonoservo.systems.ultrasound.simulation.needle_echo import NeedleEchoParameters
-from sonoservo.systems.ultrasound.simulation.needle_renderer import FrameViews, NeedleRenderer
-from sonoservo.systems.ultrasound.simulation.pulses import PulseTables
-from sonoservo.systems.ultrasound.simulation.rays import (
-    depth_tables,
-    frame_poses,
-    line_rays,
-    projection_rays,
-)
+from sonoservo.systems.ultrasound.beam import Beam, point_spread
+from sonoservo.systems.ultrasound.imaging import ImagingParameters
+from sonoservo.systems.ultrasound.simulation.frame_renderer import FrameRenderer, Frames
+from sonoservo.systems.ultrasound.simulation.kernels.image_formation import modulate
+from sonoservo.systems.ultrasound.simulation.needle_renderer import FrameViews
 from sonoservo.systems.ultrasound.simulation.reaction.deformation import Deformation, displacements
 from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
-from sonoservo.systems.ultrasound.simulation.scatterer_tile import scatterer_tile
-from sonoservo.systems.ultrasound.simulation.scatterers.bright_points import inclusion_points
-from sonoservo.systems.ultrasound.simulation.scene import Scene
-from sonoservo.systems.ultrasound.simulation.structures.resting_needle import RestingNeedle
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 from sonoservo.systems.ultrasound.transducer import Transducer
+
+T = TypeVar("T")
+
+GROUP = 4
+"""Number of frames that a thread renders at a time."""
+
+_SWEEPS_AHEAD = 3
+"""Number of sweeps that may be begun before one is asked for."""
 
 
 class SweepRenderer:
@@ -86,67 +80,26 @@ class SweepRenderer:
         seed: int,
     ) -> None:
         require_not_negative(seed=seed)
-        self.geometry: SweepGeometry = sweep_geometry(transducer, imaging)
+        self.parameters, self.seed = parameters, seed
         self.decibels_per_level = imaging.decibels_per_level
-        self.parameters, self._imaging, self.seed = parameters, imaging, seed
-        self._box = tissue.surface.bounds
-        sound_speed = tissue.sound_speed or imaging.sound_speed
-        # Samples are times; lengths in the tissue follow from its own speed of sound.
-        ratio = sound_speed / imaging.sound_speed
-        geometry = self.geometry
-        if ratio != 1:
-            pitch = geometry.sample_pitch * ratio
-            geometry = replace(geometry, sample_pitch=pitch, sound_speed=sound_speed)
-            imaging = replace(imaging, sound_speed=sound_speed)
-        self._acoustic = geometry
-        self.beam: Beam = beam_profile(transducer, imaging, geometry)
+        self._renderer = FrameRenderer(transducer, imaging, tissue, parameters, seed)
+        self.geometry: SweepGeometry = self._renderer.geometry
+        self.beam: Beam = self._renderer.beam
         self.point_spread: PointSpread = point_spread(self.beam, self.geometry)
+        self._tissue = {
+            (direction, part.start): _Tissue(self._renderer, self._shape(part))
+            for direction in (1, -1)
+            for part in self.groups(direction)
+        }
+        self._begun: list[tuple[Frames, int, Future[NDArray[np.uint8]]]] = []
 
-        depths = geometry.sample_pitch * np.arange(geometry.samples)
-        cell = self.beam.resolution_cell
-        reference = int(np.abs(depths - transducer.lens_focus).argmin())
-        self._tables, line_sigma = depth_tables(self.beam, geometry, reference)
-        self._kernel = line_kernel(line_sigma, geometry.lines)
-        density = tissue.scatterers_per_cell * (1 + FADE) / (2**1.5 * cell.min())
-        self._tile = scatterer_tile(density, np.random.default_rng(tissue.seed))
-        self._inclusions = inclusion_points(tissue, self.beam, reference)
-        pulses = PulseTables(self.beam, geometry.sample_pitch)
-
-        def needle_renderer(echo: NeedleEchoParameters, seeds: Sequence[int]) -> NeedleRenderer:
-            return NeedleRenderer(echo, self.beam, geometry, reference, pulses, seeds)
-
-        self._needle = needle_renderer(parameters.needle, [seed, 1])
-        self._resting = [
-            (each.needle(), needle_renderer(each.echo, [tissue.seed, 3, number]))
-            for number, each in enumerate(tissue.structures)
-            if isinstance(each, RestingNeedle)
-        ]
-        # With this amplitude the tissue's mean intensity is 1 (0 dB) at every depth.
-        amplitude = np.sqrt(2**1.5 / (tissue.scatterers_per_cell * (1 - FADE / 3)))
-        self._tissue_pulse = np.repeat(pulses.tabulate([amplitude], [0.0])[0], 2, axis=1)
-        self._point_pulse = pulses.tabulate([1.0], [0.0])
-        self._scene = Scene(
-            tissue,
-            beam=self.beam,
-            geometry=geometry,
-            reference=reference,
-            pulses=pulses,
-            block_size=self._tile.block_size,
-            sound_speed=sound_speed,
-            frequency=imaging.transmit_frequency,
-        )
-        loss_db = 2 * tissue.attenuation * 1e-6 * imaging.transmit_frequency * 1e2 * depths
-        self._noise = (10 ** ((parameters.noise_db + loss_db) / 20)).astype(np.float32)
-        rng = np.random.default_rng([seed, 4])
-        air = parameters.air_pockets
-        self._air = AirPockets(air, transducer, imaging, self.geometry, rng)
-        self._lines = {direction: line_rays(geometry, direction) for direction in (1, -1)}
-        self._rays = {d: projection_rays(geometry, self.beam, d, pulses.lead) for d in (1, -1)}
-        # Sweep-sized memory is allocated once: tissue echoes in both directions, and needle echoes.
-        self._tissue = {direction: self._empty() for direction in (1, -1)}
-        self._views: dict[int, FrameViews] = {}
-        self._tissue_keys = {1: b"", -1: b""}
-        self._with_needle = self._empty()
+    def groups(self, direction: int) -> list[slice]:
+        """Return the groups in which frames are rendered, in the order of their acquisition."""
+        frames = self.geometry.frames
+        starts = range(0, frames, GROUP)
+        if direction > 0:
+            return [slice(start, min(start + GROUP, frames)) for start in starts]
+        return [slice(max(frames - start - GROUP, 0), frames - start) for start in starts]
 
     def tissue_echo(
         self,
@@ -173,8 +126,13 @@ class SweepRenderer:
         (frames, lines, samples) amplitudes at the transmit frequency; the tissue's mean intensity
         is 1 at every depth.
         """
-        iq, times = self._empty(), np.zeros(len(X_TP)) if times is None else times
-        self._render_tissue(iq, X_TP, direction, times, displacements(deformations))
+        iq = np.empty(self.geometry.shape, np.complex64)
+
+        def render(frames: Frames) -> None:
+            field = displacements(frames.deformations)
+            self._renderer.add_tissue(iq[frames.part], frames, field)
+
+        self._by_group(render, self._frames(X_TP, [], direction, times, deformations))
         return iq
 
     def echo(
@@ -194,7 +152,13 @@ class SweepRenderer:
         needles
             True needle in T at each frame's time, possibly empty.
         """
-        return self._render_echo(X_TP, needles, direction, times, deformations).copy()
+        iq = np.empty(self.geometry.shape, np.complex64)
+
+        def render(frames: Frames) -> None:
+            iq[frames.part] = self._echo(frames)
+
+        self._by_group(render, self._frames(X_TP, needles, direction, times, deformations))
+        return iq
 
     def radio_frequency_lines(
         self,
@@ -217,14 +181,15 @@ class SweepRenderer:
         require(
             pitch < wavelength / 4, "sample_pitch", pitch, f"below a quarter of {wavelength:g} m"
         )
-        return self.on_carrier(self._render_echo(X_TP, needles, direction, times))
+        return self.on_carrier(self.echo(X_TP, needles, direction, times))
 
     def on_carrier(self, iq: NDArray[np.complex64]) -> NDArray[np.float32]:
         """Return the radio-frequency lines of echoes; see `radio_frequency_lines`."""
-        step = 4 * np.pi / self.beam.wavelength * self._acoustic.sample_pitch
+        step = 4 * np.pi / self.beam.wavelength * self._renderer.acoustic.sample_pitch
         phase = step * np.arange(self.geometry.samples)
         lines = np.empty(iq.shape, np.float32)
-        modulate(lines, iq, np.cos(phase).astype(np.float32), np.sin(phase).astype(np.float32))
+        carrier = (np.cos(phase).astype(np.float32), np.sin(phase).astype(np.float32))
+        _each(lambda part: modulate(lines[part], iq[part], *carrier), self.groups(1))
         return lines
 
     def add_scatterers(
@@ -246,10 +211,11 @@ class SweepRenderer:
         points, amplitudes
             (n, 3) positions in T, in m, and (n,) amplitudes relative to the tissue's at the focus.
         """
-        X_FT, rays = frame_poses(self._acoustic, X_TP), self._rays[direction]
-        view, *_ = self._scene.view(X_FT, float(rays.twist))
-        beams = (rays, self._tables, self._point_pulse, view, displacements(None))
-        render_points(iq, X_FT, points, amplitudes, *beams)
+
+        def render(frames: Frames) -> None:
+            self._renderer.add_points(iq[frames.part], frames, points, amplitudes)
+
+        self._by_group(render, self._frames(X_TP, [], direction, None, None))
 
     def render(
         self,
@@ -262,6 +228,8 @@ class SweepRenderer:
     ) -> NDArray[np.uint8]:
         """Return the grey levels of a sweep, (frames, lines, samples).
 
+        Groups of frames that `begin` was told of are not rendered again.
+
         Parameters
         ----------
         X_TP, needles, direction, times, deformations
@@ -270,81 +238,107 @@ class SweepRenderer:
             Number of the sweep, which selects the noise.
         """
         grey = np.empty(self.geometry.shape, np.uint8)
-        open_shares = self._air.open_shares(np.zeros(len(grey)) if times is None else times)
-        form_image(
-            grey,
-            self._render_echo(X_TP, needles, direction, times, deformations),
-            np.ascontiguousarray(X_TP[:, :3]),
-            self._box,
-            *self._lines[direction],
-            self.parameters.gel_thickness,
-            open_shares,
-            self._noise,
-            np.random.SeedSequence([self.seed, number]).generate_state(len(grey), np.uint64),
-            self._imaging.grey_per_db,
-            self._imaging.tissue_grey,
-        )
+
+        def render(frames: Frames) -> None:
+            grey[frames.part] = self._image(frames, number)
+
+        whole = self._frames(X_TP, needles, direction, times, deformations)
+        missing = []
+        for part in self.groups(direction):
+            frames = whole.among(part)
+            begun = self._take(frames, number)
+            if begun is None:
+                missing.append(frames)
+            else:
+                grey[part] = begun.result()
+        self._begun = [each for each in self._begun if each[1] > number]
+        _each(render, missing)
         return grey
 
-    def _empty(self) -> NDArray[np.complex64]:
-        return np.empty(self.geometry.shape, np.complex64)
+    def begin(self, frames: Frames, number: int) -> None:
+        """Begin to render a group of frames in the background, for the sweep that will need it.
 
-    def _render_tissue(
-        self,
-        iq: NDArray[np.complex64],
-        X_TP: NDArray[np.float64],
-        direction: int,
-        times: NDArray[np.float64],
-        field: Displacements,
-    ) -> FrameViews:
-        """Render everything except the needle; return the views needed for the needle's echo."""
-        X_FT, rays = frame_poses(self._acoustic, X_TP), self._rays[direction]
-        scene, tables = self._scene, self._tables
-        view, gains, nodes_per_metre = scene.view(X_FT, float(rays.twist))
-        medium = (self._tissue_pulse, self._kernel, scene.regions, scene.lumens(times), view, field)
-        render_tissue(iq, X_FT, self._box, self._tile, rays, tables, *medium)
-        if len(self._inclusions[0]):
-            points = (*self._inclusions, rays, tables, self._point_pulse, view, field)
-            render_points(iq, X_FT, *points)
-        transmission = np.empty((0, 0, 0), np.float32)
-        if scene.pieces is not None:
-            transmission = np.ones(self.geometry.shape, np.float32)
-            if gains is not None:
-                expand_gains(transmission, gains, nodes_per_metre * self._acoustic.sample_pitch)
-            parts = (scene.pieces, scene.growth(times), rays, tables, scene.pulses, scene.taps)
-            render_surfaces(iq, transmission, X_FT, *parts, view, field, gains is not None)
-        views = FrameViews(X_FT, rays, tables, view, transmission, times)
-        for needle, renderer in self._resting:
-            renderer.add_resting(iq, needle, field, views)
-        return views
+        This does nothing without threads to spare (see `workers`), or if nobody has asked for the
+        sweeps begun before.
 
-    def _render_echo(
+        Parameters
+        ----------
+        frames
+            Frames of one of the `groups`.
+        number
+            Number of the sweep.
+        """
+        pool, most = workers(), _SWEEPS_AHEAD * len(self.groups(frames.direction))
+        if pool is not None and len(self._begun) < most:
+            self._begun.append((frames, number, pool.submit(self._image, frames, number)))
+
+    def _take(self, frames: Frames, number: int) -> Future[NDArray[np.uint8]] | None:
+        """Return the image in the making of a group of frames, if it was begun."""
+        for begun, sweep, job in self._begun:
+            if sweep == number and begun.equals(frames):
+                return job
+        return None
+
+    def _frames(
         self,
         X_TP: NDArray[np.float64],
         needles: Sequence[Needle],
         direction: int,
         times: NDArray[np.float64] | None,
-        deformations: Sequence[Deformation] | None = None,
-    ) -> NDArray[np.complex64]:
-        """Return the echoes as `echo` does, in memory that the next call overwrites."""
+        deformations: Sequence[Deformation] | None,
+    ) -> Frames:
+        """Return the frames of a whole sweep."""
+        shape = X_TP.shape
+        require(shape == (self.geometry.frames, 4, 4), "X_TP", shape, "(frames, 4, 4)")
         times = np.zeros(len(X_TP)) if times is None else times
+        return Frames(slice(0, len(X_TP)), direction, X_TP, times, needles, deformations)
+
+    def _by_group(self, render: Callable[[Frames], None], whole: Frames) -> None:
+        """Call a function with every group of frames of a sweep."""
+        _each(render, [whole.among(part) for part in self.groups(whole.direction)])
+
+    def _image(self, frames: Frames, number: int) -> NDArray[np.uint8]:
+        return self._renderer.grey_levels(self._echo(frames), frames, number)
+
+    def _echo(self, frames: Frames) -> NDArray[np.complex64]:
+        """Return the echoes of a group of frames."""
+        return self._tissue[frames.direction, frames.part.start].echo(frames)
+
+    def _shape(self, part: slice) -> tuple[int, int, int]:
+        return (part.stop - part.start, self.geometry.lines, self.geometry.samples)
+
+
+class _Tissue:
+    """Echoes of the tissue in a group of frames, kept as long as nothing in view changes."""
+
+    def __init__(self, renderer: FrameRenderer, shape: tuple[int, int, int]) -> None:
+        self._renderer = renderer
+        self._iq = np.empty(shape, np.complex64)
+        self._key = b""
+        self._views: FrameViews
+        self._lock = Lock()
+
+    def echo(self, frames: Frames) -> NDArray[np.complex64]:
+        """Return the echoes with those of the needle."""
+        renderer = self._renderer
         # Rounded to 10 nm, or 0.0003 rad of phase, so that a probe at rest reuses its echoes.
-        X_TP = np.round(X_TP, 8)
-        tissue = self._tissue[direction]
-        key = X_TP.tobytes() + (times.tobytes() if self._varies else b"")
-        field = displacements(deformations)
-        key += b"".join(np.asarray(each).tobytes() for each in field)
-        if self._tissue_keys[direction] != key:
-            self._views[direction] = self._render_tissue(tissue, X_TP, direction, times, field)
-            self._tissue_keys[direction] = key
-        if not any(needles):
-            return tissue
-        iq = self._with_needle
-        np.copyto(iq, tissue)
-        self._needle.add(iq, needles, self._views[direction]._replace(times=times))
+        frames = replace(frames, X_TP=np.round(frames.X_TP, 8))
+        with self._lock:
+            key = frames.X_TP.tobytes() + (frames.times.tobytes() if renderer.varies else b"")
+            field = displacements(frames.deformations)
+            key += b"".join(np.asarray(each).tobytes() for each in field)
+            if self._key != key:
+                self._views = renderer.add_tissue(self._iq, frames, field)
+                self._key = key
+            iq = self._iq.copy()
+            views = self._views
+        if any(frames.needles):
+            renderer.add_needle(iq, frames, views)
         return iq
 
-    @property
-    def _varies(self) -> bool:
-        """True if the image of a scene at rest changes over time."""
-        return self._scene.varies or any(renderer.varies for _, renderer in self._resting)
+
+def _each(function: Callable[[T], None], items: Sequence[T]) -> None:
+    """Call a function with every item, on as many threads as there are."""
+    pool = workers()
+    for _ in map(function, items) if pool is None else pool.map(function, items):
+        pass

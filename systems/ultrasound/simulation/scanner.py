@@ -17,11 +17,12 @@ from sonoservo.systems.signals.ports import evaluate
 from sonoservo.systems.signals.requirements import require_not_negative
 from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
-from sonoservo.systems.ultrasound.simulation.acquisition import acquire_sweep
+from sonoservo.systems.ultrasound.simulation.acquisition import acquire_sweep, begin_frames
 from sonoservo.systems.ultrasound.simulation.errors.clock import poses_at
 from sonoservo.systems.ultrasound.simulation.errors.connection import Reception
+from sonoservo.systems.ultrasound.simulation.frame_renderer import Frames
 from sonoservo.systems.ultrasound.simulation.reaction.deformation import Deformation
-from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
+from sonoservo.systems.ultrasound.simulation.rendering import GROUP, SweepRenderer
 from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 from sonoservo.systems.ultrasound.transducer import Transducer
@@ -94,9 +95,10 @@ class Scanner(LeafSystem):
     which labels the frames; if `true_X_WP` is not connected, `X_WP` is the true pose too.
 
     `sweep` is the newest complete `Sweep`, or a `NotFound`; it is available when the sweep's last
-    frame ends. Sweeps towards +Z and -Z alternate, starting with +Z. A sweep is rendered on demand,
-    at most once. `motion_record` is the `MotionRecord` of the same sweep, or a `NotFound`; it is
-    the truth, for logs only.
+    frame ends. Sweeps towards +Z and -Z alternate, starting with +Z. A sweep is rendered at most
+    once: its frames in the background as they are acquired, if there are threads to spare and the
+    sweeps before were asked for, the rest on demand. `motion_record` is the `MotionRecord` of the
+    same sweep, or a `NotFound`; it is the truth, for logs only.
 
     With errors of the clock, a sweep has the scanner's stamps, and the program gives each frame the
     pose that bears the same stamp; if the scanner's clock is ahead, it waits for these poses. With
@@ -190,9 +192,9 @@ class Scanner(LeafSystem):
         while waiting and self._parameters.clock.stamp(waiting[0].frames[-1].time) <= time:
             reception = self._send(waiting[0], latest, reception)
             waiting = waiting[1:]
-        progress = _Progress(
-            acquiring.with_frame(frame), latest, waiting, reception.at(time, self._processing_time)
-        )
+        acquiring = acquiring.with_frame(frame)
+        self._begin(acquiring)
+        progress = _Progress(acquiring, latest, waiting, reception.at(time, self._processing_time))
         state.get_mutable_abstract_state(self._progress).set_value(progress)
         return EventStatus.Succeeded()
 
@@ -242,17 +244,37 @@ class Scanner(LeafSystem):
             true=SweepMotion(self.geometry, direction, times, true),
         )
 
+    def _begin(self, snapshots: _Snapshots) -> None:
+        """Begin to render the newest frames if they complete a group; no result depends on it."""
+        count = len(snapshots.frames)
+        if self._processing_time > 0 or (count % GROUP and count < self.geometry.frames):
+            return  # a slow program will never see many of the sweeps
+        group = (count - 1) // GROUP
+        part = self._renderer.groups(snapshots.direction)[group]
+        frames = self._frames(snapshots, slice(group * GROUP, count), part)
+        begin_frames(self._renderer, frames, snapshots.number)
+
+    def _frames(self, snapshots: _Snapshots, acquired: slice, part: slice) -> Frames:
+        """Return some of the acquired frames, which are numbered towards +Z."""
+        frames = snapshots.frames[acquired][:: snapshots.direction]
+        return Frames(
+            part,
+            snapshots.direction,
+            np.array([f.X_WT.InvertAndCompose(f.X_WP).GetAsMatrix4() for f in frames]),
+            np.array([frame.time for frame in frames]),
+            [frame.needle for frame in frames],
+            [frame.deformation for frame in frames if frame.deformation is not None] or None,
+        )
+
     def _render(self, snapshots: _Snapshots) -> Sweep:
-        motions = self._motions(snapshots)
-        frames = snapshots.frames[:: snapshots.direction]
-        X_TP = np.array([f.X_WT.InvertAndCompose(f.X_WP).GetAsMatrix4() for f in frames])
-        deformations = [frame.deformation for frame in frames if frame.deformation is not None]
+        motions, everything = self._motions(snapshots), slice(0, len(snapshots.frames))
+        frames = self._frames(snapshots, everything, everything)
         sweep = acquire_sweep(
             self._renderer,
             motions.true,
-            [frame.needle for frame in frames],
-            X_TP=X_TP,
+            frames.needles,
+            X_TP=frames.X_TP,
             number=snapshots.number,
-            deformations=deformations or None,
+            deformations=frames.deformations,
         )
         return replace(sweep, motion=motions.measured)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from commands import sonoservo, sonoservo_here
+from PIL import Image
 from typer.testing import CliRunner
 
 from sonoservo.diagrams.app.cli import app
@@ -83,6 +84,7 @@ def test_a_scenario_of_one_s_own_begins_as_a_copy(tmp_path):
         (["carriere2016_d60", "--set", "depth=0.3"], "stays in the phantom"),
         (["carriere2016_d60", "--set", "experiment=needle"], "experiment: 'needle'"),
         (["carriere2016_d60", "--record", "a.seq.nrrd"], "record: not possible"),
+        (["chatelain2013_fig5", "--movie", "a.avi"], "a.avi must end in .gif or .mp4"),
     ],
 )
 def test_a_mistake_is_one_line_and_exit_code_2(arguments, message, tmp_path):
@@ -124,12 +126,17 @@ def test_a_short_run_leaves_its_files_and_its_summary(tmp_path):
         "--set",
         "duration=2.5",
         "--no-meshcat",
+        "--replay",
+        "--movie",
+        str(tmp_path / "a.gif"),
         "--out",
         str(out),
         "--json",
         str(tmp_path / "summary.json"),
     )
     assert result.returncode == 0, result.stderr
+    with Image.open(tmp_path / "a.gif") as movie:
+        assert movie.n_frames == 8
     assert {path.name for path in out.iterdir()} == {
         "scenario.yaml",
         "summary.json",
@@ -137,7 +144,14 @@ def test_a_short_run_leaves_its_files_and_its_summary(tmp_path):
         "run.png",
         "errors.png",
         "report.html",
+        "replay.html",
     }
+    report = (out / "report.html").read_text()
+    assert "<strong>No needle was found.</strong>" in report
+    assert 'href="replay.html"' in report
+    assert 'href="../a.gif"' in report
+    assert "Simulated time, in s" in report
+    assert "Key frames" in report
     summary = json.loads((out / "summary.json").read_text())
     assert summary == json.loads((tmp_path / "summary.json").read_text())
     assert summary["simulated_s"] == pytest.approx(2.5)

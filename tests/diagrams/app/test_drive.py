@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from sonoservo.diagrams import load_scenario, run
 from sonoservo.diagrams.app.cli import app
 from sonoservo.diagrams.app.drive import DrivenExperiment, drive
-from sonoservo.diagrams.app.run import RunResult
+from sonoservo.diagrams.app.run_result import RunResult
 from sonoservo.systems.evaluation.log import read_log
 from sonoservo.systems.evaluation.run_log import RunLog
 

@@ -2,24 +2,32 @@ import pytest
 import typer
 from rich.console import Console
 
-from sonoservo.diagrams.app.run import RunResult
-from sonoservo.diagrams.app.terminal import end_run, summary_table
+from sonoservo.diagrams.app.run_result import RunResult, summary_table
+from sonoservo.diagrams.app.terminal import end_run
+from sonoservo.systems.evaluation.reports.verdict import following_verdict
+
+NEEDLE = {"tracking": {"tracked": 4, "volumes": 5}}
 
 
 def result(failure=None, **summary):
     summary = {"scenario": "fig", "seed": 0, **summary}
-    return RunResult(summary=summary, log=None, labels={}, failure=failure)
+    return RunResult(
+        summary=summary, log=None, labels={}, failure=failure, verdict=following_verdict(summary)
+    )
 
 
 @pytest.mark.parametrize("stopped", [None, "the force is 12 N"])
 @pytest.mark.parametrize("reason", [None, "Nothing [moved]."])
 def test_the_table_says_why_no_needle_was_found_and_why_the_robot_stands(stopped, reason):
     console = Console(record=True, width=200)
-    detection = {"reason": reason, "advice": "Push."} if reason else {}
-    console.print(summary_table(result(detection=detection, guard={"stopped_at_end": stopped})))
+    detection = {"reason": reason, "advice": "Push."} if reason else {"volume": 3}
+    console.print(
+        summary_table(result(detection=detection, guard={"stopped_at_end": stopped}, **NEEDLE))
+    )
     said = " ".join(console.export_text().split())
     assert ("No needle was found. Nothing [moved]. Push." in said) == (reason is not None)
     assert (f"still stopped at the end because {stopped}" in said) == (stopped is not None)
+    assert ("The guard stopped the robot" in said) == (stopped is not None)
 
 
 def test_a_file_that_was_not_written_goes_before_the_exit_status():

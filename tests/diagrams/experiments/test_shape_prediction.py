@@ -1,19 +1,22 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from sonoservo.diagrams import load_scenario, make_experiment, run
+from sonoservo.diagrams.experiments.registry import list_scenarios
 from sonoservo.diagrams.experiments.shape_prediction_scenario import (
     ESTIMATORS,
     ShapePredictionScenario,
 )
-from sonoservo.diagrams.shape_predictor import estimate_shape
+from sonoservo.diagrams.shape_predictor import estimate_shape, predict_from_slices
 from sonoservo.systems.estimation.shape.shape_filters import SHAPE_FILTERS
 from sonoservo.systems.evaluation.log import read_log
 from sonoservo.systems.evaluation.shape.shape_log import ShapeLog
 from sonoservo.systems.evaluation.shape.shape_metrics import cross_section_errors, prediction
 from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.typed_yaml import load_typed, read_yaml
 from sonoservo.systems.signals.needle_shape import NeedleShape
 
 SHORT = ["depth=0.04", "rotations=[0.025]", "observe_until=0.025", "step=1e-3"]
@@ -138,3 +141,49 @@ def test_former_names_of_the_hand_are_told_the_new_ones(old, now):
 def test_a_hand_cannot_take_the_place_of_the_feed():
     with pytest.raises(ConfigurationError, match="hand.feed"):
         load_scenario("carriere2016_d60", changes=["hand.feed=null"])
+
+
+def test_recorded_slices_give_what_the_live_run_gave():
+    experiment = make_experiment(load_scenario("carriere2016_patient", seed=105))
+    slices = []
+    experiment.run(lambda each: slices.append(each.evaluate(each.slice_converter, "slice")))
+    scenario = experiment.scenario
+    found, shapes = predict_from_slices(experiment.make_predictor(scenario), slices)
+    live = [each.position for each in experiment.cross_sections]
+    np.testing.assert_array_equal([each.position for each in found if each], live)
+    np.testing.assert_array_equal(shapes[-1].tip, experiment.shape.tip)
+    published = load_typed_as_published("carriere2016_patient", 105)
+    found, shapes = predict_from_slices(experiment.make_predictor(published), slices)
+    # The click is the same, and the printed tracker takes it as it is.
+    click = experiment.X_WP.inverse().multiply(found[0].position)[:2]
+    truth = experiment.true_path(np.zeros(1))[0, :2]
+    assert 0 < np.linalg.norm(click - truth) < 2e-3
+    assert all(found)
+    assert isinstance(shapes[-1], NeedleShape)
+
+
+def load_typed_as_published(name, seed):
+    data = read_yaml(list_scenarios()[name])
+    return load_typed(
+        ShapePredictionScenario,
+        ShapePredictionScenario.as_published({**data, "name": name, "seed": seed}),
+        name,
+    )
+
+
+def test_as_published_is_the_printed_tracker_with_the_printed_filter():
+    scenario = load_typed_as_published("carriere2016_d60", 1)
+    assert scenario.estimator == "published"
+    assert (scenario.tracker.position, scenario.tracker.deviations) == ("match", "both")
+    assert scenario.tracker.min_correlation == 0
+    assert scenario.observe_until == load_scenario("carriere2016_d60").observe_until
+
+
+def test_a_measured_tip_that_was_not_found_is_missing(experiment):
+    log = experiment.log()
+    measured = log.measured.copy()
+    assert prediction(log, experiment.shape)["tip_error_measured_mm"] is not None
+    measured[-1] = np.nan
+    figures = prediction(replace(log, measured=measured), experiment.shape)
+    assert figures["tip_error_measured_mm"] is None
+    assert figures["shape_error_measured_mm2"] > 0

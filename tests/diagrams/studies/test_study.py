@@ -10,8 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from sonoservo.diagrams.studies import study
-from sonoservo.diagrams.studies.study import Case, StudyOptions, code_fingerprint, run_cases
+from sonoservo.diagrams.studies import fingerprint, runs
+from sonoservo.diagrams.studies.fingerprint import code_fingerprint
+from sonoservo.diagrams.studies.runs import run_cases
+from sonoservo.diagrams.studies.study import Case, StudyOptions
 
 
 def square(case):
@@ -63,7 +65,7 @@ def test_other_settings_other_code_or_a_broken_file_are_done_again(tmp_path, cal
     (folder / f"{outcome.case.name}.json").write_text("{")
     run_cases(square, make_cases(calls, [1]), folder, jobs=1)
     assert seeds_called(calls) == [1, 1, 1]
-    monkeypatch.setattr(study, "code_fingerprint", lambda: "another")
+    monkeypatch.setattr(runs, "code_fingerprint", lambda: "another")
     run_cases(square, make_cases(calls, [1]), folder, jobs=1)
     assert seeds_called(calls) == [1, 1, 1, 1]
 
@@ -72,7 +74,7 @@ def test_the_code_counts_but_not_what_shows_results(tmp_path, monkeypatch):
     for part in ("systems/display", "models", "diagrams"):
         (tmp_path / part).mkdir(parents=True)
     monkeypatch.setattr(
-        study, "files", lambda package: tmp_path / package.removeprefix("sonoservo.")
+        fingerprint, "files", lambda package: tmp_path / package.removeprefix("sonoservo.")
     )
 
     def digest_after(path, text):
@@ -108,7 +110,7 @@ def test_processes_compute_with_one_thread_and_one_that_dies_is_a_failure(tmp_pa
         f"sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
         "from pathlib import Path\n"
         "from test_study import make_cases, square\n"
-        "from sonoservo.diagrams.studies.study import run_cases\n"
+        "from sonoservo.diagrams.studies.runs import run_cases\n"
         "def work(case):\n"
         "    assert os.environ['NUMBA_NUM_THREADS'] == os.environ['OMP_NUM_THREADS'] == '1'\n"
         "    return square(case)\n"
@@ -127,7 +129,8 @@ def test_interrupted_it_ends_and_keeps_what_is_done(tmp_path):
     script.write_text(
         "import sys, time\n"
         "from pathlib import Path\n"
-        "from sonoservo.diagrams.studies.study import Case, run_cases\n"
+        "from sonoservo.diagrams.studies.runs import run_cases\n"
+        "from sonoservo.diagrams.studies.study import Case\n"
         "def work(case):\n"
         "    time.sleep(0.1 if case.seed < 2 else 600)\n"
         "    return {}\n"

@@ -21,7 +21,8 @@ def study():
         rows=[
             StudyRow(
                 experiment="fig4", quantity="tip error", unit="mm", true=0.61, target=0.7,
-                paper=1.5, estimated=0.4,
+                paper=1.5, estimated=0.4, low=0.5, high=0.75, published_estimated=0.9,
+                published_true=1.2, published_low=-float("inf"), published_high=float("inf"),
             ),
             StudyRow(experiment="fig4", quantity="found", true=18, target=20, wanted="at least"),
             StudyRow(experiment="fig5", quantity="unknown", unit="s"),
@@ -80,9 +81,13 @@ def test_page_needs_no_other_file(study, tmp_path):
     assert re.findall(r"(?:src|href)=\"([^\"]{0,20})", text) == ["data:image/png;base6"]
     assert "url(" not in text
     cells = [re.findall(r"<t[hd]>(.*?)</t[hd]>", row) for row in re.findall(r"<tr>.*?</tr>", text)]
-    assert ["fig4", "tip error (mm)", "1.50", "0.400", "0.610", "≤ 0.7", "yes"] in cells
-    assert ["", "found", "", "", "18", "≥ 20", "<b>no</b>"] in cells
-    assert ["", "error", "", "", "∞", "≤ 1", "<b>no</b>"] in cells
+    assert [
+        "fig4", "tip error (mm)", "1.50", "0.400", "0.610", "0.500 to 0.750", "0.900", "1.20",
+        "too few runs", "≤ 0.7", "yes",
+    ] in cells  # fmt: skip
+
+    assert ["", "found", "", "", "18", *4 * [""], "≥ 20", "<b>no</b>"] in cells
+    assert ["", "error", "", "", "∞", *4 * [""], "≤ 1", "<b>no</b>"] in cells
     assert ["fig4", "0-1, 3", "3", "1"] in cells
     assert "ValueError: &lt;no&gt; luck" in text
     assert "1 of 3 targets met" in text

@@ -45,6 +45,16 @@ def test_paper_ignores_the_velocity():
     np.testing.assert_array_equal(planar_velocity(moving, X_WP, 0.3, PAPER), still)
 
 
+def test_a_held_command_does_not_see_the_probe_move_between_two_volumes():
+    elsewhere = RigidTransform(X_WP.rotation(), X_WP.translation() + np.array([0.01, 0, 0]))
+    held = replace(PAPER, held=True)
+    in_probe = replace(estimate(), X_WP=X_WP)
+    command = planar_velocity(in_probe, X_WP, 0.0, held)
+    np.testing.assert_array_equal(planar_velocity(in_probe, elsewhere, 0.2, held), command)
+    assert np.abs(planar_velocity(in_probe, elsewhere, 0.2, PAPER) - command).max() > 1e-3
+    assert np.abs(planar_velocity(estimate(), elsewhere, 0.2, held) - command).max() > 1e-3
+
+
 def test_feed_forward_carries_the_tip_on_to_now():
     parameters = replace(PAPER, feed_forward=True)
     late = planar_velocity(estimate(velocity_P=(0.005, 0.001, -0.004)), X_WP, 0.2, parameters)

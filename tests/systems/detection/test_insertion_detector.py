@@ -6,10 +6,10 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from synthetic_volumes import GEOMETRY, Scene, entry_on_side
 
+from sonoservo.systems.detection.field_of_view import closest_side
 from sonoservo.systems.detection.insertion_detector import (
     InsertionDetector,
     InsertionDetectorParameters,
-    closest_side,
     detect_insertion,
 )
 from sonoservo.systems.detection.volume_memory import VolumeMemory

@@ -7,6 +7,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter
 from sonoservo.systems.estimation.control_point_filter import ControlPointFilter
+from sonoservo.systems.estimation.track_lifecycle import TrackLifecycle
 from sonoservo.systems.estimation.track_manager import TrackManager
 from sonoservo.systems.estimation.track_parameters import TrackParameters
 from sonoservo.systems.signals.immutable import NotFound
@@ -40,11 +41,12 @@ class Bench:
     """The manager with its inputs in hand."""
 
     def __init__(self, needle_filter=None, **parameters):
-        self.manager = TrackManager(
-            needle_filter=needle_filter or ControlPointFilter(),
+        lifecycle = TrackLifecycle(
+            order=2,
             parameters=TrackParameters(**parameters),
-            period=0.1,
+            needle_filter=needle_filter or ControlPointFilter(),
         )
+        self.manager = TrackManager(lifecycle=lifecycle, period=0.1)
         self.context = self.manager.CreateDefaultContext()
         self.fix("detection", NotFound("nothing moved"))
         self.fix("measurement", NotFound("nothing seen"))
@@ -75,7 +77,10 @@ class Bench:
 
 def test_a_prediction_does_not_depend_on_the_measurement_it_serves():
     """Of the inputs only the volume reaches the prediction, so there is no algebraic loop."""
-    manager = TrackManager(needle_filter=ControlPointFilter(), period=1.0)
+    lifecycle = TrackLifecycle(
+        order=2, parameters=TrackParameters(), needle_filter=ControlPointFilter()
+    )
+    manager = TrackManager(lifecycle=lifecycle, period=1.0)
     through = {
         (manager.get_input_port(i).get_name(), manager.get_output_port(o).get_name())
         for i in range(manager.num_input_ports())
@@ -274,4 +279,4 @@ def test_goes_on_with_the_velocity_alone():
 
 def test_a_filter_must_take_the_order():
     with pytest.raises(ValueError, match="order: 3"):
-        TrackManager(needle_filter=AxisTipFilter(), order=3, period=1.0)
+        TrackLifecycle(order=3, parameters=TrackParameters(), needle_filter=AxisTipFilter())

@@ -1,18 +1,24 @@
 import base64
-import io
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from PIL import Image
 from pydrake.geometry import Box, Meshcat
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.evaluation.metrics import summarize
-from sonoservo.systems.evaluation.plots import plot_errors, plot_run, png
-from sonoservo.systems.evaluation.report import report_page, save_replay, write_report
+from sonoservo.systems.evaluation.reports.plots import plot_errors, plot_run, png
+from sonoservo.systems.evaluation.reports.report import (
+    Change,
+    Story,
+    facts_text,
+    report_page,
+    save_replay,
+    write_report,
+)
+from sonoservo.systems.evaluation.reports.verdict import following_verdict
 
 
 class Page(HTMLParser):
@@ -39,7 +45,7 @@ class Page(HTMLParser):
         assert self._open.pop() == tag
 
     def handle_data(self, data):
-        if self._open and self._open[-1] in ("th", "td", "small") and "tr" in self._open:
+        if self._open and self._open[-1] in ("th", "td", "code") and "tr" in self._open:
             self.rows[-1][-1] += data
 
 
@@ -76,30 +82,54 @@ def test_page(insertion_log):
     text = report_page(
         summary,
         {"Errors & co": picture},
-        command="sonoservo run fig5",
+        story=Story(
+            verdict=following_verdict(summary),
+            scenario=["A needle <18 gauge> is pushed in."],
+            base="the scenario fig5",
+            changes=[Change(path="imaging.gain", meaning="Gain", before="0.42", after="0.5")],
+            command="sonoservo run fig5",
+            links={"replay.html": "Watch the replay"},
+        ),
+        key_frames={"At 4.0 s": picture},
         paper={"servo.at_rest.x_mm": 1.1, "force.mean_n": 2.0},
-        replay="replay.html",
     )
     page = Page(text)
     assert "<h1>fig &lt;5&gt;</h1>" in text
     assert "seed 3" in text
+    assert "<strong>The needle was found and followed.</strong> It was found" in text
+    assert "A needle &lt;18 gauge&gt; is pushed in." in text
     assert "sonoservo run fig5" in text
     assert page.links == ["replay.html"]
-    assert ["tip error (mm)", "0.500", "0.500", "0.500"] in page.rows
-    (at_rest,) = (row for row in page.rows if row[0] == "at rest")
-    assert at_rest[1] == "0.000(1.10)"
-    (mean,) = (row for row in page.rows if row[0] == "mean (N)")
-    assert mean[1].endswith("(2.00)")
-    (data,) = re.findall(r"data:image/png;base64,([^\"]+)", text)
-    assert base64.b64decode(data) == picture
-    assert Image.open(io.BytesIO(picture)).size[0] > 100
+    assert ["Gain", "imaging.gain", "0.42", "0.5"] in page.rows
+    assert ["tip error, median, mm", "0.500"] in page.rows
+    assert ["at rest: mean |X|, true, mm", "0.000", "1.10"] in page.rows
+    (mean,) = (row for row in page.rows if row[0] == "contact force, mean, N")
+    assert mean[2] == "2.00"
+    pictures = re.findall(r"data:image/png;base64,([^\"]+)", text)
+    assert [base64.b64decode(data) for data in pictures] == 2 * [picture]
+
+
+def test_page_shows_no_raw_keys(insertion_log):
+    text = report_page({"scenario": "mine", "seed": 3, **summarize(insertion_log)}, {})
+    labels = [row[0] for row in Page(text).rows if row[0]]
+    assert len(labels) > 20
+    assert not [label for label in labels if "_" in label]
 
 
 def test_page_without_a_needle(tmp_path, make_log):
-    path = write_report(tmp_path / "report.html", summarize(make_log(0, 0)), {})
+    summary = summarize(make_log(0, 0))
+    path = write_report(tmp_path / "report.html", summary, {})
     page = Page(path.read_text())
-    assert ["inserted (mm)", "–"] in page.rows
+    assert ["needle in view at detection, mm", "–"] in page.rows
     assert page.links == []
+
+
+def test_facts_leave_out_compilation_and_say_so():
+    times = {"simulated_s": 12.0, "wall_s": 4.0, "real_time_factor": 3.0, "compile_s": 27.2}
+    assert facts_text({"seed": 1, **times}) == (
+        "seed 1 · 12.0 s simulated in 4.0 s (3.0 x real time) · compiling kernels took 27 s more, "
+        "which no figure counts"
+    )
 
 
 def test_replay_moves_by_itself(tmp_path):

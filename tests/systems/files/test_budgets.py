@@ -5,7 +5,7 @@ import pytest
 from sonoservo.systems.files.claims import claim_folder
 from sonoservo.systems.files.memory import MEMORY_VARIABLE, require_memory
 from sonoservo.systems.files.refusals import MAX_MESSAGE, ConfigurationError, refusing_failures
-from sonoservo.systems.files.typed_yaml import assign, read_yaml
+from sonoservo.systems.files.typed_yaml import apply_changes, read_yaml
 from sonoservo.systems.files.yaml_loader import load_yaml
 
 
@@ -73,7 +73,7 @@ def test_yaml_beyond_any_scenario_is_one_line(tmp_path, name):
         read_yaml(path)
     assert str(error.value).startswith(f"{path}: not YAML: ")
     with pytest.raises(ConfigurationError, match=r"^x: .* is not YAML: "):
-        assign({}, f"x={text}")
+        apply_changes({}, [f"x={text}"])
 
 
 def test_honest_aliases_and_depth_are_read():

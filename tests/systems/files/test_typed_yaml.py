@@ -4,7 +4,7 @@ import pytest
 
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import (
-    assign,
+    apply_changes,
     load_typed,
     read_yaml,
     suggest,
@@ -93,9 +93,7 @@ def test_mistakes_are_named_by_their_path(data, message):
 
 def test_assignments_reach_nested_fields_and_list_items():
     data = {"spares": [{"spokes": 1}]}
-    assign(data, "front.radius=0.4")
-    assign(data, "spares.0.spokes=24")
-    assign(data, "gears=[1, 2.5]")
+    apply_changes(data, ["front.radius=0.4", "spares.0.spokes=24", "gears=[1, 2.5]"])
     assert data == {"spares": [{"spokes": 24}], "front": {"radius": 0.4}, "gears": [1, 2.5]}
 
 
@@ -104,7 +102,20 @@ def test_assignments_reach_nested_fields_and_list_items():
 )
 def test_bad_assignments_are_refused(text):
     with pytest.raises(ConfigurationError):
-        assign({"size": 1, "spares": []}, text)
+        apply_changes({"size": 1, "spares": []}, [text])
+
+
+def test_changes_may_be_a_mapping_of_values():
+    data = {"spares": [{"spokes": 1}]}
+    apply_changes(data, {"front.radius": 0.4, "spares.0.spokes": 24})
+    apply_changes(data, None)
+    assert data == {"spares": [{"spokes": 24}], "front": {"radius": 0.4}}
+
+
+@pytest.mark.parametrize("changes", ["front.radius=0.4", 3])
+def test_changes_of_another_form_say_what_is_expected(changes):
+    with pytest.raises(ConfigurationError, match=r"of type (str|int); expected a mapping such as"):
+        apply_changes({}, changes)
 
 
 @pytest.mark.parametrize("content", ["- 1", "", "{a: 1", "\xff\xfe"])
@@ -137,8 +148,7 @@ def test_suggestion_is_the_nearest_name():
 )
 def test_a_kind_chooses_among_dataclasses(changes, guard):
     data = {}
-    for change in changes:
-        assign(data, change)
+    apply_changes(data, changes)
     assert load_typed(Stand, data, "x").guard == guard
 
 

@@ -17,6 +17,7 @@ from sonoservo.systems.localization.cross_section import (
 )
 from sonoservo.systems.localization.cross_section_localizer import CrossSectionLocalizer
 from sonoservo.systems.signals.cross_section_track import CrossSectionTrack
+from sonoservo.systems.signals.image_click import ImageClick
 from sonoservo.systems.signals.image_slice import ImageSlice
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_shape import NeedleShape
@@ -201,3 +202,44 @@ def test_localizer_has_no_state_and_says_what_it_waits_for():
     assert "being compared" in localize(CrossSectionTrack(), picture([0.0, 0.025])).reason
     with pytest.raises(TypeError, match="cross_section_track"):
         localize(NotFound("wrong"), picture())
+
+
+def test_the_printed_position_is_the_match_s_and_the_click_is_taken_as_it_is():
+    printed = CrossSectionParameters(position="match", deviations="both", min_correlation=0.0)
+    axis, click = np.array([0.0, 0.025]), np.array([0.4e-3, 0.0253])
+    first = start_at(picture(axis), click, printed)
+    np.testing.assert_array_equal(first.centre, click)
+    aside = np.array([0.6e-3, 0.4e-3])
+    moved = find_again(picture(axis + aside, seed=1), first, click + np.array([0.2e-3, 0]), printed)
+    np.testing.assert_allclose(moved.centre - click, aside, atol=SPACING)
+    # Whole pixels from the click's own place, at which the template was cut.
+    size = np.array(first.template.shape)
+    places = (moved.centre - ORIGIN) / SPACING - 0.5 * (size - 1)
+    np.testing.assert_allclose(places, np.rint(places), atol=1e-6)
+    # It follows whatever resembles the template most, even where there is no needle.
+    assert find_again(picture(seed=2), first, click, printed)
+
+
+def test_a_click_off_the_needle_by_three_deviations_still_finds_it():
+    axis = np.array([0.0, 0.025])
+    for turn in np.arange(8) * np.pi / 4:
+        away = 1.5e-3 * np.array([np.cos(turn), np.sin(turn)])
+        parameters = CrossSectionParameters(start=list(axis + away))
+        found = find_first([picture(axis, seed=4)], parameters)
+        np.testing.assert_allclose(found.centre, axis, atol=0.12e-3)
+
+
+def test_the_localizer_waits_for_a_click():
+    axis = np.array([0.0, 0.025])
+    localizer = CrossSectionLocalizer(parameters=PARAMETERS)
+    context = localizer.CreateDefaultContext()
+    localizer.GetInputPort("slice").FixValue(context, Value[object](picture(axis)))
+    track = Value[object](CrossSectionTrack())
+    localizer.GetInputPort("cross_section_track").FixValue(context, track)
+    port = localizer.GetInputPort("click")
+    port.FixValue(context, Value[object](NotFound("no click")))
+    found = localizer.GetOutputPort("cross_section").Eval(context)
+    assert "nobody has clicked" in found.reason
+    port.FixValue(context, Value[object](ImageClick(axis + 0.5e-3)))
+    found = localizer.GetOutputPort("cross_section").Eval(context)
+    np.testing.assert_allclose(found.centre, axis, atol=0.12e-3)

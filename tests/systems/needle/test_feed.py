@@ -1,5 +1,7 @@
 """Insertions through a template, and what they share with a hand's."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -156,3 +158,42 @@ def test_a_bad_feed_is_named(field, value):
 def test_a_path_that_turns_back_before_the_feed_ends_is_refused():
     with pytest.raises(ValueError, match=r"feed.depth: 0.14 .* the path reaches"):
         make(bend_radius=0.1, bend_radius_spread=0.0)
+
+
+def test_rotations_are_not_where_they_were_planned_and_draw_no_other_number():
+    planned, real = (
+        make(seed=4, rotations=[0.06], **changes).path
+        for changes in ({}, {"rotation_depth_spread": 2e-3, "rotation_angle_spread_deg": 10.0})
+    )
+    assert 0 < abs(real.rotations[0] - 0.06) <= 2e-3
+    assert 0 < abs(real.turn_errors[0]) <= np.deg2rad(10)
+    distances = np.linspace(0, 0.14, 60)
+    before = distances < 0.055
+    a, b = (path.positions(distances) for path in (planned, real))
+    np.testing.assert_allclose(a[before], b[before], atol=1e-12)
+    assert np.linalg.norm(a[-1] - b[-1]) > 0.1e-3
+
+
+def test_an_angle_s_error_bends_the_needle_out_of_its_plane():
+    path = make(seed=4, rotations=[0.06]).path
+    turned = replace(path, turn_errors=(np.pi / 2,))
+    # Half a turn more than a quarter: the second arc bends across the first one's plane.
+    end = turned.positions(np.array([0.14]))[0, 1:]
+    plane = np.array([np.cos(path.roll), np.sin(path.roll)])
+    across = plane[0] * end[1] - plane[1] * end[0]
+    assert abs(across) == pytest.approx(0.08**2 / (2 * path.radius), rel=0.02)
+    assert np.allclose(
+        replace(path, turn_errors=(0.0,)).positions(np.array([0.14])),
+        path.positions(np.array([0.14])),
+    )
+
+
+def test_the_plane_of_the_bend_drifts_at_a_constant_rate():
+    steady = make(seed=6).path
+    path = make(seed=6, bend_drift_spread_deg=30.0).path
+    assert 0 < abs(path.twist) <= np.deg2rad(30) / 0.1
+    bends = np.diff(path.positions(np.linspace(0, 0.14, 8)), n=2, axis=0)[:, 1:]
+    angles = np.unwrap(np.arctan2(bends[:, 1], bends[:, 0]))
+    np.testing.assert_allclose(np.diff(angles) / 0.02, path.twist, rtol=0.1)
+    assert path.roll == steady.roll
+    assert path.radius == steady.radius

@@ -22,6 +22,7 @@ def test_the_dome_is_curved_like_the_face():
         (0.0, 0.0, [0.025, 0.005, 0.010]),  # flat: a rim of 5 mm
         (0.06, 0.0, [0.06, 0.06, 0.010]),  # convex, without a motor
         (0.0, 0.04, [0.025, 0.04, 0.04]),  # linear, swept
+        (5.0, 0.04, [0.025, 0.04, 0.04]),  # linear, as an arc of a large radius
     ],
 )
 def test_a_flat_side_ends_beyond_the_elements(array_radius, motor_radius, expected):

@@ -42,3 +42,17 @@ def test_bad_values_are_named(changes):
     good = {"X_WP": X_WP, "step": 1e-3, "period": 0.1, "steps": 5}
     with pytest.raises(ValueError, match=next(iter(changes))):
         ProbeStepper(**{**good, **changes})
+
+
+def test_breathing_shifts_the_tissue_slowly_and_along_one_direction():
+    stepper = ProbeStepper(
+        X_WP=X_WP, step=1e-3, period=0.05, steps=200, breathing=1e-3, breathing_period=4.0, seed=2
+    )
+    times = 0.05 * np.arange(201) + 0.02
+    shifts = np.array([X_WT.translation() for _, X_WT in poses(stepper, times)])
+    values = np.linalg.svd(shifts)[1]
+    assert values[1] < 1e-9 * values[0]
+    size = np.linalg.norm(shifts, axis=1)
+    assert 0.98e-3 < size.max() <= 1e-3
+    assert np.allclose(size[80:], size[:-80], atol=1e-9)
+    assert np.abs(np.diff(size)).max() < 0.05e-3

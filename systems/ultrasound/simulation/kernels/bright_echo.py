@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from sonoservo.systems.sampling.options import OPTIONS
@@ -132,7 +132,7 @@ def _add_point(  # type: ignore[no-untyped-def]
     return first <= last
 
 
-@njit(parallel=True, **OPTIONS)
+@njit(**OPTIONS)
 def render_points(  # type: ignore[no-untyped-def]
     iq, X_FT, points, amplitudes, rays, tables, pulse, view, fields
 ):
@@ -161,8 +161,7 @@ def render_points(  # type: ignore[no-untyped-def]
     slab += abs(rays.twist) * rays.middle_line * furthest
     bends, deforms = len(view.table) > 0, len(fields.counts) > 0
     slab += view.furthest + fields.deepest + fields.widest_push
-    for each in prange(frames):
-        frame = np.int64(each)
+    for frame in range(frames):
         layer = np.zeros((2, lines, samples + 2 * taps), np.float32)
         no_shadow = np.empty((0, 0), np.float32)
         node = np.empty(15)
@@ -185,7 +184,7 @@ def render_points(  # type: ignore[no-untyped-def]
             _add_layer(iq[frame], layer, taps)
 
 
-@njit(parallel=True, **OPTIONS)
+@njit(**OPTIONS)
 def render_needles(  # type: ignore[no-untyped-def]
     iq, X_FT, shafts, starts, radius, echo, phases, rays, tables, pulse, view, transmission
 ):
@@ -208,8 +207,7 @@ def render_needles(  # type: ignore[no-untyped-def]
     """
     frames, lines, samples = iq.shape
     taps = pulse.shape[2]
-    for each in prange(frames):
-        frame = np.int64(each)
+    for frame in range(frames):
         shaft = shafts[starts[frame] : starts[frame + 1]]
         if len(shaft) > 1:
             layer = np.zeros((2, lines, samples + 2 * taps), np.float32)

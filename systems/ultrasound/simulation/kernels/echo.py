@@ -6,7 +6,7 @@ neighbouring lines are blurred to the beam's width, which depends on depth.
 """
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from sonoservo.systems.sampling.options import OPTIONS
 from sonoservo.systems.ultrasound.simulation.kernels.blocks import count_below, frame_blocks, misses
@@ -50,7 +50,7 @@ _BENT = 1.15
 _NEAR_NEEDLE = 1e-3
 
 
-@njit(parallel=True, **OPTIONS)
+@njit(**OPTIONS)
 def render_tissue(  # type: ignore[no-untyped-def]
     iq, X_FT, box, tile, rays, tables, pulse, kernel, regions, lumens, view, fields
 ):
@@ -77,8 +77,7 @@ def render_tissue(  # type: ignore[no-untyped-def]
     frames, lines, samples = iq.shape
     pad = len(kernel.ends) // 2 + 1
     taps = pulse.shape[1] // 2
-    for each in prange(frames):
-        frame = np.int64(each)
+    for frame in range(frames):
         accumulator = np.zeros((lines + 2 * pad, 2 * (samples + 2 * taps)), np.float32)
         deposit_tissue(
             accumulator,

@@ -1,7 +1,7 @@
 """Formation of grey levels (coupling, noise, log compression) and radio-frequency lines."""
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from sonoservo.systems.sampling.options import OPTIONS
 from sonoservo.systems.ultrasound.simulation.kernels.body import way_through
@@ -15,7 +15,7 @@ _L1, _L2, _L3, _L4, _L5, _L6 = (
 )
 
 
-@njit(parallel=True, **OPTIONS)
+@njit(**OPTIONS)
 def form_image(  # type: ignore[no-untyped-def]
     grey,
     iq,
@@ -45,8 +45,7 @@ def form_image(  # type: ignore[no-untyped-def]
     noise, keys, grey_per_db, offset
         See `compress`; keys is (frames,).
     """
-    for each in prange(len(grey)):
-        frame = np.int64(each)
+    for frame in range(len(grey)):
         share = coupling(X_TP[frame], origins[frame], directions[frame], box, gel_thickness)
         share *= open_shares[frame]
         compress(grey[frame], iq[frame], share, noise, keys[frame], grey_per_db, offset)
@@ -147,7 +146,7 @@ def compress(grey, iq, share, noise, key, grey_per_db, offset):  # type: ignore[
             grey[j, i] = np.uint8(min(max(level, np.float32(0)), np.float32(255.5)))
 
 
-@njit(parallel=True, **OPTIONS)
+@njit(**OPTIONS)
 def modulate(lines, iq, cosine, sine):  # type: ignore[no-untyped-def]
     """Modulate echoes onto their carrier.
 
@@ -158,8 +157,7 @@ def modulate(lines, iq, cosine, sine):  # type: ignore[no-untyped-def]
     cosine, sine
         (samples,) float32 cosine and sine of the carrier's phase.
     """
-    for each in prange(len(lines)):
-        frame = np.int64(each)
+    for frame in range(len(lines)):
         for j in range(lines.shape[1]):
             for i in range(lines.shape[2]):
                 echo = iq[frame, j, i]

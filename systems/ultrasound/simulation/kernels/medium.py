@@ -9,7 +9,7 @@ with other speeds change that time along the line.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from sonoservo.systems.sampling.options import OPTIONS
@@ -176,7 +176,7 @@ def linear_view(x, y, z, medium, frame, slope):  # type: ignore[no-untyped-def]
     return ax, ay, az
 
 
-@njit(parallel=True, **OPTIONS)
+@njit(**OPTIONS)
 def tabulate_views(table, medium, view):  # type: ignore[no-untyped-def]
     """Tabulate `linear_view` over the middle plane of every frame.
 
@@ -187,8 +187,7 @@ def tabulate_views(table, medium, view):  # type: ignore[no-untyped-def]
     medium, view
         Layers, and the view that defines the table's axes.
     """
-    for each in prange(len(table)):
-        frame = np.int64(each)
+    for frame in range(len(table)):
         slope = np.empty((3, 3))
         for j in range(table.shape[1]):
             phi = (j - view.middle) / view.angles_per_radian
@@ -260,7 +259,7 @@ def apparent_points(points, view, frame):  # type: ignore[no-untyped-def]
     return seen
 
 
-@njit(parallel=True, **OPTIONS)
+@njit(**OPTIONS)
 def integrate_paths(  # type: ignore[no-untyped-def]
     gains,
     delays,
@@ -296,8 +295,7 @@ def integrate_paths(  # type: ignore[no-untyped-def]
     frames, lines, nodes = gains.shape
     nx, ny, nz = labels.shape
     step = 1 / medium.nodes_per_metre
-    for each in prange(frames):
-        frame = np.int64(each)
+    for frame in range(frames):
         X = X_TF[frame]
         bends = medium.offsets[frame] > -1e6
         for j in range(lines):

@@ -1,7 +1,7 @@
 """Transmission of the tissue, shadows of surfaces, and addition of their echoes to the tissue's."""
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from sonoservo.systems.sampling.options import OPTIONS
 
@@ -46,7 +46,7 @@ def join_layer(iq, transmission, layer, touched, weakened, pad):  # type: ignore
                 iq[j, i] *= transmission[j, i]
 
 
-@njit(parallel=True, **OPTIONS)
+@njit(**OPTIONS)
 def expand_gains(transmission, gains, nodes_per_sample):  # type: ignore[no-untyped-def]
     """Interpolate gains to samples.
 
@@ -59,8 +59,7 @@ def expand_gains(transmission, gains, nodes_per_sample):  # type: ignore[no-unty
     """
     frames, lines, samples = transmission.shape
     last = gains.shape[2] - 2
-    for each in prange(frames):
-        frame = np.int64(each)
+    for frame in range(frames):
         for j in range(lines):
             for i in range(samples):
                 node = i * nodes_per_sample

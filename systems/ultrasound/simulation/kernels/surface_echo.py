@@ -1,7 +1,7 @@
 """Echoes of smooth surfaces, with shadow, reverberation and ring-down."""
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from sonoservo.systems.sampling.options import OPTIONS
 from sonoservo.systems.ultrasound.simulation.kernels.pieces import place_pieces
@@ -127,7 +127,7 @@ def _add_piece(  # type: ignore[no-untyped-def]
             loss[j, k] += np.float32(share) * main
 
 
-@njit(parallel=True, **OPTIONS)
+@njit(**OPTIONS)
 def render_surfaces(  # type: ignore[no-untyped-def]
     iq, transmission, X_FT, pieces, growth, rays, tables, pulses, taps, view, fields, weakened
 ):
@@ -158,8 +158,7 @@ def render_surfaces(  # type: ignore[no-untyped-def]
         Whether the transmission is initially below 1 anywhere.
     """
     reach = np.sqrt(FURTHEST / tables.elevation_precision)
-    for each in prange(len(iq)):
-        frame = np.int64(each)
+    for frame in range(len(iq)):
         _render_frame(
             iq[frame],
             transmission[frame],

@@ -4,91 +4,157 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sonoservo.diagrams.experiments.shape_prediction_scenario import ESTIMATORS
-from sonoservo.diagrams.papers.carriere2016 import reproduction as carriere2016
-from sonoservo.diagrams.papers.carriere2016.report import set_rows
+from sonoservo.diagrams.papers.carriere2016 import reproduction, runs
+from sonoservo.diagrams.papers.carriere2016.protocols import (
+    LESSON_SEEDS,
+    LESSONS,
+    PROTOCOLS,
+    SETS,
+    SWEEPS,
+    Protocol,
+)
 from sonoservo.diagrams.papers.carriere2016.reproduction import reproduce
-from sonoservo.diagrams.papers.carriere2016.runs import SETS, UNEVEN, run_needle
-from sonoservo.diagrams.studies.study import Case, StudyOptions
+from sonoservo.diagrams.papers.carriere2016.rows_report import PAPER, set_rows, sweep_rows
+from sonoservo.diagrams.papers.carriere2016.runs import AS_PUBLISHED, TAUGHT, run_needle
+from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
 from sonoservo.diagrams.studies.study_report import write_study
 
 SHORT = ["depth=0.03", "rotations=[0.02]", "observe_until=0.02", "step=1e-3"]
+FEW = {"gamma": {"0.1": ["published.gain=0.1"]}, "h": {"4 mm": ["tracker.template=[6e-3, 4e-3]"]}}
 
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory):
-    """Two needles of each set, the beef's short, through the code of the full study."""
+    """Two needles of each set and of one departure, the beef's short, as in the full study."""
     folder = tmp_path_factory.mktemp("study")
-    settings = carriere2016._settings
-
-    def short(name, first):
-        whole = settings(name, first)
-        return whole if name == "patient" else {**whole, "changes": whole["changes"] + SHORT}
-
+    protocols = {
+        "d60": Protocol("carriere2016_d60", 2, 2, SHORT, whole=True, learnt="even"),
+        "patient": PROTOCOLS["patient"],
+        "curvature wanders by 10 %": Protocol(
+            "carriere2016_d60", 2, 2, [*SHORT, "hand.curvature_wander=0.1"], learnt="even"
+        ),
+    }
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(carriere2016, "_settings", short)
-        options = StudyOptions(folder=folder, seeds=2, first_seed=100, jobs=1)
-        return folder, reproduce(options)
+        patch.setattr(reproduction, "PROTOCOLS", protocols)
+        patch.setattr(reproduction, "LESSONS", {"even": SHORT})
+        patch.setattr(reproduction, "QUICK_LESSON_SEEDS", range(900, 901))
+        patch.setattr(runs, "SWEEPS", FEW)
+        options = StudyOptions(folder=folder, quick=True, seeds=2, first_seed=100, jobs=1)
+        return reproduce(options)
 
 
-def test_all_needles_run_with_all_estimators(study):
-    _, result = study
-    assert len(result.outcomes) == 8
-    for outcome in result.outcomes:
+@pytest.fixture(scope="module")
+def rows(study):
+    return {(row.experiment, row.quantity): row for row in study.rows}
+
+
+def test_all_needles_run_with_all_methods(study):
+    assert len(study.outcomes) == 6
+    for outcome in study.outcomes:
         assert outcome.error == ""
-        assert set(outcome.result["estimators"]) == set(ESTIMATORS)
+        methods = set(outcome.result["methods"])
+        assert {"particle_filter", "least_squares", AS_PUBLISHED} <= methods
+        assert (TAUGHT in methods) == (outcome.case.experiment != "patient")
 
 
-def test_rows_name_the_paper_the_targets_and_the_truth(study):
-    _, result = study
-    rows = {(row.experiment, row.quantity): row for row in result.rows}
-    assert {row.experiment for row in result.rows} == {*SETS, UNEVEN}
-    tip = rows["d60", "tip error, particle filter, measured path"]
+def test_each_row_has_both_methods_the_paper_s_figure_and_an_interval(rows):
+    tip = rows["d60", "tip error, mean"]
     assert (tip.paper, tip.target) == (0.497, 0.497)
-    assert tip.estimated is not None
-    assert rows["d60", "tip error, particle filter, true path"].true < 1.0
-    assert rows["d60", "tip error, filter as printed, measured path"].target is None
-    assert rows["patient", "cross-section's error, median over needles"].met
-    assert all(row.target is None for row in result.rows if row.experiment == UNEVEN)
+    values = (tip.estimated, tip.true, tip.published_estimated, tip.published_true)
+    assert all(value is not None for value in values)
+    assert tip.low <= tip.true <= tip.high
+    assert tip.published_low <= tip.published_true <= tip.published_high
+    assert rows["d60", "tip error, standard deviation"].paper == 0.38
+    assert rows["patient", "shape error, mean"].paper == PAPER["patient"]["shape"]
+    share = rows["patient", "needles followed to the end"]
+    # Wilson's interval of two of two.
+    assert (share.true, share.low) == (100.0, pytest.approx(34.24, abs=0.01))
+
+
+def test_a_departure_has_no_measured_tip_and_no_figure_of_the_paper(rows):
+    name = "curvature wanders by 10 %"
+    tip = rows[name, "tip error, mean"]
+    assert tip.paper is None
+    assert tip.estimated is None
+    assert tip.true > 0
+    assert (name, "needles followed to the end") not in rows
+    assert rows[name, "tip error, bound of the root mean square"].true > 0
+    stated = rows[name, "tip within its 95 %, wander learnt from ten needles"]
+    assert stated.target is not None
+
+
+def test_a_needle_without_prediction_counts_with_the_worst_error(study):
+    good = [each for each in study.outcomes if each.case.experiment == "patient"]
+    failed = replace(good[0], error="ValueError: no needle", result={})
+    by_name = {row.quantity: row for row in set_rows("patient", [good[1], failed])}
+    alone = {row.quantity: row for row in set_rows("patient", [good[1]])}
+    assert by_name["tip error, mean"].true == alone["tip error, mean"].true
+    assert by_name["needles followed to the end"].true == 50.0
+    assert by_name["measured tips that are missing"].true == 50.0
+    # Coverage is known of one needle only, and an error needs two for an interval.
+    assert by_name["tip within its 95 %, default wander"].low < 25
+    assert alone["tip error, mean"].low is None
+
+
+def test_parameters_of_the_published_method_are_swept(study):
+    mine = [each for each in study.outcomes if each.case.experiment == "d60"]
+    rows = {row.quantity: row for row in sweep_rows(mine)}
+    assert set(rows) == {
+        f"{each} error, {value}, mean"
+        for each in ("tip", "shape")
+        for value in ("gamma = 0.1", "h = 4 mm")
+    }
+    assert all(row.published_true > 0 and row.true is None for row in rows.values())
+    assert sweep_rows([]) == []
 
 
 def test_the_report_stands_by_itself(study, tmp_path):
-    _, result = study
-    write_study(tmp_path, result, "sonoservo reproduce carriere2016 --quick")
+    write_study(tmp_path, study, "sonoservo reproduce carriere2016 --quick")
     data = json.loads((tmp_path / "study.json").read_text())
-    assert len(data["rows"]) == len(result.rows)
-    names = {path.name for path in tmp_path.glob("*.png")}
+    assert len(data["rows"]) == len(study.rows)
+    names = {path.stem for path in tmp_path.glob("*.png")}
     assert names == {
-        "paths.png", "error_against_depth.png", "errors.png", "particles.png"
+        "paths", "error_against_depth", "errors", "departures", "sweeps", "particles",
+        "slice_d60", "slice_patient",
     }  # fmt: skip
     assert "http" not in (tmp_path / "report.html").read_text().replace("http-equiv", "")
 
 
-def test_a_run_that_failed_counts_as_a_needle_that_was_not_followed(study):
-    _, result = study
-    good = [each for each in result.outcomes if each.case.experiment == "patient"]
-    failed = replace(good[0], error="ValueError: no needle", result={})
-    followed = {row.quantity: row for row in set_rows("patient", [good[1], failed])}
-    assert followed["needles followed to the end"].true == 50.0
+def test_the_study_has_the_needles_it_promises():
+    assert [PROTOCOLS[name].seeds for name in SETS] == [100, 100, 100]
+    assert {"even", *(f"{each} %" for each in (5, 10, 20, 30))} == set(LESSONS)
+    assert min(LESSON_SEEDS) >= 100
+    assert {protocol.learnt for protocol in PROTOCOLS.values()} <= {"", *LESSONS}
+    assert set(SWEEPS) == {"gamma", "n", "h", "w"}
+    gains = [float(each) for each in SWEEPS["gamma"]]
+    assert (min(gains), max(gains)) == (0.02, 0.5)
 
 
-def test_a_needle_is_repeatable_and_its_bound_is_that_of_a_normal_distribution():
-    settings = {"scenario": "carriere2016_patient", "changes": [], "keep_particles": False}
-    first, second = (run_needle(Case("patient", 101, settings)) for _ in range(2))
-    for name in ESTIMATORS:
+def test_a_needle_is_repeatable_and_no_estimate_beats_its_bound_by_much():
+    settings = {
+        "scenario": "carriere2016_patient", "changes": [], "whole": True, "wander": None,
+        "sweeps": False, "keep": False,
+    }  # fmt: skip
+    case = Case("patient", 101, settings)
+    first, second = (run_needle(case) for _ in range(2))
+    for name in first["methods"]:
         assert np.array_equal(first["paths"][name], second["paths"][name])
-    figures = first["estimators"]["least_squares"]
-    # The plane of most deflection sees at most the largest deviation.
-    most = np.sqrt(2 / np.pi) * figures["tip_std_mm"]
-    assert 0.3 * most < figures["expected_tip_true_mm"] <= most
-    assert figures["expected_tip_measured_mm"] > figures["expected_tip_true_mm"]
+    # What the estimate states cannot be much less than what is possible.
+    stated = first["methods"]["particle_filter"]["tip_std_mm"]
+    assert stated > 0.7 * first["bound"]["tip_mm"]
+    assert Outcome(case, first).result["bound"]["noise_mm"] < 0.3
 
 
 @pytest.mark.slow
-def test_study_of_ten_needles_meets_the_papers_errors(tmp_path):
-    result = reproduce(StudyOptions(folder=tmp_path, seeds=10, first_seed=100))
-    rows = {(row.experiment, row.quantity): row for row in result.rows}
+def test_ten_needles_meet_the_papers_errors_and_their_own_doubt(tmp_path, monkeypatch):
+    names = ("d60", "d80", "curvature wanders by 20 %")
+    monkeypatch.setattr(reproduction, "PROTOCOLS", {name: PROTOCOLS[name] for name in names})
+    monkeypatch.setattr(reproduction, "LESSONS", {each: LESSONS[each] for each in ("even", "20 %")})
+    study = reproduce(StudyOptions(folder=tmp_path, seeds=10, first_seed=100))
+    rows = {(row.experiment, row.quantity): row for row in study.rows}
     for name in ("d60", "d80"):
-        for quantity in ("tip", "shape"):
-            assert rows[name, f"{quantity} error, particle filter, measured path"].met
-        assert rows[name, "needles followed to the end"].met
+        assert rows[name, "tip error, mean"].met
+        assert rows[name, "shape error, mean"].met
+    for name in names:
+        learnt = rows[name, "tip within its 95 %, wander learnt from ten needles"]
+        assert learnt.true >= 80

@@ -62,8 +62,8 @@ def test_an_air_pocket_hides_what_lies_below_it_and_nothing_else():
     renderer = make_renderer(frames=3, volume_rate=20.0)
     poses, needles = still(renderer), [NOWHERE] * 3
     clean = renderer.render(poses, needles, 1, 0)
-    np.testing.assert_array_equal(renderer._air.open_shares(np.zeros(3)), 1)
-    renderer._air.open_shares = lambda times: (
+    np.testing.assert_array_equal(renderer._renderer._air.open_shares(np.zeros(3)), 1)
+    renderer._renderer._air.open_shares = lambda times: (
         np.repeat([[0.0, 1.0]], 3, axis=0)
         .repeat(renderer.geometry.lines // 2, axis=1)
         .astype(np.float32)

@@ -5,6 +5,7 @@ import pytest
 from renderers import DOWN, NOWHERE, make_renderer, needle_through, still
 
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
+from sonoservo.systems.ultrasound.simulation.frame_renderer import FrameRenderer, Frames
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
 from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
@@ -71,3 +72,82 @@ def test_noise_grows_with_depth_as_sound_is_attenuated():
     levels = grey.mean(axis=(0, 1)) / 4.25
     # Both ways 0.5 dB/(cm MHz) x 3.3 MHz.
     assert levels[260] - levels[130] == pytest.approx(2 * 0.5 * 3.3 * 130 * 0.0308, abs=0.3)
+
+
+def test_poses_of_another_number_of_frames_are_refused():
+    renderer = make_renderer()
+    with pytest.raises(ValueError, match="X_TP"):
+        renderer.render(still(renderer)[:-1], [NOWHERE] * 27, 1, 0)
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_groups_cover_a_sweep_once_in_the_order_of_acquisition(direction):
+    groups = make_renderer().groups(direction)
+    frames = [n for part in groups for n in range(27)[part][::direction]]
+    assert frames == list(range(27)[::direction])
+
+
+def sweep_frames(renderer, needle, shift, direction):
+    X_TP = still(renderer)
+    X_TP[:, 0, 3] += shift * np.arange(27)
+    return Frames(slice(0, 27), direction, X_TP, np.zeros(27), [needle] * 27)
+
+
+def render(renderer, frames):
+    return renderer.render(frames.X_TP, frames.needles, frames.direction, 5)
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_frames_begun_in_the_background_are_the_same_and_rendered_once(direction, monkeypatch):
+    rendered = []
+    original = FrameRenderer.grey_levels
+
+    def grey_levels(self, iq, frames, number):
+        rendered.append(frames.part.start)
+        return original(self, iq, frames, number)
+
+    monkeypatch.setattr(FrameRenderer, "grey_levels", grey_levels)
+    needle = needle_through([0, 0, -0.15], 0.3, 0.0)
+    renderer = make_renderer()
+    frames = sweep_frames(renderer, needle, 1e-5, direction)
+    expected = render(renderer, frames)
+    groups = renderer.groups(direction)
+    rendered.clear()
+    for part in groups[:-1]:
+        renderer.begin(frames.among(part), 5)
+    assert (render(renderer, frames) == expected).all()
+    assert sorted(rendered) == sorted(part.start for part in groups)
+
+
+@pytest.mark.parametrize("changed", ["pose", "needle", "number"])
+def test_frames_begun_for_another_sweep_are_not_used(changed):
+    renderer = make_renderer()
+    needle = needle_through([0, 0, -0.15], 0.3, 0.0)
+    frames = sweep_frames(renderer, needle, 0.0, 1)
+    expected = render(renderer, frames)
+    other = {
+        "pose": sweep_frames(renderer, needle, 1e-4, 1),
+        "needle": sweep_frames(renderer, needle_through([0, 0, -0.14], 0.3, 0.0), 0.0, 1),
+        "number": frames,
+    }[changed]
+    for part in renderer.groups(1):
+        renderer.begin(other.among(part), 4 if changed == "number" else 5)
+    assert (render(renderer, frames) == expected).all()
+
+
+def test_only_so_many_frames_are_begun_before_anybody_asks():
+    renderer = make_renderer()
+    frames = sweep_frames(renderer, NOWHERE, 0.0, 1)
+    for number in range(20):
+        renderer.begin(frames.among(slice(0, 4)), number)
+    with_groups = 3 * len(renderer.groups(1))
+    assert len(renderer._begun) <= with_groups
+
+
+def test_without_threads_to_spare_nothing_is_begun(monkeypatch):
+    monkeypatch.setattr("sonoservo.systems.ultrasound.simulation.rendering.workers", lambda: None)
+    renderer = make_renderer()
+    frames = sweep_frames(renderer, NOWHERE, 0.0, 1)
+    renderer.begin(frames.among(slice(0, 4)), 5)
+    assert not renderer._begun
+    assert render(renderer, frames).shape == renderer.geometry.shape

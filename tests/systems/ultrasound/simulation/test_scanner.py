@@ -11,6 +11,7 @@ from sonoservo.systems.signals.sweep import Sweep
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation.errors.clock import ClockParameters
 from sonoservo.systems.ultrasound.simulation.errors.connection import ConnectionParameters
+from sonoservo.systems.ultrasound.simulation.errors.motor import MotorParameters
 from sonoservo.systems.ultrasound.simulation.scanner import Scanner
 from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
@@ -159,6 +160,26 @@ def test_one_sweep_is_rendered_once_and_is_read_only():
     assert sweep() is first
     with pytest.raises(ValueError, match="read-only"):
         first.samples[0, 0, 0] = 0
+
+
+def test_rendering_in_the_background_changes_nothing(monkeypatch):
+    def sweeps():
+        scanner = make_scanner(
+            parameters=ScannerParameters(motor=MotorParameters(backlash_deg=0.5, error_deg=0.2))
+        )
+        simulator, sweep = run(
+            scanner,
+            X_WP=lambda t: RigidTransform(DOWN.rotation(), [0.01 * t, 0, -0.004]),
+            needle=lambda t: Needle(np.add(NEEDLE.shaft, [0.02 * t, 0, 0]), NEEDLE.radius),
+        )
+        for number in range(1, 4):
+            simulator.AdvanceTo(number * scanner.geometry.period + 1e-3)
+            yield sweep().samples
+
+    beside = list(sweeps())
+    monkeypatch.setattr("sonoservo.systems.ultrasound.simulation.rendering.workers", lambda: None)
+    for one, other in zip(beside, sweeps(), strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_contact_shows_in_the_image():

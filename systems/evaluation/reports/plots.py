@@ -21,8 +21,24 @@ _SHADES = {
     TrackingMode.SEARCHING: "#E6E6E6",
     TrackingMode.TRACKING: None,
     TrackingMode.COASTING: "#F6EFB0",
-    TrackingMode.LOST: "#C9E6F6",
+    TrackingMode.LOST: "#F6CFCB",
 }
+
+
+RUN_CAPTION = (
+    "The run over time; solid lines show ground truth, dashed lines the tracker's estimate. "
+    "a) Errors of the visual servo, which drives all three to zero: x and z of the tip in the "
+    "probe's frame, and the angle between needle and image. b) The tip in the probe's frame; Y is "
+    "its depth. c) How the probe moved and turned since the start. d) Contact force and its "
+    "target. Shaded: the needle was not tracked."
+)
+ERRORS_CAPTION = (
+    "Errors of the estimate after each volume, against ground truth: distance of the estimated "
+    "from the true tip, with its parts along and across the needle; angle between the estimated "
+    "and the true direction; and how much of the needle was in the tissue and was estimated. The "
+    "estimate begins where the needle entered the image, so it is shorter."
+)
+"""Captions of `plot_run` and `plot_errors`."""
 
 
 def plot_run(log: RunLog, force_target: float | None = 2.0) -> Figure:

@@ -3,7 +3,7 @@
 import base64
 import html
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 _PAGE = """<!DOCTYPE html>
@@ -17,7 +17,11 @@ _PAGE = """<!DOCTYPE html>
   body {{ font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto;
          padding: 0 1rem; color: #222; background: #fff; }}
   h1 {{ font-size: 1.6rem; margin-bottom: 0; }}
-  h2 {{ font-size: 1.1rem; margin: 2rem 0 .4rem; }}
+  h2 {{ font-size: 1.2rem; margin: 2rem 0 .4rem; }}
+  h3 {{ font-size: 1rem; margin: 1.2rem 0 .2rem; }}
+  .verdict {{ border-left: .35rem solid #009e73; background: #f4f6f5; padding: .6rem .9rem; }}
+  .verdict.mixed {{ border-color: #e69f00; }}
+  .verdict.bad {{ border-color: #d55e00; }}
   .facts {{ color: #666; margin-top: .2rem; }}
   .tables {{ display: flex; flex-wrap: wrap; gap: 0 3rem; }}
   table {{ border-collapse: collapse; margin-bottom: .6rem; }}
@@ -25,8 +29,8 @@ _PAGE = """<!DOCTYPE html>
            font-variant-numeric: tabular-nums; font-weight: normal; }}
   th {{ color: #666; }}
   th:first-child {{ text-align: left; color: #222; }}
-  td small {{ color: #0072b2; margin-left: .3rem; }}
-  figure {{ margin: 2rem 0; }}
+  td {{ overflow-wrap: anywhere; }}
+  figure {{ margin: 1.2rem 0 2rem; }}
   figcaption {{ color: #666; }}
   img {{ max-width: 100%; height: auto; }}
   code {{ background: #f3f3f3; padding: .1rem .3rem; }}
@@ -60,27 +64,26 @@ def web_page(title: str, facts: str, body: str, figures: Mapping[str, bytes]) ->
         title=html.escape(title),
         facts=facts,
         body=body,
-        figures="\n".join(
-            f'<figure><img alt="{html.escape(caption)}" src="data:image/png;base64,'
-            f'{base64.b64encode(data).decode()}"><figcaption>{html.escape(caption)}</figcaption>'
-            "</figure>"
-            for caption, data in figures.items()
-        ),
+        figures="\n".join(picture(*each) for each in figures.items()),
     )
 
 
-_UNITS = {"mm": "mm", "deg": "°", "n": "N", "s": "s", "ms": "ms"}
-
-
-def words(key: str) -> str:
-    """Return a key as words in HTML: `tip_error_mm` becomes "tip error (mm)"."""
-    *words, last = str(key).split("_")
-    text = (
-        f"{' '.join(words)} ({_UNITS[last]})"
-        if words and last in _UNITS
-        else " ".join([*words, last])
+def picture(caption: str, data: bytes) -> str:
+    """Return a PNG file's contents, with a caption in plain text, as HTML."""
+    text = html.escape(caption)
+    return (
+        f'<figure><img alt="{text}" src="data:image/png;base64,{base64.b64encode(data).decode()}">'
+        f"<figcaption>{text}</figcaption></figure>"
     )
-    return html.escape(text)
+
+
+def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return an HTML table; heads and cells are HTML, and each row begins with its label."""
+    head = "".join(f"<th>{each}</th>" for each in heads)
+    lines = [f"<tr>{head}</tr>"] if any(heads) else []
+    for label, *cells in rows:
+        lines.append(f"<tr><th>{label}</th>{''.join(f'<td>{each}</td>' for each in cells)}</tr>")
+    return "<table>" + "\n".join(lines) + "</table>"
 
 
 def cell_text(value: Any) -> str:

@@ -1,10 +1,13 @@
 """Plots of a needle tracked through a recording."""
 
-from dataclasses import dataclass
+import io
+from dataclasses import dataclass, replace
 
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from PIL import Image
+from pydrake.math import RigidTransform
 
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
@@ -19,6 +22,13 @@ _PIXEL = 0.5e-3
 _NEEDLE = "#D55E00"
 _COLOURS = ("#0072B2", "#CC79A7", "#009E73")
 
+PLANES_CAPTION = (
+    "Volumes at even intervals, cut along the estimated needle: along the beam above, across it "
+    "below. Orange: the estimate, with a ring at its tip."
+)
+TIP_CAPTION = "The estimated tip in the file's own coordinates, and the length of needle in view."
+"""Captions of `plot_planes` and `plot_tip`."""
+
 
 @dataclass(frozen=True, eq=False)
 class PlanePicture:
@@ -26,17 +36,30 @@ class PlanePicture:
 
     Parameters
     ----------
-    grey
-        (rows, columns) levels from 0 to 255.
+    jpeg
+        Grey levels, coded as JPEG, because a run keeps the pictures of all its volumes.
+    X_PS
+        Pose of the picture's frame S in P: X to the right, Y down, origin at the centre.
     extent
         Left, right, bottom and top edges of the picture, in mm from its centre.
     needle
         (m, 2) points of the estimated needle in the same coordinates; none without an estimate.
     """
 
-    grey: NDArray[np.uint8]
+    jpeg: bytes
+    X_PS: RigidTransform
     extent: tuple[float, float, float, float]
     needle: Floats
+
+    @property
+    def grey(self) -> NDArray[np.uint8]:
+        """(rows, columns) grey levels from 0 to 255."""
+        with Image.open(io.BytesIO(self.jpeg)) as image:
+            return np.asarray(image)
+
+    def project(self, p_P: Floats) -> Floats:
+        """Return the (m, 2) coordinates in the picture, in mm, of (m, 3) points in P, in m."""
+        return 1e3 * self.X_PS.inverse().multiply(p_P.T).T.reshape(-1, 3)[:, :2]
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,9 +99,12 @@ def picture_planes(volume: Volume, mode: TrackingMode, curve: NeedleCurve | None
     planes = []
     for plane in slice_planes(volume, curve):
         half = 500 * np.array([plane.width, plane.height])
-        p_S = 1e3 * plane.X_PS.inverse().multiply(points.T).T.reshape(-1, 3)[:, :2]
         extent = (-half[0], half[0], half[1], -half[1])
-        planes.append(PlanePicture(sample_plane(volume, plane, _PIXEL)[..., 0], extent, p_S))
+        buffer = io.BytesIO()
+        grey = sample_plane(volume, plane, _PIXEL)[..., 0]
+        Image.fromarray(grey).save(buffer, "JPEG", quality=90)
+        taken = PlanePicture(buffer.getvalue(), plane.X_PS, extent, np.zeros((0, 2)))
+        planes.append(replace(taken, needle=taken.project(points)))
     return VolumePictures(volume.time, mode, planes)
 
 

@@ -1,0 +1,63 @@
+"""Commands about the kept results of runs: explain and compare."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sonoservo.diagrams.app.options import (
+    JsonOption,
+    OutOption,
+    console,
+    free_folder,
+    write_printed,
+)
+
+
+def compare_command(
+    folders: Annotated[list[Path], typer.Argument(help="Folders of two or more runs.")],
+    out: OutOption = None,
+    json_path: JsonOption = None,
+) -> None:
+    """Compare kept runs: what was changed between them, figures side by side, curves overlaid."""
+    from sonoservo.diagrams.app.compare import compare
+
+    folder = out or free_folder("comparison")
+    comparison = compare(folders, folder)
+    console.print(comparison.table())
+    console.print(f"Report: {folder / 'report.html'}", soft_wrap=True)
+    write_printed(json_path, comparison.as_json())
+
+
+def explain_command(
+    folder: Annotated[Path, typer.Argument(help="Folder of a run made with --explain.")],
+    time: Annotated[
+        float | None, typer.Option(help="Draw the kept volume nearest to this time, in s.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Picture, FILE.png; by default in the run's folder.")
+    ] = None,
+    json_path: JsonOption = None,
+) -> None:
+    """Show why an estimate was wrong: what the tracker looked at, beside the truth.
+
+    Without --time the volumes that were kept are listed.
+    """
+    from sonoservo.diagrams.app.explain import explanation_table, read_explained_run
+    from sonoservo.systems.evaluation.explanation.explanation_sheet import describe
+    from sonoservo.systems.evaluation.reports.plots import png
+    from sonoservo.systems.files.writing import write_atomically
+
+    explained_run = read_explained_run(folder)
+    if time is None:
+        rows = explained_run.rows()
+        console.print(explanation_table(rows))
+        console.print(f"Draw one of them: sonoservo explain {folder} --time T", soft_wrap=True)
+        write_printed(json_path, rows)
+        return
+    explained = explained_run.nearest(time)
+    path = out or folder / f"explanation_{float(explained.volume_time):.2f}s.png"
+    write_atomically(path, png(explained_run.sheet(explained)))
+    console.print(describe(explained, explained_run.tip_error(explained)), soft_wrap=True)
+    console.print(f"Drawn: {path}", soft_wrap=True)
+    write_printed(json_path, explained_run.row(explained))

@@ -1,0 +1,210 @@
+"""Comparison of kept runs: what was changed between them, their figures, and their curves."""
+
+import html
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+from rich.table import Table
+
+from sonoservo.diagrams.app.run_result import format_figure
+from sonoservo.diagrams.experiments.experiment import Experiment
+from sonoservo.diagrams.experiments.registry import experiment_class, load_scenario
+from sonoservo.diagrams.experiments.scenario_changes import changed_fields
+from sonoservo.diagrams.scenario import Scenario
+from sonoservo.systems.evaluation.labels import look_up, sections
+from sonoservo.systems.evaluation.log import Log, read_log
+from sonoservo.systems.evaluation.reports.plots import png
+from sonoservo.systems.evaluation.reports.web_page import cell_text, picture, table, web_page
+from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
+from sonoservo.systems.files.writing import write_atomically, write_json
+
+_FILES = ("scenario.yaml", "summary.json", "log.npz")
+
+
+@dataclass(frozen=True, eq=False)
+class KeptResults:
+    """Results of a run, as its folder keeps them.
+
+    Parameters
+    ----------
+    name
+        Name of the run in the comparison.
+    scenario, summary, log
+        Contents of the folder.
+    """
+
+    name: str
+    scenario: Scenario
+    summary: Mapping[str, Any]
+    log: Log
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Comparison of runs of one experiment.
+
+    Parameters
+    ----------
+    runs
+        Runs to compare, at least two.
+    """
+
+    runs: Sequence[KeptResults]
+
+    @property
+    def experiment(self) -> type[Experiment[Any]]:
+        """Class of the experiment."""
+        return experiment_class(self.runs[0].scenario.experiment)
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the runs."""
+        return [each.name for each in self.runs]
+
+    def changes(self) -> list[dict[str, str]]:
+        """Return the fields in which the scenarios differ: path, meaning, and value by run."""
+        first, *others = self.runs
+        rows: dict[str, dict[str, str]] = {}
+        for run in others:
+            for change in changed_fields(first.scenario, run.scenario, seed=True):
+                new = {"path": change.path, "meaning": change.meaning}
+                row = rows.setdefault(change.path, new | dict.fromkeys(self.names, change.before))
+                row[run.name] = change.after
+        return list(rows.values())
+
+    def figures(self) -> dict[str, list[Any]]:
+        """Return the figures of all runs, one list each, by their dotted paths."""
+        paths = self.experiment.labels
+        return {path: [look_up(each.summary, path) for each in self.runs] for path in paths}
+
+    def plot(self) -> Figure:
+        """Return the curves of all runs over one another."""
+        return self.experiment.overlay({each.name: each.log for each in self.runs})
+
+    def table(self) -> Table:
+        """Return the differences and the figures, for a terminal."""
+        shown = Table(title=" and ".join(self.names), caption_justify="left")
+        shown.add_column("quantity")
+        for name in self.names:
+            shown.add_column(name, justify="right", overflow="fold")
+        for row in self.changes():
+            shown.add_row(row["path"], *(row[name] for name in self.names), style="bold")
+        shown.add_section()
+        for path, values in self.figures().items():
+            shown.add_row(self.experiment.labels[path], *map(format_figure, values))
+        shown.caption = "Above the line: what differs between the scenarios."
+        if not self.changes():
+            shown.caption = "The scenarios do not differ."
+        return shown
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the comparison for a JSON file."""
+        return {"runs": self.names, "changes": self.changes(), "figures": self.figures()}
+
+    def page(self) -> str:
+        """Return the comparison as one self-contained HTML page."""
+        title = f"Comparison of {', '.join(self.names)}"
+        facts = html.escape(f"{len(self.runs)} runs of the experiment {self._kind!r}")
+        return web_page(title, facts, self._repr_html_(), {})
+
+    @property
+    def _kind(self) -> str:
+        return self.runs[0].scenario.experiment
+
+    def _repr_html_(self) -> str:
+        heads = [html.escape(name) for name in self.names]
+        changes = [
+            [html.escape(row["meaning"]), f"<code>{html.escape(row['path'])}</code>"]
+            + [html.escape(row[name]) for name in self.names]
+            for row in self.changes()
+        ]
+        parts = ["<h2>What differs between the scenarios</h2>"]
+        parts.append(table(["", "field", *heads], changes) if changes else "<p>Nothing.</p>")
+        parts += ["<h2>Curves</h2>", picture(self.experiment.overlay_caption, png(self.plot()))]
+        figures = self.figures()
+        parts.append("<h2>Figures</h2>")
+        for heading, group in sections(self.experiment.labels).items():
+            rows = [
+                [html.escape(label), *map(cell_text, figures[path])]
+                for path, label in group.items()
+            ]
+            parts.append(f"<h3>{html.escape(heading)}</h3>\n{table(['', *heads], rows)}")
+        return "\n".join(parts)
+
+
+def compare(folders: Sequence[str | Path], out: str | Path | None = None) -> Comparison:
+    """Compare kept runs of one experiment.
+
+    Parameters
+    ----------
+    folders
+        Folders of the runs, at least two.
+    out
+        Folder for report.html and comparison.json; None writes nothing.
+
+    Raises
+    ------
+    ConfigurationError
+        If a folder is not that of a run, or the runs are not of one experiment.
+    """
+    if isinstance(folders, str | Path):
+        raise ConfigurationError(f"folders: {str(folders)!r} is one path; expected a list of them")
+    paths = [Path(each) for each in folders]
+    if len(paths) < 2:
+        raise ConfigurationError(f"folders: {len(paths)} given; a comparison needs at least two")
+    runs = [read_kept_results(path, name) for path, name in zip(paths, _names(paths), strict=True)]
+    kinds = {each.scenario.experiment: each.name for each in runs}
+    if len(kinds) > 1:
+        (one, first), (other, second), *_ = kinds.items()
+        raise ConfigurationError(
+            f"{first} is a run of the experiment {one!r}, {second} of {other!r}; only runs of one "
+            "experiment can be compared"
+        )
+    comparison = Comparison(runs)
+    if out is not None:
+        write_json(Path(out) / "comparison.json", comparison.as_json())
+        write_atomically(Path(out) / "report.html", comparison.page())
+    return comparison
+
+
+def read_kept_results(folder: Path, name: str = "") -> KeptResults:
+    """Read the results of a run from its folder.
+
+    Parameters
+    ----------
+    folder
+        Folder of the run.
+    name
+        Name of the run; by default, that of the folder.
+
+    Raises
+    ------
+    ConfigurationError
+        If it is not the folder of a run, or a file of it cannot be read.
+    """
+    if not folder.is_dir():
+        raise ConfigurationError(f"{folder}: there is no such folder")
+    if missing := [each for each in _FILES if not (folder / each).is_file()]:
+        raise ConfigurationError(
+            f"{folder} is not the folder of a run that has ended: it has no {missing[0]}"
+        )
+    scenario = load_scenario(folder / "scenario.yaml")
+    with refusing_failures(folder / "summary.json", "cannot be read"):
+        summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    log = read_log(folder / "log.npz", experiment_class(scenario.experiment).log_class)
+    return KeptResults(name or folder.name, scenario, summary, log)
+
+
+def _names(paths: Sequence[Path]) -> list[str]:
+    """Return the names of the folders, or their whole paths where names are equal."""
+    names = [path.resolve().name for path in paths]
+    if len(set(names)) == len(names):
+        return names
+    whole = [str(path) for path in paths]
+    return (
+        whole if len(set(whole)) == len(whole) else [f"{n + 1}: {p}" for n, p in enumerate(whole)]
+    )

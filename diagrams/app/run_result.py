@@ -1,0 +1,128 @@
+"""Results of a run, which print and draw themselves."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from sonoservo.systems.evaluation.labels import look_up
+from sonoservo.systems.evaluation.reports.report import Story, report_body
+from sonoservo.systems.evaluation.reports.verdict import Verdict
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """Results of a run.
+
+    Parameters
+    ----------
+    summary
+        Figures, as in summary.json.
+    log
+        Log of the run; its class depends on the experiment.
+    labels
+        Label of each figure of the summary that tables show, by its dotted path.
+    results
+        Further results of the experiment, by name: shape prediction has the last `shape`.
+    failure
+        Error of the first file that could not be written; None if all were.
+    verdict
+        Verdict on the run in words; None if nothing judged it.
+    published
+        Published figures to compare with, by their dotted paths into the summary.
+    plots
+        Caption and figure of each plot of the run, by name.
+    """
+
+    summary: dict[str, Any]
+    log: Any
+    labels: Mapping[str, str]
+    results: Mapping[str, Any] = field(default_factory=dict)
+    failure: OSError | None = None
+    verdict: Verdict | None = None
+    published: Mapping[str, float] = field(default_factory=dict)
+    plots: Mapping[str, tuple[str, Figure]] = field(default_factory=dict)
+
+    def plot(self) -> Figure:
+        """Return the run's first plot, which a notebook shows.
+
+        Raises
+        ------
+        ValueError
+            If the run was too short for one.
+        """
+        if not self.plots:
+            raise ValueError("the run was too short for a plot")
+        _, figure = next(iter(self.plots.values()))
+        return figure
+
+    def __str__(self) -> str:
+        console = Console(width=100, color_system=None, force_jupyter=False)
+        with console.capture() as captured:
+            console.print(summary_table(self))
+        return captured.get()
+
+    def __repr__(self) -> str:
+        return str(self)
+
+    def _repr_html_(self) -> str:
+        return report_body(
+            self.summary,
+            story=Story(verdict=self.verdict),
+            labels=self.labels,
+            paper=self.published,
+        )
+
+
+def summary_table(result: RunResult) -> Table:
+    """Return the figures of a run beside the published ones, for a terminal.
+
+    Parameters
+    ----------
+    result
+        Results of the run.
+    """
+    summary, published = result.summary, result.published
+    table = Table(title=f"{summary['scenario']}, seed {summary['seed']}", caption_justify="left")
+    caption = Text(stops_text(summary))
+    if result.verdict is not None:
+        headline = Text(f"{result.verdict.headline}.", style="bold not italic")
+        verdict = Text.assemble(headline, f" {result.verdict.text}")
+        caption = Text("\n").join([verdict, caption] if caption else [verdict])
+    table.add_column("quantity")
+    table.add_column("this run", justify="right")
+    if published:
+        table.add_column("paper", justify="right")
+    for path, label in result.labels.items():
+        cells = [label, format_figure(look_up(summary, path))]
+        if published:
+            cells.append(format_figure(published[path]) if path in published else "")
+        table.add_row(*cells)
+    table.caption = caption or None
+    return table
+
+
+def stops_text(summary: Mapping[str, Any]) -> str:
+    """Return the reasons for which a run was stopped and volumes were refused; may be empty."""
+    lines = []
+    reasons, at_end = (look_up(summary, f"guard.{key}") for key in ("reasons", "stopped_at_end"))
+    if reasons:
+        lines.append(f"stopped because {reasons}")
+    if at_end:
+        lines.append(f"still stopped at the end because {at_end}")
+    lines += filter(None, (look_up(summary, f"guard.{key}") for key in ("noticed", "refusal")))
+    return "\n".join(lines)
+
+
+def format_figure(value: Any) -> str:
+    """Return a figure with three significant digits, a whole number as it is, or a dash."""
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return "-"
+    if value == math.inf:
+        return "∞"
+    return f"{value:.3g}" if isinstance(value, float) else str(value)

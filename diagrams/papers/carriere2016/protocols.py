@@ -1,0 +1,79 @@
+"""Experiments of the reproduction of Carriere 2016: needles, and departures from their model."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+SETS = ("d60", "d80", "patient")
+"""Sets of needles of the paper."""
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """Protocol of one experiment.
+
+    Parameters
+    ----------
+    scenario
+        Name of the scenario.
+    seeds, quick
+        Number of needles of the study and of a quick one.
+    changes
+        Changes of the scenario.
+    whole
+        Whether the slices beyond the last one used are made, too, which the measured path needs.
+    learnt
+        Experiment whose earlier needles teach the amplitude of the wander; empty for none.
+    """
+
+    scenario: str
+    seeds: int
+    quick: int
+    changes: Sequence[str] = ()
+    whole: bool = False
+    learnt: str = ""
+
+
+def _departure(*changes: str, seeds: int = 20, learnt: str = "even") -> Protocol:
+    return Protocol("carriere2016_d60", seeds, 1, changes, learnt=learnt)
+
+
+_WANDERS = (5, 10, 20, 30)
+
+LESSONS: Mapping[str, Sequence[str]] = {
+    "even": [],
+    **{f"{each} %": [f"hand.curvature_wander={each / 100}"] for each in _WANDERS},
+}
+"""Changes of the scenario of the whole needles that teach the amplitude, by kind of tissue."""
+
+LESSON_SEEDS, QUICK_LESSON_SEEDS = range(900, 910), range(900, 902)
+"""Seeds of these needles, none of which is reported."""
+
+PROTOCOLS: Mapping[str, Protocol] = {
+    "d60": Protocol("carriere2016_d60", 100, 2, whole=True, learnt="even"),
+    "d80": Protocol("carriere2016_d80", 100, 2, whole=True, learnt="even"),
+    "patient": Protocol("carriere2016_patient", 100, 4, whole=True),
+    **{
+        f"curvature wanders by {each} %": _departure(
+            f"hand.curvature_wander={each / 100}", seeds=100, learnt=f"{each} %"
+        )
+        for each in _WANDERS
+    },
+    "plane drifts by up to 30 deg in 0.1 m": _departure("hand.bend_drift_spread_deg=30"),
+    "rotation off by up to 2 mm": _departure("hand.rotation_depth_spread=2e-3"),
+    "rotation off by up to 10 deg": _departure("hand.rotation_angle_spread_deg=10"),
+    "breathing of 0.5 mm": _departure("breathing=0.5e-3"),
+    "3 in 10 slices dropped": _departure("scanner.connection.lost_sweeps=0.3"),
+    "second needle beside": _departure("phantom=beef_two_needles"),
+}
+"""Protocol of each experiment, by name."""
+
+SWEEPS: Mapping[str, Mapping[str, Sequence[str]]] = {
+    "gamma": {f"{gain:g}": [f"published.gain={gain}"] for gain in (0.02, 0.05, 0.1, 0.2, 0.3, 0.5)},
+    "n": {f"{n}": [f"published.particles={n}"] for n in (50, 100, 500, 2000)},
+    "h": {f"{1e3 * h:g} mm": [f"tracker.template=[6.0e-3, {h}]"] for h in (2e-3, 4e-3, 6e-3, 9e-3)},
+    "w": {f"{1e3 * w:g} mm": [f"tracker.template=[{w}, 6.0e-3]"] for w in (2e-3, 4e-3, 6e-3, 9e-3)},
+}
+"""Changes of the published method by parameter and value; the published one is among them."""
+
+SWEPT, SWEEP_SEEDS = "d60", 20
+"""Experiment whose first needles the parameters are swept on, and the number of these needles."""

@@ -1,0 +1,181 @@
+"""Figures of the runs of one method, with their intervals, and rows that compare two methods."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.diagrams.papers.chatelain2013.analysis import Run, Volumes, pooled_runs
+from sonoservo.diagrams.papers.chatelain2013.cases import AS_PUBLISHED
+from sonoservo.diagrams.studies.study import Outcome
+from sonoservo.diagrams.studies.study_report import StudyRow
+from sonoservo.systems.evaluation.statistics.intervals import proportion_interval
+from sonoservo.systems.evaluation.statistics.run_intervals import (
+    count_interval,
+    mean_interval,
+    run_interval,
+)
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Value:
+    """A figure of one method: true, estimated, and the 95 % interval; None if there is none."""
+
+    true: float | None = None
+    estimated: float | None = None
+    low: float | None = None
+    high: float | None = None
+
+
+class MethodRuns:
+    """Runs of one experiment with one method.
+
+    Parameters
+    ----------
+    outcomes
+        Outcomes of all experiments.
+    name
+        Name of the experiment.
+    logs
+        Folder of the logs.
+    """
+
+    def __init__(self, outcomes: Sequence[Outcome], name: str, logs: Path) -> None:
+        mine = [each for each in outcomes if each.case.experiment == name]
+        self.runs = [Run(each, logs) for each in mine if each]
+        self.failed = len(mine) - len(self.runs)
+        self.total = len(mine)
+
+    def error(self, name: str, q: float, factor: float) -> Value:
+        """Return a quantile over all volumes of one of the `Volumes`' errors, times a factor."""
+        return self.quantile(lambda volumes: factor * getattr(volumes, name), q)
+
+    def quantile(self, values: Callable[[Volumes], Floats], q: float) -> Value:
+        """Return a quantile over the volumes of all runs; failed runs count as infinite errors."""
+
+        def figure(values: Floats) -> float:
+            return float(np.quantile(values, q, method="inverted_cdf"))
+
+        runs = pooled_runs(self.runs, self.failed, values)
+        runs = [each for each in runs if len(each)]
+        if not runs:
+            return Value()
+        low, high = run_interval(runs, figure)
+        return Value(figure(np.concatenate(runs)), low=low, high=high)
+
+    def mean(
+        self,
+        true: Callable[[Run], float | None],
+        estimated: Callable[[Run], float | None] | None = None,
+    ) -> Value:
+        """Return the mean over runs; a failed run has the worst value of the others."""
+        values = self._with_failed(true)
+        if len(values) == 0:
+            return Value()
+        low, high = mean_interval(values)
+        known = self._with_failed(estimated) if estimated else np.zeros(0)
+        mean = float(np.mean(known)) if len(known) else None
+        return Value(float(np.mean(values)), mean, low, high)
+
+    def largest(self, true: Callable[[Run], float | None]) -> Value:
+        """Return the largest value of all runs; infinite if one is unknown or a run failed."""
+        values = [true(run) for run in self.runs]
+        if not self.total:
+            return Value()
+        known = [np.inf if value is None else value for value in values]
+        return Value(max([*known, *self.failed * [np.inf]]))
+
+    def share(self, good: Callable[[Run], bool]) -> Value:
+        """Return the share of runs for which something holds, in %; for failed ones it does not."""
+        if not self.total:
+            return Value()
+        number = sum(bool(good(run)) for run in self.runs)
+        low, high = proportion_interval(number, self.total)
+        return Value(100 * number / self.total, low=100 * low, high=100 * high)
+
+    def count(self, number: Callable[[Run], int]) -> Value:
+        """Return the number of events in all runs; a failed run has as many as the worst."""
+        if not self.total:
+            return Value()
+        numbers = [int(number(run)) for run in self.runs]
+        count = sum(numbers) + self.failed * max(numbers, default=1)
+        low, high = count_interval(count)
+        return Value(count, low=low, high=high)
+
+    def _with_failed(self, figure: Callable[[Run], float | None]) -> Floats:
+        values = [value for run in self.runs if (value := figure(run)) is not None]
+        known = [value for value in values if not np.isnan(value)]
+        return np.array([*known, *(self.failed * [max(known, default=np.inf)])], dtype=float)
+
+
+class Comparison:
+    """Runs of one experiment with both methods, and the rows made from them.
+
+    Parameters
+    ----------
+    outcomes, name, logs
+        See `MethodRuns`.
+    """
+
+    def __init__(self, outcomes: Sequence[Outcome], name: str, logs: Path) -> None:
+        self.name = name
+        self.ours = MethodRuns(outcomes, name, logs)
+        self.published = MethodRuns(outcomes, name + AS_PUBLISHED, logs)
+        self.rows: list[StudyRow] = []
+
+    @property
+    def runs(self) -> list[Run]:
+        """Finished runs with our method."""
+        return self.ours.runs
+
+    def row(
+        self, quantity: str, unit: str, figure: Callable[[MethodRuns], Value], **more: Any
+    ) -> None:
+        """Add a row with the same figure of both methods.
+
+        Parameters
+        ----------
+        quantity, unit
+            Quantity with its conditions, and unit.
+        figure
+            Function that returns the figure of a method's runs.
+        more
+            Paper's figure, target, and its side; see `StudyRow`.
+        """
+        ours, published = figure(self.ours), figure(self.published)
+        self.rows.append(
+            StudyRow(
+                experiment=self.name,
+                quantity=quantity,
+                unit=unit,
+                true=ours.true,
+                estimated=ours.estimated,
+                low=ours.low,
+                high=ours.high,
+                published_true=published.true,
+                published_estimated=published.estimated,
+                published_low=published.low,
+                published_high=published.high,
+                **more,
+            )
+        )
+
+    def errors(self, name: str, quantity: str, unit: str, factor: float, **targets: float) -> None:
+        """Add the rows of an error over all volumes that count: median, 95 % and largest."""
+        for what, key, q in (("median", "median", 0.5), ("95 %", "p95", 0.95), ("largest", "", 1)):
+            self.row(
+                f"{quantity}, from 20 mm in view on, {what}",
+                unit,
+                partial(MethodRuns.error, name=name, q=q, factor=factor),
+                target=targets.get(key),
+            )
+
+    def summed(self, quantity: str, unit: str, *path: str, **more: Any) -> None:
+        """Add a row with the mean over runs of a figure of their summaries."""
+        self.row(quantity, unit, lambda method: method.mean(lambda run: run.figure(*path)), **more)

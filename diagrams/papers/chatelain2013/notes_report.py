@@ -1,0 +1,39 @@
+"""Title of Chatelain 2013, and the notes needed to interpret the rows of its reproduction."""
+
+TITLE = (
+    "Chatelain, Krupa and Marchal, Real-time needle detection and tracking using a visually "
+    "servoed 3D ultrasound probe (ICRA 2013)"
+)
+NOTES = (
+    "The paper shows one run of each experiment, on one phantom, and estimated errors only. Here, "
+    "ground truth comes from the simulator; neither tracker nor controller reads it.",
+    "As published: the whole published method and nothing of ours, on the same seeds. Consecutive "
+    "volumes are compared, one admissible entry point starts the track, the filter works in the "
+    "probe's frame, eq. 25 alone moves the probe and its command is held between volumes, nothing "
+    "checks a measurement, and a lost needle is not found again. The force law and the guard of "
+    "the robot are ours.",
+    "Where the paper is silent, the choice for it was made with fig. 5 on seeds from 100 on, or is "
+    "that of our method. Detection: 2 mm3 of candidates, tau (10 mm)^2, delta 10 mm; the faces are "
+    "those of the swept sector (PublishedDetectionParameters). Localization: 120 mm3 of candidates "
+    "in a region of 10 mm around the prediction, 20 mm around a detected entry, alpha_0 20 deg, "
+    "tracking from 10 mm on; discarded draws do not count; the needle ends 6 dB above its "
+    "surroundings, after gaps of 3 mm at most (PublishedLocalizationParameters). Filter: R and Q "
+    "are the same for all control points. A track ends below 10 mm or after 10 volumes without a "
+    "measurement (PublishedLifecycle). lambda is 0.8/s (FollowingScenario.as_published).",
+    "Errors are those of the estimate after each volume, at the time for which it holds, over all "
+    "volumes of all runs with at least 20 mm of the needle in the image. A volume without an "
+    "estimate counts as an infinite error, and a failed run as one more run of such volumes. "
+    "At rest, all samples count whether or not the needle is tracked. Without an estimate, the "
+    "true error takes the place of the estimated one, and a failed run has the worst run's error. "
+    "Lost: the tracker searches although more than 15 mm are in the image.",
+    "Intervals are 95 % intervals over runs: Wilson's for shares, Poisson's for numbers of events, "
+    "and bootstraps of whole runs for quantiles and means. Fewer than six runs give none.",
+    "Converged: the needle is tracked, and its true |X| and |Z| are below 2 mm and |Theta| below "
+    "2 deg throughout the last second of the run (bent: X and Z only). Back after a move of the "
+    "phantom: the same for half a second, before the next move.",
+    "Bent: fig. 5 with a needle of bevel radius 150 to 400 mm, bent to any side, 0 to 40 deg out "
+    "of the horizontal, and a curve of order 3. The deviation is the largest distance between the "
+    "true and the estimated curve in the image, in both directions, from the estimated entry on.",
+    "Computing times are those of one thread while the study's other processes run.",
+)
+"""Paragraphs of the report."""

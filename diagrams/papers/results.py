@@ -1,0 +1,155 @@
+"""Kept results of the reproductions, and the tables of the documentation that show them.
+
+The results of a paper are the file ``results.json`` in its package, made by ``sonoservo reproduce
+all --keep``. They are shown only as long as the code that made them is the present one.
+"""
+
+import json
+import re
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from sonoservo.diagrams.studies.fingerprint import code_fingerprint
+from sonoservo.systems.evaluation.reports.web_page import cell_text
+from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.writing import write_atomically, write_json
+
+_PAPERS = Path(__file__).resolve().parent
+_ROOT = _PAPERS.parents[1]
+
+PAGES = (_ROOT / "README.md", _ROOT / "notebooks/docs/results.md")
+"""Pages with tables of results."""
+
+_TABLE = re.compile(r"<!-- results (\w+) (\w+) -->\n.*?<!-- end of results -->", re.S)
+
+_NONE = (
+    "*There are no results of this version yet: its code is not the one that made the last ones. "
+    "`sonoservo reproduce all --keep` makes them, in hours.*"
+)
+
+_HEADS = (
+    "experiment", "quantity", "paper", "ours, estimated", "ours, true", "95 %",
+    "as published, estimated", "as published, true", "95 %", "target", "met",
+)  # fmt: skip
+
+
+def keep_results(results: Mapping[str, Mapping[str, Any]]) -> None:
+    """Keep the results of papers in their packages, and write the tables that show them.
+
+    Parameters
+    ----------
+    results
+        Contents of study.json by paper.
+
+    Raises
+    ------
+    ConfigurationError
+        If the program was not started from a checkout of its repository, or there were failures.
+    """
+    if not (_ROOT / "pyproject.toml").is_file():
+        raise ConfigurationError("--keep: results are kept in a checkout of the repository only")
+    for paper, data in results.items():
+        write_json(_results_path(paper), {key: data[key] for key in data if key != "failures"})
+    write_tables()
+
+
+def kept_results(paper: str) -> dict[str, Any] | None:
+    """Return the kept results of a paper; None if there are none, or other code made them.
+
+    With another version of Drake than the one that made them, they are returned, as nobody can tell
+    whether the code would still give them.
+    """
+    path = _results_path(paper)
+    if not path.is_file():
+        return None
+    kept: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    same_drake = kept["drake"] == version("drake")
+    return None if same_drake and kept["fingerprint"] != code_fingerprint() else kept
+
+
+def results_table(kept: Mapping[str, Any] | None, rows: str) -> str:
+    """Return results as Markdown: where they come from, and a table.
+
+    Parameters
+    ----------
+    kept
+        Contents of study.json, if there are any.
+    rows
+        "all", or "published" for those with a figure of the paper.
+    """
+    if kept is None:
+        return _NONE
+    judged = [row["met"] for row in kept["rows"] if row["met"] is not None]
+    lines = [
+        f"Commit {kept['commit'][:10]}, `{kept['command']}`: {sum(judged)} of {len(judged)} "
+        "targets met.",
+        "",
+        "| " + " | ".join(_HEADS) + " |",
+        "|" + "---|" * len(_HEADS),
+    ]
+    before = ""
+    for row in kept["rows"]:
+        if rows == "published" and row["paper"] is None:
+            continue
+        lines.append("| " + " | ".join(_cells(row, before)) + " |")
+        before = row["experiment"]
+    return "\n".join(lines)
+
+
+def write_tables() -> None:
+    """Write the tables of all `PAGES` anew."""
+    for page in PAGES:
+        write_atomically(page, with_tables(page.read_text(encoding="utf-8")))
+
+
+def with_tables(text: str) -> str:
+    """Return a page with its tables as the kept results give them.
+
+    Parameters
+    ----------
+    text
+        Page with marks ``<!-- results PAPER ROWS -->`` and ``<!-- end of results -->``.
+    """
+
+    def table(found: re.Match[str]) -> str:
+        paper, rows = found.groups()
+        content = results_table(kept_results(paper), rows)
+        return f"<!-- results {paper} {rows} -->\n{content}\n<!-- end of results -->"
+
+    return _TABLE.sub(table, text)
+
+
+def _cells(row: Mapping[str, Any], before: str) -> list[str]:
+    quantity = row["quantity"] + (f" ({row['unit']})" if row["unit"] else "")
+    target = "" if row["target"] is None else f"{_SIDES[row['wanted']]} {row['target']:g}"
+    return [
+        row["experiment"] if row["experiment"] != before else "",
+        quantity,
+        *(_figure(row[key]) for key in ("paper", "estimated", "true")),
+        _interval(row["low"], row["high"]),
+        *(_figure(row[key]) for key in ("published_estimated", "published_true")),
+        _interval(row["published_low"], row["published_high"]),
+        target,
+        {None: "", True: "yes", False: "**no**"}[row["met"]],
+    ]
+
+
+_SIDES = {"at most": "≤", "at least": "≥"}
+
+
+def _figure(value: float | None) -> str:
+    return "" if value is None else cell_text(value)
+
+
+def _interval(low: float | None, high: float | None) -> str:
+    if low is None and high is None:
+        return ""
+    return (
+        f"{'-∞' if low is None else cell_text(low)} to {'∞' if high is None else cell_text(high)}"
+    )
+
+
+def _results_path(paper: str) -> Path:
+    return _PAPERS / paper / "results.json"

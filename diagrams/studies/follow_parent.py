@@ -1,0 +1,29 @@
+"""Processes that end with their parent."""
+
+import os
+import signal
+import threading
+import time
+
+_WATCH_PERIOD = 0.2
+"""Time in s between two looks of a process at its parent."""
+
+
+def follow_parent(parent: int) -> None:
+    """Leave Ctrl-C to the parent process, and end with it however it ends.
+
+    Every process of a terminal receives Ctrl-C, and the parent process handles it.
+
+    Parameters
+    ----------
+    parent
+        Number of the parent process.
+    """
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(_WATCH_PERIOD)
+        os._exit(1)
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=watch, daemon=True).start()

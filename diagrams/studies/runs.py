@@ -1,0 +1,151 @@
+"""Runs of a study on an executor, with outcomes kept on disk and failures isolated."""
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from sonoservo.diagrams.studies.fingerprint import code_fingerprint
+from sonoservo.diagrams.studies.processes import Processes
+from sonoservo.diagrams.studies.progress import StudyProgress
+from sonoservo.diagrams.studies.store import Store
+from sonoservo.diagrams.studies.study import Case, Executor, Finished, Outcome, Work
+from sonoservo.systems.files.claims import claim_folder
+from sonoservo.systems.files.writing import to_plain, write_json
+
+
+def run_cases(
+    work: Work,
+    cases: Sequence[Case],
+    folder: Path,
+    *,
+    jobs: int = -1,
+    cluster: Executor | None = None,
+    store: Store | None = None,
+    console: Console | None = None,
+) -> list[Outcome]:
+    """Run every case that has not been run yet, several at a time.
+
+    Each outcome is written to a file of its own in ``folder`` as soon as it is known. An existing
+    outcome is read instead if it was made by the same code with the same settings, and its files
+    are in the store. The outcomes are the same on this machine and on a cluster.
+
+    Parameters
+    ----------
+    work
+        Function that runs a case and returns the result to keep, in types that JSON or NumPy has,
+        or the result `WithFiles`. It must be importable, or a partial of an importable function.
+        Any exception makes the case a failure.
+    cases
+        Cases to run, all different.
+    folder
+        Folder of the outcomes.
+    jobs
+        Number of processes; -1 for one per core, 1 to run the cases in this process.
+    cluster
+        Cluster to run the cases on instead, from `open_cluster`.
+    store
+        Store of the files of results; by default, ``folder``.
+    console
+        Console on which to show progress, if any.
+
+    Returns
+    -------
+    The outcomes, in the order of the cases.
+
+    Raises
+    ------
+    ValueError
+        If two cases are equal.
+    ConfigurationError
+        If another process runs cases in the same folder, or no worker of the cluster has the same
+        package as this process.
+    ConnectionError
+        If the cluster's scheduler is gone; finished outcomes are kept.
+    KeyboardInterrupt
+        If interrupted; finished outcomes are kept.
+    """
+    if len(set(cases)) < len(cases):
+        raise ValueError(f"{len(cases)} cases, of which {len(set(cases))} differ; all must differ")
+    with claim_folder(folder):
+        kept = _Kept(folder, store or Store(str(folder)))
+        outcomes = {case: kept.read(case) for case in cases}
+        pending = [case for case, outcome in outcomes.items() if outcome is None]
+        known = [outcome for outcome in outcomes.values() if outcome is not None]
+        executor = cluster or Processes(jobs)
+        with StudyProgress(console, executor, pending, known) as progress:
+            running = executor.run(work, pending, kept.store, progress.notify)
+            try:
+                for finished in running:
+                    outcome = kept.write(finished)
+                    outcomes[outcome.case] = outcome
+                    progress.advance(outcome)
+            finally:
+                running.close()
+    return [outcome for outcome in outcomes.values() if outcome is not None]
+
+
+class _Kept:
+    """Outcomes on disk, and the store of their files."""
+
+    def __init__(self, folder: Path, store: Store) -> None:
+        self._folder, self.store = folder, store
+
+    @cached_property
+    def _sizes(self) -> Mapping[str, int]:
+        return self.store.sizes()
+
+    def _path(self, case: Case) -> Path:
+        return self._folder / f"{case.name}.json"
+
+    def write(self, finished: Finished) -> Outcome:
+        """Write a case's files and then its outcome, and return the outcome.
+
+        An outcome that cannot be written still counts, but is computed again the next time.
+        """
+        outcome, lasting = finished.outcome, finished.lasting
+        try:
+            self.store.write(finished.files)
+        except OSError as error:
+            outcome = replace(
+                outcome, result={}, files={}, error=f"{type(error).__name__}: {error}"
+            )
+            lasting = False
+        if lasting:
+            content = {"code": code_fingerprint(), **to_plain(asdict(outcome))}
+            with suppress(OSError):
+                write_json(self._path(outcome.case), {**content, "sha256": _digest(content)})
+        return outcome
+
+    def read(self, case: Case) -> Outcome | None:
+        """Read a case's outcome.
+
+        Returns
+        -------
+        None if there is none by the present code, it was altered, or one of its files is missing
+        or has another size.
+        """
+        try:
+            kept = json.loads(self._path(case).read_text(encoding="utf-8"))
+            intact = kept.pop("sha256") == _digest(kept)
+            if not intact or kept.pop("code") != code_fingerprint():
+                return None
+            if kept.pop("case") != asdict(case):
+                return None
+            outcome = Outcome(case, **kept)
+            files = outcome.files.items()
+            whole = all(self._sizes.get(name) == file["bytes"] for name, file in files)
+            return outcome if whole else None
+        except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
+            return None
+
+
+def _digest(content: Mapping[str, Any]) -> str:
+    """Return the digest of an outcome's contents, by which an altered file is noticed."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

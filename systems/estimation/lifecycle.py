@@ -1,0 +1,55 @@
+"""Interface of a track's life: the rules by which a track begins, continues and ends."""
+
+from typing import Any, Protocol
+
+from pydrake.math import RigidTransform
+
+from sonoservo.systems.estimation.needle_filter import NeedleFilter, NeedleState
+from sonoservo.systems.estimation.track import Track
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.insertion_detection import InsertionDetection
+from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals.needle_prediction import NeedlePrediction
+from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
+
+
+class Lifecycle(Protocol):
+    """Rules of a track's life as pure functions, which a `TrackManager` applies."""
+
+    @property
+    def needle_filter(self) -> NeedleFilter[Any]:
+        """Filter that starts, predicts and updates the track's state."""
+
+    @property
+    def gate(self) -> float | None:
+        """Largest Mahalanobis distance of an accepted measurement; None accepts all."""
+
+    @property
+    def probe_frame(self) -> bool:
+        """Whether the needle's state moves along with the probe between volumes."""
+
+    @property
+    def max_approach(self) -> float:
+        """Largest motion of the probe along its axis at which a needle may be found, in m."""
+
+    def without_needle(self, time: float, reason: str = "", searched: float = ...) -> Track:
+        """Return the track at a time in s while there is no needle."""
+
+    def confirm(self, state: NeedleState, time: float, innovation: float | None = None) -> Track:
+        """Return a track that is confirmed by a measurement at a time in s."""
+
+    def predict(
+        self, track: Track, time: float, X_WP: RigidTransform
+    ) -> NeedlePrediction | NotFound:
+        """Return the prediction for a volume at a time in s, seen from a pose of the probe."""
+
+    def next(
+        self,
+        track: Track,
+        time: float,
+        *,
+        detection: InsertionDetection | NotFound,
+        measurement: NeedleMeasurement | NotFound,
+        velocity: VelocityMeasurement | NotFound,
+    ) -> Track:
+        """Return the track after a volume, given what was found in it."""

@@ -1,0 +1,232 @@
+"""Report and replay of a run as web pages."""
+
+import html
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pydrake.geometry import Meshcat
+
+from sonoservo.systems.evaluation.labels import LABELS, MORE_LABELS, look_up, sections
+from sonoservo.systems.evaluation.reports.verdict import Verdict
+from sonoservo.systems.evaluation.reports.web_page import cell_text, picture, table, web_page
+from sonoservo.systems.files.writing import write_atomically
+
+
+@dataclass(frozen=True, kw_only=True)
+class Change:
+    """A field of a scenario that differs from what it is compared with.
+
+    Parameters
+    ----------
+    path
+        Dotted path of the field.
+    meaning
+        Description of the field; empty if it has none.
+    before, after
+        Both values as text; a dash where there is no such field.
+    """
+
+    path: str
+    meaning: str = ""
+    before: str
+    after: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Story:
+    """What a report tells besides figures and plots.
+
+    Parameters
+    ----------
+    verdict
+        Verdict on the run.
+    scenario
+        Sentences that describe the scenario.
+    base
+        What the scenario is compared with.
+    changes
+        Fields in which it differs from that.
+    command
+        Command that repeats the run.
+    links
+        Text of each link, by its relative address.
+    """
+
+    verdict: Verdict | None = None
+    scenario: Sequence[str] = ()
+    base: str = ""
+    changes: Sequence[Change] = ()
+    command: str = ""
+    links: Mapping[str, str] = field(default_factory=dict)
+
+
+def report_page(
+    summary: Mapping[str, Any],
+    figures: Mapping[str, bytes],
+    *,
+    story: Story | None = None,
+    key_frames: Mapping[str, bytes] | None = None,
+    labels: Mapping[str, str] = LABELS,
+    paper: Mapping[str, float] | None = None,
+) -> str:
+    """Return the report of a run as one self-contained HTML page.
+
+    Parameters
+    ----------
+    summary
+        Content of `summary.json`; `scenario` becomes the title.
+    figures
+        Contents of PNG files of plots, by caption.
+    story
+        The verdict, the scenario in words, and links.
+    key_frames
+        Contents of PNG files of pictures from the run, by caption.
+    labels
+        Label of each figure that is shown, by its dotted path into the summary.
+    paper
+        Published values to show beside the simulated ones, by the dotted path of the simulated
+        value: ``{"servo.at_rest.x_mm": 1.1}``.
+    """
+    body = report_body(summary, story=story, key_frames=key_frames, labels=labels, paper=paper)
+    return web_page(
+        str(summary.get("scenario", "Run")),
+        html.escape(facts_text(summary)),
+        f"{body}\n<h2>Plots</h2>" if figures else body,
+        figures,
+    )
+
+
+def report_body(
+    summary: Mapping[str, Any],
+    *,
+    story: Story | None = None,
+    key_frames: Mapping[str, bytes] | None = None,
+    labels: Mapping[str, str] = LABELS,
+    paper: Mapping[str, float] | None = None,
+) -> str:
+    """Return a report without title, page and plots as HTML; see `report_page`."""
+    story = story or Story()
+    body = [_verdict_text(story.verdict), _links(story.links), _scenario_text(story)]
+    if key_frames:
+        body += ["<h2>Key frames</h2>", *(picture(*each) for each in key_frames.items())]
+    body.append(_figures_text(summary, labels, paper or {}))
+    return "\n".join(filter(None, body))
+
+
+def write_report(
+    path: str | Path, summary: Mapping[str, Any], figures: Mapping[str, bytes], **details: Any
+) -> Path:
+    """Write `report_page` to a file, atomically."""
+    return write_atomically(path, report_page(summary, figures, **details))
+
+
+def save_replay(meshcat: Meshcat, path: str | Path) -> Path:
+    """Write a Meshcat's recording as one HTML page that needs no server.
+
+    Call ``meshcat.StartRecording()`` before the simulator is initialised: the recording lacks
+    everything shown or hidden earlier. The live page, if one is open, plays the recording too.
+
+    Returns
+    -------
+    Path of the page.
+    """
+    meshcat.StopRecording()
+    meshcat.PublishRecording()
+    return write_atomically(path, meshcat.StaticHtml())
+
+
+def facts_text(summary: Mapping[str, Any]) -> str:
+    """Return seed, program version and times of a run as one line of text."""
+    facts = []
+    if "seed" in summary:
+        facts.append(f"seed {summary['seed']}")
+    if "version" in summary:
+        facts.append(f"sonoservo {summary['version']}")
+    if (wall := summary.get("wall_s")) is not None:
+        if (simulated := summary.get("simulated_s")) is not None:
+            speed = summary["real_time_factor"]
+            facts.append(f"{simulated:.1f} s simulated in {wall:.1f} s ({speed:.1f} x real time)")
+        else:
+            facts.append(f"computed in {wall:.1f} s")
+    if (compiled := summary.get("compile_s", 0.0)) > 0.1:
+        facts.append(f"compiling kernels took {compiled:.0f} s more, which no figure counts")
+    if summary.get("interrupted"):
+        facts.append("interrupted")
+    return " · ".join(facts)
+
+
+def _verdict_text(verdict: Verdict | None) -> str:
+    if verdict is None:
+        return ""
+    return (
+        f'<p class="verdict {verdict.grade}"><strong>{html.escape(verdict.headline)}.</strong> '
+        f"{html.escape(verdict.text)}</p>"
+    )
+
+
+def _links(links: Mapping[str, str]) -> str:
+    each = (f'<a href="{html.escape(to)}">{html.escape(text)}</a>' for to, text in links.items())
+    return f"<p>{' · '.join(each)}</p>" if links else ""
+
+
+def _scenario_text(story: Story) -> str:
+    parts = []
+    if story.scenario:
+        parts.append(f"<h2>Scenario</h2>\n<p>{html.escape(' '.join(story.scenario))}</p>")
+    if story.changes:
+        parts.append(f"<p>Changed from {html.escape(story.base)}:</p>\n{changes_table(story)}")
+    elif story.base:
+        parts.append(f"<p>Nothing is changed from {html.escape(story.base)}.</p>")
+    if story.command:
+        parts.append(f"<p>To repeat it: <code>{html.escape(story.command)}</code></p>")
+    return "\n".join(parts)
+
+
+def changes_table(story: Story, heads: Sequence[str] = ("", "field", "default", "here")) -> str:
+    """Return the changed fields of a scenario as an HTML table."""
+    rows = [
+        (
+            html.escape(each.meaning),
+            f"<code>{html.escape(each.path)}</code>",
+            html.escape(each.before),
+            html.escape(each.after),
+        )
+        for each in story.changes
+    ]
+    return table([html.escape(head) for head in heads], rows)
+
+
+def _figures_text(
+    summary: Mapping[str, Any], labels: Mapping[str, str], paper: Mapping[str, float]
+) -> str:
+    """Return the tables of a run's figures, each with the paper's values if it has any."""
+    more = {path: each for path, each in MORE_LABELS.items() if look_up(summary, path) is not None}
+    tables = []
+    for heading, group in sections({**labels, **more}).items():
+        shown = {path: label for path, label in group.items() if _is_there(summary, path)}
+        if not shown:
+            continue
+        rows = [
+            [
+                html.escape(label),
+                cell_text(look_up(summary, path)),
+                cell_text(float(paper[path])) if path in paper else "",
+            ]
+            for path, label in shown.items()
+        ]
+        compared = any(path in paper for path in shown)
+        heads = ["", "this run", "paper"] if compared else ["", ""]
+        body = table(heads, [row[: len(heads)] for row in rows])
+        tables.append(f"<section><h3>{html.escape(heading)}</h3>\n{body}</section>")
+    if not tables:
+        return ""
+    return '<h2>Figures</h2>\n<div class="tables">' + "\n".join(tables) + "</div>"
+
+
+def _is_there(summary: Mapping[str, Any], path: str) -> bool:
+    """Return True if a summary has an entry at a dotted path, even one without a value."""
+    *parents, last = path.split(".")
+    node = look_up(summary, ".".join(parents)) if parents else summary
+    return isinstance(node, Mapping) and last in node

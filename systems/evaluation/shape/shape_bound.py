@@ -1,0 +1,85 @@
+"""Lower bound of the error with which a needle's final shape can be predicted."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.signals.bicycle_paths import deflections
+from sonoservo.systems.signals.curvature_wander import wander_modes
+
+Floats = NDArray[np.float64]
+
+_WIDE = 0.1
+"""Standard deviation in m of the unknown origin, which leaves it free."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrueBend:
+    """True path of a needle, and what is known of all needles.
+
+    Parameters
+    ----------
+    radius, angle
+        Radius R in m and first angle theta_0 in rad.
+    rotations
+        Depths at which the bevel is turned, in m.
+    wander, wander_length
+        Standard deviation of the curvature along the path, relative to its mean, and its length in
+        m.
+    radius_std, angle_std
+        Standard deviations of R in m and of theta_0 in rad over all needles.
+    """
+
+    radius: float
+    angle: float
+    rotations: Sequence[float] = ()
+    wander: float = 0.0
+    wander_length: float = 0.02
+    radius_std: float = 0.6
+    angle_std: float = 0.0873
+
+
+def deflection_bound(bend: TrueBend, seen: Floats, noise_std: float, depths: Floats) -> Floats:
+    """Return the least standard deviation of a predicted deflection u, in m.
+
+    It is the Bayesian Cramer-Rao bound (Van Trees 1968) with the information at the true path:
+    no estimator that knows the distribution of all needles has a smaller mean squared error. The
+    unknowns are the origin, R, theta_0 and the wander of the curvature. The plane of the bend does
+    not enter, as an error of it does not change u to first order.
+
+    Parameters
+    ----------
+    bend
+        True path.
+    seen
+        (m,) depths of the measured cross-sections, in m, ascending.
+    noise_std
+        Standard deviation of their measured u, in m.
+    depths
+        (k,) depths of the prediction, in m, ascending.
+
+    Returns
+    -------
+    (k,) standard deviations in m.
+    """
+    modes = wander_modes(float(depths[-1]), bend.rotations, bend.wander_length)
+    prior = [_WIDE, bend.radius_std, bend.angle_std]
+    prior += len(modes) * [bend.wander / bend.radius] if bend.wander else []
+    scale = np.array(prior)
+
+    def derivatives(at: Floats) -> Floats:
+        steps = np.array([[0, 0], [1e-4, 0], [0, 1e-6]])
+        shapes = np.array([1 / bend.radius, np.sin(bend.angle)]) + steps
+        u, curved, turned = deflections(shapes, at, np.array(bend.rotations, dtype=float))
+        radius = (u - curved) / 1e-4 / bend.radius**2
+        columns = [np.ones(len(at)), radius, (turned - u) / 1e-6 * np.cos(bend.angle)]
+        unknown = np.column_stack(columns)
+        return np.hstack([unknown, modes.at(at)]) if bend.wander else unknown
+
+    known = derivatives(seen) * scale
+    information = known.T @ known / noise_std**2 + np.eye(len(scale))
+    wanted = derivatives(depths) * scale
+    variance = np.einsum("ki,ki->k", wanted, np.linalg.solve(information, wanted.T).T)
+    return np.sqrt(variance)

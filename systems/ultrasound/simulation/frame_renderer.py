@@ -1,0 +1,273 @@
+"""Renderer of successive frames of a motorised probe over tissue and needle."""
+
+import operator
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.sweep import SweepGeometry
+from sonoservo.systems.ultrasound.beam import Beam, beam_profile
+from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
+from sonoservo.systems.ultrasound.simulation.air_pockets import AirPockets
+from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import render_points
+from sonoservo.systems.ultrasound.simulation.kernels.displacement import Displacements
+from sonoservo.systems.ultrasound.simulation.kernels.echo import FADE, render_tissue
+from sonoservo.systems.ultrasound.simulation.kernels.image_formation import form_image
+from sonoservo.systems.ultrasound.simulation.kernels.line_blur import line_kernel
+from sonoservo.systems.ultrasound.simulation.kernels.shadows import expand_gains
+from sonoservo.systems.ultrasound.simulation.kernels.surface_echo import render_surfaces
+from sonoservo.systems.ultrasound.simulation.needle_echo import NeedleEchoParameters
+from sonoservo.systems.ultrasound.simulation.needle_renderer import FrameViews, NeedleRenderer
+from sonoservo.systems.ultrasound.simulation.pulses import PulseTables
+from sonoservo.systems.ultrasound.simulation.rays import (
+    depth_tables,
+    frame_poses,
+    line_rays,
+    projection_rays,
+)
+from sonoservo.systems.ultrasound.simulation.reaction.deformation import Deformation, displacements
+from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
+from sonoservo.systems.ultrasound.simulation.scatterer_tile import scatterer_tile
+from sonoservo.systems.ultrasound.simulation.scatterers.bright_points import inclusion_points
+from sonoservo.systems.ultrasound.simulation.scene import Scene
+from sonoservo.systems.ultrasound.simulation.structures.resting_needle import RestingNeedle
+from sonoservo.systems.ultrasound.simulation.tissue import Tissue
+from sonoservo.systems.ultrasound.transducer import Transducer
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """Successive frames of a sweep, with the true state of the world at each frame's time.
+
+    Parameters
+    ----------
+    part
+        Numbers of the frames; frames are numbered towards +Z.
+    direction
+        +1 for a sweep towards +Z, -1 towards -Z.
+    X_TP
+        (n, 4, 4) pose of the probe in the tissue.
+    times
+        (n,) times in s, for pulsation, flow and fading.
+    needles
+        True needle in T, possibly empty.
+    deformations
+        Deformation of the tissue; None for undeformed tissue.
+    """
+
+    part: slice
+    direction: int
+    X_TP: NDArray[np.float64]
+    times: NDArray[np.float64]
+    needles: Sequence[Needle]
+    deformations: Sequence[Deformation] | None = None
+
+    def among(self, part: slice) -> "Frames":
+        """Return some of the frames of a whole sweep."""
+        deformations = self.deformations
+        return Frames(
+            part,
+            self.direction,
+            self.X_TP[part],
+            self.times[part],
+            self.needles[part],
+            None if deformations is None else deformations[part],
+        )
+
+    def equals(self, other: "Frames") -> bool:
+        """Return True if these are the same frames of the same world."""
+        return (
+            (self.part, self.direction) == (other.part, other.direction)
+            and np.array_equal(self.X_TP, other.X_TP)
+            and np.array_equal(self.times, other.times)
+            and _identical(self.needles, other.needles)
+            and _identical(self.deformations or (), other.deformations or ())
+        )
+
+
+def _identical(these: Sequence[object], those: Sequence[object]) -> bool:
+    return len(these) == len(those) and all(map(operator.is_, these, those))
+
+
+class FrameRenderer:
+    """Renders frames of one transducer over one tissue; see `SweepRenderer` for what it models.
+
+    It has no state, so threads may share it.
+
+    Parameters
+    ----------
+    transducer, imaging, tissue, parameters, seed
+        See `SweepRenderer`.
+
+    Attributes
+    ----------
+    geometry
+        Geometry of the sweeps.
+    acoustic
+        The same, with lengths in the tissue, which has a speed of sound of its own.
+    beam
+        Widths of the point spread function.
+    """
+
+    def __init__(
+        self,
+        transducer: Transducer,
+        imaging: ImagingParameters,
+        tissue: Tissue,
+        parameters: ScannerParameters,
+        seed: int,
+    ) -> None:
+        self.geometry: SweepGeometry = sweep_geometry(transducer, imaging)
+        self._parameters, self._imaging, self._seed = parameters, imaging, seed
+        self._box = tissue.surface.bounds
+        sound_speed = tissue.sound_speed or imaging.sound_speed
+        # Samples are times; lengths in the tissue follow from its own speed of sound.
+        ratio = sound_speed / imaging.sound_speed
+        geometry = self.geometry
+        if ratio != 1:
+            pitch = geometry.sample_pitch * ratio
+            geometry = replace(geometry, sample_pitch=pitch, sound_speed=sound_speed)
+            imaging = replace(imaging, sound_speed=sound_speed)
+        self.acoustic = geometry
+        self.beam: Beam = beam_profile(transducer, imaging, geometry)
+
+        depths = geometry.sample_pitch * np.arange(geometry.samples)
+        cell = self.beam.resolution_cell
+        reference = int(np.abs(depths - transducer.lens_focus).argmin())
+        self._tables, line_sigma = depth_tables(self.beam, geometry, reference)
+        self._kernel = line_kernel(line_sigma, geometry.lines)
+        density = tissue.scatterers_per_cell * (1 + FADE) / (2**1.5 * cell.min())
+        self._tile = scatterer_tile(density, np.random.default_rng(tissue.seed))
+        self._inclusions = inclusion_points(tissue, self.beam, reference)
+        pulses = PulseTables(self.beam, geometry.sample_pitch)
+
+        def needle_renderer(echo: NeedleEchoParameters, seeds: Sequence[int]) -> NeedleRenderer:
+            return NeedleRenderer(echo, self.beam, geometry, reference, pulses, seeds)
+
+        self._needle = needle_renderer(parameters.needle, [seed, 1])
+        self._resting = [
+            (each.needle(), needle_renderer(each.echo, [tissue.seed, 3, number]))
+            for number, each in enumerate(tissue.structures)
+            if isinstance(each, RestingNeedle)
+        ]
+        # With this amplitude the tissue's mean intensity is 1 (0 dB) at every depth.
+        amplitude = np.sqrt(2**1.5 / (tissue.scatterers_per_cell * (1 - FADE / 3)))
+        self._tissue_pulse = np.repeat(pulses.tabulate([amplitude], [0.0])[0], 2, axis=1)
+        self._point_pulse = pulses.tabulate([1.0], [0.0])
+        self._scene = Scene(
+            tissue,
+            beam=self.beam,
+            geometry=geometry,
+            reference=reference,
+            pulses=pulses,
+            block_size=self._tile.block_size,
+            sound_speed=sound_speed,
+            frequency=imaging.transmit_frequency,
+        )
+        loss_db = 2 * tissue.attenuation * 1e-6 * imaging.transmit_frequency * 1e2 * depths
+        self._noise = (10 ** ((parameters.noise_db + loss_db) / 20)).astype(np.float32)
+        rng = np.random.default_rng([seed, 4])
+        air = parameters.air_pockets
+        self._air = AirPockets(air, transducer, imaging, self.geometry, rng)
+        self._lines = {direction: line_rays(geometry, direction) for direction in (1, -1)}
+        self._rays = {d: projection_rays(geometry, self.beam, d, pulses.lead) for d in (1, -1)}
+
+    @property
+    def varies(self) -> bool:
+        """True if the image of a scene at rest changes over time."""
+        return self._scene.varies or any(renderer.varies for _, renderer in self._resting)
+
+    def add_tissue(
+        self, iq: NDArray[np.complex64], frames: Frames, field: Displacements
+    ) -> FrameViews:
+        """Render everything except the moving needle.
+
+        Parameters
+        ----------
+        iq
+            (n, lines, samples) echoes, written.
+        frames
+            Frames to render.
+        field
+            Displacements of the tissue in them.
+
+        Returns
+        -------
+        The views needed for the needle's echo.
+        """
+        X_FT = frame_poses(self.acoustic, frames.X_TP, frames.part)
+        rays, scene, tables = self._rays[frames.direction], self._scene, self._tables
+        times = frames.times
+        view, gains, nodes_per_metre = scene.view(X_FT, float(rays.twist))
+        medium = (self._tissue_pulse, self._kernel, scene.regions, scene.lumens(times), view, field)
+        render_tissue(iq, X_FT, self._box, self._tile, rays, tables, *medium)
+        if len(self._inclusions[0]):
+            points = (*self._inclusions, rays, tables, self._point_pulse, view, field)
+            render_points(iq, X_FT, *points)
+        transmission = np.empty((0, 0, 0), np.float32)
+        if scene.pieces is not None:
+            transmission = np.ones(iq.shape, np.float32)
+            if gains is not None:
+                expand_gains(transmission, gains, nodes_per_metre * self.acoustic.sample_pitch)
+            parts = (scene.pieces, scene.growth(times), rays, tables, scene.pulses, scene.taps)
+            render_surfaces(iq, transmission, X_FT, *parts, view, field, gains is not None)
+        views = FrameViews(X_FT, rays, tables, view, transmission, times)
+        for needle, renderer in self._resting:
+            renderer.add_resting(iq, needle, field, views)
+        return views
+
+    def add_needle(self, iq: NDArray[np.complex64], frames: Frames, views: FrameViews) -> None:
+        """Add the moving needle and its shadow to the echoes of the tissue, in place."""
+        self._needle.add(iq, frames.needles, views._replace(times=frames.times))
+
+    def add_points(
+        self,
+        iq: NDArray[np.complex64],
+        frames: Frames,
+        points: NDArray[np.float64],
+        amplitudes: NDArray[np.complex128],
+    ) -> None:
+        """Add the echoes of point scatterers, in place; see `SweepRenderer.add_scatterers`."""
+        X_FT, rays = (
+            frame_poses(self.acoustic, frames.X_TP, frames.part),
+            self._rays[frames.direction],
+        )
+        view, *_ = self._scene.view(X_FT, float(rays.twist))
+        beams = (rays, self._tables, self._point_pulse, view, displacements(None))
+        render_points(iq, X_FT, points, amplitudes, *beams)
+
+    def grey_levels(
+        self, iq: NDArray[np.complex64], frames: Frames, number: int
+    ) -> NDArray[np.uint8]:
+        """Return the grey levels of echoes.
+
+        Parameters
+        ----------
+        iq
+            (n, lines, samples) echoes.
+        frames
+            Their frames.
+        number
+            Number of the sweep, which selects the noise.
+        """
+        grey = np.empty(iq.shape, np.uint8)
+        origins, directions = self._lines[frames.direction]
+        keys = np.random.SeedSequence([self._seed, number])
+        form_image(
+            grey,
+            iq,
+            np.ascontiguousarray(frames.X_TP[:, :3]),
+            self._box,
+            origins[frames.part],
+            directions[frames.part],
+            self._parameters.gel_thickness,
+            self._air.open_shares(frames.times),
+            self._noise,
+            keys.generate_state(self.geometry.frames, np.uint64)[frames.part],
+            self._imaging.grey_per_db,
+            self._imaging.tissue_grey,
+        )
+        return grey

@@ -1,0 +1,76 @@
+"""Kept results, and the tables that show them."""
+
+import json
+
+import pytest
+
+from sonoservo.diagrams.papers import results
+from sonoservo.diagrams.papers.registry import PAPERS
+from sonoservo.diagrams.studies.fingerprint import code_fingerprint
+from sonoservo.diagrams.studies.study import Case, Outcome
+from sonoservo.diagrams.studies.study_report import Study, StudyRow
+
+
+@pytest.mark.parametrize("page", results.PAGES, ids=lambda page: page.name)
+def test_pages_show_what_was_kept_and_nothing_else(page):
+    """If this fails, the code has changed since the results were made, or the page was edited.
+
+    `python -c "from sonoservo.diagrams.papers.results import write_tables; write_tables()"`
+    """
+    text = page.read_text(encoding="utf-8")
+    assert results.with_tables(text) == text
+
+
+def test_every_paper_has_its_table():
+    text = results.PAGES[1].read_text(encoding="utf-8")
+    assert all(f"<!-- results {paper} all -->" in text for paper in PAPERS)
+
+
+@pytest.fixture
+def data():
+    study = Study(
+        paper="chatelain2013",
+        title="Someone",
+        rows=[
+            StudyRow(
+                experiment="fig5", quantity="at rest", unit="mm", paper=1.1, estimated=0.5,
+                true=0.6, low=0.4, high=0.7, published_true=2.5, target=0.7,
+            ),
+            StudyRow(experiment="fig5", quantity="times lost", true=3, target=0),
+        ],
+        outcomes=[Outcome(Case("fig5", 0), {"x": 1})],
+    )  # fmt: skip
+    return study.as_json("sonoservo reproduce all")
+
+
+def test_kept_results_become_tables(data, tmp_path, monkeypatch):
+    page = tmp_path / "page.md"
+    page.write_text("a\n<!-- results chatelain2013 published -->\n<!-- end of results -->\nb\n")
+    (tmp_path / "chatelain2013").mkdir()
+    monkeypatch.setattr(results, "_PAPERS", tmp_path)
+    monkeypatch.setattr(results, "PAGES", (page,))
+    (tmp_path / "pyproject.toml").touch()
+    monkeypatch.setattr(results, "_ROOT", tmp_path)
+    results.write_tables()
+    assert "no results of this version" in page.read_text()
+    results.keep_results({"chatelain2013": data})
+    text = page.read_text()
+    assert "1 of 2 targets met" in text
+    assert "| fig5 | at rest (mm) | 1.10 | 0.500 | 0.600 | 0.400 to 0.700 |" in text
+    assert "times lost" not in text  # no figure of the paper
+    assert "| | times lost |" in results.results_table(data, "all").replace("|  |", "| |")
+    assert text.startswith("a\n")
+    assert text.endswith("-->\nb\n")
+
+
+def test_no_result_survives_a_change_of_its_code(data, tmp_path, monkeypatch):
+    (tmp_path / "chatelain2013").mkdir()
+    monkeypatch.setattr(results, "_PAPERS", tmp_path)
+    path = tmp_path / "chatelain2013" / "results.json"
+    path.write_text(json.dumps(data))
+    assert data["fingerprint"] == code_fingerprint()
+    assert results.kept_results("chatelain2013") == json.loads(path.read_text())
+    path.write_text(json.dumps(data | {"fingerprint": "0"}))
+    assert results.kept_results("chatelain2013") is None
+    path.write_text(json.dumps(data | {"fingerprint": "0", "drake": "0"}))
+    assert results.kept_results("chatelain2013") is not None

@@ -1,0 +1,79 @@
+"""Cases for clusters: they calculate, run an experiment, hang, or end their process or worker."""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+
+from sonoservo.diagrams.studies.study import WithFiles
+
+
+def calculate(case):
+    """Return numbers that any difference of threads or versions would change."""
+    if case.seed == case.settings.get("raises"):
+        raise ValueError("no luck")
+    a = np.random.default_rng(case.seed).normal(size=(60, 60))
+    values = np.linalg.eigvalsh(a @ a.T)
+    threads = {os.environ[name] for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS")}
+    return WithFiles(
+        {"values": values, "nothing": float("nan"), "threads": sorted(threads)},
+        {f"case_{case.seed}/values.bin": values.tobytes()},
+    )
+
+
+def run_experiment(case):
+    """Run a short experiment, and return its log."""
+    from sonoservo.diagrams.experiments.registry import load_scenario, make_experiment
+    from sonoservo.systems.evaluation.log import columns
+
+    changes = ["duration=0.65", "imaging.sector=0.3", "station.plant.contact_model=point"]
+    experiment = make_experiment(
+        load_scenario("chatelain2013_fig5", seed=case.seed, changes=changes)
+    )
+    experiment.run()
+    log = experiment.log()
+    return {name: getattr(log, name) for name in columns(type(log))}
+
+
+def report(case):
+    """Leave the numbers of the case's process and of its worker in a file."""
+    folder = Path(case.settings["folder"])
+    partial = folder / f".{case.seed}_{os.getpid()}"
+    partial.write_text(f"{os.getpid()} {os.getppid()}")
+    partial.rename(folder / f"{case.seed}_{os.getpid()}")
+    return len(list(folder.glob(f"{case.seed}_*")))
+
+
+def wait_once(case):
+    """Wait for ever the first time, and return the number of the attempt after that."""
+    number = report(case)
+    if number == 1:
+        time.sleep(600)
+    return {"attempt": number}
+
+
+def count(case):
+    """Report, and return; all but the first wait while there is a file "wait"."""
+    report(case)
+    while case.seed and (Path(case.settings["folder"]) / "wait").exists():
+        time.sleep(0.1)
+    return {"seed": case.seed}
+
+
+def end_process(case):
+    """End the process of one of the cases."""
+    report(case)
+    if case.settings.get("poison"):
+        os._exit(1)
+    return {}
+
+
+def end_worker(case):
+    """Kill the worker of one of the cases."""
+    report(case)
+    if case.settings.get("poison"):
+        os.kill(os.getppid(), signal.SIGKILL)
+        time.sleep(600)
+    return {}

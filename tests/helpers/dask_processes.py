@@ -1,0 +1,52 @@
+"""A scheduler of Dask and its workers, each in a process of its own."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+
+HELPERS = Path(__file__).parent
+
+
+class DaskProcesses:
+    """A scheduler, and workers with one thread each; no nanny restarts them."""
+
+    def __init__(self, folder):
+        self._file, self._processes = folder / "scheduler.json", []
+        self._log = (folder / "log").open("wb")
+        self.scheduler = self._start("scheduler", "--port", "0", "--dashboard-address", ":0")
+
+    @property
+    def address(self):
+        while not self._file.exists():
+            assert self.scheduler.poll() is None
+            time.sleep(0.02)
+        return json.loads(self._file.read_text())["address"]
+
+    def add_worker(self, path=()):
+        """Start a worker; folders of the path come before those of this process."""
+        return self._start(
+            "worker", "--nthreads", "1", "--no-nanny", "--no-dashboard", path=[*path, str(HELPERS)]
+        )
+
+    def _start(self, *command, path=()):
+        path = os.pathsep.join([*path, os.environ.get("PYTHONPATH", "")])
+        process = subprocess.Popen(
+            [sys.executable, "-m", "dask", *command, "--host", "127.0.0.1",
+             "--scheduler-file", str(self._file)],
+            env={**os.environ, "PYTHONPATH": path},
+            stdout=self._log, stderr=self._log, start_new_session=True,
+        )  # fmt: skip
+        self._processes.append(process)
+        return process
+
+    def end(self):
+        for process in self._processes:
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+        self._log.close()

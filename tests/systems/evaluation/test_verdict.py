@@ -1,0 +1,81 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sonoservo.systems.evaluation.metrics import summarize
+from sonoservo.systems.evaluation.reports.key_frames import (
+    key_volumes,
+    plot_key_frames,
+    true_needle,
+)
+from sonoservo.systems.evaluation.reports.verdict import following_verdict, recording_verdict
+
+
+@pytest.fixture
+def summary(insertion_log):
+    return summarize(insertion_log)
+
+
+def test_a_good_run_says_what_was_reached(summary):
+    verdict = following_verdict(summary)
+    assert verdict.grade == "good"
+    assert verdict.headline == "The needle was found and followed"
+    assert "tracked in 52 of the 52 volumes" in verdict.text
+    assert "less than 0.50 mm from the true one" in verdict.text
+    assert "0.00 mm beside the probe's middle (X)" in verdict.text
+    still = following_verdict(summary, follows=False)
+    assert still.headline == "The needle was found and tracked"
+    assert "(X)" not in still.text
+
+
+@pytest.mark.parametrize(
+    ("block", "figures", "grade", "words"),
+    [
+        ("tracking", {"lost_events": 2}, "mixed", "and lost twice on the way"),
+        ("detection", {"false_starts": 1}, "mixed", "with 1 false start"),
+        ("guard", {"stopped_at_end": "force"}, "bad", "The guard stopped the robot because force"),
+        ("detection", {"volume": None, "reason": "Dark."}, "bad", "No needle was found. Dark."),
+    ],
+)
+def test_what_went_wrong_comes_first(summary, block, figures, grade, words):
+    summary[block] |= figures
+    verdict = following_verdict(summary)
+    assert verdict.grade == grade
+    assert words in str(verdict)
+
+
+def test_recordings_without_truth_have_a_verdict_too():
+    none = recording_verdict({"volumes": 5, "modes": {"searching": 5}})
+    assert str(none) == "No needle was found."
+    some = recording_verdict({"volumes": 5, "modes": {"searching": 2, "tracking": 3}})
+    assert str(some) == "A needle was tracked in 3 of 5 volumes."
+
+
+def test_telling_volumes_are_detection_loss_worst_and_rest(insertion_log):
+    tip = insertion_log.volume_estimate_tip.copy()
+    tip[20] += [2e-3, 0, 0]
+    mode = insertion_log.volume_estimate_mode.copy()
+    mode[25] = "lost"
+    log = replace(insertion_log, volume_estimate_tip=tip, volume_estimate_mode=mode)
+    found = int(np.flatnonzero(mode == "tracking")[0])
+    moments = key_volumes(log)
+    assert list(moments) == [found, 20, 25, len(mode) - 1]
+    assert [moments[each].split(",")[0] for each in moments] == [
+        "the needle is found",
+        "the largest error of the tip",
+        "the needle is lost",
+        "the needle is at rest",
+    ]
+    assert "(2.30 mm along the needle, 0.40 mm across it)" in moments[20]
+
+
+def test_without_a_needle_the_volume_that_shows_most_of_it_is_telling(make_log):
+    time = np.arange(4.0)
+    log = make_log(4, 4, time=time, volume_time=time, volume_true_time=time,
+                   visible_length=np.array([0, 0, 0.03, 0.02]))  # fmt: skip
+    ((volume, words),) = key_volumes(log).items()
+    assert volume == 2
+    assert "not found" in words
+    assert len(true_needle(log, 2)) == 0
+    assert plot_key_frames(log, []) == {}
