@@ -228,8 +228,7 @@ def _track(
     done = _Progress()
     pacer = Pacer(console, speed=float(real_time), keeps_speed=True) if console else None
     pictured = set(np.linspace(0, len(recording) - 1, _PICTURES).round().astype(int).tolist())
-    interrupted = False
-    started = time.perf_counter()
+    interrupted, started = False, time.perf_counter()
     try:
         for number in range(len(recording)):
             clock = [time.perf_counter()]
@@ -245,10 +244,10 @@ def _track(
             if truth is not None:
                 sample = truth.at(volume.time)
                 diagram.GetInputPort("X_WT").FixValue(context, Value(RigidTransform()))
-                needle = truth.needles[sample]
-                diagram.GetInputPort("needle").FixValue(context, Value[object](needle))
-                force = [truth.contact_force[sample]]
-                diagram.GetInputPort("contact_force").FixValue(context, force)
+                needle = Value[object](truth.needles[sample])
+                diagram.GetInputPort("needle").FixValue(context, needle)
+                force = diagram.GetInputPort("contact_force")
+                force.FixValue(context, [truth.contact_force[sample]])
             diagram.ExecuteForcedEvents(context)
             estimate: NeedleEstimate = estimate_port.Eval(tracker_context)
             clock.append(time.perf_counter())
