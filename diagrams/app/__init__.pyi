@@ -3,10 +3,10 @@ from .explain import ExplainedRun as ExplainedRun
 from .explain import explanation_table as explanation_table
 from .explain import read_explained_run as read_explained_run
 from .kept_run import KeptRun as KeptRun
-from .pacer import Pacer as Pacer
-from .pages import Pages as Pages
-from .pages import open_pages as open_pages
-from .real_time import RealTime as RealTime
+from .pages.pacer import Pacer as Pacer
+from .pages.pages import Pages as Pages
+from .pages.pages import open_pages as open_pages
+from .pages.real_time import RealTime as RealTime
 from .run_result import RunResult as RunResult
 from .run_result import format_figure as format_figure
 from .run_result import summary_table as summary_table

@@ -114,7 +114,7 @@ def run_command(
     folder = out or free_folder(f"{loaded.name}_seed{loaded.seed}")
     pages = None
     if meshcat:
-        from sonoservo.diagrams.app.pages import open_pages
+        from sonoservo.diagrams.app.pages.pages import open_pages
 
         title = f"{loaded.name}, seed {loaded.seed}"
         pages = open_pages(console, title, host=host, by_itself=open_page)
@@ -166,7 +166,7 @@ def drive_command(
     from sonoservo.diagrams.app.drive import DRIVING, drive
     from sonoservo.diagrams.app.kept_run import refusing
     from sonoservo.diagrams.app.live.commands import serving
-    from sonoservo.diagrams.app.pages import open_pages
+    from sonoservo.diagrams.app.pages.pages import open_pages
     from sonoservo.diagrams.app.run_result import end_words, summary_table
     from sonoservo.diagrams.app.terminal import Progress, end_run
     from sonoservo.diagrams.experiments.following_scenario import FollowingScenario

@@ -11,7 +11,7 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.framework import System
 
 from sonoservo.diagrams.app.kept_run import KeptRun, refusing
-from sonoservo.diagrams.app.real_time import RealTime
+from sonoservo.diagrams.app.pages.real_time import RealTime
 from sonoservo.diagrams.app.run import finish
 from sonoservo.diagrams.app.run_result import RunResult
 from sonoservo.diagrams.experiments.following import FollowingExperiment

@@ -10,9 +10,9 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
-from sonoservo.diagrams.app import pages as pages_module
 from sonoservo.diagrams.app.cli import app
-from sonoservo.diagrams.app.pages import has_desktop, open_pages
+from sonoservo.diagrams.app.pages import pages as pages_module
+from sonoservo.diagrams.app.pages.pages import has_desktop, open_pages
 from sonoservo.systems.files.refusals import ConfigurationError
 
 # Any address of this machine that is not its own loop, found without sending anything.

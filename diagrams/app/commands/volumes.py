@@ -108,7 +108,7 @@ def track_command(
     )
     pages = None
     if show:
-        from sonoservo.diagrams.app.pages import open_pages
+        from sonoservo.diagrams.app.pages.pages import open_pages
 
         title = source if is_address(source) else Path(source).name
         pages = open_pages(console, title, host=host, world=False, by_itself=open_page)

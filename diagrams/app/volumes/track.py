@@ -12,7 +12,7 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import DiagramBuilder
 
-from sonoservo.diagrams.app.pacer import Pacer
+from sonoservo.diagrams.app.pages.pacer import Pacer
 from sonoservo.diagrams.app.volumes.estimates_table import estimate_row, estimates_csv
 from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
 from sonoservo.diagrams.app.volumes.true_values import true_values

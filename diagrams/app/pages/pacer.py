@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from sonoservo.diagrams.app.real_time import RealTime
+from sonoservo.diagrams.app.pages.real_time import RealTime
 
 if TYPE_CHECKING:
     from sonoservo.systems.display.console.console import Console
