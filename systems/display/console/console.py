@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from sonoservo.systems.display.console.probe_page import ProbePage
 
-_PERIOD = 0.12
+_PERIOD = 0.2
 """Shortest time between two updates of a page, in s."""
 
 _PATIENCE = 10.0
