@@ -57,6 +57,7 @@ notebooks: $(VENV)/.dev
 
 pictures: $(VENV)/.dev
 	@$(BIN)/python notebooks/screenshots.py
+	@$(BIN)/python notebooks/moving_picture.py
 	@cd notebooks && $(abspath $(BIN))/python gallery.py
 	@cd notebooks && $(abspath $(BIN))/python gallery_of_dials.py
 

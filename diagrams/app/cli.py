@@ -63,12 +63,16 @@ def _program(
     """A robot holds a 3D ultrasound probe, finds a needle and follows it."""
 
 
-def compile_command() -> None:
-    """Compile the kernels beforehand; without this, the first run does, in about a minute."""
-    from sonoservo.diagrams.app.compile import TASKS, compile_kernels
+def compile_command(
+    everything: Annotated[
+        bool, typer.Option("--all", help="Also what `clinic` and shape prediction need.")
+    ] = False,
+) -> None:
+    """Compile the kernels of `make run` beforehand; else the first run does, in about a minute."""
+    from sonoservo.diagrams.app.compile import compile_kernels
 
-    with console.status(f"Compiling {len(TASKS)} groups of kernels ..."):
-        for line in compile_kernels():
+    with console.status("Compiling groups of kernels; the longest takes about a minute ..."):
+        for line in compile_kernels(everything=everything):
             console.print(line)
 
 

@@ -46,17 +46,27 @@ def compile_shape_prediction() -> None:
     run(load_scenario("carriere2016_d60", changes=["depth=0.07"]))
 
 
-TASKS: tuple[Callable[[], None], ...] = (
-    compile_scanner,
-    compile_tracker,
-    compile_shape_prediction,
-)
+def compile_harder_world() -> None:
+    """Compile structures, tissue that reacts and errors of instruments: simulate two sweeps."""
+    run(load_scenario("clinic", changes=["duration=1.3", "hand.start=0"]))
 
 
-def compile_kernels() -> Iterator[str]:
+TASKS: tuple[Callable[[], None], ...] = (compile_scanner, compile_tracker)
+"""What a run of following in a clean world needs, such as that of ``make run``."""
+
+MORE_TASKS: tuple[Callable[[], None], ...] = (compile_shape_prediction, compile_harder_world)
+"""What other scenarios need besides; they compile it themselves when it is first needed."""
+
+
+def compile_kernels(*, everything: bool = False) -> Iterator[str]:
     """Compile the kernels of runs and trackers, two at a time, unless they are compiled already.
 
     Compiled kernels are kept in files beside the source.
+
+    Parameters
+    ----------
+    everything
+        Whether to compile what `MORE_TASKS` need, too.
 
     Yields
     ------
@@ -66,7 +76,8 @@ def compile_kernels() -> Iterator[str]:
     # Two, as they take turns in keeping the compiler busy; each takes some hundred MB.
     processes = min(2, os.cpu_count() or 1)
     with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-        tasks = {pool.submit(task): task for task in TASKS}
+        wanted = (*TASKS, *MORE_TASKS) if everything else TASKS
+        tasks = {pool.submit(task): task for task in wanted}
         for done in as_completed(tasks):
             done.result()
             name = tasks[done].__name__.removeprefix("compile_").replace("_", " ")

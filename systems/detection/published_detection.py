@@ -20,7 +20,7 @@ class PublishedDetectionParameters:
     Parameters
     ----------
     candidate_volume
-        Total volume of the candidate voxels, which fixes their number |X|, in m^3. The paper
+        Total volume of the candidate voxels, which fixes their number ``|X|``, in m^3. The paper
         chooses the number that best separates the variance of a motionless volume from that of a
         volume with a moving needle. That was done here with fig. 5 on seeds from 100 on.
     max_std

@@ -44,7 +44,7 @@ class PublishedLocalizationParameters:
     Parameters
     ----------
     candidate_volume
-        Total volume of the candidate voxels, which fixes their number |X_t|, in m^3.
+        Total volume of the candidate voxels, which fixes their number ``|X_t|``, in m^3.
     margin
         Margin of the volume of interest around the predicted curve, also beyond its ends, in m.
     first_margin

@@ -38,3 +38,12 @@ def test_every_dial_is_drawn_at_three_strengths(tmp_path, monkeypatch):
     assert all(len(shown) == 3 for shown in drawn["ROWS"].values())
     with Image.open(tmp_path / "gallery_of_dials.png") as picture:
         assert min(picture.size) > 600
+
+
+@pytest.mark.slow
+def test_moving_picture_shows_the_run(tmp_path):
+    drawn = runpy.run_path(str(GALLERY.with_name("moving_picture.py")))
+    drawn["main"](tmp_path / "needle.gif", last=drawn["FIRST"] + 1)
+    with Image.open(tmp_path / "needle.gif") as picture:
+        assert picture.n_frames >= 2
+    assert (GALLERY.parent / "needle.gif").stat().st_size < 3e6

@@ -48,8 +48,9 @@ _LAYERS = (
     "numbers", "legend",
 )  # fmt: skip
 _CAMERA, _TARGET = (0.24, -0.25, 0.13), (-0.01, 0.0, 0.015)
-_ROD = 1.0e-3
-"""Radius of the drawn paths in m, slightly above that of the needle, which would hide them."""
+_ROD, _THIN = 1.5e-3, 1.0e-3
+"""Radii of the drawn paths in m: to scale, above that of the needle, which would hide them, and
+magnified."""
 _SEGMENTS = 20
 _NEEDLE_LENGTH = 0.2
 """Length of the needles in the paper, in m."""
@@ -151,13 +152,13 @@ class ShapeView(LeafSystem):
         self._marked: list[float] = []
         self._said = -np.inf  # depth of the slice at which the numbers were written
 
-        def rod(name: str, colour: Rgba, radius: float = _ROD) -> Rod:
+        def rod(name: str, colour: Rgba, radius: float = _THIN) -> Rod:
             return Rod(
                 meshcat=meshcat, path=f"{path}/{name}", radius=radius, colour=colour,
                 segments=_SEGMENTS,
             )  # fmt: skip
 
-        self._predicted = rod("predicted", rgba(_PREDICTED))
+        self._predicted = rod("predicted", rgba(_PREDICTED), _ROD)
         self._tube = rod("tube", rgba(_TUBE, 0.35))
         self._big = {
             "axis": rod("magnified/axis", _AXIS, 0.3e-3),
@@ -183,7 +184,7 @@ class ShapeView(LeafSystem):
         if isinstance(shape, NeedleShape):
             polyline = shape.positions(self._depths)
             self._predicted.show(polyline, time)
-            self._tube.show(polyline, time, radii=self._tube_radii(shape, 1.0))
+            self._tube.show(polyline, time, radii=_ROD + self._half_width(shape))
         found = evaluate(self, context, "cross_section", (CrossSection, NotFound))
         path = f"{self._path}/cross_section"
         self._meshcat.SetProperty(path, "visible", isinstance(found, CrossSection), time)
@@ -197,9 +198,9 @@ class ShapeView(LeafSystem):
             if needle:
                 self._draw_magnified(needle.transformed(X_WT).shaft, shape, found, image, time)
 
-    def _tube_radii(self, shape: NeedleShape, scale: float) -> NDArray[np.float64]:
+    def _half_width(self, shape: NeedleShape) -> NDArray[np.float64]:
         middles = 0.5 * (self._depths[1:] + self._depths[:-1])
-        return np.minimum(scale * RADIUS_95 * shape.std(middles) + _ROD, 0.02 * scale)
+        return np.minimum(RADIUS_95 * shape.std(middles), 0.02)
 
     def _draw_magnified(
         self,
@@ -234,7 +235,9 @@ class ShapeView(LeafSystem):
         if isinstance(shape, NeedleShape):
             polyline = shape.positions(self._depths)
             big["predicted"].show(magnified(polyline), time)
-            big["tube"].show(magnified(polyline), time, radii=self._tube_radii(shape, _SCALE))
+            big["tube"].show(
+                magnified(polyline), time, radii=_THIN + _SCALE * self._half_width(shape)
+            )
             final = 1e3 * float(np.linalg.norm(magnified.deflection(polyline[-1:])[0, :2]))
             sure = 1e3 * RADIUS_95 * float(shape.std(self._depths[-1:])[0])
             end = f"{1e3 * self._depths[-1]:.0f} mm"
