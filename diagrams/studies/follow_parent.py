@@ -4,9 +4,24 @@ import os
 import signal
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 _WATCH_PERIOD = 0.2
 """Time in s between two looks of a process at its parent."""
+
+
+@contextmanager
+def keeping_ctrl_c() -> Iterator[None]:
+    """Start processes inside that Ctrl-C never reaches, not even while they import.
+
+    This process receives it after the block.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def follow_parent(parent: int) -> None:

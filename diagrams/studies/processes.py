@@ -8,7 +8,7 @@ from functools import partial
 from joblib import Parallel, delayed, effective_n_jobs, parallel_config
 from joblib.externals.loky import get_reusable_executor
 
-from sonoservo.diagrams.studies.follow_parent import follow_parent
+from sonoservo.diagrams.studies.follow_parent import follow_parent, keeping_ctrl_c
 from sonoservo.diagrams.studies.store import Store
 from sonoservo.diagrams.studies.study import (
     CASES_PER_PROCESS,
@@ -69,11 +69,14 @@ class Processes:
 
 
 def _run_round(work: Work, cases: list[Case], store: Store, jobs: int) -> Generator[Finished]:
-    with parallel_config(
-        "loky",
-        n_jobs=jobs,
-        inner_max_num_threads=1,
-        initializer=partial(follow_parent, os.getpid()),
+    with (
+        parallel_config(
+            "loky",
+            n_jobs=jobs,
+            inner_max_num_threads=1,
+            initializer=partial(follow_parent, os.getpid()),
+        ),
+        keeping_ctrl_c(),
     ):
         finished = Parallel(return_as="generator_unordered", batch_size=1)(
             delayed(perform)(work, case, store) for case in cases

@@ -2,7 +2,6 @@
 
 import io
 from collections.abc import Callable
-from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 from random import Random
@@ -20,7 +19,8 @@ from fuzzing.engine import Outcome, judge
 from fuzzing.mutations import mutate
 from sonoservo.diagrams.app.volumes.locate import locate_in_recording
 from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
-from sonoservo.diagrams.studies import study
+from sonoservo.diagrams.studies import runs, study
+from sonoservo.diagrams.studies.store import Store
 from sonoservo.systems.evaluation.log import read_log, write_log
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -144,7 +144,7 @@ def read_run_log(path: Path, rng: Random) -> float:
 
 def read_outcome(path: Path, rng: Random) -> float:
     good = study.Outcome(CASE, {"error_mm": 1.25, "n": [1, 2]}, "", 1.5)
-    assert study._read(path, CASE) in (None, good), "an altered outcome was believed"
+    assert _kept(path.parent).read(CASE) in (None, good), "an altered outcome was believed"
     return 0.0
 
 
@@ -184,9 +184,13 @@ def _write_npz(folder: Path) -> None:
     write_log(folder / "log.npz", build_insertion_log())
 
 
+def _kept(folder: Path) -> runs._Kept:
+    return runs._Kept(folder, Store(str(folder)))
+
+
 def _write_outcome(folder: Path) -> None:
     outcome = study.Outcome(CASE, {"error_mm": 1.25, "n": [1, 2]}, "", 1.5)
-    assert asdict(study._keep(outcome, folder)) == asdict(outcome)
+    assert _kept(folder).write(study.Finished(outcome)) == outcome
 
 
 def _write_single(path: Path) -> None:
