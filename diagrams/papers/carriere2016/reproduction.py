@@ -60,8 +60,9 @@ def reproduce(options: StudyOptions) -> Study:
 def _lessons(options: StudyOptions) -> dict[str, dict[str, Any]]:
     """Return the distribution of the wander after the whole needles in each kind of tissue."""
     seeds = QUICK_LESSON_SEEDS if options.quick else LESSON_SEEDS
+    coarse = ["step=2e-3"] if options.quick else []
     cases = [
-        Case(kind, seed, {"scenario": "carriere2016_d60", "changes": list(changes)})
+        Case(kind, seed, {"scenario": "carriere2016_d60", "changes": [*changes, *coarse]})
         for kind, changes in LESSONS.items()
         for seed in seeds
     ]

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from sonoservo.diagrams import load_scenario, make_experiment, run
-from sonoservo.diagrams.experiments.registry import list_scenarios
 from sonoservo.diagrams.experiments.shape_prediction_scenario import (
     ESTIMATORS,
     ShapePredictionScenario,
@@ -16,7 +15,6 @@ from sonoservo.systems.evaluation.log import read_log
 from sonoservo.systems.evaluation.shape.shape_log import ShapeLog
 from sonoservo.systems.evaluation.shape.shape_metrics import cross_section_errors, prediction
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.files.typed_yaml import load_typed, read_yaml
 from sonoservo.systems.signals.needle_shape import NeedleShape
 
 SHORT = ["depth=0.04", "rotations=[0.025]", "observe_until=0.025", "step=1e-3"]
@@ -152,7 +150,7 @@ def test_recorded_slices_give_what_the_live_run_gave():
     live = [each.position for each in experiment.cross_sections]
     np.testing.assert_array_equal([each.position for each in found if each], live)
     np.testing.assert_array_equal(shapes[-1].tip, experiment.shape.tip)
-    published = load_typed_as_published("carriere2016_patient", 105)
+    published = load_scenario("carriere2016_patient", seed=105, as_published=True)
     found, shapes = predict_from_slices(experiment.make_predictor(published), slices)
     # The click is the same, and the printed tracker takes it as it is.
     click = experiment.X_WP.inverse().multiply(found[0].position)[:2]
@@ -162,17 +160,8 @@ def test_recorded_slices_give_what_the_live_run_gave():
     assert isinstance(shapes[-1], NeedleShape)
 
 
-def load_typed_as_published(name, seed):
-    data = read_yaml(list_scenarios()[name])
-    return load_typed(
-        ShapePredictionScenario,
-        ShapePredictionScenario.as_published({**data, "name": name, "seed": seed}),
-        name,
-    )
-
-
 def test_as_published_is_the_printed_tracker_with_the_printed_filter():
-    scenario = load_typed_as_published("carriere2016_d60", 1)
+    scenario = load_scenario("carriere2016_d60", as_published=True)
     assert scenario.estimator == "published"
     assert (scenario.tracker.position, scenario.tracker.deviations) == ("match", "both")
     assert scenario.tracker.min_correlation == 0
