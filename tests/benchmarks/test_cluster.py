@@ -8,10 +8,10 @@ from contextlib import contextmanager
 
 import psutil
 import pytest
-from cluster_cases import run_short
-from dask_processes import HELPERS, DaskProcesses
+from clusters.cases import run_short
+from clusters.processes import HELPERS, DaskProcesses
+from clusters.sleeping_workers import sleep, unused
 from distributed import Client
-from sleeping_workers import sleep, unused
 
 from sonoservo.diagrams.studies.cluster.cluster import Cluster
 from sonoservo.diagrams.studies.cluster.opening import open_cluster
@@ -45,7 +45,7 @@ def scheduler_with_workers(folder, number, hosts=4):
     address = processes.address
     started = [
         subprocess.Popen(
-            [sys.executable, str(HELPERS / "sleeping_workers.py"), address, str(number // hosts)],
+            [sys.executable, "-m", "clusters.sleeping_workers", address, str(number // hosts)],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             env={**os.environ, "PYTHONPATH": f"{HELPERS}:{os.environ.get('PYTHONPATH', '')}"},

@@ -14,7 +14,7 @@ from importlib.resources import files
 from pathlib import Path
 
 import pytest
-from cluster_cases import (
+from clusters.cases import (
     calculate,
     count,
     end_process,
@@ -22,7 +22,7 @@ from cluster_cases import (
     run_experiment,
     wait_once,
 )
-from dask_processes import DaskProcesses
+from clusters.processes import DaskProcesses
 from distributed import Client
 
 from sonoservo.diagrams.studies.cluster.cluster import Cluster

@@ -9,7 +9,7 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-HELPERS = Path(__file__).parent
+HELPERS = Path(__file__).parents[1]
 
 
 class DaskProcesses:

@@ -1,4 +1,4 @@
-"""Many workers of Dask in one process: ``python sleeping_workers.py SCHEDULER NUMBER``."""
+"""Many workers of Dask in one process: ``python -m clusters.sleeping_workers SCHEDULER NUMBER``."""
 
 import asyncio
 import pickle
