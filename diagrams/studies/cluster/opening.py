@@ -58,7 +58,8 @@ def open_cluster(
             f"cluster: {text}: install Dask first: pip install 'sonoservo[cluster]' ({error.name})"
         ) from error
     # What Dask logs about lost connections is said in one line by this program.
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    for name in ("distributed", "distributed.client"):
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     with _scheduler(text) as scheduler:
         try:
             client = Client(scheduler, timeout=_CONNECT_S, set_as_default=False)

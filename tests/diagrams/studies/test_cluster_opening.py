@@ -3,7 +3,7 @@
 import sys
 
 import pytest
-from cluster_cases import calculate
+from clusters.cases import calculate
 
 from sonoservo.diagrams.studies.cluster.job_queue import read_job_queue
 from sonoservo.diagrams.studies.cluster.opening import open_cluster

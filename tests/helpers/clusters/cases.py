@@ -77,3 +77,20 @@ def end_worker(case):
         os.kill(os.getppid(), signal.SIGKILL)
         time.sleep(600)
     return {}
+
+
+def run_short(case):
+    """Run an experiment over a small sector for as long as the case says."""
+    from sonoservo.diagrams.experiments.registry import load_scenario, make_experiment
+
+    changes = [
+        f"duration={case.settings['duration']}",
+        "imaging.sector=0.3",
+        "imaging.depth=0.06",
+        "station.plant.contact_model=point",
+    ]
+    experiment = make_experiment(
+        load_scenario("chatelain2013_fig5", seed=case.seed, changes=changes)
+    )
+    experiment.run()
+    return {"time": experiment.log().time}

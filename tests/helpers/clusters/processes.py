@@ -9,7 +9,9 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-HELPERS = Path(__file__).parent
+from sonoservo.diagrams.studies.cluster import preload
+
+HELPERS = Path(__file__).parents[1]
 
 
 class DaskProcesses:
@@ -37,8 +39,8 @@ class DaskProcesses:
         path = os.pathsep.join([*path, os.environ.get("PYTHONPATH", "")])
         process = subprocess.Popen(
             [sys.executable, "-m", "dask", *command, "--host", "127.0.0.1",
-             "--scheduler-file", str(self._file)],
-            env={**os.environ, "PYTHONPATH": path},
+             "--scheduler-file", str(self._file), "--preload", preload.__name__],
+            env={**os.environ, "PYTHONPATH": path, preload.PARENT: str(os.getpid())},
             stdout=self._log, stderr=self._log, start_new_session=True,
         )  # fmt: skip
         self._processes.append(process)

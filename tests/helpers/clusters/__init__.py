@@ -1,0 +1,1 @@
+"""Cases for clusters, and the processes of a real one."""
