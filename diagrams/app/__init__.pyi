@@ -1,8 +1,8 @@
 from .drive import DrivenExperiment as DrivenExperiment
-from .explain import ExplainedRun as ExplainedRun
-from .explain import explanation_table as explanation_table
-from .explain import read_explained_run as read_explained_run
-from .kept_run import KeptRun as KeptRun
+from .kept_runs.explain import ExplainedRun as ExplainedRun
+from .kept_runs.explain import explanation_table as explanation_table
+from .kept_runs.explain import read_explained_run as read_explained_run
+from .kept_runs.kept_run import KeptRun as KeptRun
 from .pacer import Pacer as Pacer
 from .pages import Pages as Pages
 from .pages import open_pages as open_pages

@@ -164,7 +164,7 @@ def drive_command(
     Ctrl-C. Exit status 3: the guard stopped the robot for good.
     """
     from sonoservo.diagrams.app.drive import DRIVING, drive
-    from sonoservo.diagrams.app.kept_run import refusing
+    from sonoservo.diagrams.app.kept_runs.kept_run import refusing
     from sonoservo.diagrams.app.live.commands import serving
     from sonoservo.diagrams.app.pages import open_pages
     from sonoservo.diagrams.app.run_result import end_words, summary_table

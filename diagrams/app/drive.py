@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import System
 
-from sonoservo.diagrams.app.kept_run import KeptRun, refusing
+from sonoservo.diagrams.app.kept_runs.kept_run import KeptRun, refusing
 from sonoservo.diagrams.app.real_time import RealTime
 from sonoservo.diagrams.app.run import finish
 from sonoservo.diagrams.app.run_result import RunResult

@@ -10,7 +10,7 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.framework import System
 from rich.console import Console as Terminal
 
-from sonoservo.diagrams.app.kept_run import KeptRun, refusing
+from sonoservo.diagrams.app.kept_runs.kept_run import KeptRun, refusing
 from sonoservo.diagrams.app.pacer import Pacer
 from sonoservo.diagrams.app.run_result import RunResult
 from sonoservo.diagrams.app.terminal import Progress

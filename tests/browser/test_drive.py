@@ -7,7 +7,7 @@ import pytest
 
 from sonoservo.diagrams import load_scenario, run
 from sonoservo.diagrams.app.drive import drive
-from sonoservo.diagrams.app.kept_run import KeptRun
+from sonoservo.diagrams.app.kept_runs.kept_run import KeptRun
 from sonoservo.systems.display.console.console import Console
 from sonoservo.systems.display.pages.meshcat_page import open_meshcat
 from sonoservo.systems.display.pages.site import Site

@@ -123,9 +123,8 @@ def tracker_parameters(
     if start not in STARTS:
         raise ConfigurationError(f"start: {start!r}; {suggest(start, STARTS)}")
     try:
-        return trackers[tracker](order=order).knowing(
-            start=start, beam_width=beam_width, echo_offset=echo_offset
-        )
+        own = trackers[tracker](order=order)
+        return own.knowing(start=start, beam_width=beam_width, echo_offset=echo_offset)
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
 

@@ -1,4 +1,5 @@
 from .console import Console as Console
+from .console_feed import ConsoleFeed as ConsoleFeed
 from .controls import Control as Control
 from .controls import Controls as Controls
 from .controls import controller_controls as controller_controls
