@@ -1,6 +1,8 @@
 """Tracker of Zhao 2012: a filter on axis and tip that uses the velocity of the tip's speckle."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
@@ -12,10 +14,21 @@ from sonoservo.diagrams.trackers.tracker_parts import (
 from sonoservo.systems.detection.volume_memory import VolumeMemory
 from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter
 from sonoservo.systems.estimation.needle_filter import AnyFilter, require_order
+from sonoservo.systems.localization.edge_velocimeter import (
+    EdgeVelocimeterParameters,
+    measure_edge_velocity,
+)
 from sonoservo.systems.localization.speckle_velocimeter import (
     SpeckleVelocimeter,
     SpeckleVelocimeterParameters,
+    measure_velocity,
 )
+
+_METHODS: dict[str, Callable[..., Any]] = {
+    "speckle": measure_velocity,
+    "edge": measure_edge_velocity,
+}
+"""Function of each kind of velocimeter."""
 
 
 @dataclass(kw_only=True)
@@ -29,13 +42,16 @@ class Zhao2012TrackerParameters(CommonTrackerParameters):
     kind
         "zhao2012".
     velocimeter
-        Parameters of the velocimeter, which measures the tip's velocity from speckle.
+        Parameters of the velocimeter: by default "speckle", the paper's; "edge" follows the end of
+        the needle, which suits a steel needle in the loop's volumes.
     filter
         Filter of the track: by default "axis_tip", the paper's.
     """
 
     kind: str = "zhao2012"
-    velocimeter: SpeckleVelocimeterParameters = field(default_factory=SpeckleVelocimeterParameters)
+    velocimeter: SpeckleVelocimeterParameters | EdgeVelocimeterParameters = field(
+        default_factory=SpeckleVelocimeterParameters
+    )
     filter: AnyFilter = field(default_factory=AxisTipFilter)
 
     def __post_init__(self) -> None:
@@ -71,7 +87,10 @@ def MakeZhao2012Tracker(
         **events,
     )
     velocimeter = builder.AddNamedSystem(
-        "speckle_velocimeter", SpeckleVelocimeter(parameters=parameters.velocimeter)
+        "speckle_velocimeter",
+        SpeckleVelocimeter(
+            parameters=parameters.velocimeter, method=_METHODS[parameters.velocimeter.kind]
+        ),
     )
     memory = builder.AddNamedSystem(
         "speckle_memory", VolumeMemory(same_direction=parameters.same_direction, **events)

@@ -6,6 +6,8 @@ from .candidates import Candidates as Candidates
 from .candidates import select_candidates as select_candidates
 from .cross_section import CrossSectionParameters as CrossSectionParameters
 from .cross_section_localizer import CrossSectionLocalizer as CrossSectionLocalizer
+from .edge_velocimeter import EdgeVelocimeterParameters as EdgeVelocimeterParameters
+from .edge_velocimeter import measure_edge_velocity as measure_edge_velocity
 from .intensity_drop import intensity_drops as intensity_drops
 from .line_search import bright_lines as bright_lines
 from .local_optimization import optimize_locally as optimize_locally

@@ -1,5 +1,6 @@
 """Speckle tracking: the tip's velocity from the speckle around it in two volumes."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -26,6 +27,8 @@ class SpeckleVelocimeterParameters:
 
     Parameters
     ----------
+    kind
+        Name of the velocimeter, always "speckle".
     kernel
         Number of elements of the kernel along each axis of the array: X, Y and Z of a `Volume`, or
         frame, line and sample of a `RadioFrequencySweep`. The numbers are odd, which puts the tip
@@ -56,6 +59,7 @@ class SpeckleVelocimeterParameters:
         envelope.
     """
 
+    kind: str = "speckle"
     kernel: list[int] = field(default_factory=lambda: [11, 7, 7])
     search: list[int] = field(default_factory=lambda: [17, 13, 13])
     min_correlation: float = 0.6
@@ -66,6 +70,7 @@ class SpeckleVelocimeterParameters:
     envelope: bool = True
 
     def __post_init__(self) -> None:
+        require(self.kind == "speckle", "kind", self.kind, '"speckle"')
         for name in ("kernel", "search"):
             value = getattr(self, name)
             odd = len(value) == 3 and all(n >= 1 and n % 2 == 1 for n in value)
@@ -180,7 +185,7 @@ def measure_velocity(
 
 
 class SpeckleVelocimeter(LeafSystem):
-    """Measures the tip's velocity from the speckle around it.
+    """Measures the tip's velocity from the speckle around it, or by another method.
 
     .. pydrake_system::
 
@@ -199,12 +204,20 @@ class SpeckleVelocimeter(LeafSystem):
     Parameters
     ----------
     parameters
-        Windows and thresholds, in SI units.
+        Parameters of the method, in SI units.
+    method
+        Function that measures the velocity, with the arguments of `measure_velocity`.
     """
 
-    def __init__(self, *, parameters: SpeckleVelocimeterParameters | None = None) -> None:
+    def __init__(
+        self,
+        *,
+        parameters: Any = None,
+        method: Callable[..., VelocityMeasurement | NotFound] = measure_velocity,
+    ) -> None:
         super().__init__()
         self._parameters = parameters or SpeckleVelocimeterParameters()
+        self._method = method
         for name in ("volume", "previous_volume", "prediction"):
             self.DeclareAbstractInputPort(name, Value[object]())
         self.DeclareAbstractOutputPort("velocity", lambda: Value[object](), self._calc_velocity)
@@ -228,7 +241,7 @@ class SpeckleVelocimeter(LeafSystem):
                 curve.tip + (each.time - time) * velocity for each in (previous, current)
             )
             output.set_value(
-                measure_velocity(
+                self._method(
                     current, previous, before, predicted, curve.direction, self._parameters
                 )
             )

@@ -23,6 +23,11 @@ TRUS = (
     ImagingParameters(depth=0.06, transmit_frequency=6.5e6, focus_depth=0.03),
 )
 """Transrectal probe at a middle frequency, focused where its lens is."""
+LINEAR = (
+    load_transducer("4dl14_5_38"),
+    ImagingParameters(depth=0.04, transmit_frequency=7.0e6, focus_depth=0.016),
+)
+"""Linear probe, focused where its lens is."""
 
 
 def pymust_half_width(depth, axis, probe=PROBE, imaging=FOCUS_60):
@@ -54,6 +59,8 @@ def test_widths_match_pymust_at_the_focus():
     [
         (load_transducer("zhao2012"), ZHAO, 0.05, 0.1),
         (*TRUS, 0.03, 0.1),
+        (*LINEAR, 0.016, 0.1),
+        pytest.param(*LINEAR, 0.025, 0.1, marks=pytest.mark.slow),
         pytest.param(load_transducer("zhao2012"), ZHAO, 0.04, 0.1, marks=pytest.mark.slow),
         pytest.param(load_transducer("zhao2012"), ZHAO, 0.06, 0.1, marks=pytest.mark.slow),
         pytest.param(*TRUS, 0.02, 0.1, marks=pytest.mark.slow),

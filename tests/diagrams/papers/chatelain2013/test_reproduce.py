@@ -94,8 +94,11 @@ def test_the_whole_study_in_short(tmp_path, monkeypatch):
         {
             "fig4": Protocol("chatelain2013_fig4", 1, (1, 5.0), quick),
             "fig5": Protocol("chatelain2013_fig5", 1, (1, 6.5), quick),
-            "fig6": Protocol("chatelain2013_fig6", 1, (1, 6.6), [*quick, moved]),
+            "fig6": Protocol("chatelain2013_fig6", 1, (1, 6.6), [*quick, moved], compared=False),
             "bent": Protocol("chatelain2013_fig5", 1, (1, 2.5), ["tracker.order=3"]),
+            "settings, fast": Protocol(
+                "chatelain2013_fig4", 1, (1, 2.5), ["imaging.frames=5"], compared=False
+            ),
             "no needle, probe still": Protocol(
                 "chatelain2013_fig4", 1, (1, 2.5), PROTOCOLS["no needle, probe still"].changes
             ),
