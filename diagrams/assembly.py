@@ -1,11 +1,12 @@
 """Arm, probe and phantom by name: the models behind a station and a controller."""
 
 from dataclasses import replace
+from pathlib import Path
 
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 
-from sonoservo.systems.files.model_file import model_file, read_section
+from sonoservo.systems.files.model_file import model_file, read_once, read_section
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import load_typed
 from sonoservo.systems.robot.arm import ArmWithProbe, MakeArmPlant, load_arm
@@ -34,11 +35,15 @@ def load_probe_body(name: str) -> ProbeBody:
     FileNotFoundError
         If there is no such file.
     """
-    path = model_file("probes", name)
+    return _read_probe_body(model_file("probes", name))
+
+
+@read_once
+def _read_probe_body(path: Path) -> ProbeBody:
     content = read_section(path, "body", ("transducer", "body"))
     body = load_typed(ProbeBody, content, f"{path}: body")
     resolve_files(body.directives, path)
-    transducer = load_transducer(name)
+    transducer = load_transducer(str(path))
     if not body.assumed.dome:
         dome = dome_semi_axes(
             array_radius=transducer.array_radius,

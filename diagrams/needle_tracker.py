@@ -1,6 +1,7 @@
 """Needle trackers: diagrams that turn volumes into an estimate of the needle."""
 
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import cast
 
 from pydrake.common.value import Value
@@ -9,6 +10,7 @@ from pydrake.systems.framework import Context, Diagram, System
 from sonoservo.diagrams.trackers.chatelain2013 import Chatelain2013TrackerParameters
 from sonoservo.diagrams.trackers.registry import TRACKERS
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.volume import Volume
 
@@ -59,6 +61,33 @@ def MakeNeedleTracker(
     return diagram
 
 
+def require_tracker(tracker: object) -> System | None:
+    """Return a custom tracker, or None, after checking that it is a system with a tracker's ports.
+
+    Raises
+    ------
+    ConfigurationError
+        If it is something else, or lacks a port.
+    """
+    if tracker is None:
+        return None
+    if not isinstance(tracker, System):
+        kind = tracker.__name__ if isinstance(tracker, type) else type(tracker).__name__
+        what = f"the class {kind}" if isinstance(tracker, type) else f"a value of type {kind}"
+        raise ConfigurationError(f"tracker: {what}; expected an instance of a Drake system")
+    name = type(tracker).__name__
+    for wanted, side, exists in (
+        ("volume", "input", tracker.HasInputPort("volume")),
+        ("estimate", "output", tracker.HasOutputPort("estimate")),
+    ):
+        if not exists:
+            raise ConfigurationError(
+                f"tracker: {name} has no {side} port {wanted!r}; a tracker has the input 'volume' "
+                "and the output 'estimate'"
+            )
+    return tracker
+
+
 def track(
     volumes: Iterable[Volume],
     *,
@@ -79,10 +108,31 @@ def track(
     seed
         Seed of every random choice.
 
-    Yields
+    Returns
+    -------
+    An iterator over the estimates, one after each volume.
+
+    Raises
     ------
-    The estimate after each volume.
+    ConfigurationError
+        If an argument is of another type.
     """
+    if isinstance(volumes, str | Path):
+        raise ConfigurationError(
+            f"volumes: {str(volumes)!r} is one path; expected Volume objects. "
+            "track_recording(Recording(path)) tracks the volumes of a file"
+        )
+    if not isinstance(parameters, TrackerParameters | None):
+        raise ConfigurationError(
+            f"parameters: a value of type {type(parameters).__name__}; expected those of a "
+            'tracker, such as tracker_parameters(start="anywhere")'
+        )
+    return _track(volumes, parameters, seed)
+
+
+def _track(
+    volumes: Iterable[Volume], parameters: TrackerParameters | None, seed: int
+) -> Iterator[NeedleEstimate]:
     tracker = MakeNeedleTracker(parameters=parameters, period=1.0, seed=seed)
     context = tracker.CreateDefaultContext()
     for volume in volumes:

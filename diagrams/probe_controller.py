@@ -18,7 +18,7 @@ from sonoservo.systems.control.force_law import ForceControllerParameters
 from sonoservo.systems.control.guard import Guard
 from sonoservo.systems.control.guard_parameters import GuardParameters
 from sonoservo.systems.control.visual_servo import VisualServo, VisualServoParameters
-from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.requirements import require, require_within
 
 MAX_FORCE = 8.0
 """Highest force that the controller may be asked to hold, in N."""
@@ -70,7 +70,7 @@ class ProbeControllerParameters:
     guards: GuardParameters = field(default_factory=GuardParameters)
 
     def __post_init__(self) -> None:
-        require_positive(time_step=self.time_step)
+        require_within("time_step", self.time_step, 1e-4, 0.1)
         for name, (ceiling, unit) in _CEILINGS.items():
             block, parameter = name.split(".")
             value = getattr(getattr(self, block), parameter)
@@ -195,6 +195,7 @@ def MakeProbeController(
             builder.ConnectInput(name, guard.GetInputPort(name))
         arm_command = guard.GetOutputPort("joint_command")
         builder.Connect(arm_command, kinematics.GetInputPort("sent_command"))
+        builder.Connect(guard.GetOutputPort("approach_scale"), force.GetInputPort("approach_scale"))
         builder.ExportOutput(guard.GetOutputPort("guard"), "guard")
     builder.ExportOutput(arm_command, "joint_command")
     for name in ("planar_velocity", "hold_reason"):

@@ -106,7 +106,7 @@ class StationParameters:
     def __post_init__(self) -> None:
         require_positive(display_period=self.display_period)
         step = self.plant.time_step
-        require(0 < step <= 0.02, "plant.time_step", step, "above 0 and at most 0.02 s")
+        require(1e-4 <= step <= 0.02, "plant.time_step", step, "from 0.0001 to 0.02 s")
         for name, allowed in _ALLOWED.items():
             value = getattr(self.plant, name)
             require(value in allowed, f"plant.{name}", value, " or ".join(allowed))

@@ -19,6 +19,7 @@ def model_path(name: str) -> Path:
     folder = Path(__file__).parent
     path = folder / name
     if not path.is_file():
-        there = sorted(each.name for each in path.parent.glob(f"*{path.suffix}"))
+        kind = folder / Path(name).parts[0]
+        there = sorted(each.name for each in kind.glob(f"*{path.suffix}"))
         raise FileNotFoundError(f"there is no model {name!r}; available: {', '.join(there)}")
     return path

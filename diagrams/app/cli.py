@@ -13,6 +13,10 @@ from typing import Annotated
 
 import typer
 
+from sonoservo.diagrams.app.commands.results import compare_command, explain_command
+from sonoservo.diagrams.app.commands.scenarios import list_command, new_command, show_command
+from sonoservo.diagrams.app.commands.studies import dataset_command, reproduce_command
+from sonoservo.diagrams.app.commands.volumes import bridge_command, locate_command, track_command
 from sonoservo.diagrams.app.interruption import INTERRUPTED, is_interrupted
 from sonoservo.diagrams.app.options import (
     ChangesOption,
@@ -29,10 +33,6 @@ from sonoservo.diagrams.app.options import (
     with_common_options,
     write_printed,
 )
-from sonoservo.diagrams.app.result_commands import compare_command, explain_command
-from sonoservo.diagrams.app.scenario_commands import list_command, new_command, show_command
-from sonoservo.diagrams.app.study_commands import dataset_command, reproduce_command
-from sonoservo.diagrams.app.volume_commands import bridge_command, locate_command, track_command
 from sonoservo.systems.files.refusals import ConfigurationError, describe, shorten
 
 app = typer.Typer(
@@ -299,6 +299,8 @@ def _report(error: BaseException) -> int:
         line = f"{error.format_message()} `sonoservo --help` lists the commands and their options."
     elif isinstance(error, MemoryError):
         line = "there is not enough memory for this"
+    elif isinstance(error, OSError) and error.filename and error.strerror:
+        line = f"{error.filename}: {error.strerror}"
     elif isinstance(error, ConfigurationError | OSError):
         line = str(error)
     else:

@@ -17,8 +17,8 @@ from sonoservo.diagrams.experiments.scenario_changes import changed_fields
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.evaluation.labels import look_up, sections
 from sonoservo.systems.evaluation.log import Log, read_log
-from sonoservo.systems.evaluation.plots import png
-from sonoservo.systems.evaluation.web_page import cell_text, picture, table, web_page
+from sonoservo.systems.evaluation.reports.plots import png
+from sonoservo.systems.evaluation.reports.web_page import cell_text, picture, table, web_page
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.writing import write_atomically, write_json
 

@@ -19,9 +19,9 @@ from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.evaluation.compile_free_clock import CompileFreeClock
 from sonoservo.systems.evaluation.explanation.explanation_files import clear_explanations
 from sonoservo.systems.evaluation.log import Log
-from sonoservo.systems.evaluation.movie import write_movie
-from sonoservo.systems.evaluation.plots import png
-from sonoservo.systems.evaluation.report import Story, save_replay, write_report
+from sonoservo.systems.evaluation.reports.movie import write_movie
+from sonoservo.systems.evaluation.reports.plots import png
+from sonoservo.systems.evaluation.reports.report import Story, save_replay, write_report
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.writing import Unwritten, write_atomically, write_json
 

@@ -23,7 +23,7 @@ from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.display.pages.meshcat_page import open_meshcat
 from sonoservo.systems.display.pages.site import Site
 from sonoservo.systems.evaluation.log import write_log
-from sonoservo.systems.evaluation.movie import check_movie
+from sonoservo.systems.evaluation.reports.movie import check_movie
 from sonoservo.systems.files.claims import claim_folder
 from sonoservo.systems.files.refusals import ConfigurationError
 

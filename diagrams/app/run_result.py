@@ -11,8 +11,8 @@ from rich.table import Table
 from rich.text import Text
 
 from sonoservo.systems.evaluation.labels import look_up
-from sonoservo.systems.evaluation.report import Story, report_body
-from sonoservo.systems.evaluation.verdict import Verdict
+from sonoservo.systems.evaluation.reports.report import Story, report_body
+from sonoservo.systems.evaluation.reports.verdict import Verdict
 
 
 @dataclass(frozen=True)
@@ -115,8 +115,7 @@ def stops_text(summary: Mapping[str, Any]) -> str:
         lines.append(f"stopped because {reasons}")
     if at_end:
         lines.append(f"still stopped at the end because {at_end}")
-    if refusal := look_up(summary, "guard.refusal"):
-        lines.append(refusal)
+    lines += filter(None, (look_up(summary, f"guard.{key}") for key in ("noticed", "refusal")))
     return "\n".join(lines)
 
 

@@ -13,8 +13,8 @@ from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.experiments.following_tissue import scanned_deformations
 from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.diagrams.seeds import draw_seeds
-from sonoservo.systems.evaluation.plots import png
-from sonoservo.systems.evaluation.scan_sheet import scan_sheet
+from sonoservo.systems.evaluation.reports.plots import png
+from sonoservo.systems.evaluation.reports.scan_sheet import scan_sheet
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.writing import write_atomically
 from sonoservo.systems.recording.nrrd import write_volume

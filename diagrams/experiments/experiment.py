@@ -15,7 +15,7 @@ from sonoservo.diagrams.scenario import Scenario, ScenarioT
 from sonoservo.diagrams.wiring import connect_by_name
 from sonoservo.systems.evaluation.compile_free_clock import CompileFreeClock
 from sonoservo.systems.evaluation.log import Log
-from sonoservo.systems.evaluation.verdict import Verdict
+from sonoservo.systems.evaluation.reports.verdict import Verdict
 from sonoservo.systems.signals.immutable import NotFound
 
 INSTANT = 1e-6

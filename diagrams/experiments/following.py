@@ -25,41 +25,36 @@ from sonoservo.diagrams.experiments.following_insertion import (
     make_insertion,
 )
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams.experiments.following_sources import planned_sources
 from sonoservo.diagrams.experiments.following_tissue import with_tissue_reaction
 from sonoservo.diagrams.experiments.scenario_words import following_words
-from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
+from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, require_tracker
 from sonoservo.diagrams.probe_controller import MakeProbeController
 from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.diagrams.station import MakeStation
-from sonoservo.systems.control.controller_schedule import ControllerSchedule
-from sonoservo.systems.control.scheduled_settings import ScheduledSettings
 from sonoservo.systems.display.monitor.scanner_monitor import ScannerMonitor
 from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
-from sonoservo.systems.evaluation.comparison_plots import CAPTION, plot_comparison
 from sonoservo.systems.evaluation.explanation.explanation_recorder import ExplanationRecorder
-from sonoservo.systems.evaluation.key_frames import plot_key_frames
 from sonoservo.systems.evaluation.labels import LABELS
 from sonoservo.systems.evaluation.metrics import MetricsParameters, summarize
-from sonoservo.systems.evaluation.movie import movie_frames
-from sonoservo.systems.evaluation.picture_recorder import PictureRecorder
-from sonoservo.systems.evaluation.plots import (
+from sonoservo.systems.evaluation.reports.comparison_plots import CAPTION, plot_comparison
+from sonoservo.systems.evaluation.reports.key_frames import plot_key_frames
+from sonoservo.systems.evaluation.reports.movie import movie_frames
+from sonoservo.systems.evaluation.reports.picture_recorder import PictureRecorder
+from sonoservo.systems.evaluation.reports.plots import (
     ERRORS_CAPTION,
     RUN_CAPTION,
     plot_errors,
     plot_run,
 )
+from sonoservo.systems.evaluation.reports.track_plots import VolumePictures
+from sonoservo.systems.evaluation.reports.verdict import Verdict, following_verdict
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.run_logger import RunLogger
-from sonoservo.systems.evaluation.track_plots import VolumePictures
-from sonoservo.systems.evaluation.verdict import Verdict, following_verdict
-from sonoservo.systems.needle.hand import Hand
-from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.recording.volume_recorder import VolumeRecorder
 from sonoservo.systems.robot.errors.calibration import hand_eye_error
-from sonoservo.systems.robot.phantom import PhantomMotion
-from sonoservo.systems.robot.phantom_motion import phantom_trajectory
-from sonoservo.systems.signals.guard_status import GuardStatus
+from sonoservo.systems.signals.guard_status import GuardState, GuardStatus
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.ultrasound.imaging import sweep_geometry
@@ -189,7 +184,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
             processing_time=scenario.processing_time if is_irregular(scenario, geometry) else 0.0,
         )
         self.scan_converter = ScanConverter(geometry=geometry, parameters=scenario.scan_conversion)
-        self.needle_tracker = tracker or MakeNeedleTracker(
+        self.needle_tracker = require_tracker(tracker) or MakeNeedleTracker(
             parameters=scenario.tracker,
             period=period,
             offset=offset,
@@ -209,7 +204,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
             joints=self.station.GetOutputPort("joint_state").size() // 2,
             geometry=geometry,
         )
-        sources = _planned_sources(scenario, insertion) if sources is None else sources
+        sources = planned_sources(scenario, insertion) if sources is None else sources
         sources = with_tissue_reaction(scenario, sources)
         systems: dict[str, System] = {
             "station": self.station,
@@ -273,22 +268,28 @@ class FollowingExperiment(Experiment[FollowingScenario]):
     @property
     def status(self) -> str:
         """Why the robot is stopped or holds, or the tracker's mode and why it sees no needle."""
-        if self.probe_controller.HasOutputPort("guard"):
-            guard: GuardStatus = self.evaluate(self.probe_controller, "guard")
-            if guard.stopped:
-                return f"stopped: {guard.reason}"
+        if self._guard.stopped:
+            return f"stopped: {self._guard.reason}"
         if hold := self.evaluate(self.probe_controller, "hold_reason"):
             return f"held: {hold}"
         estimate = self.estimate
         return f"{estimate.mode}: {estimate.reason}" if estimate.reason else str(estimate.mode)
+
+    @property
+    def _guard(self) -> GuardStatus:
+        if not self.probe_controller.HasOutputPort("guard"):
+            return GuardStatus(GuardState.MONITORING)
+        return cast(GuardStatus, self.evaluate(self.probe_controller, "guard"))
 
     def log(self) -> RunLog:
         """Return the log so far."""
         return self.run_logger.log(self.context_of(self.run_logger), compute=self.compute)
 
     def summarize(self, log: RunLog) -> dict[str, Any]:
-        """Summarise a log; see `summarize`."""
-        return summarize(log, MetricsParameters(force_target=self._force_target()))
+        """Summarise a log, see `summarize`, and add what the guard noticed as `guard.noticed`."""
+        figures = summarize(log, MetricsParameters(force_target=self._force_target()))
+        figures["guard"]["noticed"] = self._guard.remark or None
+        return figures
 
     def plots(self, log: RunLog) -> dict[str, tuple[str, Figure]]:
         """Return the plots of a run and of its errors."""
@@ -340,14 +341,3 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         """Give a recording its final name."""
         if self._recorder is not None:
             self._recorder.close()
-
-
-def _planned_sources(scenario: FollowingScenario, insertion: Insertion) -> dict[str, System]:
-    schedule = ControllerSchedule(scenario.controller.settings, tuple(scenario.controller_changes))
-    return {
-        "phantom_motion": PhantomMotion(
-            trajectory=phantom_trajectory(scenario.phantom_motion, scenario.station.X_WT)
-        ),
-        "hand": Hand(insertion=insertion),
-        "controller_settings": ScheduledSettings(schedule=schedule),
-    }

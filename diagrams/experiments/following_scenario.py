@@ -14,7 +14,7 @@ from sonoservo.systems.control.controller_schedule import ControllerChange
 from sonoservo.systems.files.typed_yaml import merged
 from sonoservo.systems.needle.insertion_parameters import InsertionParameters
 from sonoservo.systems.robot.phantom_motion import PhantomMotionParameters
-from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.requirements import require, require_time
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.scan_converter import ScanConversionParameters
 from sonoservo.systems.ultrasound.simulation.reaction.tissue_reaction import (
@@ -108,7 +108,7 @@ class FollowingScenario(Scenario):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_positive(duration=self.duration, processing_time=self.processing_time)
+        require_time(duration=self.duration, processing_time=self.processing_time, positive=True)
         times = [change.time for change in self.controller_changes]
         require(times == sorted(times), "controller_changes", times, "in order of time")
         touch = self.controller.force.touch_force

@@ -7,7 +7,7 @@ import yaml
 
 from sonoservo.diagrams.experiments.registry import list_scenarios, load_scenario
 from sonoservo.diagrams.scenario import Scenario
-from sonoservo.systems.evaluation.report import Change
+from sonoservo.systems.evaluation.reports.report import Change
 from sonoservo.systems.files.field_meanings import field_meaning
 
 _HEAD = ("experiment", "name", "description", "published_figures")

@@ -23,6 +23,7 @@ from sonoservo.systems.estimation.shape.shape_estimator import ShapeEstimator
 from sonoservo.systems.estimation.shape.shape_filter import ShapeFilter
 from sonoservo.systems.estimation.shape.shape_filters import SHAPE_FILTERS
 from sonoservo.systems.evaluation.log import Row
+from sonoservo.systems.evaluation.reports.verdict import Verdict
 from sonoservo.systems.evaluation.shape.shape_log import ShapeLog
 from sonoservo.systems.evaluation.shape.shape_metrics import LABELS, summarize_shape
 from sonoservo.systems.evaluation.shape.shape_pictures import (
@@ -38,7 +39,6 @@ from sonoservo.systems.evaluation.shape.shape_plots import (
     plot_shape_comparison,
 )
 from sonoservo.systems.evaluation.shape.shape_verdict import shape_verdict
-from sonoservo.systems.evaluation.verdict import Verdict
 from sonoservo.systems.needle.hand import Hand
 from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.needle.insertion_parameters import OUTER_DIAMETER
@@ -149,6 +149,7 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
         if meshcat is not None:
             systems["shape_view"] = ShapeView(
                 meshcat=meshcat, tissue_size=tissue.size, depth=scenario.depth,
+                probe_radius=geometry.array_radius,
                 period=scenario.period, offset=events["offset"] + INSTANT,
             )  # fmt: skip
         super().__init__(

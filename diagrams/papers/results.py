@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from sonoservo.diagrams.studies.fingerprint import code_fingerprint
-from sonoservo.systems.evaluation.web_page import cell_text
+from sonoservo.systems.evaluation.reports.web_page import cell_text
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.writing import write_atomically, write_json
 

@@ -1,5 +1,5 @@
 from .cluster.opening import open_cluster as open_cluster
-from .dataset import make_dataset as make_dataset
+from .datasets.dataset import make_dataset as make_dataset
 from .fingerprint import code_fingerprint as code_fingerprint
 from .runs import run_cases as run_cases
 from .store import Store as Store

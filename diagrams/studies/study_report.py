@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from sonoservo.diagrams.studies.commit import present_commit
 from sonoservo.diagrams.studies.fingerprint import code_fingerprint
 from sonoservo.diagrams.studies.study import Outcome
-from sonoservo.systems.evaluation.plots import png
-from sonoservo.systems.evaluation.web_page import cell_text, table, web_page
+from sonoservo.systems.evaluation.reports.plots import png
+from sonoservo.systems.evaluation.reports.web_page import cell_text, table, web_page
 from sonoservo.systems.files.writing import write_atomically, write_json
 
 

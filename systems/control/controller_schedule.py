@@ -4,7 +4,11 @@ from bisect import bisect_right
 from dataclasses import dataclass
 
 from sonoservo.systems.signals.immutable import Immutable
-from sonoservo.systems.signals.requirements import require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import (
+    require_not_negative,
+    require_positive,
+    require_time,
+)
 
 
 @dataclass(kw_only=True)
@@ -26,7 +30,7 @@ class ControllerChange:
     force: float | None = None
 
     def __post_init__(self) -> None:
-        require_not_negative(time=self.time)
+        require_time(time=self.time)
         if self.gain is not None:
             require_not_negative(gain=self.gain)
         if self.force is not None:

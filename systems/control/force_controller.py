@@ -28,6 +28,7 @@ class ForceController(LeafSystem):
         - wrist_force
         - X_WP
         - force_target (optional)
+        - approach_scale (optional)
         output_ports:
         - approach_velocity
         - pressing_force
@@ -35,7 +36,8 @@ class ForceController(LeafSystem):
     v_y = K_p (F* - F) + K_i int (F* - F) dt, with F the filtered force of the probe along its Y
     axis, compensated for the probe's weight. `wrist_force` is the SpatialForce of the arm on the
     probe in P, and `X_WP` is a RigidTransform. `force_target` is F* in N and replaces the
-    parameter's value. `approach_velocity` is v_y of P in P, in m/s, and `pressing_force` is F in N.
+    parameter's value. `approach_scale` is a factor on the highest speed towards the phantom.
+    `approach_velocity` is v_y of P in P, in m/s, and `pressing_force` is F in N.
 
     Parameters
     ----------
@@ -56,9 +58,10 @@ class ForceController(LeafSystem):
         self.DeclareAbstractInputPort("wrist_force", Value(SpatialForce()))
         self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
         target = self.DeclareVectorInputPort("force_target", 1)
+        scale = self.DeclareVectorInputPort("approach_scale", 1)
         self.DeclareDiscreteState(3)
         for name, calc, needs in (
-            ("approach_velocity", self._calc_approach_velocity, {target.ticket()}),
+            ("approach_velocity", self._calc_approach_velocity, {target.ticket(), scale.ticket()}),
             ("pressing_force", self._calc_pressing_force, set()),
         ):
             self.DeclareVectorOutputPort(
@@ -71,13 +74,13 @@ class ForceController(LeafSystem):
         return ForceState(force, integral, bool(in_contact))
 
     def _parameters_now(self, context: Context) -> ForceControllerParameters:
-        target = self.GetInputPort("force_target")
-        if not target.HasValue(context):
-            return self._parameters
-        force = float(target.Eval(context)[0])
-        if force == self._parameters.force:
-            return self._parameters  # because replacing them costs another validation
-        return replace(self._parameters, force=force)
+        start = self._parameters
+        target, scale = self.GetInputPort("force_target"), self.GetInputPort("approach_scale")
+        force = float(target.Eval(context)[0]) if target.HasValue(context) else start.force
+        factor = float(scale.Eval(context)[0]) if scale.HasValue(context) else 1.0
+        if force == start.force and factor == 1.0:
+            return start  # because replacing them costs another validation
+        return replace(start, force=force, approach_speed=factor * start.approach_speed)
 
     def _update_state(self, context: Context, discrete_state: DiscreteValues) -> None:
         wrist_force = evaluate(self, context, "wrist_force", SpatialForce)

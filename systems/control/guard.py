@@ -35,12 +35,13 @@ from sonoservo.systems.control.guard_rules import (
     outside,
     reason,
     region,
+    remark,
 )
 from sonoservo.systems.signals.guard_status import GuardState, GuardStatus
 from sonoservo.systems.signals.requirements import require_positive
 from sonoservo.systems.signals.scratch_context import declare_scratch_context, scratch_context
 
-_QUIET = 1.5
+_QUIET = 0.75
 """Change of a component of the wrist force in N at which everything is checked at once."""
 
 _AHEAD = 0.05
@@ -66,6 +67,7 @@ class Guard(LeafSystem):
         output_ports:
         - joint_command
         - guard
+        - approach_scale
 
     As long as nothing is wrong, `joint_command` is `wanted_command`, bit for bit. A command that
     breaks a limit of the joints is not sent. With too much force, or a wrist sensor that cannot be
@@ -77,7 +79,8 @@ class Guard(LeafSystem):
     `wrist_force` is the SpatialForce of the arm on the probe in P, and `X_WP` the measured pose of
     the probe. `joint_state` is read only at the start. `guard` is a `GuardStatus`. A controller
     that integrates its commands must continue from `joint_command`, so it starts from where the
-    guard left the arm.
+    guard left the arm. `approach_scale` is the factor by which it should approach more slowly: each
+    landing with too much force halves it, and a calm contact doubles it again, up to one.
 
     Parameters
     ----------
@@ -133,6 +136,7 @@ class Guard(LeafSystem):
         nothing[-1] = Mode.MONITORING
         self._command = self.DeclareDiscreteState(nothing)
         self._memory = self.DeclareDiscreteState(np.array(GuardMemory().pack()))
+        self._approach_scale = self.DeclareDiscreteState([1.0])
         self._sent = self.DeclareVectorOutputPort(
             "joint_command",
             2 * n,
@@ -145,6 +149,7 @@ class Guard(LeafSystem):
             self._calc_guard,
             prerequisites_of_calc={self.xd_ticket()},
         )
+        self.DeclareStateOutputPort("approach_scale", self._approach_scale)
         self.DeclareInitializationDiscreteUpdateEvent(self._initialize)
         self.DeclarePeriodicDiscreteUpdateEvent(time_step, 0, self._update)
 
@@ -153,6 +158,7 @@ class Guard(LeafSystem):
         command = np.concatenate([q, np.zeros_like(q), [context.get_time(), Mode.MONITORING]])
         discrete_state.set_value(self._command, command)
         discrete_state.set_value(self._memory, GuardMemory().pack())
+        discrete_state.set_value(self._approach_scale, [1.0])
         return EventStatus.Succeeded()
 
     def _memory_in(self, context: Context) -> GuardMemory:
@@ -177,6 +183,7 @@ class Guard(LeafSystem):
             reason(memory.cause, memory.value, self._limits),
             memory.since,
             int(memory.interventions),
+            remark(memory.sensor.ignored, memory.sensor.ignored_as, memory.pose_frozen),
         )
         output.set_value(status)
 
@@ -185,14 +192,7 @@ class Guard(LeafSystem):
         return bool(keeps_limits(wanted, sent, self._lowest, self._highest, self._reach))
 
     def _is_quiet(self, context: Context) -> bool:
-        """Return True if the next check may wait: nothing is suspected, and the force is the same.
-
-        Everything is checked at least every `WINDOW`; this saves three quarters of the time.
-        """
-        sent_at, mode = context.get_discrete_state(self._command).value()[-2:].tolist()
-        soon = context.get_time() - sent_at < WINDOW - 0.5 * self._time_step
-        if mode != Mode.MONITORING or not soon:
-            return False
+        """Return True if nothing is suspected, and the force is that of the last check."""
         last = last_force(context.get_discrete_state(self._memory).value())
         force = self._wrist_force.Eval(context).translational()
         return last is not None and all(
@@ -200,10 +200,13 @@ class Guard(LeafSystem):
         )
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
-        if self._is_quiet(context):
+        sent_at, mode = context.get_discrete_state(self._command).value()[-2:].tolist()
+        elapsed = context.get_time() - sent_at
+        # Everything is checked at least every `WINDOW`; this saves three quarters of the time.
+        soon = elapsed < WINDOW - 0.5 * self._time_step
+        if mode == Mode.MONITORING and soon and self._is_quiet(context):
             return EventStatus.DidNothing()
         before = self._memory_in(context)
-        elapsed = context.get_time() - context.get_discrete_state(self._command).value()[-2]
         sent = self._sent.Eval(context)
         seen = self._observe(context, before, sent)
         memory = next_memory(
@@ -221,7 +224,9 @@ class Guard(LeafSystem):
                 v *= self._slowed(memory, v)
         command[-1] = memory.mode
         discrete_state.set_value(self._command, command)
-        discrete_state.set_value(self._memory, memory.pack())
+        discrete_state.set_value(self._memory, np.array(memory.pack()))
+        if memory.caution != before.caution:
+            discrete_state.set_value(self._approach_scale, [memory.approach_scale])
         return EventStatus.Succeeded()
 
     def _observe(

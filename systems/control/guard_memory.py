@@ -19,14 +19,32 @@ from sonoservo.systems.control.guard_rules import (
     outside,
     retreat_speed,
 )
-from sonoservo.systems.control.wrist_sensor_check import SensorMemory
+from sonoservo.systems.control.wrist_sensor_check import SensorFault, SensorMemory
 from sonoservo.systems.control.wrist_sensor_check import next_memory as next_sensor_memory
 
 _FREE, _STILL_FREE = 0.15, 0.6
 """Shares of the largest force below which the contact counts as lost, and as lost still."""
 
-_SCALARS = 9
-_OVER, _LAST_FORCE, _SUSPICION = 6, slice(_SCALARS + 12, _SCALARS + 15), -4
+_CALM = 2.0
+"""Time in s of contact without too much force after which the approach becomes faster again."""
+
+_TOUCH = 0.5
+"""Force in N from which on the probe touches the body."""
+
+_HARD = 1.0
+"""Time in s after the first touch in which too much force is that of a hard landing."""
+
+_MAX_CAUTION = 4
+"""Number of hard landings after which the approach is as slow as it gets."""
+
+_BRAKING = 0.1
+"""Time in s after a change of mode in which the probe's inertia pulls and pushes."""
+
+_AT_REST = 2e-4
+"""Distance in m below which the probe counts as not commanded to move."""
+
+_SCALARS = 13
+_OVER, _LAST_FORCE, _SUSPICION = 6, slice(_SCALARS + 18, _SCALARS + 21), -4
 """Places in the packed numbers."""
 
 
@@ -45,6 +63,12 @@ class GuardMemory(NamedTuple):
         Number of successive samples with too much force, or with force where nothing can be.
     speed
         Speed of the retreat, in m/s.
+    caution, touched
+        Number of hard landings that have not been followed by a calm contact, and time in s since
+        which there is contact; NaN without one.
+    pose_changed, pose_frozen
+        Time in s at which the measured pose last changed, NaN before the first change, and longest
+        time in s for which it did not.
     free
         Whether the contact was lost in the retreat. The probe's inertia, felt while it brakes, is
         no contact.
@@ -52,6 +76,8 @@ class GuardMemory(NamedTuple):
         (3,) position and velocity of the probe's face as commanded, in W, in m and m/s.
     start
         (3,) position at which the retreat began, in m.
+    p_measured, p_then
+        (3,) last measured position, and the commanded one when it last changed, in m.
     sensor
         Memory of the wrist sensor's samples.
     """
@@ -64,31 +90,40 @@ class GuardMemory(NamedTuple):
     interventions: int = 0
     over: int = 0
     speed: float = 0.0
+    caution: int = 0
+    touched: float = math.nan
+    pose_changed: float = math.nan
+    pose_frozen: float = 0.0
     free: int = False
     p: Vector = 3 * (math.nan,)
     velocity: Vector = 3 * (0.0,)
     start: Vector = 3 * (0.0,)
+    p_measured: Vector = 3 * (math.nan,)
+    p_then: Vector = 3 * (math.nan,)
     sensor: SensorMemory = SensorMemory()
 
     def pack(self) -> list[float]:
         """Return all numbers in one list."""
         last, trusted, *rest = self.sensor
         scalars = cast(Vector, self[:_SCALARS])
-        return [*scalars, *self.p, *self.velocity, *self.start, *last, *trusted, *rest]
+        return [
+            *scalars, *self.p, *self.velocity, *self.start, *self.p_measured, *self.p_then,
+            *last, *trusted, *rest,
+        ]  # fmt: skip
+
+    @property
+    def approach_scale(self) -> float:
+        """Factor on the speed of the approach; hard landings make it slower."""
+        return 0.5**self.caution
 
 
 def unpack(numbers: list[float]) -> GuardMemory:
     """Return the memory from the numbers that `GuardMemory.pack` returned."""
     n = _SCALARS
-    p, velocity, start, last, trusted = (
-        tuple(numbers[n : n + 3]),
-        tuple(numbers[n + 3 : n + 6]),
-        tuple(numbers[n + 6 : n + 9]),
-        tuple(numbers[n + 9 : n + 15]),
-        tuple(numbers[n + 15 : n + 18]),
-    )
-    sensor = SensorMemory._make([last, trusted, *numbers[n + 18 :]])
-    return GuardMemory._make([*numbers[:n], p, velocity, start, sensor])
+    vectors = [tuple(numbers[at : at + 3]) for at in range(n, n + 15, 3)]
+    last, trusted = tuple(numbers[n + 15 : n + 21]), tuple(numbers[n + 21 : n + 24])
+    sensor = SensorMemory._make([last, trusted, *numbers[n + 24 :]])
+    return GuardMemory._make([*numbers[:n], *vectors, sensor])
 
 
 def last_force(numbers: NDArray[np.float64]) -> list[float] | None:
@@ -164,12 +199,12 @@ def next_memory(
         pressing,
         seen.time,
         limits.wrist_sensor,
-        moving=memory.mode == Mode.RETREATING,
+        moving=memory.mode == Mode.RETREATING or seen.time - memory.since < _BRAKING,
     )
     in_air = seen.p[2] > allowed.contact_top and pressing > limits.wrist_sensor.max_pull
     fine = force <= limits.max_force and not in_air
     doubted = sensor.suspicion or not sensor.started
-    over = 0 if doubted or fine else memory.over + 1
+    over = memory.over if doubted else 0 if fine else memory.over + 1
     breach = NO_BREACH
     if sensor.fault:
         breach = Breach(Cause(int(Cause.FORCE + sensor.fault)), pressing)
@@ -181,12 +216,16 @@ def next_memory(
     step = tuple(a - b for a, b in zip(seen.p, memory.p, strict=True))
     velocity = tuple(each / elapsed for each in step)
     lost = _STILL_FREE if memory.free else _FREE
-    free = bool(sensor.fault) or force < lost * limits.max_force
+    # What is felt after a jump may be a contact; with the other faults, nothing is felt.
+    jumped = sensor.fault == SensorFault.JUMPED
+    free = (pressing if jumped else 0.0 if sensor.fault else force) < lost * limits.max_force
     after = memory._replace(over=over, p=seen.p, velocity=velocity, sensor=sensor)
+    after = _with_pose(_with_touch(after, pressing, seen.time), seen, limits)
     if memory.mode == Mode.MONITORING:
         return after if breach is NO_BREACH else _stop(after, breach, seen, limits, time_step)
     if memory.mode == Mode.RETREATING:
         at_edge = outside(seen.p, seen.axis, allowed).cause is Cause.WORKSPACE
+        at_edge = at_edge or (jumped and seen.p[2] > allowed.contact_top)
         travelled = math.inf if at_edge else math.dist(seen.p, memory.start)
         speed = retreat_speed(memory.speed, travelled, free, time_step, limits)
         if speed:
@@ -216,6 +255,7 @@ def _stop(
     """Return the memory with which an intervention begins."""
     backwards = -sum(v * a for v, a in zip(memory.velocity, seen.axis, strict=True))
     retreats = breach.cause >= Cause.FORCE
+    hard = breach.cause is Cause.FORCE and seen.time - memory.touched < _HARD
     speed = max(backwards, 0.0) if math.isfinite(backwards) else 0.0
     return memory._replace(
         mode=Mode.RETREATING if retreats else Mode.HOLDING,
@@ -224,10 +264,37 @@ def _stop(
         since=seen.time,
         fine_since=seen.time,
         interventions=memory.interventions + 1,
+        caution=min(memory.caution + hard, _MAX_CAUTION),
+        touched=math.nan,
         free=False,
         speed=retreat_speed(speed, 0.0, False, time_step, limits) if retreats else 0.0,
         start=seen.p,
     )
+
+
+def _with_touch(memory: GuardMemory, pressing: float, time: float) -> GuardMemory:
+    """Return the memory with the time of the first touch, less cautious after a calm contact."""
+    if memory.mode != Mode.MONITORING or not pressing > _TOUCH:
+        return memory if memory.touched != memory.touched else memory._replace(touched=math.nan)
+    if memory.touched != memory.touched:
+        return memory._replace(touched=time)
+    if memory.caution and time - memory.touched > _CALM:
+        return memory._replace(touched=time, caution=memory.caution - 1)
+    return memory
+
+
+def _with_pose(memory: GuardMemory, seen: Observation, limits: GuardParameters) -> GuardMemory:
+    """Return the memory with the newest measured pose."""
+    if seen.p_measured != memory.p_measured:
+        began = memory.p_measured[0] == memory.p_measured[0]
+        return memory._replace(
+            p_measured=seen.p_measured,
+            p_then=seen.p,
+            pose_changed=seen.time if began else math.nan,
+        )
+    still = seen.time - memory.pose_changed
+    noted = memory.mode == Mode.MONITORING and still > limits.pose_frozen_after > 0
+    return memory._replace(pose_frozen=max(memory.pose_frozen, still)) if noted else memory
 
 
 def _breach_of_motion(
@@ -242,6 +309,10 @@ def _breach_of_motion(
         return Breach(Cause.POSE_LOST)
     if not seen.accepted:
         return Breach(Cause.COMMAND)
+    unchanged = seen.p_measured == memory.p_measured
+    frozen = unchanged and seen.time - memory.pose_changed > limits.pose_frozen_after > 0
+    if frozen and math.dist(seen.p, memory.p_then) > _AT_REST:
+        return Breach(Cause.POSE_FROZEN)
     error = math.dist(seen.p_measured, seen.p)
     if error > limits.max_pose_error:
         return Breach(Cause.POSE_ERROR, error)

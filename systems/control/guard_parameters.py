@@ -18,8 +18,12 @@ class WristSensorLimits:
         of range or saturated.
     max_jump
         Largest change of a component of the force between two samples, in N.
+    max_step
+        Largest such change of a steady force, in N. The force of a contact that grows faster goes
+        on growing; after a step of the sensor, it does not.
     max_pull
-        Largest force away from the body, in N. Contact can only push, so more pull is a bias.
+        Largest force away from the body, in N. Contact can only push, so more pull is a bias. After
+        a jump, a larger force either way is not believed until the probe is free.
     frozen_after
         Time after which an unchanged sample counts as frozen, in s, because every real sensor has
         noise. It must be longer than the sensor's period. Zero switches the check off, as a sensor
@@ -34,6 +38,7 @@ class WristSensorLimits:
     max_force: float = 60.0
     max_torque: float = 20.0
     max_jump: float = 8.0
+    max_step: float = 2.0
     max_pull: float = 1.5
     frozen_after: float = 0.05
     confirmed_after: float = 0.02
@@ -44,6 +49,7 @@ class WristSensorLimits:
             max_force=self.max_force,
             max_torque=self.max_torque,
             max_jump=self.max_jump,
+            max_step=self.max_step,
             max_pull=self.max_pull,
         )
         require_not_negative(
@@ -85,6 +91,10 @@ class GuardParameters:
         positions and speeds are those of the arm.
     max_pose_error
         Largest distance between the measured and the commanded position of the probe, in m.
+    pose_frozen_after
+        Time after which an unchanged measured pose counts as frozen, in s. The probe is stopped if
+        it was commanded to move meanwhile; at rest a frozen pose does no harm and is only noted.
+        Zero switches the check off.
     retreat_speed, retreat_acceleration
         Speed and acceleration of a retreat along the probe's axis, in m/s and m/s^2.
     clearance
@@ -110,6 +120,7 @@ class GuardParameters:
     max_acceleration: float = 6.0
     max_joint_acceleration: float = 40.0
     max_pose_error: float = 0.01
+    pose_frozen_after: float = 0.1
     retreat_speed: float = 0.3
     retreat_acceleration: float = 5.0
     clearance: float = 0.02
@@ -145,4 +156,6 @@ class GuardParameters:
             clearance=self.clearance,
             max_retreat=self.max_retreat,
         )
-        require_not_negative(resume_after=self.resume_after)
+        require_not_negative(
+            resume_after=self.resume_after, pose_frozen_after=self.pose_frozen_after
+        )

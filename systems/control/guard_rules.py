@@ -40,6 +40,7 @@ class Cause(IntEnum):
     TILT = 6
     POSE_LOST = 7
     POSE_ERROR = 8
+    POSE_FROZEN = 9
     FORCE = 10
     SENSOR_NOT_FINITE = 10 + SensorFault.NOT_FINITE
     SENSOR_OUT_OF_RANGE = 10 + SensorFault.OUT_OF_RANGE
@@ -47,6 +48,15 @@ class Cause(IntEnum):
     SENSOR_JUMPED = 10 + SensorFault.JUMPED
     SENSOR_PULLING = 10 + SensorFault.PULLING
     SENSOR_IN_AIR = 16
+
+
+_IGNORED = {
+    SensorFault.NOT_FINITE: "was not a number",
+    SensorFault.OUT_OF_RANGE: "was out of range",
+    SensorFault.FROZEN: "was frozen",
+    SensorFault.JUMPED: "jumped",
+    SensorFault.PULLING: "read a pull",
+}
 
 
 class Breach(NamedTuple):
@@ -61,9 +71,10 @@ NO_BREACH = Breach(Cause.NONE)
 
 def reason(cause: int, value: float, limits: GuardParameters) -> str:
     """Return the reason for an intervention as a sentence without its full stop."""
+    if cause == Cause.NONE:
+        return ""
     sensor = limits.wrist_sensor
     texts = {
-        Cause.NONE: "",
         Cause.COMMAND: "the controller's command breaks a limit of the joints' positions, speeds "
         "or accelerations, or is not a number",
         Cause.SPEED: f"the probe was commanded to move at {value:.2f} m/s, above "
@@ -77,18 +88,41 @@ def reason(cause: int, value: float, limits: GuardParameters) -> str:
         Cause.POSE_LOST: "the measured pose of the probe is not a number",
         Cause.POSE_ERROR: f"the probe is {1e3 * value:.0f} mm from where it was commanded to be, "
         f"more than {1e3 * limits.max_pose_error:g} mm",
+        Cause.POSE_FROZEN: "the measured pose of the probe is frozen",
         Cause.FORCE: f"the contact force of {value:.1f} N exceeded {limits.max_force:g} N",
         Cause.SENSOR_NOT_FINITE: "the wrist sensor's samples are not numbers",
         Cause.SENSOR_OUT_OF_RANGE: "the wrist sensor is saturated or out of its range of "
         f"{sensor.max_force:g} N and {sensor.max_torque:g} N m",
         Cause.SENSOR_FROZEN: "the wrist sensor is frozen",
-        Cause.SENSOR_JUMPED: f"the wrist sensor jumped by more than {sensor.max_jump:g} N",
+        Cause.SENSOR_JUMPED: f"the wrist sensor jumped by more than {sensor.max_step:g} N, "
+        "faster than a contact changes",
         Cause.SENSOR_PULLING: f"the wrist sensor reads a pull of {-value:.1f} N, but contact can "
         "only push; is it biased?",
         Cause.SENSOR_IN_AIR: f"the wrist sensor reads {value:.1f} N more than "
         f"{1e3 * limits.max_rise:g} mm above the configured surface; is it biased?",
     }
     return texts[Cause(cause)]
+
+
+def remark(ignored: int, ignored_as: int, frozen: float) -> str:
+    """Return what was noticed without a need to intervene; empty if nothing was.
+
+    Parameters
+    ----------
+    ignored, ignored_as
+        Number of implausible samples that were ignored, and the fault that the last suggested.
+    frozen
+        Longest time for which the measured pose did not change, in s.
+    """
+    texts = []
+    if ignored:
+        texts.append(
+            f"samples of the wrist sensor that were ignored: {ignored:g}, the last because it "
+            + _IGNORED[SensorFault(ignored_as)]
+        )
+    if frozen:
+        texts.append(f"the measured pose of the probe did not change for {frozen:.1f} s")
+    return "; ".join(texts)
 
 
 class Region(NamedTuple):

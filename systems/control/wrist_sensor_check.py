@@ -10,6 +10,9 @@ _NAN = math.nan
 _ROUNDING = 1e-9
 """Rounding error of times, in s."""
 
+_STEADY = 0.25
+"""Share of the largest step by which a steady force may change between two samples."""
+
 
 class SensorFault(IntEnum):
     """Faults of the wrist sensor."""
@@ -32,6 +35,13 @@ class SensorMemory(NamedTuple):
     trusted
         (3,) last plausible force, in N; NaN until the sensor has started, which is when a sample
         first differs from the one before.
+    steady
+        Whether the last plausible sample was close to the one before.
+    jump
+        Largest difference from that sample while samples are implausible, in N.
+    ignored, ignored_as
+        Number of implausible samples that were no confirmed fault, and the fault that the last of
+        them suggested.
     changed
         Time at which the sample last changed, in s.
     suspicion, suspected
@@ -45,6 +55,10 @@ class SensorMemory(NamedTuple):
 
     last: tuple[float, ...] = 6 * (_NAN,)
     trusted: tuple[float, ...] = 3 * (_NAN,)
+    steady: int = True
+    jump: float = 0.0
+    ignored: int = 0
+    ignored_as: int = SensorFault.NONE
     changed: float = 0.0
     suspicion: int = SensorFault.NONE
     suspected: float = 0.0
@@ -81,7 +95,7 @@ def next_memory(
     limits
         Limits of plausible samples.
     moving
-        Whether the guard accelerates the probe, whose inertia then pulls.
+        Whether the guard accelerates the probe, whose inertia then pulls and pushes.
     """
     same = sample == memory.last
     changed = memory.changed if same else time
@@ -93,6 +107,10 @@ def next_memory(
         return SensorMemory(
             sample,
             force if started else memory.trusted,
+            not _change(force, memory.trusted) > _STEADY * limits.max_step,
+            0.0,
+            memory.ignored,
+            memory.ignored_as,
             changed,
             suspicion,
             memory.suspected,
@@ -107,7 +125,13 @@ def next_memory(
     # After a jump that lasts, further samples are compared with the new level.
     trusted = force if suspicion == SensorFault.JUMPED and confirmed else memory.trusted
     fault = suspicion if confirmed else SensorFault.NONE
-    return SensorMemory(sample, trusted, changed, suspicion, since, time, fault)
+    ignored, ignored_as = memory.ignored, memory.ignored_as
+    if not confirmed:
+        ignored, ignored_as = int(ignored) + 1, suspicion
+    jump = max(memory.jump, _change(force, memory.trusted))
+    return SensorMemory(
+        sample, trusted, True, jump, ignored, ignored_as, changed, suspicion, since, time, fault
+    )
 
 
 def _suspicion(
@@ -122,6 +146,7 @@ def _suspicion(
     if not math.isfinite(sum(sample)):
         return SensorFault.NOT_FINITE
     m_x, m_y, m_z, f_x, f_y, f_z = sample
+    force = sample[3:]
     top, torque = limits.max_force, limits.max_torque
     if not (
         -top < f_x < top
@@ -136,10 +161,27 @@ def _suspicion(
         return SensorFault.FROZEN
     if not memory.started:
         return SensorFault.NONE
-    t_x, t_y, t_z = memory.trusted
-    jump = limits.max_jump
-    if abs(f_x - t_x) > jump or abs(f_y - t_y) > jump or abs(f_z - t_z) > jump:
+    if not moving and _is_jump(memory, force, limits):
         return SensorFault.JUMPED
     if pressing < -limits.max_pull and not moving:
         return SensorFault.PULLING
-    return SensorFault.NONE
+    stays = memory.fault == SensorFault.JUMPED and pressing > limits.max_pull
+    return SensorFault.JUMPED if stays else SensorFault.NONE
+
+
+def _is_jump(memory: SensorMemory, force: tuple[float, ...], limits: WristSensorLimits) -> bool:
+    """Return True if a force in N differs from the trusted one as that of no contact does."""
+    change = _change(force, memory.trusted)
+    if change > limits.max_jump:
+        return True
+    if memory.suspicion == SensorFault.JUMPED and not memory.fault:
+        # A contact that has begun so fast goes on growing.
+        return 0.5 * limits.max_step < change < memory.jump + _STEADY * limits.max_step
+    # After samples that were implausible in another way, there is nothing to compare with.
+    comparable = memory.suspicion == SensorFault.NONE and (memory.steady or memory.fault)
+    return bool(comparable) and change > limits.max_step
+
+
+def _change(a: tuple[float, ...], b: tuple[float, ...]) -> float:
+    """Return the largest difference of the components of two (3,) forces in N."""
+    return max(abs(a[0] - b[0]), abs(a[1] - b[1]), abs(a[2] - b[2]))

@@ -7,7 +7,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.files.writing import PARTIAL
+from sonoservo.systems.files.writing import PARTIAL, make_folder
 
 
 @contextmanager
@@ -31,7 +31,7 @@ def claim_folder(folder: Path | None) -> Iterator[None]:
     if folder is None:
         yield
         return
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     handle = os.open(folder, os.O_RDONLY)
     try:
         claim(handle, folder, "another --out")

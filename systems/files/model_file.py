@@ -1,12 +1,33 @@
 """Files of models, by name or by path."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import lru_cache, wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from sonoservo.models import model_path
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import read_yaml, suggest
+
+T = TypeVar("T")
+
+
+def read_once(read: Callable[[Path], T]) -> Callable[[Path], T]:
+    """Decorate the reader of a model, so that it reads a file again only after a change.
+
+    The result is shared, and must not be changed.
+    """
+
+    @lru_cache(maxsize=64)
+    def remembered(path: Path, _place: Path, _modified: int, _size: int) -> T:
+        return read(path)
+
+    @wraps(read)
+    def reader(path: Path) -> T:
+        state = path.stat()
+        return remembered(path, path.resolve(), state.st_mtime_ns, state.st_size)
+
+    return reader
 
 
 def model_file(folder: str, name: str) -> Path:

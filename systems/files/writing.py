@@ -1,5 +1,6 @@
 """Atomic writing of files."""
 
+import errno
 import json
 import math
 import os
@@ -40,8 +41,8 @@ def write_atomically(path: str | Path, data: bytes | str) -> Path:
     """
     path = Path(path)
     content = data.encode() if isinstance(data, str) else data
+    make_folder(path.parent)
     with naming(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
         if str(path.absolute()).startswith(_STREAMS):
             _write_into(path, content, "ab")
         elif path.exists() and not (path.is_file() and path.stat().st_nlink == 1):
@@ -49,6 +50,21 @@ def write_atomically(path: str | Path, data: bytes | str) -> Path:
         else:
             _replace(Path(os.path.realpath(path)), content)
     return path
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder and those above it, unless it exists.
+
+    Raises
+    ------
+    OSError
+        If it cannot be made, such as NotADirectoryError if there is something else.
+    """
+    try:
+        with naming(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError as error:
+        raise NotADirectoryError(errno.ENOTDIR, "it is not a folder", str(folder)) from error
 
 
 @contextmanager

@@ -11,6 +11,7 @@ from sonoservo.systems.signals.requirements import (
     require,
     require_not_negative,
     require_positive,
+    require_time,
     require_within,
 )
 
@@ -64,7 +65,7 @@ class Push:
     dip_deg: float | None = None
 
     def __post_init__(self) -> None:
-        require_positive(duration=self.duration)
+        require_time(duration=self.duration, positive=True)
         turning_deg, dip_deg = self.turning_deg, self.dip_deg
         require(abs(turning_deg) <= 720, "turning_deg", turning_deg, "from -720 to 720 deg/s")
         allowed = dip_deg is None or abs(dip_deg) <= 90
@@ -227,9 +228,9 @@ class InsertionParameters:
             rotation_angle_spread_deg=self.rotation_angle_spread_deg,
             bend_drift_spread_deg=self.bend_drift_spread_deg,
             curvature_wander=self.curvature_wander,
-            start=self.start or 0.0,
             tremor=self.tremor,
         )
+        require_time(start=self.start or 0.0)
         require_within("initial_depth", self.initial_depth or 0.0, 0, _MAX_LENGTH)
         require_positive(wander_length=self.wander_length, ramp=self.ramp)
         require(

@@ -33,10 +33,8 @@ def write_volume(path: str | Path, volume: Volume) -> Path:
     -------
     Path of the file.
     """
-    buffer = io.BytesIO()
     header = _header(volume) | {SCALE: repr(float(volume.decibels_per_level))}
-    nrrd.write(buffer, volume.intensities, header, compression_level=1, index_order="F")
-    return write_atomically(path, buffer.getvalue())
+    return write_atomically(path, _encode(volume.intensities, header, compression_level=1))
 
 
 def write_mask(path: str | Path, volume: Volume, mask: NDArray[np.bool_], name: str) -> Path:
@@ -76,9 +74,16 @@ def write_mask(path: str | Path, volume: Volume, mask: NDArray[np.bool_], name: 
         "Segmentation_ReferenceImageExtentOffset": "0 0 0",
         **{f"Segment0_{key}": value for key, value in segment.items()},
     }
+    return write_atomically(path, _encode(mask.astype(np.uint8), header, compression_level=6))
+
+
+def _encode(array: NDArray[Any], header: dict[str, Any], compression_level: int) -> bytes:
+    """Return the contents of an NRRD file without the date: equal data give equal bytes."""
     buffer = io.BytesIO()
-    nrrd.write(buffer, mask.astype(np.uint8), header, compression_level=6, index_order="F")
-    return write_atomically(path, buffer.getvalue())
+    nrrd.write(buffer, array, header, compression_level=compression_level, index_order="F")
+    lines, blank, data = buffer.getvalue().partition(b"\n\n")
+    kept = [line for line in lines.split(b"\n") if not line.startswith(b"# on ")]
+    return b"\n".join(kept) + blank + data
 
 
 def _header(volume: Volume) -> dict[str, Any]:

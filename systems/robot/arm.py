@@ -1,6 +1,7 @@
 """Arm with its probe, described by a YAML file, in any plant."""
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from pydrake.multibody.tree import (
     RigidBody,
 )
 
-from sonoservo.systems.files.model_file import model_file
+from sonoservo.systems.files.model_file import model_file, read_once
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import load_typed, read_yaml
 from sonoservo.systems.robot.directives import add_directives, resolve_files
@@ -115,7 +116,11 @@ def load_arm(name: str) -> Arm:
     FileNotFoundError
         If there is no such file.
     """
-    path = model_file("robots", name)
+    return _read_arm(model_file("robots", name))
+
+
+@read_once
+def _read_arm(path: Path) -> Arm:
     arm = load_typed(Arm, read_yaml(path), str(path))
     resolve_files(arm.directives, path)
     plant = MultibodyPlant(time_step=0)

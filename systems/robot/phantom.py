@@ -1,6 +1,7 @@
 """Phantom on its moving stage, in any plant."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from pydrake.geometry import (
@@ -23,7 +24,7 @@ from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import Trajectory
 
 from sonoservo.models import model_path
-from sonoservo.systems.files.model_file import model_file, read_section
+from sonoservo.systems.files.model_file import model_file, read_once, read_section
 from sonoservo.systems.files.typed_yaml import load_typed
 from sonoservo.systems.robot.motors import motors
 from sonoservo.systems.signals.body_surface import BodySurface
@@ -82,7 +83,11 @@ def load_contact(name: str) -> PhantomContact:
     name
         Name of a file in ``models/phantoms`` ("agar"), or a path.
     """
-    path = model_file("phantoms", name)
+    return _read_contact(model_file("phantoms", name))
+
+
+@read_once
+def _read_contact(path: Path) -> PhantomContact:
     content = read_section(path, "contact", ("tissue", "contact"))
     return load_typed(PhantomContact, content, f"{path}: contact")
 

@@ -8,7 +8,12 @@ from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.trajectories import FunctionHandleTrajectory, PiecewisePolynomial, Trajectory
 
-from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import (
+    MAX_TIME,
+    require,
+    require_time,
+    require_within,
+)
 
 
 @dataclass(kw_only=True)
@@ -31,9 +36,11 @@ class Move:
     rotation_deg: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
 
     def __post_init__(self) -> None:
-        require_not_negative(start=self.start)
-        require_positive(duration=self.duration)
+        require_time(start=self.start)
+        require_within("duration", self.duration, 1e-3, MAX_TIME)
         require(len(self.translation) == 3, "translation", self.translation, "three lengths in m")
+        for length in self.translation:
+            require_within("translation", length, -1.0, 1.0)
         require(len(self.rotation_deg) == 3, "rotation_deg", self.rotation_deg, "three angles")
 
 

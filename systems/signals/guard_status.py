@@ -31,12 +31,15 @@ class GuardStatus(Immutable):
         Time at which the state was entered, in s.
     interventions
         Number of interventions so far.
+    remark
+        What was noticed so far without a need to intervene; empty if nothing was.
     """
 
     state: GuardState
     reason: str = ""
     since: float = 0.0
     interventions: int = 0
+    remark: str = ""
 
     @property
     def stopped(self) -> bool:

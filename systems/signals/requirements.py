@@ -4,6 +4,9 @@ import math
 
 import numpy as np
 
+MAX_TIME = 1e6
+"""Longest time that a scenario may ask for, in s: eleven days."""
+
 
 def require(condition: bool, name: str, value: object, allowed: str) -> None:
     """Raise ValueError naming the field, its value and what is allowed, unless ``condition``."""
@@ -28,6 +31,14 @@ def require_within(name: str, value: float, low: float, high: float) -> None:
     require(
         _is_finite(value) and low <= value <= high, name, value, f"from {low:.4g} to {high:.4g}"
     )
+
+
+def require_time(*, positive: bool = False, **values: float) -> None:
+    """Raise ValueError unless every value is a time from zero, or above it, to `MAX_TIME`."""
+    for name, value in values.items():
+        fits = _is_finite(value) and 0 <= value <= MAX_TIME and (value > 0 or not positive)
+        start = "above 0 and at most" if positive else "from 0 to"
+        require(fits, name, value, f"{start} {MAX_TIME:g} s")
 
 
 def _is_finite(value: object) -> bool:

@@ -12,6 +12,9 @@ from sonoservo.systems.signals.point_spread import PointSpread
 from sonoservo.systems.signals.requirements import require, require_positive
 from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL, SweepMotion
 
+_MAX_SPACING = 0.02
+"""Largest distance between voxels, in m; a larger one is given in mm."""
+
 
 @dataclass(frozen=True, eq=False)
 class Volume(Immutable):
@@ -42,8 +45,8 @@ class Volume(Immutable):
     Raises
     ------
     ValueError
-        If a shape is wrong, an axis has fewer than 2 elements, a spacing is not above zero or a
-        value is not finite.
+        If a shape is wrong, an axis has fewer than 2 elements, a spacing is not above zero or
+        exceeds 20 mm, or a value is not finite.
     """
 
     intensities: NDArray[np.uint8] | NDArray[np.float32]
@@ -66,6 +69,9 @@ class Volume(Immutable):
         object.__setattr__(self, "origin", read_only(self.origin, "origin", (3,)))
         object.__setattr__(self, "spacing", read_only(self.spacing, "spacing", (3,)))
         require_positive(**{f"spacing[{axis}]": s for axis, s in enumerate(self.spacing)})
+        for axis, spacing in enumerate(self.spacing):
+            allowed = f"at most {_MAX_SPACING:g} m; lengths are in m, and 0.7 mm is 0.7e-3"
+            require(spacing <= _MAX_SPACING, f"spacing[{axis}]", float(spacing), allowed)
         require(bool(np.isfinite(self.time)), "time", self.time, "finite")
         require_positive(decibels_per_level=self.decibels_per_level)
 

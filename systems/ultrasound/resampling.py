@@ -11,18 +11,6 @@ from sonoservo.systems.sampling.options import OPTIONS
 WIDEST_ANGLE = 2 * np.arctan(0.8)
 """Largest angle in rad, 77 deg, from the middle of the sector that `_angle` covers."""
 
-POSES_PER_FRAME = 16
-"""Number of poses tabulated from one frame to the next; at 20 mm/s they are 0.01 mm apart."""
-
-FRAMES_BEYOND = 4
-"""Number of frames before the first one and after the last for which poses are extrapolated.
-
-The nodes around an element at the sector's edge are that far outside.
-"""
-
-NODE_STRIDE = 8
-"""Elements from one node to the next of the table of the probe's motion (`tabulate_shifts`)."""
-
 _ZERO, _HALF, _ONE, _TWO = (np.float32(value) for value in (0, 0.5, 1, 2))
 # Minimax polynomial of the arc tangent on [-0.8, 0.8], to 3e-7.
 _A3, _A5, _A7, _A9, _A11 = (
@@ -198,93 +186,10 @@ def resample(volume, rows, packed, beyond, corners, sector, x, distance, step): 
         for b in range(volume.shape[1]):
             for part in range(2):
                 for n in range(np.uint64(rows[a, b, part, 0]), np.uint64(rows[a, b, part, 1])):
-                    line, r = _line(x[a], distance[b, n], sector)
-                    volume[a, b, n] = _interpolate(
+                    line, r = line_of(x[a], distance[b, n], sector)
+                    volume[a, b, n] = interpolate(
                         packed, beyond, corners, sector, step[b, n], line, r
                     )
-
-
-@njit(parallel=True, **OPTIONS)
-def tabulate_shifts(shifts, sector, x, y, z, poses):  # type: ignore[no-untyped-def]
-    """Tabulate how far the motion of the probe moves points in its image.
-
-    Parameters
-    ----------
-    shifts
-        (mx, my, 3, mz) float32 changes of step, line and distance, written; see `_project`.
-    sector
-        Positions of the lines.
-    x, y, z
-        Float32 coordinates of the table's nodes, in m, with the origin on the motor's axis.
-    poses
-        (n, 12) float32 rows of 3 x 4 matrices, from the frame of the volume to that of the probe at
-        the time, both with the origin on the motor's axis; `POSES_PER_FRAME` to a frame, from
-        `FRAMES_BEYOND` frames before the first one to as many after the last.
-    """
-    for a in prange(len(x)):
-        for b in range(len(y)):
-            for c in range(len(z)):
-                # The time at which a point was seen depends on its place at that time. Each pass
-                # reduces the error to a tenth.
-                at_rest = _project(x[a], y[b], z[c], sector)
-                place = _seen(x[a], y[b], z[c], at_rest, poses, sector)
-                place = _seen(x[a], y[b], z[c], place, poses, sector)
-                place = _seen(x[a], y[b], z[c], place, poses, sector)
-                for each in range(3):
-                    shifts[a, b, each, c] = place[each] - at_rest[each]
-
-
-@njit(parallel=True, **OPTIONS)
-def resample_moving(  # type: ignore[no-untyped-def]
-    volume, rows, packed, beyond, corners, sector, x, distance, step, shifts, row
-):
-    """Fill the part of a volume that the sweep of a moving probe covers.
-
-    Parameters
-    ----------
-    volume, rows, packed, beyond, corners, sector, x, distance, step
-        See `resample`.
-    shifts
-        Table from `tabulate_shifts` with a node at every `NODE_STRIDE`-th element.
-    row
-        (nx, 3, mz `NODE_STRIDE`) float32 memory for the shifts of a row of elements, overwritten.
-    """
-    share = _ONE / np.float32(NODE_STRIDE)
-    for a in prange(volume.shape[0]):
-        i = np.int64(a) // NODE_STRIDE
-        u = np.float32(np.int64(a) % NODE_STRIDE) * share
-        for b in range(volume.shape[1]):
-            j = b // NODE_STRIDE
-            v = np.float32(b % NODE_STRIDE) * share
-            for part in range(2):
-                first, end = rows[a, b, part, 0], rows[a, b, part, 1]
-                for each in range(3):
-                    for c in range(first // NODE_STRIDE, (end + NODE_STRIDE - 1) // NODE_STRIDE):
-                        near = _blend(shifts, i, j, each, c, u, v)
-                        slope = share * (_blend(shifts, i, j, each, c + 1, u, v) - near)
-                        for k in range(NODE_STRIDE):
-                            row[a, each, c * NODE_STRIDE + k] = near + np.float32(k) * slope
-                for n in range(np.uint64(first), np.uint64(end)):
-                    line, r = _line(x[a], distance[b, n], sector)
-                    volume[a, b, n] = _interpolate(
-                        packed,
-                        beyond,
-                        corners,
-                        sector,
-                        step[b, n] + row[a, 0, n],
-                        line + row[a, 1, n],
-                        r + row[a, 2, n],
-                    )
-
-
-@njit(**OPTIONS)
-def _blend(shifts, i, j, each, c, u, v):  # type: ignore[no-untyped-def]
-    """Interpolate a shift between the four nodes around a row."""
-    near = shifts[i, j, each, c] + u * (shifts[i + 1, j, each, c] - shifts[i, j, each, c])
-    far = shifts[i, j + 1, each, c] + u * (
-        shifts[i + 1, j + 1, each, c] - shifts[i, j + 1, each, c]
-    )
-    return near + v * (far - near)
 
 
 @njit(**OPTIONS)
@@ -296,47 +201,33 @@ def _angle(opposite, adjacent, hypotenuse):  # type: ignore[no-untyped-def]
 
 
 @njit(**OPTIONS)
-def _line(x, q, sector):  # type: ignore[no-untyped-def]
+def line_of(x, q, sector):  # type: ignore[no-untyped-def]
     """Return the line, from the middle, and the distance from the array's centre of curvature."""
     r = np.sqrt(q * q + x * x)
     return _angle(x, q, r) * sector.lines_per_radian, r
 
 
 @njit(**OPTIONS)
-def _project(x, y, z, sector):  # type: ignore[no-untyped-def]
+def project(x, y, z, sector):  # type: ignore[no-untyped-def]
     """Return step and line, from the middle, and distance from the array's centre of curvature."""
     rho = np.sqrt(y * y + z * z)
-    line, r = _line(x, rho + sector.centre_offset, sector)
+    line, r = line_of(x, rho + sector.centre_offset, sector)
     # A point behind the axis, possible with a moving probe, is outside the sector either way.
     return _angle(z, max(y, _ZERO), rho) * sector.steps_per_radian, line, r
 
 
 @njit(**OPTIONS)
-def _frame(step, line, sector):  # type: ignore[no-untyped-def]
+def frame_of(step, line, sector):  # type: ignore[no-untyped-def]
+    """Return the frame in which the motor, at a step from the middle, takes a line."""
     return (step - sector.direction * line) / sector.lines + _HALF * sector.last_frame
 
 
 @njit(**OPTIONS)
-def _seen(x, y, z, place, poses, sector):  # type: ignore[no-untyped-def]
-    """Project a point as the probe saw it at the time the sweep was at a place; see `_project`."""
-    step, line, _ = place
-    beyond = np.float32(FRAMES_BEYOND)
-    frame = min(max(_frame(step, line, sector), -beyond), sector.last_frame + beyond)
-    n = np.uint32(np.int32(np.float32(POSES_PER_FRAME) * (frame + beyond) + _HALF))
-    return _project(
-        poses[n, 0] * x + poses[n, 1] * y + poses[n, 2] * z + poses[n, 3],
-        poses[n, 4] * x + poses[n, 5] * y + poses[n, 6] * z + poses[n, 7],
-        poses[n, 8] * x + poses[n, 9] * y + poses[n, 10] * z + poses[n, 11],
-        sector,
-    )
-
-
-@njit(**OPTIONS)
-def _interpolate(packed, beyond, corners, sector, step, line, r):  # type: ignore[no-untyped-def]
+def interpolate(packed, beyond, corners, sector, step, line, r):  # type: ignore[no-untyped-def]
     """Return the rounded grey level at a place; zero unless both motor directions sweep it."""
     i = (r - sector.array_radius) * sector.samples_per_metre
     j = line + _HALF * sector.last_line
-    k = _frame(step, line, sector)
+    k = frame_of(step, line, sector)
     inside = (
         (i >= _ZERO)
         & (i <= sector.last_sample)

@@ -10,17 +10,19 @@ from sonoservo.systems.signals.immutable import seal
 from sonoservo.systems.signals.requirements import require, require_positive
 from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
 from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.ultrasound.resampling import (
+from sonoservo.systems.ultrasound.motion_resampling import (
     FRAMES_BEYOND,
     NODE_STRIDE,
     POSES_PER_FRAME,
+    resample_moving,
+    tabulate_shifts,
+)
+from sonoservo.systems.ultrasound.resampling import (
     WIDEST_ANGLE,
     Sector,
     pack_corners,
     resample,
-    resample_moving,
     rows_in_sector,
-    tabulate_shifts,
 )
 
 _SLACK = 1e-6

@@ -1,8 +1,9 @@
 """Hardware of a motorised ultrasound probe."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
-from sonoservo.systems.files.model_file import model_file, read_section
+from sonoservo.systems.files.model_file import model_file, read_once, read_section
 from sonoservo.systems.files.typed_yaml import load_typed
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 
@@ -144,6 +145,10 @@ def load_transducer(name: str) -> Transducer:
     name
         Name of a file in ``models/probes`` ("4dc7_3_40", "zhao2012", "trus"), or a path.
     """
-    path = model_file("probes", name)
+    return _read_transducer(model_file("probes", name))
+
+
+@read_once
+def _read_transducer(path: Path) -> Transducer:
     content = read_section(path, "transducer", ("transducer", "body"))
     return load_typed(Transducer, content, f"{path}: transducer")

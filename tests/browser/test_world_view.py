@@ -11,7 +11,7 @@ from sonoservo.diagrams import load_scenario, make_experiment
 from sonoservo.systems.display.pages.meshcat_page import open_meshcat
 from sonoservo.systems.display.pages.site import Site
 from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
-from sonoservo.systems.evaluation.report import save_replay
+from sonoservo.systems.evaluation.reports.report import save_replay
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.volume import Volume
 

@@ -33,15 +33,24 @@ def held(result):
     return result.longest_above <= 0.05
 
 
+def needs_reason(result):
+    """Whether something was wrong, so that a reason or a remark must be there."""
+    case, sensor = result.case, result.case.sensor
+    # What repeats for less than 0.05 s may be a slow sensor, and does no harm.
+    repeats = case.pose == "frozen" or (sensor is not None and sensor.kind == "frozen")
+    faulty = (sensor is not None or case.pose) and not (repeats and case.duration < 0.05)
+    return faulty or not result.recovered or result.peak > 10.5
+
+
 QUICK = {
-    "bias": (
+    "bias before contact": (
         FaultCase(
             name="bias of -10 N before contact", phase="approach",
             sensor=SensorFault(kind="bias", value=-10), duration=1.0,
         ),
         "wrist sensor",
     ),
-    "frozen": (
+    "frozen before contact": (
         FaultCase(
             name="frozen before contact", phase="approach",
             sensor=SensorFault(kind="frozen"), duration=2.0,
@@ -49,6 +58,21 @@ QUICK = {
         "the wrist sensor is frozen",
     ),
     "nan": (FaultCase(name="NaN", sensor=SensorFault(kind="nan"), duration=0.5), "not numbers"),
+    "dead": (
+        FaultCase(name="dead", sensor=SensorFault(kind="dead"), duration=0.4), "sensor jumped",
+    ),
+    "bias": (
+        FaultCase(name="bias of -3 N", sensor=SensorFault(kind="bias", value=-3), duration=0.4),
+        "sensor jumped",
+    ),
+    "frozen pose": (
+        FaultCase(name="pose frozen", phase="approach", pose="frozen", duration=0.4, after=0.6),
+        "the measured pose of the probe is frozen",
+    ),
+    "frozen pose at rest": (
+        FaultCase(name="pose frozen at rest", pose="frozen", duration=0.4, after=0.3),
+        "the measured pose of the probe did not change for 0.4 s",
+    ),
     "phantom": (
         FaultCase(name="phantom 50 mm up", move=phantom_move(0.05, FASTEST), duration=0),
         "contact force",
@@ -94,8 +118,9 @@ def test_two_hundred_faults_at_every_phase():
     assert not bad, fault_table(bad)
     # Where the body has gone for good, the probe does not follow it.
     stopped = [each for each in results if not each.recovered and "down" not in each.case.name]
-    assert all(each.reasons for each in results if not each.recovered)
     assert not stopped, fault_table(stopped)
+    silent = [each for each in results if needs_reason(each) and not each.reasons]
+    assert not silent, fault_table(silent)
 
 
 @pytest.mark.slow

@@ -5,9 +5,10 @@ import pytest
 from pydrake.common.value import Value
 from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
 from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import LeafSystem
 from synthetic_volumes import Scene, entry_on_side
 
-from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, track
+from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, require_tracker, track
 from sonoservo.diagrams.trackers import (
     Chatelain2013AsPublishedParameters,
     Chatelain2013TrackerParameters,
@@ -16,6 +17,7 @@ from sonoservo.diagrams.trackers import (
 from sonoservo.diagrams.trackers.registry import TRACKERS
 from sonoservo.systems.detection.published_detection import PublishedDetectionParameters
 from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 
@@ -249,3 +251,36 @@ def test_an_estimate_is_there_before_the_next_volume_is_made():
 
     for count, _ in enumerate(track(live()), start=1):
         assert len(made) == count
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("recording.nrrd",), "is one path; expected Volume objects"),
+        (([], {"start": "anywhere"}), "a value of type dict; expected those of a tracker"),
+    ],
+)
+def test_what_is_no_volumes_or_no_parameters_is_a_sentence(arguments, message):
+    with pytest.raises(ConfigurationError, match=message):
+        track(arguments[0], parameters=arguments[1] if len(arguments) > 1 else None)
+
+
+def test_a_value_that_is_no_volume_names_the_port():
+    with pytest.raises(TypeError, match=r"port 'volume' of .* received a value of type ndarray"):
+        next(track([np.zeros((3, 3, 3))]))
+
+
+def test_a_custom_tracker_needs_a_tracker_s_ports():
+    class Deaf(LeafSystem):
+        def __init__(self):
+            super().__init__()
+            self.DeclareAbstractOutputPort("estimate", lambda: None, lambda context, value: None)
+
+    for tracker, message in (
+        (Deaf, "tracker: the class Deaf; expected an instance"),
+        ({}, "tracker: a value of type dict"),
+        (Deaf(), "tracker: Deaf has no input port 'volume'"),
+    ):
+        with pytest.raises(ConfigurationError, match=message):
+            require_tracker(tracker)
+    assert require_tracker(None) is None

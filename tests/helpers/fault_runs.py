@@ -171,6 +171,8 @@ class FaultLoop:
                 status = self.controller.GetOutputPort("guard").Eval(mine)
                 if status.stopped and status.reason not in reasons:
                     reasons.append(status.reason)
+        if status is not None and status.remark:
+            reasons.append(f"({status.remark})")
         log = self.force.FindLog(context)
         times, force = log.sample_times(), log.data()[0]
         above = force > 15

@@ -22,11 +22,9 @@ from sonoservo.systems.evaluation.explanation.explanation_recorder import Explan
 from sonoservo.systems.evaluation.labels import LABELS, recording_labels
 from sonoservo.systems.evaluation.log import write_log
 from sonoservo.systems.evaluation.metrics import summarize
-from sonoservo.systems.evaluation.plots import ERRORS_CAPTION, plot_errors, png
-from sonoservo.systems.evaluation.report import Story, write_report
-from sonoservo.systems.evaluation.run_log import RunLog
-from sonoservo.systems.evaluation.run_logger import RunLogger
-from sonoservo.systems.evaluation.track_plots import (
+from sonoservo.systems.evaluation.reports.plots import ERRORS_CAPTION, plot_errors, png
+from sonoservo.systems.evaluation.reports.report import Story, write_report
+from sonoservo.systems.evaluation.reports.track_plots import (
     PLANES_CAPTION,
     TIP_CAPTION,
     VolumePictures,
@@ -34,7 +32,9 @@ from sonoservo.systems.evaluation.track_plots import (
     plot_planes,
     plot_tip,
 )
-from sonoservo.systems.evaluation.verdict import recording_verdict
+from sonoservo.systems.evaluation.reports.verdict import recording_verdict
+from sonoservo.systems.evaluation.run_log import RunLog
+from sonoservo.systems.evaluation.run_logger import RunLogger
 from sonoservo.systems.files.claims import claim_folder
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import suggest

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sonoservo.diagrams.papers.chatelain2013.analysis import Run, pooled, quantile
 from sonoservo.diagrams.papers.chatelain2013.cases import AS_PUBLISHED
 from sonoservo.diagrams.studies.study_report import StudyFigure
-from sonoservo.systems.evaluation.plots import BLUE, GREEN, ORANGE, PURPLE, plot_run
+from sonoservo.systems.evaluation.reports.plots import BLUE, GREEN, ORANGE, PURPLE, plot_run
 
 Floats = NDArray[np.float64]
 Groups = Mapping[str, Sequence[Run]]

@@ -88,6 +88,7 @@ def read_job_queue(path: Path) -> JobQueue:
     """
     try:
         import dask_jobqueue
+        from dask_jobqueue.local import LocalCluster
     except ImportError as error:
         raise ConfigurationError(
             f"{path}: install dask-jobqueue first: pip install 'sonoservo[cluster]'"
@@ -101,8 +102,9 @@ def read_job_queue(path: Path) -> JobQueue:
         for name, each in vars(dask_jobqueue).items()
         if name.endswith("Cluster") and name != "JobQueueCluster"
     }
+    known["LocalCluster"] = LocalCluster  # for trials: its jobs run on this machine
     kind = data.get("class")
-    if kind not in known:
+    if not isinstance(kind, str) or kind not in known:
         raise ConfigurationError(
             f"{path}: class: {kind!r} is not allowed; {suggest(str(kind), known)}"
         )

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
-from sonoservo.systems.evaluation.key_frames import ESTIMATE, TRUTH
+from sonoservo.systems.evaluation.reports.key_frames import ESTIMATE, TRUTH
 from sonoservo.systems.evaluation.shape.shape_log import ShapeLog
 from sonoservo.systems.evaluation.shape.shape_metrics import cross_section_errors, plane_of
 from sonoservo.systems.signals.confidence import RADIUS_95

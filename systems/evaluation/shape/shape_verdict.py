@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from sonoservo.systems.evaluation.labels import look_up
-from sonoservo.systems.evaluation.verdict import Verdict
+from sonoservo.systems.evaluation.reports.verdict import Verdict
 
 
 def shape_verdict(summary: Mapping[str, Any]) -> Verdict:

@@ -16,7 +16,12 @@ from pydrake.systems.framework import (
 )
 
 from sonoservo.systems.signals.ports import evaluate
-from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import (
+    require,
+    require_not_negative,
+    require_positive,
+    require_time,
+)
 
 KINDS = ("nan", "frozen", "saturated", "jumping", "bias", "dead")
 """Kinds of faults of a force sensor."""
@@ -46,8 +51,8 @@ class SensorFault:
 
     def __post_init__(self) -> None:
         require(self.kind in KINDS, "kind", self.kind, f"one of {', '.join(KINDS)}")
-        require_not_negative(start=self.start)
-        require_positive(duration=self.duration)
+        require_time(start=self.start)
+        require_time(duration=self.duration, positive=True)
         require(bool(np.isfinite(self.value)), "value", self.value, "a force in N")
 
     def holds(self, time: float) -> bool:

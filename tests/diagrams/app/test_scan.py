@@ -10,7 +10,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from sonoservo.diagrams.app.scan import caption, scan, summarize_scan
 from sonoservo.diagrams.experiments.registry import load_scenario
-from sonoservo.systems.evaluation.scan_sheet import scan_sheet
+from sonoservo.systems.evaluation.reports.scan_sheet import scan_sheet
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.ultrasound.simulation.anatomy import liver_label_map, write_label_map
 from sonoservo.systems.ultrasound.simulation.anatomy.anatomies import LIVER_LABELS

@@ -4,7 +4,7 @@ from rich.console import Console
 
 from sonoservo.diagrams.app.run_result import RunResult, summary_table
 from sonoservo.diagrams.app.terminal import end_run
-from sonoservo.systems.evaluation.verdict import following_verdict
+from sonoservo.systems.evaluation.reports.verdict import following_verdict
 
 NEEDLE = {"tracking": {"tracked": 4, "volumes": 5}}
 

@@ -8,7 +8,7 @@ from pydrake.systems.framework import LeafSystem
 from sonoservo.diagrams import load_scenario, make_experiment, run, tracker_events
 from sonoservo.diagrams.app.scan import scan
 from sonoservo.diagrams.experiments.registry import EXPERIMENTS, experiment_class
-from sonoservo.diagrams.studies.dataset import make_dataset
+from sonoservo.diagrams.studies.datasets.dataset import make_dataset
 from sonoservo.systems.evaluation.log import columns
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.recording.recording import Recording

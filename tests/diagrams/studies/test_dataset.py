@@ -9,8 +9,9 @@ import SimpleITK
 from pydrake.math import RigidTransform
 
 from sonoservo.diagrams import load_scenario
-from sonoservo.diagrams.studies.dataset import make_dataset
-from sonoservo.diagrams.studies.dataset_labels import needle_mask
+from sonoservo.diagrams.studies.datasets.dataset import make_dataset
+from sonoservo.diagrams.studies.datasets.dataset_labels import needle_mask
+from sonoservo.diagrams.studies.store import Store
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.signals.needle import Needle
@@ -29,19 +30,22 @@ def test_the_manifest_names_every_file_with_its_checksum(made):
     assert not manifest["failed"]
     assert manifest == json.loads((out / "manifest.json").read_text())
     assert [each["seed"] for each in manifest["sequences"]] == [100, 101]
+    assert "within one grey level in 99.9 %" in manifest["reproducible"]
     for sequence in manifest["sequences"]:
-        folder = out / sequence["folder"]
-        assert {path.name for path in folder.iterdir()} == set(sequence["files"])
-        assert {"volumes.seq.nrrd", "mask_001.seg.nrrd", "labels.json"} <= set(sequence["files"])
+        folder = out / sequence["name"]
+        names = {path.name for path in folder.iterdir()}
+        assert {"volumes.seq.nrrd", "mask_001.seg.nrrd", "labels.json"} <= names
+        assert {f"{folder.name}/{name}" for name in names} == set(sequence["files"])
+        assert sequence["processor"]
         for name, file in sequence["files"].items():
-            assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == file["sha256"]
+            assert hashlib.sha256((out / name).read_bytes()).hexdigest() == file["sha256"]
 
 
 def test_labels_lie_where_the_image_is_bright(made):
     out, _, manifest = made
     drawn = []
     for sequence in manifest["sequences"]:
-        folder = out / sequence["folder"]
+        folder = out / sequence["name"]
         labels = json.loads((folder / "labels.json").read_text())
         drawn.append((labels["imaging"]["gain"], labels["tissue"]["seed"], labels["hand"]["entry"]))
         for number, volume in enumerate(Recording(folder / "volumes.seq.nrrd")):
@@ -65,14 +69,57 @@ def test_labels_lie_where_the_image_is_bright(made):
 
 def test_only_what_is_missing_is_made_again_and_comes_out_the_same(made):
     out, scenario, manifest = made
-    volumes = [out / each["folder"] / "volumes.seq.nrrd" for each in manifest["sequences"]]
+    volumes = [out / each["name"] / "volumes.seq.nrrd" for each in manifest["sequences"]]
     volumes[1].write_bytes(b"damaged")
     kept = volumes[0].stat().st_mtime_ns
     again = make_dataset(scenario, out, count=2, volumes=2, jobs=1)
     assert volumes[0].stat().st_mtime_ns == kept
-    for before, after in zip(manifest["sequences"], again["sequences"], strict=True):
-        assert before["files"]["volumes.seq.nrrd"] == after["files"]["volumes.seq.nrrd"]
-        assert before["files"]["labels.json"] == after["files"]["labels.json"]
+    assert again == manifest
+
+
+def test_calls_with_one_store_are_merged_in_its_manifest(tmp_path):
+    """In nnU-Net's layout and in memory, with every dial drawn."""
+    store, made = f"memory://{tmp_path.name}", []
+    for seed in (101, 100, 101):
+        scenario = load_scenario("chatelain2013_fig5", seed=seed, changes=["imaging.sector=0.5"])
+        made.append(
+            make_dataset(
+                scenario, tmp_path / str(len(made)), count=1, volumes=1 + (seed == 100), jobs=1,
+                randomize=True, layout="nnunet", store=store,
+            )
+        )  # fmt: skip
+    assert [each["seed"] for each in made[1]["sequences"]] == [100, 101]
+    assert made[2] == made[1]
+    place = Store(store)
+    listed = {name for each in made[2]["sequences"] for name in each["files"]}
+    assert listed < place.sizes().keys()
+    assert json.loads(place.read("manifest.json")) == made[2]
+    dataset, splits = (json.loads(place.read(f"{n}.json")) for n in ("dataset", "splits_final"))
+    assert dataset["numTraining"] == 3
+    assert dataset["labels"] == {"background": 0, "needle": 1}
+    names = {"sequence_00100_000", "sequence_00100_001", "sequence_00101_000"}
+    for split in splits:
+        assert set(split["train"]) | set(split["val"]) == names
+        assert not {n[:14] for n in split["train"]} & {n[:14] for n in split["val"]}
+    for name in names:
+        images = []
+        for path in (f"imagesTr/{name}_0000.nrrd", f"labelsTr/{name}.nrrd"):
+            (tmp_path / "one.nrrd").write_bytes(place.read(path))
+            images.append(SimpleITK.ReadImage(str(tmp_path / "one.nrrd")))
+        for attribute in ("GetSize", "GetSpacing", "GetOrigin", "GetDirection"):
+            assert len({getattr(image, attribute)() for image in images}) == 1
+        assert set(np.unique(SimpleITK.GetArrayFromImage(images[1]))) == {0, 1}
+    drawn = [json.loads(place.read(f"labels/sequence_00{n}.json"))["dials"] for n in (100, 101)]
+    assert drawn[0] != drawn[1]
+    assert all(drawn)
+
+
+def test_a_damaged_manifest_is_left_alone(tmp_path):
+    scenario = load_scenario("chatelain2013_fig5", seed=100)
+    (tmp_path / "manifest.json").write_text('{"format": 1}')
+    with pytest.raises(ConfigurationError, match="manifest.json: cannot be merged with"):
+        make_dataset(scenario, tmp_path, count=1)
+    assert (tmp_path / "manifest.json").read_text() == '{"format": 1}'
 
 
 def test_a_mask_is_the_needle_s_tube():
@@ -93,6 +140,8 @@ def test_a_mask_is_the_needle_s_tube():
         ({"count": 0}, "count: 0"),
         ({"volumes": 0}, "volumes: 0"),
         ({"transducers": ["4dc8"]}, "4dc8"),
+        ({"layout": "nnUNet"}, "did you mean 'nnunet'"),
+        ({"store": "nowhere://needles"}, "store: nowhere://needles: Protocol not known"),
     ],
 )
 def test_what_cannot_be_made_is_refused(tmp_path, changes, message):

@@ -3,9 +3,10 @@
 import argparse
 import sys
 from functools import partial
+from pathlib import Path
 
 from fuzzing.commands import command_case
-from fuzzing.engine import run, summary
+from fuzzing.engine import Keep, run, summary
 from fuzzing.files import bases, file_case
 from fuzzing.kills import kill_case
 from fuzzing.scenarios import (
@@ -32,6 +33,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--first", type=int, default=0, help="number of the first case")
     parser.add_argument("--show", type=int, default=20, help="number of findings to print")
+    parser.add_argument("--keep", type=Path, help="file to keep outcomes in and to go on from")
     options = parser.parse_args()
     bases()
     built_in_scenarios()
@@ -41,7 +43,8 @@ def main() -> int:
     for name, (_, case) in CASES.items():
         if count := getattr(options, name):
             numbers = range(options.first, options.first + count)
-            outcomes = run(partial(case, seed=options.seed), numbers)
+            keep = Keep(options.keep, f"{name} {options.seed}")
+            outcomes = run(partial(case, seed=options.seed), numbers, keep=keep)
             findings = [outcome for outcome in outcomes if outcome.finding]
             found += len(findings)
             for each in findings[: options.show]:

@@ -87,16 +87,50 @@ def judge(what: str, case: Callable[[], float], names: str = "") -> Outcome:
         return Outcome(what, "bug", traceback.format_exc())
 
 
-def run(case: Case, numbers: range, *, report_s: float = 30.0) -> list[Outcome]:
+class Keep:
+    """File to which outcomes are appended as they come, so that an ended run can go on.
+
+    Parameters
+    ----------
+    path
+        Path of the file; None keeps nothing.
+    kind
+        Kind of the cases. Outcomes of several kinds can share a file.
+    """
+
+    def __init__(self, path: Path | None = None, kind: str = "") -> None:
+        self._path, self._kind = path, kind
+
+    def read(self) -> dict[int, Outcome]:
+        """Return the outcomes of earlier runs by their numbers; findings are to be run again."""
+        if self._path is None or not self._path.exists():
+            return {}
+        rows = [json.loads(line) for line in self._path.read_text().splitlines()]
+        outcomes = [Outcome(**row["outcome"]) for row in rows if row["kind"] == self._kind]
+        return {outcome.number: outcome for outcome in outcomes if not outcome.finding}
+
+    def append(self, outcome: Outcome) -> None:
+        """Append an outcome."""
+        if self._path is not None:
+            with self._path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps({"kind": self._kind, "outcome": outcome.__dict__}) + "\n")
+
+
+def run(
+    case: Case, numbers: range, *, keep: Keep | None = None, report_s: float = 30.0
+) -> list[Outcome]:
     """Run cases, and return their outcomes; a case that kills its worker is a finding too."""
-    outcomes: list[Outcome] = []
+    keep = keep or Keep()
+    known = keep.read()
+    outcomes = [known[number] for number in numbers if number in known]
     reported = time.monotonic()
-    numbers_left = list(numbers)
+    numbers_left = [number for number in numbers if number not in known]
     while numbers_left:
         batch = numbers_left[:_BATCH]
         done = 0
         for outcome in _run_batch(case, batch):
             outcomes.append(outcome)
+            keep.append(outcome)
             done += 1
             if time.monotonic() > reported + report_s:
                 print(f"{len(outcomes)} of {len(numbers)}", file=sys.stderr, flush=True)

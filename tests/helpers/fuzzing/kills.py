@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from random import Random
 
@@ -17,6 +18,9 @@ from sonoservo.systems.recording.recording import Recording
 
 GONE_S = 5.0
 """Time in s after which no process of the command may remain."""
+
+AGAIN_S = 8.0
+"""Time in s after which the same command, started again, is ended with Ctrl-C."""
 
 _PROGRAM = [sys.executable, "-m", "sonoservo.diagrams.app"]
 _SHORT = ["--set", "duration={duration}", "--out", "{folder}/out"]
@@ -46,18 +50,54 @@ def kill_case(number: int, folder: Path, seed: int = 0) -> Outcome:
     if name == "track":
         record = [each.replace("{folder}/a", "{folder}/in/a") for each in _COMMANDS["record"]]
         subprocess.run(_command(record, folder, duration=6), check=True, capture_output=True)
+    command = _command(_COMMANDS[name], folder, duration=600, count=200)
+    first = _end(command, moment, ending)
+    if fault := _fault(first, ending):
+        return Outcome(what, *fault)
+    try:
+        read = _read_all(folder)
+    except Exception as error:
+        return Outcome(what, "unreadable", repr(error))
+    began, told = "scenario.yaml" in read, "summary.json" in read
+    if began and not told and ending != signal.SIGKILL:
+        return Outcome(what, "no summary", f"readable: {read}; {first.text[-300:]}")
+    again = _end(command, AGAIN_S, signal.SIGINT)
+    says_how = again.code == 2 and again.text.count("sonoservo: ") == 1
+    if not says_how and (fault := _fault(again, signal.SIGINT)):
+        return Outcome(f"{what}, and again", *fault)
+    try:
+        read_again = _read_all(folder)
+    except Exception as error:
+        return Outcome(what, "unreadable", f"the second time: {error!r}")
+    how = f"; again: {again.text.strip()[-300:]}" if says_how else ""
+    return Outcome(what, "good", f"readable: {read}, then {read_again}{how}")
+
+
+@dataclass
+class _Ended:
+    """How a command ended: exit code, output, and the processes that remained."""
+
+    code: int
+    text: str
+    left: list[int]
+    by_itself: bool
+
+
+def _end(command: list[str], moment: float, ending: signal.Signals) -> _Ended:
+    """Start a command, and end it after a time in s."""
     process = subprocess.Popen(
-        _command(_COMMANDS[name], folder, duration=600, count=200),
+        command,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         start_new_session=True,
         preexec_fn=_heed_all,  # a background job, or nohup, makes it ignore some
     )
+    left: list[int] = []
     try:
         output, _ = process.communicate(timeout=moment)
-        ended_by_itself = True
+        by_itself = True
     except subprocess.TimeoutExpired:
-        ended_by_itself = False
+        by_itself = False
         # A terminal sends Ctrl-C to all processes, a service manager SIGTERM to the first one.
         (os.killpg if ending == signal.SIGINT else os.kill)(process.pid, ending)
         deadline = time.monotonic() + GONE_S
@@ -65,22 +105,19 @@ def kill_case(number: int, folder: Path, seed: int = 0) -> Outcome:
             time.sleep(0.05)
         if left:
             os.killpg(process.pid, signal.SIGKILL)
-            return Outcome(what, "remains", f"processes {left} remain after {GONE_S:g} s")
         output, _ = process.communicate()
-    text = output.decode(errors="replace")
-    if "Traceback" in text:
-        return Outcome(what, "bug", text[-2000:])
-    wanted = {0} if ended_by_itself else {-ending, 128 + ending, 0}
-    if process.returncode not in wanted:
-        return Outcome(what, "bug", f"exit code {process.returncode}: {text[-600:]}")
-    try:
-        read = _read_all(folder)
-    except Exception as error:
-        return Outcome(what, "unreadable", repr(error))
-    began, told = "scenario.yaml" in read, "summary.json" in read
-    if began and not told and ending != signal.SIGKILL:
-        return Outcome(what, "no summary", f"readable: {read}; {text[-300:]}")
-    return Outcome(what, "good", f"readable: {read}")
+    return _Ended(process.returncode, output.decode(errors="replace"), left, by_itself)
+
+
+def _fault(ended: _Ended, ending: signal.Signals) -> tuple[str, str] | None:
+    """Return the result and the detail of a wrong end, if it is one."""
+    if ended.left:
+        return "remains", f"processes {ended.left} remain after {GONE_S:g} s"
+    if "Traceback" in ended.text:
+        return "bug", ended.text[-2000:]
+    if ended.code not in ({0} if ended.by_itself else {-ending, 128 + ending, 0}):
+        return "bug", f"exit code {ended.code}: {ended.text[-600:]}"
+    return None
 
 
 def _heed_all() -> None:

@@ -27,6 +27,10 @@ def test_leaf_steps_the_law():
 
     velocity = controller.GetOutputPort("approach_velocity")
     assert velocity.Eval(context)[0] == parameters.approach_speed
+    scale = controller.GetInputPort("approach_scale")
+    for factor in (0.25, 1.0):
+        scale.FixValue(context, [factor])
+        assert velocity.Eval(context)[0] == factor * parameters.approach_speed
 
     simulator.AdvanceTo(0.0525)
     state = ForceState()
@@ -44,6 +48,7 @@ def test_what_is_measured_acts_through_the_state_alone():
             ("wrist_force", False),
             ("X_WP", False),
             ("force_target", number == 0),
+            ("approach_scale", number == 0),
         ):
             port = controller.GetInputPort(name).get_index()
             assert controller.HasDirectFeedthrough(port, number) == direct

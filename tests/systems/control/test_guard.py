@@ -29,7 +29,7 @@ class World(LeafSystem):
     def __init__(self):
         super().__init__()
         self.velocity, self.pressing, self.shift = np.zeros(N), 0.0, np.zeros(3)
-        self.q = HOME.copy()
+        self.q, self.frozen = HOME.copy(), None
         self.DeclareVectorInputPort("joint_command", 2 * N)
         self.DeclareVectorOutputPort(
             "wanted_command", 2 * N, self._calc_wanted, {self.time_ticket()}
@@ -63,7 +63,7 @@ class World(LeafSystem):
         output.set_value(SpatialForce(sample))
 
     def _calc_pose(self, context, output):
-        X = pose(self.q)
+        X = self.frozen or pose(self.q)
         output.set_value(RigidTransform(X.rotation(), X.translation() + self.shift))
 
 
@@ -120,8 +120,10 @@ def test_commands_pass_bit_for_bit_while_nothing_is_wrong(rig):
 def test_too_much_force_makes_the_probe_retreat_hold_and_go_on(rig):
     rig.run(0.1)
     before = pose(rig.world.q)
-    for rig.world.pressing in (6.0, 12.0):
-        status = rig.run(0.03)
+    for rig.world.pressing in (*range(10), 12.0):
+        status = rig.run(STEP)
+    assert status.state is GuardState.MONITORING
+    status = rig.run(2 * STEP)
     assert status.state is GuardState.RETREATING
     assert "contact force of 12.0 N exceeded 10 N" in status.reason
     rig.run(0.03)
@@ -137,12 +139,38 @@ def test_too_much_force_makes_the_probe_retreat_hold_and_go_on(rig):
     assert status.interventions == 1
 
 
+def test_a_hard_landing_slows_the_approach_until_a_calm_contact(rig):
+    rig.run(0.1)
+    assert rig.output("approach_scale")[0] == 1
+    for rig.world.pressing in np.linspace(0.0, 12.0, 13):
+        rig.run(STEP)
+    rig.run(2 * STEP)
+    assert rig.output("approach_scale")[0] == 0.5
+    for rig.world.pressing, seconds, scale in ((0.0, 1.0, 0.5), (1.0, 1.0, 0.5), (1.0, 1.5, 1.0)):
+        assert not rig.run(seconds).stopped or rig.world.pressing == 0
+        assert rig.output("approach_scale")[0] == scale
+
+
+def test_a_step_that_no_contact_makes_is_a_fault_until_nothing_is_felt(rig):
+    rig.run(0.2)
+    rig.world.pressing = 5.0
+    status = rig.run(0.1)
+    assert "the wrist sensor jumped" in status.reason
+    assert rig.run(1.0).state is GuardState.HOLDING
+    rig.world.pressing = 0.0
+    status = rig.run(0.5)
+    assert status.state is GuardState.MONITORING
+    assert status.interventions == 1
+
+
 def test_one_sample_of_force_is_inertia(rig):
     rig.run(0.1)
     rig.world.pressing = 12.0
     rig.run(STEP)
     rig.world.pressing = 0.0
-    assert rig.run(0.1).interventions == 0
+    status = rig.run(0.1)
+    assert status.interventions == 0
+    assert "ignored: 2, the last because it jumped" in status.remark
 
 
 @pytest.mark.parametrize(
@@ -185,6 +213,24 @@ def test_a_pose_that_cannot_be_stops_the_arm_until_it_is_good_again(rig, shift, 
     assert rig.run(0.3).state is GuardState.MONITORING
 
 
+@pytest.mark.parametrize("moves", [True, False])
+def test_a_frozen_pose_stops_a_probe_that_moves_and_is_noted_at_rest(rig, moves):
+    for number in range(10):
+        rig.world.shift = np.array([1e-6 * number, 0, 0])
+        rig.run(0.02)
+    rig.world.velocity = np.r_[0.02 * moves, np.zeros(N - 1)]
+    rig.world.frozen = pose(rig.world.q)
+    status = rig.run(0.3)
+    assert status.stopped == moves
+    assert ("pose of the probe is frozen" in status.reason) == moves
+    assert "pose of the probe did not change for 0." in status.remark
+    rig.world.frozen, rig.world.velocity = None, np.zeros(N)
+    for number in range(20):
+        rig.world.shift = np.array([1e-6 * number, 0, 0])
+        rig.run(0.02)
+    assert rig.status.state is GuardState.MONITORING
+
+
 def test_the_workspace_is_left_by_nobody_and_the_way_back_is_free(rig):
     # Joint 1 turns the probe aside at 0.1 m/s.
     rig.world.velocity = np.r_[0.2, np.zeros(N - 1)]
@@ -199,7 +245,7 @@ def test_the_workspace_is_left_by_nobody_and_the_way_back_is_free(rig):
 
 
 def test_it_is_restarted_by_initialization(rig):
-    rig.run(0.05)
+    rig.run(0.12)
     rig.world.pressing = 12.0
     assert rig.run(0.05).stopped
     rig.world.pressing = 0.0

@@ -69,6 +69,33 @@ def test_a_jump_that_lasts_is_a_fault_and_a_spike_is_none():
     assert set(judge(spiked)) == {SensorFault.NONE}
 
 
+@pytest.mark.parametrize("level", [7.0, -1.0, 4.9])
+def test_a_step_of_a_steady_force_is_a_fault_until_nothing_is_felt(level):
+    good, biased = samples(20), samples(40, pressing=level)
+    faults = judge([*good, *biased, *samples(60, pressing=0.0, seed=2)])
+    assert faults[20 + 4] is SensorFault.JUMPED
+    # A level that a contact can have either way is not believed while it lasts.
+    assert (faults[59] is SensorFault.JUMPED) == (level > LIMITS.max_pull)
+    assert faults[-1] is SensorFault.NONE
+
+
+def test_a_contact_that_grows_fast_is_no_fault():
+    good = samples(20, pressing=0.0)
+    for step in (0.5, 2.5, 4.0):
+        levels = [0.0, *np.arange(1, 7) * step, *30 * [6 * step]]
+        landing = [(*each[:4], each[4] + level, each[5]) for each, level in zip(
+            samples(len(levels), pressing=0.0, seed=1), levels, strict=True
+        )]  # fmt: skip
+        assert set(judge([*good, *landing])) == {SensorFault.NONE}
+
+
+def test_ignored_samples_are_counted():
+    memory = SensorMemory()
+    for number, sample in enumerate([*samples(20), NAN, NAN, *samples(40, seed=1)]):
+        memory = next_memory(memory, sample, 2.0, number * STEP, LIMITS)
+    assert (memory.ignored, memory.ignored_as) == (2, SensorFault.NOT_FINITE)
+
+
 def test_a_sensor_that_jumps_to_and_fro_is_a_fault():
     good, off = samples(40), samples(40, pressing=22.0)
     alternating = [each for pair in zip(good, off, strict=True) for each in pair]

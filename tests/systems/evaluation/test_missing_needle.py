@@ -7,8 +7,8 @@ import pytest
 from synthetic_logs import build_log
 
 from sonoservo.systems.evaluation.missing_needle import missing_needle
-from sonoservo.systems.evaluation.report import Story, report_page
-from sonoservo.systems.evaluation.verdict import following_verdict
+from sonoservo.systems.evaluation.reports.report import Story, report_page
+from sonoservo.systems.evaluation.reports.verdict import following_verdict
 from sonoservo.systems.signals.search_advice import search_advice, search_words
 
 NONE = "there is no earlier volume to compare with"

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sonoservo.systems.evaluation.movie import check_movie, write_movie
+from sonoservo.systems.evaluation.reports.movie import check_movie, write_movie
 from sonoservo.systems.files.refusals import ConfigurationError
 
 ORANGE = (230, 159, 0)
@@ -36,6 +36,6 @@ def test_what_cannot_be_written_is_refused_beforehand(tmp_path, monkeypatch):
         check_movie(tmp_path / "a.avi")
     with pytest.raises(ConfigurationError, match="no volume to show"):
         write_movie(tmp_path / "a.gif", [], 5.0)
-    monkeypatch.setattr("sonoservo.systems.evaluation.movie.find_spec", lambda name: None)
+    monkeypatch.setattr("sonoservo.systems.evaluation.reports.movie.find_spec", lambda name: None)
     with pytest.raises(ConfigurationError, match=r"pip install 'imageio\[ffmpeg\]'"):
         check_movie(tmp_path / "a.mp4")

@@ -9,8 +9,8 @@ from pydrake.geometry import Box, Meshcat
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.evaluation.metrics import summarize
-from sonoservo.systems.evaluation.plots import plot_errors, plot_run, png
-from sonoservo.systems.evaluation.report import (
+from sonoservo.systems.evaluation.reports.plots import plot_errors, plot_run, png
+from sonoservo.systems.evaluation.reports.report import (
     Change,
     Story,
     facts_text,
@@ -18,7 +18,7 @@ from sonoservo.systems.evaluation.report import (
     save_replay,
     write_report,
 )
-from sonoservo.systems.evaluation.verdict import following_verdict
+from sonoservo.systems.evaluation.reports.verdict import following_verdict
 
 
 class Page(HTMLParser):

@@ -3,9 +3,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sonoservo.systems.evaluation.key_frames import key_volumes, plot_key_frames, true_needle
 from sonoservo.systems.evaluation.metrics import summarize
-from sonoservo.systems.evaluation.verdict import following_verdict, recording_verdict
+from sonoservo.systems.evaluation.reports.key_frames import (
+    key_volumes,
+    plot_key_frames,
+    true_needle,
+)
+from sonoservo.systems.evaluation.reports.verdict import following_verdict, recording_verdict
 
 
 @pytest.fixture

@@ -87,7 +87,7 @@ def test_short_gaps_do_not_end_the_needle(gap, reaches):
 def test_brightest_voxels_are_as_many_as_wanted(dtype):
     rng = np.random.default_rng(0)
     values = rng.integers(0, 20, (12, 13, 14)).astype(dtype)
-    volume = Volume(values, np.zeros(3), np.ones(3), RigidTransform(), 0.0)
+    volume = Volume(values, np.zeros(3), 1e-3 * np.ones(3), RigidTransform(), 0.0)
     index = brightest_voxels(volume, 150, rng)
     assert len(np.unique(index, axis=0)) == 150
     np.testing.assert_array_equal(

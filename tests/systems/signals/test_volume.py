@@ -61,6 +61,7 @@ def test_with_motion_each_point_was_seen_from_its_frame(direction):
         {"intensities": np.zeros((4, 5), np.uint8)},
         {"intensities": np.zeros((0, 5, 6), np.uint8)},
         {"spacing": [1e-3, 0, 1e-3]},
+        {"spacing": [0.7, 0.7, 0.7]},
         {"origin": [0, 0]},
         {"time": float("nan")},
     ],

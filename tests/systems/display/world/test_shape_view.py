@@ -6,7 +6,7 @@ from pydrake.math import RigidTransform
 
 from sonoservo.systems.display.world.rod import Rod
 from sonoservo.systems.display.world.shape_view import ShapeView
-from sonoservo.systems.evaluation.report import save_replay
+from sonoservo.systems.evaluation.reports.report import save_replay
 from sonoservo.systems.signals.confidence import RADIUS_95
 from sonoservo.systems.signals.image_slice import ImageSlice
 from sonoservo.systems.signals.immutable import NotFound
@@ -60,11 +60,17 @@ def test_tube_is_as_wide_as_95_percent_and_follows_the_predicted_shape(meshcat, 
     publish(
         view, 1.0, needle=needle, slice=image, shape=shape(1e-3), cross_section=NotFound("none")
     )
-    tube = [(polyline, radii) for polyline, radii in recorder.calls if radii is not None]
-    ((polyline, radii),) = tube
-    assert np.allclose(radii, 1e-3 * RADIUS_95 + 0.75e-3)
+    (polyline, radii), (magnified, wide) = (each for each in recorder.calls if each[1] is not None)
+    assert np.allclose(radii, 1e-3 * RADIUS_95 + 1e-3)
     assert np.allclose(polyline[-1], shape(1e-3).tip)
     assert np.allclose(polyline[0], [0, 0.03, 0])
+    # The magnified one stands above it, which is -Y here, and bends five times as much.
+    assert np.allclose(wide, 5e-3 * RADIUS_95 + 1e-3)
+    assert np.allclose(magnified[:, 2], polyline[:, 2])
+    assert np.allclose(magnified[:, 0], 5 * polyline[:, 0])
+    assert np.allclose(magnified[:, 1], 5 * polyline[:, 1] - 0.085)
+    for path in ("/numbers", "/probe", "/magnified/needle"):
+        assert meshcat.HasPath(path)
     assert meshcat.HasPath("/predicted")
     assert meshcat.HasPath("/slice/live")
 

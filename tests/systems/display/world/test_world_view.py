@@ -13,7 +13,7 @@ from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
 from sonoservo.systems.display.world.screen import facing, screen_planes
 from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
-from sonoservo.systems.evaluation.report import save_replay
+from sonoservo.systems.evaluation.reports.report import save_replay
 from sonoservo.systems.signals.guard_status import GuardState, GuardStatus
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle import Needle

@@ -8,7 +8,7 @@ from scipy.stats import chi2
 
 from sonoservo.systems.evaluation.explanation.explained_volume import explain_volume
 from sonoservo.systems.evaluation.explanation.explanation_sheet import describe, plot_explanation
-from sonoservo.systems.evaluation.plots import png
+from sonoservo.systems.evaluation.reports.plots import png
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 

@@ -14,11 +14,17 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 from PIL import Image, ImageColor
 
-from sonoservo.systems.evaluation.key_frames import ESTIMATE, TRUTH, VIEWS, draw_plane, true_needle
-from sonoservo.systems.evaluation.plots import BLUE, GREEN, ORANGE
+from sonoservo.systems.evaluation.reports.key_frames import (
+    ESTIMATE,
+    TRUTH,
+    VIEWS,
+    draw_plane,
+    true_needle,
+)
+from sonoservo.systems.evaluation.reports.plots import BLUE, GREEN, ORANGE
+from sonoservo.systems.evaluation.reports.track_plots import VolumePictures
 from sonoservo.systems.evaluation.run_errors import estimate_errors, features
 from sonoservo.systems.evaluation.run_log import RunLog
-from sonoservo.systems.evaluation.track_plots import VolumePictures
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.writing import write_atomically
 

@@ -1,6 +1,7 @@
 """Labelled sequences for training networks: volumes, needle, tip and mask."""
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -10,16 +11,20 @@ from rich.console import Console
 
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.scenario import Scenario, require_scenario
-from sonoservo.diagrams.studies.dataset_sequence import FORMAT, make_sequence
+from sonoservo.diagrams.studies.datasets.dataset_layouts import LAYOUTS, nnunet_files
+from sonoservo.diagrams.studies.datasets.dataset_sequence import FORMAT, make_sequence
 from sonoservo.diagrams.studies.runs import run_cases
 from sonoservo.diagrams.studies.store import Store, absolute
 from sonoservo.diagrams.studies.study import Case, Executor, Outcome
 from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.typed_yaml import suggest
 from sonoservo.systems.files.writing import to_json, write_json
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
 MANIFEST = "manifest.json"
 """Name of the list of all sequences in a store."""
+
+_SEQUENCE = re.compile(r"sequence_\d+")
 
 _REPRODUCIBLE = (
     "The same seed gives the same bytes on the same type of processor with the same versions; "
@@ -34,6 +39,8 @@ def make_dataset(
     count: int,
     volumes: int = 10,
     transducers: Sequence[str] = (),
+    randomize: bool = False,
+    layout: str = "sequences",
     store: str | None = None,
     jobs: int = -1,
     cluster: Executor | None = None,
@@ -60,11 +67,16 @@ def make_dataset(
         Number of volumes in each sequence, at the scenario's rate.
     transducers
         Probes to draw from, by name or path; empty for the scenario's.
+    randomize
+        Whether to also draw the dials of the harder world; see `draw_dials`.
+    layout
+        One of the `LAYOUTS`: "sequences", a folder for each sequence with volumes.seq.nrrd,
+        volumes.acquisition.jsonl, mask_000.seg.nrrd and so on, and labels.json; or "nnunet", the
+        folders imagesTr and labelsTr with dataset.json and splits_final.json, and labels.
     store
-        Folder or URL of fsspec for manifest.json and, for each sequence, a folder with
-        volumes.seq.nrrd, volumes.acquisition.jsonl, mask_000.seg.nrrd and so on, and labels.json;
-        by default, ``out``. The workers of a cluster write into a given store themselves; without
-        one, everything comes back to this process.
+        Folder or URL of fsspec for manifest.json and the sequences; by default, ``out``. The
+        workers of a cluster write into a given store themselves; without one, everything comes back
+        to this process.
     jobs
         Number of processes; -1 for one per core.
     cluster
@@ -85,6 +97,8 @@ def make_dataset(
     for name, value in (("count", count), ("volumes", volumes)):
         if value < 1:
             raise ConfigurationError(f"{name}: {value} is not allowed; it must be at least 1")
+    if layout not in LAYOUTS:
+        raise ConfigurationError(f"layout: {layout!r} is not allowed; {suggest(layout, LAYOUTS)}")
     try:
         for name in transducers:
             load_transducer(name)
@@ -94,6 +108,8 @@ def make_dataset(
         "scenario": scenario.to_yaml(),
         "volumes": volumes,
         "transducers": list(transducers) or [scenario.probe],
+        "randomize": randomize,
+        "layout": layout,
     }
     seeds = range(scenario.seed, scenario.seed + count)
     cases = [Case("sequence", seed, settings) for seed in seeds]
@@ -110,7 +126,8 @@ def make_dataset(
     )
     manifest = _merge(merged, [_entry(each, scenario.name) for each in outcomes])
     place.remove(_unlisted(place.sizes(), manifest))
-    place.write({MANIFEST: to_json(manifest).encode()})
+    listed = nnunet_files(manifest["sequences"]) | {MANIFEST: to_json(manifest).encode()}
+    place.write(listed)
     if store is not None:
         write_json(out / MANIFEST, manifest)
     return manifest
@@ -121,9 +138,7 @@ def _entry(outcome: Outcome, scenario: str) -> dict[str, Any]:
     seed = outcome.case.seed
     if not outcome:
         return {"seed": seed, "error": outcome.error}
-    folder = outcome.result["folder"]
-    files = {name.removeprefix(f"{folder}/"): each for name, each in outcome.files.items()}
-    return {"scenario": scenario, **outcome.result, "files": files}
+    return {"scenario": scenario, **outcome.result, "files": dict(outcome.files)}
 
 
 def _merge(manifest: Mapping[str, Any], entries: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -159,8 +174,8 @@ def _read_manifest(store: Store) -> Mapping[str, Any]:
 
 def _unlisted(names: Mapping[str, int], manifest: Mapping[str, Any]) -> list[str]:
     """Return the files of listed sequences that the manifest does not name."""
-    files = {each["folder"]: each["files"] for each in manifest["sequences"]}
-    split = [(name, *name.partition("/")) for name in names]
+    files = {each["name"]: each["files"] for each in manifest["sequences"]}
+    found = [(name, _SEQUENCE.search(name)) for name in names]
     return [
-        name for name, folder, _, rest in split if folder in files and rest not in files[folder]
+        name for name, match in found if match and match[0] in files and name not in files[match[0]]
     ]

@@ -8,9 +8,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from sonoservo.systems.evaluation.metrics import MetricsParameters, at_rest, judged_volumes
+from sonoservo.systems.evaluation.reports.track_plots import PlanePicture, VolumePictures
 from sonoservo.systems.evaluation.run_errors import at_times, estimate_errors, in_frame
 from sonoservo.systems.evaluation.run_log import RunLog
-from sonoservo.systems.evaluation.track_plots import PlanePicture, VolumePictures
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 
 Floats = NDArray[np.float64]

@@ -1,6 +1,7 @@
 """Random draws of a data set: scanner, tissue, pose of the probe, and needle."""
 
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -8,11 +9,15 @@ from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams.studies.datasets.dataset_dials import DrawnDials
+from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.needle.insertion_parameters import InsertionParameters, Push
 from sonoservo.systems.signals.sweep import SweepGeometry
+from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
+from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 from sonoservo.systems.ultrasound.simulation.tissue import Ball, Fibre, Tissue, load_tissue
-from sonoservo.systems.ultrasound.transducer import load_transducer
+from sonoservo.systems.ultrasound.transducer import Transducer, load_transducer
 
 _OUTSIDE = 15e-3
 """Length of needle in the tissue before it enters the field of view, in m."""
@@ -21,9 +26,65 @@ _INDENTATION = 4e-3
 """Indentation of the phantom by the probe, in m."""
 
 
+@dataclass(frozen=True)
+class DrawnScanner:
+    """Scanner and tissue of a sequence.
+
+    Parameters
+    ----------
+    name
+        Name or path of the probe.
+    transducer, imaging
+        Hardware of the probe, and settings of the scanner.
+    tissue
+        Tissue, with structures where its file puts them.
+    parameters
+        Parameters of needle, noise and errors.
+    seed
+        Seed of the noise.
+    """
+
+    name: str
+    transducer: Transducer
+    imaging: ImagingParameters
+    tissue: Tissue
+    parameters: ScannerParameters
+    seed: int
+
+    @cached_property
+    def geometry(self) -> SweepGeometry:
+        """Geometry of the sweeps."""
+        return sweep_geometry(self.transducer, self.imaging)
+
+    @property
+    def acoustic_geometry(self) -> SweepGeometry:
+        """Where the samples really lie in tissue with another speed of sound."""
+        speed = self.tissue.sound_speed or self.imaging.sound_speed
+        pitch = self.geometry.sample_pitch * (speed / self.imaging.sound_speed)
+        return replace(self.geometry, sample_pitch=pitch, sound_speed=speed)
+
+    def renderer(self, insertion: Insertion) -> SweepRenderer:
+        """Return the renderer of the sweeps, with the structures beside a needle's path."""
+        return SweepRenderer(
+            transducer=self.transducer,
+            imaging=self.imaging,
+            tissue=self.tissue.placed(insertion.entry, insertion.direction),
+            parameters=self.parameters,
+            seed=self.seed,
+        )
+
+    def labels(self) -> dict[str, Any]:
+        """Return what was drawn, for the labels."""
+        return {
+            "transducer": {"name": self.name, **asdict(self.transducer)},
+            "imaging": asdict(self.imaging),
+            "tissue": asdict(self.tissue),
+        }
+
+
 def draw_scanner(
     scenario: FollowingScenario, transducers: list[str], rng: np.random.Generator
-) -> dict[str, Any]:
+) -> DrawnScanner:
     """Draw the transducer, the scanner's settings and the tissue.
 
     Parameters
@@ -34,10 +95,6 @@ def draw_scanner(
         Names or paths of the probes to draw from.
     rng
         Generator of the draws.
-
-    Returns
-    -------
-    The `renderer` with the drawn values and, for the labels, `transducer`, `imaging` and `tissue`.
     """
     name = transducers[rng.integers(len(transducers))]
     transducer = load_transducer(name)
@@ -56,19 +113,8 @@ def draw_scanner(
         focus_depth=rng.uniform(0.025, 0.06),
     )
     tissue = _draw_tissue(load_tissue(scenario.phantom), rng)
-    renderer = SweepRenderer(
-        transducer=transducer,
-        imaging=imaging,
-        tissue=tissue,
-        parameters=scenario.scanner,
-        seed=int(rng.integers(1 << 31)),
-    )
-    return {
-        "renderer": renderer,
-        "transducer": {"name": name, **asdict(transducer)},
-        "imaging": asdict(imaging),
-        "tissue": asdict(tissue),
-    }
+    seed = int(rng.integers(1 << 31))
+    return DrawnScanner(name, transducer, imaging, tissue, scenario.scanner, seed)
 
 
 def _draw_tissue(tissue: Tissue, rng: np.random.Generator) -> Tissue:
@@ -105,7 +151,11 @@ def _draw_tissue(tissue: Tissue, rng: np.random.Generator) -> Tissue:
 
 
 def draw_insertion(
-    scenario: FollowingScenario, geometry: SweepGeometry, volumes: int, rng: np.random.Generator
+    scenario: FollowingScenario,
+    geometry: SweepGeometry,
+    volumes: int,
+    rng: np.random.Generator,
+    dials: DrawnDials,
 ) -> tuple[RigidTransform, InsertionParameters]:
     """Draw the pose of the probe, and a needle that enters its view from the side.
 
@@ -119,6 +169,8 @@ def draw_insertion(
         Number of volumes during which the needle is pushed.
     rng
         Generator of the draws.
+    dials
+        Dials with the limits of the needle's angle and speed.
 
     Returns
     -------
@@ -139,7 +191,7 @@ def draw_insertion(
         frame = (geometry.frames - 1) * rng.uniform(0.35, 0.65)
         depth = geometry.depth * rng.uniform(0.2, 0.7)
         p_PSide = geometry.position(frame, side, depth / geometry.sample_pitch, 1)
-        dip, turn = np.deg2rad([rng.uniform(0, 30), rng.uniform(-15, 15)])
+        dip, turn = np.deg2rad([rng.uniform(0, dials.max_dip_deg), rng.uniform(-15, 15)])
         inwards = 1 if side == 0 else -1
         k = np.array(
             [inwards * np.cos(turn) * np.cos(dip), np.sin(dip), np.cos(dip) * np.sin(turn)]
@@ -149,7 +201,7 @@ def draw_insertion(
             break
     entry, direction = X_TP.multiply(p_PSide - _OUTSIDE * k), X_TP.rotation() @ k
     duration = (volumes + 1) * geometry.period
-    speed = min(length / duration, rng.uniform(2e-3, 12e-3))
+    speed = min(length / duration, rng.uniform(2e-3, dials.max_speed))
     # The first push inserts the length that is not inserted during the volumes.
     before = _OUTSIDE + length - speed * duration
     return X_TP, replace(

@@ -45,7 +45,7 @@ def explain_command(
     """
     from sonoservo.diagrams.app.explain import explanation_table, read_explained_run
     from sonoservo.systems.evaluation.explanation.explanation_sheet import describe
-    from sonoservo.systems.evaluation.plots import png
+    from sonoservo.systems.evaluation.reports.plots import png
     from sonoservo.systems.files.writing import write_atomically
 
     explained_run = read_explained_run(folder)

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
-from sonoservo.systems.evaluation.plots import BLUE, GREEN, ORANGE, PURPLE
+from sonoservo.systems.evaluation.reports.plots import BLUE, GREEN, ORANGE, PURPLE
 from sonoservo.systems.evaluation.run_errors import estimate_errors, features
 from sonoservo.systems.evaluation.run_log import RunLog
 

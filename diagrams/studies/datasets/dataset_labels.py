@@ -1,13 +1,20 @@
 """Labels of a data set's volumes: the needle as acquired, its mask and its description."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.math import RigidTransform
 
 from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.ultrasound.simulation.reaction.deformation import Deformation
+
+_SPACING = 2e-3
+"""Largest distance between points of a needle that the tissue bends, in m."""
 
 
 def needle_as_acquired(volume: Volume, insertion: Insertion) -> Needle:
@@ -18,6 +25,50 @@ def needle_as_acquired(volume: Volume, insertion: Insertion) -> Needle:
         if needle:
             time = float(volume.to_world(needle.tip[np.newaxis])[1][0])
     return needle
+
+
+def needle_as_imaged(
+    needle: Needle,
+    X_TP: NDArray[np.float64],
+    deformations: Sequence[Deformation] | None,
+    acoustic: SweepGeometry,
+    geometry: SweepGeometry,
+    direction: int,
+) -> Needle:
+    """Return a needle in P as a sweep shows it, while the tissue moves and slows the sound.
+
+    Each of its points is where the frame that saw it had it, at the depth that follows from the
+    speed of sound that the scanner assumes.
+
+    Parameters
+    ----------
+    needle
+        Needle in T, in the tissue at rest.
+    X_TP
+        (frames, 4, 4) poses of the probe in the tissue.
+    deformations
+        (frames,) deformations of the tissue; None for undeformed tissue.
+    acoustic, geometry
+        Geometry of the samples in the tissue, and as the scanner assumes it.
+    direction
+        Direction of the sweep.
+    """
+    if not needle:
+        return needle
+    count = max(len(needle.shaft), int(np.ceil(needle.length / _SPACING)) + 1)
+    shafts = []
+    for number, X in enumerate(X_TP):
+        moved = needle if deformations is None else deformations[number].moved_needle(needle)
+        p_T = moved.position(np.linspace(0, moved.length, count))
+        shafts.append(RigidTransform(X).inverse().multiply(p_T.T).T)
+    points, each = np.array(shafts), np.arange(count)
+    frame = np.full(count, len(points) // 2)
+    for _ in range(4):
+        k = acoustic.index(points[frame, each], direction)[0]
+        frame = np.clip(np.rint(k), 0, len(points) - 1).astype(int)
+    k, j, i = acoustic.index(points[frame, each], direction)
+    shaft = geometry.position(k, j, i, direction)
+    return Needle(shaft, needle.radius, roll=needle.roll)
 
 
 def needle_mask(volume: Volume, needle: Needle) -> NDArray[np.bool_]:

@@ -3,7 +3,7 @@
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem, ValueProducer
 
-from sonoservo.systems.evaluation.track_plots import VolumePictures, picture_planes
+from sonoservo.systems.evaluation.reports.track_plots import VolumePictures, picture_planes
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.ports import evaluate

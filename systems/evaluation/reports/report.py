@@ -9,8 +9,8 @@ from typing import Any
 from pydrake.geometry import Meshcat
 
 from sonoservo.systems.evaluation.labels import LABELS, MORE_LABELS, look_up, sections
-from sonoservo.systems.evaluation.verdict import Verdict
-from sonoservo.systems.evaluation.web_page import cell_text, picture, table, web_page
+from sonoservo.systems.evaluation.reports.verdict import Verdict
+from sonoservo.systems.evaluation.reports.web_page import cell_text, picture, table, web_page
 from sonoservo.systems.files.writing import write_atomically
 
 

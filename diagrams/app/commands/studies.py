@@ -51,6 +51,13 @@ def dataset_command(
     ] = None,
     changes: ChangesOption = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Seed of the first sequence.")] = None,
+    randomize: Annotated[
+        bool,
+        typer.Option("--randomize", help="Also draw the dials that `sonoservo list` names."),
+    ] = False,
+    layout: Annotated[
+        str, typer.Option(help="Layout of the files: sequences, or nnunet.")
+    ] = "sequences",
     store: Annotated[
         str | None,
         typer.Option(help="Folder or fsspec URL for the sequences; by default, the one of --out."),
@@ -65,7 +72,7 @@ def dataset_command(
     Finished sequences are kept; repeat the command to resume after an interruption.
     """
     from sonoservo.diagrams.experiments.registry import load_scenario
-    from sonoservo.diagrams.studies.dataset import make_dataset
+    from sonoservo.diagrams.studies.datasets.dataset import make_dataset
 
     loaded = load_scenario(scenario, changes=changes, seed=seed)
     with _opened(cluster, case_limit) as executor:
@@ -75,6 +82,8 @@ def dataset_command(
             count=count,
             volumes=volumes,
             transducers=transducers or (),
+            randomize=randomize,
+            layout=layout,
             store=store,
             jobs=jobs,
             cluster=executor,

@@ -1,0 +1,10 @@
+from .results import compare_command as compare_command
+from .results import explain_command as explain_command
+from .scenarios import list_command as list_command
+from .scenarios import new_command as new_command
+from .scenarios import show_command as show_command
+from .studies import dataset_command as dataset_command
+from .studies import reproduce_command as reproduce_command
+from .volumes import bridge_command as bridge_command
+from .volumes import locate_command as locate_command
+from .volumes import track_command as track_command

@@ -1,0 +1,1 @@
+from .dataset import make_dataset as make_dataset

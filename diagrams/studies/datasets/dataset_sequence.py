@@ -1,0 +1,159 @@
+"""One labelled sequence of a data set."""
+
+from collections.abc import Iterator
+from dataclasses import asdict
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from llvmlite import binding  # type: ignore[import-untyped]
+from numba.core import config
+from pydrake.math import RigidTransform
+
+from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams.experiments.following_tissue import scanned_deformations
+from sonoservo.diagrams.experiments.registry import load_scenario
+from sonoservo.diagrams.scenario import require_scenario
+from sonoservo.diagrams.studies.datasets.dataset_dials import DrawnDials, draw_dials
+from sonoservo.diagrams.studies.datasets.dataset_draws import (
+    DrawnScanner,
+    draw_insertion,
+    draw_scanner,
+)
+from sonoservo.diagrams.studies.datasets.dataset_labels import (
+    describe_needle,
+    needle_as_acquired,
+    needle_as_imaged,
+    needle_mask,
+)
+from sonoservo.diagrams.studies.datasets.dataset_layouts import Labelled, write_layout
+from sonoservo.diagrams.studies.study import Case, WithFiles
+from sonoservo.systems.needle.insertion import Insertion
+from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.sweep import SweepMotion
+from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
+from sonoservo.systems.ultrasound.simulation.acquisition import acquire_sweep
+
+FORMAT = 2
+"""Format version of manifest.json and of the labels."""
+
+_FIRST_VOLUME = 1.1
+"""Start of the first volume in s, after the push that no volume shows."""
+
+
+@cache
+def processor_type() -> str:
+    """Return the type of processor for which the kernels are compiled."""
+    return str(config.CPU_NAME or binding.get_host_cpu_name())
+
+
+def make_sequence(case: Case) -> WithFiles:
+    """Make a sequence, and return its entry in the manifest and its files.
+
+    Parameters
+    ----------
+    case
+        Case with the seed, and with the settings `scenario` (YAML), `volumes`, `transducers`,
+        `randomize` and `layout`.
+    """
+    settings, name = case.settings, f"sequence_{case.seed:05d}"
+    dials = DrawnDials()
+    if settings["randomize"]:
+        dials = draw_dials(np.random.default_rng([case.seed, 8]))
+    scenario = _load(settings["scenario"], dials, case.seed)
+    rng = np.random.default_rng([case.seed, 3])
+    scanner = draw_scanner(scenario, list(settings["transducers"]), rng)
+    X_TP, hand = draw_insertion(scenario, scanner.geometry, settings["volumes"], rng, dials)
+    scene = _Scene(scenario, scanner, Insertion(hand, rng), X_TP)
+    labels: list[dict[str, Any]] = []
+
+    def volumes() -> Iterator[Labelled]:
+        for number in range(settings["volumes"]):
+            volume, needle = scene.acquire(number)
+            labels.append({"volume": number, "time_s": volume.time, **describe_needle(needle)})
+            yield volume, needle_mask(volume, needle)
+
+    about = {
+        "format": FORMAT,
+        "seed": case.seed,
+        "dials": dials.strengths,
+        **scanner.labels(),
+        "hand": asdict(hand),
+    }
+    files = write_layout(settings["layout"], name, volumes(), lambda: {**about, "volumes": labels})
+    entry = {
+        "name": name,
+        "seed": case.seed,
+        "volumes": len(labels),
+        "processor": processor_type(),
+    }
+    return WithFiles(entry, files)
+
+
+def _load(text: str, dials: DrawnDials, seed: int) -> FollowingScenario:
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "scenario.yaml"
+        file.write_text(text, encoding="utf-8")
+        loaded = load_scenario(file, changes=list(dials.changes), seed=seed)
+    return require_scenario(loaded, FollowingScenario)
+
+
+class _Scene:
+    """Scanner, tissue and needle of a sequence; the tissue's frame at rest is the world frame.
+
+    The probe rests. It is taken to follow the breath from volume to volume, so the tissue breathes
+    relative to the middle of each sweep.
+    """
+
+    def __init__(
+        self,
+        scenario: FollowingScenario,
+        scanner: DrawnScanner,
+        insertion: Insertion,
+        X_TP: RigidTransform,
+    ) -> None:
+        self._scenario, self._insertion, self._X_TP = scenario, insertion, X_TP
+        self._renderer = scanner.renderer(insertion)
+        self._acoustic = scanner.acoustic_geometry
+        spacing = scenario.scan_conversion.spacing
+        self._conversion = ScanConversion(scanner.geometry, make_grid(scanner.geometry, spacing))
+
+    def acquire(self, number: int) -> tuple[Volume, Needle]:
+        """Return a volume, and the needle in P as the volume shows it."""
+        geometry, direction = self._renderer.geometry, 1 - 2 * (number % 2)
+        begin = _FIRST_VOLUME + number * geometry.period
+        times = geometry.frame_times(begin, direction)
+        motion = SweepMotion.at_rest(geometry, self._X_TP, times, direction)
+        breathing = self._scenario.phantom_motion.breathing
+        poses = motion.X_WP.copy()
+        away = np.array([breathing.displacement(float(time)) for time in times])
+        poses[:, :3, 3] -= away - breathing.displacement(motion.time)
+        deformations = scanned_deformations(self._scenario, self._insertion, times, poses)
+        needles = [self._insertion.needle(float(time)) for time in times]
+        if deformations is not None:
+            pairs = zip(deformations, needles, strict=True)
+            needles = [each.moved_needle(needle) for each, needle in pairs]
+        sweep = acquire_sweep(
+            self._renderer,
+            motion,
+            needles,
+            X_TP=poses,
+            number=number,
+            deformations=deformations,
+        )
+        volume = self._conversion(sweep)
+        needle = needle_as_acquired(volume, self._insertion)
+        slowed = self._acoustic.sample_pitch != geometry.sample_pitch
+        if deformations is not None or away.any() or slowed:
+            needle = needle_as_imaged(
+                needle.transformed(self._X_TP),
+                poses,
+                deformations,
+                self._acoustic,
+                geometry,
+                direction,
+            )
+        return volume, needle
