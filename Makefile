@@ -44,6 +44,7 @@ bench: $(VENV)/.dev
 	@$(BIN)/python -m pytest tests/benchmarks -m "slow or not slow" --benchmark-enable --benchmark-only --benchmark-json=out/bench.json $(ARGS)
 	@$(BIN)/python tests/benchmarks/plot_cost.py out/bench.json out/render_cost.png
 
+# The tutorials are run once, which takes some minutes, and again after a change.
 docs: $(VENV)/.run
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
 	@$(BIN)/sphinx-build -q -W -E -b html notebooks/docs build/docs

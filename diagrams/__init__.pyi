@@ -1,7 +1,7 @@
-from .app.compare import Comparison as Comparison
-from .app.compare import compare as compare
 from .app.drive import DrivenExperiment as DrivenExperiment
 from .app.drive import drive as drive
+from .app.kept_runs.compare import Comparison as Comparison
+from .app.kept_runs.compare import compare as compare
 from .app.run import run as run
 from .app.run_result import RunResult as RunResult
 from .app.scan import Scan as Scan

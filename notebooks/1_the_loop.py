@@ -13,7 +13,7 @@ import os
 import matplotlib.pyplot as plt
 
 from sonoservo.diagrams import load_scenario, make_experiment, run
-from sonoservo.systems.display.monitor import Monitor
+from sonoservo.systems.display.console import Console
 from sonoservo.systems.evaluation import estimate_errors
 
 QUICK = ["duration=7", "hand.start=1", "hand.pushes.0.speed=0.016"]
@@ -40,16 +40,16 @@ for system in make_experiment(scenario).diagram.GetSystems():
     print(f"{', '.join(inputs) or '(none)':>60}  ->  {system.get_name()}  ->  {', '.join(outputs)}")
 
 # %% [markdown]
-# The scanner's monitor shows each volume as it is acquired: the two orthogonal planes through the
-# estimated needle, in red, with a ring around the tip. Run the next two cells and watch it here.
-# (In the terminal, `make run` also shows the whole world.)
+# The console shows each volume as it is acquired: the two orthogonal planes through the estimated
+# needle, with lines beside its echo and a ring around the tip. Run the next two cells and watch it
+# here. (In the terminal, `make run` also shows the whole world in it.)
 
 # %%
-monitor = Monitor()
-monitor
+console = Console()
+console
 
 # %%
-result = run(scenario, monitor=monitor)
+result = run(scenario, console=console)
 
 # %% [markdown]
 # The figures of the run beside the paper's. The paper could report estimated errors only; here

@@ -14,7 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from sonoservo.diagrams import load_scenario, run, scan
-from sonoservo.systems.display.monitor import monitor_views
+from sonoservo.systems.display.console import slice_views
 from sonoservo.systems.signals import sample_plane
 from sonoservo.systems.ultrasound import elevation_width, lateral_width, load_transducer
 
@@ -72,7 +72,7 @@ scans = {
 }
 
 # %% [markdown]
-# The planes Z = 0 and X = 0 of the probe, as the scanner's monitor shows them. Grey levels span
+# The planes Z = 0 and X = 0 of the probe, as the console shows them. Grey levels span
 # 60 dB.
 
 # %%
@@ -80,7 +80,7 @@ figure, axes = plt.subplots(
     2, 2, figsize=(9, 6.5), sharey=True, width_ratios=[3, 1], layout="constrained"
 )
 for row, (name, shown) in zip(axes, scans.items(), strict=True):
-    for axis, view in zip(row, monitor_views(shown.volume), strict=True):
+    for axis, view in zip(row, slice_views(shown.volume), strict=True):
         (left, top), (right, bottom) = 1e3 * view.window
         grey = sample_plane(shown.volume, view.plane, 0.5e-3)[..., 0]
         half = 500 * np.array([view.plane.width, view.plane.height])

@@ -15,7 +15,7 @@ import numpy as np
 from pydrake.math import RigidTransform
 
 from sonoservo.diagrams import load_scenario, locate, run, track, track_recording
-from sonoservo.systems.display.monitor import Monitor
+from sonoservo.systems.display.console import Console
 from sonoservo.systems.evaluation import picture_planes, plot_planes
 from sonoservo.systems.recording import Recording
 from sonoservo.systems.signals import Volume
@@ -45,15 +45,15 @@ print(f"{len(recording)} volumes of {volume.intensities.shape}, {1e3 * volume.sp
 print(f"from {recording.times[0]:.2f} to {recording.times[-1]:.2f} s; poses: {recording.posed}")
 
 # %% [markdown]
-# Track the needle, and watch the scanner's monitor meanwhile. In the terminal, use `sonoservo track
+# Track the needle, and watch the console meanwhile. In the terminal, use `sonoservo track
 # mine.seq.nrrd --show`.
 
 # %%
-monitor = Monitor()
-monitor
+console = Console()
+console
 
 # %%
-tracked = track_recording(recording, monitor=monitor)
+tracked = track_recording(recording, console=console)
 print({name: count for name, count in tracked.summary["modes"].items()})
 
 # %% [markdown]

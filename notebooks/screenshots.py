@@ -1,13 +1,13 @@
-"""Screenshots for the README, taken in a browser by `make pictures`."""
+"""Screenshots for the README and the documentation, taken in a browser by `make pictures`."""
 
 import shutil
 import sys
 from pathlib import Path
 
-from playwright.sync_api import Browser, Error, Page, sync_playwright
+from playwright.sync_api import Browser, Error, sync_playwright
 
 from sonoservo.diagrams import load_scenario, run
-from sonoservo.systems.display.monitor import Monitor
+from sonoservo.systems.display.console import Console
 from sonoservo.systems.display.pages import Site, open_meshcat
 
 HERE = Path(__file__).parent
@@ -26,25 +26,22 @@ def launch(playwright) -> Browser:
         sys.exit(NO_CHROMIUM)
 
 
-def picture(page: Page, url: str, path: Path) -> None:
-    """Take a screenshot of a page after it has drawn everything."""
-    page.goto(url)
-    page.wait_for_timeout(5000)
-    page.screenshot(path=path)
-    print(f"written: {path}")
-
-
 def main() -> None:
-    """Take all screenshots once the needle of fig. 5 is centred."""
+    """Take a screenshot of the console once the needle of fig. 5 is centred."""
     with sync_playwright() as playwright, Site() as site:
         browser = launch(playwright)
-        meshcat, monitor = open_meshcat(site), Monitor(site)
+        meshcat = open_meshcat(site)
         scenario = load_scenario("chatelain2013_fig5", changes=["duration=14"])
-        run(scenario, meshcat=meshcat, monitor=monitor)
-        for url, name in ((meshcat.web_url(), "world.png"), (monitor.web_url, "monitor.png")):
-            page = browser.new_page(viewport={"width": 1200, "height": 750})
-            picture(page, url, HERE / name)
-            page.close()
+        title = f"{scenario.name}, seed {scenario.seed}"
+        console = Console(site, title=title, world="world")
+        page = browser.new_page(viewport={"width": 1280, "height": 800})
+        page.goto(console.web_url)
+        page.wait_for_selector("body[data-ready]", state="attached")
+        run(scenario, meshcat=meshcat, console=console)
+        page.wait_for_timeout(5000)
+        path = HERE / "console.png"
+        page.screenshot(path=path)
+        print(f"written: {path}")
         browser.close()
 
 

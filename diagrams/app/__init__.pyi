@@ -1,8 +1,11 @@
 from .drive import DrivenExperiment as DrivenExperiment
-from .explain import ExplainedRun as ExplainedRun
-from .explain import explanation_table as explanation_table
-from .explain import read_explained_run as read_explained_run
-from .kept_run import KeptRun as KeptRun
+from .kept_runs.explain import ExplainedRun as ExplainedRun
+from .kept_runs.explain import explanation_table as explanation_table
+from .kept_runs.explain import read_explained_run as read_explained_run
+from .kept_runs.kept_run import KeptRun as KeptRun
+from .pacer import Pacer as Pacer
+from .pages import Pages as Pages
+from .pages import open_pages as open_pages
 from .real_time import RealTime as RealTime
 from .run_result import RunResult as RunResult
 from .run_result import format_figure as format_figure
@@ -13,10 +16,7 @@ from .scan import summarize_scan as summarize_scan
 from .scan import write_scan as write_scan
 from .terminal import Progress as Progress
 from .terminal import VolumeProgress as VolumeProgress
-from .terminal import keep_shown as keep_shown
 from .terminal import mode_table as mode_table
-from .terminal import start_display as start_display
-from .terminal import start_monitor as start_monitor
 from .terminal import study_table as study_table
 from .volumes.estimates_table import estimates_csv as estimates_csv
 from .volumes.locate import LocatedNeedle as LocatedNeedle

@@ -23,6 +23,7 @@ from sonoservo.diagrams.app.options import (
     ExplainOption,
     HostOption,
     JsonOption,
+    OpenOption,
     OutOption,
     ScenarioArgument,
     SeedOption,
@@ -78,6 +79,7 @@ def run_command(
     out: OutOption = None,
     meshcat: Annotated[bool, typer.Option(help="Show the run in a browser, in real time.")] = True,
     host: HostOption = "localhost",
+    open_page: OpenOption = True,
     record: Annotated[
         Path | None, typer.Option(help="Record the volumes and the truth to NAME.seq.nrrd.")
     ] = None,
@@ -104,22 +106,18 @@ def run_command(
     """Run a scenario and write its results; exit status 3: the guard stopped the robot for good."""
     from sonoservo.diagrams.app.live.commands import serving
     from sonoservo.diagrams.app.run import run
-    from sonoservo.diagrams.app.run_result import summary_table
-    from sonoservo.diagrams.app.terminal import (
-        Progress,
-        end_run,
-        open_site,
-        start_display,
-        start_monitor,
-    )
-    from sonoservo.diagrams.experiments.registry import experiment_class, load_scenario
+    from sonoservo.diagrams.app.run_result import end_words, summary_table
+    from sonoservo.diagrams.app.terminal import Progress, end_run
+    from sonoservo.diagrams.experiments.registry import load_scenario
 
     loaded = load_scenario(scenario, changes=changes, seed=seed, as_published=as_published)
     folder = out or free_folder(f"{loaded.name}_seed{loaded.seed}")
-    has_monitor = "monitor" in experiment_class(loaded.experiment).options
-    site = open_site(host) if meshcat else None
-    monitor = start_monitor(console, site) if site and has_monitor else None
-    display = start_display(console, site) if site else None
+    pages = None
+    if meshcat:
+        from sonoservo.diagrams.app.pages import open_pages
+
+        title = f"{loaded.name}, seed {loaded.seed}"
+        pages = open_pages(console, title, host=host, by_itself=open_page)
     with (
         serving(console, serve, loaded, wait_for) as observers,
         Progress(console, loaded) as progress,
@@ -127,8 +125,8 @@ def run_command(
         result = run(
             loaded,
             out=folder,
-            meshcat=display,
-            monitor=monitor,
+            meshcat=pages.meshcat if pages else None,
+            console=pages.console if pages else None,
             replay=replay,
             movie=movie,
             record=record,
@@ -141,6 +139,8 @@ def run_command(
     console.print(summary_table(result))
     console.print(f"Report: {folder / 'report.html'}", soft_wrap=True)
     write_printed(json_path, result.summary)
+    if pages:
+        pages.end(console, end_words(result), folder / "report.html")
     if not result.failure and result.summary["interrupted"]:
         raise typer.Exit(INTERRUPTED)
     end_run(result)
@@ -153,6 +153,7 @@ def drive_command(
     duration: Annotated[float, typer.Option(help="Maximum simulated time, in s.")] = 600.0,
     out: OutOption = None,
     host: HostOption = "localhost",
+    open_page: OpenOption = True,
     serve: ServeOption = None,
     json_path: JsonOption = None,
 ) -> None:
@@ -163,16 +164,11 @@ def drive_command(
     Ctrl-C. Exit status 3: the guard stopped the robot for good.
     """
     from sonoservo.diagrams.app.drive import DRIVING, drive
-    from sonoservo.diagrams.app.kept_run import refusing
+    from sonoservo.diagrams.app.kept_runs.kept_run import refusing
     from sonoservo.diagrams.app.live.commands import serving
-    from sonoservo.diagrams.app.run_result import summary_table
-    from sonoservo.diagrams.app.terminal import (
-        Progress,
-        end_run,
-        open_site,
-        start_display,
-        start_monitor,
-    )
+    from sonoservo.diagrams.app.pages import open_pages
+    from sonoservo.diagrams.app.run_result import end_words, summary_table
+    from sonoservo.diagrams.app.terminal import Progress, end_run
     from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
     from sonoservo.diagrams.experiments.registry import load_scenario
     from sonoservo.diagrams.scenario import require_scenario
@@ -182,9 +178,8 @@ def drive_command(
     with refusing(loaded):
         following = replace(following, duration=duration)
     folder = out or Path("out") / f"{loaded.name}_driven_seed{loaded.seed}"
-    site = open_site(host)
-    monitor = start_monitor(console, site)
-    display = start_display(console, site)
+    title = f"{loaded.name}, driven"
+    pages = open_pages(console, title, host=host, by_itself=open_page)
     console.print(DRIVING)
     with (
         serving(console, serve, following) as observers,
@@ -192,8 +187,8 @@ def drive_command(
     ):
         result = drive(
             following,
-            display,
-            monitor=monitor,
+            pages.console,
+            meshcat=pages.meshcat,
             observers=observers,
             out=folder,
             show=progress.show,
@@ -203,6 +198,7 @@ def drive_command(
     again = f"sonoservo run {folder / 'scenario.yaml'}"
     console.print(f"To repeat this run: {again}", soft_wrap=True)
     write_printed(json_path, result.summary)
+    pages.end(console, end_words(result), folder / "report.html")
     end_run(result)
 
 

@@ -8,22 +8,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pydrake.geometry import Meshcat
-from pydrake.math import RigidTransform
 from pydrake.systems.framework import System
 
-from sonoservo.diagrams.app.kept_run import KeptRun, refusing
+from sonoservo.diagrams.app.kept_runs.kept_run import KeptRun, refusing
 from sonoservo.diagrams.app.real_time import RealTime
 from sonoservo.diagrams.app.run import finish
 from sonoservo.diagrams.app.run_result import RunResult
 from sonoservo.diagrams.experiments.following import FollowingExperiment
 from sonoservo.diagrams.experiments.following_insertion import make_insertion, placed_hand
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams.experiments.following_sources import settings_controls
 from sonoservo.diagrams.scenario import Scenario, require_scenario
+from sonoservo.systems.control.controller_schedule import ControllerSchedule
 from sonoservo.systems.control.operator_settings import OperatorSettings
-from sonoservo.systems.display.world.operator_panel import OperatorPanel, operator_controls
-from sonoservo.systems.display.world.run_buttons import RunButtons
-from sonoservo.systems.display.world.sign import Sign
-from sonoservo.systems.display.world.world_view import WorldViewParameters
+from sonoservo.systems.display.console.controls import operator_controls
+from sonoservo.systems.display.console.operator_panel import OperatorPanel
 from sonoservo.systems.evaluation.log import write_log
 from sonoservo.systems.files.claims import claim_folder
 from sonoservo.systems.files.writing import write_atomically
@@ -31,7 +30,7 @@ from sonoservo.systems.needle.operator_hand import OperatorHand
 from sonoservo.systems.robot.operator_phantom_motion import OperatorPhantomMotion
 
 if TYPE_CHECKING:
-    from sonoservo.systems.display.monitor.monitor import Monitor
+    from sonoservo.systems.display.console.console import Console
 
 _STRIDE = 1 / 16
 """Time in s between two readings of the buttons: simulated, or real while paused."""
@@ -42,18 +41,9 @@ _SAVE_EVERY = 10.0
 _MIN_TRY = 1.0
 """Shortest drive in s that is saved to a file of its own; clicks may follow one another quickly."""
 
-_BUTTONS = {
-    "pause": ("pause / resume [space]", "Space"),
-    "restart": ("restart [R]", "KeyR"),
-    "save": ("save scenario [V]", "KeyV"),
-    "finish": ("finish [F]", "KeyF"),
-}
-
 DRIVING = """\
-In the page, "Open Controls" shows the sliders (below "Scene", which you can fold). Keys:
-  needle   W in, S out, A and D turn it about its axis
-  phantom  L J along x, I K along y, Y H up and down, O U turn it
-  run      space pauses, R restarts, V saves, F finishes (as Ctrl-C does here)"""
+Drive with the sliders in the page, or switch its keys on; ? lists them. Space pauses, and "finish"
+ends the drive as Ctrl-C does here."""
 """Instructions for the operator, shown in the terminal."""
 
 
@@ -65,10 +55,10 @@ class DrivenExperiment(FollowingExperiment):
     scenario
         Scene of the run. The operator's actions replace its pushes, moves of the phantom and
         changes of the controller.
+    console
+        Console whose pages the operator uses.
     meshcat
-        Meshcat whose page the operator uses.
-    monitor
-        Monitor that shows the volumes, if any.
+        Meshcat that draws the world, if any.
     observers
         Observing systems; see `FollowingExperiment`.
     """
@@ -76,12 +66,12 @@ class DrivenExperiment(FollowingExperiment):
     def __init__(
         self,
         scenario: Scenario,
-        meshcat: Meshcat,
-        monitor: "Monitor | None" = None,
+        console: "Console",
+        meshcat: Meshcat | None = None,
         observers: Mapping[str, System] | None = None,
     ) -> None:
         scenario = require_scenario(scenario, FollowingScenario)
-        hand, controller = placed_hand(scenario), scenario.controller
+        hand = placed_hand(scenario)
         depth = round(hand.initial_depth or 0.0, 3)  # as the slider has it, in whole mm
         still = replace(
             scenario,
@@ -89,27 +79,22 @@ class DrivenExperiment(FollowingExperiment):
             phantom_motion=replace(scenario.phantom_motion, moves=[]),
             controller_changes=[],
         )
-        start = controller.settings
+        needle_and_phantom = operator_controls(
+            depth=depth, azimuth_deg=hand.azimuth_deg, dip_deg=hand.dip_deg
+        )
         panel = OperatorPanel(
-            meshcat=meshcat,
-            controls=operator_controls(
-                depth=depth,
-                azimuth_deg=hand.azimuth_deg,
-                dip_deg=hand.dip_deg,
-                gain=start.gain,
-                force=start.force,
-                min_force=controller.force.touch_force + 0.1,
-            ),
+            controls=[*needle_and_phantom, *settings_controls(scenario.controller)],
+            inputs=console.controls,
         )
         self._hand = OperatorHand(make_insertion=lambda pushes: make_insertion(still, pushes))
         self._phantom_motion = OperatorPhantomMotion(
             X_WT=scenario.station.X_WT, breathing=scenario.phantom_motion.breathing
         )
-        self._settings = OperatorSettings(start=start)
+        self._settings = OperatorSettings(schedule=ControllerSchedule(scenario.controller.settings))
         super().__init__(
             still,
             meshcat,
-            monitor=monitor,
+            console=console,
             observers=observers,
             film=False,
             pictures=True,
@@ -143,9 +128,9 @@ class DrivenExperiment(FollowingExperiment):
 
 def drive(
     scenario: Scenario,
-    meshcat: Meshcat,
+    console: "Console",
     *,
-    monitor: "Monitor | None" = None,
+    meshcat: Meshcat | None = None,
     observers: Mapping[str, System] | None = None,
     out: Path | None = None,
     show: Callable[[float, str], None] | None = None,
@@ -159,10 +144,10 @@ def drive(
     ----------
     scenario
         Scene of the run; see `DrivenExperiment`.
+    console
+        Console whose pages the operator uses.
     meshcat
-        Meshcat whose page the operator uses.
-    monitor
-        Monitor that shows the volumes, if any.
+        Meshcat that draws the world, if any.
     observers
         Observing systems; see `FollowingExperiment`.
     out
@@ -182,20 +167,19 @@ def drive(
         If the scenario cannot be carried out.
     """
     with refusing(scenario):
-        experiment = DrivenExperiment(scenario, meshcat, monitor, observers)
+        experiment = DrivenExperiment(scenario, console, meshcat, observers)
     with claim_folder(out):
-        return _drive(experiment, scenario.duration, meshcat, out, show)
+        return _drive(experiment, scenario.duration, console, out, show)
 
 
 def _drive(
     experiment: DrivenExperiment,
     duration: float,
-    meshcat: Meshcat,
+    console: "Console",
     out: Path | None,
     show: Callable[[float, str], None] | None,
 ) -> RunResult:
-    buttons = RunButtons(meshcat=meshcat, buttons=_BUTTONS)
-    sign = _sign(meshcat)
+    console.controls.offer_buttons("pause", "restart", "save", "finish")
     real_time = RealTime()
 
     def save(name: str) -> None:
@@ -218,7 +202,7 @@ def _drive(
                 real_time.start(experiment.time)
                 start = paused = False
                 saved = numbered = 0.0
-            pressed = buttons.pressed()
+            pressed = console.controls.pressed()
             if "finish" in pressed:
                 break
             if pressed & {"save", "restart"} and experiment.time >= numbered + _MIN_TRY:
@@ -240,11 +224,10 @@ def _drive(
                 if experiment.time >= saved + _SAVE_EVERY:
                     save("scenario.yaml")
                     saved = experiment.time
-            said = ["paused" if paused else _pace(real_time.factor), experiment.hint()]
-            text = "; ".join(filter(None, said))
-            sign.show(text)
+            pace, hint = _pace(real_time.factor), experiment.hint()
+            console.say(paused=paused, pace="" if paused else pace, note=hint)
             if show is not None:
-                show(experiment.time, text)
+                show(experiment.time, "; ".join(filter(None, ["paused" if paused else pace, hint])))
     return finish(kept, experiment)
 
 
@@ -259,9 +242,3 @@ def _next_name(out: Path | None) -> str:
     numbers = itertools.count(1)
     names = (f"scenario_{number}.yaml" for number in numbers)
     return next(name for name in names if out is None or not (out / name).exists())
-
-
-def _sign(meshcat: Meshcat) -> Sign:
-    """Return the sign for the run's status, which stands below the view's legend."""
-    below = RigidTransform([0.0, 0.21, 0.0])
-    return Sign(meshcat=meshcat, path="/drive", X_WSign=WorldViewParameters().X_WScreen @ below)

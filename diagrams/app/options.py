@@ -44,6 +44,9 @@ JsonOption = Annotated[
 HostOption = Annotated[
     str, typer.Option(help="Address to serve the page on; * for all addresses of this machine.")
 ]
+OpenOption = Annotated[
+    bool, typer.Option("--open/--no-open", help="Open the page in the browser of this desktop.")
+]
 DepthOption = Annotated[
     str,
     typer.Option(help="Direction of the sound in the file's space: L, R, P, A, S or I."),

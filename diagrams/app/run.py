@@ -8,27 +8,31 @@ from typing import TYPE_CHECKING, Any
 
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import System
-from rich.console import Console
+from rich.console import Console as Terminal
 
-from sonoservo.diagrams.app.kept_run import KeptRun, refusing
+from sonoservo.diagrams.app.kept_runs.kept_run import KeptRun, refusing
+from sonoservo.diagrams.app.pacer import Pacer
 from sonoservo.diagrams.app.run_result import RunResult
 from sonoservo.diagrams.app.terminal import Progress
 from sonoservo.diagrams.experiments.experiment import Experiment
 from sonoservo.diagrams.experiments.registry import (
     change_scenario,
+    experiment_class,
     load_scenario,
     make_experiment,
 )
 from sonoservo.diagrams.scenario import Scenario
+from sonoservo.systems.display.console.readings import Sample
 from sonoservo.systems.display.pages.meshcat_page import open_meshcat
 from sonoservo.systems.display.pages.site import Site
 from sonoservo.systems.evaluation.log import write_log
 from sonoservo.systems.evaluation.reports.movie import check_movie
 from sonoservo.systems.files.claims import claim_folder
 from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.writing import write_atomically
 
 if TYPE_CHECKING:
-    from sonoservo.systems.display.monitor.monitor import Monitor
+    from sonoservo.systems.display.console.console import Console
 
 
 def run(
@@ -38,7 +42,7 @@ def run(
     seed: int | None = None,
     out: str | Path | None = None,
     meshcat: Meshcat | None = None,
-    monitor: "Monitor | None" = None,
+    console: "Console | None" = None,
     replay: bool = False,
     movie: str | Path | None = None,
     tracker: System | None = None,
@@ -60,9 +64,11 @@ def run(
     out
         Folder for scenario.yaml, summary.json, log.npz, plots, report.html and, with a Meshcat,
         replay.html; None writes nothing.
-    meshcat, monitor
-        Displays of the world and of the volumes, if any. With either, the run is limited to real
-        time.
+    meshcat
+        Meshcat that draws the world, if any. With it, the run is limited to real time.
+    console
+        Console that shows and controls the run, if any: its pages may pause it, step through it,
+        change its speed (real time at first) and the controller's settings, and end it.
     replay
         Whether to write replay.html even without a Meshcat.
     movie
@@ -100,7 +106,10 @@ def run(
         raise ConfigurationError("replay: there is no folder to write replay.html in; give out")
     if movie is not None:
         check_movie(movie)
-    shown = bool(meshcat or monitor or observers)
+    shown = bool(meshcat or console or observers)
+    fed = "console" in experiment_class(scenario.experiment).options
+    if console is not None and not fed:
+        console.say(without=["slices", "strips", "readings"])
     bar = _bar(scenario, progress)
     with ExitStack() as stack:
         if replay and meshcat is None:
@@ -109,7 +118,7 @@ def run(
             experiment = make_experiment(
                 scenario,
                 meshcat=meshcat,
-                monitor=monitor,
+                console=console if fed else None,
                 tracker=tracker,
                 record=record,
                 record_sweeps=record_sweeps,
@@ -117,9 +126,16 @@ def run(
                 pictures=out is not None or movie is not None,
                 observers=observers,
             )
+        pacer = Pacer(console) if console is not None else None
+
+        def save(path: Path) -> None:
+            write_log(path, experiment.log())
+            if console is not None:  # which may have changed it
+                write_atomically(path.with_name("scenario.yaml"), experiment.happened().to_yaml())
+
         kept = KeptRun(
             scenario,
-            lambda path: write_log(path, experiment.log()),
+            save,
             out=out,
             meshcat=meshcat,
             movie=movie,
@@ -130,6 +146,10 @@ def run(
             for notified in (bar, after_step):
                 if notified is not None:
                     notified(experiment)
+            if console is not None and not fed:
+                console.add(Sample(time=experiment.time, reason=experiment.status))
+            if pacer is not None and pacer.wait(experiment.time):
+                experiment.set_speed(pacer.speed)
 
         stack.enter_context(claim_folder(out))
         with bar or nullcontext(), kept:
@@ -180,6 +200,6 @@ def _scenario(
 
 def _bar(scenario: Scenario, wanted: bool | None) -> Progress | None:
     """Return a progress bar, if it is wanted or, by default, if somebody sees it."""
-    console = Console()
-    seen = console.is_jupyter or (console.is_terminal and sys.stdout.isatty())
-    return Progress(console, scenario) if (seen if wanted is None else wanted) else None
+    terminal = Terminal()
+    seen = terminal.is_jupyter or (terminal.is_terminal and sys.stdout.isatty())
+    return Progress(terminal, scenario) if (seen if wanted is None else wanted) else None

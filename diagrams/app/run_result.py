@@ -107,6 +107,13 @@ def summary_table(result: RunResult) -> Table:
     return table
 
 
+def end_words(result: RunResult) -> str:
+    """Return the end of a run in words, for its page."""
+    if result.verdict is not None:
+        return f"{result.verdict.headline}. {result.verdict.text}"
+    return f"{result.summary.get('simulated_s', 0.0):.1f} s simulated"
+
+
 def stops_text(summary: Mapping[str, Any]) -> str:
     """Return the reasons for which a run was stopped and volumes were refused; may be empty."""
     lines = []

@@ -1,14 +1,10 @@
 """Output in the terminal: progress during a run, and figures at its end."""
 
-import logging
-import sys
 from collections.abc import Mapping
-from contextlib import suppress
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import typer
-from pydrake.geometry import Meshcat
 from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as RichProgress
@@ -20,12 +16,7 @@ from sonoservo.diagrams.experiments.experiment import Experiment
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.studies.study_report import Study, interval_text, target_text
 from sonoservo.systems.evaluation.labels import LABELS, look_up, recording_labels
-from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
-
-if TYPE_CHECKING:
-    from sonoservo.systems.display.monitor.monitor import Monitor
-    from sonoservo.systems.display.pages.site import Site
 
 
 def end_run(result: RunResult) -> None:
@@ -207,61 +198,3 @@ def live_table(summary: Mapping[str, Any]) -> Table:
     for mode, count in summary["modes"].items():
         table.add_row(f"volumes after which the mode was {mode}", str(count))
     return table
-
-
-def open_site(host: str = "localhost") -> "Site":
-    """Return a site for the pages of a run, on the first free port from 7000 on.
-
-    Parameters
-    ----------
-    host
-        Address to listen on; ``*`` for all addresses of this machine.
-
-    Raises
-    ------
-    ConfigurationError
-        If it cannot listen there.
-    """
-    from sonoservo.systems.display.pages.site import Site
-
-    try:
-        return Site(host=host)
-    except OSError as error:
-        raise ConfigurationError(str(error)) from error
-
-
-def start_display(console: Console, site: "Site") -> Meshcat:
-    """Start a Meshcat on a site, and print its address with the token that opens it."""
-    from sonoservo.systems.display.pages.meshcat_page import open_meshcat
-
-    logging.getLogger("drake").addFilter(_is_news)
-    meshcat = open_meshcat(site)
-    console.print("Watch at", Text(meshcat.web_url(), style="bold"), soft_wrap=True)
-    return meshcat
-
-
-def _is_news(record: logging.LogRecord) -> bool:
-    """Return False for Drake's log records that tell a user nothing new.
-
-    A slow page asks for pictures that newer ones have replaced, and gets these next. Nothing is
-    wrong, and a line for each would break the progress bar. The page's address is printed anyway.
-    """
-    text = record.getMessage()
-    return "Unknown CAS key" not in text and "listening for connections" not in text
-
-
-def start_monitor(console: Console, site: "Site") -> "Monitor":
-    """Start a scanner's monitor on a site, and print its address with the token that opens it."""
-    from sonoservo.systems.display.monitor.monitor import Monitor
-
-    monitor = Monitor(site)
-    console.print("The scanner's monitor:", Text(monitor.web_url, style="bold"), soft_wrap=True)
-    return monitor
-
-
-def keep_shown(console: Console) -> None:
-    """Wait until the user presses Enter; return at once if the terminal is not interactive."""
-    if console.is_interactive and sys.stdin.isatty():
-        console.print("The monitor keeps its last picture: press Enter to end.")
-        with suppress(EOFError, KeyboardInterrupt):
-            input()

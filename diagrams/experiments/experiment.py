@@ -203,6 +203,11 @@ class Experiment(ABC, Generic[ScenarioT]):
                     after_step(self)
             self._simulator.AdvanceTo(max(time, self.time))
 
+    def set_speed(self, speed: float) -> None:
+        """Go on at a multiple of real time, or as fast as possible at 0; forgive earlier delays."""
+        self._simulator.set_target_realtime_rate(speed)
+        self._simulator.ResetStatistics()
+
     def forgive_delay(self) -> None:
         """Continue in real time from now on, without making up for lost time."""
         self._simulator.ResetStatistics()

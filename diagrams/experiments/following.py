@@ -33,7 +33,8 @@ from sonoservo.diagrams.probe_controller import MakeProbeController
 from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.diagrams.station import MakeStation
-from sonoservo.systems.display.monitor.scanner_monitor import ScannerMonitor
+from sonoservo.systems.control.operator_settings import OperatorSettings
+from sonoservo.systems.display.console.console_feed import ConsoleFeed
 from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
 from sonoservo.systems.evaluation.explanation.explanation_recorder import ExplanationRecorder
 from sonoservo.systems.evaluation.labels import LABELS
@@ -64,9 +65,9 @@ from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
 if TYPE_CHECKING:
-    from sonoservo.systems.display.monitor.monitor import Monitor
+    from sonoservo.systems.display.console.console import Console
 
-_OBSERVERS = ("scanner", "run_logger", "world_view", "volume_recorder")
+_OBSERVERS = ("scanner", "run_logger", "world_view", "console_feed", "volume_recorder")
 """Systems that see the truth, apart from the station and the sources that produce it."""
 
 
@@ -78,7 +79,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         name: (the scenario's)
 
     The subsystems are station, scanner, scan_converter, needle_tracker, probe_controller,
-    run_logger, the sources, the observers and, on request, world_view, scanner_monitor,
+    run_logger, the sources, the observers and, on request, world_view, console_feed,
     volume_recorder and explanation_recorder.
 
     Parameters
@@ -89,14 +90,13 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         Meshcat that draws the world, if any.
     sources
         Systems that move needle and phantom and set the controller, by name; their outputs are
-        needle, phantom_command, gain and force_target. By default they are phantom_motion, hand and
-        controller_settings, which follow the scenario.
+        needle, phantom_command, gain and force_target. By default, `planned_sources`.
     tracker
         System that replaces the scenario's tracker, with the input volume and the output estimate.
         If it has outputs measurement and detection, they are logged too. `tracker_events` returns
         the times at which it should look for a volume.
-    monitor
-        Monitor that shows the volumes, if any.
+    console
+        Console that shows the run, if any.
     film
         Whether to keep the slices for a replay.
     record
@@ -119,16 +119,8 @@ class FollowingExperiment(Experiment[FollowingScenario]):
 
     scenario_class = FollowingScenario
     options = frozenset(
-        {
-            "explain",
-            "meshcat",
-            "monitor",
-            "observers",
-            "pictures",
-            "record",
-            "record_sweeps",
-            "tracker",
-        }
+        {"console", "explain", "meshcat", "observers", "pictures", "record", "record_sweeps"}
+        | {"tracker"}
     )
     labels = LABELS
     log_class = RunLog
@@ -141,7 +133,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         *,
         sources: Mapping[str, System] | None = None,
         tracker: System | None = None,
-        monitor: "Monitor | None" = None,
+        console: "Console | None" = None,
         film: bool = True,
         record: Path | None = None,
         record_sweeps: bool = False,
@@ -204,7 +196,9 @@ class FollowingExperiment(Experiment[FollowingScenario]):
             joints=self.station.GetOutputPort("joint_state").size() // 2,
             geometry=geometry,
         )
-        sources = planned_sources(scenario, insertion) if sources is None else sources
+        if sources is None:
+            sources = planned_sources(scenario, insertion, console)
+        self._settings = sources["controller_settings"]
         sources = with_tissue_reaction(scenario, sources)
         systems: dict[str, System] = {
             "station": self.station,
@@ -220,8 +214,8 @@ class FollowingExperiment(Experiment[FollowingScenario]):
             systems["world_view"] = WorldView(
                 meshcat=meshcat, parameters=WorldViewParameters(film_frames=frames)
             )
-        if monitor is not None:
-            systems["scanner_monitor"] = ScannerMonitor(monitor=monitor, **a_moment_later)
+        if console is not None:
+            systems["console_feed"] = ConsoleFeed(console=console, **a_moment_later)
         self._recorder: VolumeRecorder | None = None
         if record is not None:
             self._recorder = systems["volume_recorder"] = VolumeRecorder(
@@ -297,6 +291,13 @@ class FollowingExperiment(Experiment[FollowingScenario]):
             "run.png": (RUN_CAPTION, plot_run(log, self._force_target())),
             "errors.png": (ERRORS_CAPTION, plot_errors(log)),
         }
+
+    def happened(self) -> FollowingScenario:
+        """Return the scenario that repeats the run, with the changes made in the console."""
+        if not isinstance(self._settings, OperatorSettings):
+            return self.scenario
+        changes = self._settings.schedule(self.context_of(self._settings)).changes
+        return replace(self.scenario, controller_changes=list(changes))
 
     @classmethod
     def overlay(cls, logs: Mapping[str, RunLog]) -> Figure:

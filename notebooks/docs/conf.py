@@ -1,5 +1,6 @@
 """Settings of the documentation; `make docs` builds it."""
 
+import os
 import sys
 from importlib.metadata import version as version_of
 from pathlib import Path
@@ -12,20 +13,34 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from field_reference import write_reference
 
+from sonoservo.systems.files.writing import write_atomically
+
 project = "sonoservo"
 author = copyright = "the sonoservo authors"
 release = version = version_of("sonoservo")
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.doctest"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.doctest"]
 html_theme = "furo"
 exclude_patterns = ["_build"]
 myst_heading_anchors = 3
+myst_enable_extensions = ["dollarmath"]
+nb_execution_mode = os.environ.get("SONOSERVO_NOTEBOOKS", "cache")
+nb_execution_cache_path = str(Path(__file__).parents[2] / "build" / "notebooks")
+nb_execution_in_temp = True
+nb_execution_timeout = 900
+nb_execution_raise_on_error = True
+nb_merge_streams = True
 autodoc_typehints = "signature"
 autodoc_mock_imports = ["pyigtl"]
 napoleon_google_docstring = False
 doctest_test_doctest_blocks = ""
 suppress_warnings = ["myst.xref_missing", "ref.python"]
 
-write_reference(Path(__file__).parent / "fields.md")
+HERE = Path(__file__).parent
+write_reference(HERE / "fields.md")
+# The tutorials are the notebooks beside this folder, which Sphinx runs to show their outputs.
+(HERE / "tutorials").mkdir(exist_ok=True)
+for notebook in HERE.parent.glob("[1-9]*.ipynb"):
+    write_atomically(HERE / "tutorials" / notebook.name, notebook.read_bytes())
 
 
 class PortsDirective(Directive):

@@ -69,23 +69,12 @@ class ControllerSchedule(Immutable):
                 )
             )
 
-    @property
-    def last(self) -> ControllerSettings:
-        """Settings that hold after the last change."""
-        return self._settings[-1]
-
     def at(self, time: float) -> ControllerSettings:
         """Return the settings that hold at a time in s; a change holds from its own time on."""
         return self._settings[bisect_right(self._times, time)]
 
-    def followed_by(self, settings: ControllerSettings, time: float) -> "ControllerSchedule":
-        """Return this schedule with other settings from a time in s onwards."""
-        now = self.last
-        if settings == now:
-            return self
-        change = ControllerChange(
-            time=time,
-            gain=None if settings.gain == now.gain else settings.gain,
-            force=None if settings.force == now.force else settings.force,
-        )
-        return ControllerSchedule(self.start, (*self.changes, change))
+    def with_change(self, change: ControllerChange) -> "ControllerSchedule":
+        """Return this schedule with one more change; those at later times still follow."""
+        number = bisect_right(self._times, change.time)
+        before, after = self.changes[:number], self.changes[number:]
+        return ControllerSchedule(self.start, (*before, change, *after))

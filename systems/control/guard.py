@@ -20,7 +20,6 @@ from pydrake.systems.framework import (
 from sonoservo.systems.control.guard_memory import (
     GuardMemory,
     Observation,
-    last_force,
     next_memory,
     unpack,
 )
@@ -49,6 +48,8 @@ _AHEAD = 0.05
 
 _TOLERANCE = 1e-9
 """Rounding error of joint positions and speeds, in rad and rad/s."""
+
+_NOTHING_DONE = EventStatus.DidNothing()
 
 _STATES = dict(zip(Mode, GuardState, strict=True))
 
@@ -120,20 +121,20 @@ class Guard(LeafSystem):
         self._region = region(parameters, surface, np.divide(axis, np.linalg.norm(axis)).tolist())
         n = self._joints = plant.num_positions()
         speed = plant.GetVelocityUpperLimits()
-        self._lowest = np.concatenate([plant.GetPositionLowerLimits(), -speed]) - _TOLERANCE
-        self._highest = np.concatenate([plant.GetPositionUpperLimits(), speed]) + _TOLERANCE
+        lowest = np.concatenate([plant.GetPositionLowerLimits(), -speed]) - _TOLERANCE
+        highest = np.concatenate([plant.GetPositionUpperLimits(), speed]) + _TOLERANCE
         change = np.full(n, parameters.max_joint_acceleration * WINDOW)
         reach = 1.01 * max(time_step, WINDOW) * speed + _TOLERANCE
-        self._reach = np.concatenate([reach, change])
+        self._joint_limits = np.stack([lowest, highest, np.concatenate([reach, change])])
         self._max_speed = speed
         self._wanted = self.DeclareVectorInputPort("wanted_command", 2 * n)
         self._wrist_force = self.DeclareAbstractInputPort("wrist_force", Value(SpatialForce()))
         self._X_WP = self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
         self._joint_state = self.DeclareVectorInputPort("joint_state", 2 * n)
         self._scratch = declare_scratch_context(self, plant)
-        # The command sent at the last check, its time and the mode since then; and the memory.
-        nothing = np.full(2 * n + 2, np.nan)
-        nothing[-1] = Mode.MONITORING
+        # The command sent at the last check, its time, the mode since then, and the quiet force.
+        nothing = np.full(2 * n + 5, np.nan)
+        nothing[2 * n + 1] = Mode.MONITORING
         self._command = self.DeclareDiscreteState(nothing)
         self._memory = self.DeclareDiscreteState(np.array(GuardMemory().pack()))
         self._approach_scale = self.DeclareDiscreteState([1.0])
@@ -155,9 +156,10 @@ class Guard(LeafSystem):
 
     def _initialize(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
         q = self._joint_state.Eval(context)[: self._joints]
-        command = np.concatenate([q, np.zeros_like(q), [context.get_time(), Mode.MONITORING]])
+        memory, time = GuardMemory(), context.get_time()
+        command = [*q, *np.zeros_like(q), time, memory.mode, *memory.quiet_force]
         discrete_state.set_value(self._command, command)
-        discrete_state.set_value(self._memory, GuardMemory().pack())
+        discrete_state.set_value(self._memory, memory.pack())
         discrete_state.set_value(self._approach_scale, [1.0])
         return EventStatus.Succeeded()
 
@@ -166,14 +168,14 @@ class Guard(LeafSystem):
 
     def _calc_joint_command(self, context: Context, output: BasicVector) -> None:
         last, n = context.get_discrete_state(self._command).value(), self._joints
-        q, v, (time, mode) = last[:n], last[n:-2], last[-2:]
-        if mode == Mode.MONITORING:
+        if last[2 * n + 1] == Mode.MONITORING:
             wanted = self._wanted.Eval(context)
             if self._accepts(wanted, last):
                 output.SetFromVector(wanted)
             else:
-                output.SetFromVector(np.concatenate([q, np.zeros(n)]))
+                output.SetFromVector(np.concatenate([last[:n], np.zeros(n)]))
         else:
+            q, v, time = last[:n], last[n : 2 * n], last[2 * n]
             output.SetFromVector(np.concatenate([q + (context.get_time() - time) * v, v]))
 
     def _calc_guard(self, context: Context, output: Value) -> None:
@@ -189,40 +191,37 @@ class Guard(LeafSystem):
 
     def _accepts(self, wanted: NDArray[np.float64], sent: NDArray[np.float64]) -> bool:
         """Return True if a command keeps the joints' limits and continues the one sent last."""
-        return bool(keeps_limits(wanted, sent, self._lowest, self._highest, self._reach))
+        return bool(keeps_limits(wanted, sent, self._joint_limits))
 
-    def _is_quiet(self, context: Context) -> bool:
-        """Return True if nothing is suspected, and the force is that of the last check."""
-        last = last_force(context.get_discrete_state(self._memory).value())
-        force = self._wrist_force.Eval(context).translational()
-        return last is not None and all(
-            abs(now - then) < _QUIET for now, then in zip(force.tolist(), last, strict=True)
-        )
+    def _is_quiet(self, context: Context, last: list[float]) -> bool:
+        """Return True if the force is that of the last check, which suspected nothing."""
+        x, y, z = self._wrist_force.Eval(context).translational().tolist()
+        p, q, r = last
+        return abs(x - p) < _QUIET and abs(y - q) < _QUIET and abs(z - r) < _QUIET
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
-        sent_at, mode = context.get_discrete_state(self._command).value()[-2:].tolist()
-        elapsed = context.get_time() - sent_at
+        state = context.get_discrete_state(self._command).value().tolist()
+        elapsed = context.get_time() - state[-5]
         # Everything is checked at least every `WINDOW`; this saves three quarters of the time.
         soon = elapsed < WINDOW - 0.5 * self._time_step
-        if mode == Mode.MONITORING and soon and self._is_quiet(context):
-            return EventStatus.DidNothing()
+        if soon and self._is_quiet(context, state[-3:]):
+            return _NOTHING_DONE
         before = self._memory_in(context)
         sent = self._sent.Eval(context)
         seen = self._observe(context, before, sent)
         memory = next_memory(
             before, seen, self._limits, self._region, self._time_step, max(elapsed, self._time_step)
         )
-        command = np.empty(len(sent) + 2)
-        command[:-2], command[-2] = sent, seen.time
+        v = sent[self._joints :].copy()
         if memory.mode != Mode.MONITORING:
-            v = command[self._joints : -2]
             if memory.mode == Mode.RETREATING:
-                v[:] = self._retreat(context, sent[: self._joints], memory.speed)
+                v = self._retreat(context, sent[: self._joints], memory.speed)
                 if not v.any():  # the arm cannot retreat further
                     memory = memory._replace(mode=Mode.HOLDING, speed=0.0)
             else:
                 v *= self._slowed(memory, v)
-        command[-1] = memory.mode
+        q, quiet = sent[: self._joints], memory.quiet_force
+        command = np.concatenate([q, v, [seen.time, memory.mode, *quiet]])
         discrete_state.set_value(self._command, command)
         discrete_state.set_value(self._memory, np.array(memory.pack()))
         if memory.caution != before.caution:
@@ -277,7 +276,8 @@ class Guard(LeafSystem):
         v = np.linalg.pinv(J, rcond=1e-2) @ np.array([0.0, 0.0, 0.0, 0.0, -speed, 0.0])
         v /= max(1.0, float((np.abs(v) / self._max_speed).max()))
         reached = np.concatenate([q + self._time_step * v, v])
-        possible = (reached >= self._lowest) & (reached <= self._highest)
+        lowest, highest, _ = self._joint_limits
+        possible = (reached >= lowest) & (reached <= highest)
         return np.asarray(v if possible.all() else np.zeros_like(v))
 
     def _slowed(self, memory: GuardMemory, v: NDArray[np.float64]) -> float:

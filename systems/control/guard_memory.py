@@ -3,9 +3,6 @@
 import math
 from typing import NamedTuple, cast
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sonoservo.systems.control.guard_parameters import GuardParameters
 from sonoservo.systems.control.guard_rules import (
     NO_BREACH,
@@ -44,8 +41,6 @@ _AT_REST = 2e-4
 """Distance in m below which the probe counts as not commanded to move."""
 
 _SCALARS = 13
-_OVER, _LAST_FORCE, _SUSPICION = 6, slice(_SCALARS + 18, _SCALARS + 21), -4
-"""Places in the packed numbers."""
 
 
 class GuardMemory(NamedTuple):
@@ -112,6 +107,13 @@ class GuardMemory(NamedTuple):
         ]  # fmt: skip
 
     @property
+    def quiet_force(self) -> Vector:
+        """(3,) last force in N; NaN while the guard acts or suspects anything."""
+        sensor = self.sensor
+        quiet = not (self.mode or self.over or sensor.suspicion or sensor.fault)
+        return sensor.last[3:] if quiet else 3 * (math.nan,)
+
+    @property
     def approach_scale(self) -> float:
         """Factor on the speed of the approach; hard landings make it slower."""
         return 0.5**self.caution
@@ -124,12 +126,6 @@ def unpack(numbers: list[float]) -> GuardMemory:
     last, trusted = tuple(numbers[n + 15 : n + 21]), tuple(numbers[n + 21 : n + 24])
     sensor = SensorMemory._make([last, trusted, *numbers[n + 24 :]])
     return GuardMemory._make([*numbers[:n], *vectors, sensor])
-
-
-def last_force(numbers: NDArray[np.float64]) -> list[float] | None:
-    """Return the (3,) last force in N from packed numbers; None while anything is suspected."""
-    over, suspicion, fault = numbers[[_OVER, _SUSPICION, -1]].tolist()
-    return None if over or suspicion or fault else numbers[_LAST_FORCE].tolist()
 
 
 class Observation(NamedTuple):

@@ -231,9 +231,7 @@ def moving_too_fast(
 
 
 @njit(cache=True)
-def keeps_limits(  # pragma: no cover - compiled
-    wanted: Any, last: Any, lowest: Any, highest: Any, reach: Any
-) -> bool:
+def keeps_limits(wanted: Any, last: Any, limits: Any) -> bool:  # pragma: no cover - compiled
     """Return True if a command keeps the limits of the joints and continues the last one.
 
     Parameters
@@ -242,13 +240,13 @@ def keeps_limits(  # pragma: no cover - compiled
         (2n,) joint positions and velocities, in rad and rad/s.
     last
         At least (2n,) numbers: those sent last. Nothing has to be continued where they are NaN.
-    lowest, highest
-        (2n,) limits.
-    reach
-        (2n,) largest changes from one command to the next.
+    limits
+        (3, 2n) least and greatest values, and largest changes from one command to the next.
     """
     for i in range(len(wanted)):
-        if not lowest[i] <= wanted[i] <= highest[i] or abs(wanted[i] - last[i]) > reach[i]:
+        if not limits[0, i] <= wanted[i] <= limits[1, i]:
+            return False
+        if abs(wanted[i] - last[i]) > limits[2, i]:
             return False
     return True
 

@@ -1,9 +1,11 @@
 """Leaf system that passes on an operator's controller settings and records them as a schedule."""
 
+from typing import Any
+
 from pydrake.common.value import Value
 from pydrake.systems.framework import BasicVector, Context, LeafSystem, State
 
-from sonoservo.systems.control.controller_schedule import ControllerSchedule, ControllerSettings
+from sonoservo.systems.control.controller_schedule import ControllerChange, ControllerSchedule
 
 
 class OperatorSettings(LeafSystem):
@@ -19,22 +21,26 @@ class OperatorSettings(LeafSystem):
         - force_target
 
     `controller_target` is the wanted lambda in 1/s and the wanted force in N. The state is the
-    schedule of all changes so far. A `ScheduledSettings` system replays it.
+    schedule with all changes so far, and the last target. A setting that the operator moves holds
+    until the next planned change. A `ScheduledSettings` system replays the schedule.
 
     Parameters
     ----------
-    start
-        Initial settings.
+    schedule
+        Initial settings and planned changes. The operator's target has to begin with the former.
     period
         Sampling period, in s.
     """
 
-    def __init__(self, *, start: ControllerSettings, period: float = 1 / 16) -> None:
+    def __init__(self, *, schedule: ControllerSchedule, period: float = 1 / 16) -> None:
         super().__init__()
         self.DeclareVectorInputPort("controller_target", 2)
-        self.DeclareAbstractState(Value[object](ControllerSchedule(start)))
+        self.DeclareAbstractState(Value[object](schedule))
+        start = schedule.start
+        self.DeclareAbstractState(Value[object]({"gain": start.gain, "force": start.force}))
+        read = {self.xa_ticket(), self.time_ticket()}
         for name, calc in (("gain", self._calc_gain), ("force_target", self._calc_force_target)):
-            self.DeclareVectorOutputPort(name, 1, calc, prerequisites_of_calc={self.xa_ticket()})
+            self.DeclareVectorOutputPort(name, 1, calc, prerequisites_of_calc=read)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._update)
 
     def schedule(self, context: Context) -> ControllerSchedule:
@@ -43,14 +49,18 @@ class OperatorSettings(LeafSystem):
         return schedule
 
     def _update(self, context: Context, state: State) -> None:
-        gain, force = self.GetInputPort("controller_target").Eval(context).tolist()
-        schedule = self.schedule(context).followed_by(
-            ControllerSettings(gain, force), context.get_time()
-        )
-        state.get_mutable_abstract_state(0).set_value(schedule)
+        target = self.GetInputPort("controller_target").Eval(context).tolist()
+        wanted = dict(zip(("gain", "force"), target, strict=True))
+        before: dict[str, float] = context.get_abstract_state(1).get_value()
+        moved: dict[str, Any] = {n: each for n, each in wanted.items() if each != before[n]}
+        if moved:
+            change = ControllerChange(time=context.get_time(), **moved)
+            schedule = self.schedule(context).with_change(change)
+            state.get_mutable_abstract_state(0).set_value(schedule)
+            state.get_mutable_abstract_state(1).set_value(wanted)
 
     def _calc_gain(self, context: Context, output: BasicVector) -> None:
-        output.SetAtIndex(0, self.schedule(context).last.gain)
+        output.SetAtIndex(0, self.schedule(context).at(context.get_time()).gain)
 
     def _calc_force_target(self, context: Context, output: BasicVector) -> None:
-        output.SetAtIndex(0, self.schedule(context).last.force)
+        output.SetAtIndex(0, self.schedule(context).at(context.get_time()).force)

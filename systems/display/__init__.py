@@ -1,8 +1,8 @@
 """Displays of a running simulation.
 
-This room holds the colours, shapes and textured quads that both displays share. The room `world`
-draws in Drake's Meshcat; the room `monitor` is the scanner's page. It imports `signals`,
-`ultrasound` and `control`.
+This room holds the colours, shapes and textured quads that both displays share. The room `console`
+is the page on which a run is watched and controlled; the room `world` draws the 3D view in it with
+Drake's Meshcat. It imports `signals`, `ultrasound` and `control`.
 """
 
 from lazy_loader import attach_stub

@@ -11,18 +11,18 @@ from pydrake.geometry import Rgba
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 
 STEEL = (0.62, 0.65, 0.70)
-HUB = (0.0, 0.62, 0.45)
+HUB = (0.78, 0.30, 0.55)
 SECTOR = (0.0, 0.35, 0.65)
 UNCERTAINTY = (0.70, 0.0, 1.0)
 FORCE = (0.95, 0.65, 0.0)
-STOPPED = (0.55, 0.0, 0.35)
+STOPPED = (0.80, 0.35, 0.65)
 PANEL = (0.06, 0.06, 0.07)
 
 MODE_COLOURS = {
-    TrackingMode.SEARCHING: (0.30, 0.30, 0.30),
-    TrackingMode.TRACKING: (0.84, 0.12, 0.05),
-    TrackingMode.COASTING: (0.94, 0.84, 0.10),
-    TrackingMode.LOST: (0.34, 0.71, 0.91),
+    TrackingMode.SEARCHING: (0.52, 0.54, 0.60),
+    TrackingMode.TRACKING: (0.05, 0.68, 0.47),
+    TrackingMode.COASTING: (1.00, 0.75, 0.10),
+    TrackingMode.LOST: (0.86, 0.16, 0.12),
 }
 
 
@@ -35,3 +35,8 @@ def ink(background: Sequence[float]) -> tuple[float, float, float]:
     """Return black or white, whichever reads better on a background."""
     light = 0.21 * background[0] + 0.72 * background[1] + 0.07 * background[2]
     return (0.0, 0.0, 0.0) if light > 0.5 else (1.0, 1.0, 1.0)
+
+
+def hexadecimal(colour: Sequence[float]) -> str:
+    """Return a colour as a web page writes it."""
+    return "#" + "".join(f"{round(255 * each):02x}" for each in colour)

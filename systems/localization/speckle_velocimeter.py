@@ -1,6 +1,7 @@
 """Speckle tracking: the tip's velocity from the speckle around it in two volumes."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,14 +99,20 @@ def _element(speckle: Speckle, p_W: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def _window(
-    speckle: Speckle, centre: NDArray[np.int64], shape: list[int]
-) -> NDArray[np.float32] | NDArray[np.uint8] | None:
-    """Return the elements around a centre, or None if the array does not contain them all."""
+    speckle: Speckle, centre: NDArray[np.int64], shape: list[int], envelope: bool
+) -> NDArray[Any] | None:
+    """Return the elements around a centre, or None if the array does not contain them all.
+
+    The envelope is that of whole lines, as a line that is cut off has another one near its ends.
+    """
     first = centre - np.array(shape) // 2
     values = _values(speckle)
     if np.any(first < 0) or np.any(first + shape > values.shape):
         return None
-    return values[tuple(slice(a, a + m) for a, m in zip(first, shape, strict=True))]
+    frames, lines, samples = (slice(a, a + m) for a, m in zip(first, shape, strict=True))
+    if envelope and isinstance(speckle, RadioFrequencySweep):
+        return np.asarray(np.abs(hilbert(values[frames, lines]))[..., samples])
+    return values[frames, lines, samples]
 
 
 def measure_velocity(
@@ -141,12 +148,10 @@ def measure_velocity(
     The velocity between the acquisitions, or a `NotFound` with the reason why there is none.
     """
     before, ahead = _element(previous, p_WBefore), _element(current, p_WPredicted)
-    kernel = _window(previous, before, parameters.kernel)
-    search = _window(current, ahead, parameters.search)
+    kernel = _window(previous, before, parameters.kernel, parameters.envelope)
+    search = _window(current, ahead, parameters.search, parameters.envelope)
     if kernel is None or search is None:
         return NotFound("the window around the tip extends beyond the volume")
-    if parameters.envelope and isinstance(current, RadioFrequencySweep):
-        search, kernel = np.abs(hilbert(search)), np.abs(hilbert(kernel))
     match = best_match(search, kernel)
     if isinstance(match, NotFound):
         return match

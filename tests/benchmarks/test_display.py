@@ -1,4 +1,4 @@
-"""What the displays cost a run, and the thread that draws the scanner's monitor."""
+"""What the console and the world cost a run, and the thread that draws them."""
 
 import subprocess
 import sys
@@ -7,12 +7,14 @@ from contextlib import contextmanager, nullcontext
 
 import numpy as np
 import pytest
-from meshcat import Visualizer
+from bokeh.document import Document
+from page_clients.console_socket import session_token
 from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.diagrams import load_scenario, make_experiment
-from sonoservo.systems.display.monitor.drawing import MonitorScreen
-from sonoservo.systems.display.monitor.monitor import Monitor
+from sonoservo.systems.display.console import console as console_module
+from sonoservo.systems.display.console.console import Console, picture_volume
+from sonoservo.systems.display.console.document import PageDocument
 from sonoservo.systems.display.pages.meshcat_page import open_meshcat
 from sonoservo.systems.display.pages.site import Site
 from sonoservo.systems.signals.needle_curve import NeedleCurve
@@ -22,11 +24,6 @@ ENTRY = entry_on_side()
 TIP = ENTRY + np.array([0.045, 0.012, 0.005])
 PERIOD = 0.303
 """Of the volumes of fig. 5, in s."""
-
-
-class Nowhere:
-    def send(self, command):
-        command.lower()
 
 
 @pytest.fixture(scope="module")
@@ -46,23 +43,16 @@ def compare(benchmark):
 
 def test_showing_a_volume(benchmark, shown):
     """On the run's thread."""
-    monitor = Monitor()
-    benchmark(lambda: monitor.show(*shown))
-    monitor.close()
+    console = Console()
+    benchmark(lambda: console.show(*shown))
+    console.close()
     compare(benchmark)
 
 
 def test_drawing_a_volume(benchmark, shown):
-    """On the monitor's thread, for any number of pages."""
-    screen = MonitorScreen(Visualizer(window=Nowhere()))
-    number = 0
-
-    def draw():
-        nonlocal number
-        number += 1
-        screen.draw(*shown, number)
-
-    benchmark(draw)
+    """On the site's thread: the slices once, and the figures of one page."""
+    page = PageDocument(Document(), "a page")
+    benchmark(lambda: page.show_frame(picture_volume(*shown, 1)))
     compare(benchmark)
 
 
@@ -72,26 +62,28 @@ from urllib.parse import urlsplit
 from tornado.httpclient import HTTPRequest
 from tornado.websocket import websocket_connect
 
-async def watch(url, answer):
+async def watch(url, *protocols):
     request = HTTPRequest(url, headers={"Origin": f"http://{urlsplit(url).netloc}"})
-    page = await websocket_connect(request, max_message_size=1 << 30)
+    page = await websocket_connect(
+        request, max_message_size=1 << 30, subprotocols=list(protocols) or None)
     print("open", flush=True)
     while await page.read_message() is not None:
-        if answer:
-            await page.write_message(answer)
+        pass
 
 asyncio.run(watch(*sys.argv[1:]))
 """
 
 
 @contextmanager
-def pages_that_draw_nothing(meshcat, monitor):
+def pages_that_draw_nothing(meshcat, console):
     """Processes that fetch all a page would: a browser without a graphics chip eats a core."""
-    monitor_url = monitor.web_url.replace("http", "ws").replace("?", "commands?")
+    token = session_token(console.web_url)
+    address = console.web_url.replace("http", "ws").replace("?", "ws?")
     processes = [
-        subprocess.Popen([sys.executable, "-c", PAGE, url, answer], stdout=subprocess.PIPE)
-        for url, answer in ((meshcat.ws_url(), ""), (monitor_url, "drawn"))
+        subprocess.Popen([sys.executable, "-c", PAGE, *arguments], stdout=subprocess.PIPE)
+        for arguments in ((meshcat.ws_url(),), (address, "bokeh", token))
     ]
+    # They do not say what they have drawn, and are sent everything nevertheless.
     try:
         assert all(process.stdout.readline() for process in processes)
         yield
@@ -101,20 +93,20 @@ def pages_that_draw_nothing(meshcat, monitor):
             process.wait()
 
 
-def run_once(scenario, meshcat=None, monitor=None):
+def run_once(scenario, meshcat=None, console=None):
     """Wall-clock time in s of a run, not held to real time."""
     if meshcat is not None:
         meshcat.DeleteRecording()
         meshcat.StartRecording(set_visualizations_while_recording=True)
-    experiment = make_experiment(scenario, meshcat=meshcat, monitor=monitor)
+    experiment = make_experiment(scenario, meshcat=meshcat, console=console)
     start = time.perf_counter()
     experiment.run()
     return time.perf_counter() - start
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("watched", [False, True], ids=["no browser", "a page each"])
-def test_a_run_with_both_screens(benchmark, watched):
+@pytest.mark.parametrize("watched", [False, True], ids=["no browser", "a page"])
+def test_a_run_with_a_console(benchmark, watched, monkeypatch):
     """With the film for the replay; without a display it is timed in between."""
     enabled = benchmark.enabled
     scenario = load_scenario("chatelain2013_fig5", changes=[f"duration={16 if enabled else 1}"])
@@ -122,12 +114,14 @@ def test_a_run_with_both_screens(benchmark, watched):
 
     def both():
         plain.append(run_once(scenario))
-        shown.append(run_once(scenario, meshcat, monitor))
+        shown.append(run_once(scenario, meshcat, console))
 
     with Site() as site:
-        meshcat, monitor = open_meshcat(site), Monitor(site)
+        meshcat, console = open_meshcat(site), Console(site, world="world")
         both()
-        with pages_that_draw_nothing(meshcat, monitor) if watched else nullcontext():
+        monkeypatch.setattr(console_module, "_PATIENCE", 0.0)
+        with pages_that_draw_nothing(meshcat, console) if watched else nullcontext():
             benchmark.pedantic(both, rounds=5 if enabled else 1)
     benchmark.extra_info["compared_with"] = "the same run without a display"
-    benchmark.extra_info["ratio"] = min(plain[1:]) / min(shown[1:])
+    pairs = [alone / both for alone, both in zip(plain[1:], shown[1:], strict=True)]
+    benchmark.extra_info["ratio"] = float(np.median(pairs))

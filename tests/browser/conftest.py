@@ -13,6 +13,8 @@ KNOWN_WARNINGS = (
     "GPU stall due to ReadPixels",
     "software rendering",
     "fallback software",
+    # A page whose server has ended looks for the next one.
+    "ERR_CONNECTION_REFUSED",
     # A picture that was replaced before a page that draws in software came to fetch it.
     "CAS key not found",
     "Couldn't load texture cas-v1",
@@ -93,7 +95,10 @@ def open_page(browser, request):
         page = context.new_page()
         listen(page)
         page.goto(url)
-        page.wait_for_function("typeof viewer !== 'undefined' && viewer.renderer")
+        if "/console/" in url:
+            page.wait_for_selector("body[data-ready]", state="attached")
+        else:
+            page.wait_for_function("typeof viewer !== 'undefined' && viewer.renderer")
         return page
 
     yield open_address

@@ -10,8 +10,9 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
+from sonoservo.diagrams.app import pages as pages_module
 from sonoservo.diagrams.app.cli import app
-from sonoservo.diagrams.app.terminal import keep_shown, open_site, start_display, start_monitor
+from sonoservo.diagrams.app.pages import has_desktop, open_pages
 from sonoservo.systems.files.refusals import ConfigurationError
 
 # Any address of this machine that is not its own loop, found without sending anything.
@@ -31,46 +32,86 @@ def connects(host, port):
     return True
 
 
-def test_only_this_machine_reaches_the_pages_unless_told_otherwise():
+@pytest.fixture
+def opened():
+    """Opens pages, and closes them."""
+    kept = []
+
+    def open_them(console, **options):
+        kept.append(open_pages(console, "a test", **options))
+        return kept[-1]
+
+    yield open_them
+    for each in kept:
+        each.site.close()
+
+
+def test_only_this_machine_reaches_the_pages_unless_told_otherwise(opened):
     if OUTSIDE is None:
         pytest.skip("this machine has no address but its own loop")
-    with open_site() as private, open_site("*") as public:
-        meshcat = start_display(Console(quiet=True), private)
-        assert connects("localhost", private.port)
-        assert not connects(OUTSIDE, private.port)
-        assert not connects(OUTSIDE, meshcat.port())
-        assert connects(OUTSIDE, public.port)
+    private = opened(Console(quiet=True))
+    public = opened(Console(quiet=True), world=False, host="*")
+    assert connects("localhost", private.site.port)
+    assert not connects(OUTSIDE, private.site.port)
+    assert not connects(OUTSIDE, private.meshcat.port())
+    assert connects(OUTSIDE, public.site.port)
 
 
-def test_a_busy_port_is_stepped_over_and_the_addresses_printed():
+def test_a_busy_port_is_stepped_over_and_one_address_printed(opened):
     console = Console(record=True, quiet=False)
-    with open_site() as first, open_site() as second:
-        assert first.port != second.port
-        for site in (first, second):
-            urls = [start_display(console, site).web_url(), start_monitor(console, site).web_url]
-            shown = console.export_text()
-            assert f"Watch at {urls[0]}\n" in shown
-            assert f"The scanner's monitor: {urls[1]}\n" in shown
-            for url in urls:
-                assert urlsplit(url).netloc == f"localhost:{site.port}"
-                assert urlopen(url).status == 200
+    ports = set()
+    for _ in range(2):
+        pages = opened(console)
+        ports.add(pages.site.port)
+        url = pages.console.web_url
+        assert console.export_text().splitlines()[-1] == f"Watch at {url}"
+        assert urlsplit(url).netloc == f"localhost:{pages.site.port}"
+        for each in (url, pages.meshcat.web_url()):
+            assert urlopen(each).status == 200
+    assert len(ports) == 2
 
 
-def test_a_page_that_is_late_for_a_picture_is_no_news(caplog):
-    with open_site() as site:
-        meshcat = start_display(Console(quiet=True), site)
-        with pytest.raises(HTTPError, match="404: CAS key not found"):
-            urlopen(meshcat.web_url().replace("?", f"cas-v1/{64 * '0'}?"))
+def test_a_page_that_is_late_for_a_picture_is_no_news(caplog, opened):
+    meshcat = opened(Console(quiet=True)).meshcat
+    with pytest.raises(HTTPError, match="404: CAS key not found"):
+        urlopen(meshcat.web_url().replace("?", f"cas-v1/{64 * '0'}?"))
     logging.getLogger("drake").warning("Meshcat: Malformed CAS key torn")
     assert [record.getMessage() for record in caplog.records if record.levelname == "WARNING"] == [
         "Meshcat: Malformed CAS key torn"
     ]
 
 
+@pytest.mark.parametrize(
+    ("variables", "desktop"),
+    [
+        ({}, False),
+        ({"DISPLAY": ":0"}, True),
+        ({"WAYLAND_DISPLAY": "wayland-0"}, True),
+        ({"DISPLAY": ":0", "SSH_CONNECTION": "192.0.2.1 22"}, False),
+    ],
+)
+def test_the_page_opens_by_itself_where_there_is_a_desktop(monkeypatch, opened, variables, desktop):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SSH_CONNECTION"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr("sys.platform", "linux")
+    assert has_desktop() == desktop
+    if not desktop:
+        return
+    urls = []
+    monkeypatch.setattr(pages_module.webbrowser, "open", urls.append)
+    person = Console(file=io.StringIO(), force_interactive=True)
+    page = opened(person, world=False)
+    opened(person, world=False, by_itself=False)
+    opened(Console(file=io.StringIO(), force_interactive=False), world=False)  # a batch
+    assert urls == [page.console.web_url]
+
+
 @pytest.mark.parametrize("host", ["198.51.100.7", "no such host"])
 def test_an_address_of_another_machine_is_refused(host):
     with pytest.raises(ConfigurationError, match="host: .* address of this machine"):
-        open_site(host)
+        open_pages(Console(quiet=True), "a test", host=host)
 
 
 def test_a_wrong_host_ends_the_command_before_anything_is_written(tmp_path):
@@ -81,21 +122,37 @@ def test_a_wrong_host_ends_the_command_before_anything_is_written(tmp_path):
 
 
 @pytest.mark.parametrize(("typed", "left"), [("\nnext", "next"), ("", "")])
-def test_a_picture_stays_until_enter_or_the_end_of_input(monkeypatch, typed, left):
+def test_the_page_stays_until_enter_or_the_end_of_input(monkeypatch, opened, tmp_path, typed, left):
     class Terminal(io.StringIO):
         def isatty(self):
             return True
 
     terminal, said = Terminal(typed), io.StringIO()
     monkeypatch.setattr("sys.stdin", terminal)
-    keep_shown(Console(file=said, force_interactive=True))
+    pages = opened(Console(quiet=True), world=False)
+    pages.console.controls.offer_buttons("pause")
+    report = tmp_path / "report.html"
+    report.write_text("<p>figures")
+    (tmp_path / "run.png").write_bytes(b"picture")
+    pages.end(Console(file=said, force_interactive=True), "32.0 s simulated", report)
     assert "press Enter" in said.getvalue()
     assert terminal.read() == left
+    assert pages.console.facts["ended"] == "32.0 s simulated"
+    assert pages.console.controls.description()["buttons"] == []
+    address = pages.site.address("report")
+    assert pages.console.facts["report"] == "../report/report.html"
+    assert b"figures" in urlopen(address.replace("?", "report.html?")).read()
+    assert urlopen(address.replace("?", "run.png?")).read() == b"picture"
+    with pytest.raises(HTTPError, match="403"):
+        urlopen(address.partition("?")[0] + "report.html")
+    with pytest.raises(HTTPError, match="403|404"):
+        urlopen(address.replace("?", "../../etc/passwd?"))
 
 
-def test_nobody_at_a_terminal_is_waited_for(monkeypatch):
+def test_nobody_at_a_terminal_is_waited_for(monkeypatch, opened):
     monkeypatch.setattr("sys.stdin", io.StringIO("kept"))
     said = io.StringIO()
-    keep_shown(Console(file=said, force_interactive=True))
+    pages = opened(Console(quiet=True), world=False)
+    pages.end(Console(file=said, force_interactive=True), "ended")
     assert said.getvalue() == ""
     assert sys.stdin.read() == "kept"

@@ -36,9 +36,9 @@ def held(result):
 def needs_reason(result):
     """Whether something was wrong, so that a reason or a remark must be there."""
     case, sensor = result.case, result.case.sensor
-    # What repeats for less than 0.05 s may be a slow sensor, and does no harm.
-    repeats = case.pose == "frozen" or (sensor is not None and sensor.kind == "frozen")
-    faulty = (sensor is not None or case.pose) and not (repeats and case.duration < 0.05)
+    # What repeats for less than 0.05 s may be a slow sensor; poses are looked at every 20 ms.
+    brief = case.duration < 0.05 and (case.pose or (sensor and sensor.kind == "frozen"))
+    faulty = (sensor or case.pose) and not brief
     return faulty or not result.recovered or result.peak > 10.5
 
 

@@ -6,7 +6,7 @@ from scipy.signal import hilbert
 
 
 def middle_line(transducer, imaging, points, amplitudes, focus):
-    """Envelope of the echo along the line through the middle of a convex array.
+    """Envelope of the echo along the line through the middle of a convex or flat array.
 
     Parameters
     ----------
@@ -22,15 +22,17 @@ def middle_line(transducer, imaging, points, amplitudes, focus):
     arc = (np.arange(transducer.elements) - (transducer.elements - 1) / 2) * (
         transducer.element_pitch
     )
-    x = transducer.array_radius * np.sin(arc / transducer.array_radius)
-    y = transducer.array_radius * (np.cos(arc / transducer.array_radius) - 1)  # apex at zero
+    x, y = arc, np.zeros(len(arc))
+    if transducer.array_radius > 0:
+        x = transducer.array_radius * np.sin(arc / transducer.array_radius)
+        y = transducer.array_radius * (np.cos(arc / transducer.array_radius) - 1)  # apex at zero
     p = pymust.utils.Param()
     p.fc = imaging.transmit_frequency
     p.bandwidth = 100 * transducer.fractional_bandwidth
     p.Nelements = transducer.elements
     p.pitch = transducer.element_pitch
     p.kerf = transducer.element_pitch - transducer.element_width
-    p.radius = transducer.array_radius
+    p.radius = transducer.array_radius or np.inf
     p.height = transducer.element_height
     p.focus = transducer.lens_focus
     p.c = imaging.sound_speed

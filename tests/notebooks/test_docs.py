@@ -6,10 +6,16 @@ from pathlib import Path
 
 import pytest
 import typer
+import yaml
+from commands import sonoservo_here
 
 from sonoservo.diagrams.app.cli import app
-from sonoservo.diagrams.experiments.registry import EXPERIMENTS, experiment_class
+from sonoservo.diagrams.experiments import registry
+from sonoservo.diagrams.experiments.registry import EXPERIMENTS, experiment_class, list_scenarios
 from sonoservo.systems.files.field_meanings import field_rows
+from sonoservo.systems.files.typed_yaml import load_typed, read_yaml
+from sonoservo.systems.files.writing import write_atomically
+from sonoservo.systems.ultrasound.simulation.anatomy.anatomies import LabelMapAnatomy
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "notebooks" / "docs"
@@ -26,9 +32,11 @@ def blocks(path, language):
     return re.findall(f"```{language}\n(.*?)```", path.read_text(encoding="utf-8"), re.S)
 
 
-def commands():
-    """Commands of sonoservo in all pages."""
+def commands(name=""):
+    """Commands of sonoservo in all pages, or in those of a name."""
     for path in PAGES:
+        if name not in ("", path.name):
+            continue
         for block in blocks(path, "sh"):
             for line in re.split("\n|&&", block):
                 words = shlex.split(line, comments=True)
@@ -55,9 +63,71 @@ def test_commands_are_understood(words):
     command.make_context(words[0], list(words[1:])).close()
 
 
-def test_volumes_of_one_s_own_are_tracked_as_the_page_says(capsys):
-    exec(blocks(DOCS / "volumes.md", "python")[0], {})
-    assert len(capsys.readouterr().out.splitlines()) == 3
+SHORT = {
+    "following": {"duration": 0.4},
+    "shape_prediction": {"depth": 0.01, "observe_until": 0.005, "rotations": [], "step": 2e-3},
+}
+"""Changes that make a run a matter of a volume or of a few slices."""
+
+RUN = {"list", "show", "new", "scan", "run", "compare"}
+"""Commands that are run; the others are only parsed here, and have tests of their own."""
+
+OTHER = {"--serve", "--record", "--explain", "clinic", "carriere2016_d60", "out/one"}
+"""Words of commands that are only parsed, because they need a peer, or kernels of their own."""
+
+
+@pytest.fixture
+def quick(tmp_path, monkeypatch):
+    """Make runs of built-in scenarios short, in a folder of their own."""
+    known = {}
+    for name, path in list_scenarios().items():
+        data = read_yaml(path)
+        data |= SHORT[data.get("experiment", "following")]
+        known[name] = write_atomically(tmp_path / "short" / f"{name}.yaml", yaml.safe_dump(data))
+    monkeypatch.setattr(registry, "list_scenarios", lambda: known)
+    for module in ("kept_run", "compare"):  # drawing takes longer than the run itself
+        monkeypatch.setattr(f"sonoservo.diagrams.app.{module}.png", lambda figure: b"")
+    monkeypatch.chdir(tmp_path)
+    write_atomically("mine.yaml", "duration: 0.4")
+    return tmp_path
+
+
+@pytest.mark.parametrize("page", ["README.md", "scenarios.md", "report.md"])
+def test_commands_do_what_the_pages_say(page, quick, capsys):
+    done = set()
+    for words in (each.values[0] for each in commands(page)):
+        if words[0] not in RUN or OTHER & set(words) or words[:2] == ["new", "mine.yaml"]:
+            continue
+        if words[0] == "run" and "--no-meshcat" not in words:
+            words = [*words, "--no-meshcat"]
+        if tuple(words) not in done:
+            result = sonoservo_here(*words)
+            assert result.returncode == 0, (words, result.stderr)
+            done.add(tuple(words))
+    assert done
+
+
+@pytest.mark.parametrize("page", ["README.md", "report.md", "parts.md", "volumes.md"])
+def test_snippets_run(page, quick, capsys):
+    path = ROOT / page if page == "README.md" else DOCS / page
+    names = {}
+    for block in blocks(path, "python"):
+        code = compile(block, f"{page}: {block[:40]}", "exec")
+        if "fig4.seq.nrrd" not in block:  # it shows a recording that a command above makes
+            exec(code, names)
+    if page == "volumes.md":
+        assert len(capsys.readouterr().out.splitlines()) == 3
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: f"{path.parent.name}/{path.name}")
+def test_yaml_of_the_pages_is_read(path):
+    for block in blocks(path, "yaml"):
+        data = yaml.safe_load(block)
+        if "tissue" in data:
+            data = {name: data["tissue"]["anatomy"][name] for name in ("kind", "top", "labels")}
+            assert load_typed(LabelMapAnatomy, data, str(path)).labels
+        else:
+            load_typed(experiment_class("following").scenario_class, data, str(path))
 
 
 def test_every_field_of_a_scenario_is_described():

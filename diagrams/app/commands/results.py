@@ -20,7 +20,7 @@ def compare_command(
     json_path: JsonOption = None,
 ) -> None:
     """Compare kept runs: what was changed between them, figures side by side, curves overlaid."""
-    from sonoservo.diagrams.app.compare import compare
+    from sonoservo.diagrams.app.kept_runs.compare import compare
 
     folder = out or free_folder("comparison")
     comparison = compare(folders, folder)
@@ -43,7 +43,7 @@ def explain_command(
 
     Without --time the volumes that were kept are listed.
     """
-    from sonoservo.diagrams.app.explain import explanation_table, read_explained_run
+    from sonoservo.diagrams.app.kept_runs.explain import explanation_table, read_explained_run
     from sonoservo.systems.evaluation.explanation.explanation_sheet import describe
     from sonoservo.systems.evaluation.reports.plots import png
     from sonoservo.systems.files.writing import write_atomically

@@ -18,6 +18,7 @@ from sonoservo.diagrams.app.options import (
     HostOption,
     JsonOption,
     MotorOption,
+    OpenOption,
     OrderOption,
     OutOption,
     PatienceOption,
@@ -67,6 +68,7 @@ def track_command(
         bool, typer.Option("--show", help="Show the volumes in a browser, as a scanner does.")
     ] = False,
     host: HostOption = "localhost",
+    open_page: OpenOption = True,
     reconstruct: ReconstructOption = False,
     motor: MotorOption = None,
     frames: FramesOption = None,
@@ -91,13 +93,7 @@ def track_command(
     """Track a needle through recorded or live volumes, and write a folder of results."""
     from sonoservo.diagrams.app.live.commands import make_maker, needle_names, track_address
     from sonoservo.diagrams.app.live.track_live import LiveLimits
-    from sonoservo.diagrams.app.terminal import (
-        VolumeProgress,
-        keep_shown,
-        mode_table,
-        open_site,
-        start_monitor,
-    )
+    from sonoservo.diagrams.app.terminal import VolumeProgress, mode_table
     from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
     from sonoservo.diagrams.app.volumes.track import track_recording, tracker_parameters
     from sonoservo.systems.live.connection.protocols import is_address
@@ -110,6 +106,12 @@ def track_command(
         beam_width=_metres(beam_width),
         echo_offset=_metres(echo_offset),
     )
+    pages = None
+    if show:
+        from sonoservo.diagrams.app.pages import open_pages
+
+        title = source if is_address(source) else Path(source).name
+        pages = open_pages(console, title, host=host, world=False, by_itself=open_page)
     if is_address(source):
         if explain:
             raise ConfigurationError(
@@ -132,7 +134,7 @@ def track_command(
             maker=maker,
             poses=poses,
             seed=seed,
-            monitor=start_monitor(console, open_site(host)) if show else None,
+            page=pages.console if pages else None,
             serve=serve or [],
             names=needle_names(names or [], points=points),
             limits=LiveLimits(volumes=volumes, patience=patience),
@@ -161,14 +163,13 @@ def track_command(
             poses=poses,
         )
     folder = out or Path("out") / f"{recording.name.partition('.')[0]}_track"
-    monitor = start_monitor(console, open_site(host)) if show else None
     with VolumeProgress(console, recording.name, len(opened)) as progress:
         result = track_recording(
             opened,
             parameters=parameters,
             seed=seed,
             real_time=real_time,
-            monitor=monitor,
+            console=pages.console if pages else None,
             out=folder,
             explain=explain,
             command=shlex.join(["sonoservo", *sys.argv[1:]]),
@@ -179,8 +180,10 @@ def track_command(
     write_printed(json_path, result.summary)
     if result.failure is not None:
         raise result.failure
-    if monitor is not None and not result.summary["interrupted"]:
-        keep_shown(console)
+    if pages:
+        counted = ", ".join(f"{mode} {count}" for mode, count in result.summary["modes"].items())
+        said = f"{result.summary['volumes']} volumes: {counted}"
+        pages.end(console, said, folder / "report.html")
     if result.summary["interrupted"]:
         raise typer.Exit(INTERRUPTED)
 

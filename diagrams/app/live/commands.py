@@ -27,7 +27,7 @@ from sonoservo.systems.live.volume_maker import VolumeMaker
 from sonoservo.systems.recording.recording import Recording
 
 if TYPE_CHECKING:
-    from sonoservo.systems.display.monitor.monitor import Monitor
+    from sonoservo.systems.display.console.console import Console as Page
 
 _NAMED = ("tip", "curve", "status", "covariance")
 
@@ -131,7 +131,7 @@ def track_address(
     maker: ImagesToVolumes,
     poses: str | None,
     seed: int | None,
-    monitor: "Monitor | None",
+    page: "Page | None",
     serve: Sequence[str],
     names: NeedleNames,
     limits: LiveLimits,
@@ -157,7 +157,7 @@ def track_address(
                 seed=seed,
                 outlets=outlets,
                 names=names,
-                monitor=monitor,
+                console=page,
                 out=folder,
                 limits=limits,
                 after_volume=lambda number, estimate: status.update(

@@ -21,7 +21,7 @@ from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.volume import Volume
 
 if TYPE_CHECKING:
-    from sonoservo.systems.display.monitor.monitor import Monitor
+    from sonoservo.systems.display.console.console import Console
 
 _LOOK = 0.25
 """Time in s between two checks of the limits."""
@@ -71,7 +71,7 @@ def track_live(
     seed: int | None = None,
     outlets: Sequence[Link] = (),
     names: NeedleNames | None = None,
-    monitor: "Monitor | None" = None,
+    console: "Console | None" = None,
     out: Path | None = None,
     limits: LiveLimits | None = None,
     after_volume: Callable[[int, NeedleEstimate], None] | None = None,
@@ -92,8 +92,8 @@ def track_live(
         Connections to which the estimates are sent.
     names
         Device names of the estimates.
-    monitor
-        Monitor that shows the volumes, if any.
+    console
+        Console that shows the volumes, if any. Its pages may end the tracking.
     out
         Folder for estimates.csv, which grows line by line, and summary.json, written at the end.
     limits
@@ -117,6 +117,8 @@ def track_live(
     context: Any = None
     interrupted = False
     stream = None
+    if console is not None:
+        console.controls.offer_buttons("stop")
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         stream = (out / "estimates.csv").open("w", newline="", encoding="utf-8")
@@ -144,8 +146,10 @@ def track_live(
             if table is not None:
                 X_WL = source.X_WL()
                 table.append(estimate_row(number, volume, estimate, X_WL, posed=source.posed))
-            if monitor is not None:
-                monitor.show(volume, estimate, number + 1)
+            if console is not None:
+                console.show(volume, estimate, number + 1)
+                if "stop" in console.controls.pressed():
+                    break
             if after_volume is not None:
                 after_volume(number, estimate)
     except KeyboardInterrupt:

@@ -12,8 +12,10 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import DiagramBuilder
 
+from sonoservo.diagrams.app.pacer import Pacer
 from sonoservo.diagrams.app.volumes.estimates_table import estimate_row, estimates_csv
 from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
+from sonoservo.diagrams.app.volumes.true_values import true_values
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
 from sonoservo.diagrams.trackers.registry import TRACKERS
 from sonoservo.diagrams.trackers.tracker_parts import STARTS, TrackerParameters
@@ -45,7 +47,7 @@ from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.volume import Volume
 
 if TYPE_CHECKING:
-    from sonoservo.systems.display.monitor.monitor import Monitor
+    from sonoservo.systems.display.console.console import Console
 
 _PLOTS = ("planes.png", "tip.png", "errors.png")
 _PICTURES = 6
@@ -121,9 +123,8 @@ def tracker_parameters(
     if start not in STARTS:
         raise ConfigurationError(f"start: {start!r}; {suggest(start, STARTS)}")
     try:
-        return trackers[tracker](order=order).knowing(
-            start=start, beam_width=beam_width, echo_offset=echo_offset
-        )
+        own = trackers[tracker](order=order)
+        return own.knowing(start=start, beam_width=beam_width, echo_offset=echo_offset)
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
 
@@ -134,7 +135,7 @@ def track_recording(
     parameters: TrackerParameters | None = None,
     seed: int | None = None,
     real_time: bool = False,
-    monitor: "Monitor | None" = None,
+    console: "Console | None" = None,
     out: Path | None = None,
     explain: bool = False,
     command: str = "",
@@ -155,8 +156,8 @@ def track_recording(
         Seed of every random choice; by default the recorder's, or else 0.
     real_time
         Whether to limit the pace to that of the acquisition.
-    monitor
-        Monitor that shows the volumes, if any.
+    console
+        Console that shows and controls the tracking, if any.
     out
         Folder for estimates.csv, estimates.json, summary.json, log.npz, plots and report.html; None
         writes nothing.
@@ -178,7 +179,7 @@ def track_recording(
         raise ConfigurationError("explain: there is no folder to keep explanations in; give out")
     with claim_folder(out):
         return _track(
-            recording, parameters, seed, real_time, monitor, out, explain, command, after_volume
+            recording, parameters, seed, real_time, console, out, explain, command, after_volume
         )
 
 
@@ -187,7 +188,7 @@ def _track(
     parameters: TrackerParameters | None,
     seed: int | None,
     real_time: bool,
-    monitor: "Monitor | None",
+    console: "Console | None",
     out: Path | None,
     explain: bool,
     command: str,
@@ -224,6 +225,7 @@ def _track(
     tracker_context = tracker.GetMyContextFromRoot(context)
 
     done = _Progress()
+    pacer = Pacer(console, speed=float(real_time), keeps_speed=True) if console else None
     pictured = set(np.linspace(0, len(recording) - 1, _PICTURES).round().astype(int).tolist())
     interrupted = False
     started = time.perf_counter()
@@ -232,7 +234,7 @@ def _track(
             clock = [time.perf_counter()]
             volume = recording[number]
             clock.append(time.perf_counter())
-            if real_time:
+            if real_time and pacer is None:
                 ahead = recording.times[number] - recording.times[0] - (clock[1] - started)
                 time.sleep(max(0.0, ahead))
                 clock[1] = time.perf_counter()
@@ -250,10 +252,11 @@ def _track(
             estimate: NeedleEstimate = estimate_port.Eval(tracker_context)
             clock.append(time.perf_counter())
             _note(done, recording, number, volume, estimate, clock, number in pictured)
-            if monitor is not None:
-                monitor.show(volume, estimate, number + 1)
             if after_volume is not None:
                 after_volume(number, estimate)
+            if console is not None and pacer is not None:
+                console.show(volume, estimate, number + 1, **true_values(truth, volume, estimate))
+                pacer.wait(volume.time)
     except KeyboardInterrupt:
         interrupted = True
     wall = time.perf_counter() - started

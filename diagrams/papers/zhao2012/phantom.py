@@ -44,8 +44,11 @@ _TISSUE_DENSITY = 10e9
 _NEEDLE_AMPLITUDE = 7.5
 _TISSUE_AMPLITUDE = 2.0
 """Root mean square of the K distribution, 2 sqrt(nu) / lambda, with lambda = sqrt(nu)."""
-_SCATTERERS_PER_CELL = 5.0
-"""The intensity's moments of a K distribution with nu = 10."""
+_SCATTERERS_PER_CELL = 1.75
+"""Effective number of scatterers in a resolution cell at the focus with the published density: the
+speckle is not fully developed. Their published amplitudes scatter, those of the renderer do not."""
+_NOISE_DB = -40.0
+"""Electronic noise relative to the tissue's root mean square; the paper publishes none."""
 _LONGEST_NEEDLE = 25e-3
 
 
@@ -73,7 +76,8 @@ class Phantom:
     """A phantom with a needle, and a probe at rest above it.
 
     T is the world frame. The needle consists of scatterers that move with it, 22 dB above the
-    tissue's where the beam lies inside the needle. The tissue does not deform.
+    tissue's where the beam lies inside the needle. The tissue does not deform. The lines contain
+    electronic noise.
 
     Parameters
     ----------
@@ -85,6 +89,7 @@ class Phantom:
 
     def __init__(self, needle: StraightNeedle, seed: int) -> None:
         self.needle = needle
+        self._seed = seed
         tissue = Tissue(
             size=list(SIZE), scatterers_per_cell=_SCATTERERS_PER_CELL, attenuation=0.0, seed=seed
         )
@@ -122,4 +127,9 @@ class Phantom:
         iq = self._tissue.copy()
         amplitudes = np.full(len(points), self._amplitude, complex)
         self.renderer.add_scatterers(iq, self._at_rest.X_WP, points, amplitudes, 1)
-        return RadioFrequencySweep(seal(self.renderer.on_carrier(iq)), self._at_rest.at_once(time))
+        lines = self.renderer.on_carrier(iq)
+        rng = np.random.default_rng([self._seed, 7, round(1e3 * time), round(1e6 * length)])
+        # The carrier has half the power of the envelope, which is 1 in the tissue.
+        level = 10 ** (_NOISE_DB / 20) / np.sqrt(2)
+        lines += np.float32(level) * rng.standard_normal(lines.shape, dtype=np.float32)
+        return RadioFrequencySweep(seal(lines), self._at_rest.at_once(time))

@@ -1,6 +1,6 @@
 """Figures like Zhao 2012, figs. 2 to 5, and the velocimeter's bias and spread."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from sonoservo.diagrams.studies.study_report import StudyFigure
 _STYLES = {
     "ransac_sample": {"color": "0.65", "linestyle": ":", "marker": "x"},
     "ransac": {"color": "#D55E00", "linestyle": ":", "marker": "s"},
+    "published": {"color": "#E69F00", "linestyle": "-", "marker": "D"},
     "ours": {"color": "#009E73", "linestyle": "--", "marker": "^"},
     "kalman": {"color": "#CC79A7", "linestyle": "-", "marker": "v"},
     "kalman_velocity": {"color": "#0072B2", "linestyle": "-", "marker": "o"},
@@ -73,38 +74,34 @@ def plot_rmse(
     return figures
 
 
-def plot_velocimeter(speeds: NDArray[np.float64], measured: NDArray[np.float64]) -> StudyFigure:
-    """Return a figure of the velocimeter's errors along the needle against the true speed.
+def plot_speeds(
+    errors: Mapping[str, Mapping[str, Sequence[NDArray[np.float64]]]],
+) -> StudyFigure:
+    """Return a figure of the errors of the speed along the needle, by experiment and source.
 
     Parameters
     ----------
-    speeds
-        (m,) true speeds, in mm/s.
-    measured
-        (runs, m) measured speeds along the needle, in mm/s; NaN if nothing was found.
+    errors
+        Errors in mm/s of each run by experiment and source; NaN if nothing was found.
     """
-    figure = Figure(figsize=(9, 4), layout="constrained")
-    error, found = figure.subplots(1, 2)
-    error.axhline(0, color="0.4", linewidth=0.8)
-    offsets = np.linspace(-0.08, 0.08, len(measured))[:, np.newaxis]
-    error.plot(speeds + offsets, measured - speeds, ".", color="#0072B2", alpha=0.4, markersize=4)
-    some = np.isfinite(measured).any(axis=0)
-    means = np.nanmean(measured[:, some] - speeds[some], axis=0)
-    spreads = np.nanstd(measured[:, some], axis=0)
-    error.errorbar(
-        speeds[some], means, spreads, color="#D55E00", fmt="o-", capsize=3, label="mean, deviation"
-    )
-    error.set_xlabel("true speed (mm/s)")
-    error.set_ylabel("measured less true speed (mm/s)")
-    error.legend(frameon=False)
-    found.plot(speeds, 100 * np.isfinite(measured).mean(axis=0), "o-", color="#0072B2")
-    found.set_ylim(0, 105)
-    found.set_xlabel("true speed (mm/s)")
-    found.set_ylabel("found again (%)")
-    for panel in (error, found):
-        panel.grid(alpha=0.3)
-    return StudyFigure(
-        name="velocimeter",
-        caption="The velocimeter alone, with its search centred 0.1 mm off (standard deviation)",
-        figure=figure,
-    )
+    shown = {name: found for name, found in errors.items() if found}
+    figure = Figure(figsize=(9, 1 + 0.9 * len(shown)), layout="constrained")
+    axes = figure.subplots()
+    axes.axvline(0, color="0.4", linewidth=0.8)
+    for row, found in enumerate(shown.values()):
+        for number, (source, runs) in enumerate(found.items()):
+            values = np.concatenate(list(runs))
+            values = values[np.isfinite(values)]
+            if len(values):
+                low, middle, high = np.quantile(values, (0.05, 0.5, 0.95))
+                height, colour = row + 0.14 * (number - 2), f"C{number}"
+                axes.plot([low, high], [height, height], color=colour, linewidth=2)
+                label = source if row == 0 else None
+                axes.plot(middle, height, "o", color=colour, markersize=5, label=label)
+    axes.set_yticks(range(len(shown)), list(shown))
+    axes.invert_yaxis()
+    axes.set_xlabel("estimated less true speed (mm/s): median, 5 to 95 %")
+    axes.grid(axis="x", alpha=0.3)
+    figure.legend(loc="outside upper center", ncols=5, frameon=False)
+    caption = "Speed of the tip along the needle by source, inside the tracker"
+    return StudyFigure(name="speeds", caption=caption, figure=figure)

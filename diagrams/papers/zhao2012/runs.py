@@ -7,41 +7,46 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sonoservo.diagrams.experiments.following import FollowingExperiment
 from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.diagrams.papers.zhao2012.phantom import DIRECTION, Phantom, StraightNeedle
-from sonoservo.diagrams.papers.zhao2012.tracking import (
-    VELOCIMETER,
-    BMode,
-    Tracking,
-    localize_as_published,
-)
+from sonoservo.diagrams.papers.zhao2012.published_tracking import PublishedTracking
+from sonoservo.diagrams.papers.zhao2012.tracking import BMode, Tracking, localize_as_published
 from sonoservo.diagrams.studies.study import Case
 from sonoservo.systems.estimation.axis_tip_filter import direction_angles
-from sonoservo.systems.localization.speckle_velocimeter import measure_velocity
+from sonoservo.systems.evaluation.run_errors import at_times
+from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.radio_frequency_sweep import RadioFrequencySweep
 from sonoservo.systems.signals.sweep import SweepGeometry
-from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 from sonoservo.systems.signals.volume import Volume
 
-ESTIMATORS = ("ransac_sample", "ransac", "ours", "kalman", "kalman_velocity")
-"""Estimators: the best sample of RANSAC alone; RANSAC with the published local optimization; RANSAC
-in the tracker; the same with the Kalman filter; and with the velocity of the speckle as well."""
+Floats = NDArray[np.float64]
+
+ESTIMATORS = ("ransac_sample", "ransac", "published", "ours", "kalman", "kalman_velocity")
+"""Estimators: the best sample of RANSAC alone; RANSAC with the published local optimization; that
+with the published filter and search window; RANSAC in our tracker; the same with the Kalman filter;
+and with the velocity of the speckle as well."""
+
+SPEEDOMETERS = ("velocimeter", "differenced", "without", "with", "published")
+"""Sources of the tip's velocity: our velocimeter inside the tracker; the difference of the tips of
+two volumes by RANSAC; our filter without and with the velocimeter; the published filter."""
 
 QUANTITIES = ("alpha", "beta", "x", "y", "z", "tip")
 """Errors: angles in deg; tip along the array, in elevation, in depth, and its distance in mm."""
 
-VOLUMES = 16
-"""Number of volumes of the published insertion."""
-
-_START = np.array([-9.4e-3, 0.0, -11.6e-3])
-"""Rear end of the needle in T, in m: at 20 mm, it is centred in the image; not published."""
+_CENTRE = np.array([0.0, 0.0, -15e-3])
+"""Centre of a needle of 20 mm in T, in m, at the focus; not published."""
+_HALF = 10e-3
+_WINDOW, _PUSHED = 0.3, 3e-3
+"""In the loop: time over which the true speed is taken, in s, and speed from which the needle
+counts as pushed, in m/s."""
 _SPREAD = 0.3e-3
 _LATERAL_ELEVATION_DEPTH = np.diag([1.0, 1.0, -1.0])
-_PREDICTION_DEVIATION = 0.1e-3
 
 
 @cache
@@ -49,13 +54,23 @@ def _b_mode(geometry: SweepGeometry) -> BMode:
     return BMode(geometry)
 
 
-def _phantom(seed: int) -> Phantom:
+def _phantom(settings: Mapping[str, Any]) -> Phantom:
     """Return a phantom with speckle of its own and its needle shifted by up to 0.3 mm.
 
     The shift prevents the needle from being aligned with the grid.
+
+    Parameters
+    ----------
+    settings
+        Seed (`phantom`) and perhaps the needle's `direction` in T and its shift in depth,
+        `deeper_mm`.
     """
+    seed = settings["phantom"]
+    direction = np.array(settings.get("direction", DIRECTION))
+    direction = direction / np.linalg.norm(direction)
     aside = np.random.default_rng([seed, 4]).uniform(-_SPREAD, _SPREAD, 3)
-    return Phantom(StraightNeedle(_START + aside, DIRECTION), seed)
+    aside[2] -= 1e-3 * settings.get("deeper_mm", 0.0)
+    return Phantom(StraightNeedle(_CENTRE - _HALF * direction + aside, direction), seed)
 
 
 def _errors(curve: NeedleCurve | None, needle: StraightNeedle, length: float) -> list[float | None]:
@@ -75,7 +90,7 @@ class _Estimators:
     Parameters
     ----------
     needle
-        True needle, used for the errors only.
+        True needle; its rough direction tells which end is the tip, all else serves the errors.
     seed
         Seed of the random samples.
     """
@@ -83,54 +98,87 @@ class _Estimators:
     def __init__(self, needle: StraightNeedle, seed: int) -> None:
         self._needle = needle
         self._rng = np.random.default_rng([seed, 5])
-        self._without = Tracking(DIRECTION, seed, with_velocity=False)
-        self._tracker = Tracking(DIRECTION, seed)
+        self._without = Tracking(needle.direction, seed, with_velocity=False)
+        self._tracker = Tracking(needle.direction, seed)
+        self._published = PublishedTracking(needle.direction, seed)
+        self._tip: tuple[float, Floats] | None = None
         self.errors: list[list[list[float | None]]] = []
-        self.velocities: list[list[float | None]] = []
+        self.speeds: list[list[float | None]] = []
         self.seconds: list[float] = []
 
-    def __call__(self, sweep: RadioFrequencySweep, volume: Volume, length: float) -> None:
+    def __call__(
+        self,
+        sweep: RadioFrequencySweep,
+        volume: Volume,
+        length: float,
+        change: Floats | None = None,
+    ) -> None:
         began = time.perf_counter()
         tracked = self._tracker(sweep, volume)
         self.seconds.append(time.perf_counter() - began)
         curves: list[NeedleCurve | None] = []
         for refits in (0, 1):
-            found = localize_as_published(volume, DIRECTION, refits, self._rng)
+            found = localize_as_published(volume, self._needle.direction, refits, self._rng)
             curves.append(None if isinstance(found, NotFound) else found.curve)
-        measured, velocity = tracked.measurement, tracked.velocity
-        curves.append(None if isinstance(measured, NotFound) else measured.curve)
-        curves += [self._without(sweep, volume).estimate.curve, tracked.estimate.curve]
-        self.errors.append([_errors(curve, self._needle, length) for curve in curves])
-        self.velocities.append(
-            (1e3 * velocity.velocity).tolist()
-            if isinstance(velocity, VelocityMeasurement)
-            else [None] * 3
+        published = self._published(sweep, volume, change)
+        without = self._without(sweep, volume).estimate
+        measured = tracked.measurement
+        ours = None if isinstance(measured, NotFound) else measured.curve
+        estimate = tracked.estimate
+        tip = None if curves[1] is None else curves[1].tip
+        velocities = (
+            None if isinstance(tracked.velocity, NotFound) else tracked.velocity.velocity,
+            self._difference(volume.time, tip),
+            without.tip_velocity if without else None,
+            estimate.tip_velocity if estimate else None,
+            published.velocity,
         )
+        k = self._needle.direction
+        self.speeds.append([None if v is None else 1e3 * float(v @ k) for v in velocities])
+        curves += [published.curve, ours, without.curve, estimate.curve]
+        self.errors.append([_errors(curve, self._needle, length) for curve in curves])
+
+    def _difference(self, now: float, tip: Floats | None) -> Floats | None:
+        """Return the velocity from the tips that RANSAC found in this volume and the one before."""
+        before, self._tip = self._tip, None if tip is None else (now, tip)
+        if before is None or tip is None:
+            return None
+        return np.asarray((tip - before[1]) / (now - before[0]))
 
 
 def run_dynamic(case: Case) -> Mapping[str, Any]:
-    """Track a needle pushed at 1 mm/s from 5 mm on, with one volume per second."""
-    phantom = _phantom(case.settings["phantom"])
+    """Track a needle that is pushed from 5 mm on, with one volume per second.
+
+    The settings give the mean speeds between the volumes, `speeds_mm_s`, and whether the published
+    filter is told how they change (`commanded`).
+    """
+    settings = case.settings
+    phantom = _phantom(settings)
     b_mode = _b_mode(phantom.renderer.geometry)
     estimators = _Estimators(phantom.needle, case.seed)
+    speeds = [0.0, *settings["speeds_mm_s"]]
     b_mode_seconds = []
-    for number in range(case.settings["volumes"]):
-        length = 5e-3 + 1e-3 * number
+    length = 5e-3
+    for number, speed in enumerate(speeds):
+        length += 1e-3 * speed
         sweep = phantom.sweep(length, float(number))
         began = time.perf_counter()
         volume = b_mode(sweep)
         b_mode_seconds.append(time.perf_counter() - began)
-        estimators(sweep, volume, length)
+        change = None
+        if settings.get("commanded", False):
+            change = 1e-3 * (speed - speeds[max(number - 1, 0)]) * phantom.needle.direction
+        estimators(sweep, volume, length, change)
     return {
         "errors": estimators.errors,
-        "velocities_mm_s": estimators.velocities,
+        "speeds_mm_s": estimators.speeds,
         "seconds": np.add(b_mode_seconds, estimators.seconds).tolist(),
     }
 
 
 def run_static(case: Case) -> Mapping[str, Any]:
     """Localize and track needles of several lengths at rest, in repetitions of the same volume."""
-    phantom = _phantom(case.settings["phantom"])
+    phantom = _phantom(case.settings)
     b_mode = _b_mode(phantom.renderer.geometry)
     errors = []
     for length_mm in case.settings["lengths_mm"]:
@@ -147,27 +195,17 @@ def run_static(case: Case) -> Mapping[str, Any]:
     return {"errors": errors}
 
 
-def run_velocimeter(case: Case) -> Mapping[str, Any]:
-    """Measure the speed of needles between two volumes, with the search centred 0.1 mm off."""
-    phantom, rng = _phantom(case.settings["phantom"]), np.random.default_rng([case.seed, 6])
-    length = 10e-3
-    before = phantom.sweep(length, 0.0)
-    found: list[list[float | None]] = []
-    for speed_mm_s in case.settings["speeds_mm_s"]:
-        longer = length + 1e-3 * speed_mm_s
-        velocity = measure_velocity(
-            phantom.sweep(longer, 1.0),
-            before,
-            phantom.needle.tip(length),
-            phantom.needle.tip(longer) + _PREDICTION_DEVIATION * rng.normal(size=3),
-            DIRECTION,
-            VELOCIMETER,
-        )
-        if isinstance(velocity, VelocityMeasurement):
-            found.append([*(1e3 * velocity.velocity).tolist(), velocity.correlation])
-        else:
-            found.append([None] * 4)
-    return {"velocities_mm_s": found}
+def run_kept_voxels(case: Case) -> Mapping[str, Any]:
+    """Localize one needle by the published RANSAC with several numbers of kept voxels."""
+    phantom, rng = _phantom(case.settings), np.random.default_rng([case.seed, 6])
+    length = 1e-3 * case.settings["length_mm"]
+    volume = _b_mode(phantom.renderer.geometry)(phantom.sweep(length, 0.0))
+    tips = []
+    for kept_mm3 in case.settings["kept_mm3"]:
+        found = localize_as_published(volume, phantom.needle.direction, 1, rng, 1e-9 * kept_mm3)
+        curve = None if isinstance(found, NotFound) else found.curve
+        tips.append(_errors(curve, phantom.needle, length)[-1])
+    return {"tip_mm": tips}
 
 
 def run_closed_loop(case: Case) -> Mapping[str, Any]:
@@ -176,13 +214,30 @@ def run_closed_loop(case: Case) -> Mapping[str, Any]:
         load_scenario(case.settings["scenario"], seed=case.seed, changes=case.settings["changes"])
     )
     experiment.run()
-    return experiment.summarize(experiment.log())
+    log = experiment.log()
+    return experiment.summarize(log) | {"speed_errors_mm_s": _speed_errors(log)}
+
+
+def _speed_errors(log: RunLog) -> list[float]:
+    """Return the errors of the estimated speed along the needle while it is pushed, in mm/s."""
+    window = np.array([-_WINDOW, _WINDOW]) / 2
+    errors = []
+    tracked = log.volume_estimate_mode == TrackingMode.TRACKING
+    for number in np.flatnonzero(tracked):
+        now = log.volume_estimate_time[number]
+        ends = at_times(log, log.needle_tip, now + window)
+        entry = at_times(log, log.needle_entry, np.array([now]))[0]
+        k = (ends[1] - entry) / np.linalg.norm(ends[1] - entry)
+        speed = float((ends[1] - ends[0]) @ k) / _WINDOW
+        if speed > _PUSHED:
+            errors.append(1e3 * (float(log.volume_estimate_velocity[number] @ k) - speed))
+    return errors
 
 
 RUNS = {
     "static": run_static,
     "dynamic": run_dynamic,
-    "velocimeter": run_velocimeter,
+    "kept voxels": run_kept_voxels,
     "closed loop": run_closed_loop,
 }
 

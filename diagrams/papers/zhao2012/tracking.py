@@ -29,6 +29,9 @@ from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.ultrasound.radio_frequency import detect_envelope, detected_geometry
 from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
 
+KEPT_VOLUME = 60e-9
+"""Total volume of the voxels that thresholding keeps, in m^3; not published."""
+
 _RANSAC = RansacParameters(residual_threshold=1e-3, min_separation=1e-3)
 _TIP = TipParameters(
     tube_radius=0.5e-3, background_radius=3e-3, smoothing=0.75e-3, beam_width=1.1e-3
@@ -108,7 +111,11 @@ class BMode:
 
 
 def localize_as_published(
-    volume: Volume, towards: NDArray[np.float64], refits: int, rng: np.random.Generator
+    volume: Volume,
+    towards: NDArray[np.float64],
+    refits: int,
+    rng: np.random.Generator,
+    candidate_volume: float = KEPT_VOLUME,
 ) -> NeedleMeasurement | NotFound:
     """Localize the needle by RANSAC in the whole volume; see `localize_in_whole_volume`.
 
@@ -123,8 +130,12 @@ def localize_as_published(
         published local optimization.
     rng
         Generator that draws the samples.
+    candidate_volume
+        Total volume of the voxels that thresholding keeps, in m^3.
     """
-    parameters = WholeVolumeRansacParameters(ransac=replace(_RANSAC, refits=refits), tip=_TIP)
+    parameters = WholeVolumeRansacParameters(
+        candidate_volume=candidate_volume, ransac=replace(_RANSAC, refits=refits), tip=_TIP
+    )
     found = localize_in_whole_volume(volume, towards, parameters, rng)
     if isinstance(found, NotFound):
         return found

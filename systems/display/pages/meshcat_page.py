@@ -50,7 +50,12 @@ def open_meshcat(site: Site, *, page: str = "world", title: str = "World") -> Me
     patient page can find it. Programs on this machine can list open ports in any case.
     """
     for host in (_random_loop_address(), "127.0.0.1"):
-        parameters = MeshcatParams(host=host, port=0, web_url_pattern=site.address(page))
+        parameters = MeshcatParams(
+            host=host,
+            port=0,
+            web_url_pattern=site.address(page),
+            show_stats_plot=False,
+        )
         with suppress(RuntimeError):
             meshcat = Meshcat(parameters)
             break

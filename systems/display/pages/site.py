@@ -13,7 +13,8 @@ from typing import Any, Self, TypeVar
 
 from tornado.httpserver import HTTPServer
 from tornado.netutil import bind_sockets
-from tornado.web import Application, HTTPError, RequestHandler
+from tornado.routing import Router
+from tornado.web import Application, HTTPError, RequestHandler, StaticFileHandler
 
 from sonoservo.systems.display.pages.access import Access
 from sonoservo.systems.signals.requirements import require
@@ -63,6 +64,10 @@ class Site:
     ----------
     access
         Rule for every request.
+    port
+        Port on which it listens.
+    cookie
+        Name of the cookie that holds the token.
 
     Raises
     ------
@@ -80,12 +85,13 @@ class Site:
         self._titles: dict[str, str] = {}
         self._kept: list[object] = []
         self._loop = asyncio.new_event_loop()
+        self.cookie = f"sonoservo_{self.port}"
         self._application = Application(
             [("/", _Index, {"titles": self._titles})],
             default_handler_class=_Unknown,
             default_handler_args={},
             access=self.access,
-            cookie=f"sonoservo_{self.port}",
+            cookie=self.cookie,
             log_function=lambda handler: None,
             websocket_max_message_size=MAX_MESSAGE,
         )
@@ -117,6 +123,7 @@ class Site:
         title: str,
         handlers: Sequence[tuple[str, type["Guarded"], dict[str, Any]]],
         *,
+        rest: Router | None = None,
         keep: object = None,
         close: Callable[[], None] | None = None,
     ) -> None:
@@ -130,6 +137,8 @@ class Site:
             Title in the list of pages.
         handlers
             Path below the page's, class and arguments of each of its request handlers.
+        rest
+            Router of all other paths below the page's, if any. It must guard them itself.
         keep
             Object that is kept alive until the site is closed, and let go on the thread that closes
             it.
@@ -145,7 +154,9 @@ class Site:
 
         def do() -> None:
             self._titles[page] = title
-            below = [(f"/{page}/{path}", handler, args) for path, handler, args in handlers]
+            below: list[Any] = [(f"/{page}/{path}", *handler) for path, *handler in handlers]
+            if rest is not None:
+                below.append((f"/{page}/.*", rest))
             self._application.add_handlers(".*", below)
             if close is not None:
                 self._closing.append(close)
@@ -222,8 +233,8 @@ class Guarded(RequestHandler):
         elif self.needs_token and known != access.token:
             self.set_cookie(cookie, access.token, httponly=True, samesite="Strict")
         elif self.needs_token and shown != access.token:
-            # Another page's frame would let it steal clicks; a notebook's frame shows the token.
-            self.set_header("Content-Security-Policy", "frame-ancestors 'none'")
+            # Another site's frame would let it steal clicks; a notebook's frame shows the token.
+            self.set_header("Content-Security-Policy", "frame-ancestors 'self'")
 
     def set_default_headers(self) -> None:
         """Keep what is served away from other pages, and from disks."""
@@ -243,6 +254,10 @@ class Document(Guarded):
     def get(self) -> None:
         """Answer with the text."""
         self.finish(self._text)
+
+
+class Files(Guarded, StaticFileHandler):
+    """Serves the files of a folder."""
 
 
 class _Index(Guarded):

@@ -9,34 +9,13 @@ from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.display.colours import (
-    FORCE,
     HUB,
-    MODE_COLOURS,
     PANEL,
-    SECTOR,
-    STEEL,
-    UNCERTAINTY,
 )
 from sonoservo.systems.display.textured_quads import bytes_of, draw_picture
-from sonoservo.systems.signals.needle_estimate import TrackingMode
 
 Entry = tuple[str, str, Sequence[float]]
 """Text, shape of its mark (line, needle, ellipse or arrow) and colour of the mark."""
-
-WORLD_LEGEND: Sequence[Sequence[Entry]] = (
-    (
-        ("needle, true", "needle", STEEL),
-        ("estimate, tracking", "line", MODE_COLOURS[TrackingMode.TRACKING]),
-        ("estimate, coasting", "line", MODE_COLOURS[TrackingMode.COASTING]),
-        ("estimate, lost", "line", MODE_COLOURS[TrackingMode.LOST]),
-    ),
-    (
-        ("tip, 95 %, to scale", "ellipse", UNCERTAINTY),
-        ("swept sector", "line", SECTOR),
-        ("force on phantom", "arrow", FORCE),
-    ),
-)
-"""Legend of the world view, column by column."""
 
 _ROW, _TEXT, _SWATCH, _COLUMN = 44, 30, 64, 370  # pixels
 

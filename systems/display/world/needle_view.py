@@ -1,16 +1,26 @@
 """The true needle and its estimate, drawn in Meshcat."""
 
-from pydrake.geometry import Meshcat
-from pydrake.math import RigidTransform
+import numpy as np
+from pydrake.geometry import Meshcat, Sphere
+from pydrake.math import RigidTransform, RotationMatrix
 
 from sonoservo.systems.display.colours import HUB, MODE_COLOURS, STEEL, rgba
-from sonoservo.systems.display.world.rod import Rod
+from sonoservo.systems.display.shapes import tubes
+from sonoservo.systems.display.world.rod import Rod, Switch
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 
+_VISIBLE, _BALL = 1.3e-3, 2.2e-3
+"""Smallest radius of a drawn needle, and radius of the ball at its tip, in m."""
+
+_RING = 6e-3
+"""Radius of the ring around the estimated tip, in m: clear of the true one."""
+
 
 class NeedleView:
-    """A whole needle: the part in the tissue, the part outside it, and the hub.
+    """A whole needle: the part in the tissue with its tip, the part outside it, and the hub.
+
+    A needle seen together with the whole arm would be too thin to be seen. It is drawn thicker.
 
     Parameters
     ----------
@@ -24,13 +34,17 @@ class NeedleView:
 
     def __init__(self, *, meshcat: Meshcat, path: str, length: float, radius: float) -> None:
         self._length = length
+        radius = max(radius, _VISIBLE)
+        self._meshcat, self._tip = meshcat, f"{path}/tip"
+        meshcat.SetObject(self._tip, Sphere(_BALL), rgba((1, 1, 1)))
+        self._tip_switch = Switch(meshcat=meshcat, path=self._tip)
         self._inside = Rod(
             meshcat=meshcat, path=f"{path}/inside", radius=radius, colour=rgba(STEEL), segments=6
         )
         self._outside = Rod(
             meshcat=meshcat, path=f"{path}/outside", radius=radius, colour=rgba(STEEL)
         )
-        self._hub = Rod(meshcat=meshcat, path=f"{path}/hub", radius=4 * radius, colour=rgba(HUB))
+        self._hub = Rod(meshcat=meshcat, path=f"{path}/hub", radius=3 * radius, colour=rgba(HUB))
 
     def draw(self, needle: Needle, X_WT: RigidTransform, time: float) -> None:
         """Draw a needle given in T; hide it if its position is unknown."""
@@ -39,12 +53,15 @@ class NeedleView:
         if axis is None:
             for rod in (self._inside, self._outside, self._hub):
                 rod.hide(time)
+            self._tip_switch.set(False, time)
             return
         backward = axis[0] - axis[1]
         backward = backward / sum(backward**2) ** 0.5
         end = axis[0] + max(self._length - needle.length, 0.0) * backward
+        self._tip_switch.set(bool(needle), time)
         if needle:
             self._inside.show(axis, time)
+            self._meshcat.SetTransform(self._tip, RigidTransform(needle.tip), time)
         else:
             self._inside.hide(time)
         self._outside.show([axis[0], end], time)
@@ -52,7 +69,10 @@ class NeedleView:
 
 
 class EstimateView:
-    """An estimated needle in the colour of its mode; hidden while searching.
+    """An estimated needle in the colour of its mode, with a ring around its tip.
+
+    It is drawn over the true needle, which it would otherwise hide or be hidden by, and is hidden
+    while searching.
 
     Parameters
     ----------
@@ -61,18 +81,29 @@ class EstimateView:
     """
 
     def __init__(self, *, meshcat: Meshcat, path: str) -> None:
-        self._rods = {
-            mode: Rod(
-                meshcat=meshcat, path=f"{path}/{mode}", radius=8e-4, colour=rgba(colour), segments=4
+        self._meshcat, self._path = meshcat, path
+        turns = np.linspace(0, 2 * np.pi, 33)
+        ring = _RING * np.stack([np.cos(turns), np.sin(turns), np.zeros(33)], axis=1)
+        self._rods = {}
+        for mode, colour in MODE_COLOURS.items():
+            if mode == TrackingMode.SEARCHING:
+                continue
+            below = f"{path}/{mode}"
+            self._rods[mode] = Rod(
+                meshcat=meshcat, path=below, radius=8e-4, colour=rgba(colour), segments=4
             )
-            for mode, colour in MODE_COLOURS.items()
-            if mode != TrackingMode.SEARCHING
-        }
+            meshcat.SetObject(f"{below}/ring", tubes([ring], 8e-4), rgba(colour))
+            for part in ("ring", *(f"{number}/unit" for number in range(4))):
+                meshcat.SetProperty(f"{below}/{part}/<object>", "material.depthTest", False)
+                meshcat.SetProperty(f"{below}/{part}/<object>", "renderOrder", 1.0)
 
     def draw(self, estimate: NeedleEstimate, time: float) -> None:
         """Draw an estimate, or hide it if it has no curve."""
         for mode, rod in self._rods.items():
             if estimate.curve is not None and mode == estimate.mode:
                 rod.show(estimate.curve.position([0.0, 0.25, 0.5, 0.75, 1.0]), time)
+                R = RotationMatrix.MakeFromOneVector(estimate.curve.direction, 2)
+                X = RigidTransform(R, estimate.curve.tip)
+                self._meshcat.SetTransform(f"{self._path}/{mode}/ring", X, time)
             else:
                 rod.hide(time)

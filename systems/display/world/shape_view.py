@@ -19,8 +19,7 @@ from sonoservo.systems.display.world.legend import Entry, draw_legend
 from sonoservo.systems.display.world.magnified_path import Magnifier
 from sonoservo.systems.display.world.needle_view import NeedleView
 from sonoservo.systems.display.world.rod import Rod, Switch
-from sonoservo.systems.display.world.scene import set_scene
-from sonoservo.systems.display.world.screen import facing
+from sonoservo.systems.display.world.scene import facing, set_scene
 from sonoservo.systems.signals.confidence import RADIUS_95
 from sonoservo.systems.signals.cross_section import CrossSection
 from sonoservo.systems.signals.image_slice import ImageSlice

@@ -22,10 +22,8 @@ from sonoservo.systems.display.world.ellipsoid import EllipsoidView
 from sonoservo.systems.display.world.film import Film
 from sonoservo.systems.display.world.force_arrow import ForceArrow
 from sonoservo.systems.display.world.label import Label
-from sonoservo.systems.display.world.legend import WORLD_LEGEND, draw_legend
 from sonoservo.systems.display.world.needle_view import EstimateView, NeedleView
-from sonoservo.systems.display.world.scene import set_scene
-from sonoservo.systems.display.world.screen import Screen, facing
+from sonoservo.systems.display.world.scene import facing, set_scene
 from sonoservo.systems.signals.guard_status import GuardStatus
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle import Needle
@@ -38,9 +36,12 @@ from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.signals.volume import Volume
 
 _LAYERS = (
-    "needle", "estimate", "uncertainty", "sector", "slices", "screen", "phase", "force", "legend"
+    "needle", "estimate", "uncertainty", "sector", "slices", "phase", "force"
 )  # fmt: skip
 _WAITING = "waiting for the first volume"
+_SIGN = 0.35
+"""Largest width of the tracking mode and its reason, in m."""
+
 _BESIDE = 0.045
 """Distance from the middle of the probe's face to the force's arrow, in m: clear of the housing."""
 
@@ -62,15 +63,12 @@ class WorldViewParameters:
     needle_length
         Length of the whole needle, in m. The part that is not in the tissue is drawn outside it.
     camera, camera_target
-        Initial position of the camera and the point at the centre of its view, in W, in m.
+        Initial position of the camera and the point at the centre of its view, in W, in m. By
+        default, the whole arm is in the frame.
     field_of_view_deg
         Field of view of the camera, from the lower edge of the view to the upper one, in deg.
-    screen_position
-        Centre of the screen that shows the slices upright, in W, in m. The tracking mode stands
-        above it and the legend below it. By default, all three are clear of the open controls on a
-        page that is at least 1280 pixels wide and at least 1.6 times as wide as it is high.
-    screen_size
-        Width and height of the screen, in m.
+    phase_position
+        Position of the tracking mode in the replay, in W, in m.
     """
 
     publish_period: float = 3 / 32
@@ -78,11 +76,10 @@ class WorldViewParameters:
     film_frames: int = 0
     film_period: float = 0.2
     needle_length: float = 0.15
-    camera: list[float] = field(default_factory=lambda: [0.74, -0.74, 0.52])
-    camera_target: list[float] = field(default_factory=lambda: [0.60, 0.0, 0.25])
-    field_of_view_deg: float = 36.0
-    screen_position: list[float] = field(default_factory=lambda: [0.745, 0.06, 0.28])
-    screen_size: list[float] = field(default_factory=lambda: [0.18, 0.215])
+    camera: list[float] = field(default_factory=lambda: [0.92, -0.66, 0.54])
+    camera_target: list[float] = field(default_factory=lambda: [0.37, -0.02, 0.40])
+    field_of_view_deg: float = 58.0
+    phase_position: list[float] = field(default_factory=lambda: [0.62, 0.0, 0.62])
 
     def __post_init__(self) -> None:
         require_positive(
@@ -91,18 +88,10 @@ class WorldViewParameters:
             needle_length=self.needle_length,
         )
         require_not_negative(film_frames=self.film_frames, film_period=self.film_period)
-        for name in ("screen_position", "camera", "camera_target"):
+        for name in ("phase_position", "camera", "camera_target"):
             require(len(getattr(self, name)) == 3, name, getattr(self, name), "three numbers")
-        size = self.screen_size
-        require(len(size) == 2 and min(size) > 0, "screen_size", size, "two numbers above 0")
         angle = self.field_of_view_deg
         require(0 < angle < 180, "field_of_view_deg", angle, "between 0 and 180")
-
-    @property
-    def X_WScreen(self) -> RigidTransform:
-        """Pose of the screen, which faces the camera: X to the right, Y down."""
-        R = facing(self.camera, self.camera_target)
-        return RigidTransform(R, np.array(self.screen_position))
 
 
 class WorldView(LeafSystem):
@@ -123,18 +112,17 @@ class WorldView(LeafSystem):
     Each layer has a path of its own and, under "Open Controls" in the page, a checkbox that hides
     it:
 
-    - ``needle``: the true `needle` (a Needle in T), steel with a green hub
-    - ``estimate``: the estimated needle, red while tracking, yellow while coasting and light blue
-      when lost
+    - ``needle``: the true `needle` (a Needle in T), steel with a pink hub, thicker than it is, with
+      a white ball at its tip
+    - ``estimate``: the estimated needle, green while tracking, amber while coasting and red when
+      lost, with a ring around its tip
     - ``uncertainty``: the 95 % confidence ellipsoid of the tip, true to scale
     - ``sector``: the outline of the sweep, which moves with the probe
     - ``slices``: two slices of each new `volume` at the pose of its acquisition: one along the
       needle and the beam, one along the needle across the beam (Chatelain 2013, fig. 3)
-    - ``screen``: both slices upright, with the probe at the top
-    - ``phase``: the tracking mode, in the estimate's colour, and why no needle is found; or, while
-      the `guard` (a GuardStatus) stops the robot, the reason for that
+    - ``phase``: in the replay only, the tracking mode, in the estimate's colour, and why no needle
+      is found; or, while the `guard` (a GuardStatus) stops the robot, the reason for that
     - ``force``: the `contact_force` in N with which the probe presses, as an arrow at its face
-    - ``legend``: the meaning of the colours
 
     Drake's MeshcatVisualizer draws the arm, the probe and the phantom. Slices are made only while
     a browser is connected or a film is kept for the replay.
@@ -176,29 +164,26 @@ class WorldView(LeafSystem):
         set_scene(
             meshcat, parameters.camera, parameters.camera_target, parameters.field_of_view_deg
         )
-        X_WS = parameters.X_WScreen
-        width, height = parameters.screen_size
-        self._screen = Screen(
-            meshcat=meshcat, path=f"{path}/screen", X_WS=X_WS, width=width, height=height,
-            frames=parameters.film_frames, period=parameters.film_period,
-        )  # fmt: skip
         self._film = Film(
             meshcat=meshcat, path=f"{path}/slices",
             frames=parameters.film_frames, period=parameters.film_period,
         )  # fmt: skip
-        self._phase = Label(meshcat=meshcat, path=f"{path}/phase", height=0.03, width=width)
-        self._reason = Label(meshcat=meshcat, path=f"{path}/phase/reason", height=0.02, width=width)
-        meshcat.SetTransform(f"{path}/phase/reason", RigidTransform([0.0, -0.026, 0.0]))
-        above, below = [0.0, -0.5 * height - 0.02, 0.0], [0.0, 0.5 * height + 0.005, 0.0]
-        meshcat.SetTransform(f"{path}/phase", X_WS @ RigidTransform(above))
-        draw_legend(meshcat, f"{path}/legend", X_WS @ RigidTransform(below), width, WORLD_LEGEND)
+        R = facing(parameters.camera, parameters.camera_target)
+        self._phase = Label(meshcat=meshcat, path=f"{path}/phase", height=0.04, width=_SIGN)
+        self._reason = Label(meshcat=meshcat, path=f"{path}/phase/reason", height=0.03, width=_SIGN)
+        meshcat.SetTransform(f"{path}/phase/reason", RigidTransform([0.0, 0.04, 0.0]))
+        X_WPhase = RigidTransform(R, np.array(parameters.phase_position))
+        meshcat.SetTransform(f"{path}/phase", X_WPhase)
+        # The live page has it beside the view.
+        meshcat.SetProperty(f"{path}/phase", "visible", False)
+        meshcat.get_mutable_recording().SetProperty(0, f"{path}/phase", "visible", True)
         self._needle: NeedleView | None = None  # until its radius is known
         self._estimate = EstimateView(meshcat=meshcat, path=f"{path}/estimate")
         self._uncertainty = EllipsoidView(
             meshcat=meshcat, path=f"{path}/uncertainty/tip", colour=rgba(UNCERTAINTY, 0.75)
         )
-        self._force = ForceArrow(meshcat=meshcat, path=f"{path}/force", R_WLabel=X_WS.rotation())
-        self._right = X_WS.rotation().col(0)
+        self._force = ForceArrow(meshcat=meshcat, path=f"{path}/force", R_WLabel=R)
+        self._right = R.col(0)
         self._drawn: NeedleEstimate | None = None
         self._sector: SweepGeometry | None = None
         self._sliced = -np.inf  # time of the volume whose slices are shown
@@ -280,4 +265,3 @@ class WorldView(LeafSystem):
         pictures = [encode_webp(sample_plane(volume, plane, pixel)) for plane in planes]
         in_world = [plane.transformed(volume.X_WP) for plane in planes]
         self._film.show(gltf_textured_quads(in_world, pictures), time)
-        self._screen.show(volume, planes, pictures, time)

@@ -82,11 +82,13 @@ class AirPockets:
         first, second = geometry.position(0, np.array([0, 1]), 0, 1)
         self._lines = float(np.linalg.norm(second - first)) * _centred(geometry.lines)
 
-    def open_shares(self, times: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Return the (frames, lines) factors on echoes at (frames,) times in s."""
-        shares = np.ones((self._geometry.frames, self._geometry.lines), np.float32)
+    def open_shares(
+        self, times: NDArray[np.float64], part: slice = slice(None)
+    ) -> NDArray[np.float32]:
+        """Return the (n, lines) factors on echoes of n frames; see `air` for the arguments."""
+        shares = np.ones((len(times), self._geometry.lines), np.float32)
         if np.isfinite(self._threshold):
-            is_open = ~self.air(times)
+            is_open = ~self.air(times, part)
             sent, back = (
                 convolve1d(is_open.mean(axis=1), aperture, axis=1, mode="nearest")
                 for aperture in (self._sent, self._back)
@@ -95,21 +97,23 @@ class AirPockets:
                 shares[frame] = np.interp(self._lines, self._elements, both)
         return shares
 
-    def air(self, times: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def air(self, times: NDArray[np.float64], part: slice = slice(None)) -> NDArray[np.bool_]:
         """Return where air lies.
 
         Parameters
         ----------
         times
-            (frames,) times of the frames, in s.
+            (n,) times of the frames, in s.
+        part
+            Frames of the sweep that they are; by default, all.
 
         Returns
         -------
-        (frames, elevations, elements) True under air, at places across the height of each element.
+        (n, elevations, elements) True under air, at places across the height of each element.
         """
         geometry = self._geometry
         swept = geometry.motor_radius * geometry.frame_pitch * _centred(geometry.frames)
-        places = swept[:, np.newaxis] + self._height / _ELEVATIONS * _centred(_ELEVATIONS)
+        places = swept[part, np.newaxis] + self._height / _ELEVATIONS * _centred(_ELEVATIONS)
         turns = np.multiply.outer(places, self._along) + self._phase
         turns += np.multiply.outer(times, self._in_time)[:, np.newaxis]
         across = np.exp(1j * np.multiply.outer(self._across, self._elements))

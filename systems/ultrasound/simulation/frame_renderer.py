@@ -264,7 +264,7 @@ class FrameRenderer:
             origins[frames.part],
             directions[frames.part],
             self._parameters.gel_thickness,
-            self._air.open_shares(frames.times),
+            self._air.open_shares(frames.times, frames.part),
             self._noise,
             keys.generate_state(self.geometry.frames, np.uint64)[frames.part],
             self._imaging.grey_per_db,

@@ -231,7 +231,7 @@ def test_what_is_recorded_is_tracked_and_its_needle_located(tmp_path):
     assert made.returncode == 0, made.stderr
     tracked = sonoservo_here("track", str(recording), "--show", "--out", str(tmp_path / "out"))
     assert tracked.returncode == 0, tracked.stderr
-    assert "The scanner's monitor: http://localhost:" in tracked.stdout
+    assert "Watch at http://localhost:" in tracked.stdout
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["modes"]["tracking"] > 3
     count = summary["volumes"]

@@ -2,20 +2,19 @@
 
 import json
 import math
-import os
 import time
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from page_clients.meshcat_socket import MeshcatSocket
-from pydrake.geometry import Meshcat, MeshcatParams
 from typer.testing import CliRunner
 
 from sonoservo.diagrams import load_scenario, run
 from sonoservo.diagrams.app.cli import app
 from sonoservo.diagrams.app.drive import DrivenExperiment, drive
 from sonoservo.diagrams.app.run_result import RunResult
+from sonoservo.systems.display.console.console import Console
 from sonoservo.systems.evaluation.log import read_log
 from sonoservo.systems.evaluation.run_log import RunLog
 
@@ -25,8 +24,6 @@ CHEAP = [
     "controller.time_step=0.01",
     "station.probe.height=0.004",
 ]
-DEPTH, TURN, PHANTOM = "depth (mm) S W", "turn (deg) A D", "phantom x (mm)"
-PAUSE, RESTART, SAVE = "pause / resume [space]", "restart [R]", "save scenario [V]"
 
 
 def cheap(duration):
@@ -34,50 +31,49 @@ def cheap(duration):
 
 
 @pytest.fixture(scope="module")
-def meshcat():
-    return Meshcat(MeshcatParams(host="localhost"))
+def console():
+    with closing(Console()) as console:
+        yield console
 
 
 class Operator:
     """Does what a script says at simulated times, and watches."""
 
-    def __init__(self, meshcat, script):
-        self.socket = None
-        self._meshcat, self._script = meshcat, list(script)
+    def __init__(self, console, script):
+        self.controls, self._script = console.controls, list(script)
         self.seen = []
 
     def __call__(self, simulated, text):
-        self.socket = self.socket or MeshcatSocket(self._meshcat)
         self.seen.append((time.perf_counter(), simulated, text))
         while self._script and simulated >= self._script[0][0]:
             _, act = self._script.pop(0)
-            act(self.socket)
+            act(self.controls)
 
 
 def slide(name, value):
-    return lambda socket: socket.slide(name, value)
+    return lambda controls: controls.move(name, value)
 
 
 def click(name):
-    return lambda socket: socket.click(name)
+    return lambda controls: controls.press(name)
 
 
 @pytest.fixture(scope="module")
-def driven(meshcat, tmp_path_factory):
+def driven(console, tmp_path_factory):
     """A drive of 8 s, its result and its folder."""
     folder = tmp_path_factory.mktemp("drive")
     script = [
-        (0.2, slide(DEPTH, 60)),
-        (1.0, slide(TURN, 90)),
-        (3.0, slide(PHANTOM, 15)),
-        (4.0, slide("lambda (1/s)", 0.5)),
-        (4.0, slide("force (N)", 3.0)),
-        (5.0, click(SAVE)),
-        (6.0, slide(DEPTH, 50)),
-        (6.0, slide("azimuth (deg)", 10)),
+        (0.2, slide("depth", 60)),
+        (1.0, slide("turn", 90)),
+        (3.0, slide("x", 15)),
+        (4.0, slide("gain", 0.5)),
+        (4.0, slide("force", 3.0)),
+        (5.0, click("save")),
+        (6.0, slide("depth", 50)),
+        (6.0, slide("azimuth", 10)),
     ]
-    operator = Operator(meshcat, script)
-    result = drive(cheap(8.0), meshcat, out=folder, show=operator)
+    operator = Operator(console, script)
+    result = drive(cheap(8.0), console, out=folder, show=operator)
     return result, folder, operator
 
 
@@ -112,18 +108,18 @@ def test_it_leaves_what_a_run_leaves(driven):
     assert any("aim it when it is outside" in text for *_, text in operator.seen)
 
 
-def test_pause_stops_time_and_none_is_made_up_for(meshcat):
+def test_pause_stops_time_and_none_is_made_up_for(console):
     resumed = []
 
     def pause(simulated, text):
         operator(simulated, text)
         if text == "paused" and len(operator.seen) > 60:
             operator.seen.clear()
-            operator.socket.click(PAUSE)
+            operator.controls.press("pause")
             resumed.append((time.perf_counter(), simulated))
 
-    operator = Operator(meshcat, [(1.0, click(PAUSE))])
-    result = drive(cheap(3.0), meshcat, show=pause)
+    operator = Operator(console, [(1.0, click("pause"))])
+    result = drive(cheap(3.0), console, show=pause)
     ((real, simulated),) = resumed
     assert 1.0 <= simulated < 2.0
     assert result.log.time[-1] == pytest.approx(3.0, abs=0.05)
@@ -131,13 +127,13 @@ def test_pause_stops_time_and_none_is_made_up_for(meshcat):
         assert time_then - simulated <= now - real + 0.1
 
 
-def test_restart_begins_the_same_again(meshcat):
-    driven = DrivenExperiment(cheap(3.0), meshcat)
+def test_restart_begins_the_same_again(console):
+    driven = DrivenExperiment(cheap(3.0), console)
     logs = []
     for _ in range(2):
         driven.start()
         for depth in (12, 25):
-            meshcat.SetSliderValue(DEPTH, depth)
+            console.controls.move("depth", depth)
             driven.advance(driven.time + 1.5)
         logs.append(driven.log())
     for name in ("time", "needle_points", "X_WP", "contact_force", "volume_inlier_count"):
@@ -145,42 +141,35 @@ def test_restart_begins_the_same_again(meshcat):
     assert logs[0].inserted_length[-1] == pytest.approx(0.025, abs=5e-4)
 
 
-def test_a_restart_keeps_what_was_done_before(meshcat, tmp_path):
-    operator = Operator(meshcat, [(0.2, slide(DEPTH, 20)), (1.5, click(RESTART))])
-    result = drive(cheap(2.0), meshcat, out=tmp_path, show=operator)
+def test_a_restart_keeps_what_was_done_before(console, tmp_path):
+    operator = Operator(console, [(0.2, slide("depth", 20)), (1.5, click("restart"))])
+    result = drive(cheap(2.0), console, out=tmp_path, show=operator)
     assert load_scenario(tmp_path / "scenario_1.yaml").duration >= 1.5
     assert max(push.speed for push in load_scenario(tmp_path / "scenario_1.yaml").hand.pushes) > 0
     assert result.log.time[-1] == pytest.approx(2.0, abs=0.05)
     assert not result.log.inserted_length.any()
 
 
-def test_an_earlier_drive_into_the_same_folder_is_kept(meshcat, tmp_path):
+def test_an_earlier_drive_into_the_same_folder_is_kept(console, tmp_path):
     (tmp_path / "scenario.yaml").write_text("of an earlier drive")
-    drive(cheap(0.5), meshcat, out=tmp_path)
+    drive(cheap(0.5), console, out=tmp_path)
     assert (tmp_path / "scenario_1.yaml").read_text() == "of an earlier drive"
     assert load_scenario(tmp_path / "scenario.yaml").duration == 0.5
 
 
-def test_nothing_a_page_says_stops_the_run(meshcat):
-    flood = [click(PAUSE)] * 2000 + [click(SAVE)] * 2000
-    flood += [slide(DEPTH, value) for value in (math.nan, math.inf, 1e308, "x")] * 500
-    flood += [slide("force (N)", -math.inf), slide(PHANTOM, math.nan), slide("lambda (1/s)", 1e9)]
+def test_nothing_a_page_says_stops_the_run(console):
+    flood = [click("pause")] * 2000 + [click("save")] * 2000
+    flood += [slide("depth", value) for value in (math.nan, math.inf, 1e308, "x")] * 500
+    flood += [slide("force", -math.inf), slide("x", math.nan), slide("gain", 1e9)]
     script = [(0.5 + 1e-4 * number, act) for number, act in enumerate(flood)]
-    script += [
-        (1.0, lambda socket: socket.say(type="gamepad", gamepad={"axes": "x", "index": []})),
-        (1.0, lambda socket: socket.send(b"\xff\xfe\xfd" + bytes(100))),
-        (1.1, lambda socket: MeshcatSocket(meshcat).half_close()),
-        (1.2, lambda socket: MeshcatSocket(meshcat).send_raw(os.urandom(5000))),
-        (1.3, lambda socket: socket.half_close()),
-    ]
-    operator = Operator(meshcat, script)
+    operator = Operator(console, script)
 
     def go_on(simulated, text):
         operator(simulated, text)
         if text == "paused":  # by an odd number of looks at the flood
-            MeshcatSocket(meshcat).click(PAUSE)
+            operator.controls.press("pause")
 
-    log = drive(cheap(3.0), meshcat, show=go_on).log
+    log = drive(cheap(3.0), console, show=go_on).log
     assert log.time[-1] == pytest.approx(3.0, abs=0.05)
     for name in ("X_WP", "X_WT", "inserted_length", "joint_state", "contact_force"):
         assert np.isfinite(getattr(log, name)).all()

@@ -4,12 +4,12 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from page_clients.page_socket import open_socket
+from page_clients.console_socket import open_console
 from pydrake.common.value import Value
 from pydrake.systems.framework import LeafSystem
 
 from sonoservo.diagrams import load_scenario, run, tracker_events
-from sonoservo.systems.display.monitor.monitor import Monitor
+from sonoservo.systems.display.console.console import Console
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
@@ -125,7 +125,7 @@ def test_a_tracker_of_one_s_own_takes_the_place_of_the_scenario_s():
 def test_a_page_that_never_answers_changes_nothing():
     scenario = load_scenario("chatelain2013_fig5", changes=["duration=1.5"])
     alone = run(scenario).log
-    with closing(Monitor()) as monitor, open_socket(monitor.web_url, "commands"):
-        shown = run(scenario, monitor=monitor).log
+    with closing(Console()) as console, open_console(console.web_url):
+        shown = run(scenario, console=console).log
     np.testing.assert_array_equal(shown.X_WP, alone.X_WP)
     np.testing.assert_array_equal(shown.volume_time, alone.volume_time)

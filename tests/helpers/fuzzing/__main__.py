@@ -8,7 +8,7 @@ from pathlib import Path
 from fuzzing.commands import command_case
 from fuzzing.engine import Keep, run, summary
 from fuzzing.files import bases, file_case
-from fuzzing.kills import kill_case
+from fuzzing.kills import kill_case, recorded
 from fuzzing.scenarios import (
     built_in_scenarios,
     compile_for_runs,
@@ -39,6 +39,8 @@ def main() -> int:
     built_in_scenarios()
     if options.runs:
         compile_for_runs()
+    if options.kills:
+        recorded()
     found = 0
     for name, (_, case) in CASES.items():
         if count := getattr(options, name):

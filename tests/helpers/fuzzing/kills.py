@@ -1,12 +1,16 @@
 """Ends commands at random moments, and checks what is left: files, exit codes and processes."""
 
+import atexit
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from random import Random
 
@@ -19,8 +23,11 @@ from sonoservo.systems.recording.recording import Recording
 GONE_S = 5.0
 """Time in s after which no process of the command may remain."""
 
-AGAIN_S = 8.0
-"""Time in s after which the same command, started again, is ended with Ctrl-C."""
+AGAIN_S = 6.0
+"""CPU time in s after which the same command, started again, is ended with Ctrl-C."""
+
+_PATIENCE = 20
+"""Wall-clock time by CPU time after which a command that waits is ended anyway."""
 
 _PROGRAM = [sys.executable, "-m", "sonoservo.diagrams.app"]
 _SHORT = ["--set", "duration={duration}", "--out", "{folder}/out"]
@@ -45,11 +52,10 @@ def kill_case(number: int, folder: Path, seed: int = 0) -> Outcome:
     rng = Random(f"kills {seed} {number}")
     name = sorted(_COMMANDS)[number % len(_COMMANDS)]
     ending = _SIGNALS[(number // len(_COMMANDS)) % len(_SIGNALS)]
-    moment = rng.uniform(0.2, 25)
-    what = f"{name}, {ending.name} after {moment:.1f} s"
+    moment = rng.uniform(0.2, 15)
+    what = f"{name}, {ending.name} after {moment:.1f} s of CPU"
     if name == "track":
-        record = [each.replace("{folder}/a", "{folder}/in/a") for each in _COMMANDS["record"]]
-        subprocess.run(_command(record, folder, duration=6), check=True, capture_output=True)
+        shutil.copytree(recorded(), folder / "in")
     command = _command(_COMMANDS[name], folder, duration=600, count=200)
     first = _end(command, moment, ending)
     if fault := _fault(first, ending):
@@ -84,29 +90,33 @@ class _Ended:
 
 
 def _end(command: list[str], moment: float, ending: signal.Signals) -> _Ended:
-    """Start a command, and end it after a time in s."""
-    process = subprocess.Popen(
-        command,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        start_new_session=True,
-        preexec_fn=_heed_all,  # a background job, or nohup, makes it ignore some
-    )
-    left: list[int] = []
-    try:
-        output, _ = process.communicate(timeout=moment)
-        by_itself = True
-    except subprocess.TimeoutExpired:
-        by_itself = False
-        # A terminal sends Ctrl-C to all processes, a service manager SIGTERM to the first one.
-        (os.killpg if ending == signal.SIGINT else os.kill)(process.pid, ending)
+    """Start a command, and end it when it has used a CPU time in s, whatever the machine's load."""
+    with tempfile.TemporaryFile() as output:
+        process = subprocess.Popen(
+            command,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+            preexec_fn=_heed_all,  # a background job, or nohup, makes it ignore some
+        )
+        latest = time.monotonic() + _PATIENCE * moment
+        while process.poll() is None and time.monotonic() < latest:
+            if sum(_session(process.pid).values()) > moment:
+                break
+            time.sleep(0.05)
+        by_itself = process.poll() is not None
+        if not by_itself:
+            # A terminal sends Ctrl-C to all processes, a service manager SIGTERM to the first one.
+            (os.killpg if ending == signal.SIGINT else os.kill)(process.pid, ending)
         deadline = time.monotonic() + GONE_S
         while (left := _session(process.pid)) and time.monotonic() < deadline:
             time.sleep(0.05)
         if left:
             os.killpg(process.pid, signal.SIGKILL)
-        output, _ = process.communicate()
-    return _Ended(process.returncode, output.decode(errors="replace"), left, by_itself)
+        code = process.wait()
+        output.seek(0)
+        text = output.read().decode(errors="replace")
+    return _Ended(code, text, sorted(left), by_itself)
 
 
 def _fault(ended: _Ended, ending: signal.Signals) -> tuple[str, str] | None:
@@ -130,17 +140,28 @@ def _command(arguments: list[str], folder: Path, **values: float) -> list[str]:
     return [*_PROGRAM, *(each.format(folder=folder, **values) for each in arguments)]
 
 
-def _session(leader: int) -> list[int]:
-    """Return the processes of a session that have not ended."""
-    found = []
+def _session(leader: int) -> dict[int, float]:
+    """Return the CPU times in s of the processes of a session that have not ended."""
+    found = {}
     for path in Path("/proc").glob("[0-9]*/stat"):
         try:
             state, *fields = path.read_text().rpartition(")")[2].split()
         except OSError:
             continue
         if int(fields[2]) == leader and state not in "ZX":
-            found.append(int(path.parent.name))
+            ticks = sum(map(int, fields[10:14]))  # its own, and those of children that have ended
+            found[int(path.parent.name)] = ticks / os.sysconf("SC_CLK_TCK")
     return found
+
+
+@cache
+def recorded() -> Path:
+    """Record a few volumes, and return their folder, which lasts as long as the program."""
+    folder = Path(tempfile.mkdtemp(prefix="fuzz-recorded-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    command = _command(_COMMANDS["record"], folder, duration=3)
+    subprocess.run(command, check=True, capture_output=True)
+    return folder
 
 
 def _read_all(folder: Path) -> list[str]:

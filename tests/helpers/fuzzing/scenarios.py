@@ -11,7 +11,7 @@ import yaml
 
 from fuzzing.engine import Outcome, judge
 from fuzzing.mutations import NUMBERS, mutate
-from sonoservo.diagrams.app.kept_run import refusing
+from sonoservo.diagrams.app.kept_runs.kept_run import refusing
 from sonoservo.diagrams.experiments.registry import list_scenarios, load_scenario, make_experiment
 from sonoservo.diagrams.scenario import Scenario
 

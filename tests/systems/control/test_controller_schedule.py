@@ -18,11 +18,14 @@ def test_a_change_holds_from_its_time_until_the_next():
     schedule = ControllerSchedule(START, changes)
     assert schedule.at(0.999) == START
     assert schedule.at(1.0) == ControllerSettings(0.5, 2.0)
-    assert schedule.at(99.0) == schedule.last == ControllerSettings(0.5, 3.0)
+    assert schedule.at(99.0) == ControllerSettings(0.5, 3.0)
+    between = schedule.with_change(ControllerChange(time=1.5, force=4.0))
+    assert between.at(1.7) == ControllerSettings(0.5, 4.0)
+    assert between.at(2.0) == ControllerSettings(0.5, 3.0)  # as planned
 
 
 def test_what_an_operator_changes_is_recorded():
-    driven = OperatorSettings(start=START, period=1 / 16)
+    driven = OperatorSettings(schedule=ControllerSchedule(START), period=1 / 16)
     simulator = Simulator(driven)
     context = simulator.get_mutable_context()
     times, seen = np.arange(0.003, 3, 1 / 100), []
@@ -41,6 +44,21 @@ def test_what_an_operator_changes_is_recorded():
     for time, values in zip(times, seen, strict=True):
         context.SetTime(time)
         assert values == [again.GetOutputPort(n).Eval(context)[0] for n in ("gain", "force_target")]
+
+
+def test_planned_changes_hold_beside_the_operator_s():
+    planned = ControllerSchedule(START, (ControllerChange(time=1.0, gain=0.5),))
+    driven = OperatorSettings(schedule=planned, period=1 / 16)
+    simulator = Simulator(driven)
+    context = simulator.get_mutable_context()
+    for time, wanted, held in (
+        (0.5, [1.6, 2.0], [1.6, 2.0]),
+        (1.5, [1.6, 3.0], [0.5, 3.0]),
+        (2.5, [1.0, 3.0], [1.0, 3.0]),
+    ):
+        driven.GetInputPort("controller_target").FixValue(context, wanted)
+        simulator.AdvanceTo(time)
+        assert held == [driven.GetOutputPort(n).Eval(context)[0] for n in ("gain", "force_target")]
 
 
 @pytest.mark.parametrize(("field", "value"), [("time", -1.0), ("gain", -0.1), ("force", 0.0)])

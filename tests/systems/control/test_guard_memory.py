@@ -5,7 +5,6 @@ import numpy as np
 from sonoservo.systems.control.guard_memory import (
     GuardMemory,
     Observation,
-    last_force,
     next_memory,
     unpack,
 )
@@ -46,12 +45,12 @@ def test_a_memory_is_numbers_and_comes_back_from_them():
     memory = list(memories(observe(number, 0.0, 2.0) for number in range(5)))[-1]
     numbers = memory.pack()
     np.testing.assert_array_equal(unpack(np.array(numbers).tolist()).pack(), numbers)
-    np.testing.assert_array_equal(last_force(np.array(numbers)), [0.0, 2.01, 0.0])
+    np.testing.assert_array_equal(memory.quiet_force, [0.0, 2.01, 0.0])
     for changed in (
         memory._replace(over=1),
         memory._replace(sensor=memory.sensor._replace(fault=1)),
     ):
-        assert last_force(np.array(changed.pack())) is None
+        assert np.isnan(changed.quiet_force).all()
     fresh = unpack(np.array(GuardMemory().pack()).tolist())
     assert fresh.mode == Mode.MONITORING
     assert math.isnan(fresh.p[0])

@@ -89,15 +89,15 @@ def test_a_retreat_keeps_its_limits_and_ends(free):
 
 
 def test_commands_that_jump_or_leave_the_limits_or_are_no_numbers():
-    lowest, highest, reach = -np.ones(4), np.ones(4), np.full(4, 0.1)
+    limits = np.stack([-np.ones(4), np.ones(4), np.full(4, 0.1)])
     last = np.zeros(6)
-    assert keeps_limits(np.full(4, 0.05), last, lowest, highest, reach)
+    assert keeps_limits(np.full(4, 0.05), last, limits)
     for bad in (0.2, 2.0, np.nan):
         wanted = np.array([0.0, 0.0, 0.0, bad])
-        assert not keeps_limits(wanted, last, lowest, highest, reach)
+        assert not keeps_limits(wanted, last, limits)
     unknown = np.full(6, np.nan)
-    assert keeps_limits(np.full(4, 0.9), unknown, lowest, highest, reach)
-    assert not keeps_limits(np.full(4, 1.1), unknown, lowest, highest, reach)
+    assert keeps_limits(np.full(4, 0.9), unknown, limits)
+    assert not keeps_limits(np.full(4, 1.1), unknown, limits)
 
 
 def test_every_cause_has_a_reason_of_its_own():

@@ -14,7 +14,6 @@ from sonoservo.systems.display.colours import (
     UNCERTAINTY,
     ink,
 )
-from sonoservo.systems.display.world.legend import WORLD_LEGEND, legend_image
 
 # How a colour without its blue, green or red cones is seen, in linear RGB: Machado, Oliveira and
 # Fernandes 2009, table 1, severity 1.
@@ -66,11 +65,3 @@ def test_ink_reads_on_every_mode_s_ground():
     for colour in (*MODE_COLOURS.values(), STOPPED):
         lightness = [rgb2lab(np.reshape(c, (1, 1, 3)))[0, 0, 0] for c in (ink(colour), colour)]
         assert abs(lightness[0] - lightness[1]) > 40
-
-
-def test_the_legend_shows_every_colour():
-    image = legend_image(WORLD_LEGEND)[..., :3].reshape(-1, 3)
-    found = set(map(tuple, image.tolist()))
-    modes = list(MODE_COLOURS.values())[1:]
-    for colour in (*modes, STEEL, HUB, SECTOR, UNCERTAINTY, FORCE):
-        assert tuple(round(255 * each) for each in colour) in found

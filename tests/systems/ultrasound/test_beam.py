@@ -18,18 +18,25 @@ PROBE = Transducer()
 FOCUS_60 = ImagingParameters(focus_depth=0.060)
 
 
-def pymust_half_width(depth, axis):
+TRUS = (
+    load_transducer("trus"),
+    ImagingParameters(depth=0.06, transmit_frequency=6.5e6, focus_depth=0.03),
+)
+"""Transrectal probe at a middle frequency, focused where its lens is."""
+
+
+def pymust_half_width(depth, axis, probe=PROBE, imaging=FOCUS_60):
     """Full width at half amplitude (m) of the echo of a point that moves sideways."""
     expected = (
-        lateral_width(depth, PROBE, FOCUS_60)
+        lateral_width(depth, probe, imaging)
         if axis == 0
-        else elevation_width(depth, PROBE, FOCUS_60)[0]
+        else elevation_width(depth, probe, imaging)[0]
     )
     offsets = expected * np.array([0, 0.4, 0.5, 0.6])
     peaks = []
     for offset in offsets:
         point = [offset, depth, 0] if axis == 0 else [0, depth, offset]
-        peaks.append(middle_line(PROBE, FOCUS_60, [point], [1.0], depth).max())
+        peaks.append(middle_line(probe, imaging, [point], [1.0], depth).max())
     return 2 * np.interp(0.5, (np.array(peaks) / peaks[0])[::-1], offsets[::-1])
 
 
@@ -40,6 +47,24 @@ def test_widths_match_pymust_at_the_focus():
     assert elevation_width(0.06, PROBE, FOCUS_60)[0] == pytest.approx(
         pymust_half_width(0.06, 1), rel=0.1
     )
+
+
+@pytest.mark.parametrize(
+    ("probe", "imaging", "depth", "tolerance"),
+    [
+        (load_transducer("zhao2012"), ZHAO, 0.05, 0.1),
+        (*TRUS, 0.03, 0.1),
+        pytest.param(load_transducer("zhao2012"), ZHAO, 0.04, 0.1, marks=pytest.mark.slow),
+        pytest.param(load_transducer("zhao2012"), ZHAO, 0.06, 0.1, marks=pytest.mark.slow),
+        pytest.param(*TRUS, 0.02, 0.1, marks=pytest.mark.slow),
+        # Half a focal length beyond the focus, the strongly curved array's beam is 13 % wider.
+        pytest.param(*TRUS, 0.045, 0.15, marks=pytest.mark.slow),
+    ],
+)
+def test_beams_of_other_probes_match_pymust(probe, imaging, depth, tolerance):
+    lateral, elevation = (pymust_half_width(depth, axis, probe, imaging) for axis in (0, 1))
+    assert lateral_width(depth, probe, imaging) == pytest.approx(lateral, rel=tolerance)
+    assert elevation_width(depth, probe, imaging)[0] == pytest.approx(elevation, rel=tolerance)
 
 
 @pytest.mark.slow

@@ -47,7 +47,7 @@ def test_the_address_opens_a_page_and_leaves_a_cookie(site):
     status, headers, text = get(bare, Cookie=cookie.partition(";")[0])
     assert (status, text) == (200, "hello")
     assert "Set-Cookie" not in headers
-    assert headers["Content-Security-Policy"] == "frame-ancestors 'none'"
+    assert headers["Content-Security-Policy"] == "frame-ancestors 'self'"
     for each in ("Cache-Control", "Cross-Origin-Resource-Policy", "Referrer-Policy"):
         assert headers[each] in ("no-store", "same-origin", "no-referrer")
 

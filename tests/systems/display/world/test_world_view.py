@@ -11,7 +11,7 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
-from sonoservo.systems.display.world.screen import facing, screen_planes
+from sonoservo.systems.display.world.scene import facing
 from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
 from sonoservo.systems.evaluation.reports.report import save_replay
 from sonoservo.systems.signals.guard_status import GuardState, GuardStatus
@@ -92,7 +92,7 @@ def scale(meshcat, path):
 def test_only_poses_are_needed(meshcat):
     view = WorldView(meshcat=meshcat, path="poses")
     publish(view, 0.0, RigidTransform())
-    assert meshcat.HasPath("/drake/poses/screen/panel")
+    assert meshcat.HasPath("/drake/poses/force")
     assert not meshcat.HasPath("/drake/poses/needle")
     assert not meshcat.HasPath("/drake/poses/slices/live")
 
@@ -103,12 +103,16 @@ def test_the_needle_is_where_it_is(meshcat):
     )
     publish(view, 0.0, RigidTransform(), needle=OUTSIDE)
     assert not visible(meshcat, "truth/needle/inside")
+    assert not visible(meshcat, "truth/needle/tip")
     publish(view, 1.0, RigidTransform(), needle=NEEDLE)
     assert visible(meshcat, "truth/needle/inside")
     X = transform(meshcat, "truth/needle/inside/0")
     np.testing.assert_allclose(X[:3, 3], X_WT.multiply([0.03, 0.0, -0.04]), atol=1e-12)
     np.testing.assert_allclose(X[:3, 2], X_WT.rotation().matrix()[:, 0], atol=1e-12)
     assert scale(meshcat, "truth/needle/inside/0/unit") == pytest.approx(0.06)
+    assert visible(meshcat, "truth/needle/tip")
+    tip = transform(meshcat, "truth/needle/tip")
+    np.testing.assert_allclose(tip[:3, 3], X_WT.multiply([0.06, 0.0, -0.04]), atol=1e-12)
     for number in range(1, 6):
         assert scale(meshcat, f"truth/needle/inside/{number}/unit") < 1e-5
     outside = transform(meshcat, "truth/needle/outside/0")
@@ -157,6 +161,9 @@ def test_the_estimate_shows_its_mode(meshcat, make_volume):
             length = scale(meshcat, f"modes/estimate/{mode}/3/unit")
             tip = estimate(volume).curve.tip
             np.testing.assert_allclose(end @ [0, 0, 0.5 * length, 1], [*tip, 1])
+            ring = transform(meshcat, f"modes/estimate/{mode}/ring")
+            np.testing.assert_allclose(ring[:3, 3], tip)
+            np.testing.assert_allclose(ring[:3, 2], estimate(volume).curve.direction, atol=1e-12)
 
 
 def test_a_stop_shows_its_reason_in_place_of_the_mode(meshcat, make_volume):
@@ -167,6 +174,7 @@ def test_a_stop_shows_its_reason_in_place_of_the_mode(meshcat, make_volume):
     for time, guard in enumerate((watching, holding, watching)):
         publish(view, time, volume.X_WP, estimate=estimate(volume), guard=guard)
         assert visible(meshcat, "stops/phase/tracking") == (guard is watching)
+        assert not visible(meshcat, "stops/phase")  # the console says it beside the view
         if time:
             path = "stops/phase/stopped: the sensor is frozen"
             assert visible(meshcat, path) == (guard is holding)
@@ -255,31 +263,6 @@ def test_the_force_is_an_arrow_onto_the_phantom_with_its_value(meshcat):
     assert not visible(meshcat, "push/force/value/2.0 N")
 
 
-@pytest.mark.parametrize("turn", [0.0, 0.7, np.pi / 2])
-def test_the_screen_holds_the_slices_and_keeps_the_probe_in_its_place(make_volume, turn):
-    volume = make_volume(grey)
-    extent, width, height = volume.upper - volume.origin, 0.2, 0.22
-    direction = [np.cos(turn), 0.1, np.sin(turn)]
-    origins, scales = [], []
-    for tip in ([0.0, 0.05, 0.0], [0.01, 0.04, 0.01]):
-        curve = NeedleCurve([np.subtract(tip, 0.05 * np.array(direction)), tip])
-        slices = slice_planes(volume, curve.transformed(volume.X_WP))
-        pictures = screen_planes(slices, extent, width, height)
-        for plane, picture in zip(slices, pictures, strict=True):
-            scales.append(picture.width / plane.width)
-            assert picture.height / plane.height == pytest.approx(scales[0])
-            np.testing.assert_array_equal(picture.X_PS.rotation().matrix(), np.eye(3))
-            assert picture.X_PS.translation()[2] < -0.002  # in front of the panel
-        centre, half = pictures[0].X_PS.translation(), pictures[0].height / 2
-        assert centre[1] - half >= -height / 2
-        assert centre[1] + half <= pictures[1].X_PS.translation()[1]
-        # The probe's face in the slice's own axes, and where the first picture has it.
-        p_S = slices[0].X_PS.inverse().multiply([0.0, 0.0, 0.0])
-        origins.append(pictures[0].X_PS.multiply(scales[0] * np.array([p_S[0], p_S[1], 0.0])))
-    np.testing.assert_allclose(scales, scales[0])
-    np.testing.assert_allclose(origins[0], origins[1], atol=1e-9)
-
-
 def test_a_panel_is_parallel_to_the_image_of_the_camera():
     R = facing([0.5, -0.7, 0.9], [0.5, 0.3, 0.9])
     np.testing.assert_allclose(R.matrix().T, [[1, 0, 0], [0, 0, -1], [0, 1, 0]], atol=1e-12)
@@ -357,6 +340,7 @@ def test_a_replay_keeps_its_film(tmp_path, make_volume, parameters, kept):
     assert animation.count(b"all/slices/") == kept + (kept > 0)  # the live one is hidden
     for path in ["needle/inside", *(f"slices/{number}" for number in range(kept))]:
         assert shown(animation, f"all/{path}")[:2] == [False, True]
+    assert shown(animation, "all/phase") == [True]
     if kept:
         assert shown(animation, "all/slices/live") == [False]
         assert shown(animation, f"all/slices/{kept - 1}") == [False, True]  # to the end
@@ -381,7 +365,7 @@ def test_parameters_are_checked():
         ("pixel", 0),
         ("film_frames", -1),
         ("camera", [1.0]),
-        ("screen_size", [1, 0]),
+        ("phase_position", [1, 0]),
     ):
         with pytest.raises(ValueError, match=f"{name}: .* is not allowed"):
             WorldViewParameters(**{name: value})

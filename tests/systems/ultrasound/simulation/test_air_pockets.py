@@ -39,12 +39,20 @@ def test_air_reaches_as_far_and_lasts_as_long_as_stated(apart):
     assert np.mean(unlike) == pytest.approx(expected, abs=0.02)
 
 
+def test_a_group_of_frames_sees_the_air_of_the_whole_sweep():
+    drawn = pockets(share=0.3)
+    part = slice(4, 8)
+    np.testing.assert_array_equal(drawn.air(TIMES[part], part), drawn.air(TIMES)[part])
+    together = drawn.open_shares(TIMES)
+    np.testing.assert_array_equal(drawn.open_shares(TIMES[part], part), together[part])
+
+
 def test_half_an_aperture_sends_and_receives_half_of_the_amplitude(monkeypatch):
     """A quarter is left of an echo from the focus, and nothing where the whole aperture is shut."""
     drawn = pockets(share=0.5)
     shut = np.zeros((GEOMETRY.frames, 7, PROBE.elements), bool)
     shut[..., PROBE.elements // 2 :] = True
-    monkeypatch.setattr(drawn, "air", lambda times: shut)
+    monkeypatch.setattr(drawn, "air", lambda times, part: shut)
     share = drawn.open_shares(TIMES)[0]
     middle = GEOMETRY.lines / 2 - 0.5
     at_edge = np.interp(middle, np.arange(GEOMETRY.lines), share)
@@ -63,7 +71,7 @@ def test_an_air_pocket_hides_what_lies_below_it_and_nothing_else():
     poses, needles = still(renderer), [NOWHERE] * 3
     clean = renderer.render(poses, needles, 1, 0)
     np.testing.assert_array_equal(renderer._renderer._air.open_shares(np.zeros(3)), 1)
-    renderer._renderer._air.open_shares = lambda times: (
+    renderer._renderer._air.open_shares = lambda times, part: (
         np.repeat([[0.0, 1.0]], 3, axis=0)
         .repeat(renderer.geometry.lines // 2, axis=1)
         .astype(np.float32)

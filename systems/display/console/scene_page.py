@@ -1,9 +1,7 @@
 """A meshcat scene as a page of a site, for any number of viewers."""
 
 import asyncio
-import base64
 from collections.abc import Callable, Iterable
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -15,19 +13,16 @@ from tornado.websocket import WebSocketClosedError, WebSocketHandler
 from sonoservo.systems.display.pages.site import Document, Guarded, Site
 
 _VIEWER = "main.min.js"
-_HANDLE = """
+_CONNECT = """
   function handle(batch) {
     const view = new DataView(batch);
     for (let start = 0; start < batch.byteLength;) {
       const end = start + 4 + view.getUint32(start);
       viewer.handle_command_bytearray(new Uint8Array(batch.slice(start + 4, end)));
-      document.getElementById("waiting").style.display = "none";
       start = end;
     }
   }
-"""
 
-_CONNECT = """
   function connect() {
     viewer.connect(`ws://${location.host}${location.pathname}commands${location.search}`);
     const connection = viewer.connection;
@@ -37,17 +32,8 @@ _CONNECT = """
         if (connection.readyState === WebSocket.OPEN) connection.send("drawn");
       });
     };
-    const show = (shown) => () => {
-      document.getElementById("stopped").style.display = shown ? "block" : "none";
-    };
-    connection.onopen = show(false);
-    connection.onclose = () => { show(true)(); setTimeout(connect, 1000); };
   }
   connect();
-"""
-
-_DRAW = """
-  handle(Uint8Array.from(atob("BATCH"), (c) => c.charCodeAt(0)).buffer);
 """
 
 
@@ -67,9 +53,7 @@ class ScenePage:
         Name of the page in its address, and title in the list of pages.
     page
         HTML of the page. ``<!-- VIEWER -->`` in it becomes meshcat's script. ``/* FEED */`` becomes
-        the script that connects the variable ``viewer``, a ``MeshCat.Viewer``, to this site. The
-        element ``waiting`` is shown until the first command arrives, and ``stopped`` while there is
-        no server.
+        the script that connects the variable ``viewer``, a ``MeshCat.Viewer``, to this site.
     asked
         Function called on the site's thread when a page has opened, or has drawn everything it was
         sent.
@@ -78,16 +62,16 @@ class ScenePage:
     def __init__(
         self, site: Site, *, name: str, title: str, page: str, asked: Callable[[], None]
     ) -> None:
-        self._page = page
         self._scene: dict[tuple[str, str, str], bytes] = {}
         self._viewers: set[_Viewer] = set()
-        live = self._filled(f'<script src="{_VIEWER}"></script>', _CONNECT)
+        viewer = f'<script src="{_VIEWER}"></script>'
+        text = page.replace("<!-- VIEWER -->", viewer).replace("/* FEED */", _CONNECT)
         shared = {"scene": self._scene, "viewers": self._viewers, "asked": asked}
         site.add(
             name,
             title,
             [
-                ("", Document, {"text": live}),
+                ("", Document, {"text": text}),
                 (f"({_VIEWER})", _Library, {"path": str(_asset(""))}),
                 ("commands", _Viewer, shared),
             ],
@@ -107,19 +91,10 @@ class ScenePage:
         for viewer in self._viewers:
             viewer.send(key)
 
-    def html(self) -> str:
-        """Return the current page as one HTML document that needs no server."""
-        script = _asset(_VIEWER).read_text().replace("</script", "<\\/script")
-        batch = base64.b64encode(_batch(self._scene.values())).decode()
-        return self._filled(f"<script>{script}</script>", _DRAW.replace("BATCH", batch))
-
     def disconnect(self) -> None:
         """Disconnect all pages. Call it on the site's thread only."""
         for viewer in tuple(self._viewers):
             viewer.close()
-
-    def _filled(self, viewer: str, feed: str) -> str:
-        return self._page.replace("<!-- VIEWER -->", viewer).replace("/* FEED */", _HANDLE + feed)
 
 
 class _Library(Guarded, StaticFileHandler):
@@ -193,8 +168,3 @@ def _batch(commands: Iterable[bytes]) -> bytes:
 
 def _asset(name: str) -> Path:
     return Path(meshcat.viewer_assets_path()) / "dist" / name
-
-
-def read_page(name: str) -> str:
-    """Return the text of a page in this module's folder."""
-    return (files("sonoservo.systems.display.monitor") / name).read_text()

@@ -1,37 +1,51 @@
 import numpy as np
 import pytest
 from pydrake.common.value import Value
+from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from pydrake.systems.framework import DiagramBuilder, LeafSystem, PortDataType
 
-from sonoservo.systems.display.monitor.scanner_monitor import ScannerMonitor
+from sonoservo.systems.display.console.console_feed import ConsoleFeed
+from sonoservo.systems.signals.guard_status import GuardState, GuardStatus
 from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 
 SEARCHING = NeedleEstimate(TrackingMode.SEARCHING, 0.0)
 
 
 class Shown(list):
-    """Takes the place of a monitor."""
+    """Takes the place of a console: keeps volumes, and samples apart."""
 
-    def show(self, volume, estimate, number):
+    def __init__(self):
+        super().__init__()
+        self.samples = []
+
+    def show_volume(self, volume, estimate, number):
         self.append((volume, estimate, number))
+
+    def add(self, sample):
+        self.samples.append(sample)
 
 
 def zeros(p_P):
     return np.zeros(p_P.shape[:-1])
 
 
-def publish(leaf, **values):
-    context = leaf.CreateDefaultContext()
+def publish(leaf, context=None, **values):
+    context = context or leaf.CreateDefaultContext()
     for name, value in values.items():
-        leaf.GetInputPort(name).FixValue(context, Value[object](value))
+        port = leaf.GetInputPort(name)
+        vector = port.get_data_type() == PortDataType.kVectorValued
+        typed = Value(value) if isinstance(value, RigidTransform) else Value[object](value)
+        port.FixValue(context, [value] if vector else typed)
     leaf.ForcedPublish(context)
 
 
 def test_each_volume_is_shown_once_and_counted(make_volume):
     shown = Shown()
-    leaf = ScannerMonitor(monitor=shown, period=0.3)
+    leaf = ConsoleFeed(console=shown, period=0.3)
     publish(leaf, volume=NotFound("no sweep is complete yet"), estimate=SEARCHING)
     assert shown == []
     first, second = make_volume(zeros, time=0.5), make_volume(zeros, time=0.8)
@@ -43,18 +57,45 @@ def test_each_volume_is_shown_once_and_counted(make_volume):
 def test_no_tracker_is_needed(make_volume):
     shown = Shown()
     volume = make_volume(zeros)
-    publish(ScannerMonitor(monitor=shown, period=0.3), volume=volume)
+    publish(ConsoleFeed(console=shown, period=0.3), volume=volume)
     assert shown == [(volume, None, 1)]
 
 
 def test_a_wrong_value_is_refused(make_volume):
-    leaf = ScannerMonitor(monitor=Shown(), period=0.3)
+    leaf = ConsoleFeed(console=Shown(), period=0.3)
     with pytest.raises(
         TypeError, match="port 'volume' .* received a value of type str; expected Volume"
     ):
         publish(leaf, volume="volume")
     with pytest.raises(ValueError, match="period: 0 is not allowed"):
-        ScannerMonitor(monitor=Shown(), period=0)
+        ConsoleFeed(console=Shown(), period=0)
+
+
+def test_a_sample_holds_what_instruments_truth_and_guard_say(make_volume):
+    shown = Shown()
+    leaf = ConsoleFeed(console=shown, period=0.3)
+    curve = NeedleCurve([[0.0, 0.0, 0.0], [0.05, 0.0, 0.0]])
+    believed = NeedleEstimate(
+        TrackingMode.COASTING, 0.0, curve, np.zeros((2, 3)), np.eye(12), 0.0, "no line"
+    )
+    values = {
+        "volume": NotFound("lost"),
+        "estimate": believed,
+        "X_WP": RigidTransform(),
+        "X_WT": RigidTransform([0.0, 0.0, 0.001]),
+        "needle": Needle([[0.0, 0.0, 0.0], [0.05, 0.0, 0.0]], 6e-4),
+        "contact_force": 1.9,
+        "force_target": 2.0,
+        "hold_reason": "the probe does not press",
+        "guard": GuardStatus(GuardState.HOLDING, "the sensor is frozen", 1.0, 1),
+    }
+    publish(leaf, **values)
+    (sample,) = shown.samples
+    assert sample.mode == "coasting"
+    assert sample.error == pytest.approx(1.0)
+    assert (sample.force, sample.target) == (1.9, 2.0)
+    assert (sample.reason, sample.held) == ("no line", "the probe does not press")
+    assert sample.stopped == "the sensor is frozen"
 
 
 class Scanner(LeafSystem):
@@ -77,7 +118,7 @@ def test_in_a_diagram_every_volume_of_each_run_is_shown(make_volume):
     shown = Shown()
     builder = DiagramBuilder()
     source = builder.AddSystem(Scanner(make_volume))
-    leaf = builder.AddSystem(ScannerMonitor(monitor=shown, period=0.25, offset=0.26))
+    leaf = builder.AddSystem(ConsoleFeed(console=shown, period=0.25, offset=0.26))
     builder.Connect(source.GetOutputPort("volume"), leaf.GetInputPort("volume"))
     simulator = Simulator(builder.Build())
     simulator.AdvanceTo(1.3)
@@ -85,3 +126,4 @@ def test_in_a_diagram_every_volume_of_each_run_is_shown(make_volume):
     simulator.reset_context(simulator.get_system().CreateDefaultContext())
     simulator.AdvanceTo(0.6)
     assert [number for _, _, number in shown] == [1, 2, 3, 4, 5, 1, 2]
+    assert len(shown.samples) == 11 + 5  # eight a second

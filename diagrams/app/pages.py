@@ -1,0 +1,124 @@
+"""The pages of a command: the site, the console and the world on it."""
+
+import logging
+import os
+import sys
+import webbrowser
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from pydrake.geometry import Meshcat
+from rich.console import Console as Terminal
+from rich.text import Text
+
+from sonoservo.systems.display.console.console import Console
+from sonoservo.systems.display.pages.meshcat_page import open_meshcat
+from sonoservo.systems.display.pages.site import Files, Site
+from sonoservo.systems.files.refusals import ConfigurationError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pages:
+    """Pages of a command.
+
+    Parameters
+    ----------
+    site
+        Site that serves them.
+    console
+        Console of the run.
+    meshcat
+        Meshcat that draws the world, if Drake's does.
+    """
+
+    site: Site
+    console: Console
+    meshcat: Meshcat | None = None
+
+    def end(self, terminal: Terminal, said: str, report: Path | None = None) -> None:
+        """Say in the page that the run has ended, and link its report.
+
+        If a person sits at the terminal, wait until they press Enter, so that the page stays
+        usable; otherwise return at once.
+
+        Parameters
+        ----------
+        terminal
+            Terminal of the command.
+        said
+            End of the run in words.
+        report
+            Report of the run, if there is one. The files in its folder are served too.
+        """
+        if report is not None and report.is_file():
+            self.site.add("report", "Report", [("(.*)", Files, {"path": str(report.parent)})])
+            self.console.say(report=f"../report/{report.name}")
+        self.console.controls.offer([])
+        self.console.controls.offer_buttons()
+        self.console.say(ended=said, paused=False, pace="")
+        if terminal.is_interactive and sys.stdin.isatty():
+            terminal.print("The page stays open: press Enter to end.")
+            with suppress(EOFError, KeyboardInterrupt):
+                input()
+
+
+def open_pages(
+    terminal: Terminal,
+    title: str,
+    *,
+    host: str = "localhost",
+    world: bool = True,
+    by_itself: bool = True,
+) -> Pages:
+    """Open the pages of a command on the first free port from 7000 on, and print the address.
+
+    Parameters
+    ----------
+    terminal
+        Terminal of the command.
+    title
+        Title of the console.
+    host
+        Address to listen on; ``*`` for all addresses of this machine.
+    world
+        Whether Drake's Meshcat draws the world; otherwise the console draws a view of the probe.
+    by_itself
+        Whether to open the console in the browser, if there is a desktop and a person at the
+        terminal.
+
+    Raises
+    ------
+    ConfigurationError
+        If it cannot listen there.
+    """
+    try:
+        site = Site(host=host)
+    except OSError as error:
+        raise ConfigurationError(str(error)) from error
+    logging.getLogger("drake").addFilter(_is_news)
+    meshcat = open_meshcat(site) if world else None
+    console = Console(site, title=title, world="world" if world else "")
+    terminal.print("Watch at", Text(console.web_url, style="bold"), soft_wrap=True)
+    if by_itself and terminal.is_interactive and has_desktop():
+        webbrowser.open(console.web_url)
+    return Pages(site=site, console=console, meshcat=meshcat)
+
+
+def has_desktop() -> bool:
+    """Return True if a browser that is opened here appears before the user."""
+    if os.environ.get("SSH_CONNECTION"):
+        return False
+    if sys.platform in ("darwin", "win32"):
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def _is_news(record: logging.LogRecord) -> bool:
+    """Return False for Drake's log records that tell a user nothing new.
+
+    A slow page asks for pictures that newer ones have replaced, and gets these next. Nothing is
+    wrong, and a line for each would break the progress bar. The page's address is printed anyway.
+    """
+    text = record.getMessage()
+    return "Unknown CAS key" not in text and "listening for connections" not in text

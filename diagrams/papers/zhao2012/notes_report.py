@@ -1,0 +1,47 @@
+"""Title of Zhao 2012, names of the estimators, and the notes needed to interpret the rows."""
+
+TITLE = (
+    "Zhao, Liebgott and Cachard, Tracking biopsy needle using Kalman filter and RANSAC algorithm "
+    "with 3D ultrasound (Acoustics 2012)"
+)
+
+NAMES = {
+    "ransac_sample": "RANSAC, best sample",
+    "ransac": "RANSAC",
+    "published": "published RANSAC + Kalman + velocity",
+    "ours": "our RANSAC",
+    "kalman": "RANSAC + Kalman",
+    "kalman_velocity": "RANSAC + Kalman + velocity",
+}
+"""Name of each estimator."""
+
+NOTES = (
+    "'RANSAC' is the published one. Among the brightest voxels of the whole volume, it finds the "
+    "line through two of them with the most others nearby, optimizes it on those, and places the "
+    "tip where the intensity along the line falls. Its best sample alone is shown too. 'Published "
+    "RANSAC + Kalman + velocity' adds the published filter, whose first two volumes are RANSAC's, "
+    "and the speckle's velocity with the published search region around the known tip. 'Our "
+    "RANSAC' is the one in our tracker: it searches near the prediction and refits three times. "
+    "Our Kalman filter uses it, and its search for the speckle is centred on the prediction.",
+    "Fresh speckle: each run has a phantom of its own. Same volumes: all runs share one phantom "
+    "and differ only in RANSAC's draws, as probably in the paper. A needle at rest is shown 5 "
+    "times, unchanged.",
+    "The scatterers have the published density of 10/mm3, 1.75 in a resolution cell at the focus, "
+    "so the speckle is not fully developed. Their amplitudes are equal, not K-distributed. The "
+    "lines have noise 40 dB below the tissue, which the paper does not mention.",
+    "Errors count from the third volume on; before, the paper's filter returns RANSAC's result. A "
+    "reduction compares the means, over lengths or volumes, of the root mean square over runs. "
+    "Where an estimator found nothing, and in a failed run, it has the worst error of the others.",
+    "Commanded: eq. 1's input B u, with u the change of the scripted speed, is given to the "
+    "published filter; otherwise u is zero, as for a hand. The speed is judged inside the tracker, "
+    "beside the difference of RANSAC's tips and the filter without velocimeter; no window is "
+    "placed with the truth.",
+    "The paper does not publish the noise of the filter, the thresholds, the definition of the "
+    "angles or the position of the needle. Here, alpha is the azimuth from the array towards "
+    "elevation, and beta the angle from the depth. Thresholding keeps 60 mm3 of voxels; the sweep "
+    "shows what that decides. The published filter's R is (0.5 mm)^2 for the tip and the rear end, "
+    "its Q the same in every direction (published_tracking). The velocimeters compare envelopes "
+    "of whole lines in the published windows; a match at the border of a search does not count.",
+    "The needle in the loop is Chatelain 2013's, at 3.3 MHz; the paper has no figures for it.",
+)
+"""Paragraphs of the report."""

@@ -1,0 +1,122 @@
+"""Zhao 2012's method as published: its RANSAC, its filter and its search window, and no more."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.diagrams.papers.zhao2012.tracking import VELOCIMETER, localize_as_published
+from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter, AxisTipState
+from sonoservo.systems.estimation.needle_motion import NeedleMotionParameters
+from sonoservo.systems.localization.speckle_velocimeter import measure_velocity
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals.radio_frequency_sweep import RadioFrequencySweep
+from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
+from sonoservo.systems.signals.volume import Volume
+
+Floats = NDArray[np.float64]
+
+_FILTER = AxisTipFilter(
+    motion=NeedleMotionParameters(insertion=0, body=1e-9),
+    turning=2e-5,
+    velocity_gate=1 - 1e-12,
+)
+"""The published filter: the same noise Q in every direction, and no gate on the velocity."""
+
+_STD = 0.5e-3
+"""Standard deviation of tip and rear end in every direction, which gives R, in m; not published."""
+
+_VELOCIMETER = replace(VELOCIMETER, min_correlation=1e-6)
+"""The published windows. The best match counts, however badly it correlates."""
+
+
+def with_input(state: AxisTipState, change: Floats, dt: float) -> AxisTipState:
+    """Return a predicted state with the control input of eq. 1, B u.
+
+    Parameters
+    ----------
+    state
+        State predicted without input.
+    change
+        (3,) change u of the commanded velocity at the beginning of the step, in m/s.
+    dt
+        Duration of the step, in s. B maps u to (0, dt u, u).
+    """
+    tip = state.tip + dt * change
+    length = state.length + dt * float(change @ state.direction)
+    return replace(state, tip=tip, tip_velocity=state.tip_velocity + change, length=length)
+
+
+@dataclass(frozen=True, eq=False)
+class PublishedResult:
+    """Results of the published method after a volume: the curve and its velocity, if any."""
+
+    curve: NeedleCurve | None
+    velocity: Floats | None
+
+
+class PublishedTracking:
+    """The published method, called for each volume.
+
+    The search region of the speckle tracking lies around the known tip, as printed; a match at its
+    border does not count. The first two volumes give RANSAC's result and initialize the filter.
+
+    Parameters
+    ----------
+    towards
+        (3,) rough direction in W from entry to tip.
+    seed
+        Seed of the random samples.
+    """
+
+    def __init__(self, towards: Floats, seed: int) -> None:
+        self._towards = towards
+        self._rng = np.random.default_rng([seed, 8])
+        self._first: NeedleMeasurement | None = None
+        self._state: AxisTipState | None = None
+        self._sweep: RadioFrequencySweep | None = None
+
+    def __call__(
+        self, sweep: RadioFrequencySweep, volume: Volume, change: Floats | None = None
+    ) -> PublishedResult:
+        """Track the needle in the next sweep and the volume made from it.
+
+        Parameters
+        ----------
+        sweep, volume
+            Next sweep and its volume.
+        change
+            (3,) change of the commanded velocity since the last volume, in m/s; None for a hand.
+        """
+        found = localize_as_published(volume, self._towards, 1, self._rng)
+        measured = None
+        if not isinstance(found, NotFound):
+            measured = replace(found, covariance=_STD**2 * np.eye(6))
+        previous, self._sweep = self._sweep, sweep
+        if self._state is None:
+            return self._initialize(measured)
+        tip = self._state.tip
+        speckle: VelocityMeasurement | NotFound = NotFound("there is no earlier sweep")
+        if previous is not None:
+            speckle = measure_velocity(
+                sweep, previous, tip, tip, self._state.direction, _VELOCIMETER
+            )
+        dt = volume.time - self._state.time
+        state = _FILTER.predict(self._state, volume.time)
+        if change is not None:
+            state = with_input(state, change, dt)
+        velocity = speckle if isinstance(speckle, VelocityMeasurement) else None
+        self._state = _FILTER.update(state, measured, velocity)
+        return PublishedResult(self._state.curve, self._state.tip_velocity)
+
+    def _initialize(self, measured: NeedleMeasurement | None) -> PublishedResult:
+        """Return RANSAC's result; the second one starts the filter with the tips' difference."""
+        if measured is None:
+            return PublishedResult(None, None)
+        first, self._first = self._first, measured
+        if first is not None:
+            velocity = (measured.curve.tip - first.curve.tip) / (measured.time - first.time)
+            self._state = replace(_FILTER.start(measured), tip_velocity=velocity)
+        return PublishedResult(measured.curve, None)

@@ -1,0 +1,340 @@
+"""The console: the one page on which a run, a drive or a recording is watched and controlled."""
+
+import gc
+import time as clock
+from collections.abc import Callable, Mapping
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+from sonoservo.systems.display.console.controls import Controls
+from sonoservo.systems.display.console.history import Cine, Frame, Strips
+from sonoservo.systems.display.console.readings import Sample, describe_state, sample_estimate
+from sonoservo.systems.display.console.slices import slice_pictures
+from sonoservo.systems.display.pages.site import Site
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate
+from sonoservo.systems.signals.volume import Volume
+
+if TYPE_CHECKING:
+    from bokeh.document import Document
+
+    from sonoservo.systems.display.console.probe_page import ProbePage
+
+_PERIOD = 0.12
+"""Shortest time between two updates of a page, in s."""
+
+_PATIENCE = 10.0
+"""Time in s after which a page that does not say what it has drawn is sent something again."""
+
+
+class Console:
+    """Shows volumes, the needle in them, strips over the last minute and the state in words.
+
+    The two orthogonal planes through the needle stand beside a view of the world, or of the probe
+    where no Meshcat of Drake's draws the world. Any number of pages may be open, including none.
+    They share the `controls`. The console is shown in a web page, or in a notebook if it is the
+    last value of a cell.
+
+    A slow, closed or missing page never delays the caller. Pages are drawn on the site's thread,
+    each only once it has drawn its previous picture, and nothing is drawn for nobody.
+
+    Parameters
+    ----------
+    site
+        Site to which the page is added. By default, the console opens one of its own, and closes
+        it.
+    title
+        Title of the page.
+    world
+        Name of the site's page with the world; empty for a view of the probe, drawn here.
+
+    Attributes
+    ----------
+    controls
+        Sliders and buttons of the pages.
+
+    Raises
+    ------
+    OSError
+        If no port is free for a site of its own.
+    """
+
+    def __init__(
+        self, site: Site | None = None, *, title: str = "sonoservo", world: str = ""
+    ) -> None:
+        from sonoservo.systems.display.pages.bokeh_page import open_bokeh_page
+
+        self._owns_site = site is None
+        self._site = site or Site()
+        self._title = title
+        self._facts: dict[str, Any] = {"title": title, "world": world}
+        self._newest: tuple[Volume, NeedleEstimate | None, int] | None = None
+        self._shown = 0
+        self._views: set[_View] = set()
+        self.strips, self.cine = Strips(), Cine()
+        self.controls = Controls(self._wake)
+        self._probe: ProbePage | None = None
+        if not world:
+            self._probe = _open_probe(self._site, self._wake)
+            self._facts["world"] = "probe"
+        open_bokeh_page(self._site, page="console", title="Console", make=self._open)
+
+    @property
+    def web_url(self) -> str:
+        """Address of the console's page, with the token that opens it."""
+        return self._site.address("console")
+
+    def show(
+        self,
+        volume: Volume,
+        estimate: NeedleEstimate | None = None,
+        number: int | None = None,
+        **values: float,
+    ) -> None:
+        """Show a volume and the readings of its estimate soon, and return at once.
+
+        Parameters
+        ----------
+        volume
+            Volume to show.
+        estimate
+            Estimate of the needle in the volume, if a tracker has processed it.
+        number
+            Number of the volume; by default volumes are counted from 1.
+        values
+            Tip's ``error`` in mm and contact ``force`` in N, if they are known.
+        """
+        self.say(without=[name for name in ("force", "error") if name not in values])
+        self.show_volume(volume, estimate, number)
+        self.add(sample_estimate(volume.time, estimate, volume.X_WP, **values))
+
+    def show_volume(
+        self, volume: Volume, estimate: NeedleEstimate | None = None, number: int | None = None
+    ) -> None:
+        """Show the slices of a volume only; see `show`."""
+        self._shown = self._shown + 1 if number is None else number
+        self._newest = volume, estimate, self._shown
+        self._wake()
+
+    def add(self, sample: Sample) -> None:
+        """Add a sample to the strips, and show its state."""
+        self._site.call(lambda: self.strips.append(sample))
+        self._wake()
+
+    def say(self, **facts: Any) -> None:
+        """Show facts about the run.
+
+        Parameters
+        ----------
+        facts
+            ``paused``; ``pace``, ``note`` and ``ended`` in words; address of the ``report``; and
+            the parts of the page that it goes ``without``: slices, strips, readings, force, error.
+        """
+        if any(self._facts.get(name) != value for name, value in facts.items()):
+            self._facts = self._facts | facts
+            self._wake()
+
+    def close(self) -> None:
+        """Close the console's own site; the pages keep the last picture and say so."""
+        if self._owns_site:
+            self._site.close()
+
+    @property
+    def facts(self) -> Mapping[str, Any]:
+        """What was said with `say`, and the title."""
+        return self._facts
+
+    def frame(self) -> Frame | None:
+        """Return the pictures of the newest volume; call this on the site's thread only."""
+        newest = self._newest
+        if newest is None:
+            return None
+        volume, _, number = newest
+        last = self.cine.at(volume.time)
+        if last is None or (last.number, last.time) != (number, volume.time):
+            last = picture_volume(*newest)
+            self.cine.append(last)
+        return last
+
+    def frame_beside(self, offsets: tuple[float, float]) -> Frame | None:
+        """Return pictures of the newest volume beside the needle, at distances in m."""
+        newest = self._newest
+        return None if newest is None else picture_volume(*newest, offsets)
+
+    def _open(self, document: "Document") -> None:
+        view = _View(self, document)
+        self._views.add(view)
+        document.on_session_destroyed(lambda context: self._views.discard(view))
+
+    def _wake(self) -> None:
+        self._site.call(self._update)
+
+    def _update(self) -> None:
+        if self._probe is not None and self._newest is not None:
+            self._probe.show(*self._newest[:2])
+        for view in self._views:
+            view.wake()
+
+    def _repr_html_(self) -> str:
+        return (
+            f'<iframe src="{escape(self.web_url)}" title="{escape(self._title)}" '
+            'style="width: 100%; aspect-ratio: 1.6; border: none"></iframe>'
+        )
+
+
+class _View:
+    """One page of a console: what it was sent, and what it has asked for."""
+
+    def __init__(self, console: Console, document: "Document") -> None:
+        from sonoservo.systems.display.console.document import PageDocument
+
+        self._console = console
+        self._page = PageDocument(document, str(console.facts["title"]))
+        self._sent, self._sent_at = -1, -_PATIENCE
+        self._waits = False
+        self._frame: Frame | None = None
+        self._strips_end = -1
+        self._offsets = (0.0, 0.0)
+        self._cine: float | None = None
+        self._heard = 0
+        self._looked: object = None
+        self._described: dict[str, Any] = {}
+        self._state_sent: dict[str, Any] = {}
+        link = self._page.link
+        link.on_change("order", lambda: self._obey(link.get("order") or {}))
+        link.on_change("drawn", self.wake)
+        document.on_session_destroyed(lambda context: console.controls.deflect(self, None))
+        self._push()
+
+    def wake(self) -> None:
+        """Update the page soon, if it has drawn what it was sent."""
+        if self._waits:
+            return
+        self._waits = True
+        late = self._sent_at + _PERIOD - clock.monotonic()
+        document = self._page.document
+        if late > 0:
+            document.add_timeout_callback(self._go_on, round(1e3 * late) + 1)
+        else:
+            document.add_next_tick_callback(self._go_on)
+
+    def _go_on(self) -> None:
+        self._waits = False
+        silent = clock.monotonic() - self._sent_at
+        drawn = self._page.link.get("drawn")
+        if (drawn is None or drawn < self._sent) and silent < _PATIENCE:
+            return  # it says when it is ready
+        self._push()
+
+    def _push(self) -> None:
+        # Drake aborts if a Meshcat is destroyed on a thread other than its own, so garbage must not
+        # be collected on this thread.
+        collects = gc.isenabled()
+        gc.disable()
+        try:
+            self._send()
+        finally:
+            if collects:
+                gc.enable()
+
+    def _send(self) -> None:
+        console, page = self._console, self._page
+        newest = console.frame()
+        frame = newest
+        if self._cine is not None:
+            frame = console.cine.at(self._cine)
+        elif any(self._offsets):
+            key = (newest, self._offsets)
+            frame = self._frame
+            if key != self._looked:
+                frame, self._looked = console.frame_beside(self._offsets), key
+        if frame is not None and frame is not self._frame:
+            page.show_frame(frame)
+            self._frame = frame
+        strips = console.strips
+        if strips.end != self._strips_end:
+            anew = self._strips_end < strips.begin
+            begin = strips.begin if anew else self._strips_end
+            page.show_strips(strips.columns(begin), anew=anew, keep=strips.end - strips.begin)
+            self._strips_end = strips.end
+        described = dict(console.controls.description())
+        if described != self._described:
+            self._described = described
+            page.link.set("described", described)
+        state = self._state(frame)
+        if state != self._state_sent:
+            self._state_sent = state
+            self._sent, self._sent_at = self._sent + 1, clock.monotonic()
+            page.link.set("state", state | {"number": self._sent})
+
+    def _state(self, frame: Frame | None) -> dict[str, Any]:
+        console = self._console
+        sample = console.strips.newest
+        state: dict[str, Any] = {**console.facts, **describe_state(sample)}
+        state["values"], state["speed"] = console.controls.shown[1], console.controls.speed
+        if sample is not None:
+            state |= {"time": sample.time, "held": sample.held}
+            for name in ("x", "z", "theta", "depth", "force", "error"):
+                value = getattr(sample, name)
+                state[name] = None if value != value else round(value, 2)
+        times = console.cine.times
+        state["cine"] = [times[0], times[-1]] if times else None
+        state["live"] = self._cine is None
+        if frame is not None:
+            state |= {
+                "volume": frame.number,
+                "volume_time": frame.time,
+                "decibels_per_level": frame.decibels_per_level,
+                "windows": [list(each.window) if each else None for each in frame.pictures],
+                "titles": [each.title if each else "" for each in frame.pictures],
+            }
+        state["heard"] = self._heard
+        state["offsets"] = [round(1e3 * each, 1) for each in self._offsets]
+        return state
+
+    def _obey(self, order: Mapping[str, Any]) -> None:
+        """Carry out what the page asks for; whatever is malformed is ignored."""
+        controls = self._console.controls
+        self._heard = int(_number(order.get("order")) or 0)
+        if isinstance(button := order.get("press"), str):
+            controls.press(button)
+        if isinstance(name := order.get("set"), str):
+            controls.move(name, order.get("value"))
+        if "speed" in order:
+            controls.set_speed(order["speed"])
+        if "axes" in order:
+            controls.deflect(self, order["axes"])
+        if "cine" in order:
+            self._cine = _number(order["cine"])
+        if isinstance(asked := order.get("offsets"), list) and len(asked) == 2:
+            first, second = (min(max(_number(each) or 0.0, -200.0), 200.0) for each in asked)
+            self._offsets = 1e-3 * first, 1e-3 * second
+        self.wake()
+
+
+def _open_probe(site: Site, asked: Callable[[], None]) -> "ProbePage":
+    from sonoservo.systems.display.console.probe_page import ProbePage
+
+    return ProbePage(site, asked)
+
+
+def picture_volume(
+    volume: Volume,
+    estimate: NeedleEstimate | None,
+    number: int,
+    offsets: tuple[float, float] = (0.0, 0.0),
+) -> Frame:
+    """Return the pictures of a volume; see `slice_pictures` for the offsets."""
+    return Frame(
+        number,
+        volume.time,
+        str(estimate.mode) if estimate is not None else "",
+        slice_pictures(volume, estimate.curve if estimate is not None else None, offsets),
+        volume.decibels_per_level,
+    )
+
+
+def _number(value: Any) -> float | None:
+    """Return a finite number, or None for anything else."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    return float(value) if abs(value) < float("inf") else None

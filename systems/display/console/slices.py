@@ -1,0 +1,181 @@
+"""The two slices through the needle, with coordinates in mm and an overlay beside the echo."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.math import RigidTransform, RotationMatrix
+
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.planes import Plane, sample_plane, slice_planes
+from sonoservo.systems.signals.volume import Volume
+
+Floats = NDArray[np.float64]
+
+_PIXEL = 0.4e-3
+"""Pixel size of the pictures, in m."""
+
+_BESIDE = 2.5e-3
+"""Distance of the overlay from the needle's axis, in m: clear of the echo."""
+
+_POINTS = 21
+_IN_PLANE = 1.5e-3
+"""Largest distance of a slice from the needle at which the overlay belongs to it, in m."""
+
+_NAMES = (
+    (("Lateral plane", ("X", "depth")), ("Elevation plane", ("Z", "depth"))),
+    (
+        ("Along needle and beam", ("along needle", "depth")),
+        ("Along needle, across beam", ("along needle", "across beam")),
+    ),
+)
+"""Titles and axes of the two slices, without and with a needle."""
+
+
+@dataclass(frozen=True)
+class SliceView:
+    """A slice as it appears on a screen, with coordinates to the right and down.
+
+    Parameters
+    ----------
+    plane
+        Visible part of the slice, in P; its X points right and its Y down on the screen.
+    origin
+        (3,) origin of the coordinates in the plane, in P, in m; they run along the plane's X and Y.
+    window
+        (2, 2) coordinates of the upper left and lower right corners of the area shown, in m.
+    """
+
+    plane: Plane
+    origin: Floats
+    window: Floats
+
+    def coordinates(self, p_P: Floats) -> Floats:
+        """Return the (..., 2) coordinates in m of (..., 3) points in P, in m."""
+        return (np.asarray(p_P) - self.origin) @ self.plane.X_PS.rotation().matrix()[:, :2]
+
+
+@dataclass(frozen=True, eq=False)
+class SlicePicture:
+    """A slice to be drawn; all lengths are in mm.
+
+    Parameters
+    ----------
+    title
+        Title of the slice.
+    axes
+        Names of the coordinates to the right and down.
+    grey
+        (rows, columns) levels from 0 to 255, the first row at the top; 0 outside the sector.
+    corner, size
+        Coordinates of the upper left corner of the picture, and its width and height.
+    window
+        Left, right, top and bottom edges of the area shown.
+    rails
+        Two (m, 2) polylines beside the needle, one on each side; none without a needle.
+    tip
+        (2,) coordinates of the tip; empty without a needle.
+    """
+
+    title: str
+    axes: tuple[str, str]
+    grey: NDArray[np.uint8]
+    corner: tuple[float, float]
+    size: tuple[float, float]
+    window: tuple[float, float, float, float]
+    rails: list[Floats]
+    tip: Floats
+
+
+def slice_views(
+    volume: Volume, curve: NeedleCurve | None = None, offsets: tuple[float, float] = (0.0, 0.0)
+) -> list[SliceView | None]:
+    """Return the views of the two orthogonal planes through the needle.
+
+    See `slice_planes`. X or else Z of P runs to the right, and the depth, or else Z, runs down.
+    Coordinates are those of P seen in the plane. Along a needle that dips, zero is the point below
+    the middle of the probe, or the middle of the slice from a dip of 60 deg on. Both windows have
+    the same width and height, which depend on the size of the volume alone. A slice that misses the
+    volume is None.
+
+    Parameters
+    ----------
+    volume
+        Volume to slice.
+    curve
+        Estimated needle in W; without one, the planes are those of the probe.
+    offsets
+        Distance of each slice from the needle, or from the probe's plane, along its normal, in m.
+    """
+    size = volume.upper - volume.origin
+    middle = 0.5 * (volume.upper + volume.origin)
+    half = 0.5 * np.array([np.hypot(size[0], size[2]), max(size[1], size[2])])
+    views: list[SliceView | None] = []
+    for slice_, offset in zip(slice_planes(volume, curve), offsets, strict=False):
+        R = slice_.X_PS.rotation().matrix()
+        right = 1.0 if R[0, 0] + 1e-6 * R[2, 0] >= 0 else -1.0
+        down = 1.0 if R[1, 1] + R[2, 1] >= 0 else -1.0
+        R = R * [right, down, right * down]
+        centre = slice_.X_PS.translation() + offset * R[:, 2]
+        level = R[:, 0] * [1, 0, 1]
+        if level @ level > 0.25:
+            origin = R[:, 0] * (R[:, 0] @ centre - level @ centre / (level @ level))
+            place = np.array([level @ middle / (level @ level), R[:, 1] @ middle])
+        else:
+            origin = R[:, 0] * (R[:, 0] @ centre)
+            place = np.array([0.0, R[:, 1] @ middle])
+        at = (centre - origin) @ R[:, :2]
+        held = 0.5 * np.array([slice_.width, slice_.height])
+        low, high = np.maximum(at - held, place - half), np.minimum(at + held, place + half)
+        inside = volume.origin - 1e-9 <= centre, centre <= volume.upper + 1e-9
+        if not (low < high).all() or (offset and not np.all(inside)):
+            views.append(None)
+        else:
+            p_P = centre + R[:, :2] @ (0.5 * (low + high) - at)
+            plane = Plane(RigidTransform(RotationMatrix(R), p_P), *(high - low))
+            views.append(SliceView(plane, origin, np.stack([place - half, place + half])))
+    return views
+
+
+def slice_pictures(
+    volume: Volume, curve: NeedleCurve | None = None, offsets: tuple[float, float] = (0.0, 0.0)
+) -> list[SlicePicture | None]:
+    """Return the pictures of the two orthogonal planes through the needle; see `slice_views`."""
+    pictures: list[SlicePicture | None] = []
+    views = slice_views(volume, curve, offsets)
+    names = _NAMES[curve is not None]
+    for view, (title, axes), offset in zip(views, names, offsets, strict=False):
+        if view is None:
+            pictures.append(None)
+            continue
+        sampled = sample_plane(volume, view.plane, max(_PIXEL, 0.5 * float(volume.spacing.min())))
+        half = 0.5 * np.array([view.plane.width, view.plane.height])
+        corner = 1e3 * (view.coordinates(view.plane.X_PS.translation()) - half)
+        rails, tip = [], np.zeros(0)
+        if curve is not None and abs(offset) <= _IN_PLANE:
+            points = volume.to_probe(curve.position(np.linspace(0, 1, _POINTS)))
+            needle = view.coordinates(points)
+            rails, tip = beside(1e3 * needle, 1e3 * _BESIDE), 1e3 * needle[-1]
+        (left, top), (right, bottom) = 1e3 * view.window
+        pictures.append(
+            SlicePicture(
+                title,
+                axes,
+                np.ascontiguousarray(sampled[..., 0]),
+                (float(corner[0]), float(corner[1])),
+                (2e3 * float(half[0]), 2e3 * float(half[1])),
+                (float(left), float(right), float(top), float(bottom)),
+                rails,
+                tip,
+            )
+        )
+    return pictures
+
+
+def beside(polyline: Floats, distance: float) -> list[Floats]:
+    """Return the two polylines that run beside an (m, 2) polyline at a distance."""
+    along = np.gradient(polyline, axis=0)
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    along = np.divide(along, length, out=np.zeros_like(along), where=length > 0)
+    across = distance * np.stack([-along[:, 1], along[:, 0]], axis=1)
+    return [polyline - across, polyline + across]

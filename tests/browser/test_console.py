@@ -1,0 +1,337 @@
+"""The console in a browser: what is where, that it is the newest, and what fits."""
+
+from contextlib import closing
+
+import numpy as np
+import pytest
+from page_clients.browser_view import eventually, screenshot
+from synthetic_volumes import Scene, entry_on_side
+
+from sonoservo.systems.display.colours import MODE_COLOURS
+from sonoservo.systems.display.console.console import Console
+from sonoservo.systems.display.console.controls import controller_controls, operator_controls
+from sonoservo.systems.display.console.readings import Sample
+from sonoservo.systems.display.console.slices import slice_pictures
+from sonoservo.systems.display.pages.site import Site
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+
+ENTRY = entry_on_side()
+TIPS = [ENTRY + np.array([0.045, 0.010, 0.004]), ENTRY + np.array([0.070, 0.014, 0.010])]
+SIZES = [(1280, 800), (1920, 1080), (1024, 768), (768, 1024)]
+SEARCHING = "nothing changed by more than 3.0 dB"
+
+
+@pytest.fixture(scope="module")
+def shown():
+    """Two volumes with a needle, and the estimate in each."""
+    scene = Scene(seed=3)
+    volumes = [
+        scene.volume(2 * k, lambda time, tip=tip: (ENTRY, tip)) for k, tip in enumerate(TIPS)
+    ]
+    return [
+        (volume, NeedleEstimate(TrackingMode.TRACKING, volume.time, NeedleCurve([ENTRY, tip]),
+                                np.zeros((2, 3)), np.eye(12), volume.time))
+        for volume, tip in zip(volumes, TIPS, strict=True)
+    ]  # fmt: skip
+
+
+@pytest.fixture
+def console():
+    with closing(Console(title="a test")) as console:
+        yield console
+
+
+PIXELS = """
+([number, points]) => {
+  const plot = Bokeh.documents[0].get_model_by_name(`slice_${number}`);
+  const view = Bokeh.index.find_one(plot) ?? Object.values(Bokeh.index)[0];
+  const box = view.el.getBoundingClientRect(), frame = view.frame.bbox;
+  return points.map(([x, y]) => [
+    box.x + frame.left + (x - plot.x_range.start) / (plot.x_range.end - plot.x_range.start)
+      * frame.width,
+    box.y + frame.top + (y - plot.y_range.end) / (plot.y_range.start - plot.y_range.end)
+      * frame.height]);
+}
+"""
+
+
+def pixels(page, number, points):
+    """(m, 2) columns and rows of (m, 2) points of a slice, in mm."""
+    return np.array(page.evaluate(PIXELS, [number, np.asarray(points).tolist()]))
+
+
+def has_colour(picture, points, colour, reach=2):
+    """(m,) whether there is a colour near (m, 2) pixels."""
+    wanted = 255 * np.array(colour)
+    near = np.abs(picture.astype(int) - wanted).max(axis=-1) < 60
+    at = np.rint(points).astype(int)
+    return [near[y - reach : y + reach + 1, x - reach : x + reach + 1].any() for x, y in at]
+
+
+def check_needle(page, volume, estimate):
+    """Rails and ring are beside the needle's echo on both slices, and never on it."""
+    colour = MODE_COLOURS[estimate.mode]
+    picture = screenshot(page)
+    for number, shown in enumerate(slice_pictures(volume, estimate.curve)):
+        for rail in shown.rails:
+            assert all(has_colour(picture, pixels(page, number, rail[2:-3]), colour))
+        middle = 0.5 * (shown.rails[0] + shown.rails[1])
+        assert not any(has_colour(picture, pixels(page, number, middle[2:-4]), colour, 0))
+        turns = np.linspace(0, 2 * np.pi, 8)
+        ring = shown.tip + 2.5 * np.stack([np.cos(turns), np.sin(turns)], axis=1)
+        assert all(has_colour(picture, pixels(page, number, ring), colour))
+        assert not any(has_colour(picture, pixels(page, number, [shown.tip]), colour, 0))
+
+
+def show(console, volume, estimate, **values):
+    console.show(volume, estimate, force=2.0, error=0.4, **values)
+
+
+def test_the_needle_is_beside_its_echo_and_can_be_switched_off(open_page, console, shown):
+    page = open_page(console.web_url)
+    assert page.inner_text("#word").lower() == "waiting"
+    assert "waiting for the first volume" in page.inner_text("#detail")
+    for volume, estimate in shown:
+        show(console, volume, estimate)
+        eventually(page, lambda v=volume, e=estimate: check_needle(page, v, e))
+    page.keyboard.press("n")
+
+    def check_off():
+        with pytest.raises(AssertionError):
+            check_needle(page, *shown[1])
+
+    eventually(page, check_off)
+    page.click("#overlay")
+    eventually(page, lambda: check_needle(page, *shown[1]))
+    # A millimetre is as long to the right as down, and on both slices.
+    right, down, other = (
+        np.diff(pixels(page, number, points), axis=0)[0]
+        for number, points in (
+            (0, [[0, 0], [10, 0]]),
+            (0, [[0, 0], [0, 10]]),
+            (1, [[0, 0], [10, 0]]),
+        )
+    )
+    assert right[0] == pytest.approx(down[1], rel=0.01)
+    assert right[0] == pytest.approx(other[0], rel=0.06)
+
+
+STATES = {
+    "tracking": "path, circle.tracking",
+    "coasting": "path.coasting",
+    "lost": "path.lost",
+    "searching": "circle.searching",
+}
+
+
+SHAPE = """
+() => [...document.getElementById('mark').children]
+  .filter(each => each.style.display != 'none').map(each => each.outerHTML.slice(0, 40)).join()
+"""
+PARTS = (
+    "#world", ".slice", ".strip", "#controls", "#readings", "#view", "#buttons button",
+    "#sliders label", "#sliders kbd", "header button",
+)  # fmt: skip
+
+
+def test_every_state_has_its_word_shape_and_colour_and_all_of_it_fits(open_page, console, shown):
+    console.controls.offer(
+        [
+            *operator_controls(azimuth_deg=10, dip_deg=5),
+            *controller_controls(gain=1.6, force=2.0, min_force=0.5),
+        ]
+    )
+    console.controls.offer_buttons("pause", "restart", "save", "finish")
+    page = open_page(console.web_url)
+    show(console, *shown[0])
+    shapes = set()
+    for number, mode in enumerate(TrackingMode):
+        reason = SEARCHING if mode == TrackingMode.SEARCHING else ""
+        console.add(Sample(time=10.0 + number, mode=str(mode), reason=reason, held="by a hand"))
+        page.wait_for_function(
+            "word => document.getElementById('word').textContent == word", arg=str(mode)
+        )
+        shapes.add(page.evaluate(SHAPE))
+        colour = page.evaluate("getComputedStyle(document.getElementById('word')).color")
+        rgb = [int(each) for each in colour.removeprefix("rgb(").removesuffix(")").split(",")]
+        np.testing.assert_allclose(rgb, 255 * np.array(MODE_COLOURS[mode]), atol=1)
+    assert len(shapes) == 4
+    console.add(Sample(time=15.0, mode="tracking", stopped="the force is above 6 N"))
+    page.wait_for_selector("#state[data-kind=stopped]")
+    assert "the force is above 6 N" in page.inner_text("#detail")
+    for size in SIZES:
+        page.set_viewport_size(dict(zip(("width", "height"), size, strict=True)))
+        eventually(page, lambda size=size: check_fits(page, *size))
+
+
+def check_fits(page, width, height):
+    whole = page.evaluate("(({scrollWidth: x, scrollHeight: y}) => [x, y])(document.body)")
+    assert whole == [width, height]
+    for selector in PARTS:
+        for part in page.query_selector_all(selector):
+            box = part.bounding_box()
+            assert min(box["width"], box["height"]) > 8, selector
+            assert min(box["x"], box["y"]) >= 0, selector
+            assert box["x"] + box["width"] <= width, selector
+            assert box["y"] + box["height"] <= height, selector
+    for part in page.query_selector_all(".slice .plot"):
+        assert min(part.bounding_box()[side] for side in ("width", "height")) > 100
+
+
+def test_dark_and_told_apart_in_strips(open_page, console, shown):
+    for number, mode in enumerate(4 * list(TrackingMode)):
+        console.add(Sample(time=0.5 * number, mode=str(mode), x=float(number), error=0.3))
+    page = open_page(console.web_url)
+    assert screenshot(page).mean() < 60
+
+    def check():
+        box = page.locator("#strip-mode").bounding_box()
+        x, y, width, height = (round(box[each]) for each in ("x", "y", "width", "height"))
+        picture = screenshot(page)[y : y + height, x : x + width]
+        rows = []
+        for colour in MODE_COLOURS.values():
+            near = np.abs(picture.astype(int) - 255 * np.array(colour)).max(axis=-1) < 25
+            assert near.sum() > 30
+            rows.append(np.median(np.nonzero(near)[0]))
+        assert rows == sorted(rows)  # a lane for each
+        assert min(np.diff(rows)) > 10
+
+    eventually(page, check)
+    box = page.locator("#strip-features").bounding_box()
+    assert page.evaluate("Bokeh.documents[0].get_model_by_name('features').y_range.end") > 15
+    assert box["height"] > 60
+
+
+def test_gain_window_planes_and_cine(open_page, console, shown):
+    page = open_page(console.web_url)
+    for k, (volume, estimate) in enumerate(shown):
+        show(console, volume, estimate, number=k + 1)
+        eventually(page, lambda v=volume, e=estimate: check_needle(page, v, e))
+    low_high = "(({low, high}) => [low, high])(Bokeh.documents[0].get_model_by_name('grey'))"
+    assert page.evaluate(low_high) == [0, 255]
+    page.locator("#view-gain").fill("10")
+    page.locator("#view-window").fill("30")
+    high = 255 - 10 * 255 / 60
+    assert page.evaluate(low_high) == pytest.approx([high - 30 * 255 / 60, high])
+    box = page.locator(".slice").first.bounding_box()
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    for _ in range(3):
+        page.mouse.wheel(0, 100)
+    page.wait_for_function("document.querySelector('.offset').textContent == '+3 mm beside it'")
+    rails = (
+        "Bokeh.documents[0].get_model_by_name('slice_0').renderers[1].data_source.data.xs.length"
+    )
+    page.wait_for_function(f"{rails} == 0")
+    page.click("#centre")
+    page.wait_for_function(f"{rails} == 2")
+    page.locator("#cine").fill("0")
+    eventually(page, lambda: check_needle(page, *shown[0]))
+    assert page.locator("#cine + output").inner_text().startswith("−")
+    page.click("#live")
+    eventually(page, lambda: check_needle(page, *shown[1]))
+
+
+def test_every_page_shows_the_newest_and_two_share_the_sliders(open_page, console, shown):
+    console.controls.offer(controller_controls(gain=1.6, force=2.0, min_force=0.5))
+    first = open_page(console.web_url)
+    show(console, *shown[0])
+    eventually(first, lambda: check_needle(first, *shown[0]))
+    second = open_page(console.web_url)  # opened late
+    eventually(second, lambda: check_needle(second, *shown[0]))
+    second.locator("#sliders input").first.fill("0.4")
+    first.wait_for_function("document.querySelector('#sliders output').textContent == '0.4 1/s'")
+    first.close()
+    show(console, *shown[1])
+    eventually(second, lambda: check_needle(second, *shown[1]))
+    second.reload()
+    second.wait_for_selector("body[data-ready]", state="attached")
+    eventually(second, lambda: check_needle(second, *shown[1]))
+
+
+def test_keys_by_mistake_move_nothing_and_space_pauses_without_scrolling(open_page, console):
+    console.controls.offer(operator_controls(azimuth_deg=10, dip_deg=5))
+    console.controls.offer_buttons("pause", "restart", "save", "finish")
+    page = open_page(console.web_url)
+    start = console.controls.shown[1]
+    for key in ("w", "w", "d", "l", "r", "v", "f", "x", "Enter", "ArrowDown", "Control+w", "1"):
+        page.keyboard.press(key)
+    page.keyboard.press("Space")
+    eventually(page, lambda: check_pressed(console, {"pause"}))
+    assert console.controls.shown[1] == start
+    assert page.evaluate("[scrollX, scrollY]") == [0, 0]
+    page.keyboard.press("?")
+    assert page.is_visible("#help")
+    for text in ("pause or go on", "needle in, by 1 mm", "gamepad"):
+        assert text in page.inner_text("#help")
+    page.keyboard.press("w")
+    page.keyboard.press("Escape")
+    page.click("#arm")
+    page.keyboard.press("w")
+    page.keyboard.press("Control+w")
+    page.keyboard.press("v")
+    eventually(page, lambda: check_pressed(console, {"save"}))
+    assert console.controls.shown[1] == start | {"depth": 1.0}
+
+
+def check_pressed(console, wanted):
+    """Presses add up until they are as wanted."""
+    for button in console.controls.pressed():
+        wanted = wanted - {button}
+    assert not wanted
+
+
+def test_a_page_says_when_its_server_ends_and_goes_on_with_the_next(open_page, shown, monkeypatch):
+    port = 8640  # no other test looks here
+    with Site(port=port) as site:
+        console = Console(site)
+        page = open_page(console.web_url)
+        show(console, *shown[0])
+        eventually(page, lambda: check_needle(page, *shown[0]))
+        assert not page.is_visible("#gone")
+    page.wait_for_selector("#gone", state="visible")
+    check_needle(page, *shown[0])  # the last picture stays
+    with Site(port=port) as site:
+        following = Console(site)
+        assert following.web_url == console.web_url
+        following.controls.offer_buttons("stop")
+        page.wait_for_selector("#buttons [data-name=stop]")  # it has loaded itself anew
+        assert not page.is_visible("#gone")
+        page.close()
+
+
+def test_nothing_piles_up_in_a_page_and_a_slow_one_skips(open_page, console, shown):
+    page = open_page(console.web_url)
+    models = "Bokeh.documents[0]._all_models.size"
+    show(console, *shown[0], number=1)
+    eventually(page, lambda: check_needle(page, *shown[0]))
+    before = page.evaluate(models)
+    for number in range(40):
+        show(console, *shown[number % 2], number=number + 2)
+        page.wait_for_timeout(25)
+    eventually(page, lambda: check_needle(page, *shown[1]))
+    assert page.evaluate(models) == before
+
+
+def test_the_end_links_the_report_and_leaves_the_page_usable(open_page, console, shown):
+    console.controls.offer_buttons("pause", "step", "stop", speed=1.0)
+    page = open_page(console.web_url)
+    show(console, *shown[0])
+    page.click("[data-name=stop]")
+    assert page.inner_text("[data-name=stop]") == "really stop?"
+    assert console.controls.pressed() == set()
+    page.click("[data-name=stop]")
+    eventually(page, lambda: check_pressed(console, {"stop"}))
+    page.select_option("#speed", "0.25")
+    eventually(page, lambda: check_equal(console.controls.speed, 0.25))
+    console.controls.offer_buttons()
+    console.say(ended="32.0 s simulated", report="../report/report.html")
+    page.wait_for_selector("#report")
+    assert page.inner_text("#word").lower() == "ended"
+    assert page.get_attribute("#report", "href").startswith("../report/report.html?token=")
+    page.locator("#view-gain").fill("5")
+    assert page.inner_text("#view-gain + output") == "5 dB"
+
+
+def check_equal(first, second):
+    assert first == second

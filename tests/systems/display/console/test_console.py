@@ -1,0 +1,274 @@
+"""The console without a browser: what it sends, to whom, and what it makes of what pages say."""
+
+import gc
+import re
+import socket
+import subprocess
+import sys
+import threading
+import time
+import tracemalloc
+from contextlib import closing
+from urllib.parse import urlsplit
+from urllib.request import urlopen
+
+import numpy as np
+import pytest
+from page_clients.console_socket import open_console, pull_console
+
+from sonoservo.systems.display.colours import (
+    FORCE,
+    MODE_COLOURS,
+    SECTOR,
+    STEEL,
+    STOPPED,
+    UNCERTAINTY,
+    hexadecimal,
+)
+from sonoservo.systems.display.console import console as console_module
+from sonoservo.systems.display.console.console import Console
+from sonoservo.systems.display.console.controls import controller_controls
+from sonoservo.systems.display.console.document import page_template
+from sonoservo.systems.display.console.readings import Sample
+
+
+def zeros(p_P):
+    return np.zeros(p_P.shape[:-1])
+
+
+def ramp(p_P):
+    return 100 + 1000 * p_P[..., 0]
+
+
+@pytest.fixture
+def console():
+    with closing(Console()) as console:
+        yield console
+
+
+def on_the_site(console, function=lambda: None):
+    return console._site.ask(function)
+
+
+def wait_for(condition):
+    end = time.monotonic() + 20
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+class Page:
+    """A page that speaks by Bokeh's client, and the document that the console keeps for it."""
+
+    def __init__(self, console, *, draws=True):
+        before = set(console._views)
+        self._session = pull_console(console.web_url)
+        (self._view,) = console._views - before
+        (holder,) = (root for root in self._session.document.roots if root.name == "mode")
+        _, _, self._order, self._drawn = holder.tags
+        if draws:
+            self.has_drawn(10**6)  # whatever comes
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self._session.close()
+
+    @property
+    def state(self):
+        """What the console has sent last."""
+        return self._view._page.link.get("state")
+
+    @property
+    def described(self):
+        return self._view._page.link.get("described")
+
+    def source(self, figure):
+        """Data of the first glyph of a figure."""
+        root = self._view._page.document.select_one({"name": figure})
+        return root.renderers[0].data_source.data
+
+    def has_drawn(self, number):
+        self._drawn.tags = [number]
+        self._session.force_roundtrip()
+
+    def say(self, **order):
+        self.say_raw([order])
+
+    def say_raw(self, tags):
+        self._order.tags = tags
+        self._session.force_roundtrip()
+
+
+def test_the_page_asks_for_nothing_of_another_machine(console):
+    text = urlopen(console.web_url).read().decode()
+    sources = re.findall(r'(?:src|href)="([^"]*)"', text)
+    assert all(each.startswith(("/console/static/js/bokeh.min.js", "data:")) for each in sources)
+    assert "http" not in re.sub(r"http://www.w3.org/\d+/svg", "", " ".join(sources))
+    script = urlopen(f"http://localhost:{console._site.port}{sources[-1]}").read()
+    assert b"Bokeh" in script
+    assert f'src="{console.web_url}"' in console._repr_html_()
+
+
+def test_the_page_has_the_colours_of_the_world():
+    text = page_template()
+    for colour in (*MODE_COLOURS.values(), STEEL, SECTOR, UNCERTAINTY, FORCE, STOPPED):
+        assert hexadecimal(colour) in text
+
+
+def test_nothing_is_drawn_for_nobody(console, make_volume, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(console_module, "slice_pictures", lambda *_: drawn.append(1) or [])
+    for k in range(5):
+        console.show(make_volume(zeros, time=k))
+    on_the_site(console)
+    assert drawn == []
+    with open_console(console.web_url):
+        console.show(make_volume(zeros, time=6))
+        wait_for(lambda: drawn)
+
+
+def test_a_page_is_sent_the_newest_once_it_has_drawn_the_last(console, make_volume):
+    with Page(console, draws=False) as page:
+        page.has_drawn(page.state["number"])
+        console.show_volume(make_volume(ramp, time=1.0))
+        wait_for(lambda: page.state.get("volume") == 1)
+        shown = page.state["number"]
+        for k in range(2, 9):
+            console.show_volume(make_volume(ramp, time=k))
+        time.sleep(0.3)
+        assert page.state["number"] == shown  # it has not said that it has drawn it
+        page.has_drawn(shown)
+        wait_for(lambda: page.state.get("volume") == 8)
+        assert page.state["number"] == shown + 1
+
+
+def test_a_late_page_gets_all_of_it(console, make_volume):
+    for k in range(9):
+        console.add(Sample(time=k / 8, mode="tracking", x=float(k)))
+    console.show_volume(make_volume(ramp), None, 42)
+    on_the_site(console)
+    with Page(console) as page:
+        assert page.state["volume"] == 42
+        assert page.state["x"] == 8.0
+        assert list(page.source("features")["x"]) == list(range(9))
+        (image,) = page.source("slice_0")["image"]
+        assert image.dtype == np.uint8
+        assert image.max() > 100
+        console.add(Sample(time=9 / 8, mode="tracking", x=9.0))
+        wait_for(lambda: page.state["x"] == 9.0)
+        assert list(page.source("features")["x"]) == list(range(10))
+        console.add(Sample(time=0.0, mode="lost", x=-1.0))  # a new run
+        wait_for(lambda: page.state["x"] == -1.0)
+        assert list(page.source("features")["x"]) == [-1.0]
+        assert list(page.source("mode")["begin"]) == [-0.5]
+
+
+def test_pages_share_the_controls(console):
+    console.controls.offer(controller_controls(gain=1.6, force=2.0, min_force=0.5))
+    console.controls.offer_buttons("pause", "stop", speed=1.0)
+    with Page(console) as first, Page(console) as second:
+        first.say(set="gain", value=0.7)
+        wait_for(lambda: second.state["values"]["gain"] == 0.7)
+        second.say(press="stop")
+        second.say(speed=0.25)
+        assert console.controls.pressed() == {"stop"}
+        assert console.controls.speed == 0.25
+        assert [each["name"] for each in first.described["sliders"]] == ["gain", "force"]
+
+
+def test_what_a_page_says_amiss_is_ignored(console, make_volume):
+    console.controls.offer(controller_controls(gain=1.6, force=2.0, min_force=0.5))
+    console.show(make_volume(ramp))
+    with Page(console) as page:
+        for order in (
+            {"press": 7},
+            {"press": "launch"},
+            {"set": ["gain"], "value": 1},
+            {"set": "gain", "value": "all"},
+            {"offsets": "far"},
+            {"offsets": [1]},
+            {"offsets": [None, {}]},
+            {"offsets": [1e300, -1e300]},
+            {"cine": "then"},
+            {"cine": True},
+            {"axes": {"x": 1}},
+            {"speed": [1]},
+            {},
+        ):
+            page.say(**order)
+        for tags in ([], ["order"], [[1]], [None]):
+            page.say_raw(tags)
+        assert console.controls.shown[1] == {"gain": 1.6, "force": 2.0}
+        assert console.controls.pressed() == set()
+        wait_for(lambda: page.state["offsets"] == [200.0, -200.0])
+
+
+def test_a_page_goes_back_and_beside_alone(console, make_volume):
+    with Page(console) as page, Page(console) as other:
+        for k in range(1, 4):
+            console.show(make_volume(ramp, time=float(k)))
+            wait_for(lambda k=k: page.state.get("volume") == k)
+        page.say(cine=1.2)
+        wait_for(lambda: page.state["volume"] == 1)
+        assert page.state["live"] is False
+        assert other.state["volume"] == 3
+        page.say(cine=None, offsets=[5, 0])
+        wait_for(lambda: page.state["volume"] == 3)
+        assert page.state["offsets"] == [5.0, 0.0]
+        page.say(offsets=[200, 0])  # beside the volume
+        wait_for(lambda: not len(page.source("slice_0")["image"]))
+        assert len(page.source("slice_1")["image"])
+
+
+def test_a_page_that_reads_nothing_costs_no_memory(console, make_volume):
+    with open_console(console.web_url):
+        console.show(make_volume(ramp, time=0.5))
+        on_the_site(console)
+        tracemalloc.start()
+        for k in range(100):
+            console.show(make_volume(ramp, time=1 + 0.01 * k))
+            console.add(Sample(time=1 + 0.01 * k))
+            on_the_site(console)
+        kept, _ = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+    assert kept < 20e6
+
+
+def test_no_garbage_is_collected_while_a_page_is_drawn(console, make_volume, monkeypatch):
+    collects = []
+    monkeypatch.setattr(
+        console_module, "slice_pictures", lambda *_: collects.append(gc.isenabled()) or []
+    )
+    console.show(make_volume(ramp))
+    with open_console(console.web_url):
+        wait_for(lambda: collects)
+    assert collects[-1] is False
+    wait_for(gc.isenabled)
+
+
+def test_showing_goes_on_after_the_end(make_volume):
+    console = Console()
+    console.close()
+    console.close()
+    console.show(make_volume(zeros))
+    console.say(note="over")
+    console.controls.press("stop")
+
+
+def test_nothing_is_left_behind_by_a_process_that_ends():
+    count = threading.active_count()
+    console = Console()
+    assert threading.active_count() == count + 1
+    console.close()
+    assert threading.active_count() == count
+    program = (
+        "from sonoservo.systems.display.console.console import Console; print(Console().web_url)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", program], capture_output=True, text=True, timeout=60
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("localhost", urlsplit(done.stdout.strip()).port), timeout=5)
