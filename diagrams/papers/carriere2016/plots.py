@@ -9,10 +9,8 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from sonoservo.systems.evaluation.shape.shape_metrics import plane_of
-from sonoservo.systems.evaluation.statistics.intervals import (
-    bootstrap_interval,
-    proportion_interval,
-)
+from sonoservo.systems.evaluation.statistics.intervals import proportion_interval
+from sonoservo.systems.evaluation.statistics.run_intervals import mean_interval
 from sonoservo.systems.localization.cross_section import variance_image
 
 Results = Mapping[str, Sequence[Mapping[str, Any]]]
@@ -202,7 +200,7 @@ def plot_departures(results: Results, names: Mapping[str, str]) -> Figure:
             covered = int(sum(each["covers_tip"] for each in figures))
             share = np.array([*proportion_interval(covered, len(figures))])
             for axes, middle, ends in (
-                (errors, float(np.mean(tips)), np.array(bootstrap_interval(tips))),
+                (errors, float(np.mean(tips)), _ends(tips)),
                 (shares, 100 * covered / len(figures), 100 * share),
             ):
                 axes.plot(ends, [at, at], color=colour, linewidth=1)
@@ -233,10 +231,16 @@ def plot_sweeps(needles: Sequence[Mapping[str, Any]]) -> Figure:
                 errors = [needle["sweeps"][name][value][key] for needle in needles]
                 errors = [each for each in errors if each is not None]
                 if errors:
-                    axes.plot([at, at], bootstrap_interval(errors), color="0.5", linewidth=1)
+                    axes.plot([at, at], _ends(errors), color="0.5", linewidth=1)
                     axes.plot(at, np.mean(errors), "o", color="0.3")
             axes.set_xticks(range(len(values)), list(values), fontsize="small")
             axes.set_title(name, loc="left", fontsize="medium")
             axes.grid(alpha=0.3)
         row[0].set_ylabel(f"{quantity} error ({unit.replace('2', '²')})")
     return figure
+
+
+def _ends(values: Sequence[float]) -> NDArray[np.float64]:
+    """Return the ends of the mean's interval, or NaN for few needles, which have none."""
+    ends = np.array(mean_interval(np.array(values)))
+    return np.where(np.isfinite(ends), ends, np.nan)

@@ -75,7 +75,7 @@ def make_study(outcomes: Sequence[Outcome]) -> Study:
 
 
 def _compute(outcomes: Sequence[Outcome]) -> dict[str, dict[str, float | None]]:
-    """Return the computing times over all needles of the paper's sets."""
+    """Return the largest median and the largest of all computing times of a needle."""
     times = [each.result["compute_ms"] for each in outcomes if each]
     return {
         part: {

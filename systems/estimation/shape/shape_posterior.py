@@ -50,6 +50,9 @@ class WanderParameters:
         Standard deviation of the logarithm of that amplitude.
     across, across_spread
         The same for the curvature out of the plane.
+    most
+        Largest amplitude, relative to the mean curvature. Without a limit, tissue that shifts with
+        the breath would count as a needle that bends to and fro.
     length
         Standard deviation in m of the Gaussian that smooths white noise to such a curvature.
     """
@@ -58,6 +61,7 @@ class WanderParameters:
     spread: float = 0.6
     across: float = 0.03
     across_spread: float = 0.6
+    most: float = 0.5
     length: float = 0.02
 
     def __post_init__(self) -> None:
@@ -66,6 +70,7 @@ class WanderParameters:
             spread=self.spread,
             across=self.across,
             across_spread=self.across_spread,
+            most=self.most,
             length=self.length,
         )
 
@@ -201,6 +206,7 @@ class ShapePosterior:
         self._modes = wander_modes(p.depth, p.rotations, p.wander.length)
         self._constant = p.wander.amplitude == 0
         self._log_median = np.log([p.wander.amplitude or 1.0, p.wander.across])
+        self._log_most = float(np.log(p.wander.most))
         self._log_spread = np.array([p.wander.spread, p.wander.across_spread])
 
     def draw(self, rng: np.random.Generator) -> Floats:
@@ -212,6 +218,7 @@ class ShapePosterior:
         angle = rng.normal(0.0, p.angle_std, p.particles)
         plane = rng.uniform(-np.pi, np.pi, p.particles)
         amplitudes = rng.normal(self._log_median, self._log_spread, (p.particles, 2))
+        amplitudes = np.minimum(amplitudes, self._log_most)
         return np.column_stack([radius, angle, plane, amplitudes])
 
     def log_prior(self, particles: Floats) -> Floats:
@@ -222,6 +229,7 @@ class ShapePosterior:
         out -= 0.5 * (angle / p.angle_std) ** 2
         out -= 0.5 * (((particles[:, 3:] - self._log_median) / self._log_spread) ** 2).sum(axis=1)
         possible = (radius >= p.min_radius) & (np.abs(angle) < np.pi / 2)
+        possible &= (particles[:, 3:] <= self._log_most).all(axis=1)
         return np.where(possible, out, -np.inf)
 
     def design(self, depths: Floats) -> Floats:
@@ -316,8 +324,11 @@ class ShapePosterior:
         first = np.stack([along @ moments.points[0] - sums[:, 3], across @ moments.points[0]])
         squares = moments.square - 2 * (sums[:, 1:3] * along).sum(axis=1) + sums[:, 0]
         squares = squares - (first**2).sum(axis=0) / moments.total
-        # Prior variance of the coefficients relative to that of a measurement.
-        curvature = (np.exp(particles[:, 3:]) / particles[:, :1]).T
+        # Prior variance of the coefficients relative to that of a measurement. The wander of a
+        # needle that bends unusually much is limited, or correlated noise would look like one.
+        p = self._parameters
+        radius = np.maximum(particles[:, :1], p.mean_radius - 1.5 * p.radius_std)
+        curvature = (np.exp(particles[:, 3:]) / radius).T
         ratio = (curvature**2 / variance)[..., np.newaxis]
         widened = 1 + ratio * strength
         shrinkage = ratio / widened

@@ -160,3 +160,12 @@ def test_the_stated_region_holds_the_tip_when_the_amplitude_is_known(wander):
         within += distance < 5.99
     assert within >= 10
     assert 0.7 < np.mean(squared) < 4.5
+
+
+def test_tissue_that_breathes_is_not_taken_for_a_needle_that_bends_to_and_fro():
+    points, truth = needle(100, 0.0, TURN)
+    points[:, 0] += 0.5e-3 * np.sin(np.pi * points[:, 2] / 0.04) ** 2
+    shape_filter = make_filter(WanderParameters())
+    mean, covariance = tip(shape_filter, believe(shape_filter, points))
+    assert np.linalg.norm(mean - truth) < 5e-3
+    assert np.sqrt(covariance.trace()) < 5e-3
