@@ -61,27 +61,30 @@ def pixels(page, number, points):
     return np.array(page.evaluate(PIXELS, [number, np.asarray(points).tolist()]))
 
 
-def has_colour(picture, points, colour, reach=2):
+def near_colour(picture, colour):
+    """(rows, columns) whether a picture has about a colour there."""
+    near = [
+        np.abs(picture[..., k].astype(np.int16) - round(255 * colour[k])) < 60 for k in range(3)
+    ]
+    return np.logical_and.reduce(near)
+
+
+def has_colour(near, points, reach=2):
     """(m,) whether there is a colour near (m, 2) pixels."""
-    wanted = 255 * np.array(colour)
-    near = np.abs(picture.astype(int) - wanted).max(axis=-1) < 60
     at = np.rint(points).astype(int)
     return [near[y - reach : y + reach + 1, x - reach : x + reach + 1].any() for x, y in at]
 
 
 def check_needle(page, volume, estimate):
     """Rails and ring are beside the needle's echo on both slices, and never on it."""
-    colour = MODE_COLOURS[estimate.mode]
-    picture = screenshot(page)
+    near = near_colour(screenshot(page), MODE_COLOURS[estimate.mode])
     for number, shown in enumerate(slice_pictures(volume, estimate.curve)):
-        for rail in shown.rails:
-            assert all(has_colour(picture, pixels(page, number, rail[2:-3]), colour))
         middle = 0.5 * (shown.rails[0] + shown.rails[1])
-        assert not any(has_colour(picture, pixels(page, number, middle[2:-4]), colour, 0))
         turns = np.linspace(0, 2 * np.pi, 8)
         ring = shown.tip + 2.5 * np.stack([np.cos(turns), np.sin(turns)], axis=1)
-        assert all(has_colour(picture, pixels(page, number, ring), colour))
-        assert not any(has_colour(picture, pixels(page, number, [shown.tip]), colour, 0))
+        beside, on = [*(rail[2:-3] for rail in shown.rails), ring], [middle[2:-4], [shown.tip]]
+        assert all(has_colour(near, pixels(page, number, np.concatenate(beside))))
+        assert not any(has_colour(near, pixels(page, number, np.concatenate(on)), 0))
 
 
 def show(console, volume, estimate, **values):
