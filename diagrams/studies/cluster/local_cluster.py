@@ -21,6 +21,8 @@ _START_S = 60.0
 def local_cluster(cases: int) -> Iterator[str]:
     """Start a scheduler and a worker, which end with the block or with this process.
 
+    The worker finds modules where this process does.
+
     Parameters
     ----------
     cases
@@ -39,7 +41,11 @@ def local_cluster(cases: int) -> Iterator[str]:
             f"worker --nworkers 1 --nthreads {cases} --no-dashboard --memory-limit 0"
             f" --preload-nanny {preload.__name__}",
         )
-        environment = {**os.environ, preload.PARENT: str(os.getpid())}
+        environment = {
+            **os.environ,
+            preload.PARENT: str(os.getpid()),
+            "PYTHONPATH": os.pathsep.join(sys.path),
+        }
         processes = []
         try:
             with log.open("wb") as output:
