@@ -119,4 +119,4 @@ def test_the_command_line_knows_it(path, tmp_path):
     assert (out / "ticks.png").stat().st_size > 0
     page = (out / "report.html").read_text()
     assert ">paper<" in page
-    assert ">3<" in page
+    assert ">3.00<" in page
