@@ -5,12 +5,11 @@ import signal
 import subprocess
 import sys
 import threading
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 
 import numpy as np
 import pytest
 from live_items import FakeOutlet, wait_until
-from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
@@ -25,6 +24,7 @@ from sonoservo.diagrams.app.live.commands import make_maker, needle_names
 from sonoservo.diagrams.app.live.serve import live_senders, opened
 from sonoservo.diagrams.app.live.track_live import LiveLimits, live_volumes, track_live
 from sonoservo.diagrams.app.volumes.track import tracker_parameters
+from sonoservo.systems.display.console.console import Console
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.live.connection.items import ImageItem, PoseItem, StatusItem, TextItem
 from sonoservo.systems.live.connection.link import Link
@@ -239,13 +239,14 @@ def test_frames_of_a_run_are_its_volumes(served):
 def test_driving_is_sent_too():
     scenario = load_scenario("drive", seed=103)
     outlet = FakeOutlet()
-    driven = DrivenExperiment(scenario, Meshcat(), observers=live_senders(outlet, scenario))
-    driven.start()
-    driven.advance(0.4)
-    topics = [topic for topic, _ in outlet.sent]
-    assert {"volume", "frames", "slices", "estimate", "truth", ""} == set(topics)
-    driven.start()  # the operator begins anew
-    driven.advance(0.4)
+    with closing(Console()) as console:
+        driven = DrivenExperiment(scenario, console, observers=live_senders(outlet, scenario))
+        driven.start()
+        driven.advance(0.4)
+        topics = [topic for topic, _ in outlet.sent]
+        assert {"volume", "frames", "slices", "estimate", "truth", ""} == set(topics)
+        driven.start()  # the operator begins anew
+        driven.advance(0.4)
     assert [topic for topic, _ in outlet.sent].count("volume") == 2 * topics.count("volume")
 
 
