@@ -16,7 +16,12 @@ from sonoservo.diagrams import load_scenario, make_experiment, run
 from sonoservo.systems.display.console import Console
 from sonoservo.systems.evaluation import estimate_errors
 
-QUICK = ["duration=7", "hand.start=1", "hand.pushes.0.speed=0.016"]
+QUICK = [
+    "duration=5.5",
+    "hand.start=0.5",
+    "hand.pushes.0.speed=0.02",
+    "station.plant.contact_model=point",
+]
 scenario = load_scenario(
     "chatelain2013_fig5", changes=QUICK if "SONOSERVO_QUICK" in os.environ else []
 )

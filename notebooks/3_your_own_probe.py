@@ -18,7 +18,12 @@ from sonoservo.systems.display.console import slice_views
 from sonoservo.systems.signals import sample_plane
 from sonoservo.systems.ultrasound import elevation_width, lateral_width, load_transducer
 
-QUICK = ["duration=7", "hand.start=1", "hand.pushes.0.speed=0.016"]
+QUICK = [
+    "duration=5.5",
+    "hand.start=0.5",
+    "hand.pushes.0.speed=0.02",
+    "station.plant.contact_model=point",
+]
 
 # %% [markdown]
 # A probe has a transducer and a body. Fields missing from the file keep the values of the

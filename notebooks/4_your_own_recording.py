@@ -20,7 +20,12 @@ from sonoservo.systems.evaluation import picture_planes, plot_planes
 from sonoservo.systems.recording import Recording
 from sonoservo.systems.signals import Volume
 
-QUICK = ["duration=8", "hand.start=1", "hand.pushes.0.speed=0.012"]
+QUICK = [
+    "duration=6.5",
+    "hand.start=0.5",
+    "hand.pushes.0.speed=0.016",
+    "station.plant.contact_model=point",
+]
 LONG = ["duration=20", "hand.pushes.0.speed=0.005"]
 folder = tempfile.TemporaryDirectory()
 path = Path(folder.name) / "mine.seq.nrrd"

@@ -107,7 +107,8 @@ def run(
     if movie is not None:
         check_movie(movie)
     shown = bool(meshcat or console or observers)
-    fed = "console" in experiment_class(scenario.experiment).options
+    possible = experiment_class(scenario.experiment).options
+    fed = "console" in possible
     if console is not None and not fed:
         console.say(without=["slices", "strips", "readings"])
     bar = _bar(scenario, progress)
@@ -123,7 +124,7 @@ def run(
                 record=record,
                 record_sweeps=record_sweeps,
                 explain=out if explain else None,
-                pictures=out is not None or movie is not None,
+                pictures="pictures" in possible and (out is not None or movie is not None),
                 observers=observers,
             )
         pacer = Pacer(console) if console is not None else None

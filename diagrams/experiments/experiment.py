@@ -120,17 +120,17 @@ class Experiment(ABC, Generic[ScenarioT]):
         """Return the plots of a log of this experiment: caption and figure by file name."""
 
     @classmethod
-    @abstractmethod
     def overlay(cls, logs: Mapping[str, Any]) -> Figure:
-        """Return a figure of the curves of several runs over one another, by name."""
+        """Return the curves of several runs over one another, by name; empty if none."""
+        return Figure()
 
-    @abstractmethod
-    def verdict(self, summary: Mapping[str, Any]) -> Verdict:
-        """Return the verdict on a run of this experiment, from its summary."""
+    def verdict(self, summary: Mapping[str, Any]) -> Verdict | None:
+        """Return the verdict on a run of this experiment from its summary, if it gives one."""
+        return None
 
-    @abstractmethod
     def words(self) -> list[str]:
-        """Return sentences that describe the scenario."""
+        """Return sentences that describe the scenario, if there are any."""
+        return []
 
     def key_frames(self, log: Any) -> dict[str, Figure]:
         """Return pictures of a run's telling moments, by caption; none unless they were kept."""

@@ -37,10 +37,13 @@ _MAX_CAUTION = 4
 _BRAKING = 0.1
 """Time in s after a change of mode in which the probe's inertia pulls and pushes."""
 
+_BRISK = 0.01
+"""Change of the commanded speed along the axis in m/s from which on the wrist feels inertia."""
+
 _AT_REST = 2e-4
 """Distance in m below which the probe counts as not commanded to move."""
 
-_SCALARS = 13
+_SCALARS = 14
 
 
 class GuardMemory(NamedTuple):
@@ -64,6 +67,8 @@ class GuardMemory(NamedTuple):
     pose_changed, pose_frozen
         Time in s at which the measured pose last changed, NaN before the first change, and longest
         time in s for which it did not.
+    accelerated
+        Time in s at which the probe was last commanded to press or yield at another speed.
     free
         Whether the contact was lost in the retreat. The probe's inertia, felt while it brakes, is
         no contact.
@@ -89,6 +94,7 @@ class GuardMemory(NamedTuple):
     touched: float = math.nan
     pose_changed: float = math.nan
     pose_frozen: float = 0.0
+    accelerated: float = -math.inf
     free: int = False
     p: Vector = 3 * (math.nan,)
     velocity: Vector = 3 * (0.0,)
@@ -189,13 +195,19 @@ def next_memory(
     """
     elapsed = elapsed or time_step
     force, pressing = math.hypot(*seen.contact), -seen.contact[1]
+    velocity = tuple((a - b) / elapsed for a, b in zip(seen.p, memory.p, strict=True))
+    changes = (v - before for v, before in zip(velocity, memory.velocity, strict=True))
+    change = sum(v * a for v, a in zip(changes, seen.axis, strict=True))
+    accelerated = seen.time if abs(change) > _BRISK else memory.accelerated
+    # A suspicion came before the motion, which is then the controller's answer to the jump.
+    brisk = seen.time - accelerated < _BRAKING and not memory.sensor.suspicion
     sensor = next_sensor_memory(
         memory.sensor,
         seen.wrist_force,
         pressing,
         seen.time,
         limits.wrist_sensor,
-        moving=memory.mode == Mode.RETREATING or seen.time - memory.since < _BRAKING,
+        moving=memory.mode == Mode.RETREATING or seen.time - memory.since < _BRAKING or brisk,
     )
     in_air = seen.p[2] > allowed.contact_top and pressing > limits.wrist_sensor.max_pull
     fine = force <= limits.max_force and not in_air
@@ -209,13 +221,13 @@ def next_memory(
         breach = Breach(Cause.FORCE, force) if too_much else Breach(Cause.SENSOR_IN_AIR, pressing)
     else:
         breach = _breach_of_motion(memory, seen, limits, allowed, elapsed)
-    step = tuple(a - b for a, b in zip(seen.p, memory.p, strict=True))
-    velocity = tuple(each / elapsed for each in step)
     lost = _STILL_FREE if memory.free else _FREE
     # What is felt after a jump may be a contact; with the other faults, nothing is felt.
     jumped = sensor.fault == SensorFault.JUMPED
     free = (pressing if jumped else 0.0 if sensor.fault else force) < lost * limits.max_force
-    after = memory._replace(over=over, p=seen.p, velocity=velocity, sensor=sensor)
+    after = memory._replace(
+        over=over, p=seen.p, velocity=velocity, accelerated=accelerated, sensor=sensor
+    )
     after = _with_pose(_with_touch(after, pressing, seen.time), seen, limits)
     if memory.mode == Mode.MONITORING:
         return after if breach is NO_BREACH else _stop(after, breach, seen, limits, time_step)

@@ -12,6 +12,9 @@ from sonoservo.systems.signals.requirements import (
 from sonoservo.systems.signals.sweep import DYNAMIC_RANGE_DB, SweepGeometry
 from sonoservo.systems.ultrasound.transducer import Transducer
 
+_MOST_SAMPLES = 20_000
+"""Largest number of samples of a line; a line of 0.3 m sampled at 50 MHz has as many."""
+
 
 @dataclass(kw_only=True)
 class ImagingParameters:
@@ -79,6 +82,9 @@ class ImagingParameters:
         require(
             self.depth >= 4 * self.sample_pitch, "depth", self.depth, "at least 4 sample pitches"
         )
+        finest = self.depth / _MOST_SAMPLES
+        allowed = f"at least {finest:g} m, a {_MOST_SAMPLES}th of the depth"
+        require(self.sample_pitch >= finest, "sample_pitch", self.sample_pitch, allowed)
 
     @property
     def wavelength(self) -> float:

@@ -12,6 +12,7 @@ from commands import sonoservo_here
 from sonoservo.diagrams.app.cli import app
 from sonoservo.diagrams.experiments import registry
 from sonoservo.diagrams.experiments.registry import EXPERIMENTS, experiment_class, list_scenarios
+from sonoservo.diagrams.studies.cluster.job_queue import read_job_queue
 from sonoservo.systems.files.field_meanings import field_rows
 from sonoservo.systems.files.typed_yaml import load_typed, read_yaml
 from sonoservo.systems.files.writing import write_atomically
@@ -120,10 +121,14 @@ def test_snippets_run(page, quick, capsys):
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: f"{path.parent.name}/{path.name}")
-def test_yaml_of_the_pages_is_read(path):
+def test_yaml_of_the_pages_is_read(path, tmp_path):
     for block in blocks(path, "yaml"):
         data = yaml.safe_load(block)
-        if "tissue" in data:
+        if "class" in data:
+            queue = tmp_path / "queue.yaml"
+            queue.write_text(block)
+            assert read_job_queue(queue).jobs == data["jobs"]
+        elif "tissue" in data:
             data = {name: data["tissue"]["anatomy"][name] for name in ("kind", "top", "labels")}
             assert load_typed(LabelMapAnatomy, data, str(path)).labels
         else:

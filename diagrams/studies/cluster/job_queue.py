@@ -1,7 +1,9 @@
 """Clusters of a batch system such as Slurm, from a YAML file, with dask-jobqueue."""
 
 import inspect
-from collections.abc import Mapping
+import signal
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -87,8 +89,9 @@ def read_job_queue(path: Path) -> JobQueue:
         what is allowed.
     """
     try:
-        import dask_jobqueue
-        from dask_jobqueue.local import LocalCluster
+        with _keeping_handler_of_ctrl_c():
+            import dask_jobqueue
+            from dask_jobqueue.local import LocalCluster
     except ImportError as error:
         raise ConfigurationError(
             f"{path}: install dask-jobqueue first: pip install 'sonoservo[cluster]'"
@@ -124,6 +127,17 @@ def read_job_queue(path: Path) -> JobQueue:
             )
         _check(f"{path}: arguments.{name}", value, _TYPES.get(name, (bool, int, float, str, list)))
     return JobQueue(known[kind], jobs, dict(arguments))
+
+
+@contextmanager
+def _keeping_handler_of_ctrl_c() -> Iterator[None]:
+    """Undo that dask-jobqueue installs a handler of SIGINT on import."""
+    before = signal.getsignal(signal.SIGINT)
+    try:
+        yield
+    finally:
+        if signal.getsignal(signal.SIGINT) is not before:
+            signal.signal(signal.SIGINT, before)
 
 
 def _argument_names(kind: Any) -> set[str]:

@@ -16,10 +16,20 @@ from sonoservo.systems.files.refusals import ConfigurationError
 
 _START_S = 60.0
 
+_CALM = {
+    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
+    "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "1s",
+    "DASK_DISTRIBUTED__ADMIN__SYSTEM_MONITOR__INTERVAL": "5s",
+    "DASK_DISTRIBUTED__SCHEDULER__WORK_STEALING": "False",
+}
+"""Settings with which Dask's idle processes leave the cores to the cases; the user's go first."""
+
 
 @contextmanager
 def local_cluster(cases: int) -> Iterator[str]:
     """Start a scheduler and a worker, which end with the block or with this process.
+
+    The worker finds modules where this process does.
 
     Parameters
     ----------
@@ -39,7 +49,12 @@ def local_cluster(cases: int) -> Iterator[str]:
             f"worker --nworkers 1 --nthreads {cases} --no-dashboard --memory-limit 0"
             f" --preload-nanny {preload.__name__}",
         )
-        environment = {**os.environ, preload.PARENT: str(os.getpid())}
+        environment = {
+            **_CALM,
+            **os.environ,
+            preload.PARENT: str(os.getpid()),
+            "PYTHONPATH": os.pathsep.join(sys.path),
+        }
         processes = []
         try:
             with log.open("wb") as output:

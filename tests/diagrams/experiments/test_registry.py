@@ -117,4 +117,6 @@ def test_the_command_line_knows_it(path, tmp_path):
     assert "number of ticks" in result.stdout
     assert json.loads((out / "summary.json").read_text())["ticking"] == {"count": 4}
     assert (out / "ticks.png").stat().st_size > 0
-    assert "<small>(3" in (out / "report.html").read_text()
+    page = (out / "report.html").read_text()
+    assert ">paper<" in page
+    assert ">3.00<" in page

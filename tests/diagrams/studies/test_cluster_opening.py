@@ -1,9 +1,12 @@
 """Clusters named by a text: addresses, numbers and files of job queues, right and wrong."""
 
+import os
+import signal
 import sys
 
 import pytest
 from clusters.cases import calculate
+from clusters.processes import HELPERS
 
 from sonoservo.diagrams.studies.cluster.job_queue import read_job_queue
 from sonoservo.diagrams.studies.cluster.opening import open_cluster
@@ -68,6 +71,19 @@ def test_a_job_queue_is_read(tmp_path):
         assert line in script
 
 
+def test_reading_a_job_queue_leaves_ctrl_c_as_it_is(tmp_path, monkeypatch):
+    for name in [*sys.modules]:
+        if name.partition(".")[0] == "dask_jobqueue":
+            monkeypatch.delitem(sys.modules, name)
+    (tmp_path / "slurm.yaml").write_text(SLURM)
+    before = signal.getsignal(signal.SIGINT)
+    try:
+        read_job_queue(tmp_path / "slurm.yaml")
+        assert signal.getsignal(signal.SIGINT) is before
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 @pytest.mark.parametrize(
     ("line", "message"),
     [
@@ -102,8 +118,10 @@ def test_wrong_fields_of_a_job_queue_are_named(line, message, tmp_path):
 
 
 @pytest.mark.slow
-def test_jobs_of_a_queue_run_cases(tmp_path):
+def test_jobs_of_a_queue_run_cases(tmp_path, monkeypatch):
     """With dask-jobqueue's class for trials, which starts its jobs on this machine."""
+    path = [str(HELPERS), os.environ.get("PYTHONPATH", "")]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(path))
     path = tmp_path / "queue.yaml"
     path.write_text("class: LocalCluster\njobs: 2\narguments: {cores: 1, memory: 1GB}\n")
     cases = [Case("e", seed) for seed in range(8)]

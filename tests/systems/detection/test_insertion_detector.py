@@ -174,7 +174,7 @@ def test_leaf(before):
 
 def small(time, motion=None):
     zeros = np.zeros((2, 2, 2), np.uint8)
-    return Volume(zeros, np.zeros(3), np.ones(3), RigidTransform(), time, motion)
+    return Volume(zeros, np.zeros(3), np.full(3, 1e-3), RigidTransform(), time, motion)
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,7 @@ def detection(x, time):
 
 def volume(time, X_WP=None):
     X_WP = X_WP or RigidTransform()
-    return Volume(np.zeros((2, 2, 2), np.uint8), np.zeros(3), np.ones(3), X_WP, time)
+    return Volume(np.zeros((2, 2, 2), np.uint8), np.zeros(3), np.full(3, 1e-3), X_WP, time)
 
 
 class Bench:

@@ -1,36 +1,50 @@
 import numba
+from numba.extending import overload
 
 from sonoservo.systems.evaluation.compile_free_clock import CompileFreeClock
 
 
-class Ticking:
-    """A clock that advances by one second at every reading."""
+class Stopwatch:
+    """A clock that stands still until somebody advances it."""
 
     def __init__(self):
         self.now = 0.0
 
     def __call__(self):
-        self.now += 1.0
         return self.now
 
 
 def test_compilation_is_left_out():
+    stopwatch = Stopwatch()
+
+    def compile_slowly(x):
+        """Do nothing; it takes a second to be compiled for each type of its argument."""
+
+    @overload(compile_slowly)
+    def compile_for_type(x):
+        stopwatch.now += 1.0
+        return lambda x: None
+
     @numba.njit
     def inner(x):
+        compile_slowly(x)
         return 2 * x
 
     @numba.njit
     def outer(x):
-        return inner(x) + 1
+        result = inner(x) + 1
+        compile_slowly(result + 0.5)
+        return result
 
-    ticking = Ticking()
-    clock = CompileFreeClock(ticking)
+    clock = CompileFreeClock(stopwatch)
     with clock:
-        start = clock()
         assert outer(3) == 7
-        assert clock() - start == 1.0  # the tick of this reading
-        assert clock.compiled == 1.0  # of the outer kernel: the inner one is part of it
+        assert clock.compiled == 2.0  # a second for each kernel: one compiles the other
+        assert clock() == 0.0
+        stopwatch.now += 3.0
         assert outer(4) == 9
-        assert clock.compiled == 1.0
-    outer(1.5)
-    assert clock.compiled == 1.0
+        assert clock.compiled == 2.0
+        assert clock() == 3.0
+    assert outer(1j) == 1 + 2j
+    assert stopwatch.now == 6.0
+    assert clock.compiled == 2.0

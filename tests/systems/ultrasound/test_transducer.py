@@ -113,7 +113,8 @@ def test_frequency_must_suit_the_transducer():
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("gain", 1.2), ("sector", 0.0), ("depth", 0.0), ("depth", 90.0)]
+    ("name", "value"),
+    [("gain", 1.2), ("sector", 0.0), ("depth", 0.0), ("depth", 90.0), ("sample_pitch", 3e-10)],
 )
 def test_imaging_errors_name_the_field(name, value):
     with pytest.raises(ValueError, match=name):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from renderers import DEEP, DOWN, about, correlation, make_renderer, shift, still
 
-from sonoservo.systems.ultrasound.simulation import rendering
+from sonoservo.systems.ultrasound.simulation import frame_renderer
 from sonoservo.systems.ultrasound.simulation.scatterer_tile import BLOCKS, ScattererTile
 from sonoservo.systems.ultrasound.simulation.tissue import Ball, Tissue
 from sonoservo.systems.ultrasound.transducer import Transducer
@@ -63,7 +63,7 @@ def test_scatterers_echo_as_the_point_spread_function_says(monkeypatch, directio
     place = np.array([1.1e-3, 2.3e-3, 0.7e-3], np.float32)
     starts = np.append(0, np.ones(BLOCKS**3, int))
     tile = ScattererTile(4e-3, place[:, np.newaxis], np.zeros(1, np.float32), starts)
-    monkeypatch.setattr(rendering, "scatterer_tile", lambda density, rng: tile)
+    monkeypatch.setattr(frame_renderer, "scatterer_tile", lambda density, rng: tile)
     renderer = make_renderer(Tissue(size=[0.030, 0.030, 0.12]))
     X_TP = still(renderer, about(2, 0.3, [0, 0, 0]) @ shift(0.006, 0.004, 0.08) @ DOWN)
     echo = renderer.tissue_echo(X_TP, direction)
