@@ -47,12 +47,7 @@ class ShapeLeastSquaresParameters(ShapeEstimatorParameters):
     def __post_init__(self) -> None:
         super().__post_init__()
         require(self.samples >= 20, "samples", self.samples, "at least 20")
-        require(
-            0 < self.min_radius < self.mean_radius,
-            "min_radius",
-            self.min_radius,
-            "above 0 and below mean_radius",
-        )
+        self._require_min_radius(self.min_radius)
 
 
 @dataclass(frozen=True, eq=False)

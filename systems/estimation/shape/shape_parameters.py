@@ -66,6 +66,11 @@ class ShapeEstimatorParameters:
         if self.observe_until is not None:
             require_not_negative(observe_until=self.observe_until)
 
+    def _require_min_radius(self, min_radius: float) -> None:
+        """Check the smallest radius in m of an estimator that has one."""
+        allowed = "above 0 and below mean_radius"
+        require(0 < min_radius < self.mean_radius, "min_radius", min_radius, allowed)
+
     @property
     def angle_std(self) -> float:
         """Standard deviation of theta_0, in rad."""

@@ -136,12 +136,7 @@ class ShapeParticleFilterParameters(ShapeEstimatorParameters):
         super().__post_init__()
         require_within("particles", self.particles, 50, MAX_PARTICLES)
         require(self.moves >= 1, "moves", self.moves, "at least 1")
-        require(
-            0 < self.min_radius < self.mean_radius,
-            "min_radius",
-            self.min_radius,
-            "above 0 and below mean_radius",
-        )
+        self._require_min_radius(self.min_radius)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,11 +1,9 @@
 """A Bokeh page behind a site: who gets in."""
 
-from urllib.error import HTTPError
-from urllib.request import Request, urlopen
-
 import pytest
 from page_clients.console_socket import session_token
 from page_clients.page_socket import ask
+from page_clients.web_request import get
 
 from sonoservo.systems.display.pages.bokeh_page import open_bokeh_page
 from sonoservo.systems.display.pages.site import Site
@@ -16,16 +14,6 @@ def site():
     with Site() as site:
         open_bokeh_page(site, page="page", title="Page", make=lambda document: None)
         yield site
-
-
-def get(url, **headers):
-    """Status, headers and text of the answer."""
-    try:
-        answer = urlopen(Request(url, headers=headers), timeout=10)
-    except HTTPError as error:
-        answer = error
-    with answer:
-        return answer.status, answer.headers, answer.read().decode()
 
 
 def test_the_address_opens_the_page_and_leaves_a_cookie(site):

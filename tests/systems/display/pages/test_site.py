@@ -1,12 +1,11 @@
 """Pages of a site, and those who must not see them."""
 
 import socket
-from urllib.error import HTTPError
 from urllib.parse import urlsplit
-from urllib.request import Request, urlopen
 
 import pytest
 from page_clients.page_socket import ask, open_socket
+from page_clients.web_request import get
 from tornado.websocket import WebSocketHandler
 
 from sonoservo.systems.display.pages.site import Document, Guarded, Site
@@ -25,16 +24,6 @@ def site():
     with Site() as site:
         site.add("page", "A <page>", [("", Document, {"text": "hello"}), ("socket", Echo, {})])
         yield site
-
-
-def get(url, **headers):
-    """Status, headers and text of the answer."""
-    try:
-        answer = urlopen(Request(url, headers=headers), timeout=10)
-    except HTTPError as error:
-        answer = error
-    with answer:
-        return answer.status, answer.headers, answer.read().decode()
 
 
 def test_the_address_opens_a_page_and_leaves_a_cookie(site):
