@@ -52,4 +52,14 @@ class Lifecycle(Protocol):
         measurement: NeedleMeasurement | NotFound,
         velocity: VelocityMeasurement | NotFound,
     ) -> Track:
-        """Return the track after a volume, given what was found in it."""
+        """Return the track after a volume.
+
+        Parameters
+        ----------
+        track
+            Track before the volume, seen from the probe's pose at the volume.
+        time
+            Time of the volume, in s.
+        detection, measurement, velocity
+            Results of detector, localizer and velocimeter for the volume.
+        """

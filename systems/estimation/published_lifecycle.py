@@ -101,17 +101,7 @@ class PublishedLifecycle:
         measurement: NeedleMeasurement | NotFound,
         velocity: VelocityMeasurement | NotFound,
     ) -> Track:
-        """Return the track after a volume.
-
-        Parameters
-        ----------
-        track
-            Track before the volume, seen from the probe's pose at the volume.
-        time
-            Time of the volume, in s.
-        detection, measurement, velocity
-            Results of detector, localizer and velocimeter for the volume.
-        """
+        """Return the track after a volume; see `Lifecycle.next`."""
         if track.mode == TrackingMode.SEARCHING:
             return self._start(track, time, detection, measurement)
         speed = velocity if isinstance(velocity, VelocityMeasurement) else None

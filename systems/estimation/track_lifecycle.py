@@ -129,17 +129,7 @@ class TrackLifecycle:
         measurement: NeedleMeasurement | NotFound,
         velocity: VelocityMeasurement | NotFound,
     ) -> Track:
-        """Return the track after a volume.
-
-        Parameters
-        ----------
-        track
-            Track before the volume, seen from the probe's pose at the volume.
-        time
-            Time of the volume, in s.
-        detection, measurement, velocity
-            Results of detector, localizer and velocimeter for the volume.
-        """
+        """Return the track after a volume; see `Lifecycle.next`."""
         everywhere = self._is_searched_everywhere(track, time)
         track = replace(track, searched=time if everywhere else track.searched)
         speed = velocity if isinstance(velocity, VelocityMeasurement) else None
