@@ -1,0 +1,72 @@
+"""The features, held against levels that are known exactly."""
+
+import numpy as np
+import pytest
+from pydrake.math import RigidTransform
+
+from sonoservo.systems.localization.line_features import line_features
+from sonoservo.systems.signals.volume import Volume
+
+PITCH = 0.5e-3
+SHAPE = (101, 81, 61)
+ENDS = np.array([[5e-3, 20e-3, 15e-3], [40e-3, 20e-3, 15e-3]])
+TISSUE, LINE = 100.0, 170.0  # levels; a quarter of a decibel each
+
+
+def volume(level):
+    """Volume whose level is a function of the depth below the line and of the place beside it."""
+    x, y, z = PITCH * np.stack(np.indices(SHAPE))
+    levels = np.broadcast_to(level(y - ENDS[0, 1], z - ENDS[0, 2], x), SHAPE)
+    return Volume(
+        intensities=np.round(levels).astype(np.uint8),
+        origin=np.zeros(3),
+        spacing=np.full(3, PITCH),
+        X_WP=RigidTransform(),
+        time=0.0,
+        decibels_per_level=0.25,
+    )
+
+
+def features(level):
+    return line_features(volume(level), ENDS, evidence=80e-3, tip_gap=4e-3)
+
+
+def line(below, aside, x=0.0):
+    """A bright line of 1.5 mm in even tissue."""
+    return np.where(np.hypot(below, aside) < 0.8e-3, LINE, TISSUE)
+
+
+def test_a_line_in_even_tissue_is_narrow_and_alike_on_all_sides():
+    found = features(line)
+    assert found["width"] < 0.7
+    assert 10 < found["near aside"] == pytest.approx(found["far aside"], abs=0.5)
+    assert found["far above"] == pytest.approx(found["far aside"], abs=0.5)
+    assert found["behind"] == found["border"] == found["evidence"] == found["fall"] == 0
+    assert found["tip at edge"] == pytest.approx(np.exp(-1))
+
+
+def test_a_sheet_is_wide_and_as_bright_beside():
+    found = features(lambda below, aside, x: np.where(np.abs(below) < 0.8e-3, LINE, TISSUE))
+    assert found["width"] > 1.5
+    assert found["near aside"] < 3  # a sector is wider than the sheet
+    assert found["far above"] > 10
+
+
+@pytest.mark.parametrize(("drop", "border"), [(4.0, 0.0), (8.0, 1.0), (12.0, 4.0), (24.0, 9.0)])
+def test_border_is_the_darkness_below(drop, border):
+    found = features(
+        lambda below, aside, x: line(below, aside) - 4 * drop * (below > 1.5e-3)
+    )  # four levels a decibel
+    assert found["border"] == pytest.approx(border, abs=0.15)
+
+
+def test_what_brightens_below_is_behind():
+    found = features(lambda below, aside, x: line(below, aside) + 16.0 * (below > 3e-3))
+    assert found["behind"] == pytest.approx(2.0, abs=0.1)
+    assert found["border"] == 0
+
+
+def test_outside_the_field_of_view_counts_neither_way():
+    seen = features(line)
+    edge = features(lambda below, aside, x: np.where(aside < 1.5e-3, line(below, aside), 0))
+    assert edge == pytest.approx(seen, abs=0.3)
