@@ -116,7 +116,7 @@ def MakeZhao2012AsPublishedTracker(
     connect_parts(
         builder,
         gate=VolumeGate(parameters=parameters.plausibility, **events),
-        memory=VolumeMemory(**events),
+        memory=VolumeMemory(period=period, offset=offset),
         detector=InsertionDetector(
             parameters=parameters.detection, seed=seed, method=detect_as_published
         ),
@@ -128,5 +128,5 @@ def MakeZhao2012AsPublishedTracker(
     velocimeter = SpeckleVelocimeter(
         parameters=parameters.velocimeter, method=measure_velocity_as_published
     )
-    connect_velocimeter(builder, manager, velocimeter, VolumeMemory(**events))
+    connect_velocimeter(builder, manager, velocimeter, VolumeMemory(period=period, offset=offset))
     return builder.Build()

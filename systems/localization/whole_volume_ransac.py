@@ -170,7 +170,9 @@ def explain_whole_volume_localization(
     parameters: WholeVolumeLocalizationParameters,
     rng: np.random.Generator,
 ) -> LocalizationExplanation:
-    """Localize the needle in a whole volume, whatever was predicted; see `localize_in_whole_volume`.
+    """Localize the needle in a whole volume, whatever was predicted.
+
+    The method is that of `localize_in_whole_volume`.
 
     Parameters
     ----------

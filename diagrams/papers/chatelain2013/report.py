@@ -107,12 +107,24 @@ def _found(method: MethodRuns, insertion: int, where: int, q: float) -> Value:
     return Value(figure(lengths), low=low, high=high)
 
 
-def _fig5(group: Comparison, eq_25: Comparison | None) -> None:
-    for k, name, unit, factor, paper, target in (
-        (0, "X", "mm", _MM, 1.10, 0.6),
-        (1, "Z", "mm", _MM, 0.23, 0.2),
-        (2, "Theta", "deg", _DEG, 0.97, 0.6),
-    ):
+_AT_REST = ((1.10, 0.6), (0.23, 0.2), (0.97, 0.6))
+"""Paper's figure and target of X and Z in mm and Theta in deg at rest."""
+
+
+def add_rest_rows(
+    group: Comparison, known: Sequence[tuple[float | None, float | None]] = 3 * ((None, None),)
+) -> None:
+    """Add the rows of the features at rest.
+
+    Parameters
+    ----------
+    group
+        Runs with both methods, to which the rows are added.
+    known
+        Paper's figure and target of each feature.
+    """
+    for k, (name, (paper, target)) in enumerate(zip(("X", "Z", "Theta"), known, strict=True)):
+        unit, factor = ("deg", _DEG) if name == "Theta" else ("mm", _MM)
         group.row(
             f"at rest, lost or not, mean |{name}|",
             unit,
@@ -120,6 +132,16 @@ def _fig5(group: Comparison, eq_25: Comparison | None) -> None:
             paper=paper,
             target=target,
         )
+
+
+def add_tracking_rows(group: Comparison) -> None:
+    """Add the rows of the errors of tip and axis, and of failures of tracking."""
+    _errors(group)
+    _reliability(group)
+
+
+def _fig5(group: Comparison, eq_25: Comparison | None) -> None:
+    add_rest_rows(group, _AT_REST)
     group.row(
         "runs that converged", "%", lambda m: m.share(lambda run: converged(run.log)),
         target=100, wanted="at least",
