@@ -56,6 +56,12 @@ def test_needle_moves_as_it_is_pushed_and_is_as_bright_as_its_scatterers(phantom
     assert 18 < 10 * np.log10(levels[0] / levels[1]) < 24
 
 
+def test_the_published_density_leaves_the_speckle_undeveloped(phantom):
+    near = np.s_[8:45, 10:61, round(0.045 / 2.8519e-5) : round(0.055 / 2.8519e-5)]
+    intensity = np.abs(phantom._tissue[near]).astype(float) ** 2
+    assert (intensity**2).mean() / intensity.mean() ** 2 == pytest.approx(2 + 1 / 1.75, abs=0.1)
+
+
 def test_the_tracker_follows_a_needle_in_the_dynamic_run():
     settings = {"phantom": 100, "speeds_mm_s": 6 * [1.0]}
     result = run_case(Case("dynamic, fresh speckle", 100, settings))
