@@ -43,15 +43,15 @@ class Zhao2012TrackerParameters(CommonTrackerParameters):
     kind
         "zhao2012".
     velocimeter
-        Parameters of the velocimeter: by default "speckle", the paper's; "edge" follows the end of
-        the needle, which suits a steel needle in the loop's volumes.
+        Parameters of the velocimeter: by default "edge", which follows the end of the needle, as a
+        steel needle's echo and the tissue rest while it slides; "speckle" is the paper's.
     filter
         Filter of the track: by default "axis_tip", the paper's.
     """
 
     kind: str = "zhao2012"
     velocimeter: SpeckleVelocimeterParameters | EdgeVelocimeterParameters = field(
-        default_factory=SpeckleVelocimeterParameters
+        default_factory=EdgeVelocimeterParameters
     )
     filter: AnyFilter = field(default_factory=AxisTipFilter)
 

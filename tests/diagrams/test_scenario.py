@@ -70,7 +70,8 @@ def test_plant_settings_are_drakes_and_round_trip(tmp_path):
 
 
 def test_the_tracker_is_chosen_by_name(tmp_path):
-    changes = ["tracker=zhao2012", "tracker.velocimeter.min_correlation=0.4"]
+    changes = ["tracker=zhao2012", "tracker.velocimeter=speckle"]
+    changes += ["tracker.velocimeter.min_correlation=0.4"]
     scenario = load_scenario("chatelain2013_fig5", changes=changes)
     assert isinstance(scenario.tracker, Zhao2012TrackerParameters)
     assert scenario.tracker.velocimeter.min_correlation == 0.4
