@@ -100,6 +100,6 @@ def measure_edge_velocity(
         return NotFound("the volumes were acquired at the same time")
     speed = (tips[1] - tips[0]) / elapsed
     along = np.outer(direction, direction)
-    covariance = (np.hypot(*stds) / elapsed) ** 2 * along
+    covariance = (np.hypot(stds[0], stds[1]) / elapsed) ** 2 * along
     covariance = covariance + parameters.across_std**2 * (np.eye(3) - along)
     return VelocityMeasurement(speed * direction, covariance, 1.0)

@@ -14,7 +14,12 @@ from sonoservo.diagrams.papers.chatelain2013.analysis import (
     quantile,
 )
 from sonoservo.diagrams.papers.chatelain2013.cases import AS_PUBLISHED
-from sonoservo.diagrams.papers.chatelain2013.method_report import Comparison, MethodRuns, Value
+from sonoservo.diagrams.papers.chatelain2013.method_report import (
+    Comparison,
+    MethodRuns,
+    Value,
+    add_rest_rows,
+)
 from sonoservo.diagrams.papers.chatelain2013.notes_report import NOTES, TITLE
 from sonoservo.diagrams.papers.chatelain2013.plots import study_figures
 from sonoservo.diagrams.studies.study import Outcome
@@ -111,29 +116,6 @@ _AT_REST = ((1.10, 0.6), (0.23, 0.2), (0.97, 0.6))
 """Paper's figure and target of X and Z in mm and Theta in deg at rest."""
 
 
-def add_rest_rows(
-    group: Comparison, known: Sequence[tuple[float | None, float | None]] = 3 * ((None, None),)
-) -> None:
-    """Add the rows of the features at rest.
-
-    Parameters
-    ----------
-    group
-        Runs with both methods, to which the rows are added.
-    known
-        Paper's figure and target of each feature.
-    """
-    for k, (name, (paper, target)) in enumerate(zip(("X", "Z", "Theta"), known, strict=True)):
-        unit, factor = ("deg", _DEG) if name == "Theta" else ("mm", _MM)
-        group.row(
-            f"at rest, lost or not, mean |{name}|",
-            unit,
-            partial(_at_rest, feature=k, factor=factor),
-            paper=paper,
-            target=target,
-        )
-
-
 def add_tracking_rows(group: Comparison) -> None:
     """Add the rows of the errors of tip and axis, and of failures of tracking."""
     _errors(group)
@@ -159,15 +141,6 @@ def _fig5(group: Comparison, eq_25: Comparison | None) -> None:
     _force(group, 0.05)
     _errors(group)
     _reliability(group)
-
-
-def _at_rest(method: MethodRuns, feature: int, factor: float) -> Value:
-    """Return the mean error of a feature at rest, over all samples of all runs."""
-
-    def error(run: Run, estimated: bool) -> float:
-        return factor * float(run.rest[int(estimated)][feature])
-
-    return method.mean(partial(error, estimated=False), partial(error, estimated=True))
 
 
 def _only(method: MethodRuns, group: Comparison, value: float | None) -> Value:
