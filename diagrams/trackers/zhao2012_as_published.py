@@ -35,6 +35,7 @@ def _published_localization() -> WholeVolumeLocalizationParameters:
     return WholeVolumeLocalizationParameters(
         candidate_volume=1000e-9,
         max_gap=3e-3,
+        end_contrast=6.0,
         ransac=RansacParameters(
             residual_threshold=0.75e-3, refits=1, draws_factor=1.0, max_trials=20000
         ),
@@ -74,7 +75,9 @@ class Zhao2012AsPublishedParameters(TrackerParameters):
     localization
         Thresholds and noise of section 2.2. The number of voxels and f_0 are those that gave the
         most right lines in whole volumes of fig. 5 of Chatelain 2013, on seeds from 100 on: with
-        less than 500 mm^3 or more than 1 mm, bright spots in the tissue win.
+        less than 500 mm^3 or more than 1 mm, bright spots in the tissue win. A steel needle is some
+        20 dB brighter where a scan line meets it at a right angle, so it ends 6 dB above its
+        surroundings, as in Chatelain 2013 as published.
     velocimeter
         Windows of section 2.3. The published windows are 7 planes, 21 lines and 51 samples in 11,
         37 and 61. The default windows have the same extents at a depth of 50 mm in voxels of

@@ -28,6 +28,10 @@ class WholeVolumeRansacParameters:
         Total volume of the brightest voxels, in m^3.
     max_gap
         Largest gap in the intensity along the needle that does not end it, in m.
+    end_contrast
+        Intensity above the median of the surroundings at which the needle ends, in dB. None stands
+        for half the amplitude of the needle around its middle, which suits an echo that is even
+        along the needle.
     ransac, tip
         Parameters of the axis and of the intensity along it. Without refits the axis is that of the
         best sample. With one it is optimized locally, as published.
@@ -35,11 +39,14 @@ class WholeVolumeRansacParameters:
 
     candidate_volume: float = 60e-9
     max_gap: float = 2e-3
+    end_contrast: float | None = None
     ransac: RansacParameters = field(default_factory=RansacParameters)
     tip: TipParameters = field(default_factory=TipParameters)
 
     def __post_init__(self) -> None:
         require_positive(candidate_volume=self.candidate_volume, max_gap=self.max_gap)
+        if self.end_contrast is not None:
+            require_positive(end_contrast=self.end_contrast)
 
 
 @dataclass(kw_only=True)
@@ -157,9 +164,13 @@ def localize_in_whole_volume(
     a = np.sort(axis.abscissa(points[found.inliers]))
     middle = float(np.median(a))
     profile = axis_profile(volume, axis, a[0], a[-1], parameters.tip)
-    # The threshold is half the amplitude of the needle around its middle.
-    inside = np.abs(profile.a - middle) <= parameters.max_gap
-    bright = profile.level > np.median(profile.level[inside]) - 20 * np.log10(2)
+    if parameters.end_contrast is None:
+        inside = np.abs(profile.a - middle) <= parameters.max_gap
+        least = float(np.median(profile.level[inside])) - 20 * np.log10(2)
+    else:
+        around = profile.background[profile.seen]
+        least = float(np.median(around)) + parameters.end_contrast if len(around) else 0.0
+    bright = profile.level > least
     start, tip = intensity_drops(profile.a[bright], middle, parameters.max_gap)
     return WholeVolumeNeedle(found.fit, start, tip)
 
