@@ -102,7 +102,7 @@ def line_region(
         curve=NeedleCurve(np.linspace(line[0], line[1], order)),
         radius=0.8 * parameters.margin,
         before=parameters.max_entry_gap,
-        beyond=0.75 * parameters.margin,
+        beyond=1.5 * parameters.margin,
         shaft_beyond=0.0,
         max_angle=math.radians(parameters.max_angle_deg),
     )
