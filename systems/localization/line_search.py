@@ -195,7 +195,9 @@ def _select_lines(  # pragma: no cover - compiled
         first = points[pairs[c, 0]]
         k = points[pairs[c, 1]] - first
         k = k / np.sqrt(np.sum(k * k))
-        lines[n, 0], lines[n, 1] = first + ends[c, 0] * k, first + ends[c, 1] * k
+        for axis in range(3):
+            lines[n, 0, axis] = first[axis] + ends[c, 0] * k[axis]
+            lines[n, 1, axis] = first[axis] + ends[c, 1] * k[axis]
         alike = False
         for other in range(n):
             start = lines[other, 0]
