@@ -3,6 +3,8 @@ from .kept_runs.explain import ExplainedRun as ExplainedRun
 from .kept_runs.explain import explanation_table as explanation_table
 from .kept_runs.explain import read_explained_run as read_explained_run
 from .kept_runs.kept_run import KeptRun as KeptRun
+from .kept_runs.replay import Replay as Replay
+from .kept_runs.replay import read_replay as read_replay
 from .pages.pacer import Pacer as Pacer
 from .pages.pages import Pages as Pages
 from .pages.pages import open_pages as open_pages
