@@ -128,6 +128,7 @@ function start(...given) {
   frame.onload = () => {
     frame.contentWindow.addEventListener("keydown", key);
     if (frame.contentWindow.viewer) frame.contentWindow.viewer.gui.domElement.hidden = true;
+    if (state.seek != null) seek(frame);
   };
   $("layers").onclick = () => {
     const gui = frame.contentWindow.viewer?.gui;

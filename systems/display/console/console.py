@@ -67,16 +67,14 @@ class Console:
         self._owns_site = site is None
         self._site = site or Site()
         self._title = title
-        self._facts: dict[str, Any] = {"title": title, "world": world or ""}
+        probe = world == ""
+        self._facts: dict[str, Any] = {"title": title, "world": "probe" if probe else world or ""}
         self._newest: tuple[Volume, NeedleEstimate | None, int] | Frame | None = None
         self._shown = 0
         self._views: set[_View] = set()
         self.strips, self.cine = Strips(), Cine()
         self.controls = Controls(self._wake)
-        self._probe: ProbePage | None = None
-        if world == "":
-            self._probe = _open_probe(self._site, self._wake)
-            self._facts["world"] = "probe"
+        self._probe = _open_probe(self._site, self._wake) if probe else None
         open_bokeh_page(self._site, page="console", title="Console", make=self._open)
 
     @property

@@ -180,7 +180,7 @@ def test_at_its_end_it_waits_and_starts_again(folder):
     assert console.facts["seek"] == pytest.approx(replay.end)
     acts = {1: [("move", 19.5)], 3: [("press", "pause")], 5: [("press", "stop")]}
     console, seen = play(replay, acts)
-    assert seen == [pytest.approx(replay.end)] * 2 + [1.0, 2.0]
+    assert seen == pytest.approx([19.5, replay.end, 1.0, 2.0])
     assert not console.facts["note"]
 
 
