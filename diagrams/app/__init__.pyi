@@ -25,6 +25,6 @@ from .volumes.locate import LocatedNeedle as LocatedNeedle
 from .volumes.locate import locate_in as locate_in
 from .volumes.locate import locate_in_recording as locate_in_recording
 from .volumes.reconstruct import ReconstructedRecording as ReconstructedRecording
-from .volumes.track import TrackedRecording as TrackedRecording
 from .volumes.track import track_recording as track_recording
 from .volumes.track import tracker_parameters as tracker_parameters
+from .volumes.tracked_recording import TrackedRecording as TrackedRecording

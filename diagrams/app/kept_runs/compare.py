@@ -10,7 +10,7 @@ from typing import Any
 from matplotlib.figure import Figure
 from rich.table import Table
 
-from sonoservo.diagrams.app.run_result import format_figure
+from sonoservo.diagrams.app.run_result import format_figure, table_text
 from sonoservo.diagrams.experiments.experiment import Experiment
 from sonoservo.diagrams.experiments.registry import experiment_class, load_scenario
 from sonoservo.diagrams.experiments.scenario_changes import changed_fields
@@ -114,6 +114,9 @@ class Comparison:
     @property
     def _kind(self) -> str:
         return self.runs[0].scenario.experiment
+
+    def __str__(self) -> str:
+        return table_text(self.table())
 
     def _repr_html_(self) -> str:
         heads = [html.escape(name) for name in self.names]

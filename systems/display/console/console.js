@@ -74,7 +74,7 @@ function show() {
     $("legend").hidden = $("see").hidden = state.world === "probe";
   }
   const without = state.without ?? [];
-  if (state.seek != null) seek(frame);
+  seek(frame);
   for (const each of ["world", "slices", "planes", "cine", "strips", "readings"])
     document.body.classList.toggle(`no-${each}`, without.includes(each));
   for (const each of ["force", "error"])
@@ -128,7 +128,6 @@ function start(...given) {
   frame.onload = () => {
     frame.contentWindow.addEventListener("keydown", key);
     if (frame.contentWindow.viewer) frame.contentWindow.viewer.gui.domElement.hidden = true;
-    if (state.seek != null) seek(frame);
   };
   $("layers").onclick = () => {
     const gui = frame.contentWindow.viewer?.gui;
@@ -137,6 +136,8 @@ function start(...given) {
   };
   $("close-up").onclick = () => { closeUp(frame); $("close-up").blur(); };
   setInterval(readGamepad, 100);
+  // A kept world plays by itself once it has loaded, which takes a while.
+  setInterval(() => { if (frame.contentWindow.viewer?.animator?.playing) seek(frame); }, 300);
   describe();
   show();
   document.body.dataset.ready = "";

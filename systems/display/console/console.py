@@ -64,8 +64,7 @@ class Console:
     ) -> None:
         from sonoservo.systems.display.pages.bokeh_page import open_bokeh_page
 
-        self._owns_site = site is None
-        self._site = site or Site()
+        self._owns_site, self._site = site is None, site or Site()
         self._title = title
         probe = world == ""
         self._facts: dict[str, Any] = {"title": title, "world": "probe" if probe else world or ""}

@@ -46,7 +46,7 @@ function closeUp(frame) {
 
 function seek(frame) {
   const animator = frame.contentWindow.viewer?.animator;
-  if (!(animator?.duration > 0)) return;
+  if (state.seek == null || !(animator?.duration > 0)) return;
   if (animator.playing) animator.pause();
   frame.contentWindow.viewer.set_property(["phase"], "visible", false); // it is said beside it
   animator.seek(Math.min(state.seek, animator.duration));
