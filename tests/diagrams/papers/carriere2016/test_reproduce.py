@@ -19,7 +19,8 @@ from sonoservo.diagrams.papers.carriere2016.runs import AS_PUBLISHED, TAUGHT, ru
 from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
 from sonoservo.diagrams.studies.study_report import write_study
 
-SHORT = ["depth=0.03", "rotations=[0.02]", "observe_until=0.02", "step=1e-3", "imaging.sector=0.4"]
+SHORT = ["depth=0.03", "rotations=[0.02]", "observe_until=0.02", "step=1.5e-3"]
+SHORT += ["imaging.sector=0.4", "particle_filter.particles=150", "published.particles=150"]
 FEW = {"gamma": {"0.1": ["published.gain=0.1"]}, "h": {"4 mm": ["tracker.template=[6e-3, 4e-3]"]}}
 
 
