@@ -46,7 +46,7 @@ def rows(tmp_path_factory):
 
 
 def test_speeds_are_judged_by_true_speed_and_method(rows):
-    when = "at 5 mm/s, from 1 s after a change on"
+    when = "at 5 mm/s, while tracked, from 1 s after a change on"
     bias = rows[SPEED, f"speed along the needle, bias {when}"]
     assert bias.true == pytest.approx(0.2, abs=1e-6)
     assert bias.low == pytest.approx(0.2, abs=1e-6)
@@ -57,6 +57,8 @@ def test_speeds_are_judged_by_true_speed_and_method(rows):
     assert baseline.published_true is None
     size = rows[SPEED, f"speed along the needle, size of the bias {when}"]
     assert (size.target, size.met) == (0.5, True)
+    missing = rows[SPEED, "volumes not tracked at 5 mm/s, from 1 s after a change on"]
+    assert missing.true == missing.published_true == 0
 
 
 def test_the_loop_has_rows_of_both_methods(rows):
