@@ -26,6 +26,7 @@ from sonoservo.systems.control.guard_memory import (
 from sonoservo.systems.control.guard_parameters import GuardParameters
 from sonoservo.systems.control.guard_rules import (
     NO_BREACH,
+    NOTED_STEP,
     WINDOW,
     Mode,
     Vector,
@@ -43,13 +44,18 @@ from sonoservo.systems.signals.scratch_context import declare_scratch_context, s
 _QUIET = 0.75
 """Change of a component of the wrist force in N at which everything is checked at once."""
 
+_NEAR = 0.5
+"""Share of the largest pose error by which the position may change in a step before it is."""
+
 _AHEAD = 0.05
 """Time in s for which the guard looks ahead at the edge of the region."""
 
 _TOLERANCE = 1e-9
 """Rounding error of joint positions and speeds, in rad and rad/s."""
 
-_NOTHING_DONE = EventStatus.DidNothing()
+_DONE = EventStatus.Succeeded()
+
+_NOTHING_SEEN = np.append(np.full(9, np.nan), [0.0, 0.0])
 
 _STATES = dict(zip(Mode, GuardState, strict=True))
 
@@ -138,6 +144,8 @@ class Guard(LeafSystem):
         self._command = self.DeclareDiscreteState(nothing)
         self._memory = self.DeclareDiscreteState(np.array(GuardMemory().pack()))
         self._approach_scale = self.DeclareDiscreteState([1.0])
+        # The last step's wrist sample and measured position, and how often each was repeated.
+        self._last = self.DeclareDiscreteState(_NOTHING_SEEN)
         self._sent = self.DeclareVectorOutputPort(
             "joint_command",
             2 * n,
@@ -161,6 +169,7 @@ class Guard(LeafSystem):
         discrete_state.set_value(self._command, command)
         discrete_state.set_value(self._memory, memory.pack())
         discrete_state.set_value(self._approach_scale, [1.0])
+        discrete_state.set_value(self._last, _NOTHING_SEEN)
         return EventStatus.Succeeded()
 
     def _memory_in(self, context: Context) -> GuardMemory:
@@ -180,12 +189,13 @@ class Guard(LeafSystem):
 
     def _calc_guard(self, context: Context, output: Value) -> None:
         memory = self._memory_in(context)
+        repeated = context.get_discrete_state(self._last).value()[9:]
         status = GuardStatus(
             _STATES[Mode(memory.mode)],
             reason(memory.cause, memory.value, self._limits),
             memory.since,
             int(memory.interventions),
-            remark(memory.sensor.ignored, memory.sensor.ignored_as, memory.pose_frozen),
+            remark(memory.sensor.ignored, memory.sensor.ignored_as, memory.steps, *repeated),
         )
         output.set_value(status)
 
@@ -193,22 +203,27 @@ class Guard(LeafSystem):
         """Return True if a command keeps the joints' limits and continues the one sent last."""
         return bool(keeps_limits(wanted, sent, self._joint_limits))
 
-    def _is_quiet(self, context: Context, last: list[float]) -> bool:
-        """Return True if the force is that of the last check, which suspected nothing."""
-        x, y, z = self._wrist_force.Eval(context).translational().tolist()
-        p, q, r = last
-        return abs(x - p) < _QUIET and abs(y - q) < _QUIET and abs(z - r) < _QUIET
-
     def _update(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
         state = context.get_discrete_state(self._command).value().tolist()
+        *last, same_sample, same_pose = context.get_discrete_state(self._last).value().tolist()
+        sample = self._wrist_force.Eval(context).get_coeffs().tolist()
+        p = self._X_WP.Eval(context).translation().tolist()
+        if sample == last[:6] and self._limits.wrist_sensor.frozen_after:
+            same_sample += 1
+        if p == last[6:] and state[-4] == Mode.MONITORING and self._limits.pose_frozen_after:
+            same_pose += 1
+        discrete_state.set_value(self._last, [*sample, *p, same_sample, same_pose])
         elapsed = context.get_time() - state[-5]
         # Everything is checked at least every `WINDOW`; this saves three quarters of the time.
         soon = elapsed < WINDOW - 0.5 * self._time_step
-        if soon and self._is_quiet(context, state[-3:]):
-            return _NOTHING_DONE
+        near = _NEAR * self._limits.max_pose_error
+        stepped = abs(sample[4] - last[4]) > NOTED_STEP
+        quiet = _close(sample[3:], state[-3:], _QUIET) and _close(p, last[6:], near)
+        if soon and quiet and not stepped:
+            return _DONE
         before = self._memory_in(context)
         sent = self._sent.Eval(context)
-        seen = self._observe(context, before, sent)
+        seen = self._observe(context, before, sent)._replace(stepped=stepped)
         memory = next_memory(
             before, seen, self._limits, self._region, self._time_step, max(elapsed, self._time_step)
         )
@@ -285,3 +300,8 @@ class Guard(LeafSystem):
         speed = max(float(np.linalg.norm(memory.velocity)), 0.1 * float(np.abs(v).max()), 1e-9)
         factor = 1 - self._limits.retreat_acceleration * self._time_step / speed
         return factor if factor > 0 else 0.0
+
+
+def _close(a: list[float], b: list[float], by: float) -> bool:
+    """Return True if (3,) vectors differ by less than that in each component."""
+    return abs(a[0] - b[0]) < by and abs(a[1] - b[1]) < by and abs(a[2] - b[2]) < by

@@ -19,6 +19,10 @@ Vector = tuple[float, ...]
 WINDOW = 0.02
 """Time in s over which accelerations are averaged, and longest time between two checks."""
 
+NOTED_STEP = 0.5
+"""Change of the pressing force between two samples in N that is noted: a body that comes at 10 cm/s
+or slower changes it less."""
+
 
 class Mode(IntEnum):
     """States of the guard, as numbers."""
@@ -104,15 +108,19 @@ def reason(cause: int, value: float, limits: GuardParameters) -> str:
     return texts[Cause(cause)]
 
 
-def remark(ignored: int, ignored_as: int, frozen: float) -> str:
+def remark(
+    ignored: int, ignored_as: int, steps: int = 0, same_samples: int = 0, same_poses: int = 0
+) -> str:
     """Return what was noticed without a need to intervene; empty if nothing was.
 
     Parameters
     ----------
     ignored, ignored_as
         Number of implausible samples that were ignored, and the fault that the last suggested.
-    frozen
-        Longest time for which the measured pose did not change, in s.
+    steps
+        Number of steps of the force by more than `NOTED_STEP`.
+    same_samples, same_poses
+        Numbers of samples, and of measured poses, that repeated the one before to the last bit.
     """
     texts = []
     if ignored:
@@ -120,8 +128,12 @@ def remark(ignored: int, ignored_as: int, frozen: float) -> str:
             f"samples of the wrist sensor that were ignored: {ignored:g}, the last because it "
             + _IGNORED[SensorFault(ignored_as)]
         )
-    if frozen:
-        texts.append(f"the measured pose of the probe did not change for {frozen:.1f} s")
+    if steps:
+        texts.append(f"steps of the force by more than {NOTED_STEP:g} N between samples: {steps:g}")
+    if same_samples:
+        texts.append(f"samples of the wrist sensor that repeated the one before: {same_samples:g}")
+    if same_poses:
+        texts.append(f"measured poses that repeated the one before: {same_poses:g}")
     return "; ".join(texts)
 
 
