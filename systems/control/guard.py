@@ -53,8 +53,6 @@ _AHEAD = 0.05
 _TOLERANCE = 1e-9
 """Rounding error of joint positions and speeds, in rad and rad/s."""
 
-_DONE = EventStatus.Succeeded()
-
 _NOTHING_SEEN = np.append(np.full(9, np.nan), [0.0, 0.0])
 
 _STATES = dict(zip(Mode, GuardState, strict=True))
@@ -218,9 +216,9 @@ class Guard(LeafSystem):
         soon = elapsed < WINDOW - 0.5 * self._time_step
         near = _NEAR * self._limits.max_pose_error
         stepped = abs(sample[4] - last[4]) > NOTED_STEP
-        quiet = _close(sample[3:], state[-3:], _QUIET) and _close(p, last[6:], near)
-        if soon and quiet and not stepped:
-            return _DONE
+        calm = _close(sample[3:], state[-3:], _QUIET) and _close(p, last[6:], near)
+        if soon and calm and not stepped:
+            return EventStatus.Succeeded()
         before = self._memory_in(context)
         sent = self._sent.Eval(context)
         seen = self._observe(context, before, sent)._replace(stepped=stepped)

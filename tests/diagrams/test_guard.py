@@ -68,7 +68,7 @@ QUICK = {
     ),
     "frozen pose at rest": (
         FaultCase(name="pose frozen at rest", pose="frozen", duration=0.4, after=0.3),
-        "measured poses that repeated the one before: 80",
+        "measured poses that repeated the one before: ",
     ),
     "repeated samples": (
         FaultCase(name="two", sensor=SensorFault(kind="frozen"), duration=0.01, after=0.1),
