@@ -77,7 +77,7 @@ ServeOption = Annotated[
     str | None,
     typer.Option(help="Send all data live; igtl://:18944 lets programs on this machine connect."),
 ]
-WaitOption = Annotated[int, typer.Option(help="Live: number of peers to wait for.")]
+WaitOption = Annotated[int, typer.Option(min=0, help="Live: number of peers to wait for.")]
 ReconstructOption = Annotated[
     bool,
     typer.Option(

@@ -1,5 +1,6 @@
 """Stores of files: a folder, or any place that fsspec can reach."""
 
+import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -130,4 +131,4 @@ def _size(path: Path) -> int:
 
 def absolute(url: str) -> str:
     """Return a URL as it is, and a folder by its absolute path, for processes elsewhere."""
-    return url if "://" in url else str(Path(url).resolve())
+    return url if "://" in url else os.path.realpath(url)
