@@ -73,6 +73,7 @@ class Guard(LeafSystem):
         - joint_command
         - guard
         - approach_scale
+        - acting
 
     As long as nothing is wrong, `joint_command` is `wanted_command`, bit for bit. A command that
     breaks a limit of the joints is not sent. With too much force, or a wrist sensor that cannot be
@@ -85,7 +86,8 @@ class Guard(LeafSystem):
     the probe. `joint_state` is read only at the start. `guard` is a `GuardStatus`. A controller
     that integrates its commands must continue from `joint_command`, so it starts from where the
     guard left the arm. `approach_scale` is the factor by which it should approach more slowly: each
-    landing with too much force halves it, and a calm contact doubles it again, up to one.
+    landing with too much force halves it, and a calm contact doubles it again, up to one. `acting`
+    is 1 while the guard, and not the controller, commands the arm, and 0 otherwise.
 
     Parameters
     ----------
@@ -142,6 +144,7 @@ class Guard(LeafSystem):
         self._command = self.DeclareDiscreteState(nothing)
         self._memory = self.DeclareDiscreteState(np.array(GuardMemory().pack()))
         self._approach_scale = self.DeclareDiscreteState([1.0])
+        self._acting = self.DeclareDiscreteState(1)
         # The last step's wrist sample and measured position, and how often each was repeated.
         self._last = self.DeclareDiscreteState(_NOTHING_SEEN)
         self._sent = self.DeclareVectorOutputPort(
@@ -157,6 +160,7 @@ class Guard(LeafSystem):
             prerequisites_of_calc={self.xd_ticket()},
         )
         self.DeclareStateOutputPort("approach_scale", self._approach_scale)
+        self.DeclareStateOutputPort("acting", self._acting)
         self.DeclareInitializationDiscreteUpdateEvent(self._initialize)
         self.DeclarePeriodicDiscreteUpdateEvent(time_step, 0, self._update)
 
@@ -167,6 +171,7 @@ class Guard(LeafSystem):
         discrete_state.set_value(self._command, command)
         discrete_state.set_value(self._memory, memory.pack())
         discrete_state.set_value(self._approach_scale, [1.0])
+        discrete_state.set_value(self._acting, [0.0])
         discrete_state.set_value(self._last, _NOTHING_SEEN)
         return EventStatus.Succeeded()
 
@@ -237,6 +242,7 @@ class Guard(LeafSystem):
         command = np.concatenate([q, v, [seen.time, memory.mode, *quiet]])
         discrete_state.set_value(self._command, command)
         discrete_state.set_value(self._memory, np.array(memory.pack()))
+        discrete_state.set_value(self._acting, [float(memory.mode != Mode.MONITORING)])
         if memory.caution != before.caution:
             discrete_state.set_value(self._approach_scale, [memory.approach_scale])
         return EventStatus.Succeeded()

@@ -228,8 +228,8 @@ def next_memory(
     explained = memory.mode or brisk or sensor.suspicion or not math.isfinite(change)
     noted = seen.stepped and not explained
     lost = _STILL_FREE if memory.free else _FREE
-    # What is felt after a jump may be a contact; with the other faults, nothing is felt.
-    jumped = sensor.fault == SensorFault.JUMPED
+    # What is felt after a jump may be a contact; with most other faults, nothing is felt.
+    jumped = sensor.fault in (SensorFault.JUMPED, SensorFault.DEAD)
     free = (pressing if jumped else 0.0 if sensor.fault else force) < lost * limits.max_force
     after = memory._replace(
         over=over,

@@ -51,7 +51,8 @@ class Cause(IntEnum):
     SENSOR_FROZEN = 10 + SensorFault.FROZEN
     SENSOR_JUMPED = 10 + SensorFault.JUMPED
     SENSOR_PULLING = 10 + SensorFault.PULLING
-    SENSOR_IN_AIR = 16
+    SENSOR_DEAD = 10 + SensorFault.DEAD
+    SENSOR_IN_AIR = 17
 
 
 _IGNORED = {
@@ -60,6 +61,7 @@ _IGNORED = {
     SensorFault.FROZEN: "was frozen",
     SensorFault.JUMPED: "jumped",
     SensorFault.PULLING: "read a pull",
+    SensorFault.DEAD: "read nothing",
 }
 
 
@@ -102,6 +104,8 @@ def reason(cause: int, value: float, limits: GuardParameters) -> str:
         "faster than a contact changes",
         Cause.SENSOR_PULLING: f"the wrist sensor reads a pull of {-value:.1f} N, but contact can "
         "only push; is it biased?",
+        Cause.SENSOR_DEAD: "the wrist sensor reads nothing; is it dead, or does the contact carry "
+        "the probe's weight?",
         Cause.SENSOR_IN_AIR: f"the wrist sensor reads {value:.1f} N more than "
         f"{1e3 * limits.max_rise:g} mm above the configured surface; is it biased?",
     }

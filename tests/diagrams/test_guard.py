@@ -110,6 +110,28 @@ def test_a_fault_is_held_with_a_reason_and_work_goes_on_after_it(results, name):
     assert result.recovered
 
 
+def test_a_fault_close_to_the_wanted_force_leaves_no_wrong_one():
+    """The force law does not wind up meanwhile."""
+    strong = at_ceilings({"force": {"force": 4.5}})
+    fault, rise = SensorFault(kind="frozen"), phantom_move(0.02, FASTEST)
+    case = FaultCase(
+        name="frozen", sensor=fault, duration=4.0, after=2.5, move=rise, controller=strong
+    )
+    (result,) = run_faults([case])
+    assert result.recovered
+    assert result.force_at_end == pytest.approx(4.5, abs=0.2)
+
+
+def test_a_sensor_that_dies_while_it_bears_nothing_is_noticed():
+    strong = at_ceilings({"force": {"force": 6.0}})
+    fault, rise = SensorFault(kind="dead"), phantom_move(0.02, FASTEST)
+    case = FaultCase(name="dead", sensor=fault, duration=2.0, move=rise, controller=strong)
+    (result,) = run_faults([case])  # it dies when the contact carries all but 0.4 N
+    assert held(result), fault_table([result])
+    assert "reads nothing" in result.reasons[0]
+    assert result.recovered
+
+
 def test_without_the_guard_the_force_is_not_held():
     free = ProbeControllerParameters(guards=GuardParameters(enabled=False))
     case = FaultCase(

@@ -129,6 +129,7 @@ def test_too_much_force_makes_the_probe_retreat_hold_and_go_on(rig):
     assert status.state is GuardState.MONITORING
     status = rig.run(2 * STEP)
     assert status.state is GuardState.RETREATING
+    assert rig.output("acting")[0] == 1
     assert "contact force of 12.0 N exceeded 10 N" in status.reason
     rig.run(0.03)
     for rig.world.pressing, seconds in ((6.0, STEP), (0.0, 0.25)):
@@ -140,6 +141,7 @@ def test_too_much_force_makes_the_probe_retreat_hold_and_go_on(rig):
     assert np.abs(rig.output("joint_command")[N:]).max() == 0
     status = rig.run(0.3)
     assert status.state is GuardState.MONITORING
+    assert rig.output("acting")[0] == 0
     assert status.interventions == 1
 
 
