@@ -55,7 +55,7 @@ class SensorMemory(NamedTuple):
         Last time at which a sample was implausible, in s.
     fault
         Confirmed fault.
-    felt, total, count
+    felt, total, readings
         Last time in s at which the sensor read more than noise, and sum in N and number of its
         readings along the probe's axis since then.
     """
@@ -73,7 +73,7 @@ class SensorMemory(NamedTuple):
     fault: int = SensorFault.NONE
     felt: float = 0.0
     total: float = 0.0
-    count: int = 0
+    readings: int = 0
 
     @property
     def started(self) -> bool:
@@ -110,10 +110,10 @@ def next_memory(
     same = sample == memory.last
     changed = memory.changed if same else time
     force = sample[3:]
-    felt, total, count = time, 0.0, 0
+    felt, total, readings = time, 0.0, 0
     if _reads_nothing(sample, limits):
-        felt, total, count = memory.felt, memory.total + sample[4], int(memory.count) + 1
-    silent = time - felt if abs(total) < _ZERO * limits.dead_below * count else 0.0
+        felt, total, readings = memory.felt, memory.total + sample[4], int(memory.readings) + 1
+    silent = time - felt if abs(total) < _ZERO * limits.dead_below * readings else 0.0
     suspicion = _suspicion(memory, sample, pressing, time - changed, silent, limits, moving)
     if suspicion == SensorFault.NONE:
         started = memory.started or (memory.last[0] == memory.last[0] and not same)
@@ -132,7 +132,7 @@ def next_memory(
             SensorFault.NONE if settled else memory.fault,
             felt,
             total,
-            count,
+            readings,
         )
     # Good samples in between do not count, if implausible ones keep coming.
     again = memory.suspicion or time - memory.cleared < limits.confirmed_after
@@ -148,7 +148,7 @@ def next_memory(
     jump = max(memory.jump, _change(force, memory.trusted))
     return SensorMemory(
         sample, trusted, True, jump, ignored, ignored_as, changed, suspicion, since, time, fault,
-        felt, total, count,
+        felt, total, readings,
     )  # fmt: skip
 
 
