@@ -117,7 +117,7 @@ class Store:
             ) from error
         try:
             system, root = url_to_fs(self.url)
-        except (ValueError, ImportError) as error:  # an unknown protocol, or its package is missing
+        except (ValueError, ImportError, OSError) as error:  # no such protocol, package or host
             raise ConfigurationError(f"store: {self.url}: {describe(error)}") from error
         return system, root.rstrip("/")
 
