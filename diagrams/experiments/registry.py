@@ -128,10 +128,11 @@ def load_scenario(
     if path.suffix not in (".yaml", ".yml"):
         raise ConfigurationError(f"unknown scenario {str(scenario)!r}; {suggest(path.name, known)}")
     data: dict[str, Any] = {"name": path.stem, **read_yaml(path)}
+    apply_changes(data, changes)
     if as_published:
         published = _schema(data, scenario).as_published(data)
         data = {**published, "name": f"{data['name']}_as_published"}
-    return _load(data, str(scenario), changes, seed)
+    return _load(data, str(scenario), None, seed)
 
 
 def change_scenario(

@@ -11,3 +11,5 @@ from .tracker_parts import TrackerParameters as TrackerParameters
 from .tracker_parts import add_tracker_parts as add_tracker_parts
 from .zhao2012 import MakeZhao2012Tracker as MakeZhao2012Tracker
 from .zhao2012 import Zhao2012TrackerParameters as Zhao2012TrackerParameters
+from .zhao2012_as_published import MakeZhao2012AsPublishedTracker as MakeZhao2012AsPublishedTracker
+from .zhao2012_as_published import Zhao2012AsPublishedParameters as Zhao2012AsPublishedParameters

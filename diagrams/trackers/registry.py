@@ -17,11 +17,16 @@ from sonoservo.diagrams.trackers.chatelain2013_as_published import (
 )
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
 from sonoservo.diagrams.trackers.zhao2012 import MakeZhao2012Tracker, Zhao2012TrackerParameters
+from sonoservo.diagrams.trackers.zhao2012_as_published import (
+    MakeZhao2012AsPublishedTracker,
+    Zhao2012AsPublishedParameters,
+)
 
 TRACKERS: dict[type[TrackerParameters], Callable[..., Diagram]] = {
     Chatelain2013TrackerParameters: MakeChatelain2013Tracker,
     Chatelain2013AsPublishedParameters: MakeChatelain2013AsPublishedTracker,
     Zhao2012TrackerParameters: MakeZhao2012Tracker,
+    Zhao2012AsPublishedParameters: MakeZhao2012AsPublishedTracker,
 }
 """Function that makes each tracker, by the class of its parameters."""
 

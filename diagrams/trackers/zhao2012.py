@@ -14,6 +14,7 @@ from sonoservo.diagrams.trackers.tracker_parts import (
 from sonoservo.systems.detection.volume_memory import VolumeMemory
 from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter
 from sonoservo.systems.estimation.needle_filter import AnyFilter, require_order
+from sonoservo.systems.estimation.track_manager import TrackManager
 from sonoservo.systems.localization.edge_velocimeter import (
     EdgeVelocimeterParameters,
     measure_edge_velocity,
@@ -42,15 +43,15 @@ class Zhao2012TrackerParameters(CommonTrackerParameters):
     kind
         "zhao2012".
     velocimeter
-        Parameters of the velocimeter: by default "speckle", the paper's; "edge" follows the end of
-        the needle, which suits a steel needle in the loop's volumes.
+        Parameters of the velocimeter: by default "edge", which follows the end of the needle, as a
+        steel needle's echo and the tissue rest while it slides; "speckle" is the paper's.
     filter
         Filter of the track: by default "axis_tip", the paper's.
     """
 
     kind: str = "zhao2012"
     velocimeter: SpeckleVelocimeterParameters | EdgeVelocimeterParameters = field(
-        default_factory=SpeckleVelocimeterParameters
+        default_factory=EdgeVelocimeterParameters
     )
     filter: AnyFilter = field(default_factory=AxisTipFilter)
 
@@ -86,15 +87,36 @@ def MakeZhao2012Tracker(
         seed=seed,
         **events,
     )
-    velocimeter = builder.AddNamedSystem(
-        "speckle_velocimeter",
-        SpeckleVelocimeter(
-            parameters=parameters.velocimeter, method=_METHODS[parameters.velocimeter.kind]
-        ),
-    )
-    memory = builder.AddNamedSystem(
-        "speckle_memory", VolumeMemory(same_direction=parameters.same_direction, **events)
-    )
+    parts = parameters.velocimeter
+    velocimeter = SpeckleVelocimeter(parameters=parts, method=_METHODS[parts.kind])
+    memory = VolumeMemory(same_direction=parameters.same_direction, **events)
+    connect_velocimeter(builder, manager, velocimeter, memory, speckle_port=speckle_port)
+    return builder.Build()
+
+
+def connect_velocimeter(
+    builder: DiagramBuilder,
+    manager: TrackManager,
+    velocimeter: SpeckleVelocimeter,
+    memory: VolumeMemory,
+    *,
+    speckle_port: bool = False,
+) -> None:
+    """Add a velocimeter and the memory of its previous volume, and connect them to a tracker.
+
+    Parameters
+    ----------
+    builder
+        Builder of the tracker, which has its other parts already.
+    manager
+        Track manager that uses the velocity.
+    velocimeter, memory
+        Systems to add.
+    speckle_port
+        See `MakeZhao2012Tracker`.
+    """
+    builder.AddNamedSystem("speckle_velocimeter", velocimeter)
+    builder.AddNamedSystem("speckle_memory", memory)
     volumes = builder.GetSubsystemByName(VOLUME_GATE).GetOutputPort("volume")
     if speckle_port:
         builder.ExportInput(memory.GetInputPort("volume"), "speckle")
@@ -108,4 +130,3 @@ def MakeZhao2012Tracker(
         (velocimeter, "velocity", manager),
     ):
         builder.Connect(source.GetOutputPort(port), target.GetInputPort(port))
-    return builder.Build()

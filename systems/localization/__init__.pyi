@@ -32,11 +32,18 @@ from .search_region import predicted_region as predicted_region
 from .speckle_velocimeter import SpeckleVelocimeter as SpeckleVelocimeter
 from .speckle_velocimeter import SpeckleVelocimeterParameters as SpeckleVelocimeterParameters
 from .speckle_velocimeter import measure_velocity as measure_velocity
+from .speckle_velocimeter import measure_velocity_as_published as measure_velocity_as_published
 from .tip import TipParameters as TipParameters
 from .tip import axis_profile as axis_profile
 from .tip import find_extent as find_extent
 from .tip import most_evident_stretch as most_evident_stretch
+from .whole_volume_ransac import (
+    WholeVolumeLocalizationParameters as WholeVolumeLocalizationParameters,
+)
 from .whole_volume_ransac import WholeVolumeNeedle as WholeVolumeNeedle
 from .whole_volume_ransac import WholeVolumeRansacParameters as WholeVolumeRansacParameters
 from .whole_volume_ransac import brightest_voxels as brightest_voxels
+from .whole_volume_ransac import (
+    explain_whole_volume_localization as explain_whole_volume_localization,
+)
 from .whole_volume_ransac import localize_in_whole_volume as localize_in_whole_volume

@@ -28,8 +28,6 @@ class EdgeVelocimeterParameters:
         Name of the velocimeter, always "edge".
     behind, beyond
         Distances from the predicted tip over which the intensity is sampled, in m.
-    end_std
-        Standard deviation of the displacement of the end, in m.
     across_std
         Standard deviation of the velocity across the needle, which is not measured, in m/s.
     profile
@@ -39,7 +37,6 @@ class EdgeVelocimeterParameters:
     kind: str = "edge"
     behind: float = 20e-3
     beyond: float = 8e-3
-    end_std: float = 0.6e-3
     across_std: float = 20e-3
     profile: TipParameters = field(default_factory=TipParameters)
 
@@ -48,7 +45,6 @@ class EdgeVelocimeterParameters:
         require_positive(
             behind=self.behind,
             beyond=self.beyond,
-            end_std=self.end_std,
             across_std=self.across_std,
         )
 
@@ -63,7 +59,8 @@ def measure_edge_velocity(
 ) -> VelocityMeasurement | NotFound:
     """Measure the tip's velocity by the ends of the needle's profiles along one and the same axis.
 
-    Errors of the axis and the bias of the end cancel in the difference.
+    Errors of the axis and the bias of the end cancel in the difference. The covariance follows from
+    the standard deviations of both ends, so a faint end, which may be misplaced, counts little.
 
     Parameters
     ----------
@@ -85,7 +82,7 @@ def measure_edge_velocity(
     rear = p_WPredicted - parameters.behind * direction
     axis = axis_through(np.stack([rear, p_WPredicted]))
     assert not isinstance(axis, NotFound)
-    tips, times = [], []
+    tips, stds, times = [], [], []
     for volume in (previous, current):
         stop = parameters.behind + parameters.beyond
         profile = axis_profile(volume, axis, 0.0, stop, parameters.profile)
@@ -96,12 +93,13 @@ def measure_edge_velocity(
             return NotFound("the tip lies outside the field of view")
         at = acquired_from(volume, axis.position(np.array([extent.tip])))
         tips.append(extent.tip)
+        stds.append(extent.tip_std)
         times.append(float(volume.to_world(at)[1][0]))
     elapsed = times[1] - times[0]
     if not elapsed > 0:
         return NotFound("the volumes were acquired at the same time")
     speed = (tips[1] - tips[0]) / elapsed
     along = np.outer(direction, direction)
-    covariance = (parameters.end_std / elapsed) ** 2 * along
+    covariance = (np.hypot(stds[0], stds[1]) / elapsed) ** 2 * along
     covariance = covariance + parameters.across_std**2 * (np.eye(3) - along)
     return VelocityMeasurement(speed * direction, covariance, 1.0)

@@ -184,6 +184,21 @@ def measure_velocity(
     return VelocityMeasurement(velocity, covariance, match.correlation)
 
 
+def measure_velocity_as_published(
+    current: Speckle,
+    previous: Speckle,
+    p_WBefore: NDArray[np.float64],
+    p_WPredicted: NDArray[np.float64],
+    direction: NDArray[np.float64],
+    parameters: SpeckleVelocimeterParameters,
+) -> VelocityMeasurement | NotFound:
+    """Measure the velocity with both windows around the known tip, as printed in Zhao 2012, 2.3.
+
+    The search region is not centred on the predicted tip; see `measure_velocity` for the arguments.
+    """
+    return measure_velocity(current, previous, p_WBefore, p_WBefore, direction, parameters)
+
+
 class SpeckleVelocimeter(LeafSystem):
     """Measures the tip's velocity from the speckle around it, or by another method.
 

@@ -10,8 +10,10 @@ from sonoservo.systems.localization.intensity_drop import intensity_drops
 from sonoservo.systems.localization.ransac import RansacParameters, ransac_axis
 from sonoservo.systems.localization.tip import TipParameters, axis_profile
 from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.localization_explanation import LocalizationExplanation
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.signals.requirements import require_positive
 from sonoservo.systems.signals.volume import Volume
 
@@ -26,6 +28,10 @@ class WholeVolumeRansacParameters:
         Total volume of the brightest voxels, in m^3.
     max_gap
         Largest gap in the intensity along the needle that does not end it, in m.
+    end_contrast
+        Intensity above the median of the surroundings at which the needle ends, in dB. None stands
+        for half the amplitude of the needle around its middle, which suits an echo that is even
+        along the needle.
     ransac, tip
         Parameters of the axis and of the intensity along it. Without refits the axis is that of the
         best sample. With one it is optimized locally, as published.
@@ -33,11 +39,35 @@ class WholeVolumeRansacParameters:
 
     candidate_volume: float = 60e-9
     max_gap: float = 2e-3
+    end_contrast: float | None = None
     ransac: RansacParameters = field(default_factory=RansacParameters)
     tip: TipParameters = field(default_factory=TipParameters)
 
     def __post_init__(self) -> None:
         require_positive(candidate_volume=self.candidate_volume, max_gap=self.max_gap)
+        if self.end_contrast is not None:
+            require_positive(end_contrast=self.end_contrast)
+
+
+@dataclass(kw_only=True)
+class WholeVolumeLocalizationParameters(WholeVolumeRansacParameters):
+    """Values of Zhao 2012's localization in a loop; see `WholeVolumeRansacParameters`.
+
+    Parameters
+    ----------
+    min_length
+        Visible length from which on a needle is tracked, in m.
+    std
+        Standard deviation of the tip and the rear end in every direction, which gives the
+        covariance R of eq. 3, in m.
+    """
+
+    min_length: float = 10e-3
+    std: float = 1e-3
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_positive(min_length=self.min_length, std=self.std)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,8 +164,51 @@ def localize_in_whole_volume(
     a = np.sort(axis.abscissa(points[found.inliers]))
     middle = float(np.median(a))
     profile = axis_profile(volume, axis, a[0], a[-1], parameters.tip)
-    # The threshold is half the amplitude of the needle around its middle.
-    inside = np.abs(profile.a - middle) <= parameters.max_gap
-    bright = profile.level > np.median(profile.level[inside]) - 20 * np.log10(2)
+    if parameters.end_contrast is None:
+        inside = np.abs(profile.a - middle) <= parameters.max_gap
+        least = float(np.median(profile.level[inside])) - 20 * np.log10(2)
+    else:
+        around = profile.background[profile.seen]
+        least = float(np.median(around)) + parameters.end_contrast if len(around) else 0.0
+    bright = profile.level > least
     start, tip = intensity_drops(profile.a[bright], middle, parameters.max_gap)
     return WholeVolumeNeedle(found.fit, start, tip)
+
+
+def explain_whole_volume_localization(
+    volume: Volume,
+    prediction: NeedlePrediction | NotFound,
+    parameters: WholeVolumeLocalizationParameters,
+    rng: np.random.Generator,
+) -> LocalizationExplanation:
+    """Localize the needle in a whole volume, whatever was predicted.
+
+    The method is that of `localize_in_whole_volume`.
+
+    Parameters
+    ----------
+    volume
+        Volume to search. All of it counts as acquired at once.
+    prediction
+        Prediction, of which only the direction tells the tip from the rear end; or the reason why
+        there is none.
+    parameters
+        Thresholds and noise.
+    rng
+        Generator that draws the samples.
+    """
+    if isinstance(prediction, NotFound):
+        return LocalizationExplanation(volume.time, prediction, (), prediction)
+    assert prediction.curve is not None
+    towards = prediction.curve.direction
+    found = localize_in_whole_volume(volume.at_once(), towards, parameters, rng)
+    result: NeedleMeasurement | NotFound
+    if isinstance(found, NotFound):
+        result = found
+    elif prediction.entry is None and found.tip - found.start < parameters.min_length:
+        result = NotFound(f"only {1e3 * (found.tip - found.start):.1f} mm of a needle are visible")
+    else:
+        curve = NeedleCurve(found.fit.axis.position(np.array([found.start, found.tip])))
+        covariance = parameters.std**2 * np.eye(6)
+        result = NeedleMeasurement(curve, covariance, volume.time, 0, 0.0, volume.X_WP)
+    return LocalizationExplanation(volume.time, prediction, (), result)

@@ -7,6 +7,7 @@ from sonoservo.diagrams.experiments.registry import list_scenarios, load_scenari
 from sonoservo.diagrams.station import StationParameters
 from sonoservo.diagrams.trackers import (
     Chatelain2013AsPublishedParameters,
+    Zhao2012AsPublishedParameters,
     Zhao2012TrackerParameters,
 )
 from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter
@@ -69,7 +70,8 @@ def test_plant_settings_are_drakes_and_round_trip(tmp_path):
 
 
 def test_the_tracker_is_chosen_by_name(tmp_path):
-    changes = ["tracker=zhao2012", "tracker.velocimeter.min_correlation=0.4"]
+    changes = ["tracker=zhao2012", "tracker.velocimeter=speckle"]
+    changes += ["tracker.velocimeter.min_correlation=0.4"]
     scenario = load_scenario("chatelain2013_fig5", changes=changes)
     assert isinstance(scenario.tracker, Zhao2012TrackerParameters)
     assert scenario.tracker.velocimeter.min_correlation == 0.4
@@ -97,6 +99,16 @@ def test_as_published_keeps_the_tracker_of_the_file(tmp_path):
     path.write_text("tracker: {look_back: 1.0}\n")
     with pytest.raises(ConfigurationError, match=r"tracker.look_back: unknown field"):
         load_scenario(path, as_published=True)
+
+
+@pytest.mark.parametrize("changes", [["tracker=zhao2012"], ["tracker=zhao2012_as_published"]])
+def test_as_published_takes_the_published_form_of_the_chosen_tracker(changes, tmp_path):
+    scenario = load_scenario("chatelain2013_fig5", as_published=True, changes=changes)
+    assert scenario.tracker == Zhao2012AsPublishedParameters()
+    assert scenario.controller.visual_servo.held
+    path = tmp_path / "mine.yaml"
+    path.write_text("tracker: zhao2012\n")
+    assert load_scenario(path, as_published=True).tracker == scenario.tracker
 
 
 def test_a_filter_is_chosen_by_name_or_by_its_tracker():

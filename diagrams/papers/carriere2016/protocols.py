@@ -54,7 +54,7 @@ PROTOCOLS: Mapping[str, Protocol] = {
     "patient": Protocol("carriere2016_patient", 100, 4, whole=True),
     **{
         f"curvature wanders by {each} %": _departure(
-            f"hand.curvature_wander={each / 100}", seeds=100, learnt=f"{each} %"
+            f"hand.curvature_wander={each / 100}", seeds=50, learnt=f"{each} %"
         )
         for each in _WANDERS
     },

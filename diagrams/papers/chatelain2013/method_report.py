@@ -22,6 +22,8 @@ from sonoservo.systems.evaluation.statistics.run_intervals import (
 
 Floats = NDArray[np.float64]
 
+_MM, _DEG = 1e3, float(np.rad2deg(1))
+
 
 @dataclass(frozen=True)
 class Value:
@@ -179,3 +181,35 @@ class Comparison:
     def summed(self, quantity: str, unit: str, *path: str, **more: Any) -> None:
         """Add a row with the mean over runs of a figure of their summaries."""
         self.row(quantity, unit, lambda method: method.mean(lambda run: run.figure(*path)), **more)
+
+
+def add_rest_rows(
+    group: Comparison, known: Sequence[tuple[float | None, float | None]] = 3 * ((None, None),)
+) -> None:
+    """Add the rows of the features at rest.
+
+    Parameters
+    ----------
+    group
+        Runs with both methods, to which the rows are added.
+    known
+        Paper's figure and target of each feature.
+    """
+    for k, (name, (paper, target)) in enumerate(zip(("X", "Z", "Theta"), known, strict=True)):
+        unit, factor = ("deg", _DEG) if name == "Theta" else ("mm", _MM)
+        group.row(
+            f"at rest, lost or not, mean |{name}|",
+            unit,
+            partial(_at_rest, feature=k, factor=factor),
+            paper=paper,
+            target=target,
+        )
+
+
+def _at_rest(method: MethodRuns, feature: int, factor: float) -> Value:
+    """Return the mean error of a feature at rest, over all samples of all runs."""
+
+    def error(run: Run, estimated: bool) -> float:
+        return factor * float(run.rest[int(estimated)][feature])
+
+    return method.mean(partial(error, estimated=False), partial(error, estimated=True))

@@ -13,7 +13,7 @@ NOTES = (
     "checks a measurement, and a lost needle is not found again. The force law and the guard of "
     "the robot are ours.",
     "Where the paper is silent, the choice for it was made with fig. 5 on seeds from 100 on, or is "
-    "that of our method. Detection: 2 mm3 of candidates, tau (10 mm)^2, delta 10 mm; the faces are "
+    "that of our method. Detection: 2 mm3 of candidates, tau (18 mm)^2, delta 10 mm; the faces are "
     "those of the swept sector (PublishedDetectionParameters). Localization: 120 mm3 of candidates "
     "in a region of 10 mm around the prediction, 20 mm around a detected entry, alpha_0 20 deg, "
     "tracking from 10 mm on; discarded draws do not count; the needle ends 6 dB above its "

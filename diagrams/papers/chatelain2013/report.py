@@ -14,7 +14,12 @@ from sonoservo.diagrams.papers.chatelain2013.analysis import (
     quantile,
 )
 from sonoservo.diagrams.papers.chatelain2013.cases import AS_PUBLISHED
-from sonoservo.diagrams.papers.chatelain2013.method_report import Comparison, MethodRuns, Value
+from sonoservo.diagrams.papers.chatelain2013.method_report import (
+    Comparison,
+    MethodRuns,
+    Value,
+    add_rest_rows,
+)
 from sonoservo.diagrams.papers.chatelain2013.notes_report import NOTES, TITLE
 from sonoservo.diagrams.papers.chatelain2013.plots import study_figures
 from sonoservo.diagrams.studies.study import Outcome
@@ -107,19 +112,18 @@ def _found(method: MethodRuns, insertion: int, where: int, q: float) -> Value:
     return Value(figure(lengths), low=low, high=high)
 
 
+_AT_REST = ((1.10, 0.6), (0.23, 0.2), (0.97, 0.6))
+"""Paper's figure and target of X and Z in mm and Theta in deg at rest."""
+
+
+def add_tracking_rows(group: Comparison) -> None:
+    """Add the rows of the errors of tip and axis, and of failures of tracking."""
+    _errors(group)
+    _reliability(group)
+
+
 def _fig5(group: Comparison, eq_25: Comparison | None) -> None:
-    for k, name, unit, factor, paper, target in (
-        (0, "X", "mm", _MM, 1.10, 0.6),
-        (1, "Z", "mm", _MM, 0.23, 0.2),
-        (2, "Theta", "deg", _DEG, 0.97, 0.6),
-    ):
-        group.row(
-            f"at rest, lost or not, mean |{name}|",
-            unit,
-            partial(_at_rest, feature=k, factor=factor),
-            paper=paper,
-            target=target,
-        )
+    add_rest_rows(group, _AT_REST)
     group.row(
         "runs that converged", "%", lambda m: m.share(lambda run: converged(run.log)),
         target=100, wanted="at least",
@@ -137,15 +141,6 @@ def _fig5(group: Comparison, eq_25: Comparison | None) -> None:
     _force(group, 0.05)
     _errors(group)
     _reliability(group)
-
-
-def _at_rest(method: MethodRuns, feature: int, factor: float) -> Value:
-    """Return the mean error of a feature at rest, over all samples of all runs."""
-
-    def error(run: Run, estimated: bool) -> float:
-        return factor * float(run.rest[int(estimated)][feature])
-
-    return method.mean(partial(error, estimated=False), partial(error, estimated=True))
 
 
 def _only(method: MethodRuns, group: Comparison, value: float | None) -> Value:

@@ -1,24 +1,22 @@
 """Report of the reproduction of Zhao 2012: rows beside the paper's figures and the targets."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sonoservo.diagrams.papers.zhao2012.loop_report import loop_rows
 from sonoservo.diagrams.papers.zhao2012.notes_report import NAMES, NOTES, TITLE
 from sonoservo.diagrams.papers.zhao2012.plots import plot_rmse, plot_speeds
 from sonoservo.diagrams.papers.zhao2012.rmse_analysis import Errors, tracking_errors
 from sonoservo.diagrams.papers.zhao2012.runs import ESTIMATORS, QUANTITIES
-from sonoservo.diagrams.papers.zhao2012.speed_report import (
-    loop_speed_rows,
-    speed_errors,
-    speed_rows,
-)
+from sonoservo.diagrams.papers.zhao2012.speed_report import speed_errors, speed_rows
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.study_report import Study, StudyRow
 from sonoservo.systems.evaluation.statistics.intervals import Interval
-from sonoservo.systems.evaluation.statistics.run_intervals import mean_interval, run_interval
+from sonoservo.systems.evaluation.statistics.run_intervals import run_interval
 
 TABLE_2 = {"static": (58, 68, 40, 40, 36, 40), "dynamic": (37, 36, 30, 24, 30, 30)}
 """Published mean improvement of RANSAC and Kalman over RANSAC for the `QUANTITIES`, in percent."""
@@ -30,8 +28,16 @@ _UNITS = dict(zip(QUANTITIES, ("deg", "deg", "mm", "mm", "mm", "mm"), strict=Tru
 _KINDS = ("fresh speckle", "same volumes")
 
 
-def report(outcomes: Sequence[Outcome]) -> Study:
-    """Return the study of finished runs."""
+def report(outcomes: Sequence[Outcome], logs: Path) -> Study:
+    """Return the study of finished runs.
+
+    Parameters
+    ----------
+    outcomes
+        Outcomes of all experiments.
+    logs
+        Folder of the logs of the runs in the loop.
+    """
     rows: list[StudyRow] = []
     figures = []
     names = dict.fromkeys(each.case.experiment for each in outcomes)
@@ -49,7 +55,7 @@ def report(outcomes: Sequence[Outcome]) -> Study:
         rows += speed_rows(name, found)
     if any(speeds.values()):
         figures.append(plot_speeds(speeds))
-    rows += _kept_voxel_rows(outcomes) + _closed_loop_rows(outcomes) + loop_speed_rows(outcomes)
+    rows += _kept_voxel_rows(outcomes) + loop_rows(outcomes, logs)
     seconds = [s for each in outcomes for s in each.result.get("seconds", [])]
     return Study(
         paper="zhao2012",
@@ -194,48 +200,3 @@ def _kept_voxel_rows(outcomes: Sequence[Outcome]) -> list[StudyRow]:
 
 def _median(values: NDArray[np.float64]) -> float:
     return float(np.quantile(values, 0.5, method="inverted_cdf"))
-
-
-def _closed_loop_rows(outcomes: Sequence[Outcome]) -> list[StudyRow]:
-    """Return the rows of both trackers in Chatelain 2013's fig. 5, on the same seeds."""
-    rows = []
-    for tracker in ("chatelain2013", "zhao2012"):
-        name = f"closed loop, {tracker}"
-        mine = [each.result for each in outcomes if each and each.case.experiment == name]
-        for quantity, unit, block, key in (
-            ("at rest and tracked, mean |X|", "mm", "servo", "x_mm"),
-            ("at rest and tracked, mean |Z|", "mm", "servo", "z_mm"),
-            ("at rest and tracked, mean |Theta|", "deg", "servo", "theta_deg"),
-            ("tip error, median", "mm", "tip_error_mm", "median"),
-            ("tip error, 95 %", "mm", "tip_error_mm", "p95"),
-            ("axis error, median", "deg", "axis_error_deg", "median"),
-        ):
-            paths = [("servo", "at_rest", key), ("servo", "at_rest_estimated", key)]
-            if block != "servo":
-                paths = [("tracking", block, key)]
-            true, *estimated = ([_value(each, path) for each in mine] for path in paths)
-            known = np.array([value for value in true if value is not None])
-            seen = [value for value in (estimated[0] if estimated else []) if value is not None]
-            low, high = mean_interval(known) if len(known) else (None, None)
-            rows.append(
-                StudyRow(
-                    experiment=name,
-                    quantity=quantity,
-                    unit=unit,
-                    estimated=float(np.mean(seen)) if seen else None,
-                    true=float(known.mean()) if len(known) else None,
-                    low=low,
-                    high=high,
-                )
-            )
-        lost = [_value(each, ("tracking", "lost_events")) for each in mine]
-        total = float(np.sum([each for each in lost if each is not None])) if lost else None
-        rows.append(_row(name, "times lost, all runs", "", False, total))
-    return rows
-
-
-def _value(result: Mapping[str, Any], keys: tuple[str, ...]) -> float | None:
-    node: Any = result
-    for key in keys:
-        node = node[key]
-    return None if node is None else float(node)

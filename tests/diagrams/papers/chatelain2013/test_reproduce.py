@@ -84,34 +84,34 @@ TIP = "tip error, from 20 mm in view on, median"
 FALSE = "false starts, more than 10 mm off or without a needle, all runs"
 
 
+CHEAP = [
+    "station.plant.contact_model=point",
+    "station.plant.time_step=0.01",
+    "controller.time_step=0.01",
+]
+
+
 def test_the_whole_study_in_short(tmp_path, monkeypatch):
     """One quick insertion an experiment, through the same code."""
-    quick = ["duration=7.5", "hand.start=1", "hand.pushes=[{duration: 5.5, speed: 0.014}]"]
-    moved = 'phantom_motion.moves=[{"start": 5.6, "duration": 0.3, "translation": [0.005, 0, 0]}]'
+    quick = ["hand.start=1", "hand.pushes=[{duration: 5.5, speed: 0.014}]", *CHEAP]
+    moved = 'phantom_motion.moves=[{"start": 2.2, "duration": 0.3, "translation": [0.005, 0, 0]}]'
+
+    def protocol(scenario, duration, *changes, compared=False):
+        return Protocol(scenario, 1, (1, duration), [*quick, *changes], compared=compared)
+
+    five, still = "chatelain2013_fig5", "no needle, probe still"
     monkeypatch.setattr(
         chatelain2013,
         "PROTOCOLS",
         {
-            "fig4": Protocol("chatelain2013_fig4", 1, (1, 5.0), quick),
-            "fig5": Protocol("chatelain2013_fig5", 1, (1, 6.5), quick),
-            "fig6": Protocol("chatelain2013_fig6", 1, (1, 6.6), [*quick, moved], compared=False),
-            "bent": Protocol("chatelain2013_fig5", 1, (1, 2.5), ["tracker.order=3"]),
-            "settings, fast": Protocol(
-                "chatelain2013_fig4", 1, (1, 2.5), ["imaging.frames=5"], compared=False
-            ),
-            "no needle, probe still": Protocol(
-                "chatelain2013_fig4", 1, (1, 2.5), PROTOCOLS["no needle, probe still"].changes
-            ),
-            "fig5, no refits": Protocol(
-                "chatelain2013_fig5",
-                1,
-                (1, 2.5),
-                [*quick, *ABLATIONS["no refits"]],
-                compared=False,
-            ),
-            "fig5, no filter": Protocol(
-                "chatelain2013_fig5", 1, (1, 5.0), ["no.such.field=1"], compared=False
-            ),
+            "fig4": protocol("chatelain2013_fig4", 5.0),
+            "fig5": protocol(five, 5.8, compared=True),
+            "fig6": protocol("chatelain2013_fig6", 3.2, moved),
+            "bent": protocol(five, 1.5, "tracker.order=3"),
+            "settings, fast": protocol("chatelain2013_fig4", 1.5, "imaging.frames=5"),
+            still: protocol("chatelain2013_fig4", 2.2, *PROTOCOLS[still].changes),
+            "fig5, no refits": protocol(five, 1.5, *ABLATIONS["no refits"]),
+            "fig5, no filter": protocol(five, 1.5, "no.such.field=1"),
         },
     )
     options = StudyOptions(folder=tmp_path, quick=True, jobs=1, first_seed=100)

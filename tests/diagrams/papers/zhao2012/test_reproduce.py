@@ -6,7 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sonoservo.diagrams.papers.chatelain2013.cases import AS_PUBLISHED, load_case
 from sonoservo.diagrams.papers.zhao2012 import reproduction as zhao2012
+from sonoservo.diagrams.papers.zhao2012.loop_report import NO_VELOCIMETER
 from sonoservo.diagrams.papers.zhao2012.phantom import DIRECTION, IMAGING, Phantom, StraightNeedle
 from sonoservo.diagrams.papers.zhao2012.runs import (
     ESTIMATORS,
@@ -52,6 +54,12 @@ def test_needle_moves_as_it_is_pushed_and_is_as_bright_as_its_scatterers(phantom
     levels = np.mean([power(long, behind, 9e-3) for behind in stretch], axis=0)
     # The beam, 0.95 mm wide in elevation, spends a part of itself beside the needle.
     assert 18 < 10 * np.log10(levels[0] / levels[1]) < 24
+
+
+def test_the_published_density_leaves_the_speckle_undeveloped(phantom):
+    near = np.s_[8:45, 10:61, round(0.045 / 2.8519e-5) : round(0.055 / 2.8519e-5)]
+    intensity = np.abs(phantom._tissue[near]).astype(float) ** 2
+    assert (intensity**2).mean() / intensity.mean() ** 2 == pytest.approx(2 + 1 / 1.75, abs=0.1)
 
 
 def test_the_tracker_follows_a_needle_in_the_dynamic_run():
@@ -173,7 +181,18 @@ def test_as_many_runs_as_published(tmp_path):
     assert all(count[f"{m}, {k}"] == 50 for m in ("static", "dynamic") for k in kinds)
     lengths = {tuple(c.settings["lengths_mm"]) for c in cases if c.experiment.startswith("static")}
     assert lengths == {tuple(range(5, 21))}
-    assert count["closed loop, zhao2012"] == count["closed loop, chatelain2013"] == 10
+    assert count["closed loop"] == count["closed loop, as published"] == 10
+    loops = {c.experiment: load_case(c) for c in cases if "loop" in c.experiment}
+    kinds = {name: loop.tracker.kind for name, loop in loops.items()}
+    assert {kind for name, kind in kinds.items() if name.endswith(AS_PUBLISHED)} == {
+        "zhao2012_as_published"
+    }
+    assert {kind for name, kind in kinds.items() if name.endswith(NO_VELOCIMETER)} == {
+        "chatelain2013"
+    }
+    pushed = {push.speed for loop in loops.values() for push in loop.hand.pushes}
+    assert {0.0, 0.002, 0.005, 0.008, 0.01, 0.015} <= pushed
+    assert all(sum(p.speed * p.duration for p in x.hand.pushes) < 0.1 for x in loops.values())
     same = {c.settings["phantom"] for c in cases if c.experiment == "static, same volumes"}
     fresh = {c.settings["phantom"] for c in cases if c.experiment == "static, fresh speckle"}
     assert len(same) == 1

@@ -1,0 +1,131 @@
+"""Rows of Zhao 2012's tracker in the loop of Chatelain 2013's fig. 5."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.diagrams.papers.chatelain2013.analysis import Run
+from sonoservo.diagrams.papers.chatelain2013.method_report import (
+    Comparison,
+    MethodRuns,
+    add_rest_rows,
+)
+from sonoservo.diagrams.papers.chatelain2013.report import add_tracking_rows
+from sonoservo.diagrams.papers.zhao2012.speed_report import bias, rmse
+from sonoservo.diagrams.studies.study import Outcome
+from sonoservo.diagrams.studies.study_report import StudyRow
+from sonoservo.systems.evaluation.run_errors import at_times
+from sonoservo.systems.evaluation.statistics.run_intervals import run_interval
+from sonoservo.systems.signals.needle_estimate import TrackingMode
+
+Floats = NDArray[np.float64]
+
+CLOSED_LOOP = "closed loop"
+"""Name of the experiment with fig. 5 as it is."""
+
+NO_VELOCIMETER = ", without velocimeter"
+"""Ending of the name of an experiment with a tracker that has no velocimeter."""
+
+WITHIN = 0.5
+"""Largest bias of the speed that is aimed at, in mm/s."""
+
+_JUDGED = 10.0
+"""Largest speed at which it is aimed at, in mm/s."""
+
+_SETTLED = 1.0
+"""Time in s after the beginning of a push from which on its speed counts."""
+
+
+def loop_rows(outcomes: Sequence[Outcome], logs: Path) -> list[StudyRow]:
+    """Return the rows of the runs in the loop.
+
+    Parameters
+    ----------
+    outcomes
+        Outcomes of all experiments.
+    logs
+        Folder of their logs.
+    """
+    names = list(dict.fromkeys(each.case.experiment for each in outcomes))
+    rows: list[StudyRow] = []
+    if CLOSED_LOOP in names:
+        group = Comparison(outcomes, CLOSED_LOOP, logs)
+        add_rest_rows(group)
+        add_tracking_rows(group)
+        rows += group.rows
+    for name in (each for each in names if each + NO_VELOCIMETER in names):
+        rows += _speed_rows(outcomes, name, logs)
+    return rows
+
+
+def _speed_rows(outcomes: Sequence[Outcome], name: str, logs: Path) -> list[StudyRow]:
+    """Return bias and root mean square error of the estimated speed at each true speed."""
+    group = Comparison(outcomes, name, logs)
+    without = MethodRuns(outcomes, name + NO_VELOCIMETER, logs)
+    ours, published, baseline = (
+        [speed_errors(run) for run in each.runs] for each in (group.ours, group.published, without)
+    )
+    rows = []
+    for speed in sorted({each for run in (*ours, *published, *baseline) for each in run}):
+        when = f"at {speed:g} mm/s, from {_SETTLED:g} s after a change on"
+        for what, figure in (("bias", bias), ("RMSE", rmse)):
+            quantity = f"speed along the needle, {what} {when}"
+            values = _values(ours, speed, figure) | _values(published, speed, figure, "published_")
+            rows.append(StudyRow(experiment=name, quantity=quantity, unit="mm/s", **values))
+            quantity += ", our filter without velocimeter"
+            values = _values(baseline, speed, figure)
+            rows.append(StudyRow(experiment=name, quantity=quantity, unit="mm/s", **values))
+        if speed <= _JUDGED:
+            size = _values(ours, speed, bias)["true"]
+            rows.append(
+                StudyRow(
+                    experiment=name,
+                    quantity=f"speed along the needle, size of the bias {when}",
+                    unit="mm/s",
+                    true=None if size is None else abs(size),
+                    target=WITHIN,
+                )
+            )
+    return rows
+
+
+def _values(
+    runs: Sequence[Mapping[float, Floats]],
+    speed: float,
+    figure: Callable[[Floats], float],
+    prefix: str = "",
+) -> dict[str, Any]:
+    """Return a figure of the errors at one speed and its interval, as fields of a row."""
+    errors = [run[speed] for run in runs if len(run.get(speed, ()))]
+    if not errors:
+        return {f"{prefix}true": None}
+    low, high = run_interval(errors, figure)
+    true = figure(np.concatenate(errors))
+    return {f"{prefix}true": true, f"{prefix}low": low, f"{prefix}high": high}
+
+
+def speed_errors(run: Run) -> dict[float, Floats]:
+    """Return the errors of the estimated speed along the needle in mm/s, by true speed in mm/s.
+
+    A tracked volume counts from `_SETTLED` after the beginning of a push on. The first push, during
+    which the needle is found, does not count.
+    """
+    log, hand = run.log, run.scenario.hand
+    assert hand.start is not None
+    time = log.volume_estimate_time
+    tip, entry = (at_times(log, each, time) for each in (log.needle_tip, log.needle_entry))
+    k = (tip - entry) / np.linalg.norm(tip - entry, axis=1, keepdims=True)
+    along = 1e3 * np.sum(log.volume_estimate_velocity * k, axis=1)
+    tracked = log.volume_estimate_mode == TrackingMode.TRACKING
+    begin = hand.start + hand.pushes[0].duration
+    errors: dict[float, Floats] = {}
+    for push in hand.pushes[1:]:
+        end = begin + push.duration
+        speed = round(1e3 * push.speed, 3)
+        found = along[tracked & (time >= begin + _SETTLED) & (time <= end)] - speed
+        errors[speed] = np.concatenate([errors.get(speed, np.zeros(0)), found])
+        begin = end
+    return errors
