@@ -6,7 +6,8 @@ SCENARIO ?= chatelain2013_fig5
 ARGS ?=
 
 SHELL := /bin/bash
-.PHONY: help run test fuzz bench docs notebooks pictures lint clean
+.PHONY: help compile run test fuzz bench docs notebooks pictures lint clean
+.PRECIOUS: $(VENV)/.installed.%
 .DEFAULT_GOAL := help
 
 help:
@@ -17,45 +18,48 @@ help:
 	@echo "make docs   build the documentation in build/docs"
 	@echo "make notebooks   write the .ipynb    make pictures   take the README's screens"
 
-$(VENV)/.run: pyproject.toml setup.py
-	@echo "Setting up $(VENV): sonoservo and what it needs (two or three minutes, once) ..."
+# Development tools are installed together with the rest where they are needed: one call of pip.
+EXTRAS := $(if $(filter-out help compile run docs clean,$(MAKECMDGOALS))$(wildcard $(VENV)/.installed.dev),dev,run)
+
+$(VENV)/.installed.%: pyproject.toml setup.py
+	@echo "Setting up $(VENV): sonoservo and what it needs (about a minute if pip has it in its cache) ..."
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v <= (3, 13) else "sonoservo needs Python 3.11 to 3.13; this is %d.%d" % v)'
 	@$(PYTHON) -m venv $(VENV) || { echo "Could not make $(VENV): on Debian or Ubuntu, install the package python3-venv."; exit 1; }
-	@$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --editable .
+	@$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --editable '.$(if $(filter dev,$*),[dev])'
+	@touch $@
+
+$(VENV)/.compiled: pyproject.toml setup.py | $(VENV)/.installed.$(EXTRAS)
 	@$(BIN)/sonoservo compile
 	@touch $@
 
-$(VENV)/.dev: $(VENV)/.run
-	@echo "Adding the development tools ..."
-	@$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --editable '.[dev]'
-	@touch $@
+compile: $(VENV)/.compiled
 
-run: $(VENV)/.run
+run: $(VENV)/.compiled
 	@$(BIN)/sonoservo run $(SCENARIO) $(ARGS)
 
-test: $(VENV)/.dev
+test: $(VENV)/.installed.dev $(VENV)/.compiled
 	@$(BIN)/python -m pytest -n 2 --dist loadfile $(ARGS)
 
-fuzz: $(VENV)/.dev
+fuzz: $(VENV)/.installed.dev
 	@PYTHONPATH=tests/helpers $(BIN)/python -m fuzzing $(ARGS)
 
-bench: $(VENV)/.dev
+bench: $(VENV)/.installed.dev $(VENV)/.compiled
 	@mkdir -p out
 	@$(BIN)/python -m pytest tests/benchmarks -m "slow or not slow" --benchmark-enable --benchmark-only --benchmark-json=out/bench.json $(ARGS)
 	@$(BIN)/python tests/benchmarks/plot_cost.py out/bench.json out/render_cost.png
 
 # The tutorials are run once, which takes some minutes, and again after a change.
-docs: $(VENV)/.run
+docs: $(VENV)/.compiled
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
 	@$(BIN)/sphinx-build -q -W -E -b html notebooks/docs build/docs
 	@echo "Written: build/docs/index.html"
 
 KERNEL := '{"kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}}'
 # The notebooks are written as scripts; what Jupyter opens is made of them.
-notebooks: $(VENV)/.dev
+notebooks: $(VENV)/.installed.dev
 	@$(BIN)/jupytext --quiet --to ipynb --update --update-metadata $(KERNEL) notebooks/[1-9]*.py
 
-pictures: $(VENV)/.dev
+pictures: $(VENV)/.installed.dev
 	@$(BIN)/python notebooks/screenshots.py
 	@$(BIN)/python notebooks/moving_picture.py
 	@cd notebooks && $(abspath $(BIN))/python gallery.py
@@ -63,7 +67,7 @@ pictures: $(VENV)/.dev
 
 # mypy and import-linter find packages by folder: the links give them the name that pyproject.toml
 # maps to this folder.
-lint: $(VENV)/.dev
+lint: $(VENV)/.installed.dev
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check .
 	@mkdir -p build/typing/sonoservo
 	@ln -sfn $(CURDIR)/systems $(CURDIR)/diagrams $(CURDIR)/models build/typing/sonoservo/

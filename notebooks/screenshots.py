@@ -38,6 +38,7 @@ def main() -> None:
         page.goto(console.web_url)
         page.wait_for_selector("body[data-ready]", state="attached")
         run(scenario, meshcat=meshcat, console=console)
+        console.say(pace="")  # it tells more about the machine than about the run
         page.wait_for_timeout(5000)
         path = HERE / "console.png"
         page.screenshot(path=path)

@@ -3,6 +3,8 @@ from .kept_runs.explain import ExplainedRun as ExplainedRun
 from .kept_runs.explain import explanation_table as explanation_table
 from .kept_runs.explain import read_explained_run as read_explained_run
 from .kept_runs.kept_run import KeptRun as KeptRun
+from .kept_runs.replay import Replay as Replay
+from .kept_runs.replay import read_replay as read_replay
 from .pages.pacer import Pacer as Pacer
 from .pages.pages import Pages as Pages
 from .pages.pages import open_pages as open_pages
@@ -23,6 +25,6 @@ from .volumes.locate import LocatedNeedle as LocatedNeedle
 from .volumes.locate import locate_in as locate_in
 from .volumes.locate import locate_in_recording as locate_in_recording
 from .volumes.reconstruct import ReconstructedRecording as ReconstructedRecording
-from .volumes.track import TrackedRecording as TrackedRecording
 from .volumes.track import track_recording as track_recording
 from .volumes.track import tracker_parameters as tracker_parameters
+from .volumes.tracked_recording import TrackedRecording as TrackedRecording

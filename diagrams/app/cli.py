@@ -13,7 +13,11 @@ from typing import Annotated
 
 import typer
 
-from sonoservo.diagrams.app.commands.results import compare_command, explain_command
+from sonoservo.diagrams.app.commands.results import (
+    compare_command,
+    explain_command,
+    replay_command,
+)
 from sonoservo.diagrams.app.commands.scenarios import list_command, new_command, show_command
 from sonoservo.diagrams.app.commands.studies import dataset_command, reproduce_command
 from sonoservo.diagrams.app.commands.volumes import bridge_command, locate_command, track_command
@@ -97,7 +101,7 @@ def run_command(
         ),
     ] = False,
     replay: Annotated[
-        bool, typer.Option("--replay", help="Write replay.html without a page, too.")
+        bool, typer.Option("--replay", help="Write replay.html, the run in 3D, without a page too.")
     ] = False,
     movie: Annotated[
         Path | None, typer.Option(help="Movie of slices and curves: NAME.gif or NAME.mp4.")
@@ -259,6 +263,7 @@ _COMMANDS = (
     drive_command,
     scan_command,
     explain_command,
+    replay_command,
     compare_command,
     track_command,
     bridge_command,

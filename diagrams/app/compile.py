@@ -1,19 +1,17 @@
-"""Compilation of the numeric kernels, so that the first run starts at once."""
+"""Compilation of the numeric kernels, so that the first run starts at once.
+
+Only the processes that compile load what they run, which takes some seconds.
+"""
 
 import os
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
+from typing import TYPE_CHECKING
 
-import numpy as np
-from pydrake.math import RigidTransform
-
-from sonoservo.diagrams.app.run import run
-from sonoservo.diagrams.experiments.registry import load_scenario
-from sonoservo.diagrams.needle_tracker import track
-from sonoservo.diagrams.trackers.chatelain2013 import Chatelain2013TrackerParameters
-from sonoservo.systems.signals.volume import Volume
+if TYPE_CHECKING:
+    from sonoservo.systems.signals.volume import Volume
 
 _SPACING = 1e-3
 _SHAPE = (80, 60, 40)
@@ -30,25 +28,28 @@ def compile_scanner() -> None:
         "hand.pushes.0.speed=0.05",
         "station.plant.contact_model=point",
     ]
-    run(load_scenario("chatelain2013_fig5", changes=changes))
+    _run("chatelain2013_fig5", changes)
 
 
 def compile_tracker() -> None:
-    """Compile detection and localization: track a line that grows in noise, straight and bent."""
-    for order in (2, 3):
-        list(track(_volumes(), parameters=Chatelain2013TrackerParameters(order=order)))
+    """Compile detection and localization: track a line that grows in noise."""
+    from sonoservo.diagrams.needle_tracker import track
+    from sonoservo.diagrams.trackers.chatelain2013 import Chatelain2013TrackerParameters
+
+    volumes = list(_volumes())
+    list(track(volumes, parameters=Chatelain2013TrackerParameters(order=3)))
     everywhere = Chatelain2013TrackerParameters(start="anywhere")
-    list(track(list(_volumes())[-2:], parameters=everywhere))
+    list(track(volumes[-2:], parameters=everywhere))
 
 
 def compile_shape_prediction() -> None:
     """Compile slices, template matching and particle filter: insert a bevelled needle."""
-    run(load_scenario("carriere2016_d60", changes=["depth=0.07"]))
+    _run("carriere2016_d60", ["depth=0.07"])
 
 
 def compile_harder_world() -> None:
     """Compile structures, tissue that reacts and errors of instruments: simulate two sweeps."""
-    run(load_scenario("clinic", changes=["duration=1.3", "hand.start=0"]))
+    _run("clinic", ["duration=1.3", "hand.start=0"])
 
 
 TASKS: tuple[Callable[[], None], ...] = (compile_scanner, compile_tracker)
@@ -84,8 +85,20 @@ def compile_kernels(*, everything: bool = False) -> Iterator[str]:
             yield f"{name}: ready after {time.perf_counter() - start:.0f} s"
 
 
-def _volumes() -> Iterator[Volume]:
+def _run(scenario: str, changes: list[str]) -> None:
+    from sonoservo.diagrams.app.run import run
+    from sonoservo.diagrams.experiments.registry import load_scenario
+
+    run(load_scenario(scenario, changes=changes))
+
+
+def _volumes() -> Iterator["Volume"]:
     """Yield volumes in which a bright line grows from the side."""
+    import numpy as np
+    from pydrake.math import RigidTransform
+
+    from sonoservo.systems.signals.volume import Volume
+
     rng = np.random.default_rng(0)
     tissue = rng.rayleigh(20, _SHAPE)
     for number in range(_VOLUMES):

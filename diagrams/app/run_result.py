@@ -62,10 +62,7 @@ class RunResult:
         return figure
 
     def __str__(self) -> str:
-        console = Console(width=100, color_system=None, force_jupyter=False)
-        with console.capture() as captured:
-            console.print(summary_table(self))
-        return captured.get()
+        return table_text(summary_table(self))
 
     def __repr__(self) -> str:
         return str(self)
@@ -105,6 +102,14 @@ def summary_table(result: RunResult) -> Table:
         table.add_row(*cells)
     table.caption = caption or None
     return table
+
+
+def table_text(table: Table) -> str:
+    """Return a table as plain text, as a terminal shows it."""
+    console = Console(width=100, color_system=None, force_jupyter=False)
+    with console.capture() as captured:
+        console.print(table)
+    return captured.get()
 
 
 def end_words(result: RunResult) -> str:

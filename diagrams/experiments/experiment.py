@@ -2,7 +2,7 @@
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Container, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from typing import Any, ClassVar, Generic, Self
 
 import numpy as np
@@ -15,6 +15,7 @@ from sonoservo.diagrams.scenario import Scenario, ScenarioT
 from sonoservo.diagrams.wiring import connect_by_name
 from sonoservo.systems.evaluation.compile_free_clock import CompileFreeClock
 from sonoservo.systems.evaluation.log import Log
+from sonoservo.systems.evaluation.reports.track_plots import VolumePictures
 from sonoservo.systems.evaluation.reports.verdict import Verdict
 from sonoservo.systems.signals.immutable import NotFound
 
@@ -139,6 +140,11 @@ class Experiment(ABC, Generic[ScenarioT]):
     def frames(self, log: Any) -> Iterator[NDArray[np.uint8]]:
         """Yield the frames of a movie, (rows, columns, 3) each, one per volume or slice."""
         raise NotImplementedError
+
+    @property
+    def pictures(self) -> Sequence[VolumePictures]:
+        """Pictures of the volumes so far; none unless the experiment has volumes and keeps them."""
+        return ()
 
     @property
     def frame_rate(self) -> float:

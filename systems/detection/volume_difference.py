@@ -38,12 +38,8 @@ def _changes(  # pragma: no cover - compiled
                     continue
                 if found == capacity:
                     capacity *= 2
-                    more_index = np.empty(capacity, np.int64)
-                    more_index[:found] = index
-                    index = more_index
-                    more_change = np.empty(capacity, np.float32)
-                    more_change[:found] = change
-                    change = more_change
+                    index = np.concatenate((index, np.empty_like(index)))
+                    change = np.concatenate((change, np.empty_like(change)))
                 index[found] = (i * ny + j) * nz + k
                 change[found] = brighter - highest
                 found += 1

@@ -52,7 +52,8 @@ class AxisFit(Immutable):
         return np.asarray(np.kron(shape, self.scatter), dtype=np.float64)
 
 
-# Sums may be reordered, which lets the compiler vectorise them.
+# Sums may be reordered, which lets the compiler vectorise them. Rows are filled by element: numba
+# takes seconds to compile the checks of an array's assignment to a slice.
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
 def least_squares(  # pragma: no cover - compiled
     coordinates: Any, weights: Any, order: int, towards: Any
@@ -99,16 +100,19 @@ def least_squares(  # pragma: no cover - compiled
         xy += w * dx * dy
         yz += w * dy * dz
         zx += w * dz * dx
-    scatter[:] = np.array([[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]]) / total
+    scatter[0, 0], scatter[1, 1], scatter[2, 2] = xx / total, yy / total, zz / total
+    scatter[0, 1] = scatter[1, 0] = xy / total
+    scatter[1, 2] = scatter[2, 1] = yz / total
+    scatter[0, 2] = scatter[2, 0] = zx / total
     values, vectors = np.linalg.eigh(scatter)
     variance = values[2]
     if not variance > 1e-18 or variance - values[1] < 1e-9 * variance:
         return False, axis, inverse, scatter
-    axis[0] = ox, oy, oz
+    axis[0, 0], axis[0, 1], axis[0, 2] = ox, oy, oz
     k = vectors[:, 2].copy()
     if np.sum(k * towards) < 0:
         k *= -1
-    axis[1] = k
+    axis[1, 0], axis[1, 1], axis[1, 2] = k
     scatter -= variance * np.outer(k, k)
     if order == 3:
         scale = 1 / np.sqrt(variance)
@@ -132,12 +136,15 @@ def least_squares(  # pragma: no cover - compiled
         inverse[2, 2] = last[2]
         scatter -= last[2] * np.outer(bend, bend)
         units = scale ** np.arange(3)
-        axis[2:] = np.outer(last * units, bend)
+        for i in range(3):
+            for j in range(3):
+                axis[2 + i, j] = last[i] * units[i] * bend[j]
         inverse *= np.outer(units, units)
     else:
         inverse[1, 1] = 1 / variance
-    axis[2] += axis[0]
-    axis[3] += k
+    for c in range(3):
+        axis[2, c] += axis[0, c]
+        axis[3, c] += k[c]
     return True, axis, inverse, scatter
 
 
@@ -168,7 +175,7 @@ def fit_axis(
     -------
     The fit, or a `NotFound` if the points do not determine one.
     """
-    towards = np.asarray(towards, float)
+    towards = np.array(towards, float)  # writable, as the consensus has it: one kernel serves both
     solution = least_squares(np.ascontiguousarray(points.T), weights, order, towards)
     return as_fit(solution, len(points))
 

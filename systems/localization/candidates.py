@@ -53,12 +53,8 @@ def _voxels_near(  # pragma: no cover - compiled
                     continue
                 if found == capacity:
                     capacity *= 2
-                    more_index = np.empty((capacity, 3), np.int32)
-                    more_index[:found] = index
-                    index = more_index
-                    more_abscissa = np.empty(capacity)
-                    more_abscissa[:found] = abscissa
-                    abscissa = more_abscissa
+                    index = np.concatenate((index, np.empty_like(index)))
+                    abscissa = np.concatenate((abscissa, np.empty_like(abscissa)))
                 index[found, 0], index[found, 1], index[found, 2] = i, j, k
                 abscissa[found] = a
                 found += 1

@@ -65,7 +65,8 @@ def refine(  # pragma: no cover - compiled
                 total += amplitude
                 centres[s, 0] += amplitude * places[m, 0]
                 centres[s, 1] += amplitude * places[m, 1]
-        centres[s] /= total
+        centres[s, 0] /= total
+        centres[s, 1] /= total
         weights[s] = min(max(peak - np.median(levels[:n]) - 3, 0.1), 12.0)
     near, ends = np.ones(count), np.zeros((2, 2))
     for _ in range(5):

@@ -116,7 +116,8 @@ def _through(  # pragma: no cover - compiled
     length = np.sqrt(length)
     if length < separation:
         return False, length
-    curve[1] /= length
+    for c in range(3):
+        curve[1, c] /= length
     if len(sample) == 3:
         a = 0.0
         for c in range(3):
@@ -159,7 +160,8 @@ def _near(coordinates: Any, axis: Any, limit: float) -> Any:  # pragma: no cover
     ox, oy, oz = axis[0]
     kx, ky, kz = axis[1]
     c = np.zeros((3, 3))
-    c[: len(axis) - 2] = axis[2:]
+    for n in range(len(axis) - 2):
+        c[n, 0], c[n, 1], c[n, 2] = axis[2 + n]
     near = np.zeros(len(x), np.bool_)
     for i in range(len(x)):
         a = (x[i] - ox) * kx + (y[i] - oy) * ky + (z[i] - oz) * kz
@@ -211,17 +213,19 @@ def _consensus(  # pragma: no cover - compiled
         count = _count_near(coordinates, curve, length, limit)
         if count > best:
             best, best_length = count, length
-            best_curve[:] = curve
+            best_curve = curve.copy()
             ratio = (count / m) ** order
             # Rejected draws are allowed on top: they are the cost of finding admissible samples.
             needed = rejected
             if ratio < 1:
                 needed += draws_factor * log_failure / np.log1p(-ratio)
     if np.sum(best_curve[1] * expected) < 0:
-        best_curve[0] += best_length * best_curve[1]
-        best_curve[1] *= -1
+        for c in range(3):
+            best_curve[0, c] += best_length * best_curve[1, c]
+            best_curve[1, c] *= -1
     axis = np.concatenate((best_curve[:2], best_curve[:order]))
-    axis[3] -= best_length * best_curve[2]
+    for c in range(3):
+        axis[3, c] -= best_length * best_curve[2, c]
     near = _near(coordinates, axis, limit)
     fit = (best > 0, axis, np.eye(order), np.zeros((3, 3)))
     for _ in range(refits):

@@ -1,5 +1,6 @@
 """What the console and the world cost a run, and the thread that draws them."""
 
+import shutil
 import subprocess
 import sys
 import time
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from bokeh.document import Document
 from page_clients.console_socket import session_token
+from playwright.sync_api import Error, sync_playwright
 from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.diagrams import load_scenario, make_experiment
@@ -93,23 +95,45 @@ def pages_that_draw_nothing(meshcat, console):
             process.wait()
 
 
+@contextmanager
+def chromium(meshcat, console):
+    """A browser that shows the console, and draws it in a process of its own."""
+    with sync_playwright() as playwright:
+        installed = shutil.which("chromium") or shutil.which("chromium-browser")
+        arguments = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
+        try:
+            browser = playwright.chromium.launch(executable_path=installed, args=arguments)
+        except Error:
+            pytest.skip("no Chromium")
+        page = browser.new_page(viewport={"width": 1280, "height": 800})
+        page.goto(console.web_url)
+        page.wait_for_selector("body[data-ready]", state="attached")
+        yield
+        browser.close()
+
+
 def run_once(scenario, meshcat=None, console=None):
-    """Wall-clock time in s of a run, not held to real time."""
+    """Wall-clock and processor time in s of a run, not held to real time."""
     if meshcat is not None:
         meshcat.DeleteRecording()
         meshcat.StartRecording(set_visualizations_while_recording=True)
     experiment = make_experiment(scenario, meshcat=meshcat, console=console)
-    start = time.perf_counter()
+    start = time.perf_counter(), time.process_time()
     experiment.run()
-    return time.perf_counter() - start
+    return time.perf_counter() - start[0], time.process_time() - start[1]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("watched", [False, True], ids=["no browser", "a page"])
+@pytest.mark.parametrize("watched", [None, pages_that_draw_nothing, chromium])
 def test_a_run_with_a_console(benchmark, watched, monkeypatch):
-    """With the film for the replay; without a display it is timed in between."""
+    """With the film for the replay; without a display it is timed in between.
+
+    ``share`` is what the display adds to the processor time of the run's process, as a share of
+    that without one: medians over pairs, which leave out what else the machine does.
+    """
     enabled = benchmark.enabled
-    scenario = load_scenario("chatelain2013_fig5", changes=[f"duration={16 if enabled else 1}"])
+    duration = 16 if enabled else 1
+    scenario = load_scenario("chatelain2013_fig5", changes=[f"duration={duration}"])
     plain, shown = [], []
 
     def both():
@@ -119,9 +143,13 @@ def test_a_run_with_a_console(benchmark, watched, monkeypatch):
     with Site() as site:
         meshcat, console = open_meshcat(site), Console(site, world="world")
         both()
-        monkeypatch.setattr(console_module, "_PATIENCE", 0.0)
-        with pages_that_draw_nothing(meshcat, console) if watched else nullcontext():
+        if watched is pages_that_draw_nothing:
+            monkeypatch.setattr(console_module, "_PATIENCE", 0.0)
+        with watched(meshcat, console) if watched else nullcontext():
             benchmark.pedantic(both, rounds=5 if enabled else 1)
     benchmark.extra_info["compared_with"] = "the same run without a display"
-    pairs = [alone / both for alone, both in zip(plain[1:], shown[1:], strict=True)]
-    benchmark.extra_info["ratio"] = float(np.median(pairs))
+    alone, together = np.array(plain[1:]), np.array(shown[1:])
+    benchmark.extra_info["ratio"] = float(np.median(alone[:, 0] / together[:, 0]))
+    benchmark.extra_info["share"] = float(np.median(together[:, 1] / alone[:, 1])) - 1
+    factors = np.median(duration / alone[:, 0]), np.median(duration / together[:, 0])
+    benchmark.extra_info["real_time_factors"] = [float(each) for each in factors]

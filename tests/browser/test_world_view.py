@@ -8,8 +8,9 @@ from pydrake.geometry import Meshcat, MeshcatParams
 from pydrake.math import RigidTransform, RotationMatrix
 
 from sonoservo.diagrams import load_scenario, make_experiment
+from sonoservo.systems.display.console.console import Console
 from sonoservo.systems.display.pages.meshcat_page import open_meshcat
-from sonoservo.systems.display.pages.site import Site
+from sonoservo.systems.display.pages.site import Files, Site
 from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
 from sonoservo.systems.evaluation.reports.report import save_replay
 from sonoservo.systems.signals.needle_estimate import TrackingMode
@@ -256,6 +257,24 @@ def test_the_replay_plays_by_itself_in_step(run, replay, open_page):
         p_WP = np.array([np.interp(time, run.log.time, axis) for axis in run.log.X_WP[:, :3, 3].T])
         face = "viewer.scene_tree.find(['probe', 'probe']).object.position.toArray()"
         np.testing.assert_allclose(page.evaluate(face), p_WP, atol=5e-4)
+
+
+def test_the_console_winds_the_world_of_a_kept_run(replay, open_page):
+    with Site() as site:
+        site.add("report", "Report", [("(.*)", Files, {"path": str(replay.parent)})])
+        console = Console(site, world="report/replay.html")
+        page = open_page(console.web_url)
+        animator = "document.querySelector('#world iframe').contentWindow.viewer?.animator"
+        page.wait_for_function(f"{animator}?.duration > 0")
+        for time in (2.0, 1.0):
+            console.say(seek=time, without=["slices", "strips"])
+            page.wait_for_function(
+                f"time => {animator}.actions.every(each => each.time <= time) && "
+                f"{animator}.actions.some(each => each.time == time)",
+                arg=time,
+            )
+        assert not page.evaluate(f"{animator}.playing")
+        page.close()
 
 
 def test_a_minute_of_replay_is_below_20_mb(run, replay):

@@ -70,7 +70,7 @@ SHORT = {
 }
 """Changes that make a run a matter of a volume or of a few slices."""
 
-RUN = {"list", "show", "new", "scan", "run", "compare"}
+RUN = {"list", "show", "new", "scan", "run", "compare", "replay"}
 """Commands that are run; the others are only parsed here, and have tests of their own."""
 
 OTHER = {"--serve", "--record", "--explain", "clinic", "carriere2016_d60", "out/one"}
@@ -101,6 +101,8 @@ def test_commands_do_what_the_pages_say(page, quick, capsys):
             continue
         if words[0] == "run" and "--no-meshcat" not in words:
             words = [*words, "--no-meshcat"]
+        if words[0] == "replay":
+            words = [*words, "--once", "--no-open"]
         if tuple(words) not in done:
             result = sonoservo_here(*words)
             assert result.returncode == 0, (words, result.stderr)

@@ -1,5 +1,6 @@
 from .results import compare_command as compare_command
 from .results import explain_command as explain_command
+from .results import replay_command as replay_command
 from .scenarios import list_command as list_command
 from .scenarios import new_command as new_command
 from .scenarios import show_command as show_command

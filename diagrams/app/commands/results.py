@@ -1,17 +1,39 @@
-"""Commands about the kept results of runs: explain and compare."""
+"""Commands about the kept results of runs: replay, explain and compare."""
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from sonoservo.diagrams.app.options import (
+    HostOption,
     JsonOption,
+    OpenOption,
     OutOption,
     console,
     free_folder,
     write_printed,
 )
+
+
+def replay_command(
+    folder: Annotated[Path, typer.Argument(help="Folder of a run.")],
+    host: HostOption = "localhost",
+    open_page: OpenOption = True,
+    once: Annotated[bool, typer.Option("--once", help="End at the end of the run.")] = False,
+) -> None:
+    """Replay a kept run in the console: world, slices, strips and state, at any time and speed."""
+    from sonoservo.diagrams.app.kept_runs.replay import read_replay
+    from sonoservo.diagrams.app.pages.pages import open_pages
+
+    replay = read_replay(folder)
+    pages = open_pages(console, replay.title, host=host, by_itself=open_page, kept=folder)
+    if not (folder / "replay.html").is_file():
+        console.print("There is no replay.html: run with a page or with --replay for the world.")
+    console.print("The slider `time` turns the run back and forth; Ctrl-C ends the replay.")
+    with suppress(KeyboardInterrupt):
+        replay.play(pages.console, once=once)
 
 
 def compare_command(

@@ -20,6 +20,7 @@ from sonoservo.systems.evaluation.compile_free_clock import CompileFreeClock
 from sonoservo.systems.evaluation.explanation.explanation_files import clear_explanations
 from sonoservo.systems.evaluation.log import Log
 from sonoservo.systems.evaluation.reports.movie import write_movie
+from sonoservo.systems.evaluation.reports.picture_files import write_pictures
 from sonoservo.systems.evaluation.reports.plots import png
 from sonoservo.systems.evaluation.reports.report import Story, save_replay, write_report
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
@@ -28,7 +29,10 @@ from sonoservo.systems.files.writing import Unwritten, write_atomically, write_j
 _SAVE_EVERY = 10.0
 """Wall-clock time in s after which the log is saved again during a run."""
 
-_RESULTS = ("summary.json", "log.npz", "report.html", "replay.html")
+PICTURES = "slices.npz"
+"""File with the slices through the needle of every volume."""
+
+_RESULTS = ("summary.json", "log.npz", PICTURES, "report.html", "replay.html")
 """Results that do not stay beside those of a newer run."""
 
 
@@ -155,7 +159,7 @@ class KeptRun:
         log: Log,
         plots: Mapping[str, tuple[str, Figure]],
     ) -> None:
-        """Write summary.json, the plots, report.html, the movie and, with a Meshcat, replay.html.
+        """Write summary.json, pictures, plots, report.html, movie and, with a Meshcat, replay.html.
 
         Parameters
         ----------
@@ -173,6 +177,9 @@ class KeptRun:
             return
         with self.unwritten.collect():
             write_json(self.out / "summary.json", summary)
+        if pictures := experiment.pictures:
+            with self.unwritten.collect():
+                write_pictures(self.out / PICTURES, pictures)
         links = {}
         if self._meshcat is not None:
             with self.unwritten.collect():

@@ -17,6 +17,8 @@ from sonoservo.systems.display.pages.meshcat_page import open_meshcat
 from sonoservo.systems.display.pages.site import Files, Site
 from sonoservo.systems.files.refusals import ConfigurationError
 
+_REPLAY = "replay.html"
+
 
 @dataclass(frozen=True, kw_only=True)
 class Pages:
@@ -51,9 +53,8 @@ class Pages:
         report
             Report of the run, if there is one. The files in its folder are served too.
         """
-        if report is not None and report.is_file():
-            self.site.add("report", "Report", [("(.*)", Files, {"path": str(report.parent)})])
-            self.console.say(report=f"../report/{report.name}")
+        if report is not None:
+            _serve_results(self.site, self.console, report)
         self.console.controls.offer([])
         self.console.controls.offer_buttons()
         self.console.say(ended=said, paused=False, pace="")
@@ -70,6 +71,7 @@ def open_pages(
     host: str = "localhost",
     world: bool = True,
     by_itself: bool = True,
+    kept: Path | None = None,
 ) -> Pages:
     """Open the pages of a command on the first free port from 7000 on, and print the address.
 
@@ -83,6 +85,9 @@ def open_pages(
         Address to listen on; ``*`` for all addresses of this machine.
     world
         Whether Drake's Meshcat draws the world; otherwise the console draws a view of the probe.
+    kept
+        Folder of a kept run whose replay.html takes the place of the world, and whose report is
+        linked.
     by_itself
         Whether to open the console in the browser, if there is a desktop and a person at the
         terminal.
@@ -97,12 +102,24 @@ def open_pages(
     except OSError as error:
         raise ConfigurationError(str(error)) from error
     logging.getLogger("drake").addFilter(_is_news)
-    meshcat = open_meshcat(site) if world else None
-    console = Console(site, title=title, world="world" if world else "")
+    meshcat = open_meshcat(site) if world and kept is None else None
+    shown: str | None = "world" if world else ""
+    if kept is not None:
+        shown = f"report/{_REPLAY}" if (kept / _REPLAY).is_file() else None
+    console = Console(site, title=title, world=shown)
+    if kept is not None:
+        _serve_results(site, console, kept / "report.html")
     terminal.print("Watch at", Text(console.web_url, style="bold"), soft_wrap=True)
     if by_itself and terminal.is_interactive and has_desktop():
         webbrowser.open(console.web_url)
     return Pages(site=site, console=console, meshcat=meshcat)
+
+
+def _serve_results(site: Site, console: Console, report: Path) -> None:
+    """Serve the folder of a run's report, and link the report in the console, if there is one."""
+    site.add("report", "Report", [("(.*)", Files, {"path": str(report.parent.absolute())})])
+    if report.is_file():
+        console.say(report=f"../report/{report.name}")
 
 
 def has_desktop() -> bool:

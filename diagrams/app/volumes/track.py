@@ -1,8 +1,8 @@
-"""Tracking in recorded volumes, and its output files."""
+"""Tracking in recorded volumes."""
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,34 +13,23 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import DiagramBuilder
 
 from sonoservo.diagrams.app.pages.pacer import Pacer
-from sonoservo.diagrams.app.volumes.estimates_table import estimate_row, estimates_csv
+from sonoservo.diagrams.app.volumes.estimates_table import estimate_row
 from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
+from sonoservo.diagrams.app.volumes.tracked_recording import TrackedRecording
 from sonoservo.diagrams.app.volumes.true_values import true_values
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
 from sonoservo.diagrams.trackers.registry import TRACKERS
 from sonoservo.diagrams.trackers.tracker_parts import STARTS, TrackerParameters
 from sonoservo.systems.evaluation.explanation.explanation_files import clear_explanations
 from sonoservo.systems.evaluation.explanation.explanation_recorder import ExplanationRecorder
-from sonoservo.systems.evaluation.labels import LABELS, recording_labels
-from sonoservo.systems.evaluation.log import write_log
 from sonoservo.systems.evaluation.metrics import summarize
-from sonoservo.systems.evaluation.reports.plots import ERRORS_CAPTION, plot_errors, png
-from sonoservo.systems.evaluation.reports.report import Story, write_report
-from sonoservo.systems.evaluation.reports.track_plots import (
-    PLANES_CAPTION,
-    TIP_CAPTION,
-    VolumePictures,
-    picture_planes,
-    plot_planes,
-    plot_tip,
-)
-from sonoservo.systems.evaluation.reports.verdict import recording_verdict
+from sonoservo.systems.evaluation.reports.track_plots import VolumePictures, picture_planes
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.run_logger import RunLogger
 from sonoservo.systems.files.claims import claim_folder
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import suggest
-from sonoservo.systems.files.writing import Unwritten, write_atomically, write_json
+from sonoservo.systems.files.writing import Unwritten
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.recording.side_files import TRUTH, Truth, read_truth, side_path
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
@@ -49,34 +38,8 @@ from sonoservo.systems.signals.volume import Volume
 if TYPE_CHECKING:
     from sonoservo.systems.display.console.console import Console
 
-_PLOTS = ("planes.png", "tip.png", "errors.png")
 _PICTURES = 6
 """Number of volumes of a recording that the report shows."""
-
-
-@dataclass(frozen=True, eq=False)
-class TrackedRecording:
-    """Results of tracking in a recording.
-
-    Parameters
-    ----------
-    estimates
-        Estimate after each volume, in W.
-    rows
-        Rows of ``estimates.csv``: the estimates in the file's own coordinates, LPS in mm.
-    summary
-        Figures, as in summary.json.
-    log
-        Log like that of a run; its truth is the one beside the recording, if there is one.
-    failure
-        Error of the first file that could not be written; None if all were.
-    """
-
-    estimates: list[NeedleEstimate]
-    rows: list[dict[str, Any]]
-    summary: dict[str, Any]
-    log: RunLog
-    failure: OSError | None = None
 
 
 @dataclass
@@ -266,9 +229,12 @@ def _track(
     )
     summary = _summarize(recording, done, log, truth, interrupted, wall)
     unwritten = Unwritten()
+    result = TrackedRecording(
+        done.estimates, done.rows, summary, log, times=done.times, pictures=done.pictures
+    )
     if out is not None:
-        _write(out, done, summary, log, truth, command, unwritten)
-    return TrackedRecording(done.estimates, done.rows, summary, log, unwritten.failure)
+        result.write(out, command, unwritten)
+    return replace(result, failure=unwritten.failure)
 
 
 def _note(
@@ -313,37 +279,3 @@ def _summarize(
     figures = summarize(log)
     kept = ("detection", "tracking", "compute_ms") if truth is not None else ("compute_ms",)
     return summary | {name: figures[name] for name in kept}
-
-
-def _write(
-    out: Path,
-    done: _Progress,
-    summary: dict[str, Any],
-    log: RunLog,
-    truth: Truth | None,
-    command: str,
-    unwritten: Unwritten,
-) -> None:
-    with unwritten.collect():
-        write_json(out / "summary.json", summary)
-        write_atomically(out / "estimates.csv", estimates_csv(done.rows))
-        write_json(out / "estimates.json", done.rows)
-        write_log(out / "log.npz", log)
-    if not done.rows:
-        return
-    p_LTip = 1e-3 * np.array([[row[f"tip_{axis}_mm"] for axis in "lps"] for row in done.rows])
-    figures = {
-        PLANES_CAPTION: plot_planes(done.pictures),
-        TIP_CAPTION: plot_tip(np.array(done.times), done.estimates, p_LTip.reshape(-1, 3)),
-    }
-    if truth is not None:
-        figures[ERRORS_CAPTION] = plot_errors(log)
-    images = {name: png(figure) for name, figure in figures.items()}
-    with unwritten.collect():
-        for name, image in zip(_PLOTS, images.values(), strict=False):
-            write_atomically(out / name, image)
-        write_report(
-            out / "report.html", summary, images,
-            story=Story(verdict=recording_verdict(summary), command=command),
-            labels=recording_labels(summary["modes"]) | LABELS,
-        )  # fmt: skip

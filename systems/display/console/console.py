@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from html import escape
 from typing import TYPE_CHECKING, Any
 
-from sonoservo.systems.display.console.controls import Controls
+from sonoservo.systems.display.console.controls import Controls, finite_number
 from sonoservo.systems.display.console.history import Cine, Frame, Strips
 from sonoservo.systems.display.console.readings import Sample, describe_state, sample_estimate
 from sonoservo.systems.display.console.slices import slice_pictures
@@ -45,7 +45,8 @@ class Console:
     title
         Title of the page.
     world
-        Name of the site's page with the world; empty for a view of the probe, drawn here.
+        Name of the site's page with the world, or path of a kept one such as report/replay.html;
+        empty for a view of the probe, drawn here, and None for neither.
 
     Attributes
     ----------
@@ -59,23 +60,20 @@ class Console:
     """
 
     def __init__(
-        self, site: Site | None = None, *, title: str = "sonoservo", world: str = ""
+        self, site: Site | None = None, *, title: str = "sonoservo", world: str | None = ""
     ) -> None:
         from sonoservo.systems.display.pages.bokeh_page import open_bokeh_page
 
-        self._owns_site = site is None
-        self._site = site or Site()
+        self._owns_site, self._site = site is None, site or Site()
         self._title = title
-        self._facts: dict[str, Any] = {"title": title, "world": world}
-        self._newest: tuple[Volume, NeedleEstimate | None, int] | None = None
+        probe = world == ""
+        self._facts: dict[str, Any] = {"title": title, "world": "probe" if probe else world or ""}
+        self._newest: tuple[Volume, NeedleEstimate | None, int] | Frame | None = None
         self._shown = 0
         self._views: set[_View] = set()
         self.strips, self.cine = Strips(), Cine()
         self.controls = Controls(self._wake)
-        self._probe: ProbePage | None = None
-        if not world:
-            self._probe = _open_probe(self._site, self._wake)
-            self._facts["world"] = "probe"
+        self._probe = _open_probe(self._site, self._wake) if probe else None
         open_bokeh_page(self._site, page="console", title="Console", make=self._open)
 
     @property
@@ -115,6 +113,11 @@ class Console:
         self._newest = volume, estimate, self._shown
         self._wake()
 
+    def show_frame(self, frame: Frame) -> None:
+        """Show pictures that were taken earlier, beside which there is nothing to look at."""
+        self._newest = frame
+        self._wake()
+
     def add(self, sample: Sample) -> None:
         """Add a sample to the strips, and show its state."""
         self._site.call(lambda: self.strips.append(sample))
@@ -127,7 +130,8 @@ class Console:
         ----------
         facts
             ``paused``; ``pace``, ``note`` and ``ended`` in words; address of the ``report``; and
-            the parts of the page that it goes ``without``: slices, strips, readings, force, error.
+            the parts of the page that it goes ``without``: world, slices, planes, cine, strips,
+            readings, force, error. ``seek`` is the time in s to which a recorded world is wound.
         """
         if any(self._facts.get(name) != value for name, value in facts.items()):
             self._facts = self._facts | facts
@@ -148,6 +152,10 @@ class Console:
         newest = self._newest
         if newest is None:
             return None
+        if isinstance(newest, Frame):
+            if self.cine.at(newest.time) is not newest:
+                self.cine.append(newest)
+            return newest
         volume, _, number = newest
         last = self.cine.at(volume.time)
         if last is None or (last.number, last.time) != (number, volume.time):
@@ -158,7 +166,9 @@ class Console:
     def frame_beside(self, offsets: tuple[float, float]) -> Frame | None:
         """Return pictures of the newest volume beside the needle, at distances in m."""
         newest = self._newest
-        return None if newest is None else picture_volume(*newest, offsets)
+        if newest is None or isinstance(newest, Frame):
+            return newest
+        return picture_volume(*newest, offsets)
 
     def _open(self, document: "Document") -> None:
         view = _View(self, document)
@@ -169,7 +179,7 @@ class Console:
         self._site.call(self._update)
 
     def _update(self) -> None:
-        if self._probe is not None and self._newest is not None:
+        if self._probe is not None and isinstance(self._newest, tuple):
             self._probe.show(*self._newest[:2])
         for view in self._views:
             view.wake()
@@ -294,7 +304,7 @@ class _View:
     def _obey(self, order: Mapping[str, Any]) -> None:
         """Carry out what the page asks for; whatever is malformed is ignored."""
         controls = self._console.controls
-        self._heard = int(_number(order.get("order")) or 0)
+        self._heard = int(finite_number(order.get("order")) or 0)
         if isinstance(button := order.get("press"), str):
             controls.press(button)
         if isinstance(name := order.get("set"), str):
@@ -304,9 +314,9 @@ class _View:
         if "axes" in order:
             controls.deflect(self, order["axes"])
         if "cine" in order:
-            self._cine = _number(order["cine"])
+            self._cine = finite_number(order["cine"])
         if isinstance(asked := order.get("offsets"), list) and len(asked) == 2:
-            first, second = (min(max(_number(each) or 0.0, -200.0), 200.0) for each in asked)
+            first, second = (min(max(finite_number(each) or 0.0, -200.0), 200.0) for each in asked)
             self._offsets = 1e-3 * first, 1e-3 * second
         self.wake()
 
@@ -331,10 +341,3 @@ def picture_volume(
         slice_pictures(volume, estimate.curve if estimate is not None else None, offsets),
         volume.decibels_per_level,
     )
-
-
-def _number(value: Any) -> float | None:
-    """Return a finite number, or None for anything else."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return None
-    return float(value) if abs(value) < float("inf") else None

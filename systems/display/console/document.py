@@ -45,11 +45,14 @@ _RING = 2.5
 
 _LINES: Sequence[tuple[str, str, Sequence[tuple[str, str, str]], float]] = (
     ("features", "X, Z (mm)", (("x", _FIRST, "X"), ("z", _SECOND, "Z")), 2.0),
-    ("angle", "Theta (deg)", (("theta", _FIRST, ""),), 4.0),
+    ("angle", "Theta (°)", (("theta", _FIRST, ""),), 4.0),
     ("force", "force (N)", (("force", _FIRST, "force"), ("target", _SECOND, "target")), 1.0),
     ("error", "error (mm)", (("error", _FIRST, ""),), 0.5),
 )
 """Name, axis, lines (column, colour and label) and smallest range of each strip."""
+
+_SCRIPTS = ("console.js", "controls.js", "views.js")
+"""Scripts of the page, which share one scope."""
 
 
 class Link:
@@ -232,9 +235,9 @@ def page_template() -> str:
     text = (folder / "console.html").read_text()
     colours = "".join(f"--{name}: {hexadecimal(each)}; " for name, each in _PAGE_COLOURS.items())
     text = text.replace("/* colours */", f":root {{ {colours}}}")
-    for name in ("console.css", "console.js"):
-        text = text.replace(f"/* {name} */", (folder / name).read_text())
-    return text
+    scripts = "\n".join((folder / name).read_text() for name in _SCRIPTS)
+    text = text.replace("/* console.css */", (folder / "console.css").read_text())
+    return text.replace("/* scripts */", scripts)
 
 
 def _image_source() -> ColumnDataSource:

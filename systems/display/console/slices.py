@@ -112,17 +112,12 @@ def slice_views(
     half = 0.5 * np.array([np.hypot(size[0], size[2]), max(size[1], size[2])])
     views: list[SliceView | None] = []
     for slice_, offset in zip(slice_planes(volume, curve), offsets, strict=False):
-        R = slice_.X_PS.rotation().matrix()
-        right = 1.0 if R[0, 0] + 1e-6 * R[2, 0] >= 0 else -1.0
-        down = 1.0 if R[1, 1] + R[2, 1] >= 0 else -1.0
-        R = R * [right, down, right * down]
+        R = _upright(slice_)
         centre = slice_.X_PS.translation() + offset * R[:, 2]
-        level = R[:, 0] * [1, 0, 1]
+        origin, level = _origin(R, centre), R[:, 0] * [1, 0, 1]
         if level @ level > 0.25:
-            origin = R[:, 0] * (R[:, 0] @ centre - level @ centre / (level @ level))
             place = np.array([level @ middle / (level @ level), R[:, 1] @ middle])
         else:
-            origin = R[:, 0] * (R[:, 0] @ centre)
             place = np.array([0.0, R[:, 1] @ middle])
         at = (centre - origin) @ R[:, :2]
         held = 0.5 * np.array([slice_.width, slice_.height])
@@ -135,6 +130,60 @@ def slice_views(
             plane = Plane(RigidTransform(RotationMatrix(R), p_P), *(high - low))
             views.append(SliceView(plane, origin, np.stack([place - half, place + half])))
     return views
+
+
+def _upright(slice_: Plane) -> Floats:
+    """Return the axes of a slice in P, turned so that X or else Z of P runs to the right."""
+    R = slice_.X_PS.rotation().matrix()
+    right = 1.0 if R[0, 0] + 1e-6 * R[2, 0] >= 0 else -1.0
+    down = 1.0 if R[1, 1] + R[2, 1] >= 0 else -1.0
+    return R * [right, down, right * down]
+
+
+def _origin(R: Floats, centre: Floats) -> Floats:
+    """Return the origin in P, in m, of a slice's coordinates; see `slice_views`."""
+    level = R[:, 0] * [1, 0, 1]
+    if level @ level > 0.25:
+        return R[:, 0] * (R[:, 0] @ centre - level @ centre / (level @ level))
+    return R[:, 0] * (R[:, 0] @ centre)
+
+
+def kept_slice(number: int, slice_: Plane, grey: NDArray[np.uint8], needle: Floats) -> SlicePicture:
+    """Return the picture of a slice that was sampled earlier, along its own X and Y.
+
+    Parameters
+    ----------
+    number
+        0 for the slice along the beam, 1 for the one across it.
+    slice_
+        Rectangle in P that the picture covers.
+    grey
+        (rows, columns) levels from 0 to 255.
+    needle
+        (m, 3) points of the estimated needle in P, in m, entry first; none without an estimate.
+    """
+    R, centre = _upright(slice_), slice_.X_PS.translation()
+    half = 0.5 * np.array([slice_.width, slice_.height])
+    view = SliceView(Plane(RigidTransform(RotationMatrix(R), centre), slice_.width, slice_.height),
+                     _origin(R, centre), np.stack([-half, half]))  # fmt: skip
+    turned = np.sum(R * slice_.X_PS.rotation().matrix(), axis=0)[:2] < 0
+    grey = grey[:: -1 if turned[1] else 1, :: -1 if turned[0] else 1]
+    (left, top), (right, bottom) = 1e3 * (view.coordinates(centre) + view.window)
+    rails, tip = [], np.zeros(0)
+    if len(needle):
+        seen = 1e3 * view.coordinates(needle)
+        rails, tip = beside(seen, 1e3 * _BESIDE), seen[-1]
+    title, axes = _NAMES[len(needle) > 0][number]
+    return SlicePicture(
+        title,
+        axes,
+        np.ascontiguousarray(grey),
+        (float(left), float(top)),
+        (float(right - left), float(bottom - top)),
+        (float(left), float(right), float(top), float(bottom)),
+        rails,
+        tip,
+    )
 
 
 def slice_pictures(

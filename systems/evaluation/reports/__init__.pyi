@@ -1,6 +1,8 @@
 from .key_frames import plot_key_frames as plot_key_frames
 from .movie import movie_frames as movie_frames
 from .movie import write_movie as write_movie
+from .picture_files import read_pictures as read_pictures
+from .picture_files import write_pictures as write_pictures
 from .picture_recorder import PictureRecorder as PictureRecorder
 from .plots import plot_errors as plot_errors
 from .plots import plot_run as plot_run

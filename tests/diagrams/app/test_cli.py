@@ -140,6 +140,7 @@ def test_a_short_run_leaves_its_files_and_its_summary(tmp_path):
     assert {path.name for path in out.iterdir()} == {
         "scenario.yaml",
         "summary.json",
+        "slices.npz",
         "log.npz",
         "run.png",
         "errors.png",

@@ -81,6 +81,9 @@ def test_a_recording_gives_the_estimates_of_the_live_run_exactly(live, tmp_path)
     R_PW = volume.X_WP.rotation().matrix().T
     expected = 1e6 * R_PW @ seen.estimates[-1].tip_covariance @ R_PW.T
     np.testing.assert_allclose(stated, np.triu(expected), atol=1e-9)
+    assert "tip error, median, mm" in str(seen)
+    assert "tip error, median, mm" in seen._repr_html_()
+    assert seen.plot().axes[0].get_ylabel() == "mm"
 
 
 def test_an_interrupted_run_leaves_a_recording(tmp_path):

@@ -1,0 +1,114 @@
+// World, slices and strips.
+
+// Strips
+
+function scale() {
+  if (state.time == null) return;
+  const end = Math.max(state.time, 10);
+  figures.mode.x_range.setv({ start: Math.max(0, end - 60), end });
+  for (const plot of Object.values(figures)) {
+    const [least] = plot.tags;
+    if (typeof least !== "number") continue;
+    const values = plot.renderers.flatMap(({ data_source, glyph }) =>
+      [...data_source.get(glyph.y.field)].filter(Number.isFinite));
+    if (!values.length) continue;
+    let [low, high] = values.reduce(([a, b], y) => [Math.min(a, y), Math.max(b, y)], [1e9, -1e9]);
+    const margin = Math.max(0.08 * (high - low), (least - high + low) / 2);
+    [low, high] = [low - margin, high + margin];
+    const { start, end: top } = plot.y_range, slack = 0.15 * (high - low);
+    if (low < start || high > top || low > start + slack || high < top - slack)
+      plot.y_range.setv({ start: low, end: high });
+  }
+}
+
+// World
+
+let far = null;
+function closeUp(frame) {
+  const viewer = frame.contentWindow.viewer, probe = viewer?.scene_tree.find(["sector"]).object;
+  if (!probe) return;
+  const camera = ["Cameras", "default", "rotated", "<object>"];
+  const look = (position, target) => {
+    viewer.set_property(camera, "position", position);
+    viewer.set_camera_target(target);
+  };
+  if (far) {
+    look(...far);
+    far = null;
+  } else {
+    far = [viewer.camera.position.toArray(), viewer.controls.target.toArray()];
+    // The camera's frame has Y up; the sector is at the face of the probe.
+    const { x, y, z } = probe.position, target = [x, z - 0.04, -y];
+    look([target[0] + 0.16, target[1] + 0.1, target[2] + 0.24], target);
+  }
+  $("close-up").setAttribute("aria-pressed", Boolean(far));
+}
+
+function seek(frame) {
+  const animator = frame.contentWindow.viewer?.animator;
+  if (state.seek == null || !(animator?.duration > 0)) return;
+  if (animator.playing) animator.pause();
+  frame.contentWindow.viewer.set_property(["phase"], "visible", false); // it is said beside it
+  animator.seek(Math.min(state.seek, animator.duration));
+}
+
+// Slices
+
+function fit() {
+  (state.windows ?? []).forEach((window, n) => {
+    if (!window) return;
+    const [left, right, top, bottom] = window;
+    const plot = figures[`slice_${n}`];
+    const [width, height] = [plot.inner_width, plot.inner_height];
+    if (!(width > 0 && height > 0)) return;
+    const scale = Math.max((right - left) / width, (bottom - top) / height);
+    const [x, y] = [(left + right) / 2, (top + bottom) / 2];
+    const [w, h] = [(scale * width) / 2, (scale * height) / 2];
+    plot.x_range.setv({ start: x - w, end: x + w });
+    plot.y_range.setv({ start: y + h, end: y - h });
+  });
+}
+
+function contrast() {
+  const [gain, range] = [Number($("view-gain").value), Number($("view-window").value)];
+  const level = state.decibels_per_level ?? 60 / 255;
+  const high = 255 - gain / level;
+  grey.setv({ low: high - range / level, high });
+  $("view-gain").nextElementSibling.textContent = `${gain} dB`;
+  $("view-window").nextElementSibling.textContent = `${range} dB`;
+}
+
+function scroll(n, event) {
+  event.preventDefault();
+  if (state.without?.includes("planes")) return;
+  const offsets = [...(state.offsets ?? [0, 0])];
+  offsets[n] = Number((offsets[n] + Math.sign(event.deltaY)).toFixed(1));
+  shift(offsets);
+}
+
+function shift(offsets) {
+  state.offsets = offsets;
+  order({ offsets });
+  asked.set("offsets", { value: offsets, order: orders });
+  showOffsets();
+}
+
+function showOffsets() {
+  document.querySelectorAll(".offset").forEach((each, n) => {
+    const mm = state.offsets?.[n] ?? 0;
+    each.textContent = mm ? `${mm > 0 ? "+" : "−"}${Math.abs(mm)} mm beside it` : "";
+  });
+}
+
+function cine() {
+  const [first, last] = state.cine ?? [0, 0], share = Number($("cine").value) / 1000;
+  order({ cine: share >= 1 ? null : first + share * (last - first) });
+}
+
+function overlay() {
+  const on = $("overlay").getAttribute("aria-pressed") !== "true";
+  $("overlay").setAttribute("aria-pressed", on);
+  for (const n of [0, 1])
+    for (const each of figures[`slice_${n}`].renderers)
+      if (/rails|ring/.test(each.name ?? "")) each.visible = on;
+}
