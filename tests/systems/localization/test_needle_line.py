@@ -81,3 +81,51 @@ def test_the_border_of_dark_tissue_is_no_needle():
     beneath = (p_P[..., 1] > depth) & (image.intensities > 0)
     dark = np.where(beneath, image.intensities // 3 + 1, image.intensities)
     assert all(each.probability < LEAST for each in needle_lines(replace(image, intensities=dark)))
+
+
+LAST = NeedleCurve(NEEDLE)
+
+
+def turned(angle_deg):
+    angle = np.radians(angle_deg)
+    across = np.cross(K, [0.0, 1.0, 0.0])
+    across /= np.linalg.norm(across)
+    return NEEDLE[1] + np.outer([-0.035, 0.0], np.cos(angle) * K + np.sin(angle) * across)
+
+
+def test_a_lost_needle_in_its_place_needs_less_evidence():
+    odds, ends = found_again(0.0, NEEDLE[::-1], LAST)
+    assert odds == pytest.approx(1.0)
+    np.testing.assert_array_equal(ends, NEEDLE)
+
+
+@pytest.mark.parametrize(
+    "ends",
+    [turned(87), NEEDLE + np.array([0.0, 0.03, 0.05]), NEEDLE[1] + np.outer([-0.0043, 0.0], K)],
+    ids=["turned", "elsewhere", "short"],
+)
+def test_what_disagrees_with_the_lost_needle_needs_more_evidence(ends):
+    assert found_again(0.0, ends, LAST)[0] < -1
+
+
+def test_moderate_moves_of_the_phantom_are_allowed():
+    moved = turned(20) + np.array([0.02, 0.0, 0.01])
+    assert found_again(2.5, moved, LAST)[0] > 1.4
+
+
+@pytest.mark.slow
+def test_structures_of_independent_images_are_no_needles():
+    false = right = count = 0
+    for seed in range(100, 140):
+        for needle in (True, False):
+            rng = np.random.default_rng([seed, int(needle)])
+            kinds = draw_kinds(rng) if seed % 2 else ()
+            image, truth = volume_case(rng, needle, kinds)
+            found = locate_in(image, seed=seed)
+            if truth is None:
+                false += bool(found)
+            elif truth.length * np.mean(truth.visible) > 15e-3:
+                count += 1
+                right += bool(found) and np.linalg.norm(found.curve.tip - truth.tip) < 5e-3
+    assert false == 0
+    assert right > 0.55 * count
