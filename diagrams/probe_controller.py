@@ -195,7 +195,8 @@ def MakeProbeController(
             builder.ConnectInput(name, guard.GetInputPort(name))
         arm_command = guard.GetOutputPort("joint_command")
         builder.Connect(arm_command, kinematics.GetInputPort("sent_command"))
-        builder.Connect(guard.GetOutputPort("approach_scale"), force.GetInputPort("approach_scale"))
+        for output, port in (("approach_scale", "approach_scale"), ("acting", "held")):
+            builder.Connect(guard.GetOutputPort(output), force.GetInputPort(port))
         builder.ExportOutput(guard.GetOutputPort("guard"), "guard")
     builder.ExportOutput(arm_command, "joint_command")
     for name in ("planar_velocity", "hold_reason"):

@@ -1,7 +1,6 @@
 """Options shared by several commands of ``sonoservo``, and their console."""
 
 import inspect
-import os
 from collections.abc import Callable
 from functools import wraps
 from itertools import chain, count
@@ -11,7 +10,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from sonoservo.systems.files.memory import DEFAULT_MEMORY_GB, MEMORY_VARIABLE, memory_budget
+from sonoservo.systems.files.memory import DEFAULT_MEMORY_GB, set_memory_budget
 from sonoservo.systems.files.writing import to_json, write_json
 
 console = Console(markup=False, emoji=False)
@@ -78,7 +77,7 @@ ServeOption = Annotated[
     str | None,
     typer.Option(help="Send all data live; igtl://:18944 lets programs on this machine connect."),
 ]
-WaitOption = Annotated[int, typer.Option(help="Live: number of peers to wait for.")]
+WaitOption = Annotated[int, typer.Option(min=0, help="Live: number of peers to wait for.")]
 ReconstructOption = Annotated[
     bool,
     typer.Option(
@@ -133,11 +132,9 @@ def with_common_options(command: Callable[..., None]) -> Callable[..., None]:
     @wraps(command)
     def run(*args: Any, debug: bool, max_memory: float | None, **options: Any) -> None:
         try:
-            if max_memory is not None:
-                os.environ[MEMORY_VARIABLE] = repr(max_memory)
-            memory_budget()
-            console.stderr = options.get("json_path") == _STANDARD_OUTPUT
-            command(*args, **options)
+            with set_memory_budget(max_memory, "--max-memory"):
+                console.stderr = options.get("json_path") == _STANDARD_OUTPUT
+                command(*args, **options)
         except BaseException as error:
             error.debug = debug  # type: ignore[attr-defined]
             raise

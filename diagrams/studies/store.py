@@ -1,5 +1,6 @@
 """Stores of files: a folder, or any place that fsspec can reach."""
 
+import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -116,7 +117,7 @@ class Store:
             ) from error
         try:
             system, root = url_to_fs(self.url)
-        except (ValueError, ImportError) as error:  # an unknown protocol, or its package is missing
+        except (ValueError, ImportError, OSError) as error:  # no such protocol, package or host
             raise ConfigurationError(f"store: {self.url}: {describe(error)}") from error
         return system, root.rstrip("/")
 
@@ -130,4 +131,4 @@ def _size(path: Path) -> int:
 
 def absolute(url: str) -> str:
     """Return a URL as it is, and a folder by its absolute path, for processes elsewhere."""
-    return url if "://" in url else str(Path(url).resolve())
+    return url if "://" in url else os.path.realpath(url)

@@ -29,6 +29,7 @@ class ForceController(LeafSystem):
         - X_WP
         - force_target (optional)
         - approach_scale (optional)
+        - held (optional)
         output_ports:
         - approach_velocity
         - pressing_force
@@ -36,7 +37,8 @@ class ForceController(LeafSystem):
     v_y = K_p (F* - F) + K_i int (F* - F) dt, with F the filtered force of the probe along its Y
     axis, compensated for the probe's weight. `wrist_force` is the SpatialForce of the arm on the
     probe in P, and `X_WP` is a RigidTransform. `force_target` is F* in N and replaces the
-    parameter's value. `approach_scale` is a factor on the highest speed towards the phantom.
+    parameter's value. `approach_scale` is a factor on the highest speed towards the phantom. While
+    `held` is not zero, the arm does not follow the law, and the integral is zero.
     `approach_velocity` is v_y of P in P, in m/s, and `pressing_force` is F in N.
 
     Parameters
@@ -59,6 +61,7 @@ class ForceController(LeafSystem):
         self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
         target = self.DeclareVectorInputPort("force_target", 1)
         scale = self.DeclareVectorInputPort("approach_scale", 1)
+        self._held = self.DeclareVectorInputPort("held", 1)
         self.DeclareDiscreteState(3)
         for name, calc, needs in (
             ("approach_velocity", self._calc_approach_velocity, {target.ticket(), scale.ticket()}),
@@ -87,7 +90,11 @@ class ForceController(LeafSystem):
         X_WP = evaluate(self, context, "X_WP", RigidTransform)
         force = pressing_force(wrist_force, X_WP.rotation(), self._mass)
         state = next_state(
-            self._state(context), force, self._time_step, self._parameters_now(context)
+            self._state(context),
+            force,
+            self._time_step,
+            self._parameters_now(context),
+            held=self._held.HasValue(context) and bool(self._held.Eval(context)[0]),
         )
         discrete_state.set_value([state.force, state.integral, state.in_contact])
 

@@ -1,8 +1,8 @@
 """Force law: the pressing force from the wrist's sensor, and the velocity that keeps it constant.
 
 The law is a proportional-integral one with a velocity as its output. Before contact the probe
-approaches at a constant speed. The integral acts only in contact and near the wanted force, to
-avoid wind-up while the probe lands.
+approaches at a constant speed. The integral grows only in contact and near the wanted force, to
+avoid wind-up while the probe lands; it shrinks at any force, or it would keep an error for good.
 """
 
 import math
@@ -33,7 +33,7 @@ class ForceControllerParameters:
     touch_force, release_force
         Forces above which contact begins and below which it ends, in N.
     integral_band
-        Largest error at which the integral acts, in N.
+        Largest error at which the integral grows, in N.
     approach_speed
         Highest speed towards the phantom, and the speed of the approach before contact, in m/s. It
         limits the force of landing.
@@ -118,11 +118,17 @@ def approach_velocity(state: ForceState, parameters: ForceControllerParameters) 
 
 
 def next_state(
-    state: ForceState, force: float, time_step: float, parameters: ForceControllerParameters
+    state: ForceState,
+    force: float,
+    time_step: float,
+    parameters: ForceControllerParameters,
+    *,
+    held: bool = False,
 ) -> ForceState:
     """Return the state after one more measured force in N, `time_step` seconds later.
 
-    A force that is not a number leaves the state unchanged.
+    A force that is not a number leaves the state unchanged. While the probe is held by somebody
+    else, whatever the law wants, the integral is zero.
     """
     if not math.isfinite(force):
         return state
@@ -133,7 +139,9 @@ def next_state(
     if filtered <= threshold:
         return ForceState(force=filtered)
     error = parameters.force - filtered
+    if held:
+        return ForceState(filtered, 0.0, True)
     integral = state.integral
-    if abs(error) < parameters.integral_band:
+    if abs(error) < parameters.integral_band or error * integral < 0:
         integral += parameters.integral_gain * error * time_step
     return ForceState(filtered, integral, True)

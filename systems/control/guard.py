@@ -26,6 +26,7 @@ from sonoservo.systems.control.guard_memory import (
 from sonoservo.systems.control.guard_parameters import GuardParameters
 from sonoservo.systems.control.guard_rules import (
     NO_BREACH,
+    NOTED_STEP,
     WINDOW,
     Mode,
     Vector,
@@ -43,13 +44,16 @@ from sonoservo.systems.signals.scratch_context import declare_scratch_context, s
 _QUIET = 0.75
 """Change of a component of the wrist force in N at which everything is checked at once."""
 
+_NEAR = 0.5
+"""Share of the largest pose error by which the position may change in a step before it is."""
+
 _AHEAD = 0.05
 """Time in s for which the guard looks ahead at the edge of the region."""
 
 _TOLERANCE = 1e-9
 """Rounding error of joint positions and speeds, in rad and rad/s."""
 
-_NOTHING_DONE = EventStatus.DidNothing()
+_NOTHING_SEEN = np.append(np.full(9, np.nan), [0.0, 0.0])
 
 _STATES = dict(zip(Mode, GuardState, strict=True))
 
@@ -69,6 +73,7 @@ class Guard(LeafSystem):
         - joint_command
         - guard
         - approach_scale
+        - acting
 
     As long as nothing is wrong, `joint_command` is `wanted_command`, bit for bit. A command that
     breaks a limit of the joints is not sent. With too much force, or a wrist sensor that cannot be
@@ -81,7 +86,8 @@ class Guard(LeafSystem):
     the probe. `joint_state` is read only at the start. `guard` is a `GuardStatus`. A controller
     that integrates its commands must continue from `joint_command`, so it starts from where the
     guard left the arm. `approach_scale` is the factor by which it should approach more slowly: each
-    landing with too much force halves it, and a calm contact doubles it again, up to one.
+    landing with too much force halves it, and a calm contact doubles it again, up to one. `acting`
+    is 1 while the guard, and not the controller, commands the arm, and 0 otherwise.
 
     Parameters
     ----------
@@ -138,6 +144,9 @@ class Guard(LeafSystem):
         self._command = self.DeclareDiscreteState(nothing)
         self._memory = self.DeclareDiscreteState(np.array(GuardMemory().pack()))
         self._approach_scale = self.DeclareDiscreteState([1.0])
+        self._acting = self.DeclareDiscreteState(1)
+        # The last step's wrist sample and measured position, and how often each was repeated.
+        self._last = self.DeclareDiscreteState(_NOTHING_SEEN)
         self._sent = self.DeclareVectorOutputPort(
             "joint_command",
             2 * n,
@@ -151,6 +160,7 @@ class Guard(LeafSystem):
             prerequisites_of_calc={self.xd_ticket()},
         )
         self.DeclareStateOutputPort("approach_scale", self._approach_scale)
+        self.DeclareStateOutputPort("acting", self._acting)
         self.DeclareInitializationDiscreteUpdateEvent(self._initialize)
         self.DeclarePeriodicDiscreteUpdateEvent(time_step, 0, self._update)
 
@@ -161,6 +171,8 @@ class Guard(LeafSystem):
         discrete_state.set_value(self._command, command)
         discrete_state.set_value(self._memory, memory.pack())
         discrete_state.set_value(self._approach_scale, [1.0])
+        discrete_state.set_value(self._acting, [0.0])
+        discrete_state.set_value(self._last, _NOTHING_SEEN)
         return EventStatus.Succeeded()
 
     def _memory_in(self, context: Context) -> GuardMemory:
@@ -180,12 +192,13 @@ class Guard(LeafSystem):
 
     def _calc_guard(self, context: Context, output: Value) -> None:
         memory = self._memory_in(context)
+        repeated = context.get_discrete_state(self._last).value()[9:]
         status = GuardStatus(
             _STATES[Mode(memory.mode)],
             reason(memory.cause, memory.value, self._limits),
             memory.since,
             int(memory.interventions),
-            remark(memory.sensor.ignored, memory.sensor.ignored_as, memory.pose_frozen),
+            remark(memory.sensor.ignored, memory.sensor.ignored_as, memory.steps, *repeated),
         )
         output.set_value(status)
 
@@ -193,22 +206,27 @@ class Guard(LeafSystem):
         """Return True if a command keeps the joints' limits and continues the one sent last."""
         return bool(keeps_limits(wanted, sent, self._joint_limits))
 
-    def _is_quiet(self, context: Context, last: list[float]) -> bool:
-        """Return True if the force is that of the last check, which suspected nothing."""
-        x, y, z = self._wrist_force.Eval(context).translational().tolist()
-        p, q, r = last
-        return abs(x - p) < _QUIET and abs(y - q) < _QUIET and abs(z - r) < _QUIET
-
     def _update(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
         state = context.get_discrete_state(self._command).value().tolist()
+        *last, same_sample, same_pose = context.get_discrete_state(self._last).value().tolist()
+        sample = self._wrist_force.Eval(context).get_coeffs().tolist()
+        p = self._X_WP.Eval(context).translation().tolist()
+        if sample == last[:6] and self._limits.wrist_sensor.frozen_after:
+            same_sample += 1
+        if p == last[6:] and state[-4] == Mode.MONITORING and self._limits.pose_frozen_after:
+            same_pose += 1
+        discrete_state.set_value(self._last, [*sample, *p, same_sample, same_pose])
         elapsed = context.get_time() - state[-5]
         # Everything is checked at least every `WINDOW`; this saves three quarters of the time.
         soon = elapsed < WINDOW - 0.5 * self._time_step
-        if soon and self._is_quiet(context, state[-3:]):
-            return _NOTHING_DONE
+        near = _NEAR * self._limits.max_pose_error
+        stepped = abs(sample[4] - last[4]) > NOTED_STEP
+        calm = _close(sample[3:], state[-3:], _QUIET) and _close(p, last[6:], near)
+        if soon and calm and not stepped:
+            return EventStatus.Succeeded()
         before = self._memory_in(context)
         sent = self._sent.Eval(context)
-        seen = self._observe(context, before, sent)
+        seen = self._observe(context, before, sent)._replace(stepped=stepped)
         memory = next_memory(
             before, seen, self._limits, self._region, self._time_step, max(elapsed, self._time_step)
         )
@@ -224,6 +242,7 @@ class Guard(LeafSystem):
         command = np.concatenate([q, v, [seen.time, memory.mode, *quiet]])
         discrete_state.set_value(self._command, command)
         discrete_state.set_value(self._memory, np.array(memory.pack()))
+        discrete_state.set_value(self._acting, [float(memory.mode != Mode.MONITORING)])
         if memory.caution != before.caution:
             discrete_state.set_value(self._approach_scale, [memory.approach_scale])
         return EventStatus.Succeeded()
@@ -285,3 +304,8 @@ class Guard(LeafSystem):
         speed = max(float(np.linalg.norm(memory.velocity)), 0.1 * float(np.abs(v).max()), 1e-9)
         factor = 1 - self._limits.retreat_acceleration * self._time_step / speed
         return factor if factor > 0 else 0.0
+
+
+def _close(a: list[float], b: list[float], by: float) -> bool:
+    """Return True if (3,) vectors differ by less than that in each component."""
+    return abs(a[0] - b[0]) < by and abs(a[1] - b[1]) < by and abs(a[2] - b[2]) < by

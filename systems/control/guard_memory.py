@@ -64,9 +64,10 @@ class GuardMemory(NamedTuple):
     caution, touched
         Number of hard landings that have not been followed by a calm contact, and time in s since
         which there is contact; NaN without one.
-    pose_changed, pose_frozen
-        Time in s at which the measured pose last changed, NaN before the first change, and longest
-        time in s for which it did not.
+    pose_changed
+        Time in s at which the measured pose last changed; NaN before the first change.
+    steps
+        Number of steps of the pressing force that were noted, but are no fault.
     accelerated
         Time in s at which the probe was last commanded to press or yield at another speed.
     free
@@ -93,7 +94,7 @@ class GuardMemory(NamedTuple):
     caution: int = 0
     touched: float = math.nan
     pose_changed: float = math.nan
-    pose_frozen: float = 0.0
+    steps: int = 0
     accelerated: float = -math.inf
     free: int = False
     p: Vector = 3 * (math.nan,)
@@ -156,6 +157,8 @@ class Observation(NamedTuple):
         (6,) sample of the wrist sensor: torque, then force, in N m and N.
     contact
         (3,) force of the body on the probe, in P, in N.
+    stepped
+        Whether the pressing force changed by more than `NOTED_STEP` since the sample before.
     """
 
     time: float
@@ -168,6 +171,7 @@ class Observation(NamedTuple):
     accepted: bool
     wrist_force: Vector
     contact: Vector
+    stepped: bool = False
 
 
 def next_memory(
@@ -221,14 +225,21 @@ def next_memory(
         breach = Breach(Cause.FORCE, force) if too_much else Breach(Cause.SENSOR_IN_AIR, pressing)
     else:
         breach = _breach_of_motion(memory, seen, limits, allowed, elapsed)
+    explained = memory.mode or brisk or sensor.suspicion or not math.isfinite(change)
+    noted = seen.stepped and not explained
     lost = _STILL_FREE if memory.free else _FREE
-    # What is felt after a jump may be a contact; with the other faults, nothing is felt.
-    jumped = sensor.fault == SensorFault.JUMPED
+    # What is felt after a jump may be a contact; with most other faults, nothing is felt.
+    jumped = sensor.fault in (SensorFault.JUMPED, SensorFault.DEAD)
     free = (pressing if jumped else 0.0 if sensor.fault else force) < lost * limits.max_force
     after = memory._replace(
-        over=over, p=seen.p, velocity=velocity, accelerated=accelerated, sensor=sensor
+        over=over,
+        p=seen.p,
+        velocity=velocity,
+        accelerated=accelerated,
+        steps=memory.steps + noted,
+        sensor=sensor,
     )
-    after = _with_pose(_with_touch(after, pressing, seen.time), seen, limits)
+    after = _with_pose(_with_touch(after, pressing, seen.time), seen)
     if memory.mode == Mode.MONITORING:
         return after if breach is NO_BREACH else _stop(after, breach, seen, limits, time_step)
     if memory.mode == Mode.RETREATING:
@@ -291,18 +302,16 @@ def _with_touch(memory: GuardMemory, pressing: float, time: float) -> GuardMemor
     return memory
 
 
-def _with_pose(memory: GuardMemory, seen: Observation, limits: GuardParameters) -> GuardMemory:
+def _with_pose(memory: GuardMemory, seen: Observation) -> GuardMemory:
     """Return the memory with the newest measured pose."""
-    if seen.p_measured != memory.p_measured:
-        began = memory.p_measured[0] == memory.p_measured[0]
-        return memory._replace(
-            p_measured=seen.p_measured,
-            p_then=seen.p,
-            pose_changed=seen.time if began else math.nan,
-        )
-    still = seen.time - memory.pose_changed
-    noted = memory.mode == Mode.MONITORING and still > limits.pose_frozen_after > 0
-    return memory._replace(pose_frozen=max(memory.pose_frozen, still)) if noted else memory
+    if seen.p_measured == memory.p_measured:
+        return memory
+    began = memory.p_measured[0] == memory.p_measured[0]
+    return memory._replace(
+        p_measured=seen.p_measured,
+        p_then=seen.p,
+        pose_changed=seen.time if began else math.nan,
+    )
 
 
 def _breach_of_motion(

@@ -28,6 +28,12 @@ class WristSensorLimits:
         Time after which an unchanged sample counts as frozen, in s, because every real sensor has
         noise. It must be longer than the sensor's period. Zero switches the check off, as a sensor
         without noise requires.
+    dead_below
+        Force in N and torque in N m below which all components of a sample are noise.
+    dead_after
+        Time for which all samples must be so small, and their mean a fifth of it, until the sensor
+        counts as dead, in s. Zero switches the check off, which a force of just the probe's weight
+        requires: the sensor then bears nothing.
     confirmed_after
         Time for which samples must be implausible until the sensor counts as faulty, in s. Shorter
         glitches are ignored.
@@ -41,6 +47,8 @@ class WristSensorLimits:
     max_step: float = 2.0
     max_pull: float = 1.5
     frozen_after: float = 0.05
+    dead_below: float = 0.1
+    dead_after: float = 0.15
     confirmed_after: float = 0.02
     settling_time: float = 0.1
 
@@ -51,9 +59,11 @@ class WristSensorLimits:
             max_jump=self.max_jump,
             max_step=self.max_step,
             max_pull=self.max_pull,
+            dead_below=self.dead_below,
         )
         require_not_negative(
             frozen_after=self.frozen_after,
+            dead_after=self.dead_after,
             confirmed_after=self.confirmed_after,
             settling_time=self.settling_time,
         )

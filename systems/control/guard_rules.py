@@ -19,6 +19,10 @@ Vector = tuple[float, ...]
 WINDOW = 0.02
 """Time in s over which accelerations are averaged, and longest time between two checks."""
 
+NOTED_STEP = 0.5
+"""Change of the pressing force between two samples in N that is noted: a body that comes at 10 cm/s
+or slower changes it less."""
+
 
 class Mode(IntEnum):
     """States of the guard, as numbers."""
@@ -47,7 +51,8 @@ class Cause(IntEnum):
     SENSOR_FROZEN = 10 + SensorFault.FROZEN
     SENSOR_JUMPED = 10 + SensorFault.JUMPED
     SENSOR_PULLING = 10 + SensorFault.PULLING
-    SENSOR_IN_AIR = 16
+    SENSOR_DEAD = 10 + SensorFault.DEAD
+    SENSOR_IN_AIR = 17
 
 
 _IGNORED = {
@@ -56,6 +61,7 @@ _IGNORED = {
     SensorFault.FROZEN: "was frozen",
     SensorFault.JUMPED: "jumped",
     SensorFault.PULLING: "read a pull",
+    SensorFault.DEAD: "read nothing",
 }
 
 
@@ -98,21 +104,27 @@ def reason(cause: int, value: float, limits: GuardParameters) -> str:
         "faster than a contact changes",
         Cause.SENSOR_PULLING: f"the wrist sensor reads a pull of {-value:.1f} N, but contact can "
         "only push; is it biased?",
+        Cause.SENSOR_DEAD: "the wrist sensor reads nothing; is it dead, or does the contact carry "
+        "the probe's weight?",
         Cause.SENSOR_IN_AIR: f"the wrist sensor reads {value:.1f} N more than "
         f"{1e3 * limits.max_rise:g} mm above the configured surface; is it biased?",
     }
     return texts[Cause(cause)]
 
 
-def remark(ignored: int, ignored_as: int, frozen: float) -> str:
+def remark(
+    ignored: int, ignored_as: int, steps: int = 0, same_samples: int = 0, same_poses: int = 0
+) -> str:
     """Return what was noticed without a need to intervene; empty if nothing was.
 
     Parameters
     ----------
     ignored, ignored_as
         Number of implausible samples that were ignored, and the fault that the last suggested.
-    frozen
-        Longest time for which the measured pose did not change, in s.
+    steps
+        Number of steps of the force by more than `NOTED_STEP`.
+    same_samples, same_poses
+        Numbers of samples, and of measured poses, that repeated the one before to the last bit.
     """
     texts = []
     if ignored:
@@ -120,8 +132,12 @@ def remark(ignored: int, ignored_as: int, frozen: float) -> str:
             f"samples of the wrist sensor that were ignored: {ignored:g}, the last because it "
             + _IGNORED[SensorFault(ignored_as)]
         )
-    if frozen:
-        texts.append(f"the measured pose of the probe did not change for {frozen:.1f} s")
+    if steps:
+        texts.append(f"steps of the force by more than {NOTED_STEP:g} N between samples: {steps:g}")
+    if same_samples:
+        texts.append(f"samples of the wrist sensor that repeated the one before: {same_samples:g}")
+    if same_poses:
+        texts.append(f"measured poses that repeated the one before: {same_poses:g}")
     return "; ".join(texts)
 
 

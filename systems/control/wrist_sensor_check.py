@@ -13,6 +13,9 @@ _ROUNDING = 1e-9
 _STEADY = 0.25
 """Share of the largest step by which a steady force may change between two samples."""
 
+_ZERO = 0.2
+"""Share of a dead sensor's largest noise below which the mean of its readings is zero."""
+
 
 class SensorFault(IntEnum):
     """Faults of the wrist sensor."""
@@ -23,6 +26,7 @@ class SensorFault(IntEnum):
     FROZEN = 3
     JUMPED = 4
     PULLING = 5
+    DEAD = 6
 
 
 class SensorMemory(NamedTuple):
@@ -51,6 +55,9 @@ class SensorMemory(NamedTuple):
         Last time at which a sample was implausible, in s.
     fault
         Confirmed fault.
+    felt, total, readings
+        Last time in s at which the sensor read more than noise, and sum in N and number of its
+        readings along the probe's axis since then.
     """
 
     last: tuple[float, ...] = 6 * (_NAN,)
@@ -64,6 +71,9 @@ class SensorMemory(NamedTuple):
     suspected: float = 0.0
     cleared: float = -math.inf
     fault: int = SensorFault.NONE
+    felt: float = 0.0
+    total: float = 0.0
+    readings: int = 0
 
     @property
     def started(self) -> bool:
@@ -100,7 +110,11 @@ def next_memory(
     same = sample == memory.last
     changed = memory.changed if same else time
     force = sample[3:]
-    suspicion = _suspicion(memory, sample, pressing, time - changed, limits, moving)
+    felt, total, readings = time, 0.0, 0
+    if _reads_nothing(sample, limits):
+        felt, total, readings = memory.felt, memory.total + sample[4], int(memory.readings) + 1
+    silent = time - felt if abs(total) < _ZERO * limits.dead_below * readings else 0.0
+    suspicion = _suspicion(memory, sample, pressing, time - changed, silent, limits, moving)
     if suspicion == SensorFault.NONE:
         started = memory.started or (memory.last[0] == memory.last[0] and not same)
         settled = time - memory.cleared >= limits.settling_time - _ROUNDING
@@ -116,12 +130,15 @@ def next_memory(
             memory.suspected,
             memory.cleared,
             SensorFault.NONE if settled else memory.fault,
+            felt,
+            total,
+            readings,
         )
     # Good samples in between do not count, if implausible ones keep coming.
     again = memory.suspicion or time - memory.cleared < limits.confirmed_after
     since = memory.suspected if again else time
     late = time - since >= limits.confirmed_after - _ROUNDING
-    confirmed = late or memory.fault or suspicion == SensorFault.FROZEN
+    confirmed = late or memory.fault or suspicion in (SensorFault.FROZEN, SensorFault.DEAD)
     # After a jump that lasts, further samples are compared with the new level.
     trusted = force if suspicion == SensorFault.JUMPED and confirmed else memory.trusted
     fault = suspicion if confirmed else SensorFault.NONE
@@ -130,8 +147,9 @@ def next_memory(
         ignored, ignored_as = int(ignored) + 1, suspicion
     jump = max(memory.jump, _change(force, memory.trusted))
     return SensorMemory(
-        sample, trusted, True, jump, ignored, ignored_as, changed, suspicion, since, time, fault
-    )
+        sample, trusted, True, jump, ignored, ignored_as, changed, suspicion, since, time, fault,
+        felt, total, readings,
+    )  # fmt: skip
 
 
 def _suspicion(
@@ -139,14 +157,17 @@ def _suspicion(
     sample: tuple[float, ...],
     pressing: float,
     unchanged: float,
+    silent: float,
     limits: WristSensorLimits,
     moving: bool,
 ) -> int:
-    """Return the fault that a sample suggests, which has been unchanged for a time in s."""
+    """Return the fault that a sample suggests.
+
+    It has been unchanged, and the sensor has read nothing, for times in s.
+    """
     if not math.isfinite(sum(sample)):
         return SensorFault.NOT_FINITE
     m_x, m_y, m_z, f_x, f_y, f_z = sample
-    force = sample[3:]
     top, torque = limits.max_force, limits.max_torque
     if not (
         -top < f_x < top
@@ -159,9 +180,11 @@ def _suspicion(
         return SensorFault.OUT_OF_RANGE
     if limits.frozen_after and unchanged > limits.frozen_after:
         return SensorFault.FROZEN
+    if limits.dead_after and silent > limits.dead_after:
+        return SensorFault.DEAD
     if not memory.started:
         return SensorFault.NONE
-    if not moving and _is_jump(memory, force, limits):
+    if not moving and _is_jump(memory, sample, limits):
         return SensorFault.JUMPED
     if pressing < -limits.max_pull and not moving:
         return SensorFault.PULLING
@@ -169,17 +192,34 @@ def _suspicion(
     return SensorFault.JUMPED if stays else SensorFault.NONE
 
 
-def _is_jump(memory: SensorMemory, force: tuple[float, ...], limits: WristSensorLimits) -> bool:
-    """Return True if a force in N differs from the trusted one as that of no contact does."""
-    change = _change(force, memory.trusted)
+def _is_jump(memory: SensorMemory, sample: tuple[float, ...], limits: WristSensorLimits) -> bool:
+    """Return True if a force differs from the trusted one as that of no contact does."""
+    change = _change(sample[3:], memory.trusted)
     if change > limits.max_jump:
         return True
+    # A step, even a small one, after which the sensor reads nothing is its death.
+    dead = _reads_nothing(sample, limits)
+    step = _STEADY * limits.max_step if dead else limits.max_step
     if memory.suspicion == SensorFault.JUMPED and not memory.fault:
         # A contact that has begun so fast goes on growing.
-        return 0.5 * limits.max_step < change < memory.jump + _STEADY * limits.max_step
+        return 0.5 * step < change < memory.jump + _STEADY * limits.max_step
     # After samples that were implausible in another way, there is nothing to compare with.
     comparable = memory.suspicion == SensorFault.NONE and (memory.steady or memory.fault)
-    return bool(comparable) and change > limits.max_step
+    return bool(comparable) and change > step
+
+
+def _reads_nothing(sample: tuple[float, ...], limits: WristSensorLimits) -> bool:
+    """Return True if all components of a (6,) sample are zero but for noise."""
+    noise = limits.dead_below
+    m_x, m_y, m_z, f_x, f_y, f_z = sample
+    return (
+        -noise < f_y < noise
+        and -noise < f_x < noise
+        and -noise < f_z < noise
+        and -noise < m_x < noise
+        and -noise < m_y < noise
+        and -noise < m_z < noise
+    )
 
 
 def _change(a: tuple[float, ...], b: tuple[float, ...]) -> float:

@@ -2,6 +2,8 @@
 
 import math
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from sonoservo.systems.files.refusals import ConfigurationError
 
@@ -30,6 +32,39 @@ def memory_budget() -> float:
             f"{MEMORY_VARIABLE}: {text!r} is not allowed; it must be a number of GB above 0"
         )
     return 1e9 * budget
+
+
+@contextmanager
+def set_memory_budget(gigabytes: float | None, source: str) -> Iterator[None]:
+    """Set the budget inside the context, also for processes that are started there.
+
+    Parameters
+    ----------
+    gigabytes
+        Budget in GB; None keeps the present one.
+    source
+        Option that asks for it, named at the start of the error.
+
+    Raises
+    ------
+    ConfigurationError
+        If it is not a number above 0.
+    """
+    if gigabytes is not None and not 0 < gigabytes < math.inf:
+        raise ConfigurationError(
+            f"{source}: {gigabytes} is not allowed; it must be a number of GB above 0"
+        )
+    before = os.environ.get(MEMORY_VARIABLE)
+    if gigabytes is not None:
+        os.environ[MEMORY_VARIABLE] = repr(gigabytes)
+    try:
+        memory_budget()
+        yield
+    finally:
+        if before is not None:
+            os.environ[MEMORY_VARIABLE] = before
+        else:
+            os.environ.pop(MEMORY_VARIABLE, None)
 
 
 def require_memory(size: float, source: str, what: str) -> None:

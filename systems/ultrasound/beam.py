@@ -17,6 +17,9 @@ _DEPTHS = 48
 _OFFSETS = 64
 _FREQUENCIES = 5
 
+_MOST_BEAMS = 16
+"""Number of beams that are kept."""
+
 
 @dataclass(frozen=True, eq=False)
 class Beam(Immutable):
@@ -186,10 +189,26 @@ def elevation_width(
     return 2 * half_width, float(curvature)
 
 
+_BEAMS: dict[str, Beam] = {}
+"""Beams by the text of the settings they belong to, the oldest first."""
+
+
 def beam_profile(
     transducer: Transducer, imaging: ImagingParameters, geometry: SweepGeometry
 ) -> Beam:
-    """Return the widths of the beam at every sample's depth."""
+    """Return the widths of the beam at every sample's depth, computed once for equal settings."""
+    # The settings are not hashable; their text holds every digit.
+    key = f"{transducer} {imaging} {geometry}"
+    if key not in _BEAMS:
+        while len(_BEAMS) >= _MOST_BEAMS:
+            del _BEAMS[next(iter(_BEAMS))]
+        _BEAMS[key] = _beam_profile(transducer, imaging, geometry)
+    return _BEAMS[key]
+
+
+def _beam_profile(
+    transducer: Transducer, imaging: ImagingParameters, geometry: SweepGeometry
+) -> Beam:
     sample_depths = geometry.sample_pitch * np.arange(geometry.samples)
     shallowest = 2 * imaging.wavelength
     depths = np.linspace(shallowest, max(geometry.depth, 2 * shallowest), _DEPTHS)

@@ -199,7 +199,7 @@ def phantom_move(height: float, speed: float, **more) -> Move:
 def sensor_cases():
     kinds = (
         ("nan", 0), ("frozen", 0), ("dead", 0), ("saturated", 70), ("saturated", -70),
-        ("jumping", 20), ("bias", -10), ("bias", -3), ("bias", 5), ("bias", 12),
+        ("jumping", 20), ("bias", -10), ("bias", -3), ("bias", 5), ("bias", 12), ("bias", 0.8),
     )  # fmt: skip
     for (kind, value), phase, duration in product(kinds, PHASES, (0.01, 0.4, 1.5)):
         fault = SensorFault(kind=kind, value=value)

@@ -2,6 +2,7 @@
 
 import html
 import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -198,13 +199,15 @@ def read_kept_results(folder: Path, name: str = "") -> KeptResults:
     scenario = load_scenario(folder / "scenario.yaml")
     with refusing_failures(folder / "summary.json", "cannot be read"):
         summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+        if not isinstance(summary, dict):
+            raise TypeError("it holds no figures by name")
     log = read_log(folder / "log.npz", experiment_class(scenario.experiment).log_class)
     return KeptResults(name or folder.name, scenario, summary, log)
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
     """Return the names of the folders, or their whole paths where names are equal."""
-    names = [path.resolve().name for path in paths]
+    names = [Path(os.path.realpath(path)).name for path in paths]  # also of links in a circle
     if len(set(names)) == len(names):
         return names
     whole = [str(path) for path in paths]

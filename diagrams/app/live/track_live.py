@@ -18,6 +18,7 @@ from sonoservo.systems.live.connection.link import Link
 from sonoservo.systems.live.live_source import LiveSource
 from sonoservo.systems.live.needle_sender import NeedleNames, needle_items
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
+from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.signals.volume import Volume
 
 if TYPE_CHECKING:
@@ -44,6 +45,11 @@ class LiveLimits:
 
     volumes: int | None = None
     patience: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("volumes", "patience"):
+            value = getattr(self, name)
+            require(value is None or value > 0, name, value, "above 0")
 
 
 def live_volumes(source: LiveSource, limits: LiveLimits, say: Callable[[str], None] = print) -> Any:

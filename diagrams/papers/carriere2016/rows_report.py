@@ -29,7 +29,7 @@ _PEAK = 9.5
 
 _COVERED = {
     "particle_filter": "default wander",
-    TAUGHT: "wander learnt from ten needles",
+    TAUGHT: "wander learnt from earlier needles",
     "least_squares": "least squares, constant curvature",
 }
 

@@ -70,7 +70,7 @@ def _speed_rows(outcomes: Sequence[Outcome], name: str, logs: Path) -> list[Stud
     )
     rows = []
     for speed in sorted({each for run in (*ours, *published, *baseline) for each in run}):
-        when = f"at {speed:g} mm/s, from {_SETTLED:g} s after a change on"
+        when = f"at {speed:g} mm/s, while tracked, from {_SETTLED:g} s after a change on"
         for what, figure in (("bias", bias), ("RMSE", rmse)):
             quantity = f"speed along the needle, {what} {when}"
             values = _values(ours, speed, figure) | _values(published, speed, figure, "published_")
@@ -78,6 +78,9 @@ def _speed_rows(outcomes: Sequence[Outcome], name: str, logs: Path) -> list[Stud
             quantity += ", our filter without velocimeter"
             values = _values(baseline, speed, figure)
             rows.append(StudyRow(experiment=name, quantity=quantity, unit="mm/s", **values))
+        quantity = f"volumes not tracked at {speed:g} mm/s, from {_SETTLED:g} s after a change on"
+        values = _values(ours, speed, _missing) | _values(published, speed, _missing, "published_")
+        rows.append(StudyRow(experiment=name, quantity=quantity, unit="%", **values))
         if speed <= _JUDGED:
             size = _values(ours, speed, bias)["true"]
             rows.append(
@@ -92,6 +95,10 @@ def _speed_rows(outcomes: Sequence[Outcome], name: str, logs: Path) -> list[Stud
     return rows
 
 
+def _missing(errors: Floats) -> float:
+    return 100 * float(np.isnan(errors).mean())
+
+
 def _values(
     runs: Sequence[Mapping[float, Floats]],
     speed: float,
@@ -104,28 +111,31 @@ def _values(
         return {f"{prefix}true": None}
     low, high = run_interval(errors, figure)
     true = figure(np.concatenate(errors))
+    if np.isnan(true):
+        return {f"{prefix}true": None}
     return {f"{prefix}true": true, f"{prefix}low": low, f"{prefix}high": high}
 
 
 def speed_errors(run: Run) -> dict[float, Floats]:
     """Return the errors of the estimated speed along the needle in mm/s, by true speed in mm/s.
 
-    A tracked volume counts from `_SETTLED` after the beginning of a push on. The first push, during
-    which the needle is found, does not count.
+    Volumes count from `_SETTLED` after the beginning of a push on, NaN if not tracked. The first
+    push, during which the needle is found, does not count.
     """
     log, hand = run.log, run.scenario.hand
     assert hand.start is not None
-    time = log.volume_estimate_time
+    dated = np.isfinite(log.volume_estimate_time)
+    time = np.where(dated, log.volume_estimate_time, log.volume_time)
     tip, entry = (at_times(log, each, time) for each in (log.needle_tip, log.needle_entry))
     k = (tip - entry) / np.linalg.norm(tip - entry, axis=1, keepdims=True)
     along = 1e3 * np.sum(log.volume_estimate_velocity * k, axis=1)
-    tracked = log.volume_estimate_mode == TrackingMode.TRACKING
+    along[log.volume_estimate_mode != TrackingMode.TRACKING] = np.nan
     begin = hand.start + hand.pushes[0].duration
     errors: dict[float, Floats] = {}
     for push in hand.pushes[1:]:
         end = begin + push.duration
         speed = round(1e3 * push.speed, 3)
-        found = along[tracked & (time >= begin + _SETTLED) & (time <= end)] - speed
+        found = along[(time >= begin + _SETTLED) & (time <= end)] - speed
         errors[speed] = np.concatenate([errors.get(speed, np.zeros(0)), found])
         begin = end
     return errors

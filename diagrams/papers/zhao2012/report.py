@@ -188,9 +188,10 @@ def _kept_voxel_rows(outcomes: Sequence[Outcome]) -> list[StudyRow]:
     rows = []
     names = dict.fromkeys(each.case.experiment for each in outcomes)
     for name in (each for each in names if each.startswith("kept voxels")):
-        mine = [each for each in outcomes if each and each.case.experiment == name]
-        for number, kept in enumerate(mine[0].case.settings["kept_mm3"] if mine else ()):
-            tips = [each.result["tip_mm"][number] for each in mine]
+        mine = [each for each in outcomes if each.case.experiment == name]
+        for number, kept in enumerate(mine[0].case.settings["kept_mm3"]):
+            # A run that failed found nothing.
+            tips = [each.result["tip_mm"][number] if each else None for each in mine]
             values = np.array([np.inf if tip is None else tip for tip in tips], dtype=float)
             interval = run_interval(list(values[:, np.newaxis]), _median)
             quantity = f"tip error of RANSAC, {kept} mm3 kept, median"

@@ -78,7 +78,7 @@ def study_cases(options: StudyOptions) -> list[Case]:
 def _loop_cases(options: StudyOptions) -> list[Case]:
     """Return the cases in the loop of Chatelain 2013's fig. 5."""
     cases = []
-    short = ["duration=20"] if options.quick else []
+    short = ["duration=23"] if options.quick else []
 
     def add(name: str, seed: int, *changes: str, compared: bool = True) -> None:
         settings = {"scenario": "chatelain2013_fig5", "changes": list(changes)}

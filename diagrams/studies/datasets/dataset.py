@@ -24,6 +24,9 @@ from sonoservo.systems.ultrasound.transducer import load_transducer
 MANIFEST = "manifest.json"
 """Name of the list of all sequences in a store."""
 
+_MOST = 1_000_000
+"""Largest number of sequences, or of volumes in one."""
+
 _SEQUENCE = re.compile(r"sequence_\d+")
 
 _REPRODUCIBLE = (
@@ -95,8 +98,11 @@ def make_dataset(
     """
     scenario = require_scenario(scenario, FollowingScenario)
     for name, value in (("count", count), ("volumes", volumes)):
-        if value < 1:
-            raise ConfigurationError(f"{name}: {value} is not allowed; it must be at least 1")
+        if not 1 <= value <= _MOST:
+            allowed = f"at least 1 and at most {_MOST}"
+            raise ConfigurationError(f"{name}: {value} is not allowed; it must be {allowed}")
+    if not (jobs >= 1 or jobs == -1):
+        raise ConfigurationError(f"jobs: {jobs} is not allowed; it must be 1 or more, or -1")
     if layout not in LAYOUTS:
         raise ConfigurationError(f"layout: {layout!r} is not allowed; {suggest(layout, LAYOUTS)}")
     try:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from html import escape
 from typing import TYPE_CHECKING, Any
 
-from sonoservo.systems.display.console.controls import Controls
+from sonoservo.systems.display.console.controls import Controls, finite_number
 from sonoservo.systems.display.console.history import Cine, Frame, Strips
 from sonoservo.systems.display.console.readings import Sample, describe_state, sample_estimate
 from sonoservo.systems.display.console.slices import slice_pictures
@@ -304,7 +304,7 @@ class _View:
     def _obey(self, order: Mapping[str, Any]) -> None:
         """Carry out what the page asks for; whatever is malformed is ignored."""
         controls = self._console.controls
-        self._heard = int(_number(order.get("order")) or 0)
+        self._heard = int(finite_number(order.get("order")) or 0)
         if isinstance(button := order.get("press"), str):
             controls.press(button)
         if isinstance(name := order.get("set"), str):
@@ -314,9 +314,9 @@ class _View:
         if "axes" in order:
             controls.deflect(self, order["axes"])
         if "cine" in order:
-            self._cine = _number(order["cine"])
+            self._cine = finite_number(order["cine"])
         if isinstance(asked := order.get("offsets"), list) and len(asked) == 2:
-            first, second = (min(max(_number(each) or 0.0, -200.0), 200.0) for each in asked)
+            first, second = (min(max(finite_number(each) or 0.0, -200.0), 200.0) for each in asked)
             self._offsets = 1e-3 * first, 1e-3 * second
         self.wake()
 
@@ -341,10 +341,3 @@ def picture_volume(
         slice_pictures(volume, estimate.curve if estimate is not None else None, offsets),
         volume.decibels_per_level,
     )
-
-
-def _number(value: Any) -> float | None:
-    """Return a finite number, or None for anything else."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return None
-    return float(value) if abs(value) < float("inf") else None

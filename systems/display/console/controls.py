@@ -55,11 +55,8 @@ class Control:
 
     def within(self, value: Any, otherwise: float) -> float:
         """Return a value clamped to the range, or `otherwise` if it is no finite number."""
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            return otherwise
-        if not math.isfinite(value):
-            return otherwise
-        return float(min(max(value, self.least), self.most))
+        number = finite_number(value)
+        return otherwise if number is None else min(max(number, self.least), self.most)
 
 
 def controller_controls(
@@ -113,13 +110,21 @@ def operator_controls(*, depth: float = 0.0, azimuth_deg: float, dip_deg: float)
     ]  # fmt: skip
 
 
+def finite_number(value: Any) -> float | None:
+    """Return what a page sent as a finite number; None if it is none, or too large."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    try:
+        return float(value) if math.isfinite(value) else None
+    except OverflowError:
+        return None
+
+
 def deflection(axis: Any) -> float:
     """Return a stick's deflection, from -1 to 1; 0 within its dead zone or if not finite."""
-    if isinstance(axis, bool) or not isinstance(axis, int | float):
-        return 0.0
-    if not math.isfinite(axis) or abs(axis) <= _DEAD_ZONE:
-        return 0.0
-    return math.copysign((min(abs(axis), 1.0) - _DEAD_ZONE) / (1 - _DEAD_ZONE), axis)
+    value = finite_number(axis) or 0.0
+    beyond = min(abs(value), 1.0) - _DEAD_ZONE
+    return math.copysign(beyond / (1 - _DEAD_ZONE), value) if beyond > 0 else 0.0
 
 
 class Controls:

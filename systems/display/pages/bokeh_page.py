@@ -64,7 +64,9 @@ def open_bokeh_page(site: Site, *, page: str, title: str, make: Callable[[Docume
     make
         Function that fills the document of a page that opens. It is called on the site's thread.
     """
-    logging.getLogger("bokeh").setLevel(logging.ERROR)  # a page that closes early is no news
+    # A page that closes early is no news, and one that sends what no page does is disconnected, or
+    # told so; it must not fill the terminal with tracebacks.
+    logging.getLogger("bokeh").setLevel(logging.CRITICAL)
 
     def start() -> BokehTornado:
         application = BokehTornado(

@@ -12,7 +12,6 @@ from tornado.iostream import IOStream, StreamClosedError
 from tornado.tcpclient import TCPClient
 from tornado.websocket import WebSocketHandler
 
-from sonoservo.systems.display.pages.page_messages import checked_message
 from sonoservo.systems.display.pages.site import Guarded, Site
 
 PATIENCE = 20.0
@@ -22,18 +21,18 @@ _FILES = r"(|index\.html|meshcat\.html|favicon\.ico|download|cas-v1/[0-9a-f]{64}
 """Paths of Meshcat's server that are passed on."""
 
 _CHUNK = 65_536
-_BINARY, _PONG = 0x82, 0x8A
-"""First bytes of a WebSocket's frames (RFC 6455)."""
+_PONG = 0x8A
+"""First byte of a WebSocket's answer to a ping (RFC 6455)."""
 
 
 def open_meshcat(site: Site, *, page: str = "world", title: str = "World") -> Meshcat:
     """Return a Meshcat whose page is on a site; its `web_url` is the page's address there.
 
-    Drake's server checks neither Host nor Origin, and a message that is not whole ends it. It
-    therefore listens where no page finds it: at a random address of this machine's own loop,
-    127.x.y.z, and a random port. The site passes files on from it and, to it, the messages that
-    `checked_message` accepts. A page that sends anything else, or reads nothing for `PATIENCE`, is
-    disconnected.
+    Drake's server checks neither Host nor Origin, and a message that is not whole ends it, and the
+    run with it. It therefore listens where no page finds it: at a random address of this machine's
+    own loop, 127.x.y.z, and a random port. The site passes everything on from it, and nothing to
+    it: what a page says, such as the state of a gamepad, is dropped, so Meshcat's own sliders and
+    buttons have no effect. A page that reads nothing for `PATIENCE` is disconnected.
 
     Parameters
     ----------
@@ -72,9 +71,10 @@ def _random_loop_address() -> str:
 
 
 class MeshcatPage(Guarded, WebSocketHandler):
-    """Passes requests and messages of one page on to Meshcat's server.
+    """Passes requests of one page on to Meshcat's server, and the server's messages to the page.
 
-    What the server sends is passed on unread; a page costs about 1 % of a core.
+    What the server sends is passed on unread, and what the page sends is dropped. A page costs
+    about 1 % of a core.
     """
 
     def initialize(self, server: tuple[str, int]) -> None:
@@ -119,32 +119,23 @@ class MeshcatPage(Guarded, WebSocketHandler):
             return
         self._relay = asyncio.create_task(self._pass_on(self._upstream, page))
 
-    async def on_message(self, message: str | bytes) -> None:
-        """Pass a message on to the server, or disconnect a page that sends anything else."""
-        try:
-            if isinstance(message, str):
-                raise ValueError("it is a text")
-            await self._send(_BINARY, checked_message(message))
-        except ValueError as error:
-            self.close(1008, f"message refused: {error}")
+    def on_message(self, message: str | bytes) -> None:
+        """Drop what a page says, because nobody listens to it."""
 
     def on_pong(self, data: bytes) -> None:
         """Tell the server that the page is alive: it disconnects those that do not answer."""
-        self._answer = asyncio.create_task(self._send(_PONG, data))
+        self._answer = asyncio.create_task(self._answer_ping(data))
 
     def on_close(self) -> None:
         """Close the connection to the server."""
         if self._upstream is not None:
             self._upstream.close()
 
-    async def _send(self, kind: int, data: bytes) -> None:
-        """Send a frame to the server, masked by zero."""
-        length = len(data)
-        head = bytes([kind, 0x80 | length]) if length < 126 else bytes([kind, 0xFE])
-        extended = b"" if length < 126 else length.to_bytes(2)
+    async def _answer_ping(self, data: bytes) -> None:
+        """Send the answer to a ping, at most 125 bytes and masked by zero, to the server."""
         if self._upstream is not None:
             with suppress(StreamClosedError):
-                await self._upstream.write(head + extended + bytes(4) + data)
+                await self._upstream.write(bytes([_PONG, 0x80 | len(data)]) + bytes(4) + data)
 
     async def _pass_on(self, upstream: IOStream, page: IOStream) -> None:
         """Pass bytes from the server on to the page, until one of them closes or does not read."""

@@ -79,6 +79,7 @@ class Site:
 
     def __init__(self, *, host: str = "localhost", port: int = PORT) -> None:
         require(0 < port <= 65535, "port", port, "1 to 65535")
+        require(bool(host), "host", host, "a name or an address, or * for all")
         self.access = Access(host)
         sockets = _listen(host, port)
         self.port: int = sockets[0].getsockname()[1]

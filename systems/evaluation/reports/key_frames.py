@@ -41,7 +41,8 @@ def plot_key_frames(log: RunLog, pictures: Sequence[VolumePictures]) -> dict[str
     figures = {}
     for volume, words in key_volumes(log).items():
         nearest = pictures[int(np.abs(times - log.volume_time[volume]).argmin())]
-        true = true_needle(log, volume)
+        shown = int(np.abs(log.volume_time - nearest.time).argmin())  # of a long run, a neighbour
+        true = true_needle(log, shown)
         caption = f"At {log.volume_time[volume]:.1f} s: {words}."
         figures[caption] = _key_frame(nearest, true)
     first = next(iter(figures))

@@ -10,6 +10,9 @@ from sonoservo.systems.signals.ports import evaluate
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 from sonoservo.systems.signals.volume import Volume
 
+_MOST = 400
+"""Number of pictures above which every second one is dropped."""
+
 
 class PictureRecorder(LeafSystem):
     """Keeps the two slices through the estimated needle of every new volume.
@@ -23,7 +26,8 @@ class PictureRecorder(LeafSystem):
 
     `volume` holds a Volume or a NotFound, and `estimate` a NeedleEstimate. A volume's pictures take
     about 20 KB and 3 ms. They are kept in the context and cleared whenever a simulator is
-    initialised.
+    initialised. Whenever there are more than 400, every second of the older ones is dropped, so a
+    long run has fewer of its beginning.
 
     Parameters
     ----------
@@ -61,3 +65,5 @@ class PictureRecorder(LeafSystem):
         if not isinstance(volume, Volume) or (kept and volume.time <= kept[-1].time):
             return
         kept.append(picture_planes(volume, estimate.mode, estimate.curve))
+        if len(kept) > _MOST:
+            del kept[1 : _MOST // 2 : 2]

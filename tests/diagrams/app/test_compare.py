@@ -66,18 +66,21 @@ def test_command_prints_the_table(keep, tmp_path):
 def test_folders_that_are_none_are_named(keep, tmp_path):
     one = keep("a")
     (tmp_path / "empty").mkdir()
+    (tmp_path / "circle").symlink_to("circle")
     for other, message in (
         (tmp_path / "nowhere", "there is no such folder"),
         (tmp_path / "empty", "it has no scenario.yaml"),
+        (tmp_path / "circle", "there is no such folder"),
     ):
         result = sonoservo_here("compare", str(one), str(other), "--out", str(tmp_path / "out"))
         assert result.returncode == 2
         assert f"{other}" in result.stderr
         assert message in result.stderr
         assert not (tmp_path / "out").exists()
-    (tmp_path / "a" / "summary.json").write_text("{")
-    with pytest.raises(ConfigurationError, match=r"summary\.json: cannot be read"):
-        compare([one, one])
+    for text in ("{", "[]", "1"):
+        (one / "summary.json").write_text(text)
+        with pytest.raises(ConfigurationError, match=r"summary\.json: cannot be read"):
+            compare([one, one])
 
 
 def test_runs_of_different_experiments_or_a_single_one_are_refused(keep):

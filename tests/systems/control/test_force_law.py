@@ -69,6 +69,15 @@ def test_integral_starts_near_the_wanted_force_and_ends_with_contact():
     assert lost.integral == 0
 
 
+def test_the_integral_shrinks_at_any_force_and_is_zero_while_the_probe_is_held():
+    parameters = ForceControllerParameters(filter_time=0.0)
+    wound = ForceState(5.0, integral=0.1, in_contact=True)
+    assert next_state(wound, 5.0, STEP, parameters).integral == pytest.approx(0.1 - 0.3 * STEP)
+    assert next_state(wound, 1.0, STEP, parameters).integral == 0.1
+    held = next_state(wound, 1.9, STEP, parameters, held=True)
+    assert (held.force, held.integral, held.in_contact) == (1.9, 0.0, True)
+
+
 def test_velocity_is_proportional_and_limited():
     parameters = ForceControllerParameters(proportional_gain=0.01)
     for force, integral, expected in (

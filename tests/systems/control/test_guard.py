@@ -30,6 +30,7 @@ class World(LeafSystem):
         super().__init__()
         self.velocity, self.pressing, self.shift = np.zeros(N), 0.0, np.zeros(3)
         self.q, self.frozen = HOME.copy(), None
+        self.silent, self.sample = False, None
         self.DeclareVectorInputPort("joint_command", 2 * N)
         self.DeclareVectorOutputPort(
             "wanted_command", 2 * N, self._calc_wanted, {self.time_ticket()}
@@ -60,11 +61,14 @@ class World(LeafSystem):
         sample = 0.01 * np.random.default_rng(round(1e6 * context.get_time())).standard_normal(6)
         sample[3:] += ARM.probe.default_mass() * 9.81 * R.T @ [0, 0, 1]
         sample[4] += self.pressing
-        output.set_value(SpatialForce(sample))
+        if not self.silent:
+            self.sample = sample
+        output.set_value(SpatialForce(self.sample))
 
     def _calc_pose(self, context, output):
         X = self.frozen or pose(self.q)
-        output.set_value(RigidTransform(X.rotation(), X.translation() + self.shift))
+        noise = 0.0 if self.frozen else 1e-9 * np.sin(1e3 * context.get_time())
+        output.set_value(RigidTransform(X.rotation(), X.translation() + self.shift + noise))
 
 
 @pytest.fixture
@@ -125,6 +129,7 @@ def test_too_much_force_makes_the_probe_retreat_hold_and_go_on(rig):
     assert status.state is GuardState.MONITORING
     status = rig.run(2 * STEP)
     assert status.state is GuardState.RETREATING
+    assert rig.output("acting")[0] == 1
     assert "contact force of 12.0 N exceeded 10 N" in status.reason
     rig.run(0.03)
     for rig.world.pressing, seconds in ((6.0, STEP), (0.0, 0.25)):
@@ -136,6 +141,7 @@ def test_too_much_force_makes_the_probe_retreat_hold_and_go_on(rig):
     assert np.abs(rig.output("joint_command")[N:]).max() == 0
     status = rig.run(0.3)
     assert status.state is GuardState.MONITORING
+    assert rig.output("acting")[0] == 0
     assert status.interventions == 1
 
 
@@ -213,22 +219,47 @@ def test_a_pose_that_cannot_be_stops_the_arm_until_it_is_good_again(rig, shift, 
     assert rig.run(0.3).state is GuardState.MONITORING
 
 
+@pytest.mark.parametrize("shift", [np.nan, 0.03])
+def test_a_pose_that_is_wrong_in_one_step_is_seen(rig, shift):
+    for seconds in 0.1 + STEP * np.arange(4):  # whichever step lies between two checks
+        rig.simulator.get_mutable_context().SetTime(0.0)
+        rig.simulator.Initialize()
+        assert rig.run(seconds).interventions == 0
+        rig.world.shift = np.array([shift, 0, 0])
+        rig.run(STEP)
+        rig.world.shift = np.zeros(3)
+        assert rig.run(STEP).stopped
+
+
+def test_repeated_samples_and_small_steps_of_the_force_are_noted(rig):
+    assert rig.run(0.2).remark == ""
+    rig.world.silent = True
+    rig.run(4 * STEP)
+    rig.world.silent = False
+    rig.run(0.1)
+    rig.world.pressing = 0.8
+    rig.run(0.1)
+    status = rig.run(0.1)
+    assert status.interventions == 0
+    assert "steps of the force by more than 0.5 N between samples: 1" in status.remark
+    assert "samples of the wrist sensor that repeated the one before: 4" in status.remark
+    rig.simulator.Initialize()
+    assert rig.status.remark == ""
+
+
 @pytest.mark.parametrize("moves", [True, False])
 def test_a_frozen_pose_stops_a_probe_that_moves_and_is_noted_at_rest(rig, moves):
-    for number in range(10):
-        rig.world.shift = np.array([1e-6 * number, 0, 0])
-        rig.run(0.02)
+    assert rig.run(0.2).remark == ""
     rig.world.velocity = np.r_[0.02 * moves, np.zeros(N - 1)]
     rig.world.frozen = pose(rig.world.q)
     status = rig.run(0.3)
     assert status.stopped == moves
     assert ("pose of the probe is frozen" in status.reason) == moves
-    assert "pose of the probe did not change for 0." in status.remark
+    assert "measured poses that repeated the one before: " in status.remark
+    repeated = int(status.remark.rpartition(" ")[2])
+    assert (repeated > 55) == (not moves)  # they are not counted while the probe is held
     rig.world.frozen, rig.world.velocity = None, np.zeros(N)
-    for number in range(20):
-        rig.world.shift = np.array([1e-6 * number, 0, 0])
-        rig.run(0.02)
-    assert rig.status.state is GuardState.MONITORING
+    assert rig.run(0.4).state is GuardState.MONITORING
 
 
 def test_the_workspace_is_left_by_nobody_and_the_way_back_is_free(rig):

@@ -29,7 +29,7 @@ def observe(number, height, pressing):
         axis_ahead=DOWN,
         seconds_ahead=0.05,
         accepted=True,
-        wrist_force=(0.0, 0.0, 0.0, 0.0, pressing + noise, 0.0),
+        wrist_force=(0.0, 0.0, 0.0, 0.0, pressing + noise, 4.9),
         contact=(0.0, -pressing, 0.0),
     )
 
@@ -45,7 +45,7 @@ def test_a_memory_is_numbers_and_comes_back_from_them():
     memory = list(memories(observe(number, 0.0, 2.0) for number in range(5)))[-1]
     numbers = memory.pack()
     np.testing.assert_array_equal(unpack(np.array(numbers).tolist()).pack(), numbers)
-    np.testing.assert_array_equal(memory.quiet_force, [0.0, 2.01, 0.0])
+    np.testing.assert_array_equal(memory.quiet_force, [0.0, 2.01, 4.9])
     for changed in (
         memory._replace(over=1),
         memory._replace(sensor=memory.sensor._replace(fault=1)),
@@ -81,3 +81,19 @@ def test_it_goes_on_after_a_while_without_a_cause():
     assert modes[-1] == Mode.MONITORING
     assert memory.interventions == 1
     assert 0.02 <= height < 0.05
+
+
+def test_a_step_of_the_force_is_noted_unless_the_arm_or_a_fault_explains_it():
+    def steps(suddenly=0.0, force=2.0):
+        seen = [observe(number, 0.0, 2.0) for number in range(40)]
+        for number in range(30, 40):
+            p = (0.0, 0.0, -suddenly * (number - 29) * STEP)
+            wrist_force = (*seen[number].wrist_force[:4], force, 4.9 + 0.01 * (-1) ** number)
+            seen[number] = seen[number]._replace(
+                p=p, p_measured=p, wrist_force=wrist_force, stepped=number == 30
+            )
+        return list(memories(seen))[-1].steps
+
+    assert steps() == 1
+    assert steps(suddenly=0.02) == 0  # the probe's inertia
+    assert steps(force=100.0) == 0  # out of range

@@ -15,8 +15,10 @@ from sonoservo.systems.control.guard_rules import (
     outside,
     reason,
     region,
+    remark,
     retreat_speed,
 )
+from sonoservo.systems.control.wrist_sensor_check import SensorFault
 
 LIMITS = GuardParameters()
 DOWN = (0.0, 0.0, -1.0)
@@ -120,3 +122,15 @@ def test_every_cause_has_a_reason_of_its_own():
 def test_limits_that_are_not_allowed(changes, message):
     with pytest.raises(ValueError, match=message):
         GuardParameters(**changes)
+
+
+def test_a_remark_names_all_that_was_noticed():
+    assert remark(0, SensorFault.NONE) == ""
+    assert remark(3, SensorFault.FROZEN) == (
+        "samples of the wrist sensor that were ignored: 3, the last because it was frozen"
+    )
+    assert remark(0, SensorFault.NONE, 1, 2.0, 3.0) == (
+        "steps of the force by more than 0.5 N between samples: 1; "
+        "samples of the wrist sensor that repeated the one before: 2; "
+        "measured poses that repeated the one before: 3"
+    )

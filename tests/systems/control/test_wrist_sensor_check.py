@@ -14,7 +14,7 @@ NAN = 6 * (math.nan,)
 
 def samples(count, pressing=2.0, seed=0):
     noise = 0.02 * np.random.default_rng(seed).standard_normal((count, 6))
-    noise[:, 4] += pressing
+    noise[:, 4:] += [pressing, 4.9]  # and the probe's weight
     return [tuple(each) for each in noise.tolist()]
 
 
@@ -119,3 +119,26 @@ def test_the_first_sample_of_a_plant_that_has_not_moved_yet_is_no_jump():
 def test_limits_must_be_positive():
     with pytest.raises(ValueError, match="max_jump: 0"):
         WristSensorLimits(max_jump=0)
+
+
+def carried(count, rest):
+    """Samples while the contact carries the probe's weight, but for a rest in N."""
+    return [(*each[:4], each[4] - 2.0 + rest, each[5] - 4.9) for each in samples(count)]
+
+
+def test_a_sensor_that_reads_nothing_for_long_is_dead():
+    faults = judge([*carried(200, 0.0), *samples(60)])
+    began = faults.index(SensorFault.DEAD)
+    assert began == pytest.approx(LIMITS.dead_after / STEP, abs=4)
+    assert faults[-1] is SensorFault.NONE
+    for rest in (0.05, 0.1, 0.3):
+        assert set(judge(carried(2000, rest))) == {SensorFault.NONE}
+    assert SensorFault.DEAD not in judge(carried(200, 0.0), replace(LIMITS, dead_after=0.0))
+
+
+@pytest.mark.parametrize("pressing", [0.6, 1.2, 1.9])
+def test_a_small_step_to_nothing_is_a_fault_at_once(pressing):
+    before = carried(30, pressing)
+    faults = judge([*before, *carried(10, 0.0)])
+    assert faults[30 + 5] is SensorFault.JUMPED
+    assert set(judge([*before, *carried(10, pressing - 0.45)])) == {SensorFault.NONE}

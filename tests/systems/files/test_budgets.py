@@ -3,7 +3,12 @@
 import pytest
 
 from sonoservo.systems.files.claims import claim_folder
-from sonoservo.systems.files.memory import MEMORY_VARIABLE, require_memory
+from sonoservo.systems.files.memory import (
+    MEMORY_VARIABLE,
+    memory_budget,
+    require_memory,
+    set_memory_budget,
+)
 from sonoservo.systems.files.refusals import MAX_MESSAGE, ConfigurationError, refusing_failures
 from sonoservo.systems.files.typed_yaml import apply_changes, read_yaml
 from sonoservo.systems.files.yaml_loader import load_yaml
@@ -23,6 +28,22 @@ def test_a_budget_that_is_none_is_refused(monkeypatch, text):
     monkeypatch.setenv(MEMORY_VARIABLE, text)
     with pytest.raises(ConfigurationError, match=f"{MEMORY_VARIABLE}: '{text}' is not allowed"):
         require_memory(1, "a", "its voxels")
+
+
+def test_a_budget_that_is_set_is_that_of_the_context_alone(monkeypatch):
+    monkeypatch.delenv(MEMORY_VARIABLE, raising=False)
+    with set_memory_budget(0.5, "--max-memory"):
+        assert memory_budget() == 0.5e9
+        with set_memory_budget(None, "--max-memory"):
+            assert memory_budget() == 0.5e9
+    assert memory_budget() == 4e9
+    for gigabytes in (0.0, -1.0, float("nan"), float("inf")):
+        with (
+            pytest.raises(ConfigurationError, match=f"^--max-memory: {gigabytes} is not allowed"),
+            set_memory_budget(gigabytes, "--max-memory"),
+        ):
+            pass
+    assert memory_budget() == 4e9
 
 
 def test_a_message_is_one_short_printable_line():

@@ -150,3 +150,13 @@ def test_every_transducer_has_a_smooth_beam(name, imaging):
         deep = width[geometry.samples // 4 :]
         assert np.abs(np.diff(deep)).max() < 0.05 * width.max()
     assert np.isfinite(beam.curvature).all()
+
+
+def test_equal_settings_share_a_beam_and_different_ones_do_not():
+    def made(depth):
+        transducer, imaging = load_transducer("4dc7_3_40"), ImagingParameters(focus_depth=depth)
+        return beam_profile(transducer, imaging, sweep_geometry(transducer, imaging))
+
+    first = made(0.025)
+    assert made(0.025) is first
+    assert not np.array_equal(made(0.05).lateral, first.lateral)

@@ -190,6 +190,9 @@ def test_quiet_stream_ends_by_patience():
         with LiveSource(address, report=quiet) as source:
             assert list(live_volumes(source, LiveLimits(patience=0.3), said.append)) == []
     assert "for 0.3 s: ending" in said[-1]
+    for limits in ({"patience": float("nan")}, {"patience": -1.0}, {"volumes": 0}):
+        with pytest.raises(ValueError, match="is not allowed; it must be above 0"):
+            LiveLimits(**limits)
 
 
 @pytest.fixture(scope="module")

@@ -51,7 +51,7 @@ def test_targets_are_in_si_units(panel):
 
 def test_whatever_is_sent_the_targets_stay_in_range(panel):
     panel.inputs.move("depth", 30.0)
-    for value in (math.nan, math.inf, -math.inf, "deep", None, [1.0], True):
+    for value in (math.nan, math.inf, -math.inf, 10**400, "deep", None, [1.0], True):
         panel.inputs.move("depth", value)
         assert panel.read("needle_target")[0] == pytest.approx(0.03)
     for value, depth in ((1e308, 0.1), (-1e308, -0.005)):
@@ -118,7 +118,7 @@ def test_values_and_sticks_are_checked():
     values = {math.nan: 0.5, math.inf: 0.5, 3.0: 2, -3.0: -1, 1.25: 1.25}
     for value, wanted in values.items():
         assert control.within(value, 0.5) == wanted
-    sticks = {0.1: 0, -0.1: 0, 1.0: 1, -1.0: -1, 5.0: 1, math.nan: 0, math.inf: 0}
+    sticks = {0.1: 0, -0.1: 0, 1.0: 1, -1.0: -1, 5.0: 1, math.nan: 0, math.inf: 0, 10**400: 0}
     for axis, wanted in sticks.items():
         assert deflection(axis) == wanted
     assert deflection(0.575) == pytest.approx(0.5)

@@ -124,6 +124,8 @@ def test_a_busy_port_is_stepped_over():
 
 
 def test_what_is_wrong_with_a_host_or_a_port_is_said():
+    with pytest.raises(ValueError, match="host: '' is not allowed"):
+        Site(host="")
     with pytest.raises(ValueError, match="port: 0 is not allowed; it must be 1 to 65535"):
         Site(port=0)
     with pytest.raises(OSError, match=r"host: '192\.0\.2\.7' is no name or address of this machi"):

@@ -1,0 +1,25 @@
+import numpy as np
+from pydrake.common.value import Value
+
+from sonoservo.systems.evaluation.reports import picture_recorder
+from sonoservo.systems.evaluation.reports.picture_recorder import PictureRecorder
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+
+
+def test_a_long_run_keeps_fewer_pictures_of_its_beginning(make_volume, monkeypatch):
+    monkeypatch.setattr(picture_recorder, "picture_planes", lambda volume, mode, curve: volume)
+    recorder = PictureRecorder(period=0.1)
+    context = recorder.CreateDefaultContext()
+    estimate = NeedleEstimate(TrackingMode.SEARCHING, 0.0)
+    recorder.GetInputPort("estimate").FixValue(context, Value[object](estimate))
+    for number in range(1500):
+        volume = make_volume(lambda p_P: np.zeros(p_P.shape[:-1]), time=float(number))
+        recorder.GetInputPort("volume").FixValue(context, Value[object](volume))
+        recorder.ForcedPublish(context)
+        recorder.ForcedPublish(context)  # it is no new volume
+    times = [each.time for each in recorder.pictures(context)]
+    assert 200 < len(times) <= 400
+    assert (times[0], times[-1]) == (0, 1499)
+    gaps = np.diff(times)
+    assert (gaps > 0).all()
+    assert (gaps[-150:] == 1).all()
