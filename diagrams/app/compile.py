@@ -32,12 +32,13 @@ def compile_scanner() -> None:
 
 
 def compile_tracker() -> None:
-    """Compile detection and localization: track a line that grows in noise."""
+    """Compile detection and localization: track a line that grows in noise, straight and bent."""
     from sonoservo.diagrams.needle_tracker import track
     from sonoservo.diagrams.trackers.chatelain2013 import Chatelain2013TrackerParameters
 
     volumes = list(_volumes())
-    list(track(volumes, parameters=Chatelain2013TrackerParameters(order=3)))
+    for order in (2, 3):
+        list(track(volumes, parameters=Chatelain2013TrackerParameters(order=order)))
     everywhere = Chatelain2013TrackerParameters(start="anywhere")
     list(track(volumes[-2:], parameters=everywhere))
 
