@@ -7,21 +7,26 @@ from typing import Any
 
 import numpy as np
 
-from sonoservo.diagrams.papers.chatelain2013.analysis import (
+from sonoservo.diagrams.papers.chatelain2013.notes_report import NOTES, TITLE
+from sonoservo.diagrams.papers.chatelain2013.plots import study_figures
+from sonoservo.diagrams.studies.following.analysis import (
     Run,
     converged,
     lag,
     quantile,
 )
-from sonoservo.diagrams.papers.chatelain2013.cases import AS_PUBLISHED
-from sonoservo.diagrams.papers.chatelain2013.method_report import (
+from sonoservo.diagrams.studies.following.cases import AS_PUBLISHED
+from sonoservo.diagrams.studies.following.method_report import (
     Comparison,
     MethodRuns,
     Value,
     add_rest_rows,
 )
-from sonoservo.diagrams.papers.chatelain2013.notes_report import NOTES, TITLE
-from sonoservo.diagrams.papers.chatelain2013.plots import study_figures
+from sonoservo.diagrams.studies.following.tracking_rows import (
+    add_error_rows,
+    add_false_start_rows,
+    add_reliability_rows,
+)
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.study_report import Study
 from sonoservo.systems.evaluation.statistics.run_intervals import run_interval
@@ -82,7 +87,7 @@ def _fig4(group: Comparison) -> None:
                 )
     group.errors("tip", "tip error", "mm", _MM, median=0.7, p95=1.5)
     group.errors("axis", "axis error", "deg", _DEG, median=0.7, p95=1.5)
-    _reliability(group, target=0)
+    add_reliability_rows(group, target=0)
 
 
 def _computing(group: Comparison) -> None:
@@ -116,12 +121,6 @@ _AT_REST = ((1.10, 0.6), (0.23, 0.2), (0.97, 0.6))
 """Paper's figure and target of X and Z in mm and Theta in deg at rest."""
 
 
-def add_tracking_rows(group: Comparison) -> None:
-    """Add the rows of the errors of tip and axis, and of failures of tracking."""
-    _errors(group)
-    _reliability(group)
-
-
 def _fig5(group: Comparison, eq_25: Comparison | None) -> None:
     add_rest_rows(group, _AT_REST)
     group.row(
@@ -139,18 +138,13 @@ def _fig5(group: Comparison, eq_25: Comparison | None) -> None:
         group.row("lag without feed-forward over that", "", lambda m: _only(m, group, ratio),
                   target=4, wanted="at least")  # fmt: skip
     _force(group, 0.05)
-    _errors(group)
-    _reliability(group)
+    add_error_rows(group)
+    add_reliability_rows(group)
 
 
 def _only(method: MethodRuns, group: Comparison, value: float | None) -> Value:
     """Return a figure that our method alone has."""
     return Value(value) if method is group.ours else Value()
-
-
-def _errors(group: Comparison) -> None:
-    group.errors("tip", "tip error", "mm", _MM)
-    group.errors("axis", "axis error", "deg", _DEG)
 
 
 def _force(group: Comparison, target: float | None = None) -> None:
@@ -181,8 +175,8 @@ def _fig6(group: Comparison) -> None:
             target=target,
         )
     _force(group)
-    _errors(group)
-    _reliability(group)
+    add_error_rows(group)
+    add_reliability_rows(group)
 
 
 def _recovery(group: Comparison, share: float, median: float) -> None:
@@ -226,19 +220,19 @@ def _bent(group: Comparison) -> None:
         "%",
         lambda method: method.share(lambda run: converged(run.log, straight=False)),
     )
-    _reliability(group)
+    add_reliability_rows(group)
 
 
 def _directions(group: Comparison) -> None:
-    _errors(group)
+    add_error_rows(group)
     group.row("runs that converged", "%", lambda m: m.share(lambda run: converged(run.log)))
-    _reliability(group)
+    add_reliability_rows(group)
 
 
 def _settings(group: Comparison) -> None:
     """Add the rows of other settings of the transducer, and of the time they leave."""
-    _errors(group)
-    _reliability(group)
+    add_error_rows(group)
+    add_reliability_rows(group)
     group.row(
         "tracking a volume, 99 %, over the period of the acquisition",
         "%",
@@ -256,53 +250,13 @@ def _share_of_period(run: Run) -> float:
 
 def _no_needle(group: Comparison) -> None:
     group.row("volumes", "", lambda m: Value(sum(len(run.volumes.tip) for run in m.runs)))
-    _false_starts(group, target=0)
+    add_false_start_rows(group, target=0)
 
 
 def _ablation(group: Comparison) -> None:
-    _errors(group)
-    _reliability(group)
+    add_error_rows(group)
+    add_reliability_rows(group)
     group.rows = [row for row in group.rows if "largest" not in row.quantity]
-
-
-def _reliability(group: Comparison, target: float | None = None) -> None:
-    """Add the rows of failures of tracking, and of what an estimate says of itself."""
-
-    def untracked(run: Run) -> float:
-        counted = run.volumes.tracked[run.volumes.enough]
-        return 100 * float(np.mean(~counted)) if len(counted) else np.nan
-
-    def lost(run: Run) -> int:
-        return int(np.sum(np.diff(run.volumes.lost.astype(int)) > 0))
-
-    group.row("volumes not tracked, from 20 mm in view on", "%", lambda m: m.mean(untracked))
-    group.row("times lost, all runs", "", lambda m: m.count(lost), target=target)
-    _false_starts(group, target)
-    group.summed("tracking shown without a needle", "s", "tracking", "absent_s")
-    group.summed("travel of the probe without a needle", "mm", "tracking", "absent_travel_mm")
-    for what in ("tip", "axis", "velocity"):
-        path = ("tracking", "consistency", what)
-        group.row(f"truth inside the stated 95 %, {what}", "%", partial(_within, what=what))
-        group.summed(f"normalised squared error, {what}", "", *path, "nees")
-
-
-def _within(method: MethodRuns, what: str) -> Value:
-    """Return the mean share of volumes with the truth inside the stated 95 %, in %."""
-
-    def share(run: Run) -> float | None:
-        value = run.figure("tracking", "consistency", what, "within_95")
-        return None if value is None else 100 * value
-
-    return method.mean(share)
-
-
-def _false_starts(group: Comparison, target: float | None = None) -> None:
-    group.row(
-        "false starts, more than 10 mm off or without a needle, all runs",
-        "",
-        lambda method: method.count(lambda run: int(run.summary["detection"]["false_starts"])),
-        target=target,
-    )
 
 
 _ROWS: dict[str, Callable[[Comparison], None]] = {

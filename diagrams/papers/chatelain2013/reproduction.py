@@ -11,17 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from rich.console import Console
 
-from sonoservo.diagrams.experiments.following import FollowingExperiment
-from sonoservo.diagrams.papers.chatelain2013.cases import AS_PUBLISHED, load_case
 from sonoservo.diagrams.papers.chatelain2013.report import report
+from sonoservo.diagrams.studies.following.cases import AS_PUBLISHED, run_case
 from sonoservo.diagrams.studies.runs import run_cases
 from sonoservo.diagrams.studies.store import Store
-from sonoservo.diagrams.studies.study import Case, StudyOptions, WithFiles
+from sonoservo.diagrams.studies.study import Case, StudyOptions
 from sonoservo.diagrams.studies.study_report import Study
-from sonoservo.systems.evaluation.curve_error import curve_deviations
-from sonoservo.systems.evaluation.log import encode_log
-from sonoservo.systems.ultrasound.imaging import sweep_geometry
-from sonoservo.systems.ultrasound.transducer import load_transducer
 
 ABLATIONS: Mapping[str, Sequence[str]] = {
     "no filter": ["tracker.track.filtering=false"],
@@ -213,27 +208,3 @@ def study_cases(options: StudyOptions) -> list[Case]:
             if protocol.compared:
                 cases.append(Case(name + AS_PUBLISHED, seed, settings | {"as_published": True}))
     return cases
-
-
-def run_case(case: Case) -> WithFiles:
-    """Run a case's scenario.
-
-    Parameters
-    ----------
-    case
-        Case whose settings name a `scenario`, `changes` to it, and perhaps `as_published`.
-
-    Returns
-    -------
-    `summary`: figures as in summary.json; `curve_deviation`: see `curve_deviations`, in m; and the
-    log as a file.
-    """
-    experiment = FollowingExperiment(load_case(case))
-    experiment.run()
-    log, scenario = experiment.log(), experiment.scenario
-    geometry = sweep_geometry(load_transducer(scenario.probe), scenario.imaging)
-    result = {
-        "summary": experiment.summarize(log),
-        "curve_deviation": curve_deviations(log, geometry),
-    }
-    return WithFiles(result, {f"{case.name}.npz": encode_log(log)})

@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.diagrams.papers.chatelain2013.analysis import Run
-from sonoservo.diagrams.papers.chatelain2013.method_report import (
+from sonoservo.diagrams.papers.zhao2012.speed_report import bias, rmse
+from sonoservo.diagrams.studies.following.analysis import Run
+from sonoservo.diagrams.studies.following.method_report import (
     Comparison,
     MethodRuns,
     add_rest_rows,
 )
-from sonoservo.diagrams.papers.chatelain2013.report import add_tracking_rows
-from sonoservo.diagrams.papers.zhao2012.speed_report import bias, rmse
+from sonoservo.diagrams.studies.following.tracking_rows import add_tracking_rows
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.study_report import StudyRow
 from sonoservo.systems.evaluation.run_errors import at_times

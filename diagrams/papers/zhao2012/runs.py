@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.diagrams.papers.chatelain2013.reproduction import run_case as run_loop
 from sonoservo.diagrams.papers.zhao2012.phantom import DIRECTION, Phantom, StraightNeedle
 from sonoservo.diagrams.papers.zhao2012.published_tracking import PublishedTracking
 from sonoservo.diagrams.papers.zhao2012.tracking import BMode, Tracking, localize_as_published
+from sonoservo.diagrams.studies.following.cases import run_case as run_loop
 from sonoservo.diagrams.studies.study import Case, WithFiles
 from sonoservo.systems.estimation.axis_tip_filter import direction_angles
 from sonoservo.systems.signals.immutable import NotFound

@@ -8,7 +8,7 @@ import pytest
 from synthetic_logs import build_insertion_log
 
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
-from sonoservo.diagrams.papers.chatelain2013.analysis import (
+from sonoservo.diagrams.studies.following.analysis import (
     centred,
     converged,
     found_after,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from synthetic_logs import build_insertion_log
 
-from sonoservo.diagrams.papers.chatelain2013.cases import AS_PUBLISHED
 from sonoservo.diagrams.papers.zhao2012.loop_report import CLOSED_LOOP, NO_VELOCIMETER, loop_rows
+from sonoservo.diagrams.studies.following.cases import AS_PUBLISHED
 from sonoservo.diagrams.studies.study import Case, Outcome
 from sonoservo.systems.evaluation.log import encode_log
 from sonoservo.systems.evaluation.metrics import summarize

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sonoservo.diagrams.papers.chatelain2013.cases import AS_PUBLISHED, load_case
 from sonoservo.diagrams.papers.zhao2012 import reproduction as zhao2012
 from sonoservo.diagrams.papers.zhao2012.loop_report import NO_VELOCIMETER
 from sonoservo.diagrams.papers.zhao2012.phantom import DIRECTION, IMAGING, Phantom, StraightNeedle
@@ -16,6 +15,7 @@ from sonoservo.diagrams.papers.zhao2012.runs import (
     SPEEDOMETERS,
     run_case,
 )
+from sonoservo.diagrams.studies.following.cases import AS_PUBLISHED, load_case
 from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
 from sonoservo.diagrams.studies.study_report import Study, write_study
 from sonoservo.systems.ultrasound.transducer import load_transducer

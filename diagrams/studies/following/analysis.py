@@ -1,4 +1,4 @@
-"""Analysis of finished runs of Chatelain 2013's experiments from their logs."""
+"""Analysis of finished runs of following from their logs."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
-from sonoservo.diagrams.papers.chatelain2013.cases import load_case
 from sonoservo.diagrams.scenario import require_scenario
+from sonoservo.diagrams.studies.following.cases import load_case
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.systems.evaluation.log import read_log
 from sonoservo.systems.evaluation.metrics import at_rest

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.diagrams.papers.chatelain2013.analysis import Run, Volumes, pooled_runs
-from sonoservo.diagrams.papers.chatelain2013.cases import AS_PUBLISHED
+from sonoservo.diagrams.studies.following.analysis import Run, Volumes, pooled_runs
+from sonoservo.diagrams.studies.following.cases import AS_PUBLISHED
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.study_report import StudyRow
 from sonoservo.systems.evaluation.statistics.intervals import proportion_interval

@@ -1,0 +1,1 @@
+from .cases import run_case as run_case
