@@ -1,5 +1,3 @@
-from .analysis import Run as Run
-from .analysis import Volumes as Volumes
 from .reproduction import Protocol as Protocol
 from .reproduction import bent_insertion as bent_insertion
 from .reproduction import reproduce as reproduce
