@@ -78,7 +78,8 @@ def run_scenario(installed, folder, *options):
     command = str(installed / "bin" / "sonoservo")
     out = folder / "results"
     call(command, "run", "chatelain2013_fig5", "--no-meshcat", "--out", out, *options, cwd=folder)
-    names = {"scenario.yaml", "summary.json", "log.npz", "run.png", "errors.png", "report.html"}
+    names = {"scenario.yaml", "summary.json", "log.npz", "slices.npz", "run.png", "errors.png"}
+    names |= {"report.html"}
     assert {path.name for path in out.iterdir()} == names
     return json.loads((out / "summary.json").read_text())
 

@@ -141,7 +141,10 @@ def next_state(
     error = parameters.force - filtered
     if held:
         return ForceState(filtered, 0.0, True)
-    integral = state.integral
-    if abs(error) < parameters.integral_band or error * integral < 0:
-        integral += parameters.integral_gain * error * time_step
-    return ForceState(filtered, integral, True)
+    change = parameters.integral_gain * error * time_step
+    if abs(error) < parameters.integral_band:
+        return ForceState(filtered, state.integral + change, True)
+    if error * state.integral < 0:
+        left = max(abs(state.integral) - abs(change), 0.0)
+        return ForceState(filtered, math.copysign(left, state.integral), True)
+    return ForceState(filtered, state.integral, True)
