@@ -103,9 +103,13 @@ def test_a_recording_is_explained_as_the_run_was(kept, tmp_path):
 
 
 def test_an_interrupted_run_keeps_what_it_explained(tmp_path):
+    tracking = []
+
     def stop(experiment):
         if experiment.status == "tracking":
-            raise KeyboardInterrupt
+            tracking.append(experiment.time)
+            if experiment.time > tracking[0] + 0.05:  # the log has seen it by now
+                raise KeyboardInterrupt
 
     scenario = load_scenario("chatelain2013_fig4", seed=101, changes=CHANGES)
     assert run(scenario, out=tmp_path, explain=True, after_step=stop).summary["interrupted"]
