@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from multiprocessing.resource_tracker import ensure_running
 
 _WATCH_PERIOD = 0.2
 """Time in s between two looks of a process at its parent."""
@@ -17,6 +18,7 @@ def keeping_ctrl_c() -> Iterator[None]:
 
     This process receives it after the block.
     """
+    ensure_running()  # Python lets Ctrl-C through again when it starts its tracker of resources
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
         yield
