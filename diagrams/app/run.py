@@ -173,6 +173,7 @@ def finish(kept: KeptRun, experiment: Experiment[Any]) -> RunResult:
     """
     log = experiment.log()
     summary = kept.summary(experiment.time, experiment.summarize(log))
+    kept.write_summary(summary)
     plots = experiment.plots(log)
     kept.write(summary, experiment, log, plots)
     return RunResult(

@@ -152,6 +152,12 @@ class KeptRun:
             **figures,
         }
 
+    def write_summary(self, summary: Mapping[str, Any]) -> None:
+        """Write summary.json; do it first, as little time may be left to an interrupted run."""
+        if self.out is not None:
+            with self.unwritten.collect():
+                write_json(self.out / "summary.json", summary)
+
     def write(
         self,
         summary: Mapping[str, Any],
@@ -159,7 +165,7 @@ class KeptRun:
         log: Log,
         plots: Mapping[str, tuple[str, Figure]],
     ) -> None:
-        """Write summary.json, pictures, plots, report.html, movie and, with a Meshcat, replay.html.
+        """Write pictures, plots, report.html, movie and, with a Meshcat, replay.html.
 
         Parameters
         ----------
@@ -175,8 +181,6 @@ class KeptRun:
                 write_movie(self._movie, experiment.frames(log), experiment.frame_rate)
         if self.out is None:
             return
-        with self.unwritten.collect():
-            write_json(self.out / "summary.json", summary)
         if pictures := experiment.pictures:
             with self.unwritten.collect():
                 write_pictures(self.out / PICTURES, pictures)

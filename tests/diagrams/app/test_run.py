@@ -1,3 +1,5 @@
+import json
+
 import pytest
 from matplotlib.figure import Figure
 
@@ -5,6 +7,7 @@ from sonoservo.diagrams import load_scenario, run
 from sonoservo.diagrams.app.run_result import RunResult
 from sonoservo.diagrams.experiments.scenario_changes import base_of, changed_fields
 from sonoservo.diagrams.experiments.scenario_words import following_words, shape_words
+from sonoservo.diagrams.experiments.shape_prediction import ShapePredictionExperiment
 from sonoservo.systems.files.refusals import ConfigurationError
 
 SHORT = {"depth": 0.02, "observe_until": 0.01, "rotations": [], "step": 2e-3}
@@ -21,6 +24,16 @@ def test_a_run_by_name_with_changes_keeps_its_files(result):
     assert result.summary["seed"] == 100
     assert result.summary["tracking"]["slices"] == 11
     assert result.log.depth[-1] == pytest.approx(0.02)
+
+
+def test_the_summary_is_written_before_anything_is_drawn(monkeypatch, tmp_path):
+    def ended(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(ShapePredictionExperiment, "plots", ended)
+    with pytest.raises(KeyboardInterrupt):
+        run("carriere2016_d60", changes=SHORT, seed=100, out=tmp_path)
+    assert json.loads((tmp_path / "summary.json").read_text())["seed"] == 100
 
 
 def test_a_result_prints_and_draws_itself(result):
