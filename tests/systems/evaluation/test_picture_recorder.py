@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 from pydrake.common.value import Value
 
@@ -12,8 +14,9 @@ def test_a_long_run_keeps_fewer_pictures_of_its_beginning(make_volume, monkeypat
     context = recorder.CreateDefaultContext()
     estimate = NeedleEstimate(TrackingMode.SEARCHING, 0.0)
     recorder.GetInputPort("estimate").FixValue(context, Value[object](estimate))
+    blank = make_volume(lambda p_P: np.zeros(p_P.shape[:-1]))
     for number in range(1500):
-        volume = make_volume(lambda p_P: np.zeros(p_P.shape[:-1]), time=float(number))
+        volume = replace(blank, time=float(number))
         recorder.GetInputPort("volume").FixValue(context, Value[object](volume))
         recorder.ForcedPublish(context)
         recorder.ForcedPublish(context)  # it is no new volume
