@@ -177,12 +177,12 @@ def log_samples(log: RunLog) -> list[Sample]:
     error = 1e3 * np.linalg.norm(
         log.estimate_tip - at_times(log, log.needle_tip, log.estimate_time), axis=1
     )
+    seen_by = np.searchsorted(log.volume_seen, log.time, side="right") - 1
     samples: list[Sample] = []
     for row, now in enumerate(log.time.tolist()):
         if samples and now < samples[-1].time + _SAMPLING - 1e-9:
             continue
-        seen = bisect_right(log.volume_seen.tolist(), now) - 1
-        reason = ""
+        seen, reason = int(seen_by[row]), ""
         if seen >= 0:
             searching = log.estimate_mode[row] == "searching"
             detection = str(log.volume_detection_reason[seen])
