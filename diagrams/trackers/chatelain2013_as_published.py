@@ -4,19 +4,13 @@ from dataclasses import dataclass, field
 
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
-from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters, connect_parts
-from sonoservo.systems.detection.insertion_detector import InsertionDetector
+from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters, add_published_parts
 from sonoservo.systems.detection.published_detection import (
     PublishedDetectionParameters,
-    detect_as_published,
 )
-from sonoservo.systems.detection.volume_gate import VolumeGate
-from sonoservo.systems.detection.volume_memory import VolumeMemory
 from sonoservo.systems.estimation.control_point_filter import ControlPointFilter
 from sonoservo.systems.estimation.needle_filter import require_order
 from sonoservo.systems.estimation.needle_motion import NeedleMotionParameters
-from sonoservo.systems.estimation.published_lifecycle import PublishedLifecycle
-from sonoservo.systems.estimation.track_manager import TrackManager
 from sonoservo.systems.localization.needle_localizer import NeedleLocalizer
 from sonoservo.systems.localization.published_localization import (
     PublishedLocalizationParameters,
@@ -69,22 +63,17 @@ def MakeChatelain2013AsPublishedTracker(
 ) -> Diagram:
     """Make the tracker of Chatelain 2013 as published; see `MakeNeedleTracker`."""
     builder = DiagramBuilder()
-    events = {"period": period, "offset": offset}
-    lifecycle = PublishedLifecycle(
-        order=parameters.order,
-        needle_filter=parameters.filter,
-        min_length=parameters.localization.min_length,
-    )
-    connect_parts(
+    add_published_parts(
         builder,
-        gate=VolumeGate(parameters=parameters.plausibility, **events),
-        memory=VolumeMemory(period=period, offset=offset),
-        detector=InsertionDetector(
-            parameters=parameters.detection, seed=seed, method=detect_as_published
-        ),
+        parameters=parameters,
+        detection=parameters.detection,
+        needle_filter=parameters.filter,
         localizer=NeedleLocalizer(
             parameters=parameters.localization, seed=seed, method=explain_published_localization
         ),
-        manager=TrackManager(lifecycle=lifecycle, **events),
+        min_length=parameters.localization.min_length,
+        period=period,
+        offset=offset,
+        seed=seed,
     )
     return builder.Build()

@@ -9,10 +9,15 @@ from sonoservo.systems.detection.insertion_detector import (
     InsertionDetector,
     InsertionDetectorParameters,
 )
+from sonoservo.systems.detection.published_detection import (
+    PublishedDetectionParameters,
+    detect_as_published,
+)
 from sonoservo.systems.detection.volume_gate import VolumeGate
 from sonoservo.systems.detection.volume_memory import VolumeMemory
 from sonoservo.systems.detection.volume_plausibility import VolumePlausibilityParameters
 from sonoservo.systems.estimation.needle_filter import NeedleFilter
+from sonoservo.systems.estimation.published_lifecycle import PublishedLifecycle
 from sonoservo.systems.estimation.track_lifecycle import TrackLifecycle
 from sonoservo.systems.estimation.track_manager import TrackManager
 from sonoservo.systems.estimation.track_parameters import TrackParameters
@@ -162,6 +167,60 @@ def add_tracker_parts(
         ),
         detector=InsertionDetector(parameters=parameters.detector, seed=seed),
         localizer=NeedleLocalizer(parameters=parameters.localizer, seed=seed),
+        manager=manager,
+    )
+    return manager
+
+
+def add_published_parts(
+    builder: DiagramBuilder,
+    *,
+    parameters: TrackerParameters,
+    detection: PublishedDetectionParameters,
+    needle_filter: NeedleFilter[Any],
+    localizer: NeedleLocalizer,
+    min_length: float,
+    period: float,
+    offset: float,
+    seed: int,
+) -> TrackManager:
+    """Add and connect the parts of a tracker as published, and export its ports.
+
+    Detection and the life of a track are those of Chatelain 2013: consecutive volumes are compared,
+    and a lost needle is not looked for.
+
+    Parameters
+    ----------
+    builder
+        Builder to add to.
+    parameters
+        Parameters of any tracker.
+    detection
+        Thresholds of the detection.
+    needle_filter
+        Filter of the track manager.
+    localizer
+        Localizer with the published method.
+    min_length
+        Smallest length of a needle, in m.
+    period, offset, seed
+        See `MakeNeedleTracker`.
+
+    Returns
+    -------
+    The track manager, for further connections.
+    """
+    events = {"period": period, "offset": offset}
+    lifecycle = PublishedLifecycle(
+        order=parameters.order, needle_filter=needle_filter, min_length=min_length
+    )
+    manager = TrackManager(lifecycle=lifecycle, **events)
+    connect_parts(
+        builder,
+        gate=VolumeGate(parameters=parameters.plausibility, **events),
+        memory=VolumeMemory(period=period, offset=offset),
+        detector=InsertionDetector(parameters=detection, seed=seed, method=detect_as_published),
+        localizer=localizer,
         manager=manager,
     )
     return manager

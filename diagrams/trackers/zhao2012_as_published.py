@@ -4,20 +4,15 @@ from dataclasses import dataclass, field
 
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
-from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters, connect_parts
+from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters, add_published_parts
 from sonoservo.diagrams.trackers.zhao2012 import connect_velocimeter
-from sonoservo.systems.detection.insertion_detector import InsertionDetector
 from sonoservo.systems.detection.published_detection import (
     PublishedDetectionParameters,
-    detect_as_published,
 )
-from sonoservo.systems.detection.volume_gate import VolumeGate
 from sonoservo.systems.detection.volume_memory import VolumeMemory
 from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter
 from sonoservo.systems.estimation.needle_filter import require_order
 from sonoservo.systems.estimation.needle_motion import NeedleMotionParameters
-from sonoservo.systems.estimation.published_lifecycle import PublishedLifecycle
-from sonoservo.systems.estimation.track_manager import TrackManager
 from sonoservo.systems.localization.needle_localizer import NeedleLocalizer
 from sonoservo.systems.localization.ransac import RansacParameters
 from sonoservo.systems.localization.speckle_velocimeter import (
@@ -109,24 +104,18 @@ def MakeZhao2012AsPublishedTracker(
 ) -> Diagram:
     """Make the tracker of Zhao 2012 as published; see `MakeNeedleTracker`."""
     builder = DiagramBuilder()
-    events = {"period": period, "offset": offset}
-    lifecycle = PublishedLifecycle(
-        order=parameters.order,
-        needle_filter=parameters.filter,
-        min_length=parameters.localization.min_length,
-    )
-    manager = TrackManager(lifecycle=lifecycle, **events)
-    connect_parts(
+    manager = add_published_parts(
         builder,
-        gate=VolumeGate(parameters=parameters.plausibility, **events),
-        memory=VolumeMemory(period=period, offset=offset),
-        detector=InsertionDetector(
-            parameters=parameters.detection, seed=seed, method=detect_as_published
-        ),
+        parameters=parameters,
+        detection=parameters.detection,
+        needle_filter=parameters.filter,
         localizer=NeedleLocalizer(
             parameters=parameters.localization, seed=seed, method=explain_whole_volume_localization
         ),
-        manager=manager,
+        min_length=parameters.localization.min_length,
+        period=period,
+        offset=offset,
+        seed=seed,
     )
     velocimeter = SpeckleVelocimeter(
         parameters=parameters.velocimeter, method=measure_velocity_as_published
