@@ -87,7 +87,7 @@ figure, axes = plt.subplots(
 for row, (name, shown) in zip(axes, scans.items(), strict=True):
     for axis, view in zip(row, slice_views(shown.volume), strict=True):
         (left, top), (right, bottom) = 1e3 * view.window
-        grey = sample_plane(shown.volume, view.plane, 0.5e-3)[..., 0]
+        grey = sample_plane(shown.volume, view.plane, 0.5e-3)
         half = 500 * np.array([view.plane.width, view.plane.height])
         x, y = 1e3 * view.coordinates(view.plane.X_PS.translation())
         axis.imshow(
