@@ -229,7 +229,7 @@ def scan_command(
     json_path: JsonOption = None,
 ) -> None:
     """Acquire one sweep; write it as a picture and as a volume for 3D Slicer."""
-    from sonoservo.diagrams.app.scan import caption, scan, summarize_scan, write_scan
+    from sonoservo.diagrams.app.scan import scan, summarize_scan, write_scan
     from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
     from sonoservo.diagrams.experiments.registry import load_scenario
     from sonoservo.diagrams.scenario import require_scenario
@@ -244,8 +244,8 @@ def scan_command(
     result = scan(following, time=time)
     summary = summarize_scan(result, following)
     folder = out or free_folder(f"{loaded.name}_seed{loaded.seed}_scan")
-    paths = write_scan(result, following, folder)
-    console.print(caption(result, following), soft_wrap=True)
+    paths = write_scan(result, folder)
+    console.print(result.caption, soft_wrap=True)
     console.print(
         f"At {summary['time_s']:.2f} s, {summary['inserted_mm']:.1f} mm of the needle are in the "
         f"tissue. Written: {', '.join(map(str, paths))}",
