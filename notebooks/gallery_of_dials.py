@@ -249,8 +249,6 @@ for row, (name, shown) in zip(axes, ROWS.items(), strict=True):
         panel.spines[:].set_visible(False)
     row[0].set_title("clean", color=INK, fontsize=8, loc="left")
     row[1].set_title(name, color=INK, fontsize=9, loc="left")
-picture = Path(__file__).parents[1] / "out" / "gallery_of_dials.png"
-picture.parent.mkdir(exist_ok=True)
-figure.savefig(picture, dpi=80, pil_kwargs={"optimize": True})
+figure.savefig("gallery_of_dials.png", dpi=80, pil_kwargs={"optimize": True})
 plt.close(figure)
-print(f"written: {picture}")
+print(f"written: {Path('gallery_of_dials.png').resolve()}")

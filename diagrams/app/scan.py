@@ -1,7 +1,7 @@
 """Acquisition of one sweep of a scenario, without a robot."""
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
@@ -14,6 +14,7 @@ from pydrake.math import RigidTransform
 from sonoservo.diagrams.experiments.following_insertion import make_insertion
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.experiments.following_tissue import scanned_deformations
+from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.systems.evaluation.reports.plots import png
@@ -67,8 +68,10 @@ class Scan:
 
 
 def scan(
-    scenario: Scenario,
+    scenario: Scenario | str | Path,
     *,
+    changes: Mapping[str, Any] | Sequence[str] | None = None,
+    seed: int | None = None,
     time: float | None = None,
     X_TP: RigidTransform | None = None,
     velocity: Sequence[float] = (0.0, 0.0, 0.0),
@@ -79,8 +82,9 @@ def scan(
 
     Parameters
     ----------
-    scenario
-        Scenario of following; its robot is not used.
+    scenario, changes, seed
+        Scenario of following, the name of a built-in one, or the path of a YAML file; fields to
+        change, and the seed; see `load_scenario`. Its robot is not used.
     time
         Time of the middle of the sweep, in s; None for the time at which the needle is deepest.
     X_TP
@@ -95,11 +99,12 @@ def scan(
     ConfigurationError
         If the scenario cannot be carried out.
     """
-    scenario = require_scenario(scenario, FollowingScenario)
+    loaded = load_scenario(scenario, changes=changes, seed=seed)
+    following = require_scenario(loaded, FollowingScenario)
     try:
-        return _scan(scenario, time, X_TP, velocity)
+        return _scan(following, time, X_TP, velocity)
     except (ValueError, FileNotFoundError) as error:
-        raise ConfigurationError(f"{scenario.name}: {error}") from error
+        raise ConfigurationError(f"{following.name}: {error}") from error
 
 
 def _scan(

@@ -148,7 +148,7 @@ class PageDocument:
         keep
             Number of samples to keep.
         """
-        message, images = dict(state), []
+        message, images = dict(state), list[NDArray[np.uint8]]()
         if frame is not None:
             message["frame"], images = _describe_frame(frame)
         if strips is not None:
@@ -156,7 +156,7 @@ class PageDocument:
         self.link.send("state", message, *images)
 
     def _columns(self, samples: Mapping[str, list[Any]], anew: bool) -> dict[str, list[Any]]:
-        columns = {
+        columns: dict[str, list[Any]] = {
             name: [value if isinstance(value, str) else shown_number(value) for value in each]
             for name, each in samples.items()
         }

@@ -122,9 +122,11 @@ def test_a_mistake_is_one_line_and_exit_code_2(tmp_path):
     assert "lines x 2 x" in result.stderr
     assert not (tmp_path / "x").exists()
     with pytest.raises(ConfigurationError, match="there is no model"):
-        scan(load_scenario(SCENARIO, changes=["phantom=agr"]))
+        scan(SCENARIO, changes=["phantom=agr"])
+    with pytest.raises(ConfigurationError, match="did you mean"):
+        scan("fig5")
     with pytest.raises(ConfigurationError, match="time: -5.0 is not allowed"):
-        scan(load_scenario(SCENARIO), time=-5.0)
+        scan(SCENARIO, time=-5.0)
 
 
 def test_a_moving_probe_s_sweep_can_be_compensated():
