@@ -41,7 +41,7 @@ def data():
         ],
         outcomes=[Outcome(Case("fig5", 0), {"x": 1})],
     )  # fmt: skip
-    return study.as_json("sonoservo reproduce all")
+    return study.as_json("sonoservo reproduce all") | {"commit": "a"}
 
 
 def test_kept_results_become_tables(data, tmp_path, monkeypatch):
