@@ -93,7 +93,7 @@ def test_load_of_scheduler_and_client(benchmark, tmp_path):
     with scheduler_with_workers(tmp_path / "dask", WORKERS) as (processes, address):
         scheduler, me = psutil.Process(processes.scheduler.pid), psutil.Process()
         with Client(address, timeout=60, set_as_default=False) as client:
-            client.wait_for_workers(WORKERS, timeout=300)
+            client.wait_for_workers(WORKERS, timeout=900)
             rest = used(scheduler), time.monotonic()
             time.sleep(10)
             idle = (used(scheduler) - rest[0]) / (time.monotonic() - rest[1])
