@@ -47,14 +47,16 @@ def keep_results(results: Mapping[str, Mapping[str, Any]]) -> None:
     ------
     ConfigurationError
         If the program was not started from a checkout of its repository, or if the results come
-        from several commits or from other code than the present one. Failed runs are no reason:
-        they are part of the statistics, and their number is kept.
+        from several commits, from files that were not committed or from other code than the present
+        one. Failed runs are no reason: they are part of the statistics, and their number is kept.
     """
     if not (_ROOT / "pyproject.toml").is_file():
         raise ConfigurationError("--keep: results are kept in a checkout of the repository only")
     commits = sorted({data["commit"] for data in results.values()})
     if len(commits) > 1:
         raise ConfigurationError(f"--keep: results come from {len(commits)} commits: {commits}")
+    if commits and commits[0].endswith("+"):
+        raise ConfigurationError(f"--keep: the code of {commits[0]} was not committed")
     if stale := [name for name in results if results[name]["fingerprint"] != code_fingerprint()]:
         raise ConfigurationError(f"--keep: other code than the present one made {stale[0]}")
     for paper, data in results.items():

@@ -1,10 +1,11 @@
 """Leaf system that converts the probe's wanted velocity into joint positions and velocities."""
 
-import contextlib
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydrake.multibody.inverse_kinematics import (
     DifferentialInverseKinematicsParameters,
     DoDifferentialInverseKinematics,
@@ -18,7 +19,9 @@ from pydrake.systems.framework import (
     EventStatus,
     LeafSystem,
 )
+from scipy.linalg.lapack import dgesv
 
+from sonoservo.systems.control.joint_limits import keeps_limits
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 from sonoservo.systems.signals.scratch_context import declare_scratch_context, scratch_context
 
@@ -49,7 +52,7 @@ class DifferentialKinematicsParameters:
 
 
 def probe_twist(
-    planar_velocity: NDArray[np.float64], approach_velocity: float, tilt: NDArray[np.float64]
+    planar_velocity: ArrayLike, approach_velocity: float, tilt: Sequence[float]
 ) -> NDArray[np.float64]:
     """Return the (6,) spatial velocity of P, in P: rotation first, in rad/s and m/s.
 
@@ -63,7 +66,7 @@ def probe_twist(
         (3,) angular velocity in P that keeps the axis aligned, in rad/s. Its component about Y is
         ignored.
     """
-    v_x, v_z, omega_y = planar_velocity
+    v_x, v_z, omega_y = np.asarray(planar_velocity).tolist()
     return np.array([tilt[0], omega_y, tilt[2], v_x, approach_velocity, v_z])
 
 
@@ -134,10 +137,12 @@ class DifferentialKinematics(LeafSystem):
         if n > 6:
             self._limits.set_nominal_joint_position(self._home)
             self._limits.set_joint_centering_gain(self._posture_gain * np.eye(n))
-        self._lower, self._upper = np.concatenate([q_limits, v_limits], axis=1)
-        self.DeclareVectorInputPort("planar_velocity", 3)
-        self.DeclareVectorInputPort("approach_velocity", 1)
-        self.DeclareVectorInputPort("joint_state", 2 * n)
+        lower, upper = np.concatenate([q_limits, v_limits], axis=1)
+        self._bounds = np.stack([lower, upper, np.full(2 * n, np.inf)])
+        self._origin, self._world = np.zeros(3), plant.world_frame()
+        self._planar_velocity = self.DeclareVectorInputPort("planar_velocity", 3)
+        self._approach_velocity = self.DeclareVectorInputPort("approach_velocity", 1)
+        self._joint_state = self.DeclareVectorInputPort("joint_state", 2 * n)
         self._sent = self.DeclareVectorInputPort("sent_command", 2 * n)
         self._scratch = declare_scratch_context(self, plant)
         # Joint positions and velocities, and the time at which they hold.
@@ -152,7 +157,7 @@ class DifferentialKinematics(LeafSystem):
         self.DeclarePeriodicDiscreteUpdateEvent(time_step, 0, self._update_joint_command)
 
     def _initialize(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
-        q, _ = np.split(self.GetInputPort("joint_state").Eval(context), 2)
+        q, _ = np.split(self._joint_state.Eval(context), 2)
         discrete_state.set_value(np.concatenate([q, np.zeros_like(q), [context.get_time()]]))
         return EventStatus.Succeeded()
 
@@ -176,19 +181,18 @@ class DifferentialKinematics(LeafSystem):
         plant, frame = self._plant, self._probe
         plant_context = scratch_context(self._scratch, context)
         plant.SetPositions(plant_context, q)
-        axis_P = frame.CalcPoseInWorld(plant_context).rotation().matrix().T @ self._axis
+        R_WP = frame.CalcPoseInWorld(plant_context).GetAsMatrix34()[:, :3]
+        x, _, z = (R_WP.T @ self._axis).tolist()
         # The shortest rotation from Y_P to the axis.
-        tilt = self._axis_gain * np.array([axis_P[2], 0, -axis_P[0]])
+        tilt = (self._axis_gain * z, 0.0, -self._axis_gain * x)
         V_WP_P = probe_twist(
-            self.GetInputPort("planar_velocity").Eval(context),
-            self.GetInputPort("approach_velocity").Eval(context)[0],
-            tilt,
+            self._planar_velocity.Eval(context), self._approach_velocity.Eval(context).item(), tilt
         )
         J = plant.CalcJacobianSpatialVelocity(
-            plant_context, JacobianWrtVariable.kV, frame, np.zeros(3), plant.world_frame(), frame
+            plant_context, JacobianWrtVariable.kV, frame, self._origin, self._world, frame
         )
         v_next = self._joint_velocities(q, v, V_WP_P, J)
-        discrete_state.set_value(np.concatenate([q, v_next, [context.get_time()]]))
+        discrete_state.set_value(0, np.concatenate([q, v_next, [context.get_time()]]))
 
     def _joint_velocities(
         self,
@@ -198,18 +202,26 @@ class DifferentialKinematics(LeafSystem):
         J: NDArray[np.float64],
     ) -> NDArray[np.floating]:
         """Return velocities that solve J v = V, or come as close to V as the limits allow."""
-        if not np.isfinite(V_WP_P.sum()):
+        if not math.isfinite(sum(V_WP_P.tolist())):
             return np.zeros_like(q)
         # Within the limits the optimum has a closed form. Otherwise an optimization program must be
         # solved, at ten times the cost.
-        with contextlib.suppress(np.linalg.LinAlgError):
-            if len(q) == 6:
-                direct = np.linalg.solve(J, V_WP_P)
-            else:
-                homewards = self._posture_gain * (self._home - q)
-                direct = homewards + np.linalg.pinv(J) @ (V_WP_P - J @ homewards)
-            reached = np.concatenate([q + self._time_step * direct, direct])
-            if ((reached >= self._lower) & (reached <= self._upper)).all():
-                return direct
+        direct = self._unlimited_velocities(q, V_WP_P, J)
+        reached = np.concatenate([q + self._time_step * direct, direct])
+        if keeps_limits(reached, reached, self._bounds):
+            return direct
         result = DoDifferentialInverseKinematics(q, v, V_WP_P, J, self._limits)
         return np.zeros_like(q) if result.joint_velocities is None else result.joint_velocities
+
+    def _unlimited_velocities(
+        self, q: NDArray[np.float64], V_WP_P: NDArray[np.float64], J: NDArray[np.float64]
+    ) -> NDArray[np.floating]:
+        """Return velocities that solve J v = V, or NaN where there are none."""
+        if len(q) == 6:
+            _, _, v, singular = dgesv(J, V_WP_P)
+            return np.full_like(q, np.nan) if singular else v
+        homewards = self._posture_gain * (self._home - q)
+        try:
+            return homewards + np.linalg.pinv(J) @ (V_WP_P - J @ homewards)
+        except np.linalg.LinAlgError:
+            return np.full_like(q, np.nan)

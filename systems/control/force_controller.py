@@ -14,7 +14,6 @@ from sonoservo.systems.control.force_law import (
     next_state,
     pressing_force,
 )
-from sonoservo.systems.signals.ports import evaluate
 from sonoservo.systems.signals.requirements import require_positive
 
 
@@ -57,14 +56,15 @@ class ForceController(LeafSystem):
         self._parameters = parameters
         self._mass = mass
         self._time_step = time_step
-        self.DeclareAbstractInputPort("wrist_force", Value(SpatialForce()))
-        self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
-        target = self.DeclareVectorInputPort("force_target", 1)
-        scale = self.DeclareVectorInputPort("approach_scale", 1)
+        self._wrist_force = self.DeclareAbstractInputPort("wrist_force", Value(SpatialForce()))
+        self._X_WP = self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
+        self._target = self.DeclareVectorInputPort("force_target", 1)
+        self._scale = self.DeclareVectorInputPort("approach_scale", 1)
         self._held = self.DeclareVectorInputPort("held", 1)
         self.DeclareDiscreteState(3)
+        settings = {self._target.ticket(), self._scale.ticket()}
         for name, calc, needs in (
-            ("approach_velocity", self._calc_approach_velocity, {target.ticket(), scale.ticket()}),
+            ("approach_velocity", self._calc_approach_velocity, settings),
             ("pressing_force", self._calc_pressing_force, set()),
         ):
             self.DeclareVectorOutputPort(
@@ -73,22 +73,21 @@ class ForceController(LeafSystem):
         self.DeclarePeriodicDiscreteUpdateEvent(time_step, 0, self._update_state)
 
     def _state(self, context: Context) -> ForceState:
-        force, integral, in_contact = context.get_discrete_state_vector().value().tolist()
+        force, integral, in_contact = context.get_discrete_state(0).value().tolist()
         return ForceState(force, integral, bool(in_contact))
 
     def _parameters_now(self, context: Context) -> ForceControllerParameters:
         start = self._parameters
-        target, scale = self.GetInputPort("force_target"), self.GetInputPort("approach_scale")
-        force = float(target.Eval(context)[0]) if target.HasValue(context) else start.force
-        factor = float(scale.Eval(context)[0]) if scale.HasValue(context) else 1.0
+        target, scale = self._target, self._scale
+        force = target.Eval(context).item() if target.HasValue(context) else start.force
+        factor = scale.Eval(context).item() if scale.HasValue(context) else 1.0
         if force == start.force and factor == 1.0:
             return start  # because replacing them costs another validation
         return replace(start, force=force, approach_speed=factor * start.approach_speed)
 
     def _update_state(self, context: Context, discrete_state: DiscreteValues) -> None:
-        wrist_force = evaluate(self, context, "wrist_force", SpatialForce)
-        X_WP = evaluate(self, context, "X_WP", RigidTransform)
-        force = pressing_force(wrist_force, X_WP.rotation(), self._mass)
+        wrist_force, X_WP = self._wrist_force.Eval(context), self._X_WP.Eval(context)
+        force = pressing_force(wrist_force, X_WP, self._mass)
         state = next_state(
             self._state(context),
             force,
@@ -96,7 +95,7 @@ class ForceController(LeafSystem):
             self._parameters_now(context),
             held=self._held.HasValue(context) and bool(self._held.Eval(context)[0]),
         )
-        discrete_state.set_value([state.force, state.integral, state.in_contact])
+        discrete_state.set_value(0, state)
 
     def _calc_approach_velocity(self, context: Context, output: BasicVector) -> None:
         output.SetAtIndex(0, approach_velocity(self._state(context), self._parameters_now(context)))

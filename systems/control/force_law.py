@@ -7,8 +7,9 @@ avoid wind-up while the probe lands; it shrinks at any force, or it would keep a
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
-from pydrake.math import RotationMatrix
+from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.tree import UniformGravityFieldElement
 
@@ -69,8 +70,7 @@ class ForceControllerParameters:
         require(order, "touch_force", self.touch_force, "at least release_force and below force")
 
 
-@dataclass(frozen=True)
-class ForceState:
+class ForceState(NamedTuple):
     """State of the force law.
 
     Parameters
@@ -88,7 +88,7 @@ class ForceState:
     in_contact: bool = False
 
 
-def pressing_force(wrist_force: SpatialForce, R_WP: RotationMatrix, mass: float) -> float:
+def pressing_force(wrist_force: SpatialForce, X_WP: RigidTransform, mass: float) -> float:
     """Return the force with which the probe presses along its Y axis, in N.
 
     At rest, the arm's force on the probe, the probe's weight and the contact force balance. In
@@ -98,14 +98,14 @@ def pressing_force(wrist_force: SpatialForce, R_WP: RotationMatrix, mass: float)
     ----------
     wrist_force
         Force of the arm on the probe, in P.
-    R_WP
-        Orientation of the probe.
+    X_WP
+        Pose of the probe.
     mass
         Mass of the probe, in kg.
     """
-    down_P = -R_WP.matrix()[2, 1]
+    down_P = -X_WP.GetAsMatrix34().item(2, 1)
     weight = mass * UniformGravityFieldElement.kDefaultStrength
-    return float(wrist_force.translational()[1] + weight * down_P)
+    return float(wrist_force.get_coeffs().item(4) + weight * down_P)
 
 
 def approach_velocity(state: ForceState, parameters: ForceControllerParameters) -> float:

@@ -31,12 +31,12 @@ from sonoservo.systems.control.guard_rules import (
     Mode,
     Vector,
     contact_force,
-    keeps_limits,
     outside,
     reason,
     region,
     remark,
 )
+from sonoservo.systems.control.joint_limits import keeps_limits
 from sonoservo.systems.signals.guard_status import GuardState, GuardStatus
 from sonoservo.systems.signals.requirements import require_positive
 from sonoservo.systems.signals.scratch_context import declare_scratch_context, scratch_context

@@ -7,9 +7,7 @@ looks. Both are tuples of numbers, because the rules run at every step of the co
 import math
 from collections.abc import Sequence
 from enum import IntEnum
-from typing import Any, NamedTuple
-
-from numba import njit
+from typing import NamedTuple
 
 from sonoservo.systems.control.guard_parameters import GuardParameters
 from sonoservo.systems.control.wrist_sensor_check import SensorFault
@@ -244,27 +242,6 @@ def moving_too_fast(
     if acceleration > limits.max_acceleration:
         return Breach(Cause.ACCELERATION, acceleration)
     return NO_BREACH
-
-
-@njit(cache=True)
-def keeps_limits(wanted: Any, last: Any, limits: Any) -> bool:  # pragma: no cover - compiled
-    """Return True if a command keeps the limits of the joints and continues the last one.
-
-    Parameters
-    ----------
-    wanted
-        (2n,) joint positions and velocities, in rad and rad/s.
-    last
-        At least (2n,) numbers: those sent last. Nothing has to be continued where they are NaN.
-    limits
-        (3, 2n) least and greatest values, and largest changes from one command to the next.
-    """
-    for i in range(len(wanted)):
-        if not limits[0, i] <= wanted[i] <= limits[1, i]:
-            return False
-        if abs(wanted[i] - last[i]) > limits[2, i]:
-            return False
-    return True
 
 
 def contact_force(wrist_force: Vector, down_P: Vector, weight: float) -> Vector:

@@ -16,7 +16,7 @@ from sonoservo.systems.control.visual_features import (
     significant_velocity,
 )
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import evaluate_port
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 
 _FOLLOWED = (TrackingMode.TRACKING, TrackingMode.COASTING)
@@ -97,9 +97,8 @@ def hold_reason(estimate: NeedleEstimate, time: float, parameters: VisualServoPa
     age = time - estimate.time
     if age > parameters.stale_after:
         return f"the estimate is {age:.1f} s old"
-    std = math.sqrt(estimate.tip_covariance.trace())
-    if std > parameters.max_tip_std:
-        return f"the tip is uncertain by {1e3 * std:.0f} mm"
+    if estimate.tip_std > parameters.max_tip_std:
+        return f"the tip is uncertain by {1e3 * estimate.tip_std:.0f} mm"
     return ""
 
 
@@ -131,8 +130,9 @@ def planar_velocity(
     if parameters.held and estimate.X_WP is not None:
         X_WP = estimate.X_WP
     age = max(time - estimate.time, 0)
-    R_PW = X_WP.rotation().matrix().T
-    tip = estimate.curve.tip - X_WP.translation()
+    X = X_WP.GetAsMatrix34()
+    R_PW, p_WP = X[:, :3].T, X[:, 3]
+    tip = estimate.curve.tip - p_WP
     rates = np.zeros(3)
     if parameters.feed_forward and estimate.mode is TrackingMode.TRACKING:
         velocity = significant_velocity(estimate.tip_velocity, parameters.min_speed)
@@ -184,29 +184,29 @@ class VisualServo(LeafSystem):
     def __init__(self, *, parameters: VisualServoParameters):
         super().__init__()
         self._parameters = parameters
-        self.DeclareAbstractInputPort("estimate", Value[object]())
-        self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
-        self.DeclareVectorInputPort("gain", 1)
+        self._estimate = self.DeclareAbstractInputPort("estimate", Value[object]())
+        self._X_WP = self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
+        self._gain = self.DeclareVectorInputPort("gain", 1)
         self.DeclareVectorOutputPort("planar_velocity", 3, self._calc_planar_velocity)
         self.DeclareAbstractOutputPort(
             "hold_reason",
             lambda: Value[object](),
             self._calc_hold_reason,
             prerequisites_of_calc={
-                self.input_port_ticket(self.GetInputPort("estimate").get_index()),
+                self._estimate.ticket(),
                 self.time_ticket(),
             },
         )
 
     def _calc_planar_velocity(self, context: Context, output: BasicVector) -> None:
-        estimate = evaluate(self, context, "estimate", NeedleEstimate)
-        X_WP = evaluate(self, context, "X_WP", RigidTransform)
-        parameters, port = self._parameters, self.GetInputPort("gain")
-        gain = float(port.Eval(context)[0]) if port.HasValue(context) else parameters.gain
-        if gain != parameters.gain:  # because replacing them costs another validation
-            parameters = replace(parameters, gain=gain)
+        estimate = evaluate_port(self._estimate, context, NeedleEstimate)
+        parameters, gain = self._parameters, self._gain
+        value = gain.Eval(context).item() if gain.HasValue(context) else parameters.gain
+        if value != parameters.gain:  # because replacing them costs another validation
+            parameters = replace(parameters, gain=value)
+        X_WP = self._X_WP.Eval(context)
         output.SetFromVector(planar_velocity(estimate, X_WP, context.get_time(), parameters))
 
     def _calc_hold_reason(self, context: Context, output: Value) -> None:
-        estimate = evaluate(self, context, "estimate", NeedleEstimate)
+        estimate = evaluate_port(self._estimate, context, NeedleEstimate)
         output.set_value(hold_reason(estimate, context.get_time(), self._parameters))

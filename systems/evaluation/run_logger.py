@@ -19,7 +19,7 @@ from sonoservo.systems.signals.motion_record import MotionRecord
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import evaluate_port
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.signals.volume_check import VolumeCheck
@@ -124,6 +124,8 @@ class RunLogger(LeafSystem):
         self.DeclareAbstractInputPort("wrist_force", Value(SpatialForce()))
         self.DeclareVectorInputPort("contact_force", 1)
         self.DeclareVectorInputPort("planar_velocity", 3)
+        ports = map(self.get_input_port, range(self.num_input_ports()))
+        self._ports = {port.get_name(): port for port in ports}
         self._geometry = geometry
         self._rows = self.DeclareCacheEntry(
             "log",
@@ -163,9 +165,10 @@ class RunLogger(LeafSystem):
     def _value(
         self, context: Context, port: str, expected: type[T] | tuple[type[T], ...]
     ) -> T | None:
-        if self.GetInputPort(port).HasValue(context):
-            return evaluate(self, context, port, expected)
-        return None
+        input_port = self._ports[port]
+        return (
+            evaluate_port(input_port, context, expected) if input_port.HasValue(context) else None
+        )
 
     def _vector(self, context: Context, port: str) -> Array | None:
         return self._value(context, port, np.ndarray)

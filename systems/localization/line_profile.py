@@ -102,7 +102,7 @@ def profile(  # pragma: no cover - compiled
 
     Returns
     -------
-    (m,) means of the core and (m,) largest means of a sector.
+    (m,) means of the core and (m,) largest means of a sector; the latter where the core is seen.
     """
     m, sectors = len(points), ring.shape[1]
     levels, sides = np.zeros(m), np.zeros(m)
@@ -112,7 +112,7 @@ def profile(  # pragma: no cover - compiled
         for c in range(len(core)):
             levels[s] += _level(intensities, x + core[c, 0], y + core[c, 1], z + core[c, 2])
         levels[s] /= len(core)
-        for c in range(sectors):
+        for c in range(sectors if levels[s] > 0 else 0):
             for t in range(ring.shape[0]):
                 level = _level(
                     intensities, x + ring[t, c, 0], y + ring[t, c, 1], z + ring[t, c, 2]

@@ -9,6 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
+from sonoservo.systems.sampling.workers import workers
 from sonoservo.systems.signals.volume import Volume
 
 Floats = NDArray[np.float64]
@@ -28,6 +29,9 @@ _UNEVEN = 2.0
 
 _MOST_CELLS = 50_000
 """Number of cells from which larger cells are used."""
+
+_PARTS = 4
+"""Number of parts in which the directions are tried."""
 
 
 @njit(cache=True, nogil=True)
@@ -148,6 +152,21 @@ def _around(directions: Floats, count: int = 8) -> Floats:
     return np.asarray(np.cos(angles) * u[:, np.newaxis] + np.sin(angles) * w[:, np.newaxis])
 
 
+def _all_contrasts(levels: Any, margin: int, along: Any, beside: Any) -> tuple[Any, Any]:
+    """Return what `_line_contrasts` does, from as many threads as there are."""
+
+    def contrasts(part: NDArray[np.int64]) -> tuple[Any, Any]:
+        contrast, number = _line_contrasts(levels, margin, along[part], beside[part])
+        return contrast, number + part[0]
+
+    pool, parts = workers(), np.array_split(np.arange(len(along)), _PARTS)
+    (best, direction), *rest = map(contrasts, parts) if pool is None else pool.map(contrasts, parts)
+    for contrast, number in rest:
+        better = contrast > best
+        best, direction = np.where(better, contrast, best), np.where(better, number, direction)
+    return best, direction
+
+
 def bright_lines(
     volume: Volume,
     *,
@@ -210,11 +229,11 @@ def bright_lines(
         for each in (directions[:, np.newaxis] * steps, beside * _around(directions))
     )
     margin = 2 * int(max(np.abs(along).max(), np.abs(aside).max()))
-    contrast, number = _line_contrasts(np.pad(padded.ravel(), margin), margin, along, aside)
+    contrast, number = _all_contrasts(np.pad(padded.ravel(), margin), margin, along, aside)
     contrast = np.where(levels != 0, contrast.reshape(padded.shape)[:, :-half, :-half], 0).ravel()
     number = number.reshape(padded.shape)[:, :-half, :-half].ravel()
 
-    order = np.argsort(-contrast, kind="stable")[: np.count_nonzero(contrast > 0)]
+    order = np.argsort(-contrast)[: np.count_nonzero(contrast > 0)]
     index = np.stack(np.unravel_index(order, levels.shape), axis=1)
     centres = volume.position((index + 0.5) * size - 0.5)
     k = directions[number[order]]

@@ -112,9 +112,12 @@ class NeedleLine(Immutable):
 
 
 def _across(ends: Floats) -> tuple[Floats, Floats]:
-    """Return the (3,) unit vector along a line and (2, 3) two across it."""
-    along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
-    return along, np.linalg.svd(along[np.newaxis])[2][1:]
+    """Return the (3,) unit vector along a line and (2, 3) two across it, the first one level."""
+    x, y, z = (ends[1] - ends[0]).tolist()
+    length, flat = math.hypot(x, y, z), math.hypot(x, z)
+    x, y, z = x / length, y / length, z / length
+    u, w = (z * length / flat, -x * length / flat) if flat > 1e-6 * length else (1.0, 0.0)
+    return np.array([x, y, z]), np.array([[u, 0.0, w], [-y * w, x * w - z * u, y * u]])
 
 
 def _refined(volume: Volume, ends: Floats, radius: float) -> Floats:

@@ -156,7 +156,9 @@ class HandMotion:
     def _smoothed(self, integral: PPoly, time: ArrayLike) -> Floats:
         # A hand takes the time `ramp` to change its speed. The depth is therefore the moving
         # average of the depth with sudden changes, which is a difference of its integral.
-        return (integral(time) - integral(np.subtract(time, self._ramp))) / self._ramp
+        now, before = integral([time, np.subtract(time, self._ramp)])
+        smoothed: Floats = (now - before) / self._ramp
+        return smoothed
 
 
 def _twice_integrated(times: Floats, rates: ArrayLike) -> PPoly:

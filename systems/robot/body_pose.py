@@ -28,13 +28,13 @@ class BodyPose(LeafSystem):
     def __init__(self, *, body: BodyIndex):
         super().__init__()
         self._body = int(body)
-        poses = self.DeclareAbstractInputPort("body_poses", Value[list[RigidTransform]]())
+        self._poses = self.DeclareAbstractInputPort("body_poses", Value[list[RigidTransform]]())
         self.DeclareAbstractOutputPort(
             "pose",
             lambda: Value(RigidTransform()),
             self._calc_pose,
-            prerequisites_of_calc={poses.ticket()},
+            prerequisites_of_calc={self._poses.ticket()},
         )
 
     def _calc_pose(self, context: Context, output: Value) -> None:
-        output.set_value(self.get_input_port().Eval(context)[self._body])
+        output.set_value(self._poses.Eval(context)[self._body])

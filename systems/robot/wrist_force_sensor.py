@@ -86,7 +86,9 @@ class WristForceSensor(LeafSystem):
         self._period = period
         self._random = np.random.Generator(np.random.Philox(key=seed))
         self._random_state = self._random.bit_generator.state
-        self.DeclareAbstractInputPort("reaction_forces", Value[list[SpatialForce]]())
+        self._reaction_forces = self.DeclareAbstractInputPort(
+            "reaction_forces", Value[list[SpatialForce]]()
+        )
         self.DeclareAbstractOutputPort(
             "wrist_force",
             lambda: Value(SpatialForce.Zero()),
@@ -95,7 +97,7 @@ class WristForceSensor(LeafSystem):
         )
 
     def _calc_wrist_force(self, context: Context, output: Value) -> None:
-        reaction = self.GetInputPort("reaction_forces").Eval(context)[self._wrist]
+        reaction = self._reaction_forces.Eval(context)[self._wrist]
         time = context.get_time()
         error = self._noise(time) + self._bias + self._drift * time
         output.set_value(reaction + SpatialForce(error))

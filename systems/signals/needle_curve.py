@@ -1,13 +1,13 @@
 """Needle as a polynomial curve through control points."""
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.signals.immutable import Immutable, read_only, seal
 from sonoservo.systems.signals.requirements import require
 
 
@@ -53,15 +53,15 @@ class NeedleCurve(Immutable):
         """(3,) last control point, in m."""
         return self.control_points[-1]
 
-    @property
+    @cached_property
     def chord(self) -> float:
         """Distance from entry to tip, in m."""
         return float(np.linalg.norm(self.tip - self.entry))
 
-    @property
+    @cached_property
     def direction(self) -> NDArray[np.float64]:
         """(3,) unit vector k from entry to tip, the principal direction k_0 of the paper."""
-        return (self.tip - self.entry) / max(self.chord, np.finfo(float).tiny)
+        return seal((self.tip - self.entry) / max(self.chord, np.finfo(float).tiny))
 
     @property
     def coefficients(self) -> NDArray[np.float64]:

@@ -1,7 +1,9 @@
 """Estimate of the needle by a tracker."""
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,6 +84,11 @@ class NeedleEstimate(Immutable):
         assert self.covariance is not None
         tip = slice(3 * self.curve.order - 3, 3 * self.curve.order)
         return self.covariance[tip, tip]
+
+    @cached_property
+    def tip_std(self) -> float:
+        """Standard deviation of the tip in m, the root of its covariance's trace."""
+        return math.sqrt(self.tip_covariance.trace())
 
     @property
     def tip_velocity_covariance(self) -> NDArray[np.float64]:

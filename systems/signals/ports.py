@@ -2,7 +2,7 @@
 
 from typing import Any, TypeVar, overload
 
-from pydrake.systems.framework import Context, System
+from pydrake.systems.framework import Context, InputPort, System
 
 T = TypeVar("T")
 U = TypeVar("U")
@@ -27,12 +27,17 @@ def evaluate(system: System, context: Context, port: str, expected: type | tuple
     TypeError
         If the value is of another type.
     """
-    value = system.GetInputPort(port).Eval(context)
+    return evaluate_port(system.GetInputPort(port), context, expected)
+
+
+def evaluate_port(port: InputPort, context: Context, expected: type[T] | tuple[type[T], ...]) -> T:
+    """Evaluate an abstract input port as `evaluate` does, without looking it up by its name."""
+    value = port.Eval(context)
     if not isinstance(value, expected):
         names = expected if isinstance(expected, tuple) else (expected,)
         wanted = " or ".join(each.__name__ for each in names)
         raise TypeError(
-            f"port {port!r} of {system.get_name()!r} received a value of type "
-            f"{type(value).__name__}; expected {wanted}"
+            f"port {port.get_name()!r} of {port.get_system().get_name()!r} received a value of "
+            f"type {type(value).__name__}; expected {wanted}"
         )
     return value

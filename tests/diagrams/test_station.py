@@ -112,7 +112,7 @@ def test_two_newtons_press_the_probe_as_deep_as_calibrated(contact_model, depth)
     q = solve_posture(assemble_arm(), parameters.probe_pose(height=-depth))
     bench = Bench(parameters, q=q).run(1.0)
     X_WP = bench["X_WP"]
-    pressed = pressing_force(bench["wrist_force"], X_WP.rotation(), 0.5)
+    pressed = pressing_force(bench["wrist_force"], X_WP, 0.5)
     assert pressed == pytest.approx(2.0, abs=0.25)
     # The sensor and the contact tell the same.
     assert bench["contact_force"][0] == pytest.approx(pressed, abs=5e-3)

@@ -41,7 +41,7 @@ def data():
         ],
         outcomes=[Outcome(Case("fig5", 0), {"x": 1})],
     )  # fmt: skip
-    return study.as_json("sonoservo reproduce all")
+    return study.as_json("sonoservo reproduce all") | {"commit": "a"}
 
 
 def test_kept_results_become_tables(data, tmp_path, monkeypatch):
@@ -73,6 +73,8 @@ def test_only_results_of_one_commit_and_the_present_code_are_kept(data, tmp_path
     for other, message in (({"commit": "b"}, "2 commits"), ({"fingerprint": "0"}, "other code")):
         with pytest.raises(ConfigurationError, match=message):
             results.keep_results({"chatelain2013": data, "zhao2012": data | other})
+    with pytest.raises(ConfigurationError, match="not committed"):
+        results.keep_results({"chatelain2013": data | {"commit": data["commit"] + "+"}})
 
 
 def test_no_result_survives_a_change_of_its_code(data, tmp_path, monkeypatch):

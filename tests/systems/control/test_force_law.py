@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydrake.math import RollPitchYaw
+from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.math import SpatialForce
 
 from sonoservo.systems.control.force_law import (
@@ -27,7 +27,9 @@ def test_pressing_force_is_free_of_the_weight_in_any_posture(angles, force, mass
     contact_P = np.array([0.3, -force, -0.2])
     # At rest the arm bears what weight and contact leave.
     wrist_force = SpatialForce(np.ones(3), -(weight_P + contact_P))
-    assert pressing_force(wrist_force, R_WP, mass) == pytest.approx(force, abs=1e-9)
+    assert pressing_force(
+        wrist_force, RigidTransform(R_WP, [0.1, 0.2, 0.3]), mass
+    ) == pytest.approx(force, abs=1e-9)
 
 
 def test_approach_is_at_constant_speed_until_contact():

@@ -9,7 +9,6 @@ from sonoservo.systems.control.guard_rules import (
     Breach,
     Cause,
     contact_force,
-    keeps_limits,
     leaving,
     moving_too_fast,
     outside,
@@ -18,6 +17,7 @@ from sonoservo.systems.control.guard_rules import (
     remark,
     retreat_speed,
 )
+from sonoservo.systems.control.joint_limits import keeps_limits
 from sonoservo.systems.control.wrist_sensor_check import SensorFault
 
 LIMITS = GuardParameters()
