@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sonoservo.systems.signals.immutable import Immutable, NotFound, read_only
+from sonoservo.systems.signals.immutable import NotFound
 
 
 @dataclass(frozen=True, eq=False)
-class Axis(Immutable):
+class Axis:
     """A polynomial curve over its projection on a principal direction.
 
     This is eq. 16 of Chatelain 2013, with the curvilinear coordinate in metres along the principal
@@ -28,13 +28,6 @@ class Axis(Immutable):
     origin: NDArray[np.float64]
     direction: NDArray[np.float64]
     coefficients: NDArray[np.float64]
-
-    def __post_init__(self) -> None:
-        for name in ("origin", "direction"):
-            object.__setattr__(self, name, read_only(getattr(self, name), name, (3,)))
-        object.__setattr__(
-            self, "coefficients", read_only(self.coefficients, "coefficients", (None, 3))
-        )
 
     @property
     def order(self) -> int:

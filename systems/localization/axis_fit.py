@@ -8,11 +8,11 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from sonoservo.systems.localization.axis import Axis
-from sonoservo.systems.signals.immutable import Immutable, NotFound, read_only
+from sonoservo.systems.signals.immutable import NotFound, seal
 
 
 @dataclass(frozen=True, eq=False)
-class AxisFit(Immutable):
+class AxisFit:
     """A least-squares axis with the quantities that give its precision.
 
     Parameters
@@ -28,13 +28,6 @@ class AxisFit(Immutable):
     axis: Axis
     normal_inverse: NDArray[np.float64]
     scatter: NDArray[np.float64]
-
-    def __post_init__(self) -> None:
-        n = self.axis.order
-        object.__setattr__(
-            self, "normal_inverse", read_only(self.normal_inverse, "normal_inverse", (n, n))
-        )
-        object.__setattr__(self, "scatter", read_only(self.scatter, "scatter", (3, 3)))
 
     def covariance(self, a: ArrayLike, independent: float) -> NDArray[np.float64]:
         """Return the (3m, 3m) covariance in m^2 of m positions on the axis, extrapolated or not.
@@ -81,8 +74,10 @@ def least_squares(  # pragma: no cover - compiled
     """
     axis, inverse, scatter = np.zeros((2 + order, 3)), np.eye(order), np.zeros((3, 3))
     x, y, z = coordinates[0], coordinates[1], coordinates[2]
-    total = weights.sum()
-    if np.count_nonzero(weights) < order or not total > 0:
+    total, used = weights.sum(), 0
+    for i in range(len(weights)):
+        used += int(weights[i] > 0)
+    if used < order or not total > 0:
         return False, axis, inverse, scatter
     ox = oy = oz = 0.0
     for i in range(len(x)):
@@ -208,4 +203,5 @@ def as_fit(solution: Any, count: int) -> AxisFit | NotFound:
     determined, axis, normal_inverse, scatter = solution
     if not determined:
         return NotFound(f"{count} points do not determine an axis of order {len(axis) - 2}")
-    return AxisFit(Axis(axis[0], axis[1], axis[2:]), normal_inverse, scatter)
+    axis = seal(axis)
+    return AxisFit(Axis(axis[0], axis[1], axis[2:]), seal(normal_inverse), seal(scatter))

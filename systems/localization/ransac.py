@@ -12,6 +12,9 @@ from sonoservo.systems.localization.axis_fit import AxisFit, as_fit, assess_axis
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.requirements import require, require_positive
 
+_BLOCK = 128
+"""Number of points after which a count may end early."""
+
 
 @dataclass(kw_only=True)
 class RansacParameters:
@@ -134,22 +137,35 @@ def _through(  # pragma: no cover - compiled
     return True, length
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def _count_near(  # pragma: no cover - compiled
-    coordinates: Any, curve: Any, length: float, limit: float
+    coordinates: Any, curve: Any, length: float, limit: float, least: int
 ) -> Any:
-    """Count the points within a squared distance of a curve, without branches that stop SIMD."""
+    """Count the points within a squared distance of a curve.
+
+    The count ends early, with a smaller number, once it can no longer exceed ``least``. The points
+    are counted in blocks, without branches that stop SIMD.
+    """
     x, y, z = coordinates[0], coordinates[1], coordinates[2]
     (ox, oy, oz), (kx, ky, kz), (bx, by, bz) = curve
+    bent = bx != 0 or by != 0 or bz != 0
     count = 0
-    for i in range(len(x)):
-        dx, dy, dz = x[i] - ox, y[i] - oy, z[i] - oz
-        a = dx * kx + dy * ky + dz * kz
-        q = a * (a - length)
-        dx -= a * kx + q * bx
-        dy -= a * ky + q * by
-        dz -= a * kz + q * bz
-        count += int(dx * dx + dy * dy + dz * dz < limit)
+    for start in range(0, len(x), _BLOCK):
+        stop = min(start + _BLOCK, len(x))
+        for i in range(np.uint64(start), np.uint64(stop)):
+            dx, dy, dz = x[i] - ox, y[i] - oy, z[i] - oz
+            a = dx * kx + dy * ky + dz * kz
+            dx -= a * kx
+            dy -= a * ky
+            dz -= a * kz
+            if bent:
+                q = a * (a - length)
+                dx -= q * bx
+                dy -= q * by
+                dz -= q * bz
+            count += int(dx * dx + dy * dy + dz * dz < limit)
+        if count + len(x) - stop <= least:
+            break
     return count
 
 
@@ -210,7 +226,7 @@ def _consensus(  # pragma: no cover - compiled
         if not possible or abs(cosine) < min_cosine:
             rejected += 1
             continue
-        count = _count_near(coordinates, curve, length, limit)
+        count = _count_near(coordinates, curve, length, limit, best)
         if count > best:
             best, best_length = count, length
             best_curve = curve.copy()
@@ -229,9 +245,13 @@ def _consensus(  # pragma: no cover - compiled
     near = _near(coordinates, axis, limit)
     fit = (best > 0, axis, np.eye(order), np.zeros((3, 3)))
     for _ in range(refits):
-        if fit[0]:
-            fit = least_squares(coordinates, weights * near, order, expected)
-            near = _near(coordinates, fit[1], limit)
+        if not fit[0]:
+            break
+        selected = near
+        fit = least_squares(coordinates, weights * selected, order, expected)
+        near = _near(coordinates, fit[1], limit)
+        if np.array_equal(near, selected):  # so would be the next refit
+            break
     return draws, rejected, near, fit
 
 

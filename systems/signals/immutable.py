@@ -1,6 +1,7 @@
 """Base class and helpers for values that travel between systems without being copied."""
 
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -87,12 +88,20 @@ def read_only(
         If the shape differs or a floating-point element is not finite.
     """
     values = own(np.asarray(array, dtype=dtype))
-    if values.shape != shape and (
-        values.ndim != len(shape)
-        or any(want not in (None, got) for got, want in zip(values.shape, shape, strict=True))
-    ):
+    if values.shape != shape and not _fits(values.shape, shape):
         wanted = ", ".join("any" if want is None else str(want) for want in shape)
         raise ValueError(f"{name} has shape {values.shape}; expected ({wanted})")
-    if values.dtype.kind == "f" and not np.isfinite(values).all():
+    # The sum of squares is fast, and finite unless an element is not or is very large.
+    suspect = values.dtype.kind == "f" and not isfinite(np.vdot(values, values))
+    if suspect and not np.isfinite(values).all():
         raise ValueError(f"{name} holds values that are not finite")
     return values
+
+
+def _fits(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
+    if len(shape) != len(wanted):
+        return False
+    for extent, want in zip(shape, wanted, strict=True):  # several times as fast as a generator
+        if want is not None and want != extent:
+            return False
+    return True

@@ -23,6 +23,7 @@ NODE_STRIDE = 8
 """Elements from one node to the next of the table of the probe's motion (`tabulate_shifts`)."""
 
 _ZERO, _HALF, _ONE = (np.float32(value) for value in (0, 0.5, 1))
+_NEXT = np.uint64(1)
 
 
 @njit(parallel=True, **OPTIONS)
@@ -57,7 +58,7 @@ def tabulate_shifts(shifts, sector, x, y, z, poses):  # type: ignore[no-untyped-
 
 @njit(parallel=True, **OPTIONS)
 def resample_moving(  # type: ignore[no-untyped-def]
-    volume, rows, packed, beyond, corners, sector, x, distance, step, shifts, row
+    volume, rows, packed, beyond, corners, sector, x, distance, step, shifts, nodes, row
 ):
     """Fill the part of a volume that the sweep of a moving probe covers.
 
@@ -67,24 +68,31 @@ def resample_moving(  # type: ignore[no-untyped-def]
         See `resample`.
     shifts
         Table from `tabulate_shifts` with a node at every `NODE_STRIDE`-th element.
+    nodes
+        (nx, 3, mz) float32 memory for the shifts at the nodes along a row, overwritten.
     row
         (nx, 3, mz `NODE_STRIDE`) float32 memory for the shifts of a row of elements, overwritten.
     """
     share = _ONE / np.float32(NODE_STRIDE)
     for a in prange(volume.shape[0]):
-        i = np.int64(a) // NODE_STRIDE
+        i = np.uint64(a) // np.uint64(NODE_STRIDE)
         u = np.float32(np.int64(a) % NODE_STRIDE) * share
         for b in range(volume.shape[1]):
-            j = b // NODE_STRIDE
+            j = np.uint64(b) // np.uint64(NODE_STRIDE)
             v = np.float32(b % NODE_STRIDE) * share
             for part in range(2):
                 first, end = rows[a, b, part, 0], rows[a, b, part, 1]
+                first_node = np.uint64(first // NODE_STRIDE)
+                last_node = np.uint64((end + NODE_STRIDE - 1) // NODE_STRIDE)
                 for each in range(3):
-                    for c in range(first // NODE_STRIDE, (end + NODE_STRIDE - 1) // NODE_STRIDE):
-                        near = _blend(shifts, i, j, each, c, u, v)
-                        slope = share * (_blend(shifts, i, j, each, c + 1, u, v) - near)
-                        for k in range(NODE_STRIDE):
-                            row[a, each, c * NODE_STRIDE + k] = near + np.float32(k) * slope
+                    for c in range(first_node, last_node + np.uint64(1)):
+                        nodes[a, each, c] = _blend(shifts, i, j, each, c, u, v)
+                    for c in range(first_node, last_node):
+                        near = nodes[a, each, c]
+                        slope = share * (nodes[a, each, c + np.uint64(1)] - near)
+                        at = c * np.uint64(NODE_STRIDE)
+                        for k in range(np.uint64(NODE_STRIDE)):
+                            row[a, each, at + k] = near + np.float32(k) * slope
                 for n in range(np.uint64(first), np.uint64(end)):
                     line, r = line_of(x[a], distance[b, n], sector)
                     volume[a, b, n] = interpolate(
@@ -101,9 +109,9 @@ def resample_moving(  # type: ignore[no-untyped-def]
 @njit(**OPTIONS)
 def _blend(shifts, i, j, each, c, u, v):  # type: ignore[no-untyped-def]
     """Interpolate a shift between the four nodes around a row."""
-    near = shifts[i, j, each, c] + u * (shifts[i + 1, j, each, c] - shifts[i, j, each, c])
-    far = shifts[i, j + 1, each, c] + u * (
-        shifts[i + 1, j + 1, each, c] - shifts[i, j + 1, each, c]
+    near = shifts[i, j, each, c] + u * (shifts[i + _NEXT, j, each, c] - shifts[i, j, each, c])
+    far = shifts[i, j + _NEXT, each, c] + u * (
+        shifts[i + _NEXT, j + _NEXT, each, c] - shifts[i, j + _NEXT, each, c]
     )
     return near + v * (far - near)
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from sonoservo.systems.sampling.options import OPTIONS
 
@@ -113,7 +113,7 @@ def _pack(packed, corners, samples):  # type: ignore[no-untyped-def]
 
 
 def rows_in_sector(
-    sector: Sector, margin: float, x: Floats, y: Floats, z: Floats
+    sector: Sector, margin: ArrayLike, x: Floats, y: Floats, z: Floats
 ) -> NDArray[np.int32]:
     """Return the elements of each row along Z that may lie in the sector; the others are skipped.
 
@@ -122,7 +122,8 @@ def rows_in_sector(
     sector
         Positions of the samples.
     margin
-        Length in m by which the sector is widened.
+        (3,) distances along X, Y and Z, in m, by which elements may be displaced before they are
+        looked up; one number stands for all three.
     x, y, z
         Coordinates of the grid's elements, in m, with the origin on the motor's axis.
 
@@ -133,22 +134,24 @@ def rows_in_sector(
     the probe occupies. Both numbers are equal for rows outside the sector, and for the second part
     of rows without a gap.
     """
+    beside, above, along = np.broadcast_to(np.asarray(margin, dtype=float), (3,))
     x, y = np.abs(x[:, np.newaxis]), y[np.newaxis]
-    far = sector.array_radius + sector.last_sample / sector.samples_per_metre + margin
-    near = max(float(sector.array_radius) - margin, 0.0)
+    nearest_x, nearest_y = np.maximum(x - beside, 0), np.maximum(np.abs(y) - above, 0)
+    far = sector.array_radius + sector.last_sample / sector.samples_per_metre
     outermost_line = 0.5 * sector.last_line / sector.lines_per_radian
     outermost_frame = 0.5 * sector.lines * sector.last_frame / sector.steps_per_radian
     # All conditions are on q = rho + centre_offset and on the angle, which both grow with |z|.
     min_q = np.maximum(
-        np.sqrt(np.maximum(near**2 - x**2, 0)), (x - margin) / np.tan(outermost_line) - margin
+        np.sqrt(np.maximum(float(sector.array_radius) ** 2 - (x + beside) ** 2, 0)),
+        nearest_x / np.tan(outermost_line),
     )
     least = np.maximum(min_q - sector.centre_offset, 0)
-    most = np.sqrt(np.maximum(far**2 - x**2, 0)) - sector.centre_offset
-    low = np.sqrt(np.maximum(least**2 - y**2, 0))
-    high = np.minimum(
-        np.sqrt(np.maximum(most**2 - y**2, 0)), (y + margin) * np.tan(outermost_frame) + margin
+    most = np.sqrt(np.maximum(far**2 - nearest_x**2, 0)) - sector.centre_offset
+    low = np.sqrt(np.maximum(least**2 - (np.abs(y) + above) ** 2, 0)) - along
+    high = along + np.minimum(
+        np.sqrt(np.maximum(most**2 - nearest_y**2, 0)), (y + above) * np.tan(outermost_frame)
     )
-    empty = (most <= np.abs(y)) | (high < low) | (y + margin <= 0)
+    empty = (most <= nearest_y) | (high < low) | (y + above <= 0)
     gap = (low > 0) & ~empty
     lower = np.stack([-high, low], axis=-1)
     upper = np.stack([np.where(gap, -low, high), high], axis=-1)

@@ -213,7 +213,7 @@ class ScanConversion:
         poses = _relative_poses(motion)
         corners = np.stack(np.meshgrid(*([a[0], a[-1]] for a in self._axes)), -1).reshape(-1, 3)
         moved = corners @ poses[:, :, :3].swapaxes(1, 2) + poses[:, np.newaxis, :, 3]
-        margin = np.linalg.norm(moved - corners, axis=-1).max() + _SLACK
+        margin = np.abs(moved - corners).max(axis=(0, 1)) + _SLACK
         sector = self._sector._replace(direction=np.float32(motion.direction))
         nodes = [_nodes(axis) for axis in self._axes]
         shifts = np.empty((len(nodes[0]), len(nodes[1]), 3, len(nodes[2])), np.float32)
@@ -221,13 +221,14 @@ class ScanConversion:
         volume = np.zeros(self.grid.shape, np.uint8)
         resample_moving(
             volume,
-            rows_in_sector(self._sector, float(margin), *self._axes),
+            rows_in_sector(self._sector, margin, *self._axes),
             *pack_corners(samples, (0, 0, 0), tuple(n - 2 for n in geometry.shape)),
             sector,
             self._axes[0],
             self._distance,
             self._step,
             shifts,
+            np.empty((len(volume), 3, len(nodes[2])), np.float32),
             np.empty((len(volume), 3, NODE_STRIDE * len(nodes[2])), np.float32),
         )
         return volume

@@ -1,4 +1,4 @@
-"""What rendering a sweep costs, against its size and the tissue's density, from a benchmark's JSON.
+"""Figures of the benchmarks, and what rendering a sweep costs against its size and density.
 
 python tests/benchmarks/plot_cost.py out/bench.json out/render_cost.png
 """
@@ -20,8 +20,21 @@ def milliseconds(benchmarks, function):
     }
 
 
+def print_figures(benchmarks):
+    """Print what pytest-benchmark's table leaves out: what each is compared with, and figures."""
+    for each in benchmarks:
+        figures = "".join(
+            f", {name} {value:.3g}" if isinstance(value, float) else f", {name} {value}"
+            for name, value in each["extra_info"].items()
+            if isinstance(value, float | int | str)
+        )
+        if figures:
+            print(f"{each['name']}: {1e3 * each['stats']['median']:.4g} ms{figures}")
+
+
 def main(source, target):
     benchmarks = json.loads(Path(source).read_text())["benchmarks"]
+    print_figures(benchmarks)
     cost = milliseconds(benchmarks, "test_render")
     if not cost:
         return

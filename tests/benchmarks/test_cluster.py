@@ -1,17 +1,21 @@
 """Cost of a cluster: overhead against joblib, load of scheduler and client, memory of many runs."""
 
 import os
+import resource
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 
+import numpy as np
 import psutil
 import pytest
 from clusters.cases import run_short
 from clusters.processes import HELPERS, DaskProcesses
 from clusters.sleeping_workers import sleep, unused
 from distributed import Client
+from matplotlib.figure import Figure
 
 from sonoservo.diagrams.studies.cluster.cluster import Cluster
 from sonoservo.diagrams.studies.cluster.opening import open_cluster
@@ -21,6 +25,27 @@ from sonoservo.diagrams.studies.study import Case
 WORKERS = int(os.environ.get("BENCH_WORKERS", "250"))
 SECONDS = float(os.environ.get("BENCH_SECONDS", "15"))
 RUNS = int(os.environ.get("BENCH_RUNS", "40"))
+TURNS = int(os.environ.get("BENCH_TURNS", "1"))
+MEMORY_PICTURE = Path("out/cluster_memory.png")
+PATH = f"{HELPERS}:{os.environ.get('PYTHONPATH', '')}"
+RUN = ("joblib", "cluster")
+STUDY = """
+import sys
+from pathlib import Path
+
+from clusters.cases import run_short
+
+from sonoservo.diagrams.studies import Case, open_cluster, run_cases
+
+name, folder = sys.argv[1:]
+cases = [Case("e", 100 + k, {"duration": 4.0}) for k in range(24)]
+if name == "joblib":
+    outcomes = run_cases(run_short, cases, Path(folder), jobs=2)
+else:
+    with open_cluster("local:2") as cluster:
+        outcomes = run_cases(run_short, cases, Path(folder), cluster=cluster)
+assert all(outcomes)
+"""
 
 pytestmark = [pytest.mark.slow, pytest.mark.benchmark(min_rounds=1)]
 
@@ -48,7 +73,7 @@ def scheduler_with_workers(folder, number, hosts=4):
             [sys.executable, "-m", "clusters.sleeping_workers", address, str(number // hosts)],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
-            env={**os.environ, "PYTHONPATH": f"{HELPERS}:{os.environ.get('PYTHONPATH', '')}"},
+            env={**os.environ, "PYTHONPATH": PATH},
         )
         for _ in range(hosts)
     ]
@@ -68,7 +93,7 @@ def test_load_of_scheduler_and_client(benchmark, tmp_path):
     with scheduler_with_workers(tmp_path / "dask", WORKERS) as (processes, address):
         scheduler, me = psutil.Process(processes.scheduler.pid), psutil.Process()
         with Client(address, timeout=60, set_as_default=False) as client:
-            client.wait_for_workers(WORKERS, timeout=300)
+            client.wait_for_workers(WORKERS, timeout=900)
             rest = used(scheduler), time.monotonic()
             time.sleep(10)
             idle = (used(scheduler) - rest[0]) / (time.monotonic() - rest[1])
@@ -91,31 +116,33 @@ def test_load_of_scheduler_and_client(benchmark, tmp_path):
     assert all(outcomes)
 
 
+def processor_time():
+    """Return the processor time in s of this process and of all that ended below it."""
+    usages = map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return sum(usage.ru_utime + usage.ru_stime for usage in usages)
+
+
 def test_overhead_against_joblib(benchmark, tmp_path):
     """The same real runs, in turn with joblib and on a cluster of two, start and end included."""
-    walls = {"joblib": [], "cluster": []}
-    cases = [Case("e", 100 + k, {"duration": 8.0}) for k in range(20)]
-
-    def with_joblib(folder):
-        return run_cases(run_short, cases, folder, jobs=2)
-
-    def with_cluster(folder):
-        with open_cluster("local:2") as cluster:
-            return run_cases(run_short, cases, folder, cluster=cluster)
-
-    with_joblib(tmp_path / "warm")
-    for turn in range(3):
-        for name, run in (("joblib", with_joblib), ("cluster", with_cluster)):
-            began = time.perf_counter()
-            assert all(run(tmp_path / f"{name}{turn}"))
-            walls[name].append(time.perf_counter() - began)
+    figures = {f"{name}_{kind}_s": [] for name in RUN for kind in ("wall", "processor")}
+    for turn in range(TURNS):
+        for name in RUN:
+            began, before = time.perf_counter(), processor_time()
+            command = [sys.executable, "-c", STUDY, name, str(tmp_path / f"{name}{turn}")]
+            subprocess.run(command, check=True, env={**os.environ, "PYTHONPATH": PATH})
+            figures[f"{name}_wall_s"].append(time.perf_counter() - began)
+            figures[f"{name}_processor_s"].append(processor_time() - before)
     benchmark.pedantic(lambda: None, rounds=1)
-    benchmark.extra_info.update(walls, ratio=min(walls["cluster"]) / min(walls["joblib"]))
+    best = {name: min(values) for name, values in figures.items()}
+    for kind in ("wall", "processor"):
+        ratio = best[f"cluster_{kind}_s"] / best[f"joblib_{kind}_s"]
+        benchmark.extra_info[f"{kind}_ratio"] = ratio
+    benchmark.extra_info.update(figures)
     print(dict(benchmark.extra_info))
 
 
 def test_memory_of_many_runs(benchmark, tmp_path):
-    """Resident memory of the client, the workers and the cases during runs of 2 s."""
+    """Resident memory of the client, with scheduler and worker, and of the largest case."""
     rows = []
     cases = [Case("e", 100 + k, {"duration": 2.0}) for k in range(RUNS)]
     with open_cluster("local:2") as cluster:
@@ -125,9 +152,9 @@ def test_memory_of_many_runs(benchmark, tmp_path):
             slots = cluster.slots
 
             def run(self, *arguments):
-                for number, finished in enumerate(cluster.run(*arguments)):
+                for number, finished in enumerate(cluster.run(*arguments), 1):
+                    rows.append([number, *memory(me)])
                     if number % 10 == 0:
-                        rows.append([number, *memory(me)])
                         print(rows[-1], flush=True)
                     yield finished
 
@@ -135,18 +162,26 @@ def test_memory_of_many_runs(benchmark, tmp_path):
             lambda: run_cases(run_short, cases, tmp_path, cluster=Watching()), rounds=1
         )
     assert all(outcomes)
-    benchmark.extra_info["run, client, scheduler, nanny, worker, largest case in MB"] = rows
+    benchmark.extra_info["runs, client and largest case in MB"] = rows
+    draw_memory(np.array(rows))
 
 
 def memory(me):
-    """Return resident memory in MB of this process, of Dask's and of the largest case."""
-    own = {"scheduler": 0.0, "nanny": 0.0, "worker": 0.0, "case": 0.0}
+    """Return resident memory in MB of this process and of the largest case."""
+    largest = 0.0
     for process in me.children(recursive=True):
-        try:
-            line, size = " ".join(process.cmdline()), process.memory_info().rss / 1e6
-        except psutil.NoSuchProcess:
-            continue
-        kinds = {"case_process": "case", "dask scheduler": "scheduler", "dask worker": "nanny"}
-        key = next((kind for part, kind in kinds.items() if part in line), "worker")
-        own[key] = max(own[key], size)
-    return [round(me.memory_info().rss / 1e6), *(round(each) for each in own.values())]
+        with suppress(psutil.NoSuchProcess):
+            largest = max(largest, process.memory_info().rss / 1e6)
+    return me.memory_info().rss / 1e6, largest
+
+
+def draw_memory(rows):
+    figure = Figure(figsize=(8, 3.5), layout="constrained")
+    axes = figure.subplots()
+    for column, label in ((1, "client, scheduler and worker"), (2, "largest case")):
+        axes.plot(rows[:, 0], rows[:, column], ".-", ms=3, lw=0.7, label=label)
+    axes.set(xlabel="runs ended", ylabel="resident memory / MB", ylim=(0, None))
+    axes.legend()
+    axes.grid(alpha=0.3)
+    MEMORY_PICTURE.parent.mkdir(exist_ok=True)
+    figure.savefig(MEMORY_PICTURE, dpi=120)

@@ -105,24 +105,22 @@ class Cluster:
                     future = self._submit(message, worker, key)
                     attempts[key] = _Attempt(case, number, worker, time.monotonic(), future)
                     future.add_done_callback(lambda _, key=key: ended.put(key))
-                try:
-                    key = ended.get(timeout=_LOOK_S)
-                except queue.Empty:
-                    continue
-                attempt = attempts.pop(key, None)
-                if attempt is None:
-                    continue
-                reply = self._collect(attempt, notify)
-                if reply.kind == "finished":
-                    yield reply.content
-                elif reply.kind == "refused":
-                    self._refuse(attempt.worker, reply.content, notify)
-                    waiting.appendleft((attempt.case, attempt.number))
-                elif attempt.number <= self._again:
-                    notify(f"{attempt.case.name}: {reply.content} ({attempt.worker}); runs again")
-                    waiting.append((attempt.case, attempt.number + 1))
-                else:
-                    yield Finished(Outcome(attempt.case, error=reply.content))
+                keys = dict.fromkeys(_take(ended))
+                done = {key: attempts.pop(key) for key in keys if key in attempts}
+                replies = self._gather(done)
+                for key, attempt in done.items():
+                    reply = replies.get(key) or self._collect(attempt, notify)
+                    if reply.kind == "finished":
+                        yield reply.content
+                    elif reply.kind == "refused":
+                        self._refuse(attempt.worker, reply.content, notify)
+                        waiting.appendleft((attempt.case, attempt.number))
+                    elif attempt.number <= self._again:
+                        again = f"{reply.content} ({attempt.worker}); runs again"
+                        notify(f"{attempt.case.name}: {again}")
+                        waiting.append((attempt.case, attempt.number + 1))
+                    else:
+                        yield Finished(Outcome(attempt.case, error=reply.content))
         finally:
             self._end(attempts.values())
 
@@ -195,6 +193,26 @@ class Cluster:
             busy[worker] += 1
             yield case, number, worker
 
+    def _gather(self, attempts: Mapping[str, _Attempt]) -> Mapping[str, Reply]:
+        """Fetch the replies of attempts that ended, in one request; without those that failed."""
+        futures = {
+            key: each.future for key, each in attempts.items() if each.future.status == "finished"
+        }
+        if not futures:
+            return {}
+
+        async def fetch() -> Mapping[str, Any]:
+            found: Mapping[str, Any] = await self._client.gather(
+                futures, errors="skip", asynchronous=True
+            )
+            return found
+
+        try:
+            replies = self._client.sync(fetch, callback_timeout=self._patience)
+        except Exception:
+            return {}
+        return {key: reply for key, reply in replies.items() if isinstance(reply, Reply)}
+
     def _collect(self, attempt: _Attempt, notify: Callable[[str], None]) -> Reply:
         """Return the worker's reply, or that there is none."""
         future = attempt.future
@@ -232,3 +250,14 @@ class Cluster:
             self._client.cancel(futures, force=True, asynchronous=False)
         elif self._threads:
             self._client.run(end_resting_processes, workers=list(self._threads), on_error="ignore")
+
+
+def _take(ended: "queue.SimpleQueue[str]") -> list[str]:
+    """Return what is in a queue, after waiting for the first of it for a while."""
+    taken: list[str] = []
+    try:
+        taken.append(ended.get(timeout=_LOOK_S))
+        while True:
+            taken.append(ended.get_nowait())
+    except queue.Empty:
+        return taken

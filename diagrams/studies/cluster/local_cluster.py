@@ -1,35 +1,27 @@
-"""Cluster on this machine: a scheduler and a worker, each in a process of its own."""
+"""Cluster on this machine: a scheduler and a worker in threads of this process."""
 
-import json
-import os
-import signal
-import subprocess
-import sys
-import time
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
-from sonoservo.diagrams.studies.cluster import preload
-from sonoservo.systems.files.refusals import ConfigurationError
-
-_START_S = 60.0
+import dask
+from distributed import LocalCluster
 
 _CALM = {
-    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
-    "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "1s",
-    "DASK_DISTRIBUTED__ADMIN__SYSTEM_MONITOR__INTERVAL": "5s",
-    "DASK_DISTRIBUTED__SCHEDULER__WORK_STEALING": "False",
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "5s",
+    "distributed.scheduler.work-stealing": False,
 }
-"""Settings with which Dask's idle processes leave the cores to the cases; the user's go first."""
+"""Settings with which Dask leaves the cores to the cases."""
 
 
 @contextmanager
-def local_cluster(cases: int) -> Iterator[str]:
-    """Start a scheduler and a worker, which end with the block or with this process.
+def local_cluster(cases: int) -> Iterator[LocalCluster]:
+    """Start a scheduler and a worker, which end with the block.
 
-    The worker finds modules where this process does.
+    The worker only waits for its cases, whose processes end with this one. A process for each would
+    cost more than a second of processor.
 
     Parameters
     ----------
@@ -38,50 +30,19 @@ def local_cluster(cases: int) -> Iterator[str]:
 
     Yields
     ------
-    Address of the scheduler.
+    The cluster.
     """
-    with TemporaryDirectory(prefix="sonoservo_cluster_") as name:
-        folder = Path(name)
-        file, log = folder / "scheduler.json", folder / "log"
-        shared = ["--scheduler-file", str(file), "--host", "127.0.0.1"]
-        commands = (
-            f"scheduler --port 0 --dashboard-address 127.0.0.1:0 --preload {preload.__name__}",
-            f"worker --nworkers 1 --nthreads {cases} --no-dashboard --memory-limit 0"
-            f" --preload-nanny {preload.__name__}",
-        )
-        environment = {
-            **_CALM,
-            **os.environ,
-            preload.PARENT: str(os.getpid()),
-            "PYTHONPATH": os.pathsep.join(sys.path),
-        }
-        processes = []
-        try:
-            with log.open("wb") as output:
-                for command in commands:
-                    processes.append(
-                        subprocess.Popen(
-                            [sys.executable, "-m", "dask", *command.split(), *shared],
-                            stdin=subprocess.DEVNULL,
-                            stdout=output,
-                            stderr=output,
-                            env=environment,
-                            start_new_session=True,  # Ctrl-C is for this process alone
-                        )
-                    )
-            yield _address(file, processes[0], log)
-        finally:
-            for process in processes:
-                os.killpg(process.pid, signal.SIGKILL)
-                process.wait()
-
-
-def _address(file: Path, scheduler: subprocess.Popen[bytes], log: Path) -> str:
-    deadline = time.monotonic() + _START_S
-    while scheduler.poll() is None and time.monotonic() < deadline:
-        try:
-            return str(json.loads(file.read_text())["address"])
-        except (OSError, ValueError):
-            time.sleep(0.02)
-    lines = log.read_text(errors="replace").splitlines()
-    raise ConfigurationError(f"cluster: its scheduler does not start: {lines[-1:]}")
+    with (
+        dask.config.set(_CALM),
+        LocalCluster(
+            n_workers=1,
+            threads_per_worker=cases,
+            processes=False,
+            protocol="tcp",
+            host="127.0.0.1",
+            memory_limit=0,
+            dashboard_address="127.0.0.1:0",
+            silence_logs=logging.CRITICAL + 1,
+        ) as cluster,
+    ):
+        yield cluster

@@ -86,8 +86,8 @@ def _scheduler(text: str) -> Iterator[object]:
             raise ConfigurationError(
                 f"cluster: {text}: {count!r} is not allowed; it must be a number from 1 to 1024"
             )
-        with local_cluster(int(count)) as address:
-            yield address
+        with local_cluster(int(count)) as cluster:
+            yield cluster
     elif text.endswith((".yaml", ".yml")):
         from sonoservo.diagrams.studies.cluster.job_queue import read_job_queue
 

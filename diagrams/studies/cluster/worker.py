@@ -64,6 +64,7 @@ class _CaseProcess:
                 [*command, str(theirs.fileno()), str(os.getpid())],
                 pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL,
+                start_new_session=True,  # Ctrl-C is not for cases
                 env={**os.environ, **dict.fromkeys(_THREADS, "1")},
             )
         self.connection = ours

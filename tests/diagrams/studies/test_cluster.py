@@ -240,4 +240,4 @@ def test_after_the_scheduler_s_death_the_rest_is_done_elsewhere(processes, clien
     assert [each.result["seed"] for each in outcomes] == [0, 1]
     assert len(list(seen.glob("0_*"))) == 1
     assert "http://127.0.0.1" in notes[0]
-    wait_for(lambda: not any(lives(worker) for _, worker in reported(seen)), 10)
+    wait_for(lambda: not any(lives(process) for process, _ in reported(seen)), 10)

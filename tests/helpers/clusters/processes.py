@@ -9,7 +9,7 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from sonoservo.diagrams.studies.cluster import preload
+from clusters import preload
 
 HELPERS = Path(__file__).parents[1]
 

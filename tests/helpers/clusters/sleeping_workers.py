@@ -24,8 +24,8 @@ def unused(case):
 
 
 async def main(scheduler, number):
-    for _ in range(number):
-        await Worker(scheduler, nthreads=1, dashboard=False, memory_limit=0, host="127.0.0.1")
+    settings = {"nthreads": 1, "dashboard": False, "memory_limit": 0, "host": "127.0.0.1"}
+    await asyncio.gather(*(Worker(scheduler, **settings) for _ in range(number)))
     await asyncio.Event().wait()
 
 

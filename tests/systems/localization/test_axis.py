@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydrake.math import RigidTransform, RollPitchYaw
 
-from sonoservo.systems.localization.axis import Axis, axis_through
+from sonoservo.systems.localization.axis import axis_through
 from sonoservo.systems.localization.axis_fit import fit_axis
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_curve import NeedleCurve
@@ -85,7 +85,9 @@ def test_points_that_determine_no_fit(points, order):
     assert isinstance(fit_axis(points, np.ones(len(points)), order), NotFound)
 
 
-def test_values_are_read_only():
-    axis = Axis(np.zeros(3), np.array([1.0, 0, 0]), np.zeros((2, 3)))
-    with pytest.raises(ValueError, match="read-only"):
-        axis.origin[0] = 1
+def test_a_fit_is_read_only():
+    fit = fit_axis(np.random.default_rng(0).normal(size=(20, 3)), np.ones(20), 3)
+    arrays = [getattr(fit.axis, name) for name in ("origin", "direction", "coefficients")]
+    for array in [*arrays, fit.normal_inverse, fit.scatter]:
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1

@@ -163,6 +163,24 @@ def test_compensation_leaves_a_constant_constant_and_a_still_probe_alone():
     assert np.mean(np.abs(difference) > 1) < 1e-3  # at the sector's edge alone
 
 
+@pytest.mark.parametrize("direction", [1, -1])
+@pytest.mark.parametrize(
+    ("velocity", "turn_rate"),
+    [([0.02, 0, 0], 0), ([0, -0.02, 0], 0), ([0, 0, 0.02], 0), ([-0.01, 0.01, 0.01], 0.5)],
+)
+def test_no_element_that_a_moving_probe_saw_is_skipped(monkeypatch, direction, velocity, turn_rate):
+    sweep = seen_by_a_moving_probe([0, 0, 0], direction, velocity, turn_rate)
+    sweep = replace(sweep, samples=np.full(GEOMETRY.shape, 100, np.uint8))
+    conversion = ScanConversion(GEOMETRY, make_grid(GEOMETRY, 2e-3), compensate_motion=True)
+    fast = conversion(sweep).intensities
+
+    def everything(sector, margin, x, y, z):
+        return np.tile(np.array([[0, len(z)], [0, 0]], np.int32), (len(x), len(y), 1, 1))
+
+    monkeypatch.setattr("sonoservo.systems.ultrasound.scan_conversion.rows_in_sector", everything)
+    np.testing.assert_array_equal(fast, conversion(sweep).intensities)
+
+
 def test_a_volume_with_compensation_counts_as_seen_from_one_pose():
     sweep = seen_by_a_moving_probe([0, 0, 0], 1, [0.02, 0, 0])
     grid = make_grid(GEOMETRY, 2e-3)
