@@ -63,7 +63,7 @@ pictures: $(VENV)/.installed.dev
 	@$(BIN)/python notebooks/screenshots.py
 	@$(BIN)/python notebooks/moving_picture.py
 	@cd notebooks && $(abspath $(BIN))/python gallery.py
-	@cd notebooks && $(abspath $(BIN))/python gallery_of_dials.py
+	@mkdir -p out && cd out && $(abspath $(BIN))/python ../notebooks/gallery_of_dials.py
 
 # mypy and import-linter find packages by folder: the links give them the name that pyproject.toml
 # maps to this folder.

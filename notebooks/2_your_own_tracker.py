@@ -18,15 +18,8 @@ from sonoservo.diagrams import load_scenario, locate_in, run, tracker_events
 from sonoservo.systems.evaluation import estimate_errors, features
 from sonoservo.systems.signals import NeedleEstimate, TrackingMode, Volume
 
-QUICK = [
-    "duration=5.5",
-    "hand.start=0.5",
-    "hand.pushes.0.speed=0.02",
-    "station.plant.contact_model=point",
-]
-scenario = load_scenario(
-    "chatelain2013_fig5", changes=QUICK if "SONOSERVO_QUICK" in os.environ else ["duration=20"]
-)
+changes = os.environ.get("SONOSERVO_QUICK", "duration=20").split()
+scenario = load_scenario("chatelain2013_fig5", changes=changes)
 
 # %% [markdown]
 # * `volume` carries a `Volume` (grey levels on a grid in the probe frame P, and the pose `X_WP`

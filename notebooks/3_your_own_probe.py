@@ -18,13 +18,6 @@ from sonoservo.systems.display.console import slice_views
 from sonoservo.systems.signals import sample_plane
 from sonoservo.systems.ultrasound import elevation_width, lateral_width, load_transducer
 
-QUICK = [
-    "duration=5.5",
-    "hand.start=0.5",
-    "hand.pushes.0.speed=0.02",
-    "station.plant.contact_model=point",
-]
-
 # %% [markdown]
 # A probe has a transducer and a body. Fields missing from the file keep the values of the
 # Ultrasonix 4DC7-3/40 (Chatelain 2013). If the body is missing, it is assumed to have a dome
@@ -87,7 +80,7 @@ figure, axes = plt.subplots(
 for row, (name, shown) in zip(axes, scans.items(), strict=True):
     for axis, view in zip(row, slice_views(shown.volume), strict=True):
         (left, top), (right, bottom) = 1e3 * view.window
-        grey = sample_plane(shown.volume, view.plane, 0.5e-3)[..., 0]
+        grey = sample_plane(shown.volume, view.plane, 0.5e-3)
         half = 500 * np.array([view.plane.width, view.plane.height])
         x, y = 1e3 * view.coordinates(view.plane.X_PS.translation())
         axis.imshow(
@@ -106,8 +99,7 @@ for row, (name, shown) in zip(axes, scans.items(), strict=True):
 
 # %%
 beam_width = lateral_width(0.05, load_transducer(file), imaging)
-changes = [f"probe={file}"]
-changes += QUICK if "SONOSERVO_QUICK" in os.environ else ["duration=20"]
+changes = [f"probe={file}", *os.environ.get("SONOSERVO_QUICK", "duration=20").split()]
 result = run(load_scenario("chatelain2013_fig5", changes=changes))
 print(f"beam {1e3 * beam_width:.2f} mm wide at 50 mm")
 print("detection:", result.summary["detection"])

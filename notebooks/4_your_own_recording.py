@@ -20,21 +20,13 @@ from sonoservo.systems.evaluation import picture_planes, plot_planes
 from sonoservo.systems.recording import Recording
 from sonoservo.systems.signals import Volume
 
-QUICK = [
-    "duration=6.5",
-    "hand.start=0.5",
-    "hand.pushes.0.speed=0.016",
-    "station.plant.contact_model=point",
-]
-LONG = ["duration=20", "hand.pushes.0.speed=0.005"]
 folder = tempfile.TemporaryDirectory()
 path = Path(folder.name) / "mine.seq.nrrd"
 
 # %%
-run(
-    load_scenario("chatelain2013_fig4", changes=QUICK if "SONOSERVO_QUICK" in os.environ else LONG),
-    record=path,
-)
+slow = "duration=20 hand.pushes.0.speed=0.005"
+changes = os.environ.get("SONOSERVO_QUICK", slow).split()
+run(load_scenario("chatelain2013_fig4", changes=changes), record=path)
 print(*(f"{each.name}: {each.stat().st_size / 1e6:.1f} MB" for each in path.parent.iterdir()),
       sep="\n")  # fmt: skip
 

@@ -2,4 +2,14 @@
 
 import os
 
-os.environ["SONOSERVO_QUICK"] = "1"
+os.environ["SONOSERVO_QUICK"] = " ".join(
+    [
+        "duration=4.8",
+        "hand.start=0.2",
+        "hand.pushes.0.speed=0.02",
+        "station.probe.height=0.004",
+        "station.plant.contact_model=point",
+        "station.plant.time_step=0.01",
+        "controller.time_step=0.01",
+    ]
+)

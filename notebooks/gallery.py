@@ -15,7 +15,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from sonoservo.diagrams import load_scenario, scan
 from sonoservo.systems.evaluation import measure_needle_echo
-from sonoservo.systems.signals import Plane, sample_plane
+from sonoservo.systems.signals import Plane, sample_sector
 
 ANGLES = [0, 5, 10, 20, 40]
 DEPTH = 0.045
@@ -86,7 +86,7 @@ FLAT = Plane(RigidTransform(RotationMatrix.MakeXRotation(np.pi / 2), [0, 0.041, 
 
 def show(axes, volume, plane):
     """Draw a slice in mm."""
-    picture = sample_plane(volume, plane, 0.3e-3).astype(float)
+    picture = sample_sector(volume, plane, 0.3e-3).astype(float)
     image = np.where(picture[..., 1] > 0, picture[..., 0], np.nan)
     half_width, half_height = 500 * plane.width, 500 * plane.height
     axes.imshow(

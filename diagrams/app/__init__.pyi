@@ -13,7 +13,6 @@ from .run_result import RunResult as RunResult
 from .run_result import format_figure as format_figure
 from .run_result import summary_table as summary_table
 from .scan import Scan as Scan
-from .scan import caption as caption
 from .scan import summarize_scan as summarize_scan
 from .scan import write_scan as write_scan
 from .terminal import Progress as Progress

@@ -112,13 +112,14 @@ def run_command(
     json_path: JsonOption = None,
 ) -> None:
     """Run a scenario and write its results; exit status 3: the guard stopped the robot for good."""
-    from sonoservo.diagrams.app.live.commands import serving
-    from sonoservo.diagrams.app.run import run
-    from sonoservo.diagrams.app.run_result import end_words, summary_table
-    from sonoservo.diagrams.app.terminal import Progress, end_run
-    from sonoservo.diagrams.experiments.registry import load_scenario
+    with console.status("Loading the simulator ..."):
+        from sonoservo.diagrams.app.live.commands import serving
+        from sonoservo.diagrams.app.run import run
+        from sonoservo.diagrams.app.run_result import end_words, summary_table
+        from sonoservo.diagrams.app.terminal import Progress, end_run
+        from sonoservo.diagrams.experiments.registry import load_scenario
 
-    loaded = load_scenario(scenario, changes=changes, seed=seed, as_published=as_published)
+        loaded = load_scenario(scenario, changes=changes, seed=seed, as_published=as_published)
     folder = out or free_folder(f"{loaded.name}_seed{loaded.seed}")
     pages = None
     if meshcat:
@@ -171,17 +172,18 @@ def drive_command(
     scenario.yaml in the output folder; `sonoservo run` repeats them. Finish in the page or with
     Ctrl-C. Exit status 3: the guard stopped the robot for good.
     """
-    from sonoservo.diagrams.app.drive import DRIVING, drive
-    from sonoservo.diagrams.app.kept_runs.kept_run import refusing
-    from sonoservo.diagrams.app.live.commands import serving
-    from sonoservo.diagrams.app.pages.pages import open_pages
-    from sonoservo.diagrams.app.run_result import end_words, summary_table
-    from sonoservo.diagrams.app.terminal import Progress, end_run
-    from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
-    from sonoservo.diagrams.experiments.registry import load_scenario
-    from sonoservo.diagrams.scenario import require_scenario
+    with console.status("Loading the simulator ..."):
+        from sonoservo.diagrams.app.drive import DRIVING, drive
+        from sonoservo.diagrams.app.kept_runs.kept_run import refusing
+        from sonoservo.diagrams.app.live.commands import serving
+        from sonoservo.diagrams.app.pages.pages import open_pages
+        from sonoservo.diagrams.app.run_result import end_words, summary_table
+        from sonoservo.diagrams.app.terminal import Progress, end_run
+        from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+        from sonoservo.diagrams.experiments.registry import load_scenario
+        from sonoservo.diagrams.scenario import require_scenario
 
-    loaded = load_scenario(scenario, changes=changes, seed=seed)
+        loaded = load_scenario(scenario, changes=changes, seed=seed)
     following = require_scenario(loaded, FollowingScenario)
     with refusing(loaded):
         following = replace(following, duration=duration)
@@ -229,7 +231,7 @@ def scan_command(
     json_path: JsonOption = None,
 ) -> None:
     """Acquire one sweep; write it as a picture and as a volume for 3D Slicer."""
-    from sonoservo.diagrams.app.scan import caption, scan, summarize_scan, write_scan
+    from sonoservo.diagrams.app.scan import scan, summarize_scan, write_scan
     from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
     from sonoservo.diagrams.experiments.registry import load_scenario
     from sonoservo.diagrams.scenario import require_scenario
@@ -244,8 +246,8 @@ def scan_command(
     result = scan(following, time=time)
     summary = summarize_scan(result, following)
     folder = out or free_folder(f"{loaded.name}_seed{loaded.seed}_scan")
-    paths = write_scan(result, following, folder)
-    console.print(caption(result, following), soft_wrap=True)
+    paths = write_scan(result, folder)
+    console.print(result.caption, soft_wrap=True)
     console.print(
         f"At {summary['time_s']:.2f} s, {summary['inserted_mm']:.1f} mm of the needle are in the "
         f"tissue. Written: {', '.join(map(str, paths))}",

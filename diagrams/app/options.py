@@ -103,7 +103,8 @@ BeamWidthOption = Annotated[
     float | None,
     typer.Option(
         "--beam-width",
-        help="Width of the beam along the needle in mm, for volumes that do not carry it.",
+        help="Width of the beam along the needle in mm, for volumes that do not carry it; by "
+        "default, it is measured from the speckle.",
     ),
 ]
 EchoOffsetOption = Annotated[

@@ -16,7 +16,6 @@ from sonoservo.diagrams.app.run_result import RunResult
 from sonoservo.diagrams.app.terminal import Progress
 from sonoservo.diagrams.experiments.experiment import Experiment
 from sonoservo.diagrams.experiments.registry import (
-    change_scenario,
     experiment_class,
     load_scenario,
     make_experiment,
@@ -98,7 +97,7 @@ def run(
         If the scenario cannot be carried out, its experiment does not have an option, or there is
         no folder for what is to be explained.
     """
-    scenario = _scenario(scenario, changes, seed)
+    scenario = load_scenario(scenario, changes=changes, seed=seed)
     out, movie, record = (None if each is None else Path(each) for each in (out, movie, record))
     if explain and out is None:
         raise ConfigurationError("explain: there is no folder to keep explanations in; give out")
@@ -186,18 +185,6 @@ def finish(kept: KeptRun, experiment: Experiment[Any]) -> RunResult:
         published=experiment.happened().published_figures,
         plots=plots,
     )
-
-
-def _scenario(
-    scenario: Scenario | str | Path,
-    changes: Mapping[str, Any] | Sequence[str] | None,
-    seed: int | None,
-) -> Scenario:
-    if not isinstance(scenario, Scenario):
-        return load_scenario(scenario, changes=changes, seed=seed)
-    if changes is None and seed is None:
-        return scenario
-    return change_scenario(scenario, changes=changes, seed=seed)
 
 
 def _bar(scenario: Scenario, wanted: bool | None) -> Progress | None:

@@ -1,16 +1,20 @@
 """Acquisition of one sweep of a scenario, without a robot."""
 
-from collections.abc import Sequence
+import base64
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from pydrake.math import RigidTransform
 
 from sonoservo.diagrams.experiments.following_insertion import make_insertion
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.experiments.following_tissue import scanned_deformations
+from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.systems.evaluation.reports.plots import png
@@ -20,7 +24,7 @@ from sonoservo.systems.files.writing import write_atomically
 from sonoservo.systems.recording.nrrd import write_volume
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.requirements import require_not_negative
-from sonoservo.systems.signals.sweep import Sweep, SweepMotion
+from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
 from sonoservo.systems.ultrasound.simulation.acquisition import acquire_sweep
@@ -32,9 +36,9 @@ _INDENTATION = 4e-3
 """Indentation of the phantom by a dome of 40 mm radius at 2 N, in m."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scan:
-    """A sweep, its volume and the true needle.
+    """A sweep, its volume and the true needle, which draw themselves in a notebook.
 
     Parameters
     ----------
@@ -42,16 +46,32 @@ class Scan:
         Sweep as acquired, and on a Cartesian grid.
     needle
         True needle in W at the middle of the sweep, possibly empty.
+    caption
+        Probe and settings of the scan, in a line.
     """
 
     sweep: Sweep
     volume: Volume
     needle: Needle
+    caption: str = ""
+
+    def plot(self) -> Figure:
+        """Return a figure of a frame as acquired, and of slices through the needle."""
+        return scan_sheet(self.sweep, self.volume, self.needle, caption=self.caption)
+
+    def _repr_html_(self) -> str:
+        picture = base64.b64encode(png(self.plot(), dpi=80)).decode()
+        alternative = escape(f"Slices of a sweep. {self.caption}")
+        return (
+            f'<img src="data:image/png;base64,{picture}" alt="{alternative}" style="width: 100%">'
+        )
 
 
 def scan(
-    scenario: Scenario,
+    scenario: Scenario | str | Path,
     *,
+    changes: Mapping[str, Any] | Sequence[str] | None = None,
+    seed: int | None = None,
     time: float | None = None,
     X_TP: RigidTransform | None = None,
     velocity: Sequence[float] = (0.0, 0.0, 0.0),
@@ -62,8 +82,9 @@ def scan(
 
     Parameters
     ----------
-    scenario
-        Scenario of following; its robot is not used.
+    scenario, changes, seed
+        Scenario of following, the name of a built-in one, or the path of a YAML file; fields to
+        change, and the seed; see `load_scenario`. Its robot is not used.
     time
         Time of the middle of the sweep, in s; None for the time at which the needle is deepest.
     X_TP
@@ -78,11 +99,12 @@ def scan(
     ConfigurationError
         If the scenario cannot be carried out.
     """
-    scenario = require_scenario(scenario, FollowingScenario)
+    loaded = load_scenario(scenario, changes=changes, seed=seed)
+    following = require_scenario(loaded, FollowingScenario)
     try:
-        return _scan(scenario, time, X_TP, velocity)
+        return _scan(following, time, X_TP, velocity)
     except (ValueError, FileNotFoundError) as error:
-        raise ConfigurationError(f"{scenario.name}: {error}") from error
+        raise ConfigurationError(f"{following.name}: {error}") from error
 
 
 def _scan(
@@ -132,40 +154,24 @@ def _scan(
         make_grid(geometry, parameters.spacing),
         compensate_motion=parameters.compensate_motion,
     )
-    return Scan(sweep, conversion(sweep), needles[middle].transformed(X_WT))
-
-
-def write_scan(scan: Scan, scenario: FollowingScenario, out: Path) -> list[Path]:
-    """Write scan.png, a sheet of pictures, and scan.nrrd, the volume.
-
-    Parameters
-    ----------
-    scan
-        Scan to write.
-    scenario
-        Scenario of the scan.
-    out
-        Folder for the files.
-
-    Returns
-    -------
-    Paths of the files.
-    """
-    figure = scan_sheet(
-        scan.sweep,
-        scan.volume,
-        scan.needle,
-        caption=caption(scan, scenario),
+    return Scan(
+        sweep,
+        conversion(sweep),
+        needles[middle].transformed(X_WT),
+        caption=_caption(geometry, scenario),
     )
+
+
+def write_scan(scan: Scan, out: Path) -> list[Path]:
+    """Write scan.png, a sheet of pictures, and scan.nrrd, the volume; return their paths."""
     return [
-        write_atomically(out / "scan.png", png(figure)),
+        write_atomically(out / "scan.png", png(scan.plot())),
         write_volume(out / "scan.nrrd", scan.volume),
     ]
 
 
-def caption(scan: Scan, scenario: FollowingScenario) -> str:
-    """Return a line with the probe and the settings of a scan."""
-    geometry, imaging = scan.sweep.geometry, scenario.imaging
+def _caption(geometry: SweepGeometry, scenario: FollowingScenario) -> str:
+    imaging = scenario.imaging
     return (
         f"{Path(scenario.probe).stem} at {1e-6 * imaging.transmit_frequency:.1f} MHz:  "
         f"{imaging.volume_rate:g} volumes/s,  {geometry.frames} frames x {geometry.lines} lines x "

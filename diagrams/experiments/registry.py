@@ -87,7 +87,7 @@ def describe_scenarios() -> dict[str, str]:
 
 
 def load_scenario(
-    scenario: str | Path,
+    scenario: "Scenario | str | Path",
     *,
     changes: Mapping[str, Any] | Sequence[str] | None = None,
     seed: int | None = None,
@@ -98,7 +98,7 @@ def load_scenario(
     Parameters
     ----------
     scenario
-        Name of a built-in scenario, or path of a YAML file.
+        Name of a built-in scenario, path of a YAML file, or a scenario to change.
     changes
         Fields to change: values by dotted path, ``{"imaging.gain": 0.5}``, or assignments
         ``"path.to.field=value"`` with the value in YAML.
@@ -118,6 +118,12 @@ def load_scenario(
         If there is no such scenario, or a field is wrong; the message then names the field, its
         value and what is allowed.
     """
+    from sonoservo.diagrams.scenario import Scenario
+
+    if isinstance(scenario, Scenario):
+        if changes is None and seed is None:
+            return scenario
+        return _load(yaml.safe_load(scenario.to_yaml()), scenario.name, changes, seed)
     if not isinstance(scenario, str | Path):
         raise ConfigurationError(
             f"scenario: a value of type {type(scenario).__name__}; expected the name of a built-in "
@@ -133,16 +139,6 @@ def load_scenario(
         published = _schema(data, scenario).as_published(data)
         data = {**published, "name": f"{data['name']}_as_published"}
     return _load(data, str(scenario), None, seed)
-
-
-def change_scenario(
-    scenario: "Scenario",
-    *,
-    changes: Mapping[str, Any] | Sequence[str] | None = None,
-    seed: int | None = None,
-) -> "Scenario":
-    """Return a scenario with some of its fields changed; see `load_scenario`."""
-    return _load(yaml.safe_load(scenario.to_yaml()), scenario.name, changes, seed)
 
 
 def _load(

@@ -36,19 +36,20 @@ def gltf_textured_quads(planes: Sequence[Plane], pictures: Sequence[bytes]) -> s
     Drake's Meshcat turns glTF's +Y up into its own +Z; the axes allow for this, and the pictures
     appear at their true place.
     """
-    buffers: list[dict[str, Any]] = []
+    data = b""
     views: list[dict[str, Any]] = []
     accessors: list[dict[str, Any]] = []
 
+    def view(content: bytes) -> int:
+        nonlocal data
+        views.append({"buffer": 0, "byteOffset": len(data), "byteLength": len(content)})
+        data += content + bytes(-len(content) % 4)
+        return len(views) - 1
+
     def store(array: NDArray[Any], kind: str, component: int) -> int:
-        data = array.tobytes()
-        buffers.append(
-            {"uri": _data_uri("application/octet-stream", data), "byteLength": len(data)}
-        )
-        views.append({"buffer": len(buffers) - 1, "byteLength": len(data)})
         accessors.append(
             {
-                "bufferView": len(views) - 1,
+                "bufferView": view(array.tobytes()),
                 "componentType": component,
                 "count": len(array),
                 "type": kind,
@@ -74,6 +75,10 @@ def gltf_textured_quads(planes: Sequence[Plane], pictures: Sequence[bytes]) -> s
                 "material": number,
             }
         )
+    images = [
+        {"bufferView": view(picture), "mimeType": _kind(picture)}
+        for _, picture in zip(planes, pictures, strict=True)
+    ]
     document = {
         "asset": {"version": "2.0"},
         "extensionsUsed": ["KHR_materials_unlit", "EXT_texture_webp"],
@@ -102,13 +107,11 @@ def gltf_textured_quads(planes: Sequence[Plane], pictures: Sequence[bytes]) -> s
                 "wrapT": _CLAMP_TO_EDGE,
             }
         ],
-        "images": [
-            {"uri": _data_uri(_kind(picture), picture)}
-            for _, picture in zip(planes, pictures, strict=True)
-        ],
+        "images": images,
         "accessors": accessors,
         "bufferViews": views,
-        "buffers": buffers,
+        # A page fetches each buffer by a request of its own, so there is but one.
+        "buffers": [{"uri": _data_uri(data), "byteLength": len(data)}],
     }
     return json.dumps(document, separators=(",", ":"))
 
@@ -176,5 +179,5 @@ def _kind(picture: bytes) -> str:
     return "image/png" if picture.startswith(b"\x89PNG") else "image/webp"
 
 
-def _data_uri(kind: str, data: bytes) -> str:
-    return f"data:{kind};base64,{base64.b64encode(data).decode()}"
+def _data_uri(data: bytes) -> str:
+    return f"data:application/octet-stream;base64,{base64.b64encode(data).decode()}"

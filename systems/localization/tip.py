@@ -10,18 +10,14 @@ from scipy.ndimage import uniform_filter1d
 from scipy.special import ndtri
 
 from sonoservo.systems.localization.axis import Axis
+from sonoservo.systems.localization.needle_blur import needle_blur
 from sonoservo.systems.sampling.interpolation import trilinear
 from sonoservo.systems.signals.acquisition import acquired_from
-from sonoservo.systems.signals.blur import blur_covariance
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.localization_explanation import AxisProfile, NeedleExtent
 from sonoservo.systems.signals.point_spread import FWHM_PER_SIGMA
 from sonoservo.systems.signals.requirements import require_positive
 from sonoservo.systems.signals.volume import Volume
-
-_BLUR_POINTS = 9
-"""Number of points of an axis at which the blur's width is computed; it varies little between."""
-
 
 _END_SHARE = 0.45
 """Standard deviation of a clear and abrupt end, relative to that of the blur."""
@@ -36,6 +32,10 @@ _ROUGH_CONTRAST, _MIRROR_CONTRAST = 16.0, 24.0
 _CLEAR_CONTRAST, _FAINT = 14.0, 3.6
 """Contrast in dB at which an end is clear, and the logarithm of the factor without any contrast.
 All five were fitted to 640 volumes of two image models with sharp, faint and fading needles."""
+
+
+_TYPICAL_WIDTH = 2e-3
+"""Width of a beam in m where there is no speckle from which it could be measured."""
 
 
 @dataclass(kw_only=True)
@@ -65,7 +65,8 @@ class TipParameters:
         its end is the median over twice this length.
     beam_width
         Width of the beam along the needle at half amplitude, in m. The beam blurs the tip outwards.
-        This value is used only for volumes that do not know their point spread.
+        This value is used only for volumes that do not know their point spread; if it is None, the
+        widths there follow from the speckle.
     """
 
     step: float = 0.25e-3
@@ -77,7 +78,7 @@ class TipParameters:
     end_contrast: float = 6.0
     min_end_contrast: float = 4.0
     end_length: float = 4e-3
-    beam_width: float = 2.4e-3
+    beam_width: float | None = None
 
     def __post_init__(self) -> None:
         require_positive(
@@ -90,8 +91,9 @@ class TipParameters:
             end_contrast=self.end_contrast,
             min_end_contrast=self.min_end_contrast,
             end_length=self.end_length,
-            beam_width=self.beam_width,
         )
+        if self.beam_width is not None:
+            require_positive(beam_width=self.beam_width)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -157,29 +159,9 @@ def axis_profile(
         maxima[0].clip(0) * volume.decibels_per_level,
         np.nanmedian(beside, axis=0) * volume.decibels_per_level,
         seen,
-        _blur_along(volume, p_P, along),
+        needle_blur(volume, p_P, along, parameters.beam_width),
         parameters.contrast,
     )
-
-
-def _blur_along(
-    volume: Volume, p_P: NDArray[np.float64], along: NDArray[np.float64]
-) -> NDArray[np.float64] | None:
-    """Return the (m,) widths of a needle's blurred end at points of an axis, in m; None if unknown.
-
-    On the axis, the end is blurred with a standard deviation of 1 / sqrt(k^T Sigma^-1 k), with
-    Sigma the covariance of the point spread and k the needle's direction. Its projection on the
-    axis is blurred with sqrt(k^T Sigma k). The tube takes the largest value beside the axis, but
-    not far from it, so the mean of both is taken.
-    """
-    if volume.point_spread is None or volume.motion is None:
-        return None
-    few = np.linspace(0, len(p_P) - 1, _BLUR_POINTS).astype(int)
-    covariance = blur_covariance(volume.point_spread, volume.motion.geometry, p_P[few])
-    projected = np.sqrt(covariance @ along @ along)
-    on_axis = 1 / np.sqrt(np.linalg.inv(covariance) @ along @ along)
-    width = FWHM_PER_SIGMA * 0.5 * (projected + on_axis)
-    return np.interp(np.arange(len(p_P)), few, width)
 
 
 @njit(cache=True, nogil=True)
@@ -310,7 +292,7 @@ def _tip(
     lost = float(a[end])
     if end + 1 < len(a) and contrast[end + 1] < threshold < contrast[end]:
         lost = float(np.interp(threshold, contrast[[end + 1, end]], a[[end + 1, end]]))
-    width = parameters.beam_width
+    width = parameters.beam_width or _TYPICAL_WIDTH
     if profile.beam_width is not None:
         width = float(np.interp(lost, a, profile.beam_width))
     sigma = width / FWHM_PER_SIGMA

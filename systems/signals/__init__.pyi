@@ -32,6 +32,7 @@ from .needle_shape import path_statistics as path_statistics
 from .planes import Plane as Plane
 from .planes import box_edges as box_edges
 from .planes import sample_plane as sample_plane
+from .planes import sample_sector as sample_sector
 from .planes import slice_planes as slice_planes
 from .point_spread import PointSpread as PointSpread
 from .ports import evaluate as evaluate

@@ -124,22 +124,41 @@ def sample_plane(volume: Volume, plane: Plane, spacing: float) -> NDArray[np.uin
 
     Returns
     -------
+    (rows, columns) grey level. Outside the grid it is 0, or that of the nearest point on its edge
+    if the volume knows its sector.
+    """
+    return _grey(volume, _pixels(plane, spacing))
+
+
+def sample_sector(volume: Volume, plane: Plane, spacing: float) -> NDArray[np.uint8]:
+    """Return the image of a slice through a volume, transparent outside the swept sector.
+
+    Parameters
+    ----------
+    volume, plane, spacing
+        See `sample_plane`.
+
+    Returns
+    -------
     (rows, columns, 2) grey level and opacity, which is 255 in the sector and 0 outside. If the
     sector is unknown, the whole grid is opaque.
     """
+    p_P = _pixels(plane, spacing)
+    if volume.motion is not None:
+        inside = volume.motion.geometry.contains(p_P)
+    else:
+        inside = np.isfinite(volume.sample(p_P, outside=np.nan))
+    return np.stack([_grey(volume, p_P), np.where(inside, 255, 0).astype(np.uint8)], axis=-1)
+
+
+def _pixels(plane: Plane, spacing: float) -> Vector:
     rows, columns = (
         max(1, int(np.ceil(size / spacing - 1e-9))) for size in (plane.height, plane.width)
     )
-    p_P = plane.grid(rows, columns)
-    picture = np.zeros((rows, columns, 2), np.uint8)
-    if volume.motion is not None:
-        grey = volume.sample(p_P, outside=None)
-        inside = volume.motion.geometry.contains(p_P)
-    else:
-        grey = volume.sample(p_P, outside=np.nan)
-        inside = np.isfinite(grey)
-        grey[~inside] = 0
+    return plane.grid(rows, columns)
+
+
+def _grey(volume: Volume, p_P: Vector) -> NDArray[np.uint8]:
+    grey = volume.sample(p_P, outside=0.0 if volume.motion is None else None)
     np.rint(grey, out=grey)
-    picture[..., 0] = np.clip(grey, 0, 255, out=grey)
-    picture[..., 1] = np.where(inside, 255, 0)
-    return picture
+    return np.clip(grey, 0, 255, out=grey).astype(np.uint8)

@@ -38,6 +38,14 @@ def shown():
 
 @pytest.fixture
 def console():
+    """A console without a view of the world or the probe, which a browser draws in software."""
+    with closing(Console(title="a test", world=None)) as console:
+        yield console
+
+
+@pytest.fixture
+def whole_console():
+    """A console with everything."""
     with closing(Console(title="a test")) as console:
         yield console
 
@@ -138,7 +146,10 @@ PARTS = (
 )  # fmt: skip
 
 
-def test_every_state_has_its_word_shape_and_colour_and_all_of_it_fits(open_page, console, shown):
+def test_every_state_has_its_word_shape_and_colour_and_all_of_it_fits(
+    open_page, whole_console, shown
+):
+    console = whole_console
     console.controls.offer(
         [
             *operator_controls(azimuth_deg=10, dip_deg=5),
@@ -287,7 +298,7 @@ def check_pressed(console, wanted):
 def test_a_page_says_when_its_server_ends_and_goes_on_with_the_next(open_page, shown, monkeypatch):
     port = 8640  # no other test looks here
     with Site(port=port) as site:
-        console = Console(site)
+        console = Console(site, world=None)
         page = open_page(console.web_url)
         show(console, *shown[0])
         eventually(page, lambda: check_needle(page, *shown[0]))
@@ -295,7 +306,7 @@ def test_a_page_says_when_its_server_ends_and_goes_on_with_the_next(open_page, s
     page.wait_for_selector("#gone", state="visible")
     check_needle(page, *shown[0])  # the last picture stays
     with Site(port=port) as site:
-        following = Console(site)
+        following = Console(site, world=None)
         assert following.web_url == console.web_url
         following.controls.offer_buttons("stop")
         page.wait_for_selector("#buttons [data-name=stop]")  # it has loaded itself anew

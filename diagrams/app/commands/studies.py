@@ -121,16 +121,16 @@ def reproduce_command(
 
     Finished runs are kept; repeat the command to resume after an interruption.
     """
-    from sonoservo.diagrams.app.terminal import study_table
-    from sonoservo.diagrams.papers.results import keep_results
-    from sonoservo.diagrams.studies.study import StudyOptions
-    from sonoservo.diagrams.studies.study_report import write_studies, write_study
-
     papers = PAPERS if paper == ALL else (paper,)
     for each in papers:
         require_paper(each)
     if keep and (quick or seeds is not None or first_seed):
         raise ConfigurationError("--keep: only the results of the whole study are kept")
+    with Heartbeat(console, f"Preparing to reproduce {paper}"):  # seconds, where files are cold
+        from sonoservo.diagrams.app.terminal import study_table
+        from sonoservo.diagrams.papers.results import keep_results
+        from sonoservo.diagrams.studies.study import StudyOptions
+        from sonoservo.diagrams.studies.study_report import write_studies, write_study
     folder = out or Path("out") / f"{paper}{'_quick' if quick else ''}"
     command = ["sonoservo", "reproduce", paper, *(["--quick"] if quick else [])]
     command += [] if seeds is None else ["--seeds", str(seeds)]

@@ -12,6 +12,9 @@ import numpy as np
 
 from sonoservo.diagrams.app.kept_runs.compare import KeptResults, read_kept_results
 from sonoservo.diagrams.app.kept_runs.kept_run import PICTURES
+from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams.scenario import Scenario, require_scenario
+from sonoservo.systems.control.controller_schedule import ControllerSchedule
 from sonoservo.systems.control.visual_features import needle_features
 from sonoservo.systems.display.console.controls import Control
 from sonoservo.systems.display.console.history import MINUTE, Frame
@@ -163,7 +166,7 @@ def read_replay(folder: str | Path) -> Replay:
             f"{folder} is a run of the experiment {kept.scenario.experiment!r}, which has no "
             f"volumes to replay; open {folder / 'report.html'}"
         )
-    samples = log_samples(kept.log)
+    samples = log_samples(kept.log, _settings(kept.scenario))
     if not samples:
         raise ConfigurationError(f"{folder}: the run was too short to replay")
     pictures = read_pictures(folder / PICTURES) if (folder / PICTURES).is_file() else []
@@ -172,8 +175,13 @@ def read_replay(folder: str | Path) -> Replay:
     return Replay(_title(kept), samples, _in_one_window(frames))
 
 
-def log_samples(log: RunLog) -> list[Sample]:
-    """Return the samples of the strips of a run, from its log."""
+def _settings(scenario: Scenario) -> ControllerSchedule:
+    scenario = require_scenario(scenario, FollowingScenario)
+    return ControllerSchedule(scenario.controller.settings, tuple(scenario.controller_changes))
+
+
+def log_samples(log: RunLog, settings: ControllerSchedule) -> list[Sample]:
+    """Return the samples of the strips of a run, from its log and the controller's settings."""
     error = 1e3 * np.linalg.norm(
         log.estimate_tip - at_times(log, log.needle_tip, log.estimate_time), axis=1
     )
@@ -190,8 +198,8 @@ def log_samples(log: RunLog) -> list[Sample]:
         acts = str(log.guard_state[row]) not in ("", GuardState.MONITORING)
         sample = Sample(
             time=now, mode=str(log.estimate_mode[row]), force=float(log.contact_force[row]),
-            error=float(error[row]), reason=reason, held=str(log.hold_reason[row]),
-            stopped=str(log.guard_reason[row]) if acts else "",
+            target=settings.at(now).force, error=float(error[row]), reason=reason,
+            held=str(log.hold_reason[row]), stopped=str(log.guard_reason[row]) if acts else "",
         )  # fmt: skip
         if np.isfinite(log.estimate_tip[row]).all():
             ends = np.stack([log.estimate_entry[row], log.estimate_tip[row]], axis=1)

@@ -14,9 +14,7 @@ const HELP = {
 const SPEEDS = [[0.25, "¼ ×"], [0.5, "½ ×"], [1, "1 ×"], [2, "2 ×"], [0, "max"]];
 const LETTERS = { Space: "space", Period: ".", ArrowLeft: "←", ArrowRight: "→" };
 const letter = (code) => LETTERS[code] ?? code.replace("Key", "");
-const plain = (value) => value instanceof Map
-  ? Object.fromEntries([...value].map(([name, each]) => [name, plain(each)]))
-  : Array.isArray(value) ? value.map(plain) : value;
+const plain = (value) => (value instanceof Map ? Object.fromEntries(value) : value);
 
 let link, grey, figures, state = {}, described = {}, orders = 0, armed = false, held = null;
 
@@ -31,8 +29,16 @@ const number = (value, digits) =>
 
 // Everything that a new state changes
 
+function receive() {
+  const [words, ...images] = link.state.tags;
+  const { frame, strips, ...told } = JSON.parse(words);
+  state = told;
+  if (strips) showStrips(strips);
+  if (frame) showPictures(frame, images);
+  show();
+}
+
 function show() {
-  state = plain(link.state.tags[0]);
   for (const [name, each] of asked) {
     if (state.heard >= each.order) asked.delete(name);
     else (name === "offsets" ? state : state.values)[name] = each.value;
@@ -57,9 +63,6 @@ function show() {
       state.paused ? "go on" : "pause";
   showValues();
   showOffsets();
-  document.querySelectorAll(".slice .title").forEach((each, n) => {
-    each.textContent = state.titles?.[n] ?? "";
-  });
   const [first, last] = state.cine ?? [0, 0];
   if (state.live && document.activeElement !== $("cine")) $("cine").value = 1000;
   $("cine").disabled = !(last > first);
@@ -87,7 +90,7 @@ function show() {
 }
 
 function describe() {
-  described = plain(link.described.tags[0]);
+  described = JSON.parse(link.described.tags[0]);
   build();
 }
 
@@ -103,7 +106,7 @@ function gone() {
 function start(...given) {
   [link, grey, figures] = given;
   [link, figures] = [plain(link), plain(figures)];
-  link.state.properties.tags.change.connect(show);
+  link.state.properties.tags.change.connect(receive);
   link.described.properties.tags.change.connect(() => { describe(); show(); });
   link.state.document.on_event("connection_lost", gone);
   for (const n of [0, 1]) {
@@ -139,6 +142,6 @@ function start(...given) {
   // A kept world plays by itself once it has loaded, which takes a while.
   setInterval(() => { if (frame.contentWindow.viewer?.animator?.playing) seek(frame); }, 300);
   describe();
-  show();
+  receive();
   document.body.dataset.ready = "";
 }

@@ -8,7 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 from sonoservo.systems.display.console.controls import Controls, finite_number
 from sonoservo.systems.display.console.history import Cine, Frame, Strips
-from sonoservo.systems.display.console.readings import Sample, describe_state, sample_estimate
+from sonoservo.systems.display.console.readings import (
+    Sample,
+    describe_state,
+    sample_estimate,
+    shown_number,
+)
 from sonoservo.systems.display.console.slices import slice_pictures
 from sonoservo.systems.display.pages.site import Site
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
@@ -207,10 +212,11 @@ class _View:
         self._cine: float | None = None
         self._heard = 0
         self._looked: object = None
+        self._beside: Frame | None = None
         self._described: dict[str, Any] = {}
         self._state_sent: dict[str, Any] = {}
         link = self._page.link
-        link.on_change("order", lambda: self._obey(link.get("order") or {}))
+        link.on_change("order", lambda: self._obey(link.heard("order") or {}))
         link.on_change("drawn", self.wake)
         document.on_session_destroyed(lambda context: console.controls.deflect(self, None))
         self._push()
@@ -230,10 +236,16 @@ class _View:
     def _go_on(self) -> None:
         self._waits = False
         silent = clock.monotonic() - self._sent_at
-        drawn = self._page.link.get("drawn")
+        drawn = self._page.link.heard("drawn")
         if (drawn is None or drawn < self._sent) and silent < _PATIENCE:
             return  # it says when it is ready
+        if drawn is None or drawn < 0:  # it may have opened late, and missed what it was sent
+            self._forget()
         self._push()
+
+    def _forget(self) -> None:
+        """Send everything anew next time."""
+        self._frame, self._strips_end, self._state_sent = None, -1, {}
 
     def _push(self) -> None:
         # Drake aborts if a Meshcat is destroyed on a thread other than its own, so garbage must not
@@ -253,28 +265,30 @@ class _View:
         if self._cine is not None:
             frame = console.cine.at(self._cine)
         elif any(self._offsets):
-            key = (newest, self._offsets)
-            frame = self._frame
+            key = newest, self._offsets
             if key != self._looked:
-                frame, self._looked = console.frame_beside(self._offsets), key
-        if frame is not None and frame is not self._frame:
-            page.show_frame(frame)
-            self._frame = frame
+                self._beside, self._looked = console.frame_beside(self._offsets), key
+            frame = self._beside
         strips = console.strips
-        if strips.end != self._strips_end:
-            anew = self._strips_end < strips.begin
-            begin = strips.begin if anew else self._strips_end
-            page.show_strips(strips.columns(begin), anew=anew, keep=strips.end - strips.begin)
-            self._strips_end = strips.end
+        anew = self._strips_end < strips.begin
+        begin = strips.begin if anew else self._strips_end
         described = dict(console.controls.description())
         if described != self._described:
             self._described = described
-            page.link.set("described", described)
+            page.link.send("described", described)
         state = self._state(frame)
-        if state != self._state_sent:
-            self._state_sent = state
-            self._sent, self._sent_at = self._sent + 1, clock.monotonic()
-            page.link.set("state", state | {"number": self._sent})
+        changes = strips.end != self._strips_end
+        if state == self._state_sent and frame is self._frame and not changes:
+            return
+        self._sent, self._sent_at = self._sent + 1, clock.monotonic()
+        page.show(
+            state | {"number": self._sent},
+            frame=frame if frame is not self._frame else None,
+            strips=strips.columns(begin) if changes else None,
+            anew=anew,
+            keep=max(strips.end - strips.begin, 1),
+        )
+        self._state_sent, self._frame, self._strips_end = state, frame, strips.end
 
     def _state(self, frame: Frame | None) -> dict[str, Any]:
         console = self._console
@@ -284,8 +298,7 @@ class _View:
         if sample is not None:
             state |= {"time": sample.time, "held": sample.held}
             for name in ("x", "z", "theta", "depth", "force", "error"):
-                value = getattr(sample, name)
-                state[name] = None if value != value else round(value, 2)
+                state[name] = shown_number(getattr(sample, name))
         times = console.cine.times
         state["cine"] = [times[0], times[-1]] if times else None
         state["live"] = self._cine is None
@@ -294,8 +307,6 @@ class _View:
                 "volume": frame.number,
                 "volume_time": frame.time,
                 "decibels_per_level": frame.decibels_per_level,
-                "windows": [list(each.window) if each else None for each in frame.pictures],
-                "titles": [each.title if each else "" for each in frame.pictures],
             }
         state["heard"] = self._heard
         state["offsets"] = [round(1e3 * each, 1) for each in self._offsets]

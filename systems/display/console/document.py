@@ -1,9 +1,11 @@
 """Document of one page of the console: two slices, the strips, and the link to its controls."""
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from importlib.resources import files
 from typing import Any
 
+import numpy as np
 from bokeh.document import Document
 from bokeh.models import (
     ColumnDataSource,
@@ -14,6 +16,7 @@ from bokeh.models import (
 )
 from bokeh.palettes import Greys256
 from bokeh.plotting import figure
+from numpy.typing import NDArray
 
 from sonoservo.systems.display.colours import (
     FORCE,
@@ -25,6 +28,7 @@ from sonoservo.systems.display.colours import (
     hexadecimal,
 )
 from sonoservo.systems.display.console.history import STRIPS, Frame
+from sonoservo.systems.display.console.readings import shown_number
 
 _GROUND, _PLOT, _INK, _GRID = "#10141a", "#0a0d11", "#aeb7c2", "#242c36"
 _FIRST, _SECOND = "#58b4f0", "#f0a35e"
@@ -36,7 +40,7 @@ _PAGE_COLOURS = {
     "force": FORCE,
 }  # fmt: skip
 _DASHES = {"tracking": "solid", "coasting": "dashed", "lost": "dotted"}
-_LINK: Mapping[str, Any] = {"state": {}, "described": {}, "order": {}, "drawn": -1}
+_HEARD: Mapping[str, Any] = {"order": {}, "drawn": -1}
 _LONGEST = 0.5
 """Longest time before a sample for which its mode is drawn, in s."""
 
@@ -58,21 +62,24 @@ _SCRIPTS = ("console.js", "controls.js", "views.js")
 class Link:
     """Link between a page and the console: values that either side sets and the other sees.
 
-    `state` and `described` go to the page, `order` comes from it, and `drawn` is the number of the
-    last state that it has drawn. Each is carried by a model that draws nothing, as its tag.
+    `state` and `described` go to the page as JSON, `order` comes from it, and `drawn` is the number
+    of the last state that it has drawn. Each is carried by a model that draws nothing, as its tag.
+    All that changes at a time goes as one message: Bokeh spends a millisecond on each.
     """
 
     def __init__(self) -> None:
-        self.models = {name: ColumnDataSource(tags=[value]) for name, value in _LINK.items()}
+        self.models = {name: ColumnDataSource() for name in ("state", "described")} | {
+            name: ColumnDataSource(tags=[value]) for name, value in _HEARD.items()
+        }
 
-    def get(self, name: str) -> Any:
-        """Return a value; None if the page has sent nothing of the kind."""
+    def heard(self, name: str) -> Any:
+        """Return a value from the page; None if it has sent nothing of the kind."""
         tags = self.models[name].tags
-        return tags[0] if tags and isinstance(tags[0], type(_LINK[name])) else None
+        return tags[0] if tags and isinstance(tags[0], type(_HEARD[name])) else None
 
-    def set(self, name: str, value: Any) -> None:
-        """Set a value."""
-        self.models[name].tags = [value]
+    def send(self, name: str, value: Mapping[str, Any], *images: NDArray[np.uint8]) -> None:
+        """Send a value to the page, with images that follow it."""
+        self.models[name].tags = [json.dumps(value, default=float), *images]
 
     def on_change(self, name: str, callback: Callable[[], None]) -> None:
         """Call a function whenever the page has set a value."""
@@ -93,16 +100,11 @@ class PageDocument:
     def __init__(self, document: Document, title: str) -> None:
         self.document = document
         self.link = Link()
-        self._images = [_image_source() for _ in range(2)]
-        self._marks = [_mark_source() for _ in range(2)]
         self._strips = ColumnDataSource({name: [] for name in (*STRIPS, "colour", "begin")})
         self._time: float | None = None
         grey = LinearColorMapper(palette=Greys256, low=0, high=255, name="grey")
-        self._rings = [ColumnDataSource({"x": [], "y": []}) for _ in range(2)]
-        self._rails: list[Any] = []
-        self._axes: list[tuple[Any, Any]] = []
         roots = {
-            f"slice_{number}": self._slice_figure(number, grey) for number in range(2)
+            f"slice_{number}": _slice_figure(grey) for number in range(2)
         } | self._strip_figures()
         # They belong to the document, and follow its changes, only if one of its roots names them.
         roots["mode"].tags = list(self.link.models.values())
@@ -110,6 +112,8 @@ class PageDocument:
             for name, root in roots.items():
                 root.name = name
                 document.add_root(root)
+        for model in document.models:
+            model.syncable = model in self.link.models.values()
         document.title = title
         document.template = page_template()
         document.config.reconnect_session = False
@@ -120,84 +124,58 @@ class PageDocument:
         )
         document.js_on_event("document_ready", start)
 
-    def show_frame(self, frame: Frame) -> None:
-        """Show the pictures of a volume, with the needle beside its echo."""
-        colour = _COLOURS.get(frame.mode, _INK)
-        for number in range(2):
-            picture = frame.pictures[number] if number < len(frame.pictures) else None
-            if picture is None:
-                for source in (self._images[number], self._marks[number], self._rings[number]):
-                    source.data = {name: [] for name in source.data}
-                continue
-            (x, y), (width, height) = picture.corner, picture.size
-            self._images[number].data = {
-                "image": [picture.grey], "x": [x], "y": [y], "dw": [width], "dh": [height],
-            }  # fmt: skip
-            for axis, label in zip(self._axes[number], picture.axes, strict=True):
-                axis.axis_label = f"{label} (mm)"
-            xs = [rail[:, 0].tolist() for rail in picture.rails]
-            ys = [rail[:, 1].tolist() for rail in picture.rails]
-            tip = [[value] for value in picture.tip.tolist()] or [[], []]
-            self._marks[number].data = {"xs": xs, "ys": ys}
-            rails, ring = self._rails[number]
-            self._rings[number].data = {"x": tip[0], "y": tip[1]}
-            for glyph in (rails.glyph, ring.glyph):
-                glyph.line_color = colour
-                glyph.line_dash = _DASHES.get(frame.mode, "solid")
-
-    def show_strips(self, columns: Mapping[str, list[Any]], *, anew: bool, keep: int) -> None:
-        """Add samples to the strips, or replace them.
+    def show(
+        self,
+        state: Mapping[str, Any],
+        *,
+        frame: Frame | None = None,
+        strips: Mapping[str, list[Any]] | None = None,
+        anew: bool = False,
+        keep: int = 1,
+    ) -> None:
+        """Show a state, and what else has changed with it.
 
         Parameters
         ----------
-        columns
-            New values by column.
+        state
+            State for the page's script.
+        frame
+            Pictures of a volume, shown with the needle beside its echo.
+        strips
+            New samples of the strips, by column.
         anew
-            Whether they replace those before.
+            Whether the samples replace those before.
         keep
             Number of samples to keep.
         """
-        data = dict(columns)
-        data["colour"] = [_COLOURS.get(str(mode), _INK) for mode in data["mode"]]
-        begins = [self._time if not anew else None, *data["time"]]
-        if data["time"]:
-            self._time = data["time"][-1]
-        data["begin"] = [
-            time - _LONGEST if begin is None else max(begin, time - _LONGEST)
-            for begin, time in zip(begins, data["time"], strict=False)
-        ]
-        if anew:
-            self._strips.data = data
-        elif data["time"]:
-            self._strips.stream(data, rollover=max(keep, 1))
+        message, images = dict(state), list[NDArray[np.uint8]]()
+        if frame is not None:
+            message["frame"], images = _describe_frame(frame)
+        if strips is not None:
+            message["strips"] = {"columns": self._columns(strips, anew), "anew": anew, "keep": keep}
+        self.link.send("state", message, *images)
 
-    def _slice_figure(self, number: int, grey: LinearColorMapper) -> Any:
-        plot = figure(
-            x_range=Range1d(-50, 50, syncable=False),
-            y_range=Range1d(80, 0, syncable=False),
-            tools="", toolbar_location=None, sizing_mode="stretch_both", min_border=0,
-        )  # fmt: skip
-        _style(plot)
-        plot.background_fill_color = "#000000"
-        plot.grid.visible = False
-        self._axes.append((plot.xaxis[0], plot.yaxis[0]))
-        plot.image(source=self._images[number], color_mapper=grey)
-        rails = plot.multi_line(
-            "xs", "ys", source=self._marks[number], line_width=2, name=f"rails_{number}"
-        )
-        ring = plot.circle(
-            "x", "y", radius=_RING, source=self._rings[number],
-            fill_color=None, line_width=2, name=f"ring_{number}",
-        )  # fmt: skip
-        self._rails.append((rails, ring))
-        return plot
+    def _columns(self, samples: Mapping[str, list[Any]], anew: bool) -> dict[str, list[Any]]:
+        columns: dict[str, list[Any]] = {
+            name: [value if isinstance(value, str) else shown_number(value) for value in each]
+            for name, each in samples.items()
+        }
+        columns["colour"] = [_COLOURS.get(str(mode), _INK) for mode in columns["mode"]]
+        begins = [self._time if not anew else None, *columns["time"]]
+        if columns["time"]:
+            self._time = columns["time"][-1]
+        columns["begin"] = [
+            time - _LONGEST if begin is None else max(begin, time - _LONGEST)
+            for begin, time in zip(begins, columns["time"], strict=False)
+        ]
+        return columns
 
     def _strip_figures(self) -> dict[str, Any]:
-        time = Range1d(0, 10, name="time", syncable=False)
+        time = Range1d(0, 10, name="time")
         plots = {}
         for name, label, lines, least in _LINES:
             plot = figure(
-                x_range=time, y_range=Range1d(-0.5 * least, 0.5 * least, syncable=False),
+                x_range=time, y_range=Range1d(-0.5 * least, 0.5 * least),
                 tools="", toolbar_location=None, sizing_mode="stretch_both", min_border=0,
                 tags=[least],
             )  # fmt: skip
@@ -229,6 +207,26 @@ class PageDocument:
         return plots
 
 
+def _slice_figure(grey: LinearColorMapper) -> Any:
+    plot = figure(
+        x_range=Range1d(-50, 50),
+        y_range=Range1d(80, 0),
+        tools="", toolbar_location=None, sizing_mode="stretch_both", min_border=0,
+    )  # fmt: skip
+    _style(plot)
+    plot.background_fill_color = "#000000"
+    plot.grid.visible = False
+    image = ColumnDataSource({name: [] for name in ("image", "x", "y", "dw", "dh")})
+    plot.image(source=image, color_mapper=grey)
+    rails = ColumnDataSource({"xs": [], "ys": []})
+    plot.multi_line("xs", "ys", source=rails, line_width=2, name="rails")
+    tip = ColumnDataSource({"x": [], "y": []})
+    plot.circle(
+        "x", "y", radius=_RING, source=tip, fill_color=None, line_width=2, name="ring"
+    )  # fmt: skip
+    return plot
+
+
 def page_template() -> str:
     """Return the template of the page, with its style and its script."""
     folder = files("sonoservo.systems.display.console")
@@ -240,12 +238,26 @@ def page_template() -> str:
     return text.replace("/* scripts */", scripts)
 
 
-def _image_source() -> ColumnDataSource:
-    return ColumnDataSource({name: [] for name in ("image", "x", "y", "dw", "dh")})
-
-
-def _mark_source() -> ColumnDataSource:
-    return ColumnDataSource({"xs": [], "ys": []})
+def _describe_frame(frame: Frame) -> tuple[dict[str, Any], list[NDArray[np.uint8]]]:
+    """Return the pictures of a volume in words for the page's script, and their images."""
+    pictures = [
+        picture and {
+            "title": picture.title,
+            "axes": [f"{axis} (mm)" for axis in picture.axes],
+            "corner": picture.corner,
+            "size": picture.size,
+            "window": picture.window,
+            "rails": [np.round(rail.T, 2).tolist() for rail in picture.rails],
+            "tip": np.round(picture.tip, 2).tolist(),
+        }
+        for picture in frame.pictures
+    ]  # fmt: skip
+    words = {
+        "pictures": [*pictures, None, None][:2],
+        "colour": _COLOURS.get(frame.mode, _INK),
+        "dash": _DASHES.get(frame.mode, "solid"),
+    }
+    return words, [picture.grey for picture in frame.pictures[:2] if picture is not None]
 
 
 def _style(plot: Any) -> None:

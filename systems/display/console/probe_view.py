@@ -21,7 +21,7 @@ from sonoservo.systems.display.colours import MODE_COLOURS
 from sonoservo.systems.display.shapes import sector_edges, tubes
 from sonoservo.systems.display.textured_quads import encode_png
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
-from sonoservo.systems.signals.planes import box_edges, sample_plane, slice_planes
+from sonoservo.systems.signals.planes import box_edges, sample_sector, slice_planes
 from sonoservo.systems.signals.volume import Volume
 
 _SIZE = 1.0
@@ -59,7 +59,7 @@ class ProbeView:
             node.set_property("visible", number < len(planes))
             if number < len(planes):
                 plane = planes[number]
-                png = encode_png(sample_plane(volume, plane, _PIXEL), compression=1)
+                png = encode_png(sample_sector(volume, plane, _PIXEL), compression=1)
                 texture = ImageTexture(PngImage(png))
                 material = MeshBasicMaterial(map=texture, side=2, alphaTest=0.5)
                 node.set_object(Mesh(_Rectangle(plane.width, plane.height), material))

@@ -104,6 +104,11 @@ def tip_error(estimate: NeedleEstimate, tips: Sequence[tuple[float, Floats]]) ->
     return 1e3 * float(np.linalg.norm(estimate.curve.tip - true))
 
 
+def shown_number(value: float) -> float | None:
+    """Return a number for a page, which shows thousandths; None if it is not finite."""
+    return round(value, 3) if math.isfinite(value) else None
+
+
 def describe_state(sample: Sample | None) -> dict[str, str]:
     """Return the state in words.
 

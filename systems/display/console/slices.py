@@ -114,11 +114,9 @@ def slice_views(
     for slice_, offset in zip(slice_planes(volume, curve), offsets, strict=False):
         R = _upright(slice_)
         centre = slice_.X_PS.translation() + offset * R[:, 2]
-        origin, level = _origin(R, centre), R[:, 0] * [1, 0, 1]
-        if level @ level > 0.25:
-            place = np.array([level @ middle / (level @ level), R[:, 1] @ middle])
-        else:
-            place = np.array([0.0, R[:, 1] @ middle])
+        scale = _level_scale(R)
+        origin = _origin(R, centre)
+        place = np.array([scale @ middle, R[:, 1] @ middle])
         at = (centre - origin) @ R[:, :2]
         held = 0.5 * np.array([slice_.width, slice_.height])
         low, high = np.maximum(at - held, place - half), np.minimum(at + held, place + half)
@@ -142,10 +140,17 @@ def _upright(slice_: Plane) -> Floats:
 
 def _origin(R: Floats, centre: Floats) -> Floats:
     """Return the origin in P, in m, of a slice's coordinates; see `slice_views`."""
+    return R[:, 0] * (R[:, 0] @ centre - _level_scale(R) @ centre)
+
+
+def _level_scale(R: Floats) -> Floats:
+    """Return the vector in P that is zero below the middle of the probe, and grows along a slice.
+
+    It grows by one for each metre along the slice's X. It is zero everywhere on a slice whose X
+    dips by 60 deg or more, which has no point below the middle of the probe nearby.
+    """
     level = R[:, 0] * [1, 0, 1]
-    if level @ level > 0.25:
-        return R[:, 0] * (R[:, 0] @ centre - level @ centre / (level @ level))
-    return R[:, 0] * (R[:, 0] @ centre)
+    return level / (level @ level) if level @ level > 0.25 else np.zeros(3)
 
 
 def kept_slice(number: int, slice_: Plane, grey: NDArray[np.uint8], needle: Floats) -> SlicePicture:
@@ -197,7 +202,7 @@ def slice_pictures(
         if view is None:
             pictures.append(None)
             continue
-        sampled = sample_plane(volume, view.plane, max(_PIXEL, 0.5 * float(volume.spacing.min())))
+        grey = sample_plane(volume, view.plane, max(_PIXEL, 0.5 * float(volume.spacing.min())))
         half = 0.5 * np.array([view.plane.width, view.plane.height])
         corner = 1e3 * (view.coordinates(view.plane.X_PS.translation()) - half)
         rails, tip = [], np.zeros(0)
@@ -210,7 +215,7 @@ def slice_pictures(
             SlicePicture(
                 title,
                 axes,
-                np.ascontiguousarray(sampled[..., 0]),
+                grey,
                 (float(corner[0]), float(corner[1])),
                 (2e3 * float(half[0]), 2e3 * float(half[1])),
                 (float(left), float(right), float(top), float(bottom)),

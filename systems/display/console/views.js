@@ -2,6 +2,14 @@
 
 // Strips
 
+function showStrips({ columns, anew, keep }) {
+  const { data_source: source } = figures.mode.renderers[0];
+  for (const values of Object.values(columns))
+    values.forEach((value, n) => { values[n] = value ?? NaN; });
+  if (anew) source.data = columns;
+  else source.stream(columns, keep, { sync: false });
+}
+
 function scale() {
   if (state.time == null) return;
   const end = Math.max(state.time, 10);
@@ -54,10 +62,31 @@ function seek(frame) {
 
 // Slices
 
+let slices = [];
+function showPictures({ pictures, colour, dash }, images) {
+  slices = pictures;
+  slices.forEach((picture, n) => {
+    const plot = figures[`slice_${n}`], [image, rails, ring] = plot.renderers;
+    const one = (value) => (picture ? [value] : []);
+    const { corner: [x, y], size: [dw, dh], rails: lines, tip } =
+      picture ?? { corner: [], size: [], rails: [], tip: [] };
+    image.data_source.data = { image: picture ? [images.shift()] : [],
+      x: one(x), y: one(y), dw: one(dw), dh: one(dh) };
+    rails.data_source.data = { xs: lines.map(([xs]) => xs), ys: lines.map(([, ys]) => ys) };
+    ring.data_source.data = { x: tip.slice(0, 1), y: tip.slice(1) };
+    for (const { glyph } of [rails, ring])
+      glyph.setv({ line_color: { value: colour }, line_dash: { value: dash } });
+    if (picture) [plot.below[0].axis_label, plot.left[0].axis_label] = picture.axes;
+  });
+  document.querySelectorAll(".slice .title").forEach((each, n) => {
+    each.textContent = slices[n]?.title ?? "";
+  });
+}
+
 function fit() {
-  (state.windows ?? []).forEach((window, n) => {
-    if (!window) return;
-    const [left, right, top, bottom] = window;
+  slices.forEach((picture, n) => {
+    if (!picture) return;
+    const [left, right, top, bottom] = picture.window;
     const plot = figures[`slice_${n}`];
     const [width, height] = [plot.inner_width, plot.inner_height];
     if (!(width > 0 && height > 0)) return;

@@ -28,7 +28,7 @@ from sonoservo.systems.signals.guard_status import GuardStatus
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
-from sonoservo.systems.signals.planes import sample_plane, slice_planes
+from sonoservo.systems.signals.planes import sample_sector, slice_planes
 from sonoservo.systems.signals.ports import evaluate
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 from sonoservo.systems.signals.search_advice import search_words
@@ -262,6 +262,6 @@ class WorldView(LeafSystem):
         if not planes:
             return
         pixel, time = self._parameters.pixel, context.get_time()
-        pictures = [encode_webp(sample_plane(volume, plane, pixel)) for plane in planes]
+        pictures = [encode_webp(sample_sector(volume, plane, pixel)) for plane in planes]
         in_world = [plane.transformed(volume.X_WP) for plane in planes]
         self._film.show(gltf_textured_quads(in_world, pictures), time)

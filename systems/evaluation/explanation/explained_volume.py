@@ -212,7 +212,7 @@ def _slices(volume: Volume, curve: NeedleCurve | None) -> dict[str, Any]:
         arrays["slice_origin"] = shown.tip
         curve = shown.transformed(volume.X_WP)
     for name, plane in zip(("beam", "cross"), slice_planes(volume, curve), strict=False):
-        arrays[f"{name}_slice"] = sample_plane(volume, plane, _PIXEL)[..., 0]
+        arrays[f"{name}_slice"] = sample_plane(volume, plane, _PIXEL)
         arrays[f"{name}_X_PS"] = plane.X_PS.GetAsMatrix4()
         arrays[f"{name}_size"] = [plane.width, plane.height]
     return arrays

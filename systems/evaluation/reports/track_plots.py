@@ -101,7 +101,7 @@ def picture_planes(volume: Volume, mode: TrackingMode, curve: NeedleCurve | None
         half = 500 * np.array([plane.width, plane.height])
         extent = (-half[0], half[0], half[1], -half[1])
         buffer = io.BytesIO()
-        grey = sample_plane(volume, plane, _PIXEL)[..., 0]
+        grey = sample_plane(volume, plane, _PIXEL)
         Image.fromarray(grey).save(buffer, "JPEG", quality=90)
         taken = PlanePicture(buffer.getvalue(), plane.X_PS, extent, np.zeros((0, 2)))
         planes.append(replace(taken, needle=taken.project(points)))

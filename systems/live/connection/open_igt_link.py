@@ -30,7 +30,7 @@ try:
     from pyigtl import messages
 except ImportError as error:
     raise ConfigurationError(
-        "OpenIGTLink needs the package pyigtl: pip install 'sonoservo[live]'"
+        "OpenIGTLink needs the package pyigtl: pip install -e '.[live]'"
     ) from error
 
 DEFAULT_PORT = 18944

@@ -11,7 +11,7 @@ from sonoservo.diagrams.app.compile import _volumes
 RUN = """
 import sys
 from numba.core import event
-from sonoservo.diagrams.app.cli import main
+from sonoservo.diagrams.app.__main__ import main
 
 class Compiled(event.Listener):
     def on_start(self, e):

@@ -11,6 +11,11 @@ from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.diagrams import load_scenario
 from sonoservo.diagrams.app.kept_runs.replay import log_samples, read_replay
+from sonoservo.systems.control.controller_schedule import (
+    ControllerChange,
+    ControllerSchedule,
+    ControllerSettings,
+)
 from sonoservo.systems.display.console.console import Console, picture_volume
 from sonoservo.systems.evaluation.log import columns, write_log
 from sonoservo.systems.evaluation.metrics import summarize
@@ -120,7 +125,11 @@ def test_slices_lie_as_they_did_in_the_run(folder, shown):
 
 def test_strips_show_what_the_log_has(folder):
     log = build_insertion_log()
-    samples = log_samples(log)
+    settings = ControllerSchedule(
+        ControllerSettings(1.6, 2.0), (ControllerChange(time=1.0, force=3.0),)
+    )
+    samples = log_samples(log, settings)
+    assert [each.target for each in samples] == [2.0 + (each.time >= 1) for each in samples]
     assert np.diff([each.time for each in samples]) == pytest.approx(1 / 8)
     assert {each.mode for each in samples} == {"searching", "tracking"}
     last = samples[-1]
@@ -129,7 +138,7 @@ def test_strips_show_what_the_log_has(folder):
     assert np.isnan(samples[0].x)
     stopped = replace(log, guard_state=np.full(len(log.time), "holding"),
                       guard_reason=np.full(len(log.time), "the force is above 6 N"))  # fmt: skip
-    assert log_samples(stopped)[0].stopped == "the force is above 6 N"
+    assert log_samples(stopped, settings)[0].stopped == "the force is above 6 N"
     assert not samples[0].stopped
 
 

@@ -1,4 +1,7 @@
+import base64
+import io
 import json
+import re
 
 import nrrd
 import numpy as np
@@ -8,9 +11,8 @@ from commands import sonoservo_here
 from PIL import Image
 from pydrake.math import RigidTransform, RotationMatrix
 
-from sonoservo.diagrams.app.scan import caption, scan, summarize_scan
+from sonoservo.diagrams.app.scan import scan, summarize_scan
 from sonoservo.diagrams.experiments.registry import load_scenario
-from sonoservo.systems.evaluation.reports.scan_sheet import scan_sheet
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.ultrasound.simulation.anatomy import liver_label_map, write_label_map
 from sonoservo.systems.ultrasound.simulation.anatomy.anatomies import LIVER_LABELS
@@ -61,9 +63,7 @@ def test_without_a_needle_the_probe_is_where_the_scenario_starts(scenario):
     start = scenario.station.probe_pose(height=-4e-3)
     np.testing.assert_allclose(empty.volume.X_WP.GetAsMatrix4(), start.GetAsMatrix4(), atol=1e-12)
     assert summarize_scan(empty, scenario)["inserted_mm"] == 0
-    figure = scan_sheet(
-        empty.sweep, empty.volume, empty.needle, caption=caption(empty, scenario),
-    )  # fmt: skip
+    figure = empty.plot()
     assert sum(axes.get_visible() and axes.get_title(loc="left") != "" for axes in figure.axes) == 3
 
 
@@ -72,16 +72,19 @@ def test_a_needle_beside_the_sector_is_left_out(scenario):
     away = RigidTransform(RotationMatrix.MakeXRotation(-np.pi / 2), [0.09, 0.05, -0.004])
     beside = scan(scenario, time=6.0, X_TP=away)
     assert beside.needle
-    figure = scan_sheet(
-        beside.sweep, beside.volume, beside.needle, caption=caption(beside, scenario),
-    )  # fmt: skip
+    figure = beside.plot()
     assert not any(axes.texts for axes in figure.axes)
 
 
-def test_the_sheet_reads_in_millimetres_and_decibels(scenario, shown):
-    figure = scan_sheet(
-        shown.sweep, shown.volume, shown.needle, caption=caption(shown, scenario),
-    )  # fmt: skip
+def test_a_scan_draws_itself_in_a_notebook(shown):
+    (picture,) = re.findall(r'src="data:image/png;base64,([^"]+)"', shown._repr_html_())
+    with Image.open(io.BytesIO(base64.b64decode(picture))) as image:
+        assert min(image.size) > 500
+    assert "27 frames x 96 lines" in shown._repr_html_()
+
+
+def test_the_sheet_reads_in_millimetres_and_decibels(shown):
+    figure = shown.plot()
     frame, along, across, elevation, bar = figure.axes
     left, right, bottom, top = frame.images[0].get_extent()
     assert bottom == pytest.approx(90, abs=0.5)
@@ -119,9 +122,11 @@ def test_a_mistake_is_one_line_and_exit_code_2(tmp_path):
     assert "lines x 2 x" in result.stderr
     assert not (tmp_path / "x").exists()
     with pytest.raises(ConfigurationError, match="there is no model"):
-        scan(load_scenario(SCENARIO, changes=["phantom=agr"]))
+        scan(SCENARIO, changes=["phantom=agr"])
+    with pytest.raises(ConfigurationError, match="did you mean"):
+        scan("fig5")
     with pytest.raises(ConfigurationError, match="time: -5.0 is not allowed"):
-        scan(load_scenario(SCENARIO), time=-5.0)
+        scan(SCENARIO, time=-5.0)
 
 
 def test_a_moving_probe_s_sweep_can_be_compensated():

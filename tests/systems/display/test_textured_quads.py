@@ -18,23 +18,33 @@ from sonoservo.systems.signals.planes import Plane
 PLANE = Plane(RigidTransform(RollPitchYaw(0.3, -0.5, 1.1), [0.1, 0.2, 0.3]), 0.06, 0.04)
 
 
-def decode(uri):
-    return base64.b64decode(uri.split(",", 1)[1])
+def view_content(document, number):
+    """Bytes of a buffer view, by the glTF 2.0 specification."""
+    view, (buffer,) = document["bufferViews"][number], document["buffers"]
+    data = base64.b64decode(buffer["uri"].split(",", 1)[1])
+    assert len(data) == buffer["byteLength"]
+    assert view["byteOffset"] % 4 == 0
+    content = data[view["byteOffset"] :][: view["byteLength"]]
+    assert len(content) == view["byteLength"]
+    return content
 
 
 def read(document, accessor):
     """The array of an accessor, by the glTF 2.0 specification."""
     accessor = document["accessors"][accessor]
-    view = document["bufferViews"][accessor["bufferView"]]
-    data = decode(document["buffers"][view["buffer"]]["uri"])
-    assert len(data) == view["byteLength"] == document["buffers"][view["buffer"]]["byteLength"]
     columns = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}[accessor["type"]]
     dtype = {5126: "<f4", 5123: "<u2"}[accessor["componentType"]]
-    array = np.frombuffer(data, dtype).reshape(-1, columns)
+    content = view_content(document, accessor["bufferView"])
+    array = np.frombuffer(content, dtype).reshape(-1, columns)
     assert len(array) == accessor["count"]
     np.testing.assert_array_equal(accessor["min"], array.min(axis=0))
     np.testing.assert_array_equal(accessor["max"], array.max(axis=0))
     return array
+
+
+def picture_file(document):
+    """Contents of the file of the first picture."""
+    return view_content(document, document["images"][0]["bufferView"])
 
 
 def test_every_pixel_is_at_its_place():
@@ -58,7 +68,7 @@ def test_every_pixel_is_at_its_place():
         for a, b, c in triangles.reshape(-1, 3)
     )
     assert area == pytest.approx(PLANE.width * PLANE.height, rel=1e-5)
-    png = Image.open(io.BytesIO(decode(document["images"][0]["uri"])))
+    png = Image.open(io.BytesIO(picture_file(document)))
     np.testing.assert_array_equal(np.array(png), image)
 
 
@@ -66,7 +76,7 @@ def test_every_pixel_is_at_its_place():
 def test_pictures_survive(shape):
     image = np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8)
     document = json.loads(gltf_textured_quads([PLANE], [encode_png(image)]))
-    png = Image.open(io.BytesIO(decode(document["images"][0]["uri"])))
+    png = Image.open(io.BytesIO(picture_file(document)))
     np.testing.assert_array_equal(np.array(png), image)
 
 
@@ -75,13 +85,13 @@ def test_a_webp_keeps_the_opacity_and_nearly_the_grey():
     grey = 120 + 80 * np.sin(0.2 * rows) * np.cos(0.1 * columns)
     image = np.stack([grey, 255 * (rows > columns)], axis=-1).astype(np.uint8)
     document = json.loads(gltf_textured_quads([PLANE], [encode_webp(image)]))
-    uri = document["images"][0]["uri"]
-    assert uri.startswith("data:image/webp;")
-    seen = np.array(Image.open(io.BytesIO(decode(uri))).convert("RGBA"))
+    assert document["images"][0]["mimeType"] == "image/webp"
+    webp = picture_file(document)
+    seen = np.array(Image.open(io.BytesIO(webp)).convert("RGBA"))
     np.testing.assert_array_equal(seen[..., 3], image[..., 1])
     opaque = image[..., 1] > 0
     assert np.abs(seen[opaque, 0].astype(float) - image[opaque, 0]).mean() < 3
-    assert len(decode(uri)) < len(encode_png(image))
+    assert len(webp) < len(encode_png(image))
 
 
 def test_planes_and_pictures_must_match():

@@ -146,6 +146,8 @@ def test_the_blur_along_the_needle_is_the_volume_s_own(dip_deg):
     ends = volume.to_world(np.array([0, 0.045, 0]) + np.outer([-0.01, 0.01], k))[0]
     axis = axis_through(ends)
     assert axis_profile(volume, axis, 0.0, 0.02, PARAMETERS).beam_width is None
+    measured = axis_profile(replace(volume, motion=None), axis, 0.0, 0.02, TipParameters())
+    assert measured.beam_width is not None
     spread = PointSpread([0.0, 0.09], [2e-3, 2e-3], [6e-3, 6e-3], [0.5e-3, 0.5e-3])
     known = replace(volume, point_spread=spread)
     width = axis_profile(known, axis, 0.0, 0.02, PARAMETERS).beam_width

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.planes import Plane, sample_plane, slice_planes
+from sonoservo.systems.signals.planes import Plane, sample_plane, sample_sector, slice_planes
 
 inside = st.tuples(st.floats(-0.05, 0.05), st.floats(0.005, 0.08), st.floats(-0.035, 0.035))
 anywhere = st.tuples(st.floats(-0.2, 0.2), st.floats(-0.2, 0.2), st.floats(-0.2, 0.2))
@@ -90,19 +90,20 @@ def test_a_slice_through_a_ramp_is_a_ramp(make_volume, motion):
     curve = curve_in_world(volume, [-0.04, 0.02, -0.01], [0.02, 0.05, 0.01])
     for plane in slice_planes(volume, curve):
         picture = sample_plane(volume, plane, 1e-3)
-        rows, columns, _ = picture.shape
+        rows, columns = picture.shape
         assert rows == int(np.ceil(plane.height / 1e-3))
         assert columns == int(np.ceil(plane.width / 1e-3))
         p_P = plane.grid(rows, columns)
         held = ((p_P >= volume.origin) & (p_P <= volume.upper)).all(axis=-1)
-        error = picture[held, 0] - ramp(p_P[held])
+        error = picture[held] - ramp(p_P[held])
         assert np.abs(error).max() <= 0.51  # rounded to whole grey levels
 
 
 def test_only_the_sector_is_opaque(make_volume, geometry):
     volume = make_volume(zeros)
     plane = slice_planes(volume)[0]
-    opaque = sample_plane(volume, plane, 1e-3)[..., 1]
+    grey, opaque = np.moveaxis(sample_sector(volume, plane, 1e-3), -1, 0)
+    np.testing.assert_array_equal(grey, sample_plane(volume, plane, 1e-3))
     p_P = plane.grid(*opaque.shape)
     np.testing.assert_array_equal(opaque == 255, geometry.contains(p_P))
     assert set(np.unique(opaque)) == {0, 255}
@@ -118,7 +119,7 @@ def test_grey_levels_are_clipped_and_rounded(make_volume):
         volume = make_volume(
             lambda p_P, level=level: np.full(p_P.shape[:-1], level), dtype=np.float32
         )
-        assert (sample_plane(volume, plane, 1e-3)[..., 0] == expected).all()
+        assert (sample_plane(volume, plane, 1e-3) == expected).all()
 
 
 def test_a_plane_has_an_extent():

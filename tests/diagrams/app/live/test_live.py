@@ -345,7 +345,7 @@ def test_missing_package_is_one_line():
     )
     assert result.returncode == 2
     assert result.stderr.splitlines() == [
-        "sonoservo: OpenIGTLink needs the package pyigtl: pip install 'sonoservo[live]'"
+        "sonoservo: OpenIGTLink needs the package pyigtl: pip install -e '.[live]'"
     ]
 
 

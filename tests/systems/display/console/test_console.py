@@ -1,6 +1,7 @@
 """The console without a browser: what it sends, to whom, and what it makes of what pages say."""
 
 import gc
+import json
 import re
 import socket
 import subprocess
@@ -66,6 +67,9 @@ class Page:
         (self._view,) = console._views - before
         (holder,) = (root for root in self._session.document.roots if root.name == "mode")
         _, _, self._order, self._drawn = holder.tags
+        self.strips, self.pictures = {}, []
+        self._view._page.link.on_change("state", self._receive)
+        self._receive()
         if draws:
             self.has_drawn(10**6)  # whatever comes
 
@@ -75,19 +79,32 @@ class Page:
     def __exit__(self, *_):
         self._session.close()
 
+    def _said(self, name):
+        return self._view._page.link.models[name].tags
+
+    def _receive(self):
+        """Keep strips and images as the page's script does."""
+        words, *images = self._said("state")
+        message = json.loads(words)
+        if "strips" in message:
+            strips = message["strips"]
+            before = {} if strips["anew"] else self.strips
+            self.strips = {
+                name: [*before.get(name, []), *each][-strips["keep"] :]
+                for name, each in strips["columns"].items()
+            }
+        if "frame" in message:
+            left = iter(images)
+            self.pictures = [each and next(left) for each in message["frame"]["pictures"]]
+
     @property
     def state(self):
         """What the console has sent last."""
-        return self._view._page.link.get("state")
+        return json.loads(self._said("state")[0])
 
     @property
     def described(self):
-        return self._view._page.link.get("described")
-
-    def source(self, figure):
-        """Data of the first glyph of a figure."""
-        root = self._view._page.document.select_one({"name": figure})
-        return root.renderers[0].data_source.data
+        return json.loads(self._said("described")[0])
 
     def has_drawn(self, number):
         self._drawn.tags = [number]
@@ -152,17 +169,32 @@ def test_a_late_page_gets_all_of_it(console, make_volume):
     with Page(console) as page:
         assert page.state["volume"] == 42
         assert page.state["x"] == 8.0
-        assert list(page.source("features")["x"]) == list(range(9))
-        (image,) = page.source("slice_0")["image"]
+        assert page.strips["x"] == list(range(9))
+        image, _ = page.pictures
         assert image.dtype == np.uint8
         assert image.max() > 100
         console.add(Sample(time=9 / 8, mode="tracking", x=9.0))
         wait_for(lambda: page.state["x"] == 9.0)
-        assert list(page.source("features")["x"]) == list(range(10))
+        assert page.strips["x"] == list(range(10))
         console.add(Sample(time=0.0, mode="lost", x=-1.0))  # a new run
         wait_for(lambda: page.state["x"] == -1.0)
-        assert list(page.source("features")["x"]) == [-1.0]
-        assert list(page.source("mode")["begin"]) == [-0.5]
+        assert page.strips["x"] == [-1.0]
+        assert page.strips["begin"] == [-0.5]
+
+
+def test_a_page_that_has_drawn_nothing_yet_is_sent_all_of_it_again(
+    console, make_volume, monkeypatch
+):
+    monkeypatch.setattr(console_module, "_PATIENCE", 0.3)
+    console.show(make_volume(ramp), force=2.0)
+    with Page(console, draws=False) as page:
+        page.strips, page.pictures = {}, []  # it was not there yet
+        time.sleep(0.3)
+        console.add(Sample(time=7.0, mode="tracking", x=np.nan, error=np.inf))
+        wait_for(lambda: len(page.strips.get("time", [])) == 2)
+        assert page.strips["force"] == [2.0, None]
+        assert page.strips["error"] == page.strips["x"] == [None, None]
+        assert [each.dtype for each in page.pictures] == [np.uint8, np.uint8]
 
 
 def test_pages_share_the_controls(console):
@@ -218,8 +250,8 @@ def test_a_page_goes_back_and_beside_alone(console, make_volume):
         wait_for(lambda: page.state["volume"] == 3)
         assert page.state["offsets"] == [5.0, 0.0]
         page.say(offsets=[200, 0])  # beside the volume
-        wait_for(lambda: not len(page.source("slice_0")["image"]))
-        assert len(page.source("slice_1")["image"])
+        wait_for(lambda: page.pictures[0] is None)
+        assert page.pictures[1] is not None
 
 
 def test_a_page_that_reads_nothing_costs_no_memory(console, make_volume):
