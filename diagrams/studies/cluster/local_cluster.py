@@ -9,11 +9,12 @@ from distributed import LocalCluster
 
 _CALM = {
     "distributed.worker.profile.enabled": False,
+    "distributed.admin.low-level-log-length": 100,
     "distributed.admin.tick.interval": "1s",
     "distributed.admin.system-monitor.interval": "5s",
     "distributed.scheduler.work-stealing": False,
 }
-"""Settings with which Dask leaves the cores to the cases."""
+"""Settings with which Dask leaves cores and memory to the cases."""
 
 
 @contextmanager
