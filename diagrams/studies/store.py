@@ -113,7 +113,7 @@ class Store:
             from fsspec.core import url_to_fs
         except ImportError as error:
             raise ConfigurationError(
-                f"store: {self.url}: install fsspec first: pip install 'sonoservo[cluster]'"
+                f"store: {self.url}: install fsspec first: pip install -e '.[cluster]'"
             ) from error
         try:
             system, root = url_to_fs(self.url)

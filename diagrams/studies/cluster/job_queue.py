@@ -94,7 +94,7 @@ def read_job_queue(path: Path) -> JobQueue:
             from dask_jobqueue.local import LocalCluster
     except ImportError as error:
         raise ConfigurationError(
-            f"{path}: install dask-jobqueue first: pip install 'sonoservo[cluster]'"
+            f"{path}: install dask-jobqueue first: pip install -e '.[cluster]'"
         ) from error
     data = read_yaml(path)
     for name in data:

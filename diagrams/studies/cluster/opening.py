@@ -55,7 +55,7 @@ def open_cluster(
         from sonoservo.diagrams.studies.cluster.cluster import Cluster
     except ImportError as error:
         raise ConfigurationError(
-            f"cluster: {text}: install Dask first: pip install 'sonoservo[cluster]' ({error.name})"
+            f"cluster: {text}: install Dask first: pip install -e '.[cluster]' ({error.name})"
         ) from error
     # What Dask logs about lost connections is said in one line by this program.
     for name in ("distributed", "distributed.client"):
