@@ -61,7 +61,7 @@ class ProbeControllerParameters:
         If a parameter is above its ceiling, or the probe's axis points away from the body.
     """
 
-    time_step: float = 0.005
+    time_step: float = 0.01
     visual_servo: VisualServoParameters = field(default_factory=VisualServoParameters)
     force: ForceControllerParameters = field(default_factory=ForceControllerParameters)
     kinematics: DifferentialKinematicsParameters = field(

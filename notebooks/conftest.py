@@ -9,7 +9,5 @@ os.environ["SONOSERVO_QUICK"] = " ".join(
         "hand.pushes.0.speed=0.02",
         "station.probe.height=0.004",
         "station.plant.contact_model=point",
-        "station.plant.time_step=0.01",
-        "controller.time_step=0.01",
     ]
 )

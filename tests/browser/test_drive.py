@@ -14,8 +14,6 @@ from sonoservo.systems.display.pages.site import Site
 
 CHEAP = [
     "station.plant.contact_model=point",
-    "station.plant.time_step=0.01",
-    "controller.time_step=0.01",
     "station.probe.height=0.004",
 ]
 

@@ -22,8 +22,6 @@ CHANGES = [
     "hand.start=0.3",
     "hand.pushes=[{duration: 5, speed: 0.016}]",
     "station.plant.contact_model=point",
-    "station.plant.time_step=0.01",
-    "controller.time_step=0.01",
     "station.probe.height=0.004",
 ]
 LAYERS = [

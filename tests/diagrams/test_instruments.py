@@ -16,8 +16,6 @@ from sonoservo.systems.signals.volume import Volume
 
 FAST = [
     "station.plant.contact_model=point",
-    "station.plant.time_step=0.01",
-    "controller.time_step=0.01",
     "station.probe.height=0.002",
     "imaging.sector=0.1",
     "imaging.depth=0.05",

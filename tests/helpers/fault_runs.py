@@ -25,7 +25,7 @@ from sonoservo.systems.signals.guard_status import GuardState
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 
-STEP = 0.005
+STEP = 0.01
 PHASES = {"approach": 0.3, "landing": 0.85, "pressing": 1.6, "following": 1.6}
 """Start of the fault in each phase, in s; in the last one, the probe also follows a needle."""
 
@@ -201,7 +201,7 @@ def sensor_cases():
         ("nan", 0), ("frozen", 0), ("dead", 0), ("saturated", 70), ("saturated", -70),
         ("jumping", 20), ("bias", -10), ("bias", -3), ("bias", 5), ("bias", 12), ("bias", 0.8),
     )  # fmt: skip
-    for (kind, value), phase, duration in product(kinds, PHASES, (0.01, 0.4, 1.5)):
+    for (kind, value), phase, duration in product(kinds, PHASES, (2 * STEP, 0.4, 1.5)):
         fault = SensorFault(kind=kind, value=value)
         name = f"sensor {kind}{f' {value} N' if value else ''}, {duration} s"
         yield FaultCase(name=name, phase=phase, sensor=fault, duration=duration)
@@ -219,7 +219,7 @@ def double_cases():
 
 
 def pose_cases():
-    for pose, phase, duration in product(("nan", "frozen", "jump"), PHASES, (0.01, 1.0)):
+    for pose, phase, duration in product(("nan", "frozen", "jump"), PHASES, (2 * STEP, 1.0)):
         yield FaultCase(
             name=f"pose {pose}, {duration} s", phase=phase, pose=pose, duration=duration
         )

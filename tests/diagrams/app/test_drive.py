@@ -20,8 +20,6 @@ from sonoservo.systems.evaluation.run_log import RunLog
 
 CHEAP = [
     "station.plant.contact_model=point",
-    "station.plant.time_step=0.01",
-    "controller.time_step=0.01",
     "station.probe.height=0.004",
 ]
 

@@ -86,8 +86,6 @@ FALSE = "false starts, more than 10 mm off or without a needle, all runs"
 
 CHEAP = [
     "station.plant.contact_model=point",
-    "station.plant.time_step=0.01",
-    "controller.time_step=0.01",
 ]
 
 
