@@ -13,18 +13,19 @@ from sonoservo.systems.signals.volume import Volume
 _BLOCK = 8e-3
 """Edge length of the blocks in which speckle is measured, in m."""
 
-_BLOCKS_ACROSS, _BLOCKS_DEEP = 5, 8
-"""Largest numbers of blocks along X and Z, and along the depth."""
+_MOST_BLOCKS, _MOST_DEPTHS = 16, 8
+"""Largest numbers of blocks at a depth, and of depths."""
 
 _LAGS = 8
-"""Largest distance between two voxels that are compared, in voxels."""
+"""Number of distances up to half a block at which voxels are compared."""
 
 _STRIDE = 2
 """Distance between the pairs of voxels that are compared, along X and Y, in voxels."""
 
-_SEEN, _DEVIATIONS = 0.9, (3.0, 7.5)
+_SEEN, _DEVIATIONS = 0.9, (1.0, 7.5)
 """Share of a block that must be seen, and limits of the standard deviation of its levels in dB.
-That of fully developed speckle is 5.6 dB; across a border or the edge of a shadow it is larger."""
+That of fully developed speckle is 5.6 dB. Compounding and interpolation make it smaller; across a
+border or the edge of a shadow it is larger."""
 
 _ALIKE = 0.5
 """Squared correlation of the echoes from which the width follows: that at a neighbouring voxel
@@ -44,10 +45,13 @@ correlation of the echoes: Li2(rho^2) / Li2(1)."""
 
 @njit(cache=True, nogil=True)
 def _correlations(  # pragma: no cover - compiled
-    levels: Any, starts: Any, size: Any, lags: int, share: float, least: float, most: float
+    levels: Any, starts: Any, size: Any, lags: Any, share: float, least: float, most: float
 ) -> Any:
-    """Return the (b, 3, lags) correlations of a block's levels with themselves, NaN if unusable."""
-    result = np.full((len(starts), 3, lags), np.nan)
+    """Return the (b, 3, lags) correlations of a block's levels with themselves, NaN if unusable.
+
+    The (3, lags) distances are in voxels.
+    """
+    result = np.full((len(starts), *lags.shape), np.nan)
     step = np.eye(3, dtype=np.int64)
     for b in range(len(starts)):
         x, y, z = starts[b]
@@ -67,8 +71,8 @@ def _correlations(  # pragma: no cover - compiled
         if not least * least < variance < most * most:
             continue
         for axis in range(3):
-            for lag in range(1, min(lags, size[axis] // 2) + 1):
-                a, c, d = lag * step[axis]
+            for m in range(lags.shape[1]):
+                a, c, d = lags[axis, m] * step[axis]
                 products, pairs = 0.0, 0
                 for i in range(x, x + size[0] - a, _STRIDE):
                     for j in range(y, y + size[1] - c, _STRIDE):
@@ -78,7 +82,7 @@ def _correlations(  # pragma: no cover - compiled
                                 products += (one - mean) * (other - mean)
                                 pairs += 1
                 if pairs:
-                    result[b, axis, lag - 1] = products / pairs / variance
+                    result[b, axis, m] = products / pairs / variance
     return result
 
 
@@ -103,23 +107,20 @@ def speckle_spread(volume: Volume) -> PointSpread | None:
     """
     shape = np.array(volume.intensities.shape)
     size = np.minimum(np.maximum(np.round(_BLOCK / volume.spacing).astype(int), 4), shape)
-    most = np.array([_BLOCKS_ACROSS, _BLOCKS_DEEP, _BLOCKS_ACROSS])
-    counts = np.clip(shape // size, 1, most)
-    rows = [
-        np.linspace(0, extent - edge, count).astype(int)
-        for extent, edge, count in zip(shape, size, counts, strict=True)
-    ]
-    starts = np.stack(np.meshgrid(*rows, indexing="ij"), axis=-1).reshape(-1, 3)
+    lags = np.linspace(1, np.maximum(size // 2, 1), _LAGS, axis=1).round().astype(int)
     limits = np.divide(_DEVIATIONS, volume.decibels_per_level)
-    correlations = _correlations(volume.intensities, starts, size, _LAGS, _SEEN, *limits)
     depths, widths = [], []
-    for row in rows[1]:
-        here = correlations[starts[:, 1] == row]
-        here = here[np.isfinite(here[:, :, 0]).all(axis=1)]
-        if len(here) >= _LEAST_BLOCKS:
+    for row in np.linspace(0, shape[1] - size[1], _MOST_DEPTHS).astype(int):
+        starts = _seen_blocks(volume.intensities, int(row), size)
+        here = _correlations(volume.intensities, starts, size, lags, _SEEN, *limits)
+        here = here[np.isfinite(here).all(axis=(1, 2))]
+        if len(here) < _LEAST_BLOCKS:
+            continue
+        typical = np.median(here, axis=0)
+        each = [_width(*axis) for axis in zip(typical, lags, volume.spacing, strict=True)]
+        if np.isfinite(each).all():
             depths.append(volume.origin[1] + volume.spacing[1] * (row + (size[1] - 1) / 2))
-            typical = np.median(here, axis=0)
-            widths.append([_width(*each) for each in zip(typical, volume.spacing, strict=True)])
+            widths.append(each)
     if not depths:
         return None
     limited = np.minimum(widths, _WIDEST * np.median(widths, axis=0))
@@ -127,14 +128,33 @@ def speckle_spread(volume: Volume) -> PointSpread | None:
     return PointSpread(np.array(depths), lateral, elevation, axial)
 
 
-def _width(correlation: NDArray[np.float64], spacing: float) -> float:
-    """Return the full width at half maximum from the correlations at 1, 2, ... voxels, in m."""
-    known = correlation[np.isfinite(correlation)]
-    squared = np.clip(np.interp(known, _DILOGARITHM, _SQUARED), 0.02, 0.98)
+def _seen_blocks(levels: NDArray[Any], row: int, size: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the (b, 3) first voxels of blocks at a depth that seem to lie in the field of view."""
+    (nx, _, nz), (dx, dy, dz) = levels.shape, size
+    columns = (np.arange(0, n - d + 1, max(d // 2, 1)) for n, d in ((nx, dx), (nz, dz)))
+    x, z = (each.ravel() for each in np.meshgrid(*columns))
+    seen = np.ones(len(x), bool)
+    for a in (0, dx - 1):
+        for c in (0, dy - 1):
+            for d in (0, dz - 1):
+                seen &= levels[x + a, row + c, z + d] > 0
+    starts = np.stack([x, np.full_like(x, row), z], axis=1)[seen]
+    few = np.linspace(0, len(starts) - 1, min(len(starts), _MOST_BLOCKS)).astype(int)
+    return starts[few]
+
+
+def _width(correlation: NDArray[np.float64], lags: NDArray[np.int64], spacing: float) -> float:
+    """Return the full width at half maximum in m, from correlations at distances in voxels.
+
+    It is NaN if they do not fall below one half: then there is more than speckle.
+    """
+    squared = np.clip(np.interp(correlation, _DILOGARITHM, _SQUARED), 0.02, 0.98)
+    if squared.min() >= _ALIKE:
+        return np.nan
     # Each gives sigma by exp(-d^2 / (2 sigma^2)); those on both sides of one half are the surest.
-    sigma = spacing * np.arange(1, len(squared) + 1) / np.sqrt(-2 * np.log(squared))
-    lag = int(np.argmax(np.append(squared, 0) < _ALIKE))
-    if lag in (0, len(squared)):
-        return float(FWHM_PER_SIGMA * sigma[min(lag, len(squared) - 1)])
-    share = (squared[lag - 1] - _ALIKE) / (squared[lag - 1] - squared[lag])
-    return float(FWHM_PER_SIGMA * (sigma[lag - 1] + share * (sigma[lag] - sigma[lag - 1])))
+    sigma = spacing * lags / np.sqrt(-2 * np.log(squared))
+    below = int(np.argmax(squared < _ALIKE))
+    if below == 0:
+        return float(FWHM_PER_SIGMA * sigma[0])
+    share = (squared[below - 1] - _ALIKE) / (squared[below - 1] - squared[below])
+    return float(FWHM_PER_SIGMA * (sigma[below - 1] + share * (sigma[below] - sigma[below - 1])))

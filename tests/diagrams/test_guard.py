@@ -71,7 +71,7 @@ QUICK = {
         "measured poses that repeated the one before: ",
     ),
     "repeated samples": (
-        FaultCase(name="two", sensor=SensorFault(kind="frozen"), duration=0.01, after=0.1),
+        FaultCase(name="two", sensor=SensorFault(kind="frozen"), duration=0.02, after=0.1),
         "samples of the wrist sensor that repeated the one before: 2",
     ),
     "small bias": (
@@ -91,7 +91,7 @@ QUICK = {
     ),
     "fast phantom": (
         FaultCase(name="phantom 20 mm up", move=phantom_move(0.02, 0.6), duration=0),
-        "contact force",
+        "the wrist sensor jumped by more than 2 N",
     ),
 }  # fmt: skip
 

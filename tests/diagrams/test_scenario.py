@@ -60,7 +60,7 @@ def test_plant_settings_are_drakes_and_round_trip(tmp_path):
     plant = scenario.station.plant
     assert isinstance(plant, MultibodyPlantConfig)
     assert (plant.contact_model, plant.stiction_tolerance) == ("point", 2e-4)
-    assert plant.time_step == StationParameters().plant.time_step == 0.005
+    assert plant.time_step == StationParameters().plant.time_step == 0.01
     path = tmp_path / "mine.yaml"
     path.write_text(scenario.to_yaml())
     again = load_scenario(path, changes=["name=chatelain2013_fig5"])

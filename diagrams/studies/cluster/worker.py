@@ -53,6 +53,11 @@ class Reply:
     content: Any
 
 
+def _search_path() -> str:
+    """Return where this process finds modules, such as those next to the program's script."""
+    return os.pathsep.join(filter(None, sys.path))
+
+
 class _CaseProcess:
     """Process that runs cases one after the other, with one thread."""
 
@@ -65,7 +70,7 @@ class _CaseProcess:
                 pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL,
                 start_new_session=True,  # Ctrl-C is not for cases
-                env={**os.environ, **dict.fromkeys(_THREADS, "1")},
+                env={**os.environ, **dict.fromkeys(_THREADS, "1"), "PYTHONPATH": _search_path()},
             )
         self.connection = ours
         self.cases, self.rested = 0, 0.0

@@ -240,12 +240,8 @@ class _View:
         if (drawn is None or drawn < self._sent) and silent < _PATIENCE:
             return  # it says when it is ready
         if drawn is None or drawn < 0:  # it may have opened late, and missed what it was sent
-            self._forget()
+            self._frame, self._strips_end, self._state_sent = None, -1, {}
         self._push()
-
-    def _forget(self) -> None:
-        """Send everything anew next time."""
-        self._frame, self._strips_end, self._state_sent = None, -1, {}
 
     def _push(self) -> None:
         # Drake aborts if a Meshcat is destroyed on a thread other than its own, so garbage must not

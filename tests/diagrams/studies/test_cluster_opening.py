@@ -54,7 +54,7 @@ def test_one_line_says_what_to_install(package, monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, package, None)
     (tmp_path / "slurm.yaml").write_text(SLURM)
     with (
-        pytest.raises(ValueError, match=r"pip install 'sonoservo\[cluster\]'") as error,
+        pytest.raises(ValueError, match=r"pip install -e '\.\[cluster\]'") as error,
         open_cluster(str(tmp_path / "slurm.yaml")),
     ):
         pass

@@ -31,12 +31,10 @@ class DaskProcesses:
 
     def add_worker(self, path=()):
         """Start a worker; folders of the path come before those of this process."""
-        return self._start(
-            "worker", "--nthreads", "1", "--no-nanny", "--no-dashboard", path=[*path, str(HELPERS)]
-        )
+        return self._start("worker", "--nthreads", "1", "--no-nanny", "--no-dashboard", path=path)
 
     def _start(self, *command, path=()):
-        path = os.pathsep.join([*path, os.environ.get("PYTHONPATH", "")])
+        path = os.pathsep.join([*path, str(HELPERS), os.environ.get("PYTHONPATH", "")])
         process = subprocess.Popen(
             [sys.executable, "-m", "dask", *command, "--host", "127.0.0.1",
              "--scheduler-file", str(self._file), "--preload", preload.__name__],
