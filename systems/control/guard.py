@@ -217,7 +217,7 @@ class Guard(LeafSystem):
             same_pose += 1
         discrete_state.set_value(self._last, [*sample, *p, same_sample, same_pose])
         elapsed = context.get_time() - state[-5]
-        # Everything is checked at least every `WINDOW`; this saves three quarters of the time.
+        # Everything is checked at least every `WINDOW`; this saves half of the time.
         soon = elapsed < WINDOW - 0.5 * self._time_step
         near = _NEAR * self._limits.max_pose_error
         stepped = abs(sample[4] - last[4]) > NOTED_STEP
