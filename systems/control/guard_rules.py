@@ -18,8 +18,8 @@ WINDOW = 0.02
 """Time in s over which accelerations are averaged, and longest time between two checks."""
 
 NOTED_STEP = 0.5
-"""Change of the pressing force between two samples in N that is noted: in 10 ms, a body that comes at
-5 cm/s or slower changes it less."""
+"""Change of the pressing force between two samples in N that is noted: in 10 ms, a body that comes
+at 5 cm/s or slower changes it less."""
 
 
 class Mode(IntEnum):
