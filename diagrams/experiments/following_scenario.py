@@ -10,7 +10,7 @@ from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.station import StationParameters
 from sonoservo.diagrams.trackers.chatelain2013 import Chatelain2013TrackerParameters
 from sonoservo.diagrams.trackers.registry import AnyTrackerParameters
-from sonoservo.systems.control.controller_schedule import ControllerChange
+from sonoservo.systems.control.controller_schedule import ControllerChange, ControllerSchedule
 from sonoservo.systems.files.typed_yaml import merged
 from sonoservo.systems.needle.insertion_parameters import InsertionParameters
 from sonoservo.systems.robot.phantom_motion import PhantomMotionParameters
@@ -125,3 +125,8 @@ class FollowingScenario(Scenario):
                 change.force,
                 f"at most {MAX_FORCE:g} N",
             )
+
+    @property
+    def controller_schedule(self) -> ControllerSchedule:
+        """Settings of the controller over time, as planned."""
+        return ControllerSchedule(self.controller.settings, tuple(self.controller_changes))

@@ -6,7 +6,6 @@ from pydrake.systems.framework import System
 
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.probe_controller import ProbeControllerParameters
-from sonoservo.systems.control.controller_schedule import ControllerSchedule
 from sonoservo.systems.control.operator_settings import OperatorSettings
 from sonoservo.systems.control.scheduled_settings import ScheduledSettings
 from sonoservo.systems.display.console.controls import Control, controller_controls
@@ -28,7 +27,7 @@ def planned_sources(
     With a console, there is also an operator_panel, and its operator may change the controller's
     gain and force beside the planned changes.
     """
-    schedule = ControllerSchedule(scenario.controller.settings, tuple(scenario.controller_changes))
+    schedule = scenario.controller_schedule
     settings: dict[str, System] = {"controller_settings": ScheduledSettings(schedule=schedule)}
     if console is not None:
         controls = settings_controls(scenario.controller)

@@ -5,9 +5,7 @@ from dataclasses import dataclass, field
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters, add_published_parts
-from sonoservo.systems.detection.published_detection import (
-    PublishedDetectionParameters,
-)
+from sonoservo.systems.detection.published_detection import PublishedDetectionParameters
 from sonoservo.systems.estimation.control_point_filter import ControlPointFilter
 from sonoservo.systems.estimation.needle_filter import require_order
 from sonoservo.systems.estimation.needle_motion import NeedleMotionParameters

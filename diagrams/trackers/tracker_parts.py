@@ -158,8 +158,7 @@ def add_tracker_parts(
         needle_filter=needle_filter,
         anywhere=parameters.start == "anywhere",
     )
-    manager = TrackManager(lifecycle=lifecycle, **events)
-    connect_parts(
+    return _connect_parts(
         builder,
         gate=VolumeGate(parameters=parameters.plausibility, **events),
         memory=VolumeMemory(
@@ -167,9 +166,8 @@ def add_tracker_parts(
         ),
         detector=InsertionDetector(parameters=parameters.detector, seed=seed),
         localizer=NeedleLocalizer(parameters=parameters.localizer, seed=seed),
-        manager=manager,
+        manager=TrackManager(lifecycle=lifecycle, **events),
     )
-    return manager
 
 
 def add_published_parts(
@@ -214,19 +212,17 @@ def add_published_parts(
     lifecycle = PublishedLifecycle(
         order=parameters.order, needle_filter=needle_filter, min_length=min_length
     )
-    manager = TrackManager(lifecycle=lifecycle, **events)
-    connect_parts(
+    return _connect_parts(
         builder,
         gate=VolumeGate(parameters=parameters.plausibility, **events),
         memory=VolumeMemory(period=period, offset=offset),
         detector=InsertionDetector(parameters=detection, seed=seed, method=detect_as_published),
         localizer=localizer,
-        manager=manager,
+        manager=TrackManager(lifecycle=lifecycle, **events),
     )
-    return manager
 
 
-def connect_parts(
+def _connect_parts(
     builder: DiagramBuilder,
     *,
     gate: VolumeGate,
@@ -234,16 +230,8 @@ def connect_parts(
     detector: InsertionDetector,
     localizer: NeedleLocalizer,
     manager: TrackManager,
-) -> None:
-    """Add the parts of any tracker to a builder, connect them, and export the tracker's ports.
-
-    Parameters
-    ----------
-    builder
-        Builder to add to.
-    gate, memory, detector, localizer, manager
-        Parts, with whatever method each of them applies.
-    """
+) -> TrackManager:
+    """Add the parts of any tracker, connect them, export its ports, and return the manager."""
     parts = {
         VOLUME_GATE: gate,
         "volume_memory": memory,
@@ -272,3 +260,4 @@ def connect_parts(
     ):
         builder.ExportOutput(manager.GetOutputPort(port), name)
     builder.ExportOutput(gate.GetOutputPort("volume_check"), "volume_check")
+    return manager

@@ -6,9 +6,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters, add_published_parts
 from sonoservo.diagrams.trackers.zhao2012 import connect_velocimeter
-from sonoservo.systems.detection.published_detection import (
-    PublishedDetectionParameters,
-)
+from sonoservo.systems.detection.published_detection import PublishedDetectionParameters
 from sonoservo.systems.detection.volume_memory import VolumeMemory
 from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter
 from sonoservo.systems.estimation.needle_filter import require_order

@@ -13,7 +13,7 @@ import numpy as np
 from sonoservo.diagrams.app.kept_runs.compare import KeptResults, read_kept_results
 from sonoservo.diagrams.app.kept_runs.kept_run import PICTURES
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
-from sonoservo.diagrams.scenario import Scenario, require_scenario
+from sonoservo.diagrams.scenario import require_scenario
 from sonoservo.systems.control.controller_schedule import ControllerSchedule
 from sonoservo.systems.control.visual_features import needle_features
 from sonoservo.systems.display.console.controls import Control
@@ -166,18 +166,14 @@ def read_replay(folder: str | Path) -> Replay:
             f"{folder} is a run of the experiment {kept.scenario.experiment!r}, which has no "
             f"volumes to replay; open {folder / 'report.html'}"
         )
-    samples = log_samples(kept.log, _settings(kept.scenario))
+    scenario = require_scenario(kept.scenario, FollowingScenario)
+    samples = log_samples(kept.log, scenario.controller_schedule)
     if not samples:
         raise ConfigurationError(f"{folder}: the run was too short to replay")
     pictures = read_pictures(folder / PICTURES) if (folder / PICTURES).is_file() else []
     decibels = kept.summary.get("decibels_per_level") or _DECIBELS / 255
     frames = [_frame(number, each, decibels) for number, each in enumerate(pictures, 1)]
     return Replay(_title(kept), samples, _in_one_window(frames))
-
-
-def _settings(scenario: Scenario) -> ControllerSchedule:
-    scenario = require_scenario(scenario, FollowingScenario)
-    return ControllerSchedule(scenario.controller.settings, tuple(scenario.controller_changes))
 
 
 def log_samples(log: RunLog, settings: ControllerSchedule) -> list[Sample]:
