@@ -236,5 +236,3 @@ def threshold(points: Sequence[tuple[float, Figure]]) -> Threshold:
             return Threshold(value, before)
         before = value
     return Threshold(None, before)
-
-

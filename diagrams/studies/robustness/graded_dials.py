@@ -26,7 +26,8 @@ PLAIN = (
     "station.probe={x: 0.0, y: 0.0, yaw_deg: 20.0, height: 0.010}",
     "hand.entry=null",
     "hand.entry_spread=[0, 0, 0]",
-    f"hand.pushes=[{{duration: {PUSHED / _SPEED}, speed: {_SPEED}}}, {{duration: 3.0, speed: 0.005}}]",
+    f"hand.pushes=[{{duration: {PUSHED / _SPEED}, speed: {_SPEED}}}, "
+    "{duration: 3.0, speed: 0.005}]",
 )
 """Changes that turn fig. 5 into the scenario in which every dial is off: the needle comes from
 outside the view and passes 45 mm below the probe, which is turned by 20 deg."""

@@ -15,7 +15,9 @@ from sonoservo.systems.ultrasound.transducer import load_transducer
 _LOGGED = ("X_WP", "true_X_WP", "X_WT", "needle", "motion_record")
 
 
-def MakeLoggedTracker(*, scenario: FollowingScenario, tracker: str, drives: bool = False) -> Diagram:
+def MakeLoggedTracker(
+    *, scenario: FollowingScenario, tracker: str, drives: bool = False
+) -> Diagram:
     """Make a tracker that observes a run, with a log of its own.
 
     .. pydrake_system::

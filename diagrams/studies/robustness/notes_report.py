@@ -37,11 +37,11 @@ NOTES = (
     "A false start begins more than 10 mm from the needle, or without one. Finding a lost needle "
     "again is a start, too.",
     "Withdrawals: while the needle rests in view, the phantom moves by 2 to 4 cm within about a "
-    "second. A second later, the needle is withdrawn at 15 to 30 mm/s until it is out. Travel after "
-    "a needle that is not in the image is what the servo commands meanwhile.",
+    "second. A second later, the needle is withdrawn at 15 to 30 mm/s until it is out. Travel "
+    "after a needle that is not in the image is what the servo commands meanwhile.",
     "Clinic without a needle: our tracker moves the probe, and as long as it follows nothing, the "
-    "probe moves to and fro over the phantom at up to 6 mm/s, as if it followed a needle. The other "
-    "trackers see the same volumes; nothing follows them.",
+    "probe moves to and fro over the phantom at up to 6 mm/s, as if it followed a needle. The "
+    "other trackers see the same volumes; nothing follows them.",
     "Threshold: the first strength studied at which less than 95 % of the runs succeed; its "
     "interval reaches from the strength before to it. With few seeds, one failure is enough.",
     "Intervals are 95 % intervals over runs: Wilson's for shares, Poisson's for rates, and "

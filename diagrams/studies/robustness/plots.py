@@ -173,7 +173,9 @@ def _draw(
     axes.plot(x, shown, color=colour, alpha=alpha, linewidth=1.2, linestyle="--" if pale else "-")
     for each, value, top in zip(x, shown, y > highest, strict=True):
         face = "none" if pale or top else colour
-        axes.plot(each, value, marker, color=colour, markerfacecolor=face, alpha=alpha, markersize=5)
+        axes.plot(
+            each, value, marker, color=colour, markerfacecolor=face, alpha=alpha, markersize=5
+        )
     for each, one in known:
         if pale or one.low is None or one.high is None or not np.isfinite(one.low):
             continue
@@ -201,5 +203,3 @@ def _median(group: Group) -> Figure:
 
 def _p95(group: Group) -> Figure:
     return group.quantile("tip", 0.95)
-
-

@@ -141,7 +141,9 @@ def dial_curves(outcomes: Sequence[Outcome], groups: Groups) -> dict[str, Curve]
         if settings["loop"] == "open":
             points = curves.setdefault(settings["dial"], {})
             points[settings["strength"]] = groups[each.case.experiment]
-    return {name: sorted(points.items(), key=lambda each: each[0]) for name, points in curves.items()}
+    return {
+        name: sorted(points.items(), key=lambda each: each[0]) for name, points in curves.items()
+    }
 
 
 def dial_thresholds(curves: Mapping[str, Curve]) -> dict[str, dict[str, Threshold]]:
@@ -220,5 +222,3 @@ def _threshold_rows(thresholds: Mapping[str, Mapping[str, Threshold]]) -> list[S
             words = f"{name}, {kind}: {each}"
             rows.append(_row("success falls under 95 % at", words, GRADED[name].unit, figure))
     return rows
-
-

@@ -73,9 +73,7 @@ def _run_search(scenario: FollowingScenario) -> dict[str, RunLog]:
         observers={f"{kind}_observer": each for kind, each in observers.items()},
     )
     experiment.run()
-    return {
-        kind: log_of(each, experiment.context_of(each)) for kind, each in observers.items()
-    }
+    return {kind: log_of(each, experiment.context_of(each)) for kind, each in observers.items()}
 
 
 def record(log: RunLog, *, in_probe: bool = False, across_depth: bool = False) -> dict[str, Any]:
