@@ -12,7 +12,9 @@ from grimp import build_graph
 
 _PARTS = ("systems", "models", "diagrams")
 
-_SHOWS_RESULTS = ("display", "cli", "terminal", "plots", "report", "page", "analysis", "results")
+_SHOWS_RESULTS = (
+    "display", "cli", "terminal", "plots", "report", "page", "words", "analysis", "results",
+)  # fmt: skip
 """Endings of the names of folders and modules that do not affect results."""
 
 _PACKAGES = ("sonoservo", "drake", "numpy", "scipy", "numba", "llvmlite", "filterpy")
@@ -29,8 +31,9 @@ def code_fingerprint(*modules: str) -> str:
     Parameters
     ----------
     modules
-        Names of the modules that make the results. What neither they nor any experiment imports is
-        excluded, too. Without names, or if one of them is none of the package's, all code counts.
+        Names of the modules that make the results. Code that they do not import, directly or not,
+        is excluded, too; so they must import the classes of their experiments. Without names, or if
+        one of them is none of the package's, all code counts.
     """
     digest = hashlib.sha256(f"sonoservo {version('sonoservo')}, drake {version('drake')}".encode())
     reached = _reached_modules(modules)
@@ -52,18 +55,17 @@ def paper_fingerprint(paper: str) -> str:
 
 
 def _reached_modules(modules: Sequence[str]) -> set[str] | None:
-    """Return modules, those of the experiments, and all that they import; None for all modules."""
+    """Return the names of modules and of all that they import; None for all modules."""
     if not modules:
         return None
-    graph = build_graph(*(f"sonoservo.{part}" for part in _PARTS), cache_dir=None)
+    packages = (f"sonoservo.{part}" for part in _PARTS)
+    graph = build_graph(*packages, cache_dir=None, exclude_type_checking_imports=True)
     if not graph.modules.issuperset(modules):
         return None
     for each in list(graph.modules):
         if any(name.endswith(_SHOWS_RESULTS) for name in each.split(".")):
             graph.remove_module(each)
-    # experiments are imported by the names in scenarios, which no graph of imports shows
-    roots = set(modules) | graph.find_descendants("sonoservo.diagrams.experiments")
-    return roots.union(*(graph.find_upstream_modules(each) for each in roots))
+    return set(modules).union(*(graph.find_upstream_modules(each) for each in modules))
 
 
 @cache
