@@ -11,7 +11,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from sonoservo.diagrams.studies.fingerprint import code_fingerprint
+from sonoservo.diagrams.studies.fingerprint import paper_fingerprint
 from sonoservo.systems.evaluation.reports.web_page import cell_text
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.writing import write_atomically, write_json
@@ -57,7 +57,9 @@ def keep_results(results: Mapping[str, Mapping[str, Any]]) -> None:
         raise ConfigurationError(f"--keep: results come from {len(commits)} commits: {commits}")
     if commits and commits[0].endswith("+"):
         raise ConfigurationError(f"--keep: the code of {commits[0]} was not committed")
-    if stale := [name for name in results if results[name]["fingerprint"] != code_fingerprint()]:
+    if stale := [
+        name for name in results if results[name]["fingerprint"] != paper_fingerprint(name)
+    ]:
         raise ConfigurationError(f"--keep: other code than the present one made {stale[0]}")
     for paper, data in results.items():
         write_json(_results_path(paper), {key: data[key] for key in data if key != "failures"})
@@ -75,7 +77,7 @@ def kept_results(paper: str) -> dict[str, Any] | None:
         return None
     kept: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     same_drake = kept["drake"] == version("drake")
-    return None if same_drake and kept["fingerprint"] != code_fingerprint() else kept
+    return None if same_drake and kept["fingerprint"] != paper_fingerprint(paper) else kept
 
 
 def results_table(kept: Mapping[str, Any] | None, rows: str) -> str:

@@ -110,7 +110,9 @@ def reproduce_command(
     quick: Annotated[
         bool, typer.Option("--quick", help="Make a few short runs only (minutes).")
     ] = False,
-    seeds: Annotated[int | None, typer.Option(help="Number of seeds per experiment.")] = None,
+    seeds: Annotated[
+        int | None, typer.Option(help="Largest number of seeds of an experiment.")
+    ] = None,
     first_seed: Annotated[int, typer.Option(help="First seed.")] = 0,
     keep: Annotated[
         bool, typer.Option("--keep", help="Keep the results in the repository, with its tables.")
@@ -130,8 +132,8 @@ def reproduce_command(
     papers = PAPERS if paper == ALL else (paper,)
     for each in papers:
         require_paper(each)
-    if keep and (quick or seeds is not None or first_seed):
-        raise ConfigurationError("--keep: only the results of the whole study are kept")
+    if keep and (quick or first_seed):
+        raise ConfigurationError("--keep: no results of a quick study or of other seeds are kept")
     with Heartbeat(console, f"Preparing to reproduce {paper}"):  # seconds, where files are cold
         from sonoservo.diagrams.app.terminal import study_table
         from sonoservo.diagrams.papers.results import keep_results
