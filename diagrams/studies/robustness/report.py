@@ -212,7 +212,7 @@ def _row(experiment: str, quantity: str, unit: str, figure: Figure) -> StudyRow:
 
 
 def _threshold_rows(thresholds: Mapping[str, Mapping[str, Threshold]]) -> list[StudyRow]:
-    """Return the thresholds as rows; one that lies beyond the last strength has an open interval."""
+    """Return the thresholds as rows; beyond the last strength, they have an open interval."""
     rows = []
     for name, trackers in thresholds.items():
         for kind, each in trackers.items():
