@@ -34,8 +34,16 @@ def require_paper(paper: str) -> None:
 
 def study_folder(paper: str) -> Path:
     """Return the folder of the package of a paper or study."""
-    diagrams = Path(__file__).resolve().parents[1]
-    return diagrams / ("papers" if paper in PAPERS else "studies") / paper
+    return Path(__file__).resolve().parents[1] / _room(paper) / paper
+
+
+def study_module(paper: str) -> str:
+    """Return the name of the module that makes the results of a paper or study."""
+    return f"sonoservo.diagrams.{_room(paper)}.{paper}.reproduction"
+
+
+def _room(paper: str) -> str:
+    return "papers" if paper in PAPERS else "studies"
 
 
 def reproduce(paper: str, options: "StudyOptions") -> "Study":
@@ -54,6 +62,5 @@ def reproduce(paper: str, options: "StudyOptions") -> "Study":
         If there is no such paper or study.
     """
     require_paper(paper)
-    room = "papers" if paper in PAPERS else "studies"
-    study: Study = import_module(f"sonoservo.diagrams.{room}.{paper}").reproduce(options)
+    study: Study = import_module(study_module(paper).rpartition(".")[0]).reproduce(options)
     return study

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from sonoservo.diagrams.studies.fingerprint import code_fingerprint
 from sonoservo.diagrams.studies.robustness.analysis import (
     Figure,
     Group,
@@ -73,7 +74,10 @@ class RobustnessStudy(Study):
 
     def as_json(self, command: str) -> dict[str, Any]:
         """Return everything except the pictures, for a JSON file."""
-        return super().as_json(command) | {"thresholds": [dict(each) for each in self.thresholds]}
+        return super().as_json(command) | {
+            "fingerprint": code_fingerprint(f"{__package__}.reproduction"),
+            "thresholds": [dict(each) for each in self.thresholds],
+        }
 
 
 def report(outcomes: Sequence[Outcome]) -> RobustnessStudy:
