@@ -126,14 +126,13 @@ def test_every_dial_is_studied_at_moderate_strength():
 
 @pytest.mark.parametrize("name", GRADED)
 def test_moderate_strength_is_that_of_the_dial(name):
-    settings = FIG5 | turned(name, 1.0).settings()
-    own = load_scenario("chatelain2013_fig5", changes=load_dials()[name].changes(), seed=100)
-    with scenario_of(settings, 100) as scenario:
-        assert load_tissue(scenario.phantom) == load_tissue(own.phantom)
-        ours = load_scenario(scenario, changes=[f"phantom={own.phantom}"])
-        if name == "speed":
-            ours.hand.pushes[0].duration = own.hand.pushes[0].duration
-        assert ours.to_yaml() == own.to_yaml()
+    own, made = load_dials()[name].changes(), turned(name, 1.0)
+    if not made.phantom:
+        assert made.changes[: len(own)] == own
+        return
+    assert own == [f"phantom={made.phantom}"]
+    with scenario_of(FIG5 | made.settings(), 100) as scenario:
+        assert load_tissue(scenario.phantom) == load_tissue(made.phantom)
 
 
 def test_a_stronger_dial_is_stronger_in_the_phantom():
@@ -156,20 +155,17 @@ def test_as_many_runs_as_promised(tmp_path):
     names = [name for name in ours if name.startswith("open loop")]
     assert len(names) == strengths + 2
     assert sum(name.startswith("closed loop") for name in ours) == len(GRADED) + 2
-    seconds = 0.0
-    for case in cases:
-        if case.experiment == "clinic without a needle":
-            with scenario_of(case.settings, case.seed) as scenario:
-                seconds += scenario.duration
-                assert make_insertion(scenario).depth(1e3) == 0
-    assert seconds == 3600
+    clinic = [case for case in cases if case.experiment == "clinic without a needle"]
+    with scenario_of(clinic[0].settings, clinic[0].seed) as scenario:
+        assert len(clinic) * scenario.duration == 3600
+        assert make_insertion(scenario).depth(1e3) == 0
     quick = reproduction.study_cases(StudyOptions(folder=tmp_path, quick=True))
     assert len(quick) < 25
     assert {case.settings["loop"] for case in quick} == {"open", "closed", "search"}
 
 
 def test_a_withdrawal_ends_outside_after_the_phantom_has_moved():
-    for seed in range(100, 110):
+    for seed in range(100, 103):
         changes = [*PLAIN, *reproduction.withdrawal(seed)]
         scenario = load_scenario("chatelain2013_fig5", changes=changes, seed=seed)
         (move,) = scenario.phantom_motion.moves
