@@ -16,7 +16,7 @@ from sonoservo.diagrams.studies.runs import run_cases
 from sonoservo.diagrams.studies.study import Case, StudyOptions
 from sonoservo.diagrams.studies.study_report import Study
 
-OPEN_SEEDS, CLOSED_SEEDS = (4, 1), (2, 1)
+OPEN_SEEDS, CLOSED_SEEDS = (3, 1), (2, 1)
 """Number of seeds of each dial and strength, in the whole study and in a quick one."""
 
 WITHDRAWALS, OTHERS_WITHDRAWALS = (50, 1), (10, 1)

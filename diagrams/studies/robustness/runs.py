@@ -1,6 +1,7 @@
 """Runs of the study of robustness: one scene for all trackers, or the loop of one of them."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -84,8 +85,8 @@ def record(log: RunLog, *, in_probe: bool = False, across_depth: bool = False) -
     log
         Log of the run.
     in_probe
-        Whether errors are those in the probe's frame, as measured and as it truly was; otherwise,
-        those in W.
+        Whether errors and false starts are those in the probe's frame; see `as_in_probe`.
+        Otherwise, they are those in W.
     across_depth
         Whether errors count across the depth only.
 
@@ -97,7 +98,8 @@ def record(log: RunLog, *, in_probe: bool = False, across_depth: bool = False) -
     which a needle is shown, and distance that the servo commands the probe to go meanwhile, while
     there is none in the image; None if no servo follows the tracker.
     """
-    tip, axis = judged_errors(log, in_probe=in_probe, across_depth=across_depth)
+    log = as_in_probe(log) if in_probe else log
+    tip, axis = judged_errors(log, across_depth=across_depth)
     time = np.where(
         np.isfinite(log.volume_estimate_time), log.volume_estimate_time, log.volume_time
     )
@@ -118,12 +120,32 @@ def record(log: RunLog, *, in_probe: bool = False, across_depth: bool = False) -
     }
 
 
-def judged_errors(log: RunLog, *, in_probe: bool, across_depth: bool) -> tuple[Floats, Floats]:
+def as_in_probe(log: RunLog) -> RunLog:
+    """Return a log whose estimates lie in W where the probe's measured pose has them in P.
+
+    Each estimate is seen from the measured pose and put into W with the true one, so that errors of
+    the pose itself do not count.
+    """
+    time = log.volume_estimate_time
+    true_X, measured_X = (at_times(log, each, time) for each in (log.X_WP, log.measured_X_WP))
+
+    def moved(p_W: Floats) -> Floats:
+        p_P = in_frame(measured_X, p_W)
+        return np.asarray(np.einsum("nij,nj->ni", true_X[:, :3, :3], p_P) + true_X[:, :3, 3])
+
+    return replace(
+        log,
+        volume_estimate_tip=moved(log.volume_estimate_tip),
+        volume_estimate_entry=moved(log.volume_estimate_entry),
+    )
+
+
+def judged_errors(log: RunLog, *, across_depth: bool) -> tuple[Floats, Floats]:
     """Return the errors of the tip in m and of the direction in rad, after each volume.
 
     Parameters
     ----------
-    log, in_probe, across_depth
+    log, across_depth
         See `record`.
 
     Returns
@@ -131,15 +153,18 @@ def judged_errors(log: RunLog, *, in_probe: bool, across_depth: bool) -> tuple[F
     Two (v,) arrays; NaN without an estimate or a needle.
     """
     time = log.volume_estimate_time
-    true_X, measured_X = (at_times(log, each, time) for each in (log.X_WP, log.measured_X_WP))
-    seen_X = measured_X if in_probe else true_X
-    points = at_times(log, log.needle_points, time)
-    middle, tip = points[:, points.shape[1] // 2], points[:, -1]
-    true_tip, estimated_tip = in_frame(true_X, tip), in_frame(seen_X, log.volume_estimate_tip)
-    true_k = true_tip - in_frame(true_X, middle)
-    estimated_k = estimated_tip - in_frame(seen_X, log.volume_estimate_entry)
+    X_WP, points = at_times(log, log.X_WP, time), at_times(log, log.needle_points, time)
+    middle, true_tip, tip, entry = (
+        in_frame(X_WP, each)
+        for each in (
+            points[:, points.shape[1] // 2],
+            points[:, -1],
+            log.volume_estimate_tip,
+            log.volume_estimate_entry,
+        )
+    )
     counted = np.array([1.0, 0.0, 1.0]) if across_depth else np.ones(3)
-    k, k_hat = unit(counted * true_k), unit(counted * estimated_k)
-    sine = np.linalg.norm(np.cross(k, k_hat), axis=1)
-    miss = np.linalg.norm(counted * (estimated_tip - true_tip), axis=1)
-    return miss, np.arctan2(sine, np.sum(k * k_hat, axis=1))
+    true, estimated = unit(counted * (true_tip - middle)), unit(counted * (tip - entry))
+    sine = np.linalg.norm(np.cross(true, estimated), axis=1)
+    angle = np.arctan2(sine, np.sum(true * estimated, axis=1))
+    return np.linalg.norm(counted * (tip - true_tip), axis=1), angle

@@ -2,10 +2,12 @@
 
 import json
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from pydrake.common.value import Value
+from synthetic_logs import build_insertion_log
 
 from sonoservo.diagrams import load_scenario
 from sonoservo.diagrams.dials import load_dials
@@ -28,7 +30,14 @@ from sonoservo.diagrams.studies.robustness.graded_dials import (
 )
 from sonoservo.diagrams.studies.robustness.planned_motion import MotionPlan
 from sonoservo.diagrams.studies.robustness.report import report
-from sonoservo.diagrams.studies.robustness.runs import OURS, TRACKERS, run_case
+from sonoservo.diagrams.studies.robustness.runs import (
+    OURS,
+    TRACKERS,
+    as_in_probe,
+    judged_errors,
+    record,
+    run_case,
+)
 from sonoservo.diagrams.studies.robustness.search_path import SearchPath
 from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
 from sonoservo.diagrams.studies.study_report import write_study
@@ -288,6 +297,26 @@ def test_the_whole_study_in_short(tmp_path, monkeypatch):
     assert {path.stem for path in tmp_path.glob("*.png")} == names
     page = (tmp_path / "report.html").read_text()
     assert page.count("data:image/png;base64,") == len(names)
+
+
+def test_errors_in_the_probe_do_not_hold_an_error_of_its_pose():
+    log = build_insertion_log()  # 0.3 mm too far, and 0.4 mm too high
+
+    def tips(log, across_depth=False):
+        tip, axis = judged_errors(log, across_depth=across_depth)
+        np.testing.assert_allclose(axis[np.isfinite(tip)], 0, atol=1e-9)
+        return tip[np.isfinite(tip)]
+
+    np.testing.assert_allclose(tips(log), 0.5e-3)
+    np.testing.assert_allclose(tips(log, across_depth=True), 0.3e-3)
+    measured = log.X_WP.copy()
+    measured[:, :3, 3] += [0.3e-3, 0, 0.4e-3]
+    shifted = as_in_probe(replace(log, measured_X_WP=measured))
+    np.testing.assert_allclose(tips(shifted), 0, atol=1e-9)
+    far = log.X_WP.copy()
+    far[:, 1, 3] += 0.02
+    assert record(replace(log, measured_X_WP=far))["false_starts"] == 0
+    assert record(replace(log, measured_X_WP=far), in_probe=True)["false_starts"] == 1
 
 
 def test_all_trackers_of_an_open_loop_see_the_same_volumes():
