@@ -5,7 +5,6 @@ Study``, and an entry here. A study of no paper is such a package among the stud
 """
 
 from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -32,20 +31,6 @@ def require_paper(paper: str) -> None:
         raise ConfigurationError(f"unknown paper {paper!r}; {suggest(paper, known)}")
 
 
-def study_folder(paper: str) -> Path:
-    """Return the folder of the package of a paper or study."""
-    return Path(__file__).resolve().parents[1] / _room(paper) / paper
-
-
-def study_module(paper: str) -> str:
-    """Return the name of the module that makes the results of a paper or study."""
-    return f"sonoservo.diagrams.{_room(paper)}.{paper}.reproduction"
-
-
-def _room(paper: str) -> str:
-    return "papers" if paper in PAPERS else "studies"
-
-
 def reproduce(paper: str, options: "StudyOptions") -> "Study":
     """Repeat the experiments of a paper or study; its package is imported on demand.
 
@@ -62,5 +47,6 @@ def reproduce(paper: str, options: "StudyOptions") -> "Study":
         If there is no such paper or study.
     """
     require_paper(paper)
-    study: Study = import_module(study_module(paper).rpartition(".")[0]).reproduce(options)
+    room = "papers" if paper in PAPERS else "studies"
+    study: Study = import_module(f"sonoservo.diagrams.{room}.{paper}").reproduce(options)
     return study

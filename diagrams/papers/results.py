@@ -9,10 +9,10 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from sonoservo.diagrams.papers.registry import ALL, PAPERS, study_folder, study_module
 from sonoservo.diagrams.studies.fingerprint import code_fingerprint
 from sonoservo.systems.evaluation.reports.web_page import cell_text
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -127,7 +127,7 @@ def with_tables(text: str) -> str:
     def table(found: re.Match[str]) -> str:
         paper, rows = found.groups()
         kept = kept_results(paper)
-        made_by = ALL if paper in PAPERS else paper
+        made_by = "all" if _room(paper) == "papers" else paper
         content = _NONE.format(made_by) if kept is None else results_table(kept, rows)
         return f"<!-- results {paper} {rows} -->\n{content}\n<!-- end of results -->"
 
@@ -173,9 +173,18 @@ def _interval(low: float | None, high: float | None) -> str:
 
 
 def _results_path(paper: str) -> Path:
-    return study_folder(paper) / "results.json"
+    return _folder(paper) / "results.json"
+
+
+def _folder(paper: str) -> Path:
+    return _ROOT / "diagrams" / _room(paper) / paper
 
 
 def _fingerprint(paper: str) -> str:
     """Return the digest of the code that makes a paper's or a study's results."""
-    return code_fingerprint(study_module(paper))
+    return code_fingerprint(f"sonoservo.diagrams.{_room(paper)}.{paper}.reproduction")
+
+
+def _room(paper: str) -> str:
+    """Return the room of a paper, which has a package beside this module, or of a study."""
+    return "papers" if find_spec(f"sonoservo.diagrams.papers.{paper}") else "studies"

@@ -12,8 +12,8 @@ from synthetic_logs import build_insertion_log
 from sonoservo.diagrams import load_scenario
 from sonoservo.diagrams.dials import load_dials
 from sonoservo.diagrams.experiments.following_insertion import make_insertion
-from sonoservo.diagrams.papers.registry import PAPERS, STUDIES, require_paper, study_folder
-from sonoservo.diagrams.papers.results import results_table
+from sonoservo.diagrams.papers import results
+from sonoservo.diagrams.papers.registry import PAPERS, STUDIES, require_paper
 from sonoservo.diagrams.studies.robustness import reproduction
 from sonoservo.diagrams.studies.robustness.analysis import (
     Figure,
@@ -236,7 +236,7 @@ def test_robustness_is_a_study_of_no_paper():
     assert not set(STUDIES) & set(PAPERS)
     for name in STUDIES:
         require_paper(name)
-        assert (study_folder(name) / "reproduction.py").is_file()
+        assert (results._folder(name) / "reproduction.py").is_file()
 
 
 def outcomes(values):
@@ -254,7 +254,7 @@ def test_the_report_gives_thresholds_and_they_become_a_table():
     (row,) = study.thresholds
     assert [row[kind] for kind in TRACKERS] == ["beyond 4", "2", "below the first strength"]
     data = study.as_json("sonoservo reproduce robustness")
-    text = results_table(data, "thresholds")
+    text = results.results_table(data, "thresholds")
     assert "| drag | mm | 1 | beyond 4 | 2 | below the first strength |" in text
     rows = {(each["experiment"], each["quantity"]): each for each in data["rows"]}
     success = rows["open loop, drag 2 mm", "success"]
