@@ -1,6 +1,9 @@
 """Study of robustness: one dial at a time, a clinic, withdrawals, and volumes without a needle.
 
-The whole study is planned for two hours on 2 cores that have nothing else to do: COST
+The whole study takes about 5 h of processor time, 2 to 2.5 h on 2 cores. Measured while other
+programs ran, a scene of the open loop takes 16 s (41 volumes, three trackers), a run of the closed
+loop 19 s, a withdrawal 33 s, and 5 min in the clinic without a needle 930 s (990 volumes, three
+trackers). The last take more than half of it all.
 """
 
 from collections.abc import Mapping
