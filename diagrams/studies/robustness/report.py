@@ -24,7 +24,11 @@ Groups = Mapping[str, Mapping[str, Group]]
 
 _ERRORS: Sequence[tuple[str, str, Callable[[Group], Figure]]] = (
     ("found", "%", lambda group: group.share(lambda run: run.found)),
-    ("kept", "%", lambda group: group.share(lambda run: run.kept)),
+    (
+        "kept, while 10 mm or more lie in the swept sector",
+        "%",
+        lambda group: group.share(lambda run: run.kept),
+    ),
     ("success", "%", lambda group: group.share(lambda run: run.success)),
     ("tip error, median", "mm", lambda group: group.quantile("tip", 0.5)),
     ("tip error, 95 %", "mm", lambda group: group.quantile("tip", 0.95)),
