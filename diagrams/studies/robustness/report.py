@@ -107,7 +107,7 @@ def report(outcomes: Sequence[Outcome]) -> RobustnessStudy:
             {
                 "dial": name,
                 "unit": GRADED[name].unit,
-                "moderate": f"{GRADED[name].moderate:.3g}",
+                "moderate": GRADED[name].words(1.0, unit=False),
                 **{kind: str(each) for kind, each in trackers.items()},
             }
             for name, trackers in thresholds.items()
@@ -174,6 +174,8 @@ def dial_thresholds(curves: Mapping[str, Curve]) -> dict[str, dict[str, Threshol
 def _rows(experiment: str, trackers: Mapping[str, Group]) -> list[StudyRow]:
     """Return the rows of an experiment: ours beside the published tracker, then Zhao's."""
     figures = [] if "without" in experiment else list(_ERRORS)
+    if experiment == "withdrawals":  # a needle that is thrown aside cannot be kept
+        figures = [each for each in figures if not each[0].startswith(("kept", "success"))]
     figures.append(_FALSE_STARTS)
     if not experiment.startswith("open"):
         figures += [*_GHOSTS, *_TRAVEL]

@@ -292,7 +292,8 @@ def test_the_whole_study_in_short(tmp_path, monkeypatch):
     assert rows["clinic without a needle", "false starts"]["true"] == 0
     assert rows["clinic without a needle", "false starts, zhao2012"]["true"] == 0
     assert ("closed loop, plain", "success") in rows
-    assert rows["withdrawals", "success"]["true"] == 0
+    assert rows["withdrawals", "found"]["true"] == 0
+    assert ("withdrawals", "success") not in rows
     names = {"success", "tip_error", "closed_loop"}
     assert {path.stem for path in tmp_path.glob("*.png")} == names
     page = (tmp_path / "report.html").read_text()
