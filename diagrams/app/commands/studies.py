@@ -20,7 +20,7 @@ from sonoservo.diagrams.app.options import (
     console,
     write_printed,
 )
-from sonoservo.diagrams.papers.registry import ALL, PAPERS, reproduce, require_paper
+from sonoservo.diagrams.papers.registry import ALL, PAPERS, STUDIES, reproduce, require_paper
 from sonoservo.diagrams.studies.cluster.opening import CASE_LIMIT_S
 from sonoservo.diagrams.studies.heartbeat import Heartbeat
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -101,7 +101,11 @@ def dataset_command(
 
 def reproduce_command(
     paper: Annotated[
-        str, typer.Argument(help=f"Paper to reproduce: {', '.join(PAPERS)}; or all of them: all.")
+        str,
+        typer.Argument(
+            help=f"Paper to reproduce: {', '.join(PAPERS)}; or all of them: all. Or a study of no "
+            f"paper: {', '.join(STUDIES)}."
+        ),
     ],
     quick: Annotated[
         bool, typer.Option("--quick", help="Make a few short runs only (minutes).")
@@ -120,6 +124,8 @@ def reproduce_command(
     json_path: JsonOption = None,
 ) -> None:
     """Repeat a paper's experiments over many seeds, and compare with its figures and the truth.
+
+    The study `robustness` turns one dial of the harder world at a time, for three trackers.
 
     Finished runs are kept; repeat the command to resume after an interruption.
     """
