@@ -13,7 +13,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from sonoservo.diagrams.studies.fingerprint import code_fingerprint
+from sonoservo.diagrams.studies.fingerprint import study_fingerprint
 from sonoservo.systems.evaluation.reports.web_page import cell_text
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.writing import write_atomically, write_json
@@ -58,7 +58,9 @@ def keep_results(results: Mapping[str, Mapping[str, Any]]) -> None:
         raise ConfigurationError(f"--keep: results come from {len(commits)} commits: {commits}")
     if commits and commits[0].endswith("+"):
         raise ConfigurationError(f"--keep: the code of {commits[0]} was not committed")
-    if stale := [name for name in results if results[name]["fingerprint"] != _fingerprint(name)]:
+    if stale := [
+        name for name in results if results[name]["fingerprint"] != study_fingerprint(name)
+    ]:
         raise ConfigurationError(f"--keep: other code than the present one made {stale[0]}")
     for paper, data in results.items():
         write_json(_results_path(paper), {key: data[key] for key in data if key != "failures"})
@@ -76,7 +78,7 @@ def kept_results(paper: str) -> dict[str, Any] | None:
         return None
     kept: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     same_drake = kept["drake"] == version("drake")
-    return None if same_drake and kept["fingerprint"] != _fingerprint(paper) else kept
+    return None if same_drake and kept["fingerprint"] != study_fingerprint(paper) else kept
 
 
 def results_table(kept: Mapping[str, Any], rows: str) -> str:
@@ -178,11 +180,6 @@ def _results_path(paper: str) -> Path:
 
 def _folder(paper: str) -> Path:
     return _ROOT / "diagrams" / _room(paper) / paper
-
-
-def _fingerprint(paper: str) -> str:
-    """Return the digest of the code that makes a paper's or a study's results."""
-    return code_fingerprint(f"sonoservo.diagrams.{_room(paper)}.{paper}.reproduction")
 
 
 def _room(paper: str) -> str:

@@ -49,9 +49,17 @@ def code_fingerprint(*modules: str) -> str:
     return digest.hexdigest()[:16]
 
 
-def paper_fingerprint(paper: str) -> str:
-    """Return the digest of the code that makes the results of a paper's reproduction."""
-    return code_fingerprint(f"sonoservo.diagrams.papers.{paper}.reproduction")
+def study_fingerprint(name: str) -> str:
+    """Return the digest of the code that makes the results of a paper's reproduction, or a study.
+
+    Parameters
+    ----------
+    name
+        Name of its package.
+    """
+    folder = Path(str(files("sonoservo.diagrams")))
+    room = "papers" if (folder / "papers" / name).is_dir() else "studies"
+    return code_fingerprint(f"sonoservo.diagrams.{room}.{name}.reproduction")
 
 
 def _reached_modules(modules: Sequence[str]) -> set[str] | None:

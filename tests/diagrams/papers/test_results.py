@@ -6,7 +6,7 @@ import pytest
 
 from sonoservo.diagrams.papers import results
 from sonoservo.diagrams.papers.registry import PAPERS
-from sonoservo.diagrams.studies.fingerprint import paper_fingerprint
+from sonoservo.diagrams.studies.fingerprint import study_fingerprint
 from sonoservo.diagrams.studies.study import Case, Outcome
 from sonoservo.diagrams.studies.study_report import Study, StudyRow
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -82,7 +82,7 @@ def test_no_result_survives_a_change_of_its_code(data, tmp_path, monkeypatch):
     monkeypatch.setattr(results, "_folder", tmp_path.joinpath)
     path = tmp_path / "chatelain2013" / "results.json"
     path.write_text(json.dumps(data))
-    assert data["fingerprint"] == paper_fingerprint("chatelain2013")
+    assert data["fingerprint"] == study_fingerprint("chatelain2013")
     assert results.kept_results("chatelain2013") == json.loads(path.read_text())
     path.write_text(json.dumps(data | {"fingerprint": "0"}))
     assert results.kept_results("chatelain2013") is None
