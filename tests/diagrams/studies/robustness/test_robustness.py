@@ -262,7 +262,11 @@ def test_the_report_gives_thresholds_and_they_become_a_table():
     assert success["high"] == 100
     assert rows["open loop, drag 4 mm", "success, zhao2012"]["true"] == 0
     limits = [each for each in data["rows"] if each["experiment"].startswith("success falls")]
-    assert [(each["low"], each["true"]) for each in limits] == [(4, None), (1, 2), (None, 1)]
+    ours, zhao = limits
+    assert (ours["true"], ours["low"]) == (None, 4)  # beyond
+    assert (ours["published_true"], ours["published_low"]) == (2, 1)
+    assert (zhao["true"], zhao["low"]) == (1, None)
+    assert "drag (mm) beyond 4, 2, below the first strength" in data["notes"][0]
 
 
 @pytest.mark.slow
