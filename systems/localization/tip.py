@@ -291,7 +291,8 @@ def _tip(
         np.clip(np.median(near) / 2, parameters.min_end_contrast, parameters.end_contrast)
     )
     inside = contrast[first : last + 1]
-    end = first + max(stretch(inside, np.ones_like(inside, dtype=bool), threshold)[1], 0)
+    bright = stretch(inside, np.ones_like(inside, dtype=bool), threshold)[1]
+    end = first + bright if bright >= 0 else last
     begin = max(first, int(np.searchsorted(a, a[end] - parameters.end_length)))
     top = float(contrast[begin : end + 1].max())
     lost = float(a[end])
