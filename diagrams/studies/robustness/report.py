@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from sonoservo.diagrams.studies.fingerprint import code_fingerprint
 from sonoservo.diagrams.studies.robustness.analysis import (
     Figure,
     Group,
@@ -79,7 +78,6 @@ class RobustnessStudy(Study):
     def as_json(self, command: str) -> dict[str, Any]:
         """Return everything except the pictures, for a JSON file."""
         return super().as_json(command) | {
-            "fingerprint": code_fingerprint(f"{__package__}.reproduction"),
             "thresholds": [dict(each) for each in self.thresholds],
         }
 
