@@ -205,7 +205,14 @@ def _attempt(
     _require_motion(region, parameters, rough, extent)
     fit = _refit(points, weights, parameters, rough, extent)
     extent = _extent(volume, region, parameters, fit, looked)
-    if region.entry is None and extent.start - extent.entered > parameters.max_entry_gap:
+    longer = region.entry is None and extent.start - extent.entered > parameters.max_entry_gap
+    if region.entry is not None:
+        # A probe that follows a needle on its way out sees more of it than its known entry.
+        known = float(fit.axis.abscissa(region.entry))
+        longer = (
+            extent.tip - known < parameters.min_length and known - extent.start > region.before / 2
+        )
+    if longer:
         raise _LongerError(_expect(outer_region(region, fit.axis, extent, parameters)))
     inliers, between = _inliers(points, parameters, fit, extent)
     return _judge(volume, region, parameters, fit, extent, int(inliers.sum()), int(between.sum()))

@@ -34,6 +34,9 @@ _CLEAR_CONTRAST, _FAINT = 14.0, 3.6
 All five were fitted to 640 volumes of two image models with sharp, faint and fading needles."""
 
 
+_EMPTY = 15.0
+"""Level of the background in dB, below that around the needle, at which there is no tissue."""
+
 _TYPICAL_WIDTH = 2e-3
 """Width of a beam in m where there is no speckle from which it could be measured."""
 
@@ -253,7 +256,10 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
     if last < 0:
         return NotFound("nothing along the axis stands out from the background")
     tip, tip_std = _tip(profile, contrast, (first, last), parameters)
-    unseen = np.flatnonzero(~profile.seen[:first])
+    # Outside the tissue nothing scatters, so a needle that enters it in view comes from nowhere.
+    around = uniform_filter1d(profile.background, round(parameters.end_length / step))
+    empty = around < np.median(around[first : last + 1]) - _EMPTY
+    unseen = np.flatnonzero(~profile.seen[:first] | empty[:first])
     beyond = np.searchsorted(profile.a, max(profile.a[last], tip) + parameters.smoothing)
     return NeedleExtent(
         start=float(profile.a[first]),
