@@ -11,6 +11,7 @@ from scipy.special import i0e
 from sonoservo.systems.evaluation.needle_end import (
     INTERVAL,
     EchoModel,
+    EndSamples,
     NeedleEnd,
     echo_model,
     samples_near,
@@ -35,11 +36,11 @@ def field_log_likelihood(model: EchoModel, echoes: NDArray[np.complex128]) -> Fl
     white, mean = (_solved(model.root, each) for each in (echo, model.mean))
     inner = 2 * np.abs(np.sum(white.conj() * mean, axis=1))
     energy = np.sum(np.abs(white) ** 2 + np.abs(mean) ** 2, axis=1)
-    scale = 2 * np.log(np.diagonal(model.root, axis1=1, axis2=2)).sum(axis=1)
+    scale = 2 * np.log(np.diagonal(model.root, axis1=1, axis2=2).real).sum(axis=1)
     return np.asarray(np.log(i0e(inner)) + inner - energy - scale)
 
 
-def _solved(root: Floats, values: NDArray[np.complex128]) -> NDArray[np.complex128]:
+def _solved(root: NDArray[np.complex128], values: NDArray[np.complex128]) -> NDArray[np.complex128]:
     return np.asarray(np.linalg.solve(root, values[..., np.newaxis])[..., 0])
 
 
@@ -73,7 +74,7 @@ def envelope_log_likelihood(
     tiny = np.finfo(float).tiny
     even = np.arange(particles)
     for i, r in enumerate(envelope):
-        sigma = model.root[:, i, i, np.newaxis]
+        sigma = model.root[:, i, i, np.newaxis].real
         mu = (model.root[:, np.newaxis, i, :i] @ white[:, :i])[:, 0] + model.mean[:, i, np.newaxis]
         expected = np.abs(mu)
         kappa = np.maximum(2 * r * expected / sigma**2, 1e-3)
@@ -179,20 +180,46 @@ def tip_error_bound(
         model = echo_model(end, samples, np.array([true]), noise_db)
         noise = rng.normal(scale=np.sqrt(0.5), size=(2, len(samples.along)))
         echoes = model.mean[0] + model.root[0] @ (noise[0] + 1j * noise[1])
-        envelope = np.abs(echoes)
-
-        def amplitudes(model: EchoModel, envelope: Floats = envelope) -> Floats:
-            return envelope_log_likelihood(model, envelope, rng, particles)
-
-        def phases(model: EchoModel, echoes: NDArray[np.complex128] = echoes) -> Floats:
-            return field_log_likelihood(model, echoes)
-
-        models = partial(echo_model, end, samples, noise_db=noise_db)
-        mean, variance = _posterior(models, amplitudes)
-        _, field = _posterior(models, phases)
-        scale = samples.blur * np.array([1, samples.blur, samples.blur])
-        found.append(scale * [mean - true, variance, field])
+        mean, variance = tip_posterior(end, samples, np.abs(echoes), noise_db, rng, particles)
+        _, field = _posterior(
+            partial(echo_model, end, samples, noise_db=noise_db),
+            partial(field_log_likelihood, echoes=echoes),
+        )
+        found.append((mean - samples.blur * true, variance, samples.blur**2 * field))
     return TipBound(*np.transpose(found))
+
+
+def tip_posterior(
+    end: NeedleEnd,
+    samples: EndSamples,
+    envelope: Floats,
+    noise_db: float,
+    rng: np.random.Generator,
+    particles: int = 50,
+) -> tuple[float, float]:
+    """Return mean and variance of the tip given a volume: the estimator that attains the bound.
+
+    Parameters
+    ----------
+    end
+        Levels of the needle's echo.
+    samples, envelope
+        Samples near a point of the axis, and their (n,) amplitudes over the tissue's root mean
+        square.
+    noise_db
+        Level of the electronic noise over the tissue's.
+    rng, particles
+        See `envelope_log_likelihood`.
+
+    Returns
+    -------
+    Mean distance along the axis from that point to the tip in m, and its variance in m^2.
+    """
+    mean, variance = _posterior(
+        partial(echo_model, end, samples, noise_db=noise_db),
+        partial(envelope_log_likelihood, envelope=envelope, rng=rng, particles=particles),
+    )
+    return samples.blur * mean, samples.blur**2 * variance
 
 
 def _posterior(

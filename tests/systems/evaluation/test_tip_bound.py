@@ -48,11 +48,11 @@ def cramer_rao(end, samples, noise_db=-30.0):
     Its information is tr(C^-1 C' C^-1 C') + 2 m'^H C^-1 m' (Kay 1993, section 15.7).
     """
     model = echo_model(end, samples, np.array([-0.125, 0.0, 0.125]), noise_db)
-    C = model.root @ model.root.swapaxes(1, 2)
+    C = model.root @ model.root.conj().swapaxes(1, 2)
     ratio = np.linalg.solve(C[1], C[2] - C[0]) / 0.25
     mean = (model.mean[2] - model.mean[0]) / 0.25
     of_mean = 2 * (mean.conj() @ np.linalg.solve(C[1], mean)).real
-    return 1 / np.sqrt(np.trace(ratio @ ratio) + of_mean)
+    return 1 / np.sqrt(np.trace(ratio @ ratio).real + of_mean)
 
 
 def test_independent_amplitudes_have_rice_distributions():
@@ -71,7 +71,7 @@ def test_phases_are_integrated_out():
     rng = np.random.default_rng(1)
     model = echo_model(NeedleEnd(shaft_db=10, mirror_db=8), line(1.0, 1.0), np.zeros(1), -20.0)
     r = np.abs(drawn(model, 0, rng))
-    inverse = np.linalg.inv(model.root[0] @ model.root[0].T)
+    inverse = np.linalg.inv(model.root[0] @ model.root[0].conj().T)
     phases = np.stack(np.meshgrid(*3 * [np.arange(24) / 24 * 2 * np.pi]), axis=-1).reshape(-1, 3)
     away = r * np.exp(1j * phases) - model.mean[0]
     density = np.exp(-np.einsum("pi,ij,pj->p", away.conj(), inverse, away).real)
@@ -104,7 +104,7 @@ def test_samples_far_apart_have_the_information_of_exponential_intensities():
     end, samples = NeedleEnd(shaft_db=20), line(4.0)
     samples = samples._replace(along=samples.along + 0.7)
     below, at, above = (
-        np.sum(root**2, axis=1)
+        np.sum(np.abs(root) ** 2, axis=1)
         for root in echo_model(end, samples, np.array([-0.125, 0.0, 0.125]), -30.0).root
     )
     information = np.sum(((above - below) / 0.25 / at) ** 2)
@@ -130,20 +130,20 @@ def test_maximum_likelihood_attains_the_bound_of_a_mirror_like_end(end, least, m
 
 def bound(end=None, scale=1.0, **how):
     widths = [scale * SPREAD.widths(np.zeros(1))[:, i] for i in range(3)]
-    how = {"depth": 0.05, "dip_deg": 30.0, "volumes": 20, "particles": 25} | how
+    how = {"depth": 0.05, "dip_deg": 30.0, "volumes": 14, "particles": 25} | how
     return tip_error_bound(end or NeedleEnd(), GEOMETRY, PointSpread(np.zeros(1), *widths), **how)
 
 
 def test_the_posterior_mean_attains_it_and_phases_tell_more():
     found = bound()
-    assert np.sqrt(np.mean(found.errors**2)) == pytest.approx(found.std, rel=0.35)
+    assert np.sqrt(np.mean(found.errors**2)) == pytest.approx(found.std, rel=0.4)
     assert 0.6 * found.std < found.field_std < found.std
 
 
 def test_contrast_lowers_it_and_a_bevel_that_does_not_echo_raises_it():
-    clear = bound(NeedleEnd(shaft_db=30), volumes=8).std
-    assert clear < 0.8 * bound(NeedleEnd(shaft_db=18), volumes=8).std
-    assert bound(NeedleEnd(shaft_db=30, bevel_length=3e-3), volumes=8).std > 1.5 * clear
+    clear = bound(NeedleEnd(shaft_db=30), volumes=5).std
+    assert clear < 0.8 * bound(NeedleEnd(shaft_db=18), volumes=5).std
+    assert bound(NeedleEnd(shaft_db=30, bevel_length=3e-3), volumes=5).std > 1.5 * clear
 
 
 def test_the_blur_on_the_axis_is_the_unit_of_length():
