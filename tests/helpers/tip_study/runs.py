@@ -56,7 +56,7 @@ def bound_of(end, using, volumes):
     """Return the bound for a needle's end in the scanner's image."""
     return tip_error_bound(
         needle_end(end, using), using.geometry, using.spread, depth=end.depth, dip_deg=end.dip,
-        noise_db=noise_db(end, using), volumes=volumes, particles=25,
+        noise_db=noise_db(end, using), volumes=volumes, particles=100,
     )  # fmt: skip
 
 
