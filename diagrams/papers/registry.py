@@ -1,7 +1,7 @@
-"""Registry of the papers that ``sonoservo reproduce`` knows.
+"""Registry of the papers and studies that ``sonoservo reproduce`` knows.
 
 A new paper is a package beside this module that exports ``reproduce(options: StudyOptions) ->
-Study``, and an entry here.
+Study``, and an entry here. A study of no paper is such a package among the studies.
 """
 
 from importlib import import_module
@@ -17,31 +17,36 @@ if TYPE_CHECKING:
 PAPERS = ("carriere2016", "chatelain2013", "zhao2012")
 """Name of each paper's package."""
 
+STUDIES = ("robustness",)
+"""Name of the package of each study that belongs to no paper."""
+
 ALL = "all"
-"""Name that stands for all papers on the command line."""
+"""Name that stands for all papers on the command line; studies of no paper do not belong to it."""
 
 
 def require_paper(paper: str) -> None:
-    """Raise ConfigurationError unless there is a reproduction of a paper."""
-    if paper not in PAPERS:
-        raise ConfigurationError(f"unknown paper {paper!r}; {suggest(paper, PAPERS)}")
+    """Raise ConfigurationError unless there is a reproduction of a paper, or a study, of a name."""
+    known = (*PAPERS, *STUDIES)
+    if paper not in known:
+        raise ConfigurationError(f"unknown paper {paper!r}; {suggest(paper, known)}")
 
 
 def reproduce(paper: str, options: "StudyOptions") -> "Study":
-    """Repeat a paper's experiments; its package is imported on demand.
+    """Repeat the experiments of a paper or study; its package is imported on demand.
 
     Parameters
     ----------
     paper
-        Name of one of the `PAPERS`.
+        Name of one of the `PAPERS` or `STUDIES`.
     options
         Folder, seeds and number of processes.
 
     Raises
     ------
     ConfigurationError
-        If there is no reproduction of that paper.
+        If there is no such paper or study.
     """
     require_paper(paper)
-    study: Study = import_module(f"sonoservo.diagrams.papers.{paper}").reproduce(options)
+    room = "papers" if paper in PAPERS else "studies"
+    study: Study = import_module(f"sonoservo.diagrams.{room}.{paper}").reproduce(options)
     return study

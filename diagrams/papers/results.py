@@ -1,23 +1,24 @@
-"""Kept results of the reproductions, and the tables of the documentation that show them.
+"""Kept results of papers and studies, and the tables of the documentation that show them.
 
-The results of a paper are the file ``results.json`` in its package, made by ``sonoservo reproduce
-all --keep``. They are shown only as long as the code that made them is the present one.
+The results of a paper or study are the file ``results.json`` in its package, made by ``sonoservo
+reproduce all --keep``, or by its own name instead of "all". They are shown only as long as the code
+that made them is the present one.
 """
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from sonoservo.diagrams.studies.fingerprint import code_fingerprint
+from sonoservo.diagrams.studies.fingerprint import study_fingerprint
 from sonoservo.systems.evaluation.reports.web_page import cell_text
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.writing import write_atomically, write_json
 
-_PAPERS = Path(__file__).resolve().parent
-_ROOT = _PAPERS.parents[1]
+_ROOT = Path(__file__).resolve().parents[2]
 
 PAGES = (_ROOT / "README.md", _ROOT / "notebooks/docs/results.md")
 """Pages with tables of results."""
@@ -26,7 +27,7 @@ _TABLE = re.compile(r"<!-- results (\w+) (\w+) -->\n.*?<!-- end of results -->",
 
 _NONE = (
     "*There are no results of this version yet: its code is not the one that made the last ones. "
-    "`sonoservo reproduce all --keep` makes them, in hours.*"
+    "`sonoservo reproduce {} --keep` makes them, in hours.*"
 )
 
 _HEADS = (
@@ -57,7 +58,9 @@ def keep_results(results: Mapping[str, Mapping[str, Any]]) -> None:
         raise ConfigurationError(f"--keep: results come from {len(commits)} commits: {commits}")
     if commits and commits[0].endswith("+"):
         raise ConfigurationError(f"--keep: the code of {commits[0]} was not committed")
-    if stale := [name for name in results if results[name]["fingerprint"] != code_fingerprint()]:
+    if stale := [
+        name for name in results if results[name]["fingerprint"] != study_fingerprint(name)
+    ]:
         raise ConfigurationError(f"--keep: other code than the present one made {stale[0]}")
     for paper, data in results.items():
         write_json(_results_path(paper), {key: data[key] for key in data if key != "failures"})
@@ -75,25 +78,26 @@ def kept_results(paper: str) -> dict[str, Any] | None:
         return None
     kept: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     same_drake = kept["drake"] == version("drake")
-    return None if same_drake and kept["fingerprint"] != code_fingerprint() else kept
+    return None if same_drake and kept["fingerprint"] != study_fingerprint(paper) else kept
 
 
-def results_table(kept: Mapping[str, Any] | None, rows: str) -> str:
+def results_table(kept: Mapping[str, Any], rows: str) -> str:
     """Return results as Markdown: where they come from, and a table.
 
     Parameters
     ----------
     kept
-        Contents of study.json, if there are any.
+        Contents of study.json.
     rows
-        "all", or "published" for those with a figure of the paper.
+        "all"; "published" for those with a figure of the paper; or "thresholds" for the table of
+        the strengths at which success ends, in a study that has them.
     """
-    if kept is None:
-        return _NONE
+    source = f"Commit {kept['commit'][:10]}, `{kept['command']}`"
+    if rows == "thresholds":
+        return f"{source}.\n\n{_thresholds_table(kept['thresholds'])}"
     judged = [row["met"] for row in kept["rows"] if row["met"] is not None]
     lines = [
-        f"Commit {kept['commit'][:10]}, `{kept['command']}`: {sum(judged)} of {len(judged)} "
-        "targets met.",
+        f"{source}: {sum(judged)} of {len(judged)} targets met.",
         "",
         "| " + " | ".join(_HEADS) + " |",
         "|" + "---|" * len(_HEADS),
@@ -124,10 +128,20 @@ def with_tables(text: str) -> str:
 
     def table(found: re.Match[str]) -> str:
         paper, rows = found.groups()
-        content = results_table(kept_results(paper), rows)
+        kept = kept_results(paper)
+        made_by = "all" if _room(paper) == "papers" else paper
+        content = _NONE.format(made_by) if kept is None else results_table(kept, rows)
         return f"<!-- results {paper} {rows} -->\n{content}\n<!-- end of results -->"
 
     return _TABLE.sub(table, text)
+
+
+def _thresholds_table(thresholds: Sequence[Mapping[str, str]]) -> str:
+    """Return the dials' thresholds as Markdown, with a column for each tracker."""
+    heads = list(dict.fromkeys(key for each in thresholds for key in each))
+    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    lines += [f"| {' | '.join(each.get(key, '') for key in heads)} |" for each in thresholds]
+    return "\n".join(lines)
 
 
 def _cells(row: Mapping[str, Any], before: str) -> list[str]:
@@ -161,4 +175,13 @@ def _interval(low: float | None, high: float | None) -> str:
 
 
 def _results_path(paper: str) -> Path:
-    return _PAPERS / paper / "results.json"
+    return _folder(paper) / "results.json"
+
+
+def _folder(paper: str) -> Path:
+    return _ROOT / "diagrams" / _room(paper) / paper
+
+
+def _room(paper: str) -> str:
+    """Return the room of a paper, which has a package beside this module, or of a study."""
+    return "papers" if find_spec(f"sonoservo.diagrams.papers.{paper}") else "studies"

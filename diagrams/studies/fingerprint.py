@@ -2,13 +2,19 @@
 
 import hashlib
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
 
-_SHOWS_RESULTS = ("display", "cli", "terminal", "plots", "report", "page", "analysis", "results")
+from grimp import build_graph
+
+_PARTS = ("systems", "models", "diagrams")
+
+_SHOWS_RESULTS = (
+    "display", "cli", "terminal", "plots", "report", "page", "words", "analysis", "results",
+)  # fmt: skip
 """Endings of the names of folders and modules that do not affect results."""
 
 _PACKAGES = ("sonoservo", "drake", "numpy", "scipy", "numba", "llvmlite", "filterpy")
@@ -16,21 +22,58 @@ _PACKAGES = ("sonoservo", "drake", "numpy", "scipy", "numba", "llvmlite", "filte
 
 
 @cache
-def code_fingerprint() -> str:
-    """Return a digest of the package's files and of Drake's version.
+def code_fingerprint(*modules: str) -> str:
+    """Return a digest of the code that makes results, of its data files and of Drake's version.
 
     Code that only displays results (`_SHOWS_RESULTS`) is excluded: a better plot does not make runs
     out of date.
+
+    Parameters
+    ----------
+    modules
+        Names of the modules that make the results. Code that they do not import, directly or not,
+        is excluded, too; so they must import the classes of their experiments. Without names, or if
+        one of them is none of the package's, all code counts.
     """
     digest = hashlib.sha256(f"sonoservo {version('sonoservo')}, drake {version('drake')}".encode())
-    for part in ("systems", "models", "diagrams"):
+    reached = _reached_modules(modules)
+    for part in _PARTS:
         folder = Path(str(files(f"sonoservo.{part}")))
         for path in sorted(folder.rglob("*")):
-            names = path.relative_to(folder).with_suffix("").parts
+            names = (part, *path.relative_to(folder).with_suffix("").parts)
+            code = path.suffix in (".py", ".pyi")
+            counts = not code or reached is None or ".".join(("sonoservo", *names)) in reached
             shows = any(name.endswith(_SHOWS_RESULTS) for name in names)
-            if path.is_file() and not shows and "__pycache__" not in names:
-                digest.update("/".join((part, *names)).encode() + b"\0" + path.read_bytes())
+            if path.is_file() and counts and not shows and "__pycache__" not in names:
+                digest.update("/".join(names).encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:16]
+
+
+def study_fingerprint(name: str) -> str:
+    """Return the digest of the code that makes the results of a paper's reproduction, or a study.
+
+    Parameters
+    ----------
+    name
+        Name of its package.
+    """
+    folder = Path(str(files("sonoservo.diagrams")))
+    room = "papers" if (folder / "papers" / name).is_dir() else "studies"
+    return code_fingerprint(f"sonoservo.diagrams.{room}.{name}.reproduction")
+
+
+def _reached_modules(modules: Sequence[str]) -> set[str] | None:
+    """Return the names of modules and of all that they import; None for all modules."""
+    if not modules:
+        return None
+    packages = (f"sonoservo.{part}" for part in _PARTS)
+    graph = build_graph(*packages, cache_dir=None, exclude_type_checking_imports=True)
+    if not graph.modules.issuperset(modules):
+        return None
+    for each in list(graph.modules):
+        if any(name.endswith(_SHOWS_RESULTS) for name in each.split(".")):
+            graph.remove_module(each)
+    return set(modules).union(*(graph.find_upstream_modules(each) for each in modules))
 
 
 @cache

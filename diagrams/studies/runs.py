@@ -5,7 +5,7 @@ import json
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +33,9 @@ def run_cases(
     """Run every case that has not been run yet, several at a time.
 
     Each outcome is written to a file of its own in ``folder`` as soon as it is known. An existing
-    outcome is read instead if it was made by the same code with the same settings, and its files
-    are in the store. The outcomes are the same on this machine and on a cluster.
+    outcome is read instead if the same code (all that the module of ``work`` imports) made it with
+    the same settings, and its files are in the store. The outcomes are the same on this machine and
+    on a cluster.
 
     Parameters
     ----------
@@ -74,9 +75,10 @@ def run_cases(
     if len(set(cases)) < len(cases):
         raise ValueError(f"{len(cases)} cases, of which {len(set(cases))} differ; all must differ")
     with claim_folder(folder):
-        kept = _Kept(folder, store or Store(str(folder)))
+        kept = _Kept(folder, store or Store(str(folder)), code_fingerprint(_module_of(work)))
         outcomes = {case: kept.read(case) for case in cases}
         pending = [case for case, outcome in outcomes.items() if outcome is None]
+        pending.sort(key=lambda case: case.seed)  # if interrupted, all experiments have some runs
         known = [outcome for outcome in outcomes.values() if outcome is not None]
         executor = cluster or Processes(jobs)
         with StudyProgress(console, executor, pending, known) as progress:
@@ -94,8 +96,8 @@ def run_cases(
 class _Kept:
     """Outcomes on disk, and the store of their files."""
 
-    def __init__(self, folder: Path, store: Store) -> None:
-        self._folder, self.store = folder, store
+    def __init__(self, folder: Path, store: Store, code: str) -> None:
+        self._folder, self.store, self._code = folder, store, code
 
     @cached_property
     def _sizes(self) -> Mapping[str, int]:
@@ -118,7 +120,7 @@ class _Kept:
             )
             lasting = False
         if lasting:
-            content = {"code": code_fingerprint(), **to_plain(asdict(outcome))}
+            content = {"code": self._code, **to_plain(asdict(outcome))}
             with suppress(OSError):
                 write_json(self._path(outcome.case), {**content, "sha256": _digest(content)})
         return outcome
@@ -134,7 +136,7 @@ class _Kept:
         try:
             kept = json.loads(self._path(case).read_text(encoding="utf-8"))
             intact = kept.pop("sha256") == _digest(kept)
-            if not intact or kept.pop("code") != code_fingerprint():
+            if not intact or kept.pop("code") != self._code:
                 return None
             if kept.pop("case") != asdict(case):
                 return None
@@ -144,6 +146,13 @@ class _Kept:
             return outcome if whole else None
         except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
             return None
+
+
+def _module_of(work: Work) -> str:
+    """Return the name of the module that defines the function that runs a case."""
+    while isinstance(work, partial):
+        work = work.func
+    return work.__module__
 
 
 def _digest(content: Mapping[str, Any]) -> str:

@@ -32,7 +32,7 @@ class StudyOptions:
     quick
         Whether to make a few short runs only, as a functional check.
     seeds
-        Number of seeds of each experiment; None for the study's own number.
+        Largest number of seeds of an experiment; None for the study's own numbers.
     first_seed
         First seed of each experiment. Seeds below 100 are for reporting; parameters are tuned on
         others.
@@ -59,9 +59,9 @@ class StudyOptions:
         require(self.jobs >= 1 or self.jobs == -1, "jobs", self.jobs, "1 or more, or -1")
 
     def seed_range(self, number: int, quick_number: int) -> range:
-        """Return an experiment's seeds, given their default numbers for full and quick studies."""
+        """Return an experiment's seeds, given their own numbers in full and quick studies."""
         own = quick_number if self.quick else number
-        return range(self.first_seed, self.first_seed + (self.seeds or own))
+        return range(self.first_seed, self.first_seed + min(own, self.seeds or own))
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from typing import Any, Literal
 from matplotlib.figure import Figure
 
 from sonoservo.diagrams.studies.commit import present_commit
-from sonoservo.diagrams.studies.fingerprint import code_fingerprint
+from sonoservo.diagrams.studies.fingerprint import study_fingerprint
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.systems.evaluation.reports.plots import png
 from sonoservo.systems.evaluation.reports.web_page import cell_text, table, web_page
@@ -132,7 +132,7 @@ class Study:
             "version": version("sonoservo"),
             "drake": version("drake"),
             "commit": present_commit(),
-            "fingerprint": code_fingerprint(),
+            "fingerprint": study_fingerprint(self.paper),
             "seeds": {name: each["seeds"] for name, each in self.experiments.items()},
             "rows": [
                 {key: value for key, value in asdict(row).items() if key != "wanted"}

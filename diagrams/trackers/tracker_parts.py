@@ -92,6 +92,9 @@ class CommonTrackerParameters(TrackerParameters):
     look_back
         Minimum age of the volume with which the present one is compared to detect an insertion, in
         s. Chatelain 2013 compares consecutive volumes (0), in which a slow needle moves too little.
+    history
+        Time before ``look_back`` over which the tissue's coming and going is learnt, in s; about a
+        breath. 0 is the papers' form.
     same_direction
         Whether only sweeps in the same direction are compared. A motorised probe samples the tissue
         differently on its way back, which makes neighbouring volumes differ everywhere.
@@ -103,6 +106,7 @@ class CommonTrackerParameters(TrackerParameters):
 
     start: str = "search"
     look_back: float = 1.8
+    history: float = 4.4
     same_direction: bool = True
     detector: InsertionDetectorParameters = field(default_factory=InsertionDetectorParameters)
     localizer: NeedleLocalizerParameters = field(default_factory=NeedleLocalizerParameters)
@@ -111,7 +115,7 @@ class CommonTrackerParameters(TrackerParameters):
     def __post_init__(self) -> None:
         super().__post_init__()
         require(self.start in STARTS, "start", self.start, " or ".join(map(repr, STARTS)))
-        require_not_negative(look_back=self.look_back)
+        require_not_negative(look_back=self.look_back, history=self.history)
 
     def knowing(
         self,
@@ -162,7 +166,10 @@ def add_tracker_parts(
         builder,
         gate=VolumeGate(parameters=parameters.plausibility, **events),
         memory=VolumeMemory(
-            look_back=parameters.look_back, same_direction=parameters.same_direction, **events
+            look_back=parameters.look_back,
+            same_direction=parameters.same_direction,
+            history=parameters.history,
+            **events,
         ),
         detector=InsertionDetector(parameters=parameters.detector, seed=seed),
         localizer=NeedleLocalizer(parameters=parameters.localizer, seed=seed),
@@ -246,6 +253,7 @@ def _connect_parts(
         builder.Connect(gate.GetOutputPort("volume"), each.GetInputPort("volume"))
     for source, port, target in (
         (memory, "previous_volume", detector),
+        (memory, "earlier_volumes", detector),
         (detector, "detection", manager),
         (localizer, "measurement", manager),
         (localizer, "explanation", manager),

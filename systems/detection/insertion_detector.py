@@ -1,7 +1,7 @@
 """Detection of a needle that enters the field of view."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from sonoservo.systems.detection.motion_compensation import compensate_motion
 from sonoservo.systems.detection.volume_difference import top_differences
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.insertion_detection import InsertionDetection
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import evaluate, evaluate_port
 from sonoservo.systems.signals.random_streams import random_stream
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 from sonoservo.systems.signals.volume import Volume
@@ -23,6 +23,9 @@ from sonoservo.systems.signals.volume import Volume
 _TIP_QUANTILE = 0.85
 """Quantile of the distances from the entry beyond which a stretched change is the needle's tip;
 a compact change is halved."""
+
+_LEAST_EARLIER = 2
+"""Number of earlier volumes, besides the previous one, that show how the tissue comes and goes."""
 
 
 @dataclass(kw_only=True)
@@ -45,6 +48,8 @@ class InsertionDetectorParameters:
         no scan line meets at a right angle near the side stands out only further inside.
     min_change
         Smallest difference T_t of the candidates that counts as motion, in dB; less is noise.
+    min_brightening
+        The same for voxels that are brighter than in all earlier volumes, in dB.
     floor_quantile
         Quantile of the volume's intensities below which all intensities count as equally dark. 0 is
         the paper's form.
@@ -64,6 +69,7 @@ class InsertionDetectorParameters:
     max_stretched_std: float = 15e-3
     max_depth: float = 20e-3
     min_change: float = 4.5
+    min_brightening: float = 3.0
     floor_quantile: float = 0.9
     reach: float = 0.7e-3
     stillness: float = 0.3e-3
@@ -79,6 +85,7 @@ class InsertionDetectorParameters:
         )
         require_not_negative(
             min_change=self.min_change,
+            min_brightening=self.min_brightening,
             reach=self.reach,
             max_motion=self.max_motion,
             max_stretched_std=self.max_stretched_std,
@@ -117,6 +124,17 @@ def _is_stretched(p_P: NDArray[np.float64], parameters: InsertionDetectorParamet
     return narrow and bool(along <= parameters.max_stretched_std**2)
 
 
+def _std(p_P: NDArray[np.float64]) -> float:
+    """Return the square root of the trace of the covariance of places, in m."""
+    return float(np.sqrt(p_P.var(axis=0).sum()))
+
+
+def _spread(p_P: NDArray[np.float64], parameters: InsertionDetectorParameters) -> float:
+    """Return the standard deviation in m of changes that are far apart; 0 if they are not."""
+    std = _std(p_P)
+    return 0.0 if std <= parameters.max_std or _is_stretched(p_P, parameters) else std
+
+
 def _outer_end(volume: Volume, p_P: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the end of a stretched change that is closer to a side of the field of view."""
     along = (p_P - p_P.mean(axis=0)) @ np.linalg.eigh(np.cov(p_P.T))[1][:, -1]
@@ -125,13 +143,76 @@ def _outer_end(volume: Volume, p_P: NDArray[np.float64]) -> NDArray[np.float64]:
     return min(ends, key=lambda end: float(np.linalg.norm(closest_side(volume, end) - end)))
 
 
+def _comparable(volume: Volume, previous: Volume) -> NotFound | None:
+    """Return why two volumes cannot be compared voxel by voxel; None if they can."""
+    if volume.intensities.shape != previous.intensities.shape or not (
+        np.allclose(volume.origin, previous.origin)
+        and np.allclose(volume.spacing, previous.spacing)
+    ):
+        return NotFound("the previous volume lies on another grid")
+    if volume.decibels_per_level != previous.decibels_per_level:
+        return NotFound("the previous volume has another scale of grey levels")
+    return None
+
+
+def _aligned(
+    volume: Volume, previous: Volume, parameters: InsertionDetectorParameters
+) -> Volume | NotFound:
+    """Return the previous volume as the probe would have seen it from where it is now."""
+    motion = max_motion(volume, previous)
+    if motion > max(parameters.stillness, parameters.max_motion):
+        return NotFound(f"the probe moved {1e3 * motion:.2f} mm between the volumes")
+    if motion <= parameters.stillness:
+        return previous
+    aligned = compensate_motion(volume, previous, parameters.min_correlation)
+    return aligned or NotFound(f"the tissue changed while the probe moved {1e3 * motion:.2f} mm")
+
+
+def _background(
+    volume: Volume, earlier: Sequence[Volume], parameters: InsertionDetectorParameters
+) -> Volume | None:
+    """Return the brightest that each voxel was in earlier volumes; None if there are too few."""
+    comparable = [each for each in earlier if _comparable(volume, each) is None]
+    aligned = [_aligned(volume, each, parameters) for each in comparable]
+    seen = [each.intensities for each in aligned if isinstance(each, Volume)]
+    if len(seen) < 1 + _LEAST_EARLIER:
+        return None
+    return replace(volume, intensities=np.maximum.reduce(seen))
+
+
+def _changed_voxels(
+    volume: Volume,
+    previous: Volume,
+    parameters: InsertionDetectorParameters,
+    rng: np.random.Generator,
+    **which: bool,
+) -> tuple[NDArray[np.float64], float]:
+    """Return the places of the `top_differences` in P, in m, and the smallest of them in dB."""
+    count = max(4, round(parameters.candidate_volume / float(np.prod(volume.spacing))))
+    index, threshold = top_differences(
+        volume.intensities,
+        previous.intensities,
+        count,
+        rng,
+        floor=_floor(volume, parameters.floor_quantile),
+        reach=round(parameters.reach / float(volume.spacing.mean())),
+        **which,
+    )
+    change = threshold * volume.decibels_per_level
+    return volume.position(index), change if len(index) >= count else min(change, 0.0)
+
+
 def detect_insertion(
     volume: Volume,
     previous: Volume,
     parameters: InsertionDetectorParameters,
     rng: np.random.Generator,
+    earlier: Sequence[Volume] = (),
 ) -> InsertionDetection | NotFound:
     """Find the place at which a needle entered between two volumes (Chatelain 2013, section II-B).
+
+    If the change is spread, as it is in tissue that breathes or pulsates, only that counts which is
+    brighter than in all earlier volumes.
 
     Parameters
     ----------
@@ -141,51 +222,38 @@ def detect_insertion(
         Thresholds.
     rng
         Generator that chooses among equal differences.
+    earlier
+        Volumes from the seconds before the previous one.
 
     Returns
     -------
     The detection in W, or a `NotFound` with the reason why there is none.
     """
-    if volume.intensities.shape != previous.intensities.shape or not (
-        np.allclose(volume.origin, previous.origin)
-        and np.allclose(volume.spacing, previous.spacing)
-    ):
-        return NotFound("the previous volume lies on another grid")
-    if volume.decibels_per_level != previous.decibels_per_level:
-        return NotFound("the previous volume has another scale of grey levels")
-    motion = max_motion(volume, previous)
-    if motion > max(parameters.stillness, parameters.max_motion):
-        return NotFound(f"the probe moved {1e3 * motion:.2f} mm between the volumes")
-    compensated = motion > parameters.stillness
-    if compensated:
-        aligned = compensate_motion(volume, previous, parameters.min_correlation)
-        if aligned is None:
-            return NotFound(f"the tissue changed while the probe moved {1e3 * motion:.2f} mm")
-        previous = aligned
-    count = max(4, round(parameters.candidate_volume / float(np.prod(volume.spacing))))
+    if (reason := _comparable(volume, previous)) is not None:
+        return reason
+    aligned = _aligned(volume, previous, parameters)
+    if isinstance(aligned, NotFound):
+        return aligned
     # Sweeps in opposite directions see slightly different sectors, whose edges are no change.
-    unlike = compensated or (
+    unlike = max_motion(volume, previous) > parameters.stillness or (
         volume.motion is not None
         and previous.motion is not None
         and volume.motion.direction != previous.motion.direction
     )
-    index, threshold = top_differences(
-        volume.intensities,
-        previous.intensities,
-        count,
-        rng,
-        floor=_floor(volume, parameters.floor_quantile),
-        reach=round(parameters.reach / float(volume.spacing.mean())),
-        both_seen=unlike,
-    )
-    change = threshold * volume.decibels_per_level
-    if len(index) < count or change < parameters.min_change:
+    least = parameters.min_change
+    p_P, change = _changed_voxels(volume, aligned, parameters, rng, both_seen=unlike)
+    if change >= least and _spread(p_P, parameters):
+        background = _background(volume, [aligned, *earlier], parameters)
+        if background is not None:
+            least = parameters.min_brightening
+            p_P, change = _changed_voxels(
+                volume, background, parameters, rng, both_seen=True, brighter_only=True
+            )
+    if change < least:
         return NotFound(f"nothing changed by more than {change:.1f} dB")
-    p_P = volume.position(index)
-    std = float(np.sqrt(p_P.var(axis=0).sum()))
-    long = std > parameters.max_std
-    if long and not _is_stretched(p_P, parameters):
+    if (std := _spread(p_P, parameters)) > 0:
         return NotFound(f"the change is spread over {1e3 * std:.1f} mm")
+    long = _std(p_P) > parameters.max_std
     median = geometric_median(p_P)
     outer = _outer_end(volume, p_P) if long else median
     entry = closest_side(volume, outer)
@@ -195,7 +263,7 @@ def detect_insertion(
     away = np.linalg.norm(p_P - entry, axis=1)
     tip = geometric_median(p_P[away >= np.quantile(away, _TIP_QUANTILE if long else 0.5)])
     p_W, times = volume.to_world(np.stack([entry, median, tip]))
-    return InsertionDetection(p_W[0], p_W[1], p_W[2], std, change, float(times[2]))
+    return InsertionDetection(p_W[0], p_W[1], p_W[2], _std(p_P), change, float(times[2]))
 
 
 class InsertionDetector(LeafSystem):
@@ -207,6 +275,7 @@ class InsertionDetector(LeafSystem):
         input_ports:
         - volume
         - previous_volume
+        - earlier_volumes (optional)
         output_ports:
         - detection
 
@@ -238,6 +307,7 @@ class InsertionDetector(LeafSystem):
         self._seed = seed
         self.DeclareAbstractInputPort("volume", Value[object]())
         self.DeclareAbstractInputPort("previous_volume", Value[object]())
+        self._earlier = self.DeclareAbstractInputPort("earlier_volumes", Value[object]())
         self.DeclareAbstractOutputPort("detection", lambda: Value[object](), self._calc_detection)
 
     def _calc_detection(self, context: Context, output: Value) -> None:
@@ -249,4 +319,7 @@ class InsertionDetector(LeafSystem):
             output.set_value(previous)
         else:
             rng = random_stream(self._seed, "detection", volume.time)
-            output.set_value(self._method(volume, previous, self._parameters, rng))
+            earlier: tuple[Volume, ...] = ()
+            if self._earlier.HasValue(context):
+                earlier = evaluate_port(self._earlier, context, tuple)
+            output.set_value(self._method(volume, previous, self._parameters, rng, earlier))

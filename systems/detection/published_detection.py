@@ -1,5 +1,6 @@
 """Detection of an insertion as published, with nothing added to it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,6 +47,7 @@ def detect_as_published(
     previous: Volume,
     parameters: PublishedDetectionParameters,
     rng: np.random.Generator,
+    _earlier: Sequence[Volume] = (),
 ) -> InsertionDetection | NotFound:
     """Detect an insertion exactly as Chatelain 2013, section II-B describes it.
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 @njit(cache=True, nogil=True)
 def _changes(  # pragma: no cover - compiled
-    a: Any, b: Any, floor: float, reach: int, both: bool
+    a: Any, b: Any, floor: float, reach: int, both: bool, brighter_only: bool
 ) -> Any:
     """Find the voxels brighter than everything nearby in the other volume, and by how much."""
     nx, ny, nz = a.shape
@@ -23,6 +23,8 @@ def _changes(  # pragma: no cover - compiled
             for k in range(nz):
                 x, y = row_a[k], row_b[k]
                 if x == y or (x <= floor and y <= floor) or (both and (x == 0 or y == 0)):
+                    continue
+                if brighter_only and x < y:
                     continue
                 brighter = float(x) if x > y else float(y)
                 highest = max(floor, float(y) if x > y else float(x))
@@ -55,6 +57,7 @@ def top_differences(
     floor: float = 0.0,
     reach: int = 0,
     both_seen: bool = False,
+    brighter_only: bool = False,
 ) -> tuple[NDArray[np.int64], float]:
     """Find the voxels with the largest absolute difference (Chatelain 2013, eq. 1).
 
@@ -82,13 +85,15 @@ def top_differences(
     both_seen
         Whether to leave out voxels that are zero in either volume, because they lie outside a
         sector that moves.
+    brighter_only
+        Whether to leave out voxels that are darker now.
 
     Returns
     -------
     index, threshold
         (m, 3) indices of the voxels, and the smallest difference among them (0 if nothing changed).
     """
-    index, change = _changes(current, previous, float(floor), reach, both_seen)
+    index, change = _changes(current, previous, float(floor), reach, both_seen, brighter_only)
     if len(index) == 0:
         return np.empty((0, 3), np.int64), 0.0
     if len(index) > count:

@@ -44,7 +44,10 @@ def predicted_region(
         radius=min(margin + 3 * across, parameters.max_radius),
         before=parameters.max_entry_gap if guessed else margin,
         shaft_beyond=along,
-        beyond=min(3 * along + (0 if guessed else margin), 3 * parameters.max_radius),
+        # What moved the needle out of place may have moved it far along its axis.
+        beyond=_EVERYWHERE
+        if prediction.missed and not guessed
+        else min(3 * along + (0 if guessed else margin), 3 * parameters.max_radius),
         max_angle=min(
             math.radians(parameters.max_angle_deg) + math.atan2(3 * across, max(curve.chord, 1e-3)),
             math.pi / 4 if guessed else math.pi / 2,

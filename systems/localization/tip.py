@@ -252,7 +252,7 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
     )
     if last < 0:
         return NotFound("nothing along the axis stands out from the background")
-    tip, tip_std = _tip(profile, contrast, parameters)
+    tip, tip_std = _tip(profile, contrast, (first, last), parameters)
     unseen = np.flatnonzero(~profile.seen[:first])
     beyond = np.searchsorted(profile.a, max(profile.a[last], tip) + parameters.smoothing)
     return NeedleExtent(
@@ -266,12 +266,16 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
 
 
 def _tip(
-    profile: AxisProfile, contrast: NDArray[np.float64], parameters: TipParameters
+    profile: AxisProfile,
+    contrast: NDArray[np.float64],
+    needle: tuple[int, int],
+    parameters: TipParameters,
 ) -> tuple[float, float]:
     """Return the tip's abscissa and its standard deviation in m, by the blurred end's shape.
 
     A needle that stands out far and ends abruptly ends where it seems to. One that is faint or
-    fades may continue unseen.
+    fades may continue unseen. The ``needle`` is that between two indices if nothing stands out as
+    an end must.
     """
     a, step = profile.a, parameters.step
 
@@ -281,12 +285,14 @@ def _tip(
         )
 
     first, last, _ = stretch(contrast, profile.seen, parameters.min_end_contrast)
+    first, last = (first, last) if last >= first else needle
     near = contrast[max(first, last - round(2 * parameters.end_length / step)) : last + 1]
     threshold = float(
         np.clip(np.median(near) / 2, parameters.min_end_contrast, parameters.end_contrast)
     )
     inside = contrast[first : last + 1]
-    end = first + max(stretch(inside, np.ones_like(inside, dtype=bool), threshold)[1], 0)
+    bright = stretch(inside, np.ones_like(inside, dtype=bool), threshold)[1]
+    end = first + bright if bright >= 0 else last
     begin = max(first, int(np.searchsorted(a, a[end] - parameters.end_length)))
     top = float(contrast[begin : end + 1].max())
     lost = float(a[end])

@@ -20,7 +20,7 @@ from sonoservo.diagrams.app.options import (
     console,
     write_printed,
 )
-from sonoservo.diagrams.papers.registry import ALL, PAPERS, reproduce, require_paper
+from sonoservo.diagrams.papers.registry import ALL, PAPERS, STUDIES, reproduce, require_paper
 from sonoservo.diagrams.studies.cluster.opening import CASE_LIMIT_S
 from sonoservo.diagrams.studies.heartbeat import Heartbeat
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -101,12 +101,18 @@ def dataset_command(
 
 def reproduce_command(
     paper: Annotated[
-        str, typer.Argument(help=f"Paper to reproduce: {', '.join(PAPERS)}; or all of them: all.")
+        str,
+        typer.Argument(
+            help=f"Paper to reproduce: {', '.join(PAPERS)}; or all of them: all. Or a study of no "
+            f"paper: {', '.join(STUDIES)}."
+        ),
     ],
     quick: Annotated[
         bool, typer.Option("--quick", help="Make a few short runs only (minutes).")
     ] = False,
-    seeds: Annotated[int | None, typer.Option(help="Number of seeds per experiment.")] = None,
+    seeds: Annotated[
+        int | None, typer.Option(help="Largest number of seeds of an experiment.")
+    ] = None,
     first_seed: Annotated[int, typer.Option(help="First seed.")] = 0,
     keep: Annotated[
         bool, typer.Option("--keep", help="Keep the results in the repository, with its tables.")
@@ -119,13 +125,15 @@ def reproduce_command(
 ) -> None:
     """Repeat a paper's experiments over many seeds, and compare with its figures and the truth.
 
+    The study `robustness` turns one dial of the harder world at a time, for three trackers.
+
     Finished runs are kept; repeat the command to resume after an interruption.
     """
     papers = PAPERS if paper == ALL else (paper,)
     for each in papers:
         require_paper(each)
-    if keep and (quick or seeds is not None or first_seed):
-        raise ConfigurationError("--keep: only the results of the whole study are kept")
+    if keep and (quick or first_seed):
+        raise ConfigurationError("--keep: no results of a quick study or of other seeds are kept")
     with Heartbeat(console, f"Preparing to reproduce {paper}"):  # seconds, where files are cold
         from sonoservo.diagrams.app.terminal import study_table
         from sonoservo.diagrams.papers.results import keep_results

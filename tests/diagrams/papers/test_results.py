@@ -6,7 +6,7 @@ import pytest
 
 from sonoservo.diagrams.papers import results
 from sonoservo.diagrams.papers.registry import PAPERS
-from sonoservo.diagrams.studies.fingerprint import code_fingerprint
+from sonoservo.diagrams.studies.fingerprint import study_fingerprint
 from sonoservo.diagrams.studies.study import Case, Outcome
 from sonoservo.diagrams.studies.study_report import Study, StudyRow
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -48,7 +48,7 @@ def test_kept_results_become_tables(data, tmp_path, monkeypatch):
     page = tmp_path / "page.md"
     page.write_text("a\n<!-- results chatelain2013 published -->\n<!-- end of results -->\nb\n")
     (tmp_path / "chatelain2013").mkdir()
-    monkeypatch.setattr(results, "_PAPERS", tmp_path)
+    monkeypatch.setattr(results, "_folder", tmp_path.joinpath)
     monkeypatch.setattr(results, "PAGES", (page,))
     (tmp_path / "pyproject.toml").touch()
     monkeypatch.setattr(results, "_ROOT", tmp_path)
@@ -69,7 +69,7 @@ def test_only_results_of_one_commit_and_the_present_code_are_kept(data, tmp_path
     with pytest.raises(ConfigurationError, match="in a checkout"):
         results.keep_results({"chatelain2013": data})
     (tmp_path / "pyproject.toml").touch()
-    monkeypatch.setattr(results, "_PAPERS", tmp_path / "nowhere")
+    monkeypatch.setattr(results, "_folder", (tmp_path / "nowhere").joinpath)
     for other, message in (({"commit": "b"}, "2 commits"), ({"fingerprint": "0"}, "other code")):
         with pytest.raises(ConfigurationError, match=message):
             results.keep_results({"chatelain2013": data, "zhao2012": data | other})
@@ -79,10 +79,10 @@ def test_only_results_of_one_commit_and_the_present_code_are_kept(data, tmp_path
 
 def test_no_result_survives_a_change_of_its_code(data, tmp_path, monkeypatch):
     (tmp_path / "chatelain2013").mkdir()
-    monkeypatch.setattr(results, "_PAPERS", tmp_path)
+    monkeypatch.setattr(results, "_folder", tmp_path.joinpath)
     path = tmp_path / "chatelain2013" / "results.json"
     path.write_text(json.dumps(data))
-    assert data["fingerprint"] == code_fingerprint()
+    assert data["fingerprint"] == study_fingerprint("chatelain2013")
     assert results.kept_results("chatelain2013") == json.loads(path.read_text())
     path.write_text(json.dumps(data | {"fingerprint": "0"}))
     assert results.kept_results("chatelain2013") is None

@@ -6,7 +6,9 @@ import signal
 import subprocess
 import sys
 import time
+from importlib.resources import files
 from pathlib import Path
+from shutil import copytree
 
 import pytest
 
@@ -65,7 +67,7 @@ def test_other_settings_other_code_or_a_broken_file_are_done_again(tmp_path, cal
     (folder / f"{outcome.case.name}.json").write_text("{")
     run_cases(square, make_cases(calls, [1]), folder, jobs=1)
     assert seeds_called(calls) == [1, 1, 1]
-    monkeypatch.setattr(runs, "code_fingerprint", lambda: "another")
+    monkeypatch.setattr(runs, "code_fingerprint", lambda *modules: "another")
     run_cases(square, make_cases(calls, [1]), folder, jobs=1)
     assert seeds_called(calls) == [1, 1, 1, 1]
 
@@ -92,6 +94,45 @@ def test_the_code_counts_but_not_what_shows_results(tmp_path, monkeypatch):
         assert digest_after("models/probe.yaml", "a") != first
     finally:
         code_fingerprint.cache_clear()
+
+
+def test_code_counts_where_the_results_come_from_it(tmp_path, monkeypatch):
+    for part in ("systems", "models", "diagrams"):
+        copytree(str(files(f"sonoservo.{part}")), tmp_path / part)
+    monkeypatch.setattr(
+        fingerprint, "files", lambda package: tmp_path / package.removeprefix("sonoservo.")
+    )
+
+    def digest_after(path, *modules):
+        with (tmp_path / path).open("a") as file:
+            file.write("\n")
+        code_fingerprint.cache_clear()
+        return code_fingerprint(*modules)
+
+    work = "sonoservo.diagrams.studies.following.cases"
+    unknown = "my_study"
+    try:
+        first, whole = code_fingerprint(work), code_fingerprint(unknown)
+        assert whole == code_fingerprint() != first
+        assert digest_after("systems/live/acquisition.py", work) == first
+        assert code_fingerprint(unknown) != whole
+        seen = {first}
+        for path in (
+            "systems/localization/tip.py",
+            "diagrams/experiments/following.py",
+            "diagrams/scenarios/clinic.yaml",
+        ):
+            seen.add(digest_after(path, work))
+        assert len(seen) == 4
+    finally:
+        code_fingerprint.cache_clear()
+
+
+def test_lower_seeds_come_first(tmp_path, calls):
+    cases = make_cases(calls, [2, 0, 1])
+    outcomes = run_cases(square, cases, tmp_path / "cases", jobs=1)
+    assert seeds_called(calls) == [0, 1, 2]
+    assert [each.case for each in outcomes] == cases
 
 
 def test_a_case_that_raises_is_a_failure_and_not_the_end(tmp_path, calls):
@@ -196,7 +237,8 @@ def test_options(tmp_path):
     options = StudyOptions(folder=tmp_path, first_seed=100)
     assert options.seed_range(20, 2) == range(100, 120)
     assert StudyOptions(folder=tmp_path, quick=True).seed_range(20, 2) == range(2)
-    assert StudyOptions(folder=tmp_path, quick=True, seeds=5).seed_range(20, 2) == range(5)
+    assert StudyOptions(folder=tmp_path, seeds=5).seed_range(20, 2) == range(5)
+    assert StudyOptions(folder=tmp_path, seeds=5).seed_range(3, 2) == range(3)
     for field, value in (("seeds", 0), ("first_seed", -1), ("jobs", 0)):
         with pytest.raises(ValueError, match=field):
             StudyOptions(folder=tmp_path, **{field: value})

@@ -59,6 +59,31 @@ def test_a_change_all_over_is_not_an_insertion():
     assert "spread" in found.reason
 
 
+def test_tissue_that_comes_and_goes_is_told_from_a_needle():
+    scene = Scene(seed=3, spacing=1e-3)
+
+    def breathing(time, shift, shafts=lambda time: None):
+        """Tissue shifted in depth by some mm, and a needle that is not, as bright as speckle."""
+        tissue, needle = scene.volume(time), scene.volume(time, shafts)
+        shifted = np.roll(tissue.intensities, shift, axis=1)
+        shaft = needle.intensities > tissue.intensities
+        level = np.quantile(tissue.intensities, 0.999)
+        bright = np.minimum(needle.intensities, level).astype(np.uint8)
+        return dataclasses.replace(needle, intensities=np.where(shaft, bright, shifted))
+
+    previous = breathing(3, 0)
+    earlier = [breathing(0, 3), breathing(1, 0), breathing(2, -3)]
+    with_needle = breathing(5, 3, needle(8e-3))
+    alone = detect_insertion(with_needle, previous, PARAMETERS, RNG)
+    assert "spread" in alone.reason
+    assert "spread" in detect_insertion(with_needle, previous, PARAMETERS, RNG, earlier[:1]).reason
+    assert not detect_insertion(breathing(5, 3), previous, PARAMETERS, RNG, earlier)
+    found = detect_insertion(with_needle, previous, PARAMETERS, RNG, earlier)
+    along = (found.p_WMedian - ENTRY) @ INWARD
+    assert 0 < along < 8e-3
+    assert np.linalg.norm(found.p_WMedian - ENTRY - along * INWARD) < 2.5e-3
+
+
 def test_a_change_deep_inside_is_not_an_insertion(before):
     deep = np.array([0, 0.05, 0])
     volume = SCENE.volume(2, lambda time: (deep, deep + 3e-3 * INWARD))
@@ -193,6 +218,23 @@ def test_memory_is_the_same_before_and_after_its_event(look_back, age):
             else:
                 assert previous is volumes[k - age]
             memory.ExecuteForcedEvents(context)
+
+
+def test_memory_keeps_some_earlier_volumes():
+    memory = VolumeMemory(look_back=1.5, history=4.0, period=0.5)
+    context = memory.CreateDefaultContext()
+    volumes = [small(0.5 * k) for k in range(40)]
+    for volume in volumes:
+        memory.GetInputPort("volume").FixValue(context, Value[object](volume))
+        for _ in range(2):
+            previous = memory.GetOutputPort("previous_volume").Eval(context)
+            earlier = memory.GetOutputPort("earlier_volumes").Eval(context)
+            ages = [volume.time - each.time for each in earlier]
+            assert all(1.5 < age <= 5.5 for age in ages)
+            assert previous not in earlier
+            memory.ExecuteForcedEvents(context)
+    assert 3 <= len(ages) <= 4
+    assert np.all(np.diff(ages) <= -1.0)
 
 
 def test_memory_compares_sweeps_of_one_direction():

@@ -63,6 +63,16 @@ def test_dark_speckle_counts_as_equally_dark():
     assert change == 20
 
 
+def test_only_what_is_brighter_now():
+    a, b = np.full(SHAPE, 30, np.uint8), np.full(SHAPE, 30, np.uint8)
+    a[1, 2, 3], a[5, 5, 5] = 40, 10
+    index, change = top_differences(a, b, 1, np.random.default_rng(0))
+    np.testing.assert_array_equal(index, [[5, 5, 5]])
+    index, change = top_differences(a, b, 5, np.random.default_rng(0), brighter_only=True)
+    np.testing.assert_array_equal(index, [[1, 2, 3]])
+    assert change == 10
+
+
 def test_outside_a_moving_sector_is_no_change():
     a, b = np.full(SHAPE, 30, np.uint8), np.full(SHAPE, 30, np.uint8)
     b[0] = 0

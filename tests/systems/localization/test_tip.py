@@ -190,6 +190,12 @@ def test_the_tip_of_a_faint_needle_is_uncertain_and_no_shorter():
     assert faint.tip == pytest.approx(0.03, abs=1.5e-3)
 
 
+def test_a_needle_fainter_than_any_end_has_a_tip_that_is_not_known():
+    extent = find_extent(profile(0.03, -6.0), PARAMETERS)  # 3.5 dB above the background
+    assert extent.tip == pytest.approx(0.03, abs=3e-3)
+    assert extent.tip_std > 5e-3
+
+
 def test_a_rough_end_blurs_as_an_intensity_and_a_mirror_as_an_amplitude():
     """Simulated: points with random phases, and points in phase, that end at 30 mm."""
     rng = np.random.default_rng(5)

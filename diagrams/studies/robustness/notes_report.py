@@ -1,0 +1,50 @@
+"""Title of the study of robustness, and the notes needed to interpret its rows."""
+
+from sonoservo.diagrams.studies.robustness.analysis import (
+    ENOUGH_MM,
+    FOUND_DEG,
+    FOUND_MM,
+    KEPT,
+    SUCCESS_DEG,
+    SUCCESS_MM,
+)
+
+TITLE = "Robustness: one dial of the harder world at a time, and all of them in the clinic"
+
+NOTES = (
+    "Three trackers: ours (chatelain2013), the published one (chatelain2013_as_published, in the "
+    "columns as published) and zhao2012 (rows of its own). None of them is told what is wrong with "
+    "the world, and all have their default parameters.",
+    "With every dial off, a needle is pushed at 8 mm/s and 5 deg below the horizontal, 45 mm below "
+    "a probe that is turned by 20 deg; 20 dB of diffuse echo. sonoservo list names the moderate "
+    "strengths. A dial's strength is given in its own unit.",
+    "Open loop: the probe is moved as planned, without a robot, and every tracker gets the same "
+    "volumes with the same measured poses. The probe rests during the first push. Then it comes "
+    "over the needle in 3 s, turns to it, and follows a second push. It rides on the breathing "
+    "phantom, and presses it in by 4 mm. Errors of the probe's mass, the force and the friction "
+    "change nothing there; they are studied in the closed loop only.",
+    "Closed loop: each tracker moves the probe itself, with our controller, at moderate strength.",
+    f"Found: a volume is tracked with the tip within {FOUND_MM:g} mm and the axis within "
+    f"{FOUND_DEG:g} deg of the truth. Kept: this holds in {100 * KEPT:.0f} % of the volumes from "
+    f"then on in which at least {ENOUGH_MM:g} mm of the needle lie in the swept sector, whether or "
+    "not it stands out from the tissue there: shadows, air and a fading echo count against a "
+    f"tracker. Success: kept, and median errors of at most {SUCCESS_MM:g} mm and {SUCCESS_DEG:g} "
+    "deg in these volumes. A run that ends with an error is none.",
+    "Errors are those of the estimate after each of these volumes, at the time for which it holds. "
+    "With an error of the hand-eye calibration, they are those in the probe's frame; with a wrong "
+    "speed of sound, those across the depth; in the clinic, both. A run in which the needle is not "
+    "found, or that ends with an error, counts as one infinite error.",
+    "A false start begins more than 10 mm from the needle, or without one. Finding a lost needle "
+    "again is a start, too.",
+    "Withdrawals: while the needle rests in view, the phantom moves by 2 to 4 cm within about a "
+    "second. A second later, the needle is withdrawn at 15 to 30 mm/s until it is out. Travel "
+    "after a needle that is not in the image is what the servo commands meanwhile.",
+    "Clinic without a needle: our tracker moves the probe, and as long as it follows nothing, the "
+    "probe moves to and fro over the phantom at up to 6 mm/s, as if it followed a needle. The "
+    "other trackers see the same volumes; nothing follows them.",
+    "Threshold: the first strength studied at which less than 95 % of the runs succeed; its "
+    "interval reaches from the strength before to it. With few seeds, one failure is enough.",
+    "Intervals are 95 % intervals over runs: Wilson's for shares, Poisson's for rates, and "
+    "bootstraps of whole runs for errors. Fewer than six runs give no bootstrap.",
+)
+"""Paragraphs of the report."""

@@ -1,0 +1,136 @@
+"""The leaf that moves probe and phantom as planned, in place of a robot."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.systems.framework import LeafSystem
+from pydrake.trajectories import Trajectory
+
+from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.systems.needle.insertion import Insertion
+from sonoservo.systems.robot.phantom_motion import phantom_trajectory
+from sonoservo.systems.signals.body_surface import BodySurface
+from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
+
+_INDENTATION = 4e-3
+"""Indentation of the phantom by the probe, in m, as with a force of 2 N."""
+
+_APPROACH = 3.0
+"""Time in s in which the probe comes over the needle's tip and turns to its direction."""
+
+_STEEPEST = np.deg2rad(80)
+"""Angle below the horizontal above which the probe does not turn to a needle, in rad."""
+
+
+@dataclass(frozen=True)
+class MotionPlan:
+    """Poses of probe and phantom over time, planned from where the needle will be.
+
+    The probe rests during the first push, so that every tracker meets the needle with the probe at
+    rest. Then it comes over the needle's tip in 3 s, turns its image to the needle, and follows. It
+    rides on the phantom as it breathes.
+
+    Parameters
+    ----------
+    scenario
+        Scenario with station, phantom and its motion.
+    insertion
+        Insertion of the needle, in a phantom at rest.
+    """
+
+    scenario: FollowingScenario
+    insertion: Insertion
+
+    def phantom(self, time: float) -> RigidTransform:
+        """Return the pose X_WT of the phantom."""
+        pose = self._trajectory.value(max(time, 0.0))[:, 0]
+        return RigidTransform(RollPitchYaw(pose[3:]), pose[:3])
+
+    def probe(self, time: float) -> RigidTransform:
+        """Return the true pose X_WP of the probe."""
+        at_rest = self._over(time)
+        breath = self.scenario.phantom_motion.breathing.displacement(max(time, 0.0))
+        normal = at_rest.rotation().matrix()[:, 1]
+        return RigidTransform(normal * (normal @ breath)) @ at_rest
+
+    @property
+    def begin(self) -> float:
+        """Time in s at which the first push is over and the probe begins to follow the needle."""
+        hand = self.insertion.parameters
+        return (hand.start or 0.0) + sum(push.duration for push in hand.pushes[:1])
+
+    def _over(self, time: float) -> RigidTransform:
+        """Return the pose of the probe on a phantom that does not breathe."""
+        share = float(np.clip((time - self.begin) / _APPROACH, 0, 1))
+        if share == 0:
+            return self._placed(None)
+        needle, start = self.insertion.needle(time), self.scenario.station.probe
+        if not needle:
+            return self._placed(None)
+        share *= share * (3 - 2 * share)
+        direction = needle.curve.direction
+        yaw = start.yaw_deg
+        if -np.arcsin(direction[2]) < _STEEPEST:
+            # The needle's axis has no sense, so the probe turns to it the shorter way.
+            turn = np.rad2deg(np.arctan2(direction[1], direction[0])) - yaw
+            yaw += share * ((turn + 90) % 180 - 90)
+        x, y = (1 - share) * np.array([start.x, start.y]) + share * needle.tip[:2]
+        return self._placed((float(x), float(y), float(yaw)))
+
+    def _placed(self, place: tuple[float, float, float] | None) -> RigidTransform:
+        x, y, yaw_deg = place or (None, None, None)
+        return self.scenario.station.probe_pose(
+            x=x, y=y, yaw_deg=yaw_deg, height=-_INDENTATION, surface=self._surface
+        )
+
+    @cached_property
+    def _trajectory(self) -> Trajectory:
+        return phantom_trajectory(self.scenario.phantom_motion, self.scenario.station.X_WT)
+
+    @cached_property
+    def _surface(self) -> BodySurface:
+        return load_tissue(self.scenario.phantom).surface
+
+
+class PlannedMotion(LeafSystem):
+    """Outputs the poses of probe and phantom that a plan gives, as functions of time alone.
+
+    .. pydrake_system::
+
+        name: PlannedMotion
+        output_ports:
+        - true_X_WP
+        - X_WT
+        - calibrated_X_WP
+
+    All are RigidTransforms: the true pose of the probe, the pose of the phantom, and the pose of
+    the probe as an arm with an error of its hand-eye calibration has it.
+
+    Parameters
+    ----------
+    plan
+        Planned poses.
+    X_PC
+        Pose of the calibrated probe frame in the true one.
+    """
+
+    def __init__(self, *, plan: MotionPlan, X_PC: RigidTransform) -> None:
+        super().__init__()
+        self._plan, self._X_PC = plan, X_PC
+        for name, pose in (
+            ("true_X_WP", plan.probe),
+            ("X_WT", plan.phantom),
+            ("calibrated_X_WP", self._calibrated),
+        ):
+            self.DeclareAbstractOutputPort(
+                name,
+                lambda: Value(RigidTransform()),
+                lambda context, output, pose=pose: output.set_value(pose(context.get_time())),
+                prerequisites_of_calc={self.time_ticket()},
+            )
+
+    def _calibrated(self, time: float) -> RigidTransform:
+        return self._plan.probe(time) @ self._X_PC

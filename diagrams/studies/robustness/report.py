@@ -1,0 +1,232 @@
+"""Report of the study of robustness: rows of three trackers, and the dials' thresholds."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from sonoservo.diagrams.studies.fingerprint import code_fingerprint
+from sonoservo.diagrams.studies.robustness.analysis import (
+    Figure,
+    Group,
+    Threshold,
+    chased,
+    threshold,
+)
+from sonoservo.diagrams.studies.robustness.graded_dials import GRADED
+from sonoservo.diagrams.studies.robustness.notes_report import NOTES, TITLE
+from sonoservo.diagrams.studies.robustness.plots import study_figures
+from sonoservo.diagrams.studies.robustness.runs import OURS, PUBLISHED, TRACKERS, ZHAO
+from sonoservo.diagrams.studies.study import Outcome
+from sonoservo.diagrams.studies.study_report import Study, StudyRow
+
+Groups = Mapping[str, Mapping[str, Group]]
+"""Runs by experiment and kind of the tracker."""
+
+_ERRORS: Sequence[tuple[str, str, Callable[[Group], Figure]]] = (
+    ("found", "%", lambda group: group.share(lambda run: run.found)),
+    (
+        "kept, while 10 mm or more lie in the swept sector",
+        "%",
+        lambda group: group.share(lambda run: run.kept),
+    ),
+    ("success", "%", lambda group: group.share(lambda run: run.success)),
+    ("tip error, median", "mm", lambda group: group.quantile("tip", 0.5)),
+    ("tip error, 95 %", "mm", lambda group: group.quantile("tip", 0.95)),
+    ("axis error, median", "deg", lambda group: group.quantile("axis", 0.5)),
+    ("axis error, 95 %", "deg", lambda group: group.quantile("axis", 0.95)),
+)
+_FALSE_STARTS: tuple[str, str, Callable[[Group], Figure]] = (
+    "false starts", "1/h", Group.false_starts_per_hour
+)  # fmt: skip
+_GHOSTS: Sequence[tuple[str, str, Callable[[Group], Figure]]] = (
+    (
+        "needle shown while none is in the image, mean",
+        "s",
+        lambda group: group.mean(lambda run: run.shown_s),
+    ),
+)
+_TRAVEL: Sequence[tuple[str, str, Callable[[Group], Figure]]] = (
+    (
+        "travel after a needle that is not in the image, mean",
+        "mm",
+        lambda group: group.mean(lambda run: run.travel_mm or 0.0),
+    ),
+    (
+        "travel after a needle that is not in the image, largest",
+        "mm",
+        lambda group: group.largest(lambda run: run.travel_mm or 0.0),
+    ),
+    (
+        "runs with 10 mm of such travel or more",
+        "%",
+        lambda group: group.share(chased),
+    ),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobustnessStudy(Study):
+    """Study of robustness, with the dials' thresholds; see `Study`.
+
+    Parameters
+    ----------
+    thresholds
+        Dial, unit, moderate strength, and threshold of each tracker in words, for each dial.
+    """
+
+    thresholds: Sequence[Mapping[str, str]] = field(default_factory=tuple)
+
+    def as_json(self, command: str) -> dict[str, Any]:
+        """Return everything except the pictures, for a JSON file."""
+        return super().as_json(command) | {
+            "fingerprint": code_fingerprint(f"{__package__}.reproduction"),
+            "thresholds": [dict(each) for each in self.thresholds],
+        }
+
+
+def report(outcomes: Sequence[Outcome]) -> RobustnessStudy:
+    """Return the study of finished runs.
+
+    Parameters
+    ----------
+    outcomes
+        Outcomes of all cases.
+    """
+    groups = group_outcomes(outcomes)
+    curves = dial_curves(outcomes, groups)
+    thresholds = dial_thresholds(curves)
+    rows = [row for name, trackers in groups.items() for row in _rows(name, trackers)]
+    return RobustnessStudy(
+        paper="robustness",
+        title=TITLE,
+        rows=[*_threshold_rows(thresholds), *rows],
+        outcomes=outcomes,
+        figures=study_figures(curves, groups),
+        notes=NOTES,
+        thresholds=[
+            {
+                "dial": name,
+                "unit": GRADED[name].unit,
+                "moderate": f"{GRADED[name].moderate:.3g}",
+                **{kind: str(each) for kind, each in trackers.items()},
+            }
+            for name, trackers in thresholds.items()
+        ],
+    )
+
+
+def group_outcomes(outcomes: Sequence[Outcome]) -> dict[str, dict[str, Group]]:
+    """Return the runs of each experiment and tracker; a scene of all trackers is a run of each."""
+    sorted_out: dict[str, dict[str, list[Outcome]]] = {}
+    for each in outcomes:
+        took_part = [each.case.settings["tracker"]] if "tracker" in each.case.settings else TRACKERS
+        for kind in took_part:
+            trackers = sorted_out.setdefault(each.case.experiment, {})
+            trackers.setdefault(kind, []).append(each)
+    return {
+        name: {kind: Group(trackers[kind], kind) for kind in TRACKERS if kind in trackers}
+        for name, trackers in sorted_out.items()
+    }
+
+
+Curve = list[tuple[float, Mapping[str, Group]]]
+"""Strength and runs by tracker, the weakest first."""
+
+
+def dial_curves(outcomes: Sequence[Outcome], groups: Groups) -> dict[str, Curve]:
+    """Return the runs of the open loop by dial and strength; "plain" and the clinic are dials too.
+
+    Parameters
+    ----------
+    outcomes
+        Outcomes of all cases.
+    groups
+        The same outcomes by experiment and tracker.
+    """
+    curves: dict[str, dict[float, Mapping[str, Group]]] = {}
+    for each in outcomes:
+        settings = each.case.settings
+        if settings["loop"] == "open":
+            points = curves.setdefault(settings["dial"], {})
+            points[settings["strength"]] = groups[each.case.experiment]
+    return {
+        name: sorted(points.items(), key=lambda each: each[0]) for name, points in curves.items()
+    }
+
+
+def dial_thresholds(curves: Mapping[str, Curve]) -> dict[str, dict[str, Threshold]]:
+    """Return the threshold of each dial and tracker, in the dial's own unit."""
+    found = {}
+    for name, curve in curves.items():
+        if name in GRADED:
+            found[name] = {
+                kind: threshold(
+                    [
+                        (GRADED[name].value(strength), groups[kind].share(lambda run: run.success))
+                        for strength, groups in curve
+                    ]
+                )
+                for kind in TRACKERS
+            }
+    return found
+
+
+def _rows(experiment: str, trackers: Mapping[str, Group]) -> list[StudyRow]:
+    """Return the rows of an experiment: ours beside the published tracker, then Zhao's."""
+    figures = [] if "without" in experiment else list(_ERRORS)
+    figures.append(_FALSE_STARTS)
+    if not experiment.startswith("open"):
+        figures += [*_GHOSTS, *_TRAVEL]
+    rows = []
+    for quantity, unit, figure in figures:
+        values = {
+            kind: figure(group)
+            for kind, group in trackers.items()
+            if "travel" not in quantity or _moves(group)
+        }
+        ours, published = (values.get(kind, Figure()) for kind in (OURS, PUBLISHED))
+        rows.append(
+            StudyRow(
+                experiment=experiment,
+                quantity=quantity,
+                unit=unit,
+                true=ours.value,
+                low=ours.low,
+                high=ours.high,
+                published_true=published.value,
+                published_low=published.low,
+                published_high=published.high,
+            )
+        )
+        if ZHAO in values:
+            rows.append(_row(experiment, f"{quantity}, {ZHAO}", unit, values[ZHAO]))
+    return rows
+
+
+def _moves(group: Group) -> bool:
+    """Return True if the probe follows the tracker."""
+    return any(each.travel_mm is not None for each in group.records)
+
+
+def _row(experiment: str, quantity: str, unit: str, figure: Figure) -> StudyRow:
+    return StudyRow(
+        experiment=experiment,
+        quantity=quantity,
+        unit=unit,
+        true=figure.value,
+        low=figure.low,
+        high=figure.high,
+    )
+
+
+def _threshold_rows(thresholds: Mapping[str, Mapping[str, Threshold]]) -> list[StudyRow]:
+    """Return the thresholds as rows; beyond the last strength, they have an open interval."""
+    rows = []
+    for name, trackers in thresholds.items():
+        for kind, each in trackers.items():
+            figure = Figure(each.value, each.before, each.value)
+            if each.value is None:
+                figure = Figure(None, each.before, float("inf"))
+            words = f"{name}, {kind}: {each}"
+            rows.append(_row("success falls under 95 % at", words, GRADED[name].unit, figure))
+    return rows

@@ -1,0 +1,181 @@
+"""Study of robustness: one dial at a time, a clinic, withdrawals, and volumes without a needle.
+
+The whole study takes about 5 h of processor time, 2 to 2.5 h on 2 cores. Measured while other
+programs ran, a scene of the open loop takes 16 s (41 volumes, three trackers), a run of the closed
+loop 19 s, a withdrawal 33 s, and 5 min in the clinic without a needle 930 s (990 volumes, three
+trackers). The last take more than half of it all.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from sonoservo.diagrams.studies.robustness.graded_dials import CLINIC, GRADED, PLAIN, turned
+from sonoservo.diagrams.studies.robustness.report import report
+from sonoservo.diagrams.studies.robustness.runs import OURS, TRACKERS, run_case
+from sonoservo.diagrams.studies.runs import run_cases
+from sonoservo.diagrams.studies.study import Case, StudyOptions
+from sonoservo.diagrams.studies.study_report import Study
+
+OPEN_SEEDS, CLOSED_SEEDS = (3, 1), (2, 1)
+"""Number of seeds of each dial and strength, in the whole study and in a quick one."""
+
+WITHDRAWALS, OTHERS_WITHDRAWALS = (50, 1), (10, 1)
+"""Number of withdrawals with our tracker, and with each of the others."""
+
+HOUR, PART = 3600.0, 300.0
+"""Time without a needle in all, and in one run, in s."""
+
+_QUICK_PART = 10.0
+"""Time of a quick run without a needle, in s."""
+
+_SCENARIO = "chatelain2013_fig5"
+_OPEN = {True: ["hand.start=1.5", "duration=12.5"], False: ["hand.start=1.5", "duration=13.5"]}
+_CLOSED = {True: ["duration=15.5"], False: ["duration=17.0"]}
+"""Changes of a dial's scenario (True) and of the clinic (False). Without a robot, nothing has to
+land, and the needle comes sooner."""
+
+_QUICK_DIALS = ("faint needle", "breathing", "hand-eye calibration", "speed of sound")
+"""Dials of a quick study."""
+
+
+def reproduce(options: StudyOptions) -> Study:
+    """Run the study.
+
+    Parameters
+    ----------
+    options
+        Number of runs, folder and number of processes.
+    """
+    outcomes = run_cases(
+        run_case,
+        study_cases(options),
+        options.folder / "cases",
+        jobs=options.jobs,
+        cluster=options.cluster,
+        console=options.console,
+    )
+    with (options.console or Console(quiet=True)).status("Making the report ..."):
+        return report(outcomes)
+
+
+def study_cases(options: StudyOptions) -> list[Case]:
+    """Return the cases to run."""
+    return [
+        *_open_cases(options),
+        *_closed_cases(options),
+        *_withdrawals(options),
+        *_without_needle(options),
+    ]
+
+
+def withdrawal(seed: int) -> list[str]:
+    """Draw how the phantom moves and the needle is withdrawn, and return the changes.
+
+    The needle rests in view when the phantom moves by 2 to 4 cm to any side, in 0.6 to 1.2 s. A
+    second later, the needle is withdrawn at 15 to 30 mm/s until it is out.
+    """
+    rng = np.random.default_rng([2027, seed])
+    drawn = rng.uniform([0.02, 0, 0.6, 0.015], [0.04, 2, 1.2, 0.03])
+    distance, side, duration, speed = (float(each) for each in drawn)
+    x, y = distance * np.array([np.cos(np.pi * side), np.sin(np.pi * side)])
+    moved, push = 12.0, 7.0
+    start = moved - push - 1.0
+    rest = moved + duration + 1.0 - start - push
+    out = 0.14 / speed
+    pushes = [
+        {"duration": push, "speed": 0.008},
+        {"duration": round(rest, 3), "speed": 0.0},
+        {"duration": round(out, 3), "speed": round(-speed, 5)},
+    ]
+    translation = [float(round(x, 4)), float(round(y, 4)), 0.0]
+    moves = [{"start": moved, "duration": round(duration, 3), "translation": translation}]
+    return [
+        f"hand.start={start}",
+        f"hand.pushes={pushes}",
+        f"phantom_motion.moves={moves}",
+        "duration=24",
+    ]
+
+
+def _dial(name: str, strength: float) -> dict[str, Any]:
+    """Return the settings of a dial at a strength; see `run_case`."""
+    if name in (CLINIC, "plain"):
+        scenario = CLINIC if name == CLINIC else _SCENARIO
+        judged = {"in_probe": True, "across_depth": True} if name == CLINIC else {}
+        return {"scenario": scenario, "changes": [*([] if name == CLINIC else PLAIN)]} | judged
+    dial, settings = GRADED[name], turned(name, strength).settings()
+    judged = {key: True for key in ("in_probe", "across_depth") if getattr(dial, key)}
+    changes = [*PLAIN, *settings["changes"]]
+    return {"scenario": _SCENARIO, **settings, "changes": changes, **judged}
+
+
+def _more(settings: Mapping[str, Any], changes: list[str], **more: Any) -> dict[str, Any]:
+    return {**settings, "changes": [*settings["changes"], *changes], **more}
+
+
+def _points(quick: bool) -> list[tuple[str, float]]:
+    """Return names and strengths of the open loop's dials, with everything off and all on."""
+    names = _QUICK_DIALS if quick else tuple(GRADED)
+    turned = [(name, each) for name in names for each in GRADED[name].strengths]
+    return [("plain", 0.0), *turned, (CLINIC, 0.5)]
+
+
+def _open_cases(options: StudyOptions) -> list[Case]:
+    cases = []
+    for name, strength in _points(options.quick):
+        settings = _dial(name, strength)
+        changes = _OPEN[name != CLINIC]
+        settings = _more(settings, changes, loop="open", dial=name, strength=strength)
+        cases += [
+            Case(_experiment("open loop", name, strength), seed, settings)
+            for seed in options.seed_range(*OPEN_SEEDS)
+        ]
+    return cases
+
+
+def _closed_cases(options: StudyOptions) -> list[Case]:
+    cases = []
+    names = ("faint needle",) if options.quick else ("plain", *GRADED, CLINIC)
+    for name in names:
+        settings = _more(_dial(name, 1.0), _CLOSED[name != CLINIC], loop="closed", dial=name)
+        cases += [
+            Case(_experiment("closed loop", name, 1.0), seed, _with(settings, tracker))
+            for seed in options.seed_range(*CLOSED_SEEDS)
+            for tracker in TRACKERS
+        ]
+    return cases
+
+
+def _withdrawals(options: StudyOptions) -> list[Case]:
+    cases = []
+    for tracker in TRACKERS:
+        numbers = WITHDRAWALS if tracker == OURS else OTHERS_WITHDRAWALS
+        for seed in options.seed_range(*numbers):
+            settings = _more(_dial("plain", 0.0), withdrawal(seed), loop="closed")
+            cases.append(Case("withdrawals", seed, _with(settings, tracker)))
+    return cases
+
+
+def _without_needle(options: StudyOptions) -> list[Case]:
+    part = _QUICK_PART if options.quick else PART
+    changes = ["hand.pushes=[]", "hand.initial_depth=0", f"duration={part}"]
+    settings = _more(_dial(CLINIC, 1.0), changes, loop="search")
+    return [
+        Case("clinic without a needle", seed, settings)
+        for seed in options.seed_range(round(HOUR / PART), 1)
+    ]
+
+
+def _with(settings: Mapping[str, Any], tracker: str) -> dict[str, Any]:
+    return _more(settings, [f"tracker={tracker}"], tracker=tracker)
+
+
+def _experiment(loop: str, name: str, strength: float | None = None) -> str:
+    """Return the name of an experiment, such as "open loop, drag 2 mm"."""
+    if strength is None or name not in GRADED:
+        return f"{loop}, {name}"
+    dial = GRADED[name]
+    return f"{loop}, {name} {dial.value(strength):.3g} {dial.unit}"

@@ -1,0 +1,170 @@
+"""Runs of the study of robustness: one scene for all trackers, or the loop of one of them."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.diagrams.experiments.following import FollowingExperiment
+from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams.studies.robustness.graded_dials import scenario_of
+from sonoservo.diagrams.studies.robustness.logged_tracker import MakeLoggedTracker, log_of
+from sonoservo.diagrams.studies.robustness.open_loop import run_open_loop
+from sonoservo.diagrams.studies.robustness.search_path import MakeSearchingTracker
+from sonoservo.diagrams.studies.study import Case
+from sonoservo.systems.evaluation.metrics import MetricsParameters, detection
+from sonoservo.systems.evaluation.run_errors import at_times, in_frame
+from sonoservo.systems.evaluation.run_log import RunLog, unit
+from sonoservo.systems.signals.needle_estimate import TrackingMode
+
+OURS, PUBLISHED, ZHAO = "chatelain2013", "chatelain2013_as_published", "zhao2012"
+TRACKERS = (OURS, PUBLISHED, ZHAO)
+"""Kinds of the trackers that are compared."""
+
+SEARCH_START = 5.0
+"""Time in s at which a probe that searches begins to move; it has landed by then."""
+
+_SHOWN = 0.5e-3
+"""Length in the image up to which there is no needle to be seen, in m."""
+
+_FOLLOWED = (TrackingMode.TRACKING, TrackingMode.COASTING)
+
+Floats = NDArray[np.float64]
+
+
+def run_case(case: Case) -> Mapping[str, Any]:
+    """Run a case, and return the record of each tracker by its kind; see `record`.
+
+    Parameters
+    ----------
+    case
+        Case whose settings name the `loop` ("open", "closed" or "search"), the `scenario` and its
+        `changes`, the `tracker` of a closed loop, and the frame of the errors (`in_probe`,
+        `across_depth`).
+    """
+    settings = case.settings
+    with scenario_of(settings, case.seed) as scenario:
+        if settings["loop"] == "open":
+            logs = run_open_loop(scenario, TRACKERS)
+        elif settings["loop"] == "closed":
+            experiment = FollowingExperiment(scenario)
+            experiment.run()
+            logs = {settings["tracker"]: experiment.log()}
+        else:
+            logs = _run_search(scenario)
+    judged = {name: bool(settings.get(name)) for name in ("in_probe", "across_depth")}
+    return {kind: record(log, **judged) for kind, log in logs.items()}
+
+
+def _run_search(scenario: FollowingScenario) -> dict[str, RunLog]:
+    """Return the logs of a run in which our tracker moves the probe, and the others look on.
+
+    While it follows nothing, the probe moves over the phantom; see `SearchPath`. The others see the
+    same volumes, but what they find moves nothing.
+    """
+    observers = {
+        kind: MakeLoggedTracker(scenario=scenario, tracker=kind, drives=kind == OURS)
+        for kind in TRACKERS
+    }
+    experiment = FollowingExperiment(
+        scenario,
+        tracker=MakeSearchingTracker(scenario=scenario, start=SEARCH_START),
+        observers={f"{kind}_observer": each for kind, each in observers.items()},
+    )
+    experiment.run()
+    return {kind: log_of(each, experiment.context_of(each)) for kind, each in observers.items()}
+
+
+def record(log: RunLog, *, in_probe: bool = False, across_depth: bool = False) -> dict[str, Any]:
+    """Return what a study keeps of a tracker's run.
+
+    Parameters
+    ----------
+    log
+        Log of the run.
+    in_probe
+        Whether errors and false starts are those in the probe's frame; see `as_in_probe`.
+        Otherwise, they are those in W.
+    across_depth
+        Whether errors count across the depth only.
+
+    Returns
+    -------
+    `tip_mm`, `axis_deg`: errors of each volume's estimate, None without one; `tracking`: whether
+    the volume confirmed a needle; `in_view_mm`: true length of the needle in the swept sector;
+    `false_starts`: see `detection`; `seconds`: simulated time; `shown_s`, `travel_mm`: time for
+    which a needle is shown, and distance that the servo commands the probe to go meanwhile, while
+    there is none in the image; None if no servo follows the tracker.
+    """
+    log = as_in_probe(log) if in_probe else log
+    tip, axis = judged_errors(log, across_depth=across_depth)
+    time = np.where(
+        np.isfinite(log.volume_estimate_time), log.volume_estimate_time, log.volume_time
+    )
+    shown = np.isin(log.estimate_mode, _FOLLOWED)
+    ghost = shown & (np.nan_to_num(log.visible_length) < _SHOWN)
+    steps = np.diff(log.time, append=log.time[-1:])
+    speed = np.linalg.norm(log.planar_velocity[:, :2], axis=1)
+    travel = float((steps * np.nan_to_num(speed))[ghost].sum())
+    return {
+        "tip_mm": 1e3 * tip,
+        "axis_deg": np.rad2deg(axis),
+        "tracking": log.volume_estimate_mode == TrackingMode.TRACKING,
+        "in_view_mm": 1e3 * np.nan_to_num(at_times(log, log.visible_length, time)),
+        "false_starts": detection(log, MetricsParameters())["false_starts"],
+        "seconds": float(log.time[-1]),
+        "shown_s": float(steps[ghost].sum()),
+        "travel_mm": 1e3 * travel if np.isfinite(speed).any() else None,
+    }
+
+
+def as_in_probe(log: RunLog) -> RunLog:
+    """Return a log whose estimates lie in W where the probe's measured pose has them in P.
+
+    Each estimate is seen from the measured pose and put into W with the true one, so that errors of
+    the pose itself do not count.
+    """
+    time = log.volume_estimate_time
+    true_X, measured_X = (at_times(log, each, time) for each in (log.X_WP, log.measured_X_WP))
+
+    def moved(p_W: Floats) -> Floats:
+        p_P = in_frame(measured_X, p_W)
+        return np.asarray(np.einsum("nij,nj->ni", true_X[:, :3, :3], p_P) + true_X[:, :3, 3])
+
+    return replace(
+        log,
+        volume_estimate_tip=moved(log.volume_estimate_tip),
+        volume_estimate_entry=moved(log.volume_estimate_entry),
+    )
+
+
+def judged_errors(log: RunLog, *, across_depth: bool) -> tuple[Floats, Floats]:
+    """Return the errors of the tip in m and of the direction in rad, after each volume.
+
+    Parameters
+    ----------
+    log, across_depth
+        See `record`.
+
+    Returns
+    -------
+    Two (v,) arrays; NaN without an estimate or a needle.
+    """
+    time = log.volume_estimate_time
+    X_WP, points = at_times(log, log.X_WP, time), at_times(log, log.needle_points, time)
+    middle, true_tip, tip, entry = (
+        in_frame(X_WP, each)
+        for each in (
+            points[:, points.shape[1] // 2],
+            points[:, -1],
+            log.volume_estimate_tip,
+            log.volume_estimate_entry,
+        )
+    )
+    counted = np.array([1.0, 0.0, 1.0]) if across_depth else np.ones(3)
+    true, estimated = unit(counted * (true_tip - middle)), unit(counted * (tip - entry))
+    sine = np.linalg.norm(np.cross(true, estimated), axis=1)
+    angle = np.arctan2(sine, np.sum(true * estimated, axis=1))
+    return np.linalg.norm(counted * (tip - true_tip), axis=1), angle

@@ -1,0 +1,330 @@
+"""The study of robustness: what counts as a success, what is run, and a short version of it."""
+
+import json
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pydrake.common.value import Value
+from synthetic_logs import build_insertion_log
+
+from sonoservo.diagrams import load_scenario
+from sonoservo.diagrams.dials import load_dials
+from sonoservo.diagrams.experiments.following_insertion import make_insertion
+from sonoservo.diagrams.papers import results
+from sonoservo.diagrams.papers.registry import PAPERS, STUDIES, require_paper
+from sonoservo.diagrams.studies.robustness import reproduction
+from sonoservo.diagrams.studies.robustness.analysis import (
+    Figure,
+    Group,
+    Record,
+    chased,
+    threshold,
+)
+from sonoservo.diagrams.studies.robustness.graded_dials import (
+    GRADED,
+    PLAIN,
+    scenario_of,
+    turned,
+)
+from sonoservo.diagrams.studies.robustness.planned_motion import MotionPlan
+from sonoservo.diagrams.studies.robustness.report import report
+from sonoservo.diagrams.studies.robustness.runs import (
+    OURS,
+    TRACKERS,
+    as_in_probe,
+    judged_errors,
+    record,
+    run_case,
+)
+from sonoservo.diagrams.studies.robustness.search_path import SearchPath
+from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
+from sonoservo.diagrams.studies.study_report import write_study
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
+
+FIG5 = {"scenario": "chatelain2013_fig5"}
+
+
+def kept(tip=1.0, axis=1.0, volumes=20, **changes):
+    """Record of a run as a case keeps it, with the same errors in every volume."""
+    return {
+        "tip_mm": volumes * [tip],
+        "axis_deg": volumes * [axis],
+        "tracking": volumes * [True],
+        "in_view_mm": volumes * [30.0],
+        "false_starts": 0,
+        "seconds": 36.0,
+        "shown_s": 0.0,
+        "travel_mm": 0.0,
+    } | changes
+
+
+def test_a_success_is_found_kept_and_accurate():
+    def judge(**changes):
+        record = Record.of(kept(**changes))
+        return record.found, record.kept, record.success
+
+    assert judge() == (True, True, True)
+    assert judge(tip=3.0) == (True, True, False)
+    assert judge(axis=3.0) == (True, True, False)
+    assert judge(tip=None) == (False, False, False)
+    assert judge(tip=6.0) == (False, False, False)
+    assert judge(tracking=20 * [False]) == (False, False, False)
+    # what came before the detection does not count, nor what lies outside the image
+    late = [False] * 10 + [True] * 10
+    assert judge(tracking=late) == (True, True, True)
+    assert judge(tracking=[True] * 10 + [False] * 10) == (True, False, False)
+    assert judge(tracking=[True] * 10 + [False] * 10, in_view_mm=[30.0] * 10 + [9.0] * 10)[1]
+    one_missed = [True] * 5 + [False] + [True] * 14
+    assert judge(tracking=one_missed) == (True, True, True)
+    assert judge(tracking=[True] * 5 + [False] * 2 + [True] * 13) == (True, False, False)
+
+
+def test_failed_runs_stay_in_the_statistics():
+    cases = [Case("x", seed) for seed in range(4)]
+    outcomes = [Outcome(case, {OURS: kept(false_starts=1)}) for case in cases[:3]]
+    group = Group([*outcomes, Outcome(cases[3], error="died")], OURS)
+    assert group.failed == 1
+    assert group.share(lambda run: run.success).value == 75
+    assert group.quantile("tip", 0.5).value == 1.0
+    assert group.quantile("tip", 0.999).value == np.inf
+    assert group.false_starts_per_hour().value == pytest.approx(4 / (4 * 36 / 3600))
+    assert group.largest(lambda run: run.shown_s).value == np.inf
+    assert Group([outcomes[0]], OURS).quantile("tip", 0.5).low == -np.inf  # too few runs
+    only_failed = Group([Outcome(cases[3], error="died")], OURS)
+    assert only_failed.share(lambda run: run.success).value == 0
+    assert only_failed.quantile("tip", 0.5).value == np.inf
+    assert only_failed.false_starts_per_hour().value is None
+
+
+def test_a_probe_that_goes_far_after_nothing_chases_a_ghost():
+    assert chased(Record.of(kept(travel_mm=12.0)))
+    assert not chased(Record.of(kept(travel_mm=8.0)))
+    assert not chased(Record.of(kept(travel_mm=None)))
+
+
+@pytest.mark.parametrize(
+    ("shares", "words", "value", "before"),
+    [
+        ([100, 100, 90], "4", 4.0, 2.0),
+        ([100, 94, 100], "2", 2.0, 1.0),
+        ([100, 95, 96], "beyond 4", None, 4.0),
+        ([50, 100, 100], "below the first strength", 1.0, None),
+        ([None, None, None], "beyond 4", None, 4.0),
+    ],
+)
+def test_thresholds(shares, words, value, before):
+    found = threshold([(2.0**k, Figure(share)) for k, share in enumerate(shares)])
+    assert (str(found), found.value, found.before) == (words, value, before)
+
+
+def test_a_dial_that_was_not_studied_has_no_threshold():
+    assert str(threshold([])) == "not studied"
+
+
+def test_every_dial_is_studied_at_moderate_strength():
+    assert GRADED.keys() == load_dials().keys()
+    for dial in GRADED.values():
+        assert not dial.strengths or 1.0 in dial.strengths
+        assert list(dial.strengths) == sorted(dial.strengths)
+        assert dial.value(1.0) == pytest.approx(dial.moderate)
+
+
+@pytest.mark.parametrize("name", GRADED)
+def test_moderate_strength_is_that_of_the_dial(name):
+    own, made = load_dials()[name].changes(), turned(name, 1.0)
+    if not made.phantom:
+        assert made.changes[: len(own)] == own
+        return
+    assert own == [f"phantom={made.phantom}"]
+    with scenario_of(FIG5 | made.settings(), 100) as scenario:
+        assert load_tissue(scenario.phantom) == load_tissue(made.phantom)
+
+
+def test_a_stronger_dial_is_stronger_in_the_phantom():
+    for name, strength in (("structure beside the needle", 2.0), ("speed of sound", 2.0)):
+        with scenario_of(FIG5 | turned(name, strength).settings(), 100) as scenario:
+            tissue = load_tissue(scenario.phantom)
+            if name == "speed of sound":
+                assert tissue.sound_speed == pytest.approx(1540 * 0.9)
+            else:
+                assert tissue.structures[0].beside_needle.distance == pytest.approx(1.5e-3)
+
+
+def test_as_many_runs_as_promised(tmp_path):
+    cases = reproduction.study_cases(StudyOptions(folder=tmp_path, first_seed=100))
+    assert len(set(cases)) == len(cases)
+    assert min(case.seed for case in cases) == 100
+    ours = Counter(case.experiment for case in cases if case.settings.get("tracker", OURS) == OURS)
+    assert ours["withdrawals"] == 50
+    strengths = sum(len(dial.strengths) for dial in GRADED.values())
+    names = [name for name in ours if name.startswith("open loop")]
+    assert len(names) == strengths + 2
+    assert sum(name.startswith("closed loop") for name in ours) == len(GRADED) + 2
+    clinic = [case for case in cases if case.experiment == "clinic without a needle"]
+    with scenario_of(clinic[0].settings, clinic[0].seed) as scenario:
+        assert len(clinic) * scenario.duration == 3600
+        assert make_insertion(scenario).depth(1e3) == 0
+    quick = reproduction.study_cases(StudyOptions(folder=tmp_path, quick=True))
+    assert len(quick) < 25
+    assert {case.settings["loop"] for case in quick} == {"open", "closed", "search"}
+
+
+def test_a_withdrawal_ends_outside_after_the_phantom_has_moved():
+    for seed in range(100, 103):
+        changes = [*PLAIN, *reproduction.withdrawal(seed)]
+        scenario = load_scenario("chatelain2013_fig5", changes=changes, seed=seed)
+        (move,) = scenario.phantom_motion.moves
+        insertion, end = make_insertion(scenario), move.start + move.duration
+        assert 0.02 <= np.linalg.norm(move.translation) <= 0.04
+        assert insertion.depth(end) == pytest.approx(insertion.depth(move.start), abs=1e-3)
+        assert insertion.depth(end) > 0.1
+        assert insertion.depth(scenario.duration - 1.0) == 0
+        assert reproduction.withdrawal(seed) == reproduction.withdrawal(seed)
+
+
+def test_the_planned_probe_rests_then_follows_and_rides_on_the_breath():
+    changes = [*PLAIN, "hand.start=1.5", "phantom_motion.breathing={peak_to_peak: 0.01}"]
+    changes.append("phantom_motion.breathing.direction=[0, 0, 1]")
+    scenario = load_scenario("chatelain2013_fig5", changes=changes, seed=100)
+    insertion = make_insertion(scenario)
+    plan = MotionPlan(scenario, insertion)
+    first, breath = plan.probe(0.0), scenario.phantom_motion.breathing
+    for time in (1.0, plan.begin - 0.1):
+        moved = first.translation() + breath.displacement(time)
+        np.testing.assert_allclose(plan.probe(time).translation(), moved, atol=1e-9)
+        np.testing.assert_allclose(plan.phantom(time).translation()[2] - 0.2, moved[2] - 0.196)
+    time = plan.begin + 3.5
+    X_PT = plan.probe(time).inverse() @ scenario.station.X_WT
+    tip, entry = X_PT.multiply(insertion.needle(time).shaft[[-1, 0]].T).T
+    np.testing.assert_allclose(tip[[0, 2]], 0, atol=1e-6)
+    assert abs((tip - entry)[2]) < 1e-6  # the image is turned to the needle
+
+
+def test_a_search_path_hands_on_what_is_tracked_and_imagines_a_needle_otherwise():
+    scenario = load_scenario("clinic")
+    path = SearchPath(scenario=scenario, start=5.0)
+    context = path.CreateDefaultContext()
+
+    def output(estimate, time):
+        context.SetTime(time)
+        path.GetInputPort("tracked").FixValue(context, Value[object](estimate))
+        return path.GetOutputPort("estimate").Eval(context)
+
+    nothing = NeedleEstimate(TrackingMode.SEARCHING, 0.0)
+    real = NeedleEstimate(
+        TrackingMode.TRACKING,
+        0.0,
+        NeedleCurve(np.eye(3)[:2]),
+        velocity=np.zeros((2, 3)),
+        covariance=np.eye(12),
+    )
+    assert output(nothing, 1.0) is nothing
+    assert output(real, 9.0) is real
+    first, second = output(nothing, 9.0), output(nothing, 10.0)
+    assert first.mode is second.mode is TrackingMode.TRACKING
+    moved = np.linalg.norm(first.curve.tip - second.curve.tip)
+    assert 0.5e-3 < moved < 8e-3
+    assert first.curve.tip[2] == pytest.approx(scenario.station.X_WT.translation()[2] - 0.045)
+
+
+def test_robustness_is_a_study_of_no_paper():
+    assert set(STUDIES) == {"robustness"}
+    assert not set(STUDIES) & set(PAPERS)
+    for name in STUDIES:
+        require_paper(name)
+        assert (results._folder(name) / "reproduction.py").is_file()
+
+
+def outcomes(values):
+    """Outcomes of one dial at three strengths, with the tip errors in mm of each tracker."""
+    made = []
+    for strength, tips in values.items():
+        settings = {"loop": "open", "dial": "drag", "strength": strength}
+        case = Case(f"open loop, drag {strength:g} mm", 100, settings)
+        made.append(Outcome(case, {k: kept(tip=t) for k, t in zip(TRACKERS, tips, strict=True)}))
+    return made
+
+
+def test_the_report_gives_thresholds_and_they_become_a_table():
+    study = report(outcomes({1.0: (1, 1, 9), 2.0: (1, 3, 9), 4.0: (1, 9, 9)}))
+    (row,) = study.thresholds
+    assert [row[kind] for kind in TRACKERS] == ["beyond 4", "2", "below the first strength"]
+    data = study.as_json("sonoservo reproduce robustness")
+    text = results.results_table(data, "thresholds")
+    assert "| drag | mm | 1 | beyond 4 | 2 | below the first strength |" in text
+    rows = {(each["experiment"], each["quantity"]): each for each in data["rows"]}
+    success = rows["open loop, drag 2 mm", "success"]
+    assert (success["true"], success["published_true"]) == (100, 0)
+    assert success["high"] == 100
+    assert rows["open loop, drag 4 mm", "success, zhao2012"]["true"] == 0
+    limits = [each for each in data["rows"] if each["experiment"].startswith("success falls")]
+    assert [(each["low"], each["true"]) for each in limits] == [(4, None), (1, 2), (None, 1)]
+
+
+@pytest.mark.slow
+def test_the_whole_study_in_short(tmp_path, monkeypatch):
+    """A moment of each kind of run, through the same code."""
+    short = ["hand.start=0.2", "duration=0.8", "imaging.frames=7", "imaging.volume_rate=8"]
+    dial = {"loop": "open", "dial": "hand-eye calibration", "strength": 1.0, "in_probe": True}
+    settings = FIG5 | {"changes": [*PLAIN, *turned("hand-eye calibration", 1.0).changes, *short]}
+    point = ["station.plant.contact_model=point"]
+    closed = settings | {"changes": settings["changes"] + point, "loop": "closed", "tracker": OURS}
+    search = closed | {"loop": "search"}
+    del search["tracker"]
+    cases = [
+        Case("open loop, hand-eye calibration 2 mm", 100, settings | dial),
+        Case("closed loop, plain", 100, closed),
+        Case("clinic without a needle", 100, search),
+        Case("withdrawals", 100, closed | {"changes": ["no.such.field=1"]}),
+    ]
+    monkeypatch.setattr(reproduction, "study_cases", lambda options: cases)
+    options = StudyOptions(folder=tmp_path, quick=True, jobs=1, first_seed=100)
+    study = reproduction.reproduce(options)
+    write_study(tmp_path, study, "sonoservo reproduce robustness --quick")
+    data = json.loads((tmp_path / "study.json").read_text())
+    (failure,) = data["failures"]
+    assert failure["experiment"] == "withdrawals"
+    rows = {(each["experiment"], each["quantity"]): each for each in data["rows"]}
+    assert rows["clinic without a needle", "false starts"]["true"] == 0
+    assert rows["clinic without a needle", "false starts, zhao2012"]["true"] == 0
+    assert ("closed loop, plain", "success") in rows
+    assert rows["withdrawals", "success"]["true"] == 0
+    names = {"success", "tip_error", "closed_loop"}
+    assert {path.stem for path in tmp_path.glob("*.png")} == names
+    page = (tmp_path / "report.html").read_text()
+    assert page.count("data:image/png;base64,") == len(names)
+
+
+def test_errors_in_the_probe_do_not_hold_an_error_of_its_pose():
+    log = build_insertion_log()  # 0.3 mm too far, and 0.4 mm too high
+
+    def tips(log, across_depth=False):
+        tip, axis = judged_errors(log, across_depth=across_depth)
+        np.testing.assert_allclose(axis[np.isfinite(tip)], 0, atol=1e-9)
+        return tip[np.isfinite(tip)]
+
+    np.testing.assert_allclose(tips(log), 0.5e-3)
+    np.testing.assert_allclose(tips(log, across_depth=True), 0.3e-3)
+    measured = log.X_WP.copy()
+    measured[:, :3, 3] += [0.3e-3, 0, 0.4e-3]
+    shifted = as_in_probe(replace(log, measured_X_WP=measured))
+    np.testing.assert_allclose(tips(shifted), 0, atol=1e-9)
+    far = log.X_WP.copy()
+    far[:, 1, 3] += 0.02
+    assert record(replace(log, measured_X_WP=far))["false_starts"] == 0
+    assert record(replace(log, measured_X_WP=far), in_probe=True)["false_starts"] == 1
+
+
+def test_all_trackers_of_an_open_loop_see_the_same_volumes():
+    short = ["hand.start=0.2", "duration=0.4", "imaging.frames=7", "imaging.volume_rate=8"]
+    settings = FIG5 | {"changes": [*PLAIN, *short], "loop": "open"}
+    made = run_case(Case("open loop", 100, settings))
+    views = [made[kind]["in_view_mm"] for kind in TRACKERS]
+    assert len(views[0]) == 3
+    np.testing.assert_array_equal(views[0], views[1])
+    np.testing.assert_array_equal(views[0], views[2])
+    assert all(made[kind]["travel_mm"] is None for kind in TRACKERS)
