@@ -69,7 +69,7 @@ class GradedDial:
     moderate
         Moderate strength in the dial's own unit.
     unit
-        That unit, in words.
+        That unit, in words; empty for a switch.
     off
         Value of the dial's quantity at strength 0.
     inverse
@@ -94,13 +94,19 @@ class GradedDial:
             return self.moderate / strength
         return self.off + strength * (self.moderate - self.off)
 
+    def words(self, strength: float, unit: bool = True) -> str:
+        """Return that quantity as text, with its unit or without; a switch is "on"."""
+        if not self.unit:
+            return "on"
+        return f"{self.value(strength):.3g}{f' {self.unit}' if unit else ''}"
+
 
 GRADED: Mapping[str, GradedDial] = {
     "structure beside the needle": GradedDial(
         moderate=3.0, unit="mm beside the needle's way", inverse=True
     ),
     "faint needle": GradedDial(
-        strengths=(0.25, 0.5, 1.0), moderate=12.0, off=30.0, unit="dB over the tissue"
+        strengths=(0.25, 0.5, 1.0), moderate=12.0, off=20.0, unit="dB over the tissue"
     ),
     "fading needle": GradedDial(moderate=6.0, unit="dB (standard deviation)"),
     "dip": GradedDial(strengths=(0.5, 0.75, 1.0, 1.25), moderate=60.0, unit="deg"),
@@ -108,7 +114,7 @@ GRADED: Mapping[str, GradedDial] = {
     "speed": GradedDial(moderate=30.0, off=8.0, unit="mm/s"),
     "drag": GradedDial(strengths=(1.0, 2.0, 4.0), moderate=1.0, unit="mm"),
     "pushed aside": GradedDial(strengths=(0.5, 1.0), moderate=1.0, unit="of the needle's volume"),
-    "indentation": GradedDial(strengths=(1.0,), moderate=1.0, unit="(on)"),
+    "indentation": GradedDial(strengths=(1.0,), moderate=1.0, unit=""),
     "breathing": GradedDial(strengths=(0.5, 1.0, 1.5), moderate=10.0, unit="mm peak to peak"),
     "pose delay": GradedDial(strengths=(1.0, 2.0, 4.0), moderate=50.0, unit="ms"),
     "hand-eye calibration": GradedDial(

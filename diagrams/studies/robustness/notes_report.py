@@ -21,9 +21,11 @@ NOTES = (
     "Open loop: the probe is moved as planned, without a robot, and every tracker gets the same "
     "volumes with the same measured poses. The probe rests during the first push. Then it comes "
     "over the needle in 3 s, turns to it, and follows a second push. It rides on the breathing "
-    "phantom, and presses it in by 4 mm. Errors of the probe's mass, the force and the friction "
-    "change nothing there; they are studied in the closed loop only.",
-    "Closed loop: each tracker moves the probe itself, with our controller, at moderate strength.",
+    "phantom, and presses it in by 4 mm. Errors of the probe's mass and of the force, and the "
+    "friction, change nothing there; they are studied in the closed loop only. Joints have no part "
+    "in it either, so the clinic lacks their error there.",
+    "Closed loop: each tracker moves the probe itself, with our controller, at moderate strength; "
+    "the published tracker thus has our controller, and not eq. 25 of its paper alone.",
     f"Found: a volume is tracked with the tip within {FOUND_MM:g} mm and the axis within "
     f"{FOUND_DEG:g} deg of the truth. Kept: this holds in {100 * KEPT:.0f} % of the volumes from "
     f"then on in which at least {ENOUGH_MM:g} mm of the needle lie in the swept sector, whether or "

@@ -51,11 +51,7 @@ def study_figures(curves: Curves, groups: Groups) -> list[StudyFigure]:
                 figure=plot_dials(curves, _median, "tip error (mm)", _HIGHEST_MM, _p95),
             ),
         ]
-    closed = {
-        name: trackers
-        for name, trackers in groups.items()
-        if not name.startswith("open") and "without" not in name
-    }
+    closed = {name: trackers for name, trackers in groups.items() if name.startswith("closed")}
     if closed:
         figures.append(
             StudyFigure(
@@ -186,7 +182,7 @@ def _draw(
 def _tick(name: str, strength: float) -> str:
     if strength == 0:
         return "off"
-    return name if name == CLINIC else f"{GRADED[name].value(strength):.3g}"
+    return name if name == CLINIC else GRADED[name].words(strength, unit=False)
 
 
 def _success(group: Group) -> Figure:

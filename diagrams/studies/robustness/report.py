@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from sonoservo.diagrams.studies.fingerprint import code_fingerprint
 from sonoservo.diagrams.studies.robustness.analysis import (
     Figure,
     Group,
@@ -79,7 +78,6 @@ class RobustnessStudy(Study):
     def as_json(self, command: str) -> dict[str, Any]:
         """Return everything except the pictures, for a JSON file."""
         return super().as_json(command) | {
-            "fingerprint": code_fingerprint(f"{__package__}.reproduction"),
             "thresholds": [dict(each) for each in self.thresholds],
         }
 
@@ -102,12 +100,12 @@ def report(outcomes: Sequence[Outcome]) -> RobustnessStudy:
         rows=[*_threshold_rows(thresholds), *rows],
         outcomes=outcomes,
         figures=study_figures(curves, groups),
-        notes=NOTES,
+        notes=[*([_threshold_note(thresholds)] if thresholds else []), *NOTES],
         thresholds=[
             {
                 "dial": name,
                 "unit": GRADED[name].unit,
-                "moderate": f"{GRADED[name].moderate:.3g}",
+                "moderate": GRADED[name].words(1.0, unit=False),
                 **{kind: str(each) for kind, each in trackers.items()},
             }
             for name, trackers in thresholds.items()
@@ -174,6 +172,8 @@ def dial_thresholds(curves: Mapping[str, Curve]) -> dict[str, dict[str, Threshol
 def _rows(experiment: str, trackers: Mapping[str, Group]) -> list[StudyRow]:
     """Return the rows of an experiment: ours beside the published tracker, then Zhao's."""
     figures = [] if "without" in experiment else list(_ERRORS)
+    if experiment == "withdrawals":  # a needle that is thrown aside cannot be kept
+        figures = [each for each in figures if not each[0].startswith(("kept", "success"))]
     figures.append(_FALSE_STARTS)
     if not experiment.startswith("open"):
         figures += [*_GHOSTS, *_TRAVEL]
@@ -184,22 +184,40 @@ def _rows(experiment: str, trackers: Mapping[str, Group]) -> list[StudyRow]:
             for kind, group in trackers.items()
             if "travel" not in quantity or _moves(group)
         }
-        ours, published = (values.get(kind, Figure()) for kind in (OURS, PUBLISHED))
+        rows += _compared(experiment, quantity, unit, values)
+    return rows
+
+
+def _compared(
+    experiment: str, quantity: str, unit: str, figures: Mapping[str, Figure]
+) -> list[StudyRow]:
+    """Return a row of ours beside the published tracker's figure, and one of Zhao's."""
+    ours, published = (figures.get(kind, Figure()) for kind in (OURS, PUBLISHED))
+    rows = [
+        StudyRow(
+            experiment=experiment,
+            quantity=quantity,
+            unit=unit,
+            true=ours.value,
+            low=ours.low,
+            high=ours.high,
+            published_true=published.value,
+            published_low=published.low,
+            published_high=published.high,
+        )
+    ]
+    if ZHAO in figures:
+        zhao = figures[ZHAO]
         rows.append(
             StudyRow(
                 experiment=experiment,
-                quantity=quantity,
+                quantity=f"{quantity}, {ZHAO}",
                 unit=unit,
-                true=ours.value,
-                low=ours.low,
-                high=ours.high,
-                published_true=published.value,
-                published_low=published.low,
-                published_high=published.high,
+                true=zhao.value,
+                low=zhao.low,
+                high=zhao.high,
             )
         )
-        if ZHAO in values:
-            rows.append(_row(experiment, f"{quantity}, {ZHAO}", unit, values[ZHAO]))
     return rows
 
 
@@ -208,25 +226,25 @@ def _moves(group: Group) -> bool:
     return any(each.travel_mm is not None for each in group.records)
 
 
-def _row(experiment: str, quantity: str, unit: str, figure: Figure) -> StudyRow:
-    return StudyRow(
-        experiment=experiment,
-        quantity=quantity,
-        unit=unit,
-        true=figure.value,
-        low=figure.low,
-        high=figure.high,
-    )
-
-
 def _threshold_rows(thresholds: Mapping[str, Mapping[str, Threshold]]) -> list[StudyRow]:
     """Return the thresholds as rows; beyond the last strength, they have an open interval."""
     rows = []
     for name, trackers in thresholds.items():
-        for kind, each in trackers.items():
-            figure = Figure(each.value, each.before, each.value)
-            if each.value is None:
-                figure = Figure(None, each.before, float("inf"))
-            words = f"{name}, {kind}: {each}"
-            rows.append(_row("success falls under 95 % at", words, GRADED[name].unit, figure))
+        figures = {kind: _limits(each) for kind, each in trackers.items()}
+        rows += _compared("success falls under 95 % at", name, GRADED[name].unit, figures)
     return rows
+
+
+def _limits(found: Threshold) -> Figure:
+    """Return a threshold with the strength studied before it, and itself or infinity."""
+    beyond = found.value is None and found.before is not None
+    return Figure(found.value, found.before, float("inf") if beyond else found.value)
+
+
+def _threshold_note(thresholds: Mapping[str, Mapping[str, Threshold]]) -> str:
+    """Return all thresholds as a paragraph."""
+    lines = [
+        f"{name} ({GRADED[name].unit or 'a switch'}) {', '.join(map(str, trackers.values()))}"
+        for name, trackers in thresholds.items()
+    ]
+    return f"Thresholds of {', '.join(TRACKERS)}: {'; '.join(lines)}."

@@ -177,5 +177,4 @@ def _experiment(loop: str, name: str, strength: float | None = None) -> str:
     """Return the name of an experiment, such as "open loop, drag 2 mm"."""
     if strength is None or name not in GRADED:
         return f"{loop}, {name}"
-    dial = GRADED[name]
-    return f"{loop}, {name} {dial.value(strength):.3g} {dial.unit}"
+    return f"{loop}, {name} {GRADED[name].words(strength)}"

@@ -262,7 +262,11 @@ def test_the_report_gives_thresholds_and_they_become_a_table():
     assert success["high"] == 100
     assert rows["open loop, drag 4 mm", "success, zhao2012"]["true"] == 0
     limits = [each for each in data["rows"] if each["experiment"].startswith("success falls")]
-    assert [(each["low"], each["true"]) for each in limits] == [(4, None), (1, 2), (None, 1)]
+    ours, zhao = limits
+    assert (ours["true"], ours["low"]) == (None, 4)  # beyond
+    assert (ours["published_true"], ours["published_low"]) == (2, 1)
+    assert (zhao["true"], zhao["low"]) == (1, None)
+    assert "drag (mm) beyond 4, 2, below the first strength" in data["notes"][0]
 
 
 @pytest.mark.slow
@@ -292,7 +296,8 @@ def test_the_whole_study_in_short(tmp_path, monkeypatch):
     assert rows["clinic without a needle", "false starts"]["true"] == 0
     assert rows["clinic without a needle", "false starts, zhao2012"]["true"] == 0
     assert ("closed loop, plain", "success") in rows
-    assert rows["withdrawals", "success"]["true"] == 0
+    assert rows["withdrawals", "found"]["true"] == 0
+    assert ("withdrawals", "success") not in rows
     names = {"success", "tip_error", "closed_loop"}
     assert {path.stem for path in tmp_path.glob("*.png")} == names
     page = (tmp_path / "report.html").read_text()
