@@ -1,0 +1,137 @@
+"""Needles at rest in homogeneous tissue, and the same needles in the terms of the bound."""
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from pydrake.math import RigidTransform
+
+from sonoservo.systems.evaluation.needle_end import NeedleEnd
+from sonoservo.systems.signals.blur import blur_covariance
+from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.sweep import Sweep, SweepMotion
+from sonoservo.systems.ultrasound.beam import beam_profile, point_spread
+from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
+from sonoservo.systems.ultrasound.simulation.needle_echo import (
+    NeedleEchoParameters,
+    NeedleFading,
+    needle_view,
+    reverberations,
+)
+from sonoservo.systems.ultrasound.simulation.rays import depth_tables
+from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
+from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
+from sonoservo.systems.ultrasound.simulation.tissue import Tissue
+from sonoservo.systems.ultrasound.transducer import load_transducer
+
+DIPS, DEPTHS, TIPS, CONTRASTS = (
+    (0, 15, 30, 45, 60),
+    (0.03, 0.05, 0.08),
+    ("blunt", "bevel"),
+    (12, 20, 30),
+)
+RADIUS = 0.635e-3
+MIRROR_DB, TIP_DB = 20.0, 10.0
+"""Levels of the mirror-like part and of the tip over the rough surface's, as by default."""
+DOWN = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, -0.1], [0, 0, 0, 1.0]])
+"""Pose of the probe in the tissue; it looks down."""
+
+
+@dataclass(frozen=True)
+class Scanner:
+    """Probe with the settings of fig. 5 and few frames, and its beam."""
+
+    probe: str = "4dc7_3_40"
+    frames: int = 11
+
+    def __post_init__(self):
+        transducer, imaging = load_transducer(self.probe), ImagingParameters(frames=self.frames)
+        geometry = sweep_geometry(transducer, imaging)
+        beam = beam_profile(transducer, imaging, geometry)
+        depths = geometry.sample_pitch * np.arange(geometry.samples)
+        reference = int(np.abs(depths - transducer.lens_focus).argmin())
+        bright = 20 * np.log10(depth_tables(beam, geometry, reference)[0].bright)
+        for name, value in {
+            "transducer": transducer, "imaging": imaging, "geometry": geometry, "beam": beam,
+            "spread": point_spread(beam, geometry), "depths": depths, "bright": bright,
+            "width": beam.lateral[reference],
+        }.items():  # fmt: skip
+            object.__setattr__(self, name, value)
+
+
+scanner = cache(Scanner)
+
+
+@dataclass(frozen=True)
+class End:
+    """Dip in deg, depth of the tip in m, kind of tip, and contrast of the rough shaft in dB."""
+
+    dip: float
+    depth: float
+    tip: str
+    contrast: float
+
+
+def _levels(end, using, p, k):
+    """Echo of a needle with the contrast wanted on its axis, and what its levels depend on."""
+    covariance = blur_covariance(using.spread, using.geometry, p[np.newaxis])[0]
+    blur = 1 / np.sqrt(k @ np.linalg.solve(covariance, k))
+    bright = float(np.interp(p[1], using.depths, using.bright))
+    level = end.contrast + MIRROR_DB - bright - 10 * np.log10(blur / using.width)
+    echo = NeedleEchoParameters(
+        specular_db=level, diffuse_db=-MIRROR_DB, tip_db=end.contrast + TIP_DB, tip=end.tip
+    )
+    return echo, blur, bright
+
+
+def _needle(p, k, length):
+    shaft = np.array([p - length * k, p]) @ DOWN[:3, :3].T + DOWN[:3, 3]
+    return Needle(shaft, RADIUS)
+
+
+def needle_end(end, using):
+    """Return the levels of a needle's end as the bound needs them."""
+    dip, p = np.deg2rad(end.dip), np.array([0, end.depth, 0])
+    k = np.array([np.cos(dip), np.sin(dip), 0])
+    echo, blur, bright = _levels(end, using, p, k)
+    X_FT = np.linalg.inv(DOWN)[:3]
+    X_FT[1, 3] += using.geometry.motor_radius
+    offset = using.geometry.array_radius - using.geometry.motor_radius
+    fading = NeedleFading(echo, np.random.default_rng(0))
+    needles = [_needle(p, k, 0.02)]
+    view = needle_view(echo, fading, using.beam, needles, X_FT[np.newaxis], offset, np.zeros(1))
+    tip_db = end.contrast + TIP_DB + 20 * np.log10(view.tips[0]) + bright
+    length = echo.bevel_length * RADIUS
+    tip = {"point_db": tip_db} if end.tip == "blunt" else {
+        "bevel_length": length, "bevel_db": tip_db + 10 * np.log10(np.sqrt(np.pi) * blur / length)
+    }  # fmt: skip
+    return NeedleEnd(
+        shaft_db=end.contrast,
+        mirror_db=echo.specular_db + bright + 20 * np.log10(blur / using.width),
+        reverberation_db=echo.reverberation_db,
+        reverberation_distance=reverberations(echo, RADIUS, using.geometry.sound_speed)[1],
+        wavelength=using.beam.wavelength,
+        **tip,
+    )
+
+
+def sweep_with(end, using, seed):
+    """Render a sweep; return it with the needle's (2, 3) ends in P and a generator."""
+    rng = np.random.default_rng([seed, int(end.dip), int(1e3 * end.depth)])
+    dip, azimuth = np.deg2rad([end.dip, rng.uniform(-5, 5)])
+    k = np.array([np.cos(dip) * np.cos(azimuth), np.sin(dip), np.cos(dip) * np.sin(azimuth)])
+    p = np.array([0, end.depth, 0]) + rng.uniform(-2e-3, 2e-3, 3)
+    length = min(0.08, (p[1] + 0.05) / max(np.sin(dip), 1e-3))
+    renderer = SweepRenderer(
+        transducer=using.transducer,
+        imaging=using.imaging,
+        tissue=Tissue(size=[0.6, 0.6, 0.4], seed=seed),
+        parameters=ScannerParameters(needle=_levels(end, using, p, k)[0]),
+        seed=seed,
+    )
+    frames = using.geometry.frames
+    still = np.repeat(DOWN[np.newaxis], frames, axis=0)
+    grey = renderer.render(still, [_needle(p, k, length)] * frames, 1, seed)
+    motion = SweepMotion.at_rest(using.geometry, RigidTransform(), 0.0)
+    sweep = Sweep(grey, motion, using.imaging.decibels_per_level, using.spread)
+    return sweep, np.array([p - length * k, p]), rng

@@ -1,0 +1,91 @@
+"""Errors of our localizer along the needle, and the least possible ones."""
+
+import itertools
+from functools import cache
+
+import numpy as np
+
+from sonoservo.systems.evaluation.needle_end import samples_near
+from sonoservo.systems.evaluation.tip_bound import tip_error_bound, tip_posterior
+from sonoservo.systems.localization import NeedleLocalizerParameters, localize
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_prediction import NeedlePrediction
+from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
+
+from .needles import (
+    CONTRASTS,
+    DEPTHS,
+    DIPS,
+    RADIUS,
+    TIPS,
+    End,
+    needle_end,
+    scanner,
+    sweep_with,
+)
+from .tables import line_of
+
+NOISE_DB = -55.0
+
+
+@cache
+def conversion(using):
+    return ScanConversion(using.geometry, make_grid(using.geometry, [0.7e-3] * 3))
+
+
+def error_along(end, using, seed):
+    """Error of the localizer's tip along the needle in m, of one volume; NaN if there is none."""
+    sweep, ends, rng = sweep_with(end, using, seed)
+    volume = conversion(using)(sweep)
+    # A prediction that is 2 mm off in every direction; the localizer sees nothing else.
+    expected = ends + rng.normal(0, 2e-3, (2, 3))
+    prediction = NeedlePrediction(
+        2, volume.time, NeedleCurve(expected), np.zeros((2, 3)), 4e-6 * np.eye(6), expected[0]
+    )
+    found = localize(volume, prediction, NeedleLocalizerParameters(), rng)
+    k = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+    return (found.curve.tip - ends[1]) @ k if found else np.nan
+
+
+def noise_db(end, using):
+    """Level of the noise over the tissue's at the tip."""
+    return NOISE_DB + 2 * 0.5 * 1e-6 * using.imaging.transmit_frequency * 1e2 * end.depth
+
+
+def bound_of(end, using, volumes):
+    """Return the bound for a needle's end in the scanner's image."""
+    return tip_error_bound(
+        needle_end(end, using), using.geometry, using.spread, depth=end.depth, dip_deg=end.dip,
+        noise_db=noise_db(end, using), volumes=volumes, particles=100,
+    )  # fmt: skip
+
+
+def best_error_along(end, using, seed):
+    """Error in m, in a rendered sweep, of the estimator that knows what the bound supposes."""
+    sweep, ends, rng = sweep_with(end, using, seed)
+    k = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+    beam = ends[1] + [0, using.geometry.array_radius, 0]
+    beam[2] = 0
+    # The echo is that of the front wall. The search is centred anywhere near the tip.
+    echo = ends[1] - RADIUS * beam / np.linalg.norm(beam)
+    blur = samples_near(using.geometry, using.spread, echo, k).blur
+    off = rng.uniform(-2, 2) * blur
+    samples = samples_near(using.geometry, using.spread, echo + off * k, k)
+    level = sweep.sample(samples.p_P) - using.imaging.tissue_grey
+    envelope = 10 ** (using.imaging.decibels_per_level * level / 20)
+    args = needle_end(end, using), samples, envelope, noise_db(end, using), rng
+    return tip_posterior(*args)[0] + off
+
+
+def study(volumes, first_seed, say=None, *, probe="4dc7_3_40", bound_volumes=20,
+          dips=DIPS, depths=DEPTHS, tips=TIPS, contrasts=CONTRASTS):  # fmt: skip
+    """Return {end: (errors of our tips in m, bound)}."""
+    using, rows = scanner(probe), {}
+    for each in itertools.product(dips, depths, tips, contrasts):
+        end = End(*each)
+        errors = np.array([error_along(end, using, first_seed + i) for i in range(volumes)])
+        bound = bound_of(end, using, bound_volumes)
+        rows[end] = errors, bound
+        if say:
+            say(line_of(end, errors, bound))
+    return rows

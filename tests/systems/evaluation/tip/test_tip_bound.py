@@ -1,0 +1,174 @@
+import numpy as np
+import pytest
+from scipy.special import i0
+from scipy.stats import rice
+
+from sonoservo.systems.evaluation.needle_end import (
+    EchoModel,
+    EndSamples,
+    NeedleEnd,
+    echo_model,
+    samples_near,
+)
+from sonoservo.systems.evaluation.tip_bound import (
+    envelope_log_likelihood,
+    field_log_likelihood,
+    tip_error_bound,
+)
+from sonoservo.systems.signals.point_spread import FWHM_PER_SIGMA, PointSpread
+from sonoservo.systems.signals.sweep import SweepGeometry
+
+GEOMETRY = SweepGeometry(
+    array_radius=0.04, motor_radius=0.027, line_pitch=0.0106, frame_pitch=0.0255,
+    sample_pitch=0.4e-3, lines=96, frames=11, samples=226, frame_period=0.03,
+)  # fmt: skip
+SPREAD = PointSpread(np.array([0.0]), *(np.array([width]) for width in (2.4e-3, 1.9e-3, 0.42e-3)))
+
+
+def line(spacing=1.0, reach=8.0, rings=((0.0, 0.0),)):
+    """Samples on the axis and on lines beside it, in units of the blur."""
+    along = np.arange(-reach, reach + 1e-9, spacing)
+    return EndSamples(1e-3, np.repeat(along, len(rings)), np.tile(rings, (len(along), 1)))
+
+
+def drawn(model, tip, rng):
+    noise = rng.normal(scale=np.sqrt(0.5), size=(2, model.mean.shape[1]))
+    return model.mean[tip] + model.root[tip] @ (noise[0] + 1j * noise[1])
+
+
+def posterior_variance(tips, log_likelihood):
+    weights = np.exp(log_likelihood - log_likelihood.max())
+    weights /= weights.sum()
+    return weights @ tips**2 - (weights @ tips) ** 2
+
+
+def cramer_rao(end, samples, noise_db=-30.0):
+    """Bound of a circular Gaussian field with mean m and covariance C, in units of the blur.
+
+    Its information is tr(C^-1 C' C^-1 C') + 2 m'^H C^-1 m' (Kay 1993, section 15.7).
+    """
+    model = echo_model(end, samples, np.array([-0.125, 0.0, 0.125]), noise_db)
+    C = model.root @ model.root.conj().swapaxes(1, 2)
+    ratio = np.linalg.solve(C[1], C[2] - C[0]) / 0.25
+    mean = (model.mean[2] - model.mean[0]) / 0.25
+    of_mean = 2 * (mean.conj() @ np.linalg.solve(C[1], mean)).real
+    return 1 / np.sqrt(np.trace(ratio @ ratio).real + of_mean)
+
+
+def test_independent_amplitudes_have_rice_distributions():
+    rng = np.random.default_rng(0)
+    sigma = rng.uniform(0.5, 2, (2, 5))
+    mean = rng.normal(size=(2, 5)) + 1j * rng.normal(size=(2, 5))
+    r = rng.uniform(0.5, 2, 5)
+    model = EchoModel(mean, sigma[..., None] * np.eye(5))
+    found = envelope_log_likelihood(model, r, rng, particles=4000)
+    s = sigma / np.sqrt(2)
+    expected = rice.logpdf(r, np.abs(mean) / s, scale=s).sum(axis=1)
+    np.testing.assert_allclose(found, expected, atol=2e-2)
+
+
+def test_phases_are_integrated_out():
+    rng = np.random.default_rng(1)
+    model = echo_model(NeedleEnd(shaft_db=10, mirror_db=8), line(1.0, 1.0), np.zeros(1), -20.0)
+    r = np.abs(drawn(model, 0, rng))
+    inverse = np.linalg.inv(model.root[0] @ model.root[0].conj().T)
+    phases = np.stack(np.meshgrid(*3 * [np.arange(24) / 24 * 2 * np.pi]), axis=-1).reshape(-1, 3)
+    away = r * np.exp(1j * phases) - model.mean[0]
+    density = np.exp(-np.einsum("pi,ij,pj->p", away.conj(), inverse, away).real)
+    expected = np.prod(2 * r) * density.mean() * np.linalg.det(inverse)
+    found = envelope_log_likelihood(model, r, rng, particles=20000)[0]
+    assert found == pytest.approx(np.log(expected), abs=0.03)
+    # The mean's own phase does not matter to a field of unknown phase.
+    turned = EchoModel(model.mean * 1j, model.root)
+    for each in (model, turned):
+        assert field_log_likelihood(each, away[0])[0] == pytest.approx(
+            field_log_likelihood(model, away[0])[0]
+        )
+
+
+def test_a_pair_of_fields_without_a_mean_has_the_closed_form():
+    covariance = np.array([[3.0, 1.2], [1.2, 2.0]])
+    r = np.array([1.3, 0.9])
+    found = envelope_log_likelihood(
+        EchoModel(np.zeros((1, 2), complex), np.linalg.cholesky(covariance)[np.newaxis]), r,
+        np.random.default_rng(0), particles=1000,
+    )[0]  # fmt: skip
+    inverse = np.linalg.inv(covariance)
+    expected = 4 * np.prod(r) * np.linalg.det(inverse) * i0(2 * abs(inverse[0, 1]) * np.prod(r))
+    expected *= np.exp(-(r**2 @ np.diag(inverse)))
+    assert found == pytest.approx(np.log(expected), abs=1e-2)
+
+
+def test_samples_far_apart_have_the_information_of_exponential_intensities():
+    """White limit: the sum over samples of (m' / m)^2 for their mean intensities m."""
+    end, samples = NeedleEnd(shaft_db=20), line(4.0)
+    samples = samples._replace(along=samples.along + 0.7)
+    below, at, above = (
+        np.sum(np.abs(root) ** 2, axis=1)
+        for root in echo_model(end, samples, np.array([-0.125, 0.0, 0.125]), -30.0).root
+    )
+    information = np.sum(((above - below) / 0.25 / at) ** 2)
+    assert cramer_rao(end, samples) == pytest.approx(1 / np.sqrt(information), rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("end", "least", "most"),
+    [(NeedleEnd(shaft_db=5, mirror_db=30), 0.9, 1.2), (NeedleEnd(shaft_db=30), 1.3, 3)],
+)
+def test_maximum_likelihood_attains_the_bound_of_a_mirror_like_end(end, least, most):
+    """The Cramer-Rao bound is that of a mirror-like end, and too low for a rough one."""
+    rng = np.random.default_rng(2)
+    tips = np.arange(-1, 1.01, 0.05)
+    models = echo_model(end, line(0.75), tips, -30.0)
+    middle = len(tips) // 2
+    likelihoods = [field_log_likelihood(models, drawn(models, middle, rng)) for _ in range(100)]
+    bound = np.sqrt(np.mean([posterior_variance(tips, each) for each in likelihoods]))
+    errors = tips[[int(each.argmax()) for each in likelihoods]]
+    assert least < bound / cramer_rao(end, line(0.75)) < most
+    assert 0.85 * bound < np.sqrt(np.mean(errors**2)) < 1.5 * bound
+
+
+def bound(end=None, scale=1.0, **how):
+    widths = [scale * SPREAD.widths(np.zeros(1))[:, i] for i in range(3)]
+    how = {"depth": 0.05, "dip_deg": 30.0, "volumes": 14, "particles": 25} | how
+    return tip_error_bound(end or NeedleEnd(), GEOMETRY, PointSpread(np.zeros(1), *widths), **how)
+
+
+def test_the_posterior_mean_attains_it_and_phases_tell_more():
+    found = bound()
+    assert np.sqrt(np.mean(found.errors**2)) == pytest.approx(found.std, rel=0.4)
+    assert 0.6 * found.std < found.field_std < found.std
+
+
+def test_contrast_lowers_it_and_a_bevel_that_does_not_echo_raises_it():
+    clear = bound(NeedleEnd(shaft_db=30), volumes=5).std
+    assert clear < 0.8 * bound(NeedleEnd(shaft_db=18), volumes=5).std
+    assert bound(NeedleEnd(shaft_db=30, bevel_length=3e-3), volumes=5).std > 1.5 * clear
+
+
+def test_the_blur_on_the_axis_is_the_unit_of_length():
+    k = np.array([np.cos(0.5), np.sin(0.5), 0.0])
+    places = [np.array([0, 0.05, z]) for z in np.linspace(0, 0.077 * 0.0255, 8)]
+    found = [samples_near(GEOMETRY, SPREAD, place, k) for place in places]
+    lateral, axial = 2.4e-3 / FWHM_PER_SIGMA, 0.42e-3 / FWHM_PER_SIGMA
+    assert found[0].blur == pytest.approx(1 / np.hypot(k[0] / lateral, k[1] / axial))
+    assert np.all(np.diff(found[0].along) >= 0)
+    # As many as the cylinder has room for.
+    cell = 0.09 * 0.0106 * 0.077 * 0.0255 * 0.4e-3
+    unit = lateral * axial * 1.9e-3 / FWHM_PER_SIGMA
+    count = np.mean([len(each.along) for each in found])
+    assert count == pytest.approx(16 * np.pi * 2**2 * unit / cell, rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"), [("depth", {"depth": -1.0}), ("p_PTip", {"depth": 0.5}),
+                          ("dip_deg", {"dip_deg": 90.0}), ("volumes", {"volumes": 0})],
+)  # fmt: skip
+def test_what_is_not_allowed_is_named(name, changes):
+    with pytest.raises(ValueError, match=name):
+        bound(**changes)
+
+
+def test_a_negative_bevel_is_not_allowed():
+    with pytest.raises(ValueError, match="bevel_length: -1"):
+        NeedleEnd(bevel_length=-1.0)
