@@ -267,3 +267,31 @@ def test_explanation_shows_each_attempt_to_follow_a_needle_outwards():
     ]
     assert explained.attempts[0].measurement.reason == "only the end of a needle was found"
     assert explained.attempts[-1].measurement is explained.measurement
+
+
+def test_a_needle_that_enters_the_tissue_in_view_comes_from_outside():
+    wall = ENTRY + 0.03 * K
+    ends = np.array([wall, wall + 0.025 * K])
+    volume = SCENE.volume(1, lambda time: ends)
+    index = np.indices(volume.intensities.shape).reshape(3, -1).T
+    air = ((volume.position(index) - wall) @ K < -1e-3).reshape(volume.intensities.shape)
+    sector = volume.intensities > 0
+    dark = dataclasses.replace(
+        volume, intensities=np.where(air & sector, 1, volume.intensities).astype(np.uint8)
+    )
+    end = np.array([ends[1] - 0.012 * K, ends[1]])
+    found = run(dark, expected(end, entry=None))
+    assert np.linalg.norm(found.curve.entry - ends[0]) < 4e-3
+    assert np.linalg.norm(found.curve.tip - ends[1]) < 1.5e-3
+    inside = run(volume, expected(end, entry=None))
+    assert "outside the field of view" in inside.reason
+
+
+def test_a_needle_on_its_way_out_is_followed_past_the_entry_once_known():
+    """The probe has followed it, so that more of it is in view than at first."""
+    ends = needle(0.04)
+    volume = SCENE.volume(1, lambda time: ends)
+    known = expected(np.array([ends[1] - 2e-3 * K, ends[1] + 1e-3 * K]))
+    found = run(volume, known)
+    assert np.linalg.norm(found.curve.entry - ends[0]) < 4e-3
+    assert np.linalg.norm(found.curve.tip - ends[1]) < 1.5e-3
