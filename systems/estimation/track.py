@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.estimation.needle_filter import NeedleState
@@ -36,6 +37,10 @@ class Track(Immutable):
         First and last of successive detections; None if there is none.
     rejected
         Last measurement that failed the gate since the last confirmation.
+    entry
+        (3,) place of the entry when the needle was found, in the state's frame, in m; None if no
+        needle is followed. A filter's own entry would slide along the needle if it were measured
+        by itself.
     innovation
         Mahalanobis distance of the last measurement from its prediction; None if none was gated.
     candidate
@@ -57,6 +62,7 @@ class Track(Immutable):
     since: float = -np.inf
     detections: tuple[InsertionDetection, InsertionDetection] | None = None
     rejected: NeedleMeasurement | None = None
+    entry: NDArray[np.float64] | None = None
     innovation: float | None = None
     candidate: NeedleState | None = None
     seen: int = 0
@@ -72,7 +78,8 @@ class Track(Immutable):
             return self
         X = X_WP.multiply(self.X_WP.inverse())
         state, candidate = (each and each.transformed(X) for each in (self.state, self.candidate))
-        return replace(self, X_WP=X_WP, state=state, candidate=candidate)
+        entry = None if self.entry is None else X.multiply(self.entry)
+        return replace(self, X_WP=X_WP, state=state, candidate=candidate, entry=entry)
 
     @property
     def estimate(self) -> NeedleEstimate:

@@ -107,15 +107,15 @@ class TrackLifecycle:
             return NotFound("no needle has been detected")
         state = last if everywhere else self.needle_filter.predict(last, time)
         points = 3 * self.order
+        known = track.mode != TrackingMode.SEARCHING or track.candidate is not None
+        resting = track.candidate is None and track.entry is not None
         return NeedlePrediction(
             self.order,
             state.time,
             state.curve,
             state.velocity,
             state.covariance[:points, :points],
-            entry=last.curve.entry
-            if track.mode != TrackingMode.SEARCHING or track.candidate
-            else None,
+            entry=(track.entry if resting else last.curve.entry) if known else None,
             missed=0 if track.candidate else track.missed,
             everywhere=everywhere,
         )
@@ -130,6 +130,24 @@ class TrackLifecycle:
         velocity: VelocityMeasurement | NotFound,
     ) -> Track:
         """Return the track after a volume; see `Lifecycle.next`."""
+        after = self._next(track, time, detection, measurement, velocity)
+        if after.state is None or after.mode == TrackingMode.SEARCHING:
+            return replace(after, entry=None)
+        found = track.mode in (TrackingMode.SEARCHING, TrackingMode.LOST)
+        anew = found or (after.innovation or 0.0) > self.gate
+        if track.entry is None or (anew and after.mode == TrackingMode.TRACKING):
+            return replace(after, entry=after.state.curve.entry)
+        return replace(after, entry=track.entry)
+
+    def _next(
+        self,
+        track: Track,
+        time: float,
+        detection: InsertionDetection | NotFound,
+        measurement: NeedleMeasurement | NotFound,
+        velocity: VelocityMeasurement | NotFound,
+    ) -> Track:
+        """Return the track after a volume, without the place of its entry."""
         everywhere = self._is_searched_everywhere(track, time)
         track = replace(track, searched=time if everywhere else track.searched)
         speed = velocity if isinstance(velocity, VelocityMeasurement) else None
