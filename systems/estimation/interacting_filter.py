@@ -7,6 +7,7 @@ import numpy as np
 from filterpy.kalman import predict, update
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
+from scipy.spatial.transform import Rotation
 
 from sonoservo.systems.estimation.needle_motion import NeedleMotionParameters, constant_velocity
 from sonoservo.systems.signals.immutable import Immutable, read_only
@@ -16,6 +17,9 @@ from sonoservo.systems.signals.requirements import require, require_positive
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 
 Floats = NDArray[np.float64]
+
+_AVERAGED = 0.05
+"""Share of a measured direction in the average."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +40,8 @@ class InteractingState(Immutable):
         (3n, 3n) covariance of an error that all measurements of the points have in common, in m^2.
     seen
         Last measurement.
+    axis
+        (3,) direction of the needle, averaged over seconds.
     """
 
     time: float
@@ -44,12 +50,13 @@ class InteractingState(Immutable):
     weights: Floats
     constant: Floats
     seen: NeedleMeasurement
+    axis: Floats
 
     def __post_init__(self) -> None:
         size = self.means.shape[-1]
         for name, shape in (
             ("means", (2, size)), ("covariances", (2, size, size)), ("weights", (2,)),
-            ("constant", (size // 3, size // 3)),
+            ("constant", (size // 3, size // 3)), ("axis", (3,)),
         ):  # fmt: skip
             object.__setattr__(self, name, read_only(getattr(self, name), name, shape))
 
@@ -99,6 +106,7 @@ class InteractingState(Immutable):
             covariances=R @ self.covariances @ R.T,
             constant=points @ self.constant @ points.T,
             seen=seen,
+            axis=X.rotation().matrix() @ self.axis,
         )
 
 
@@ -192,6 +200,7 @@ class InteractingFilter:
             weights,
             self.constant * R,
             measurement,
+            k,
         )
 
     def predict(self, state: InteractingState, time: float) -> InteractingState:
@@ -221,8 +230,14 @@ class InteractingFilter:
         """Return the state corrected by the measured control points (eqs. 12 to 14)."""
         if measurement is None:
             return state
-        z, R = measurement.curve.control_points.ravel(), measurement.covariance
+        z = measurement.curve.control_points.ravel()
         size = len(z)
+        # The measured direction jitters. Were the errors along it, an ever larger one along the
+        # needle would explain that, and the entry would slide away.
+        axis = state.axis + (measurement.curve.direction - state.axis) * _AVERAGED
+        axis = axis / np.linalg.norm(axis)
+        turned = np.kron(np.eye(size // 3), _rotation(measurement.curve.direction, axis))
+        R = turned @ measurement.covariance @ turned.T
         kept = self._correlation(state.seen, measurement)
         fades = np.r_[np.ones(2 * size), np.full(size, kept)]
         renewed = np.diag(np.r_[np.zeros(2 * size), np.full(size, 1 - kept**2)])
@@ -246,6 +261,7 @@ class InteractingFilter:
             weights=weights / weights.sum(),
             constant=self.constant * R,
             seen=measurement,
+            axis=axis,
         )
 
     def _correlation(self, before: NeedleMeasurement, now: NeedleMeasurement) -> float:
@@ -269,6 +285,14 @@ class InteractingFilter:
             for each in (before, now)
         ]
         return float(np.exp(-0.5 * apart @ apart) * min(stds) / max(stds))
+
+
+def _rotation(start: Floats, end: Floats) -> Floats:
+    """Return the (3, 3) smallest rotation that turns one unit vector into another."""
+    turn = np.cross(start, end)
+    angle = np.arctan2(np.linalg.norm(turn), start @ end)
+    axis = turn / max(float(np.linalg.norm(turn)), 1e-12)
+    return np.asarray(Rotation.from_rotvec(angle * axis).as_matrix())
 
 
 def _root(R: Floats) -> Floats:

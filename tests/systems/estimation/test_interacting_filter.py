@@ -53,6 +53,22 @@ def test_looks_from_elsewhere_are_evidence():
     assert np.sqrt(FILTER.constant) * 0.5e-3 < known < 0.8 * rested
 
 
+def test_a_direction_that_jitters_does_not_move_the_entry():
+    """To and fro, a sweep shows a needle that rests 0.2 mm to either side."""
+
+    def jittering(number):
+        aside = 0.2e-3 * (-1) ** number
+        ends = np.array([[0, aside, 0], [0.03, 0.2 * aside, 0]])
+        k = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+        along, across = np.diag([1.0, 0.36]) * 1e-6, 0.0225e-6 * np.eye(6)
+        covariance = np.kron(along, np.outer(k, k)) + across
+        curve = NeedleCurve(ends)
+        return NeedleMeasurement(curve, covariance, PERIOD * number, 100, 0.8, RigidTransform())
+
+    entry = follow(jittering(k) for k in range(60)).curve.entry
+    np.testing.assert_allclose(entry, 0, atol=0.7e-3)
+
+
 def test_a_hand_that_stops_is_noticed():
     tips = [0.02 + 8e-3 * PERIOD * min(k, 10) for k in range(16)]
     state = follow(measurement(k, tip) for k, tip in enumerate(tips))
