@@ -185,7 +185,7 @@ def _write_npz(folder: Path) -> None:
 
 
 def _kept(folder: Path) -> runs._Kept:
-    return runs._Kept(folder, Store(str(folder)))
+    return runs._Kept(folder, Store(str(folder)), "code")
 
 
 def _write_outcome(folder: Path) -> None:

@@ -60,7 +60,7 @@ def test_a_change_all_over_is_not_an_insertion():
 
 
 def test_tissue_that_comes_and_goes_is_told_from_a_needle():
-    scene = Scene(seed=3, spacing=1e-3)
+    scene, rng = Scene(seed=3, spacing=1e-3), np.random.default_rng(1)
 
     def breathing(time, shift, shafts=lambda time: None):
         """Tissue shifted in depth by some mm, and a needle that is not, as bright as speckle."""
@@ -74,11 +74,11 @@ def test_tissue_that_comes_and_goes_is_told_from_a_needle():
     previous = breathing(3, 0)
     earlier = [breathing(0, 3), breathing(1, 0), breathing(2, -3)]
     with_needle = breathing(5, 3, needle(8e-3))
-    alone = detect_insertion(with_needle, previous, PARAMETERS, RNG)
+    alone = detect_insertion(with_needle, previous, PARAMETERS, rng)
     assert "spread" in alone.reason
-    assert "spread" in detect_insertion(with_needle, previous, PARAMETERS, RNG, earlier[:1]).reason
-    assert not detect_insertion(breathing(5, 3), previous, PARAMETERS, RNG, earlier)
-    found = detect_insertion(with_needle, previous, PARAMETERS, RNG, earlier)
+    assert "spread" in detect_insertion(with_needle, previous, PARAMETERS, rng, earlier[:1]).reason
+    assert not detect_insertion(breathing(5, 3), previous, PARAMETERS, rng, earlier)
+    found = detect_insertion(with_needle, previous, PARAMETERS, rng, earlier)
     along = (found.p_WMedian - ENTRY) @ INWARD
     assert 0 < along < 8e-3
     assert np.linalg.norm(found.p_WMedian - ENTRY - along * INWARD) < 2.5e-3
