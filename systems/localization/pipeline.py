@@ -14,6 +14,8 @@ from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerP
 from sonoservo.systems.localization.needle_line import NeedleLine, line_between, needle_lines
 from sonoservo.systems.localization.ransac import ransac_axis
 from sonoservo.systems.localization.search_region import (
+    EVERYWHERE,
+    agrees_with_motion,
     found_again,
     line_region,
     outer_region,
@@ -202,7 +204,8 @@ def _attempt(
     looked.update(inliers=consensus.inliers)
     rough = consensus.fit
     extent = _extent(volume, region, parameters, rough, looked)
-    _require_motion(region, parameters, rough, extent)
+    if not agrees_with_motion(region, rough.axis, extent, parameters):
+        raise _AbsentError("the needle found is not the one that moved")
     fit = _refit(points, weights, parameters, rough, extent)
     extent = _extent(volume, region, parameters, fit, looked)
     longer = region.entry is None and extent.start - extent.entered > parameters.max_entry_gap
@@ -250,12 +253,15 @@ def _extent(
 ) -> NeedleExtent:
     """Find the points at which the needle begins and ends along an axis."""
     ends = np.sort(fit.axis.abscissa(region.curve.control_points[[0, -1]]))
-    profile: AxisProfile = axis_profile(
-        volume, fit.axis, ends[0] - region.before, ends[1] + region.beyond, parameters.tip
-    )
-    looked.update(profile=profile, extent=None)
-    extent = _expect(find_extent(profile, parameters.tip))
-    looked.update(extent=extent)
+    # A needle that was thrown forwards goes on beyond the region.
+    for beyond in (region.beyond, EVERYWHERE):
+        start, stop = ends[0] - region.before, ends[1] + beyond
+        profile: AxisProfile = axis_profile(volume, fit.axis, start, stop, parameters.tip)
+        looked.update(profile=profile, extent=None)
+        extent = _expect(find_extent(profile, parameters.tip))
+        looked.update(extent=extent)
+        if region.entry is None or not (extent.leaves and profile.seen[-1]):
+            break
     least = parameters.min_length
     if region.entry is not None:
         predicted = profile.seen & (profile.a >= ends[0]) & (profile.a <= ends[1])
@@ -264,21 +270,6 @@ def _extent(
         visible = 1e3 * (extent.tip - extent.start)
         raise _AbsentError(f"only {visible:.1f} mm of the needle are visible")
     return extent
-
-
-def _require_motion(
-    region: SearchRegion,
-    parameters: NeedleLocalizerParameters,
-    fit: AxisFit,
-    extent: NeedleExtent,
-) -> None:
-    """Reject a needle without an end near the place at which a tip is known to have moved."""
-    if region.tip_moved:
-        ends = fit.axis.position([extent.start, extent.tip])
-        away = np.linalg.norm(ends - region.curve.tip, axis=1).min()
-        aside = fit.axis.distance(region.curve.tip)
-        if away > parameters.max_entry_gap or aside > parameters.max_aside:
-            raise _AbsentError("the needle found is not the one that moved")
 
 
 def _inliers(

@@ -13,7 +13,7 @@ from sonoservo.systems.signals.localization_explanation import NeedleExtent, Sea
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 
-_EVERYWHERE = 0.3
+EVERYWHERE = 0.3
 """Length that exceeds any volume, in m."""
 
 _LOST = 1.0
@@ -44,10 +44,7 @@ def predicted_region(
         radius=min(margin + 3 * across, parameters.max_radius),
         before=parameters.max_entry_gap if guessed else margin,
         shaft_beyond=along,
-        # What moved the needle out of place may have moved it far along its axis.
-        beyond=_EVERYWHERE
-        if prediction.missed and not guessed
-        else min(3 * along + (0 if guessed else margin), 3 * parameters.max_radius),
+        beyond=min(3 * along + (0 if guessed else margin), 3 * parameters.max_radius),
         max_angle=min(
             math.radians(parameters.max_angle_deg) + math.atan2(3 * across, max(curve.chord, 1e-3)),
             math.pi / 4 if guessed else math.pi / 2,
@@ -56,7 +53,7 @@ def predicted_region(
         tip_moved=guessed,
     )
     if not parameters.volume_of_interest:
-        far = _EVERYWHERE
+        far = EVERYWHERE
         region = replace(region, radius=far, before=far, beyond=far, shaft_beyond=far)
     if not parameters.angle_gate:
         region = replace(region, max_angle=math.pi / 2)
@@ -109,6 +106,17 @@ def line_region(
         shaft_beyond=0.0,
         max_angle=math.radians(parameters.max_angle_deg),
     )
+
+
+def agrees_with_motion(
+    region: SearchRegion, axis: Axis, extent: NeedleExtent, parameters: NeedleLocalizerParameters
+) -> bool:
+    """Return True unless a tip is known to have moved, and the needle has no end near it."""
+    ends = axis.position([extent.start, extent.tip])
+    away = float(np.linalg.norm(ends - region.curve.tip, axis=1).min())
+    aside = float(axis.distance(region.curve.tip))
+    near = away <= parameters.max_entry_gap and aside <= parameters.max_aside
+    return near or not region.tip_moved
 
 
 def outer_region(
