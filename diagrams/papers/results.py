@@ -9,11 +9,10 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from sonoservo.diagrams.studies.fingerprint import study_fingerprint
+from sonoservo.diagrams.studies.fingerprint import study_fingerprint, study_room
 from sonoservo.systems.evaluation.reports.web_page import cell_text
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.writing import write_atomically, write_json
@@ -129,7 +128,7 @@ def with_tables(text: str) -> str:
     def table(found: re.Match[str]) -> str:
         paper, rows = found.groups()
         kept = kept_results(paper)
-        made_by = "all" if _room(paper) == "papers" else paper
+        made_by = "all" if study_room(paper) == "papers" else paper
         content = _NONE.format(made_by) if kept is None else results_table(kept, rows)
         return f"<!-- results {paper} {rows} -->\n{content}\n<!-- end of results -->"
 
@@ -179,9 +178,4 @@ def _results_path(paper: str) -> Path:
 
 
 def _folder(paper: str) -> Path:
-    return _ROOT / "diagrams" / _room(paper) / paper
-
-
-def _room(paper: str) -> str:
-    """Return the room of a paper, which has a package beside this module, or of a study."""
-    return "papers" if find_spec(f"sonoservo.diagrams.papers.{paper}") else "studies"
+    return _ROOT / "diagrams" / study_room(paper) / paper

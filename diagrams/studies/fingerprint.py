@@ -57,9 +57,13 @@ def study_fingerprint(name: str) -> str:
     name
         Name of its package.
     """
+    return code_fingerprint(f"sonoservo.diagrams.{study_room(name)}.{name}.reproduction")
+
+
+def study_room(name: str) -> str:
+    """Return the folder of `diagrams` in which a study's package lies: "papers" or "studies"."""
     folder = Path(str(files("sonoservo.diagrams")))
-    room = "papers" if (folder / "papers" / name).is_dir() else "studies"
-    return code_fingerprint(f"sonoservo.diagrams.{room}.{name}.reproduction")
+    return "papers" if (folder / "papers" / name).is_dir() else "studies"
 
 
 def _reached_modules(modules: Sequence[str]) -> set[str] | None:
