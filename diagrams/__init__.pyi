@@ -6,6 +6,7 @@ from .app.run import run as run
 from .app.run_result import RunResult as RunResult
 from .app.scan import Scan as Scan
 from .app.scan import scan as scan
+from .app.volumes.calibrate import calibrate_recording as calibrate_recording
 from .app.volumes.locate import LocatedNeedle as LocatedNeedle
 from .app.volumes.locate import locate as locate
 from .app.volumes.locate import locate_in as locate_in
@@ -15,6 +16,7 @@ from .app.volumes.tracked_recording import TrackedRecording as TrackedRecording
 from .assembly import assemble_arm as assemble_arm
 from .assembly import load_dome_radius as load_dome_radius
 from .assembly import load_probe_body as load_probe_body
+from .calibrated_tracker import MakeCalibratedTracker as MakeCalibratedTracker
 from .experiments.experiment import Experiment as Experiment
 from .experiments.following import FollowingExperiment as FollowingExperiment
 from .experiments.following_events import tracker_events as tracker_events

@@ -20,7 +20,12 @@ from sonoservo.diagrams.app.commands.results import (
 )
 from sonoservo.diagrams.app.commands.scenarios import list_command, new_command, show_command
 from sonoservo.diagrams.app.commands.studies import dataset_command, reproduce_command
-from sonoservo.diagrams.app.commands.volumes import bridge_command, locate_command, track_command
+from sonoservo.diagrams.app.commands.volumes import (
+    bridge_command,
+    calibrate_command,
+    locate_command,
+    track_command,
+)
 from sonoservo.diagrams.app.interruption import INTERRUPTED, is_interrupted
 from sonoservo.diagrams.app.options import (
     ChangesOption,
@@ -270,6 +275,7 @@ _COMMANDS = (
     track_command,
     bridge_command,
     locate_command,
+    calibrate_command,
     dataset_command,
     reproduce_command,
 )

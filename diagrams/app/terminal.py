@@ -132,9 +132,9 @@ class Progress:
 
 
 class VolumeProgress:
-    """Progress bar of the tracking of a recording, with the tracker's mode.
+    """Progress bar of the work on a recording, with the tracker's mode.
 
-    Call it after every volume with its number and the estimate.
+    Call it after every volume with its number and the estimate, if there is one.
 
     Parameters
     ----------
@@ -158,9 +158,9 @@ class VolumeProgress:
     def __exit__(self, *error: object) -> None:
         self._bar.stop()
 
-    def __call__(self, number: int, estimate: NeedleEstimate) -> None:
+    def __call__(self, number: int, estimate: NeedleEstimate | None = None) -> None:
         """Move the bar."""
-        state = f"volume {number + 1} of {self._count}  {estimate.mode}"
+        state = f"volume {number + 1} of {self._count}  {'' if estimate is None else estimate.mode}"
         self._bar.update(self._task, completed=number + 1, state=state)
 
 
@@ -203,4 +203,22 @@ def live_table(summary: Mapping[str, Any]) -> Table:
         table.add_row(label, format_figure(look_up(summary, path)))
     for mode, count in summary["modes"].items():
         table.add_row(f"volumes after which the mode was {mode}", str(count))
+    return table
+
+
+def pose_error_table(figures: Mapping[str, Any]) -> Table:
+    """Return the errors of a recording's poses with their standard deviations, for a terminal."""
+    table = Table(title="Errors of the poses", caption="x: lateral, y: depth, z: elevation")
+    table.add_column("quantity")
+    table.add_column("estimate", justify="right")
+    table.add_column("standard deviation", justify="right")
+    delay = format_figure(figures["delay_ms"]), format_figure(figures["delay_std_ms"])
+    table.add_row("delay, ms", *delay)
+    for name, label, unit in (
+        ("translation", "image displaced along", "mm"),
+        ("rotation", "image turned about", "deg"),
+    ):
+        for i, axis in enumerate("xyz"):
+            each = figures[f"{name}_{unit}"][i], figures[f"{name}_std_{unit}"][i]
+            table.add_row(f"{label} {axis}, {unit}", *map(format_figure, each))
     return table

@@ -7,5 +7,6 @@ from .scenarios import show_command as show_command
 from .studies import dataset_command as dataset_command
 from .studies import reproduce_command as reproduce_command
 from .volumes import bridge_command as bridge_command
+from .volumes import calibrate_command as calibrate_command
 from .volumes import locate_command as locate_command
 from .volumes import track_command as track_command

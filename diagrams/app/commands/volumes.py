@@ -1,4 +1,4 @@
-"""Commands on recorded and live volumes: track, locate and bridge."""
+"""Commands on recorded and live volumes: track, bridge, locate and calibrate."""
 
 import shlex
 import sys
@@ -87,6 +87,13 @@ def track_command(
     volumes: VolumesOption = None,
     patience: PatienceOption = None,
     explain: ExplainOption = False,
+    correct_poses: Annotated[
+        bool,
+        typer.Option(
+            "--correct-poses",
+            help="Correct the delay and the calibration of the poses; see calibrate.",
+        ),
+    ] = False,
     out: OutOption = None,
     json_path: JsonOption = None,
 ) -> None:
@@ -138,6 +145,7 @@ def track_command(
             serve=serve or [],
             names=needle_names(names or [], points=points),
             limits=LiveLimits(volumes=volumes, patience=patience),
+            correct_poses=correct_poses,
             out=out,
         )
         write_printed(json_path, summary)
@@ -174,6 +182,7 @@ def track_command(
             console=pages.console if pages else None,
             out=folder,
             explain=explain,
+            correct_poses=correct_poses,
             command=shlex.join(["sonoservo", *sys.argv[1:]]),
             after_volume=progress,
         )
@@ -277,6 +286,39 @@ def locate_command(
         console.print(f"{name}: {shown}", soft_wrap=True, highlight=False)
     write_printed(json_path, found)
     if not found["found"]:
+        raise typer.Exit(1)
+
+
+def calibrate_command(
+    recording: Annotated[Path, typer.Argument(help="Recorded volumes with poses, as for track.")],
+    depth: DepthOption = "P",
+    window: WindowOption = None,
+    dynamic_range_db: DynamicRangeOption = None,
+    volume_rate: RateOption = None,
+    poses: PosesOption = None,
+    json_path: JsonOption = None,
+) -> None:
+    """Report delay and calibration error of a recording's poses; exit with 1 if they are unknown.
+
+    The tissue must stand still while the probe moves.
+    """
+    from sonoservo.diagrams.app.terminal import VolumeProgress, pose_error_table
+    from sonoservo.diagrams.app.volumes.calibrate import calibrate_recording, pose_error_figures
+    from sonoservo.systems.recording.recording import Recording
+
+    opened = Recording(
+        recording,
+        depth=depth,
+        window=window,
+        dynamic_range_db=dynamic_range_db,
+        volume_rate=volume_rate,
+        poses=poses,
+    )
+    with VolumeProgress(console, recording.name, len(opened)) as progress:
+        figures = pose_error_figures(calibrate_recording(opened, after_volume=progress))
+    console.print(pose_error_table(figures) if figures["found"] else figures["reason"])
+    write_printed(json_path, figures)
+    if not figures["found"]:
         raise typer.Exit(1)
 
 

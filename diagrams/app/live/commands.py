@@ -135,6 +135,7 @@ def track_address(
     serve: Sequence[str],
     names: NeedleNames,
     limits: LiveLimits,
+    correct_poses: bool,
     out: Path | None,
 ) -> dict[str, Any]:
     """Track live volumes until Ctrl-C or a limit, and print the figures; see `track_live`."""
@@ -160,6 +161,7 @@ def track_address(
                 console=page,
                 out=folder,
                 limits=limits,
+                correct_poses=correct_poses,
                 after_volume=lambda number, estimate: status.update(
                     f"volume {number + 1}  {estimate.mode}"
                 ),

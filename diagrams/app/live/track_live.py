@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sonoservo.diagrams.app.volumes.calibrate import pose_error_figures
 from sonoservo.diagrams.app.volumes.estimates_table import EstimatesTable, estimate_row
+from sonoservo.diagrams.calibrated_tracker import MakeCalibratedTracker, corrected_frame
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, track_volume
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
 from sonoservo.systems.files.writing import write_json
@@ -80,6 +82,7 @@ def track_live(
     console: "Console | None" = None,
     out: Path | None = None,
     limits: LiveLimits | None = None,
+    correct_poses: bool = False,
     after_volume: Callable[[int, NeedleEstimate], None] | None = None,
     say: Callable[[str], None] = print,
 ) -> dict[str, Any]:
@@ -104,6 +107,8 @@ def track_live(
         Folder for estimates.csv, which grows line by line, and summary.json, written at the end.
     limits
         Conditions under which tracking ends by itself.
+    correct_poses
+        Whether to correct delay and calibration of the poses; see `PoseCorrector`.
     after_volume
         Function called after every volume with its number and the estimate.
     say
@@ -135,7 +140,8 @@ def track_live(
             assert newest is not None
             if tracker is None:
                 noted = newest.acquisition.settings if newest.acquisition else {}
-                tracker = MakeNeedleTracker(
+                make_tracker = MakeCalibratedTracker if correct_poses else MakeNeedleTracker
+                tracker = make_tracker(
                     parameters=parameters,
                     period=1.0,
                     seed=int(noted.get("tracker_seed", 0)) if seed is None else seed,
@@ -151,6 +157,8 @@ def track_live(
             modes[str(estimate.mode)] += 1
             if table is not None:
                 X_WL = source.X_WL()
+                if correct_poses:
+                    X_WL = corrected_frame(tracker, context, volume, X_WL)
                 table.append(estimate_row(number, volume, estimate, X_WL, posed=source.posed))
             if console is not None:
                 console.show(volume, estimate, number + 1)
@@ -179,6 +187,9 @@ def track_live(
             "besides_tracking": _spread(np.subtract(total_s, track_s)),
         },
     }
+    if correct_poses and tracker is not None:
+        errors = tracker.GetOutputPort("pose_errors").Eval(context)
+        summary["pose_errors"] = pose_error_figures(errors)
     if out is not None:
         write_json(out / "summary.json", summary)
     return summary

@@ -13,10 +13,12 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import DiagramBuilder
 
 from sonoservo.diagrams.app.pages.pacer import Pacer
+from sonoservo.diagrams.app.volumes.calibrate import pose_error_figures
 from sonoservo.diagrams.app.volumes.estimates_table import estimate_row
 from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
 from sonoservo.diagrams.app.volumes.tracked_recording import TrackedRecording
 from sonoservo.diagrams.app.volumes.true_values import true_values
+from sonoservo.diagrams.calibrated_tracker import MakeCalibratedTracker, corrected_frame
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
 from sonoservo.diagrams.trackers.registry import TRACKERS
 from sonoservo.diagrams.trackers.tracker_parts import STARTS, TrackerParameters
@@ -101,6 +103,7 @@ def track_recording(
     console: "Console | None" = None,
     out: Path | None = None,
     explain: bool = False,
+    correct_poses: bool = False,
     command: str = "",
     after_volume: Callable[[int, NeedleEstimate], None] | None = None,
 ) -> TrackedRecording:
@@ -127,6 +130,9 @@ def track_recording(
     explain
         Whether to keep, in the folder's subfolder ``explanation``, what the tracker looked at
         around a loss; see `ExplanationRecorder`.
+    correct_poses
+        Whether to estimate the delay and the calibration of the poses, and to correct both; see
+        `PoseCorrector`. The tissue must stand still.
     command
         Command that repeats the tracking, for the report.
     after_volume
@@ -142,8 +148,9 @@ def track_recording(
         raise ConfigurationError("explain: there is no folder to keep explanations in; give out")
     with claim_folder(out):
         return _track(
-            recording, parameters, seed, real_time, console, out, explain, command, after_volume
-        )
+            recording, parameters, seed, real_time, console, out, explain, correct_poses, command,
+            after_volume,
+        )  # fmt: skip
 
 
 def _track(
@@ -154,6 +161,7 @@ def _track(
     console: "Console | None",
     out: Path | None,
     explain: bool,
+    correct_poses: bool,
     command: str,
     after_volume: Callable[[int, NeedleEstimate], None] | None,
 ) -> TrackedRecording:
@@ -161,7 +169,8 @@ def _track(
     truth_path = side_path(recording.path, TRUTH)
     truth = read_truth(truth_path) if truth_path.is_file() else None
 
-    tracker = MakeNeedleTracker(parameters=parameters, period=1.0, seed=seed)
+    make_tracker = MakeCalibratedTracker if correct_poses else MakeNeedleTracker
+    tracker = make_tracker(parameters=parameters, period=1.0, seed=seed)
     motion = recording[0].motion
     logger = RunLogger(geometry=motion.geometry if motion else None)
     builder = DiagramBuilder()
@@ -212,8 +221,11 @@ def _track(
                 force.FixValue(context, [truth.contact_force[sample]])
             diagram.ExecuteForcedEvents(context)
             estimate: NeedleEstimate = estimate_port.Eval(tracker_context)
+            X_WL = recording.X_WL(number)
+            if correct_poses:
+                X_WL = corrected_frame(tracker, tracker_context, volume, X_WL)
             clock.append(time.perf_counter())
-            _note(done, recording, number, volume, estimate, clock, number in pictured)
+            _note(done, recording, number, volume, estimate, X_WL, clock, number in pictured)
             if after_volume is not None:
                 after_volume(number, estimate)
             if console is not None and pacer is not None:
@@ -228,6 +240,9 @@ def _track(
         compute={name: np.array(each) for name, each in done.compute.items()},
     )
     summary = _summarize(recording, done, log, truth, interrupted, wall)
+    if correct_poses:
+        errors = tracker.GetOutputPort("pose_errors").Eval(tracker_context)
+        summary["pose_errors"] = pose_error_figures(errors)
     unwritten = Unwritten()
     result = TrackedRecording(
         done.estimates, done.rows, summary, log, times=done.times, pictures=done.pictures
@@ -243,6 +258,7 @@ def _note(
     number: int,
     volume: Volume,
     estimate: NeedleEstimate,
+    X_WL: RigidTransform,
     clock: Sequence[float],
     pictured: bool,
 ) -> None:
@@ -251,7 +267,7 @@ def _note(
     done.times.append(volume.time)
     done.estimates.append(estimate)
     posed = recording.posed
-    done.rows.append(estimate_row(number, volume, estimate, recording.X_WL(number), posed=posed))
+    done.rows.append(estimate_row(number, volume, estimate, X_WL, posed=posed))
     if pictured:
         done.pictures.append(picture_planes(volume, estimate.mode, estimate.curve))
 

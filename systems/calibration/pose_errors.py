@@ -1,0 +1,218 @@
+"""Delay of the probe's poses, and error of its hand-eye calibration, from tissue that stands still.
+
+A pose that is right puts a piece of tissue at the same place in W whenever it is seen. If poses are
+late by tau, and the image is not where the calibration has it, the true pose is
+X_true = X exp(tau V) exp(xi), with the pose X that a volume carries, the probe's velocity V in P
+and a small displacement xi = (r, s) of the image in P. To first order, tissue at q in P then seems
+to be at p' = p - R (s + r x q + tau (v + omega x q)). What it seems to move between two volumes is
+linear in the seven unknowns.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.polynomial import polynomial
+from numpy.typing import NDArray
+from pydrake.math import RigidTransform, RotationMatrix
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from sonoservo.systems.calibration.tissue_displacement import TissueDisplacement
+from sonoservo.systems.signals.acquisition import acquired_from
+from sonoservo.systems.signals.immutable import Immutable, NotFound, read_only
+from sonoservo.systems.signals.sweep import SweepMotion
+from sonoservo.systems.signals.volume import Volume
+
+Floats = NDArray[np.float64]
+
+_TYPICAL, _OUTLYING = 0.1e-3, 0.3e-3
+"""Typical error of a block's displacement in m, and the error from which a block counts less: it
+holds the needle, or what it moves."""
+
+_PRIOR = np.array([0.2, 3e-3, 3e-3, 3e-3, 0.03, 0.03, 0.03])
+"""Standard deviations of what can be expected: a delay in s, a translation in m and a rotation in
+rad. They matter where the probe's motion tells little."""
+
+_DEGREE = 3
+"""Degree of the polynomial that the probe moves along during a sweep."""
+
+_LEAST_PAIRS = 8
+"""Number of pairs of volumes without which nothing is said."""
+
+
+@dataclass(frozen=True, eq=False)
+class PoseErrors(Immutable):
+    """Errors of the poses that volumes carry.
+
+    Parameters
+    ----------
+    delay
+        Time in s by which the poses are late: that of a volume was true so much earlier.
+    translation, rotation
+        (3,) displacement in m, and rotation vector in rad, of the image in the probe frame P that
+        is assumed.
+    covariance
+        (7, 7) covariance of delay, translation and rotation.
+    pairs, blocks
+        Numbers of pairs of volumes and of blocks of tissue that were compared.
+    """
+
+    delay: float
+    translation: Floats
+    rotation: Floats
+    covariance: Floats
+    pairs: int
+    blocks: int
+
+    def __post_init__(self) -> None:
+        for name, shape in (("translation", (3,)), ("rotation", (3,)), ("covariance", (7, 7))):
+            object.__setattr__(self, name, read_only(getattr(self, name), name, shape))
+
+    @property
+    def std(self) -> Floats:
+        """(7,) standard deviations of delay, translation and rotation."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def X_PI(self) -> RigidTransform:
+        """Pose of the image I in the probe frame P that is assumed."""
+        turn = Rotation.from_rotvec(self.rotation.copy()).as_matrix()
+        return RigidTransform(RotationMatrix(turn), self.translation)
+
+    def corrected(self, volume: Volume) -> Volume:
+        """Return a volume with the poses that are true by these errors.
+
+        Without the times of its frames, a volume does not tell how fast the probe moved, and its
+        delay is not corrected.
+        """
+        if volume.motion is None:
+            return replace(volume, X_WP=volume.X_WP.multiply(self.X_PI))
+        motion = volume.motion
+        turned, moved = (self.delay * each for each in probe_velocities(motion, motion.times))
+        later = np.tile(np.eye(4), (len(turned), 1, 1))
+        later[:, :3, :3] = Rotation.from_rotvec(turned).as_matrix()
+        later[:, :3, 3] = moved
+        poses = motion.X_WP @ later @ self.X_PI.GetAsMatrix4()
+        turned, moved = (
+            self.delay * each[0] for each in probe_velocities(motion, np.array([volume.time]))
+        )
+        ahead = RigidTransform(RotationMatrix(Rotation.from_rotvec(turned).as_matrix()), moved)
+        X_WP = volume.X_WP.multiply(ahead).multiply(self.X_PI)
+        return replace(volume, X_WP=X_WP, motion=replace(motion, X_WP=poses))
+
+
+@dataclass(frozen=True, eq=False)
+class PoseEquations(Immutable):
+    """Linear equations for the seven unknowns, from one pair of volumes.
+
+    Parameters
+    ----------
+    matrix, displacement
+        (3 m, 7) coefficients, and (3 m,) apparent displacements in m.
+    """
+
+    matrix: Floats
+    displacement: Floats
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "matrix", read_only(self.matrix, "matrix", (None, 7)))
+        shape = (len(self.matrix),)
+        object.__setattr__(
+            self, "displacement", read_only(self.displacement, "displacement", shape)
+        )
+
+
+def probe_velocities(motion: SweepMotion, times: Floats) -> tuple[Floats, Floats]:
+    """Return (m, 3) angular and translational velocities of P in P at times of a sweep.
+
+    They are the derivatives of a cubic through the poses of the frames, in rad/s and m/s; zero if
+    all frames have the same time.
+    """
+    if np.ptp(motion.times) == 0:
+        return np.zeros((len(times), 3)), np.zeros((len(times), 3))
+    middle = RigidTransform(motion.X_WP[len(motion.X_WP) // 2])
+    poses = [middle.InvertAndCompose(RigidTransform(each)) for each in motion.X_WP]
+    turned = Rotation.from_matrix([X.rotation().matrix() for X in poses]).as_rotvec()
+    moved = np.array([X.translation() for X in poses])
+    fits = polynomial.polyfit(motion.times - motion.time, np.hstack([turned, moved]), _DEGREE)
+    rates = polynomial.polyval(times - motion.time, polynomial.polyder(fits)).T
+    return np.asarray(rates[:, :3]), np.asarray(rates[:, 3:])
+
+
+def pose_equations(first: Volume, second: Volume, seen: TissueDisplacement) -> PoseEquations:
+    """Return the equations that the apparent displacement of tissue between two volumes gives.
+
+    Parameters
+    ----------
+    first, second
+        The volumes.
+    seen
+        Apparent displacement from the first to the second.
+    """
+    here, there = (
+        _coefficients(volume, p_W)
+        for volume, p_W in ((first, seen.p_W), (second, seen.p_W + seen.displacement))
+    )
+    return PoseEquations((here - there).reshape(-1, 7), seen.displacement.ravel())
+
+
+def _coefficients(volume: Volume, p_W: Floats) -> Floats:
+    """Return the (m, 3, 7) shifts of tissue against the truth, by unit of each unknown, negated."""
+    R = volume.X_WP.rotation().matrix()
+    p_P = acquired_from(volume, p_W)
+    shifts = np.zeros((len(p_P), 3, 7))
+    if volume.motion is not None:
+        omega, v = probe_velocities(volume.motion, volume.to_world(p_P)[1])
+        shifts[:, :, 0] = v + np.cross(omega, p_P)
+    shifts[:, :, 1:4] = np.eye(3)
+    for i, axis in enumerate(np.eye(3)):
+        shifts[:, :, 4 + i] = np.cross(axis, p_P)
+    return np.einsum("ij,mjk->mik", R, shifts)
+
+
+def estimate_pose_errors(equations: Sequence[PoseEquations]) -> PoseErrors | NotFound:
+    """Solve the equations of several pairs of volumes by robust least squares.
+
+    The blocks of a pair err together, so the covariance counts pairs (a sandwich estimate).
+
+    Parameters
+    ----------
+    equations
+        Equations of each pair.
+
+    Returns
+    -------
+    The errors, or a `NotFound` with too few pairs.
+    """
+    used = [each for each in equations if len(each.displacement)]
+    if len(used) < _LEAST_PAIRS:
+        return NotFound(f"{len(used)} pairs of volumes show the same tissue, too few")
+    A = np.concatenate([each.matrix for each in used]) * _PRIOR
+    d = np.concatenate([each.displacement for each in used])
+
+    # What can be expected counts as one pair.
+    expected = _TYPICAL * np.sqrt(len(d) / len(used)) * np.eye(7)
+
+    def residuals(x: Floats) -> Floats:
+        return np.concatenate([A @ x - d, expected @ x])
+
+    solution = least_squares(
+        residuals, np.zeros(7), lambda _: np.vstack([A, expected]),
+        loss="soft_l1", f_scale=_OUTLYING,
+    )  # fmt: skip
+    x = solution.x
+    weights = 1 / np.sqrt(1 + ((A @ x - d) / _OUTLYING) ** 2)
+    information = (A * weights[:, np.newaxis]).T @ A + expected @ expected
+    scores = np.zeros((7, 7))
+    at = 0
+    for each in used:
+        rows = slice(at, at := at + len(each.displacement))
+        score = A[rows].T @ (weights[rows] * (d[rows] - A[rows] @ x))
+        scores += np.outer(score, score)
+    inverse = np.linalg.inv(information)
+    few = len(used) / max(len(used) - 7, 1)
+    covariance = inverse @ (few * scores + expected**4) @ inverse
+    scaled = _PRIOR[:, np.newaxis] * covariance * _PRIOR
+    delay, *rest = (_PRIOR * x).tolist()
+    return PoseErrors(delay, rest[:3], rest[3:], scaled, len(used), len(d) // 3)

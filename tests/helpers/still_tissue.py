@@ -1,0 +1,69 @@
+"""Tissue that stands still, seen by a wandering probe whose poses are late and ill calibrated."""
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+from pydrake.math import RigidTransform, RollPitchYaw
+from scipy.ndimage import gaussian_filter, map_coordinates
+from synthetic_volumes import GEOMETRY, grid
+
+from sonoservo.systems.signals.sweep import SweepMotion
+from sonoservo.systems.signals.volume import Volume
+
+PITCH = 1e-3
+STEP = 1e-3
+PERIOD = 0.303
+
+
+@lru_cache
+def speckle():
+    """Decibels on a lattice of W, as fine as a beam is wide, and its first position."""
+    low, spacing, p_P, _ = grid(PITCH)
+    high = low + spacing * (np.array(p_P.shape[:3]) - 1)
+    low, high = low - 15e-3, high + 15e-3
+    shape = np.ceil((high - low) / STEP).astype(int) + 1
+    rng = np.random.default_rng(7)
+    parts = [gaussian_filter(rng.normal(size=shape).astype(np.float32), 0.8) for _ in range(2)]
+    power = parts[0] ** 2 + parts[1] ** 2
+    return 10 * np.log10(power / power.mean() + 1e-3), low
+
+
+def wandering(time):
+    """True pose of the probe: it sways along and about all axes."""
+    waves = np.sin(2 * np.pi * np.outer([0.31, 0.23, 0.37, 0.29, 0.19, 0.41], [time])[:, 0] + 0.4)
+    angles = np.deg2rad([2.5, 3.0, 2.5]) * waves[:3]
+    return RigidTransform(RollPitchYaw(angles), np.array([3e-3, 1.5e-3, 2.5e-3]) * waves[3:])
+
+
+@dataclass(frozen=True)
+class LyingProbe:
+    """Makes volumes from true poses, and labels them with measured ones."""
+
+    delay: float = 0.0
+    X_PI: RigidTransform = field(default_factory=RigidTransform)
+    path: object = wandering
+
+    def measured(self, time):
+        return self.path(time - self.delay).multiply(self.X_PI.inverse())
+
+    def volume(self, number, noise_db=1.5, ball=None):
+        """Volume of a number; where a moving ball is, in W, all is bright."""
+        low, spacing, p_P, inside = grid(PITCH)
+        direction = 1 if number % 2 == 0 else -1
+        frames = np.arange(GEOMETRY.frames)
+        times = PERIOD * number + direction * GEOMETRY.frame_period * (frames - 12)
+        middle = float(times[12])
+        true, said = (
+            SweepMotion(GEOMETRY, direction, times, [X(t).GetAsMatrix4() for t in times])
+            for X in (self.path, self.measured)
+        )
+        p_W = true.to_world(p_P[inside])[0]
+        decibels, first = speckle()
+        seen = map_coordinates(decibels, ((p_W - first) / STEP).T, order=1, mode="nearest")
+        seen += noise_db * np.random.default_rng(number).normal(size=seen.shape)
+        if ball is not None:
+            seen[np.linalg.norm(p_W - ball, axis=1) < 6e-3] = 20.0
+        grey = np.zeros(inside.shape, np.uint8)
+        grey[inside] = np.clip(np.round((seen + 40) * 255 / 60), 1, 255)
+        return Volume(grey, low, spacing, self.measured(middle), middle, said)
