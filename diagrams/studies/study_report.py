@@ -225,7 +225,7 @@ def write_studies(folder: Path, studies: Sequence[Study], command: str) -> dict[
 
 def _met(studies: Sequence[Study]) -> str:
     judged = [row.met for each in studies for row in each.rows if row.met is not None]
-    return f"{sum(judged)} of {len(judged)} targets met"
+    return f"{sum(judged)} of {len(judged)} targets met" if judged else "no targets"
 
 
 def _body(study: Study, command: str) -> str:

@@ -19,8 +19,9 @@ _LOOKS = {OURS: (BLUE, "o", -0.03), PUBLISHED: (ORANGE, "s", 0.0), ZHAO: (GREEN,
 """Colour, marker and shift along the axis of each tracker, so that equal values stay visible."""
 
 _COLUMNS = 4
-_HIGHEST_MM = 6.0
-"""Upper end of the axis of tip errors, in mm; larger ones are drawn there as open markers."""
+_HIGHEST_MM, _WANTED_MM = 6.0, 2.0
+"""Upper end of the axis of tip errors, in mm, where larger ones are drawn as open markers, and the
+error up to which a run succeeds."""
 
 
 def study_figures(curves: Curves, groups: Groups) -> list[StudyFigure]:
@@ -41,14 +42,14 @@ def study_figures(curves: Curves, groups: Groups) -> list[StudyFigure]:
                 caption="Share of runs that succeed (found, kept, and within 2 mm and 2 deg), with "
                 "95 % intervals, as one dial is turned and the probe moves as planned. Dotted: "
                 "95 %, and the moderate strength.",
-                figure=plot_dials(curves, _success, "runs that succeed (%)", 100.0),
+                figure=plot_dials(curves, _success, "runs that succeed (%)", 100.0, 100 * KEPT),
             ),
             StudyFigure(
                 name="tip_error",
                 caption="Tip error from the detection on: median (filled) and 95 % (open, pale) of "
                 "the volumes of all runs. A run without a detection counts as one infinite error. "
                 "At the upper edge: larger, or infinite. Dotted: 2 mm, and the moderate strength.",
-                figure=plot_dials(curves, _median, "tip error (mm)", _HIGHEST_MM, _p95),
+                figure=plot_dials(curves, _median, "tip error (mm)", _HIGHEST_MM, _WANTED_MM, _p95),
             ),
         ]
     closed = {name: trackers for name, trackers in groups.items() if name.startswith("closed")}
@@ -69,6 +70,7 @@ def plot_dials(
     figure: Callable[[Group], Figure],
     label: str,
     highest: float,
+    wanted: float,
     second: Callable[[Group], Figure] | None = None,
 ) -> Picture:
     """Plot a figure of the trackers against the strength of each dial, one panel a dial.
@@ -83,6 +85,8 @@ def plot_dials(
         Label of the vertical axes.
     highest
         Upper end of the vertical axes.
+    wanted
+        Value at which a dotted line is drawn.
     second
         Function that returns a second figure, drawn pale.
     """
@@ -99,7 +103,7 @@ def plot_dials(
             _draw(axes, curve, tracker, figure, highest)
         moderate = 0.5 if name == CLINIC else 1.0
         axes.axvline(moderate, color="0.6", linestyle=":", linewidth=0.9)
-        axes.axhline(100 * KEPT if highest == 100 else 2.0, color="0.6", linestyle=":", linewidth=1)
+        axes.axhline(wanted, color="0.6", linestyle=":", linewidth=1)
         strengths = [strength for strength, _ in curve]
         axes.set_xticks(strengths, [_tick(name, each) for each in strengths])
         margin = 0.08 * max(strengths[-1], 0.1)
