@@ -41,7 +41,7 @@ class PoseCalibration(Immutable):
     volumes: tuple[Volume, ...] = ()
     equations: tuple[PoseEquations, ...] = ()
     errors: PoseErrors | NotFound = field(
-        default_factory=lambda: NotFound("no volumes have been compared")
+        default_factory=lambda: NotFound("no two volumes show the same tissue from different poses")
     )
 
     def seen(self, volume: Volume) -> "PoseCalibration":

@@ -152,6 +152,23 @@ def test_a_probe_at_rest_tells_nothing():
     assert isinstance(known.errors, NotFound)
 
 
+def test_tissue_that_breathes_is_noticed():
+    """It goes up and down below a probe that is thought to sway as before."""
+
+    def seen_from(time):
+        return RigidTransform([0.0, 2.5e-3 * np.sin(2 * np.pi * 0.25 * time), 0.0]) @ wandering(
+            time
+        )
+
+    breathing = LyingProbe(path=seen_from)
+    known = PoseCalibration()
+    for number in range(12):
+        volume = breathing.volume(number)
+        said = replace(volume.motion, X_WP=poses(wandering, volume.motion.times))
+        known = known.seen(replace(volume, X_WP=wandering(volume.time), motion=said))
+    assert known.errors.reason.startswith("the tissue moves: half of it is off by more than ")
+
+
 def test_few_pairs_are_too_few(calibration):
     few = estimate_pose_errors(calibration.equations[:7])
     assert few.reason == "7 pairs of volumes show the same tissue, too few"
