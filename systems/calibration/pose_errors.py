@@ -39,7 +39,7 @@ _PRIOR = np.array([0.2, 3e-3, 3e-3, 3e-3, 0.03, 0.03, 0.03])
 rad. They matter where the probe's motion tells little."""
 
 _DEGREE = 3
-"""Degree of the polynomial that the probe moves along during a sweep."""
+"""Degree of the polynomial through the poses of a sweep."""
 
 _LEAST_PAIRS = 8
 """Number of pairs of volumes without which nothing is said."""
@@ -130,8 +130,8 @@ class PoseEquations(Immutable):
 def probe_velocities(motion: SweepMotion, times: Floats) -> tuple[Floats, Floats]:
     """Return (m, 3) angular and translational velocities of P in P at times of a sweep.
 
-    They are the derivatives of a cubic through the poses of the frames, in rad/s and m/s; zero if
-    all frames have the same time.
+    They are the derivatives of a polynomial through the poses of the frames, in rad/s and m/s; zero
+    if all frames have the same time.
     """
     if np.ptp(motion.times) == 0:
         return np.zeros((len(times), 3)), np.zeros((len(times), 3))
@@ -139,7 +139,8 @@ def probe_velocities(motion: SweepMotion, times: Floats) -> tuple[Floats, Floats
     poses = [middle.InvertAndCompose(RigidTransform(each)) for each in motion.X_WP]
     turned = Rotation.from_matrix([X.rotation().matrix() for X in poses]).as_rotvec()
     moved = np.array([X.translation() for X in poses])
-    fits = polynomial.polyfit(motion.times - motion.time, np.hstack([turned, moved]), _DEGREE)
+    degree = min(_DEGREE, len(poses) - 1)
+    fits = polynomial.polyfit(motion.times - motion.time, np.hstack([turned, moved]), degree)
     rates = polynomial.polyval(times - motion.time, polynomial.polyder(fits)).T
     return np.asarray(rates[:, :3]), np.asarray(rates[:, 3:])
 
