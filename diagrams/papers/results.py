@@ -105,7 +105,8 @@ def results_table(kept: Mapping[str, Any], rows: str) -> str:
     for row in kept["rows"]:
         if rows == "published" and row["paper"] is None:
             continue
-        lines.append("| " + " | ".join(_cells(row, before)) + " |")
+        cells = [cell.replace("|", r"\|") for cell in _cells(row, before)]
+        lines.append("| " + " | ".join(cells) + " |")
         before = row["experiment"]
     return "\n".join(lines)
 

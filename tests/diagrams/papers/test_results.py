@@ -1,6 +1,7 @@
 """Kept results, and the tables that show them."""
 
 import json
+import re
 
 import pytest
 
@@ -62,6 +63,13 @@ def test_kept_results_become_tables(data, tmp_path, monkeypatch):
     assert "| | times lost |" in results.results_table(data, "all").replace("|  |", "| |")
     assert text.startswith("a\n")
     assert text.endswith("-->\nb\n")
+
+
+def test_bars_stay_in_their_cells(data):
+    data["rows"][0]["quantity"] = "mean |X|"
+    for line in results.results_table(data, "all").splitlines()[2:]:
+        assert len(re.split(r"(?<!\\)\|", line)) == 13
+    assert r"mean \|X\|" in results.results_table(data, "all")
 
 
 def test_only_results_of_one_commit_and_the_present_code_are_kept(data, tmp_path, monkeypatch):
