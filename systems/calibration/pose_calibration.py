@@ -1,7 +1,8 @@
 """Choice of the volumes whose tissue is compared, and what they say about the poses so far."""
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 from sonoservo.systems.calibration.pose_errors import (
     PoseEquations,
@@ -34,15 +35,17 @@ class PoseCalibration(Immutable):
         Newest volumes.
     equations
         Equations of each pair that was compared.
-    errors
-        Errors of the poses, or a `NotFound` with the reason why they are unknown.
     """
 
     volumes: tuple[Volume, ...] = ()
     equations: tuple[PoseEquations, ...] = ()
-    errors: PoseErrors | NotFound = field(
-        default_factory=lambda: NotFound("no two volumes show the same tissue from different poses")
-    )
+
+    @cached_property
+    def errors(self) -> PoseErrors | NotFound:
+        """Errors of the poses, or a `NotFound` with the reason why they are unknown."""
+        if not self.equations:
+            return NotFound("no two volumes show the same tissue from different poses")
+        return estimate_pose_errors(self.equations)
 
     def seen(self, volume: Volume) -> "PoseCalibration":
         """Return the calibration after one more volume.
@@ -60,7 +63,7 @@ class PoseCalibration(Immutable):
         if not len(seen.p_W):
             return replace(self, volumes=kept)
         equations = (*self.equations, pose_equations(earlier, volume, seen))[-_PAIRS:]
-        return PoseCalibration(kept, equations, estimate_pose_errors(equations))
+        return PoseCalibration(kept, equations)
 
 
 def _motion(first: Volume, second: Volume) -> float:

@@ -93,17 +93,15 @@ class PoseErrors(Immutable):
         if volume.motion is None:
             return replace(volume, X_WP=volume.X_WP.multiply(self.X_PI))
         motion = volume.motion
-        turned, moved = (self.delay * each for each in probe_velocities(motion, motion.times))
+        velocities = probe_velocities(motion, np.append(motion.times, volume.time))
+        turned, moved = (self.delay * each for each in velocities)
         later = np.tile(np.eye(4), (len(turned), 1, 1))
         later[:, :3, :3] = Rotation.from_rotvec(turned).as_matrix()
         later[:, :3, 3] = moved
-        poses = motion.X_WP @ later @ self.X_PI.GetAsMatrix4()
-        turned, moved = (
-            self.delay * each[0] for each in probe_velocities(motion, np.array([volume.time]))
-        )
-        ahead = RigidTransform(RotationMatrix(Rotation.from_rotvec(turned).as_matrix()), moved)
-        X_WP = volume.X_WP.multiply(ahead).multiply(self.X_PI)
-        return replace(volume, X_WP=X_WP, motion=replace(motion, X_WP=poses))
+        poses = np.concatenate([motion.X_WP, [volume.X_WP.GetAsMatrix4()]])
+        *frames, middle = poses @ later @ self.X_PI.GetAsMatrix4()
+        motion = replace(motion, X_WP=np.array(frames))
+        return replace(volume, X_WP=RigidTransform(middle), motion=motion)
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,7 +37,7 @@ def test_a_recording_is_calibrated(recorded, tmp_path):
     assert figures["pairs"] >= 8
 
 
-def test_a_short_recording_is_not_calibrated(recorded, tmp_path):
+def test_a_short_recording_is_not_calibrated(tmp_path):
     path = tmp_path / "short.seq.nrrd"
     with RecordingWriter(path) as writer:
         for number in range(3):
