@@ -54,6 +54,9 @@ class Record:
         Time in s for which a needle is shown while there is none in the image.
     travel_mm
         Distance that the probe is commanded meanwhile in mm; None if nothing follows the tracker.
+    inside
+        Whether the truth lies inside the stated 95 % of tip, axis and velocity: (v,) arrays of 1 or
+        0 each, NaN where nothing is stated.
     """
 
     tip: Floats
@@ -64,6 +67,7 @@ class Record:
     seconds: float
     shown_s: float
     travel_mm: float | None
+    inside: Mapping[str, Floats]
 
     @classmethod
     def of(cls, kept: Mapping[str, Any]) -> "Record":
@@ -78,6 +82,7 @@ class Record:
             seconds=float(kept["seconds"]),
             shown_s=float(kept["shown_s"]),
             travel_mm=kept["travel_mm"],
+            inside={name: np.array(each, dtype=float) for name, each in kept["inside"].items()},
         )
 
     @cached_property
@@ -172,6 +177,21 @@ class Group:
 
         return Figure(figure(np.concatenate(runs)), *run_interval(runs, figure))
 
+    def inside(self, error: str) -> Figure:
+        """Return the share of truths inside the stated 95 % from the detection on, in %.
+
+        Parameters
+        ----------
+        error
+            "tip", "axis" or "velocity". Volumes for which no uncertainty is stated do not count.
+        """
+        stated = [each.inside[error][each.judged] for each in self.records]
+        runs = [100 * each[np.isfinite(each)] for each in stated]
+        runs = [each for each in runs if len(each)]
+        if not runs:
+            return Figure()
+        return Figure(float(np.concatenate(runs).mean()), *run_interval(runs, _mean))
+
     def false_starts_per_hour(self) -> Figure:
         """Return the rate of false starts; a failed run has as many as the worst of the others."""
         if not self.records:
@@ -194,6 +214,10 @@ class Group:
         """Return the largest value of all runs; infinite if a run failed."""
         values = [*(value(each) for each in self.records), *self.failed * [np.inf]]
         return Figure(max(values)) if values else Figure()
+
+
+def _mean(values: Floats) -> float:
+    return float(values.mean())
 
 
 def chased(record: Record) -> bool:

@@ -33,6 +33,9 @@ _ERRORS: Sequence[tuple[str, str, Callable[[Group], Figure]]] = (
     ("tip error, 95 %", "mm", lambda group: group.quantile("tip", 0.95)),
     ("axis error, median", "deg", lambda group: group.quantile("axis", 0.5)),
     ("axis error, 95 %", "deg", lambda group: group.quantile("axis", 0.95)),
+    ("truth inside the stated 95 %, tip", "%", lambda group: group.inside("tip")),
+    ("truth inside the stated 95 %, axis", "%", lambda group: group.inside("axis")),
+    ("truth inside the stated 95 %, velocity", "%", lambda group: group.inside("velocity")),
 )
 _FALSE_STARTS: tuple[str, str, Callable[[Group], Figure]] = (
     "false starts", "1/h", Group.false_starts_per_hour
@@ -117,8 +120,7 @@ def group_outcomes(outcomes: Sequence[Outcome]) -> dict[str, dict[str, Group]]:
     """Return the runs of each experiment and tracker; a scene of all trackers is a run of each."""
     sorted_out: dict[str, dict[str, list[Outcome]]] = {}
     for each in outcomes:
-        took_part = [each.case.settings["tracker"]] if "tracker" in each.case.settings else TRACKERS
-        for kind in took_part:
+        for kind in each.case.settings["trackers"]:
             trackers = sorted_out.setdefault(each.case.experiment, {})
             trackers.setdefault(kind, []).append(each)
     return {

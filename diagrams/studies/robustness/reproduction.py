@@ -22,11 +22,17 @@ from sonoservo.diagrams.studies.study_report import Study
 OPEN_SEEDS, CLOSED_SEEDS = (3, 1), (2, 1)
 """Number of seeds of each dial and strength, in the whole study and in a quick one."""
 
+MODERATE_SEEDS = (10, 1)
+"""Number of seeds of the open loop at moderate strength, with every dial off, and in the clinic."""
+
 WITHDRAWALS, OTHERS_WITHDRAWALS = (50, 1), (10, 1)
 """Number of withdrawals with our tracker, and with each of the others."""
 
 HOUR, PART = 3600.0, 300.0
 """Time without a needle in all, and in one run, in s."""
+
+OTHERS_PARTS = 2
+"""Number of these runs in which the other trackers look on; they cost as much as all else."""
 
 _QUICK_PART = 10.0
 """Time of a quick run without a needle, in s."""
@@ -128,10 +134,13 @@ def _open_cases(options: StudyOptions) -> list[Case]:
     for name, strength in _points(options.quick):
         settings = _dial(name, strength)
         changes = _OPEN[name != CLINIC]
-        settings = _more(settings, changes, loop="open", dial=name, strength=strength)
+        settings = _more(
+            settings, changes, loop="open", trackers=[*TRACKERS], dial=name, strength=strength
+        )
+        numbers = MODERATE_SEEDS if name not in GRADED or strength == 1.0 else OPEN_SEEDS
         cases += [
             Case(_experiment("open loop", name, strength), seed, settings)
-            for seed in options.seed_range(*OPEN_SEEDS)
+            for seed in options.seed_range(*numbers)
         ]
     return cases
 
@@ -163,14 +172,20 @@ def _without_needle(options: StudyOptions) -> list[Case]:
     part = _QUICK_PART if options.quick else PART
     changes = ["hand.pushes=[]", "hand.initial_depth=0", f"duration={part}"]
     settings = _more(_dial(CLINIC, 1.0), changes, loop="search")
+    seeds = options.seed_range(round(HOUR / PART), 1)
+    watched = options.seed_range(OTHERS_PARTS, 1)
     return [
-        Case("clinic without a needle", seed, settings)
-        for seed in options.seed_range(round(HOUR / PART), 1)
+        Case(
+            "clinic without a needle",
+            seed,
+            {**settings, "trackers": [*TRACKERS] if seed in watched else [OURS]},
+        )
+        for seed in seeds
     ]
 
 
 def _with(settings: Mapping[str, Any], tracker: str) -> dict[str, Any]:
-    return _more(settings, [f"tracker={tracker}"], tracker=tracker)
+    return _more(settings, [f"tracker={tracker}"], trackers=[tracker])
 
 
 def _experiment(loop: str, name: str, strength: float | None = None) -> str:

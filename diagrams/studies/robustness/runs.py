@@ -1,6 +1,6 @@
 """Runs of the study of robustness: one scene for all trackers, or the loop of one of them."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,6 +13,7 @@ from sonoservo.diagrams.studies.robustness.graded_dials import scenario_of
 from sonoservo.diagrams.studies.robustness.logged_tracker import MakeLoggedTracker, log_of
 from sonoservo.diagrams.studies.robustness.open_loop import run_open_loop
 from sonoservo.diagrams.studies.robustness.search_path import MakeSearchingTracker
+from sonoservo.diagrams.studies.robustness.stated_doubt import inside_stated
 from sonoservo.diagrams.studies.study import Case
 from sonoservo.systems.evaluation.metrics import MetricsParameters, detection
 from sonoservo.systems.evaluation.run_errors import at_times, in_frame
@@ -41,24 +42,25 @@ def run_case(case: Case) -> Mapping[str, Any]:
     ----------
     case
         Case whose settings name the `loop` ("open", "closed" or "search"), the `scenario` and its
-        `changes`, the `tracker` of a closed loop, and the frame of the errors (`in_probe`,
-        `across_depth`).
+        `changes`, the kinds of the `trackers`, of which a closed loop has one, and the frame of the
+        errors (`in_probe`, `across_depth`).
     """
     settings = case.settings
+    trackers = settings["trackers"]
     with scenario_of(settings, case.seed) as scenario:
         if settings["loop"] == "open":
-            logs = run_open_loop(scenario, TRACKERS)
+            logs = run_open_loop(scenario, trackers)
         elif settings["loop"] == "closed":
             experiment = FollowingExperiment(scenario)
             experiment.run()
-            logs = {settings["tracker"]: experiment.log()}
+            logs = {trackers[0]: experiment.log()}
         else:
-            logs = _run_search(scenario)
+            logs = _run_search(scenario, trackers)
     judged = {name: bool(settings.get(name)) for name in ("in_probe", "across_depth")}
     return {kind: record(log, **judged) for kind, log in logs.items()}
 
 
-def _run_search(scenario: FollowingScenario) -> dict[str, RunLog]:
+def _run_search(scenario: FollowingScenario, trackers: Sequence[str]) -> dict[str, RunLog]:
     """Return the logs of a run in which our tracker moves the probe, and the others look on.
 
     While it follows nothing, the probe moves over the phantom; see `SearchPath`. The others see the
@@ -66,7 +68,7 @@ def _run_search(scenario: FollowingScenario) -> dict[str, RunLog]:
     """
     observers = {
         kind: MakeLoggedTracker(scenario=scenario, tracker=kind, drives=kind == OURS)
-        for kind in TRACKERS
+        for kind in trackers
     }
     experiment = FollowingExperiment(
         scenario,
@@ -96,7 +98,7 @@ def record(log: RunLog, *, in_probe: bool = False, across_depth: bool = False) -
     the volume confirmed a needle; `in_view_mm`: true length of the needle in the swept sector;
     `false_starts`: see `detection`; `seconds`: simulated time; `shown_s`, `travel_mm`: time for
     which a needle is shown, and distance that the servo commands the probe to go meanwhile, while
-    there is none in the image; None if no servo follows the tracker.
+    there is none in the image, None if no servo follows the tracker; `inside`: `inside_stated`.
     """
     log = as_in_probe(log) if in_probe else log
     tip, axis = judged_errors(log, across_depth=across_depth)
@@ -117,6 +119,7 @@ def record(log: RunLog, *, in_probe: bool = False, across_depth: bool = False) -
         "seconds": float(log.time[-1]),
         "shown_s": float(steps[ghost].sum()),
         "travel_mm": 1e3 * travel if np.isfinite(speed).any() else None,
+        "inside": inside_stated(log, across_depth=across_depth),
     }
 
 

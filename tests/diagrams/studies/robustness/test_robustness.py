@@ -59,6 +59,7 @@ def kept(tip=1.0, axis=1.0, volumes=20, **changes):
         "seconds": 36.0,
         "shown_s": 0.0,
         "travel_mm": 0.0,
+        "inside": {name: volumes * [True] for name in ("tip", "axis", "velocity")},
     } | changes
 
 
@@ -158,7 +159,7 @@ def test_as_many_runs_as_promised(tmp_path):
     cases = reproduction.study_cases(StudyOptions(folder=tmp_path, first_seed=100))
     assert len(set(cases)) == len(cases)
     assert min(case.seed for case in cases) == 100
-    ours = Counter(case.experiment for case in cases if case.settings.get("tracker", OURS) == OURS)
+    ours = Counter(case.experiment for case in cases if OURS in case.settings["trackers"])
     assert ours["withdrawals"] == 50
     strengths = sum(len(dial.strengths) for dial in GRADED.values())
     names = [name for name in ours if name.startswith("open loop")]
@@ -244,6 +245,7 @@ def outcomes(values):
     made = []
     for strength, tips in values.items():
         settings = {"loop": "open", "dial": "drag", "strength": strength}
+        settings |= {"trackers": TRACKERS}
         case = Case(f"open loop, drag {strength:g} mm", 100, settings)
         made.append(Outcome(case, {k: kept(tip=t) for k, t in zip(TRACKERS, tips, strict=True)}))
     return made
@@ -274,11 +276,12 @@ def test_the_whole_study_in_short(tmp_path, monkeypatch):
     """A moment of each kind of run, through the same code."""
     short = ["hand.start=0.2", "duration=0.8", "imaging.frames=7", "imaging.volume_rate=8"]
     dial = {"loop": "open", "dial": "hand-eye calibration", "strength": 1.0, "in_probe": True}
+    dial |= {"trackers": TRACKERS}
     settings = FIG5 | {"changes": [*PLAIN, *turned("hand-eye calibration", 1.0).changes, *short]}
     point = ["station.plant.contact_model=point"]
-    closed = settings | {"changes": settings["changes"] + point, "loop": "closed", "tracker": OURS}
-    search = closed | {"loop": "search"}
-    del search["tracker"]
+    closed = settings | {"changes": settings["changes"] + point, "loop": "closed"}
+    search = closed | {"loop": "search", "trackers": TRACKERS}
+    closed |= {"trackers": [OURS]}
     cases = [
         Case("open loop, hand-eye calibration 2 mm", 100, settings | dial),
         Case("closed loop, plain", 100, closed),
@@ -326,7 +329,7 @@ def test_errors_in_the_probe_do_not_hold_an_error_of_its_pose():
 
 def test_all_trackers_of_an_open_loop_see_the_same_volumes():
     short = ["hand.start=0.2", "duration=0.4", "imaging.frames=7", "imaging.volume_rate=8"]
-    settings = FIG5 | {"changes": [*PLAIN, *short], "loop": "open"}
+    settings = FIG5 | {"changes": [*PLAIN, *short], "loop": "open", "trackers": TRACKERS}
     made = run_case(Case("open loop", 100, settings))
     views = [made[kind]["in_view_mm"] for kind in TRACKERS]
     assert len(views[0]) == 3
