@@ -112,6 +112,9 @@ def run_command(
         Path | None, typer.Option(help="Movie of slices and curves: NAME.gif or NAME.mp4.")
     ] = None,
     explain: ExplainOption = False,
+    click: Annotated[
+        bool, typer.Option("--click", help="Shape prediction: click on the needle at the start.")
+    ] = False,
     serve: ServeOption = None,
     wait_for: WaitOption = 0,
     json_path: JsonOption = None,
@@ -131,7 +134,12 @@ def run_command(
         from sonoservo.diagrams.app.pages.pages import open_pages
 
         title = f"{loaded.name}, seed {loaded.seed}"
-        pages = open_pages(console, title, host=host, by_itself=open_page)
+        pages = open_pages(console, title, host=host, by_itself=open_page and not click)
+    if click:
+        from sonoservo.diagrams.app.pages.first_click import ask_click
+
+        site = pages.site if pages else None
+        loaded = ask_click(loaded, console, host=host, site=site, by_itself=open_page)
     with (
         serving(console, serve, loaded, wait_for) as observers,
         Progress(console, loaded) as progress,

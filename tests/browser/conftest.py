@@ -97,6 +97,8 @@ def open_page(browser, request):
         page.goto(url)
         if "/console/" in url:
             page.wait_for_selector("body[data-ready]", state="attached")
+        elif "/click/" in url:
+            page.wait_for_selector("#picture image", state="attached")
         else:
             page.wait_for_function("typeof viewer !== 'undefined' && viewer.renderer")
         return page

@@ -97,10 +97,7 @@ def open_pages(
     ConfigurationError
         If it cannot listen there.
     """
-    try:
-        site = Site(host=host)
-    except OSError as error:
-        raise ConfigurationError(str(error)) from error
+    site = open_site(host)
     logging.getLogger("drake").addFilter(_is_news)
     meshcat = open_meshcat(site) if world and kept is None else None
     shown: str | None = "world" if world else ""
@@ -109,10 +106,29 @@ def open_pages(
     console = Console(site, title=title, world=shown)
     if kept is not None:
         _serve_results(site, console, kept / "report.html")
-    terminal.print("Watch at", Text(console.web_url, style="bold"), soft_wrap=True)
-    if by_itself and terminal.is_interactive and has_desktop():
-        webbrowser.open(console.web_url)
+    announce(terminal, "Watch at", console.web_url, by_itself=by_itself)
     return Pages(site=site, console=console, meshcat=meshcat)
+
+
+def open_site(host: str) -> Site:
+    """Open a site on the first free port from 7000 on.
+
+    Raises
+    ------
+    ConfigurationError
+        If it cannot listen there.
+    """
+    try:
+        return Site(host=host)
+    except OSError as error:
+        raise ConfigurationError(str(error)) from error
+
+
+def announce(terminal: Terminal, words: str, address: str, *, by_itself: bool) -> None:
+    """Print the address of a page, and perhaps open it in the browser; see `open_pages`."""
+    terminal.print(words, Text(address, style="bold"), soft_wrap=True)
+    if by_itself and terminal.is_interactive and has_desktop():
+        webbrowser.open(address)
 
 
 def _serve_results(site: Site, console: Console, report: Path) -> None:

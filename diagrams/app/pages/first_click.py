@@ -1,0 +1,76 @@
+"""The click of a person on the needle in a run's first slice."""
+
+from contextlib import nullcontext
+from dataclasses import replace
+
+from rich.console import Console as Terminal
+
+from sonoservo.diagrams.app.pages.pages import announce, open_site
+from sonoservo.diagrams.experiments.shape_prediction import ShapePredictionExperiment
+from sonoservo.diagrams.experiments.shape_prediction_scenario import ShapePredictionScenario
+from sonoservo.diagrams.scenario import Scenario, require_scenario
+from sonoservo.systems.display.pages.click_page import ClickPage
+from sonoservo.systems.display.pages.site import Site
+from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.signals.image_slice import ImageSlice
+
+
+def ask_click(
+    scenario: Scenario,
+    terminal: Terminal,
+    *,
+    site: Site | None = None,
+    host: str = "localhost",
+    by_itself: bool = True,
+) -> ShapePredictionScenario:
+    """Let a person click on the needle in the first slice, and return the scenario with its place.
+
+    The tracker then starts there (``tracker.start``). Saved, the scenario repeats the run without
+    another click.
+
+    Parameters
+    ----------
+    scenario
+        Scenario of shape prediction.
+    terminal
+        Terminal on which the page's address is printed.
+    site
+        Site to which the page with the slice is added, and whose console follows the click. By
+        default, one that closes after the click.
+    host
+        Address on which that one listens.
+    by_itself
+        Whether to open the page in the browser, if there is a desktop and a person at the terminal.
+
+    Raises
+    ------
+    ConfigurationError
+        If the scenario is another experiment's, there is no slice, or it cannot listen there.
+    """
+    predicted = require_scenario(scenario, ShapePredictionScenario)
+    image = first_slice(predicted)
+    with nullcontext(site) if site else open_site(host) as used:
+        page = ClickPage(used, image, following="console" if site else "")
+        announce(terminal, "Click on the needle at", page.web_url, by_itself=by_itself)
+        x, y = page.wait()
+    terminal.print(f"The needle's first cross-section: x {1e3 * x:.2f} mm, depth {1e3 * y:.2f} mm.")
+    start = [round(float(x), 6), round(float(y), 6)]
+    return replace(predicted, tracker=replace(predicted.tracker, start=start))
+
+
+def first_slice(scenario: ShapePredictionScenario) -> ImageSlice:
+    """Return the first slice of a run, the one in which its tracker starts.
+
+    Raises
+    ------
+    ConfigurationError
+        If the scanner loses every slice.
+    """
+    experiment = ShapePredictionExperiment(scenario)
+    experiment.start()
+    for number in range(1, scenario.steps + 2):
+        experiment.advance(number * scenario.period + scenario.processing_time)
+        image = experiment.evaluate(experiment.slice_converter, "slice")
+        if isinstance(image, ImageSlice):
+            return image
+    raise ConfigurationError("there is no slice to click in: the scanner loses all of them")
