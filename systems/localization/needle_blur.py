@@ -1,4 +1,4 @@
-"""Blur of a needle's end along its axis."""
+"""Blur of a needle's end, and of a single point, along a line."""
 
 from functools import lru_cache
 
@@ -15,6 +15,10 @@ _BLUR_POINTS = 9
 
 _measured_spread = lru_cache(maxsize=1)(speckle_spread)
 """Widths measured from a volume's speckle; all axes tried in a volume ask for them."""
+
+_FINEST = 1e-3
+"""Standard deviation in m with which a line's course is known at best, by which a point's echo
+counts as blurred further."""
 
 
 def needle_blur(
@@ -47,14 +51,48 @@ def needle_blur(
     (m,) full widths at half maximum in m; None if the volume does not tell them.
     """
     few = np.linspace(0, len(p_P) - 1, _BLUR_POINTS).astype(int)
-    if volume.point_spread is not None and volume.motion is not None:
-        covariance = blur_covariance(volume.point_spread, volume.motion.geometry, p_P[few])
-    elif beam_width is None and (measured := _measured_spread(volume)) is not None:
-        lateral, elevation, axial = measured.widths(p_P[few, 1]).T / FWHM_PER_SIGMA
-        covariance = np.stack([lateral, axial, elevation], axis=-1)[:, np.newaxis] ** 2 * np.eye(3)
-    else:
+    covariance = _echo_covariance(volume, p_P[few], measure=beam_width is None)
+    if covariance is None:
         return None
     projected = np.sqrt(covariance @ along @ along)
-    on_axis = 1 / np.sqrt(np.linalg.inv(covariance) @ along @ along)
-    width = FWHM_PER_SIGMA * 0.5 * (projected + on_axis)
+    width = FWHM_PER_SIGMA * 0.5 * (projected + _on_axis(covariance, along))
     return np.interp(np.arange(len(p_P)), few, width)
+
+
+def streak_length(volume: Volume, ends: NDArray[np.float64]) -> float:
+    """Return the length to which the beam draws out a single point, along a line through it.
+
+    Parameters
+    ----------
+    volume
+        Volume with the line.
+    ends
+        (2, 3) ends of the line in P, in m.
+
+    Returns
+    -------
+    Largest full width at half maximum along the line in m; 0 if the volume does not tell it.
+    """
+    points = np.linspace(ends[0], ends[1], 3)
+    covariance = _echo_covariance(volume, points)
+    if covariance is None:
+        return 0.0
+    along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+    return FWHM_PER_SIGMA * float(_on_axis(covariance + _FINEST**2 * np.eye(3), along).max())
+
+
+def _echo_covariance(
+    volume: Volume, p_P: NDArray[np.float64], measure: bool = True
+) -> NDArray[np.float64] | None:
+    """Return the (m, 3, 3) covariances of echoes of points at (m, 3) p_P, in m^2, or None."""
+    if volume.point_spread is not None and volume.motion is not None:
+        return blur_covariance(volume.point_spread, volume.motion.geometry, p_P)
+    if measure and (measured := _measured_spread(volume)) is not None:
+        lateral, elevation, axial = measured.widths(p_P[:, 1]).T / FWHM_PER_SIGMA
+        widths = np.stack([lateral, axial, elevation], axis=-1)
+        return np.asarray(widths[:, np.newaxis] ** 2 * np.eye(3))
+    return None
+
+
+def _on_axis(covariance: NDArray[np.float64], along: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(1 / np.sqrt(np.linalg.inv(covariance) @ along @ along))

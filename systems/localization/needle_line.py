@@ -11,6 +11,7 @@ from scipy.special import expit
 from sonoservo.systems.localization.line_features import line_features
 from sonoservo.systems.localization.line_profile import profile, refine
 from sonoservo.systems.localization.line_search import bright_lines
+from sonoservo.systems.localization.needle_blur import streak_length
 from sonoservo.systems.localization.tip import most_evident_stretch
 from sonoservo.systems.signals.immutable import Immutable, read_only
 from sonoservo.systems.signals.volume import Volume
@@ -38,6 +39,10 @@ independent generators of images. Most have bones, fasciae, vessels, calcificati
 _SHORTEST, _FARTHEST, _STEEPEST = 10e-3, 8e-3, 0.9
 """Smallest visible length of a needle and largest distance of its entry from the side of the field
 of view, in m, and largest share of the depth's direction in its own."""
+
+_STREAKS = 2.0
+"""Smallest length of a needle as a multiple of the length to which the beam draws out a point. Far
+from the lens's focus, a single scatterer looks like a short needle across the frames."""
 
 _STEP = 0.5e-3
 """Distance between samples along a line, in m."""
@@ -139,6 +144,7 @@ def judged(volume: Volume, line: NeedleLine) -> NeedleLine:
         line.length < _SHORTEST
         or line.entry_gap > _FARTHEST
         or abs(line.direction[1]) > _STEEPEST
+        or line.length < _STREAKS * streak_length(volume, line.ends)
     ):  # fmt: skip
         return replace(line, log_odds=-math.inf)
     features = line_features(volume, line.ends, evidence=line.evidence, tip_gap=line.tip_gap)

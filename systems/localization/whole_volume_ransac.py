@@ -172,6 +172,8 @@ def localize_in_whole_volume(
         least = float(np.median(around)) + parameters.end_contrast if len(around) else 0.0
     bright = profile.level > least
     start, tip = intensity_drops(profile.a[bright], middle, parameters.max_gap)
+    if tip - start < parameters.tip.step:
+        return NotFound("the axis is bright at no more than one point")
     return WholeVolumeNeedle(found.fit, start, tip)
 
 
