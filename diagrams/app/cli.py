@@ -129,17 +129,16 @@ def run_command(
 
         loaded = load_scenario(scenario, changes=changes, seed=seed, as_published=as_published)
     folder = out or free_folder(f"{loaded.name}_seed{loaded.seed}")
+    if click:
+        from sonoservo.diagrams.app.pages.first_click import ask_click
+
+        loaded = ask_click(loaded, console, host=host, by_itself=open_page)
     pages = None
     if meshcat:
         from sonoservo.diagrams.app.pages.pages import open_pages
 
         title = f"{loaded.name}, seed {loaded.seed}"
-        pages = open_pages(console, title, host=host, by_itself=open_page and not click)
-    if click:
-        from sonoservo.diagrams.app.pages.first_click import ask_click
-
-        site = pages.site if pages else None
-        loaded = ask_click(loaded, console, host=host, site=site, by_itself=open_page)
+        pages = open_pages(console, title, host=host, by_itself=open_page)
     with (
         serving(console, serve, loaded, wait_for) as observers,
         Progress(console, loaded) as progress,

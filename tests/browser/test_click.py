@@ -41,8 +41,10 @@ def test_a_run_starts_where_somebody_clicked(scenario, open_page, tmp_path, monk
     image = first_slice(scenario)
     place = make_experiment(scenario).true_path(np.zeros(1))[0, :2] + np.array([0.4e-3, -0.3e-3])
 
-    click(page, image, [0.03, 0.02])  # beside the slice
+    click(page, image, [0.0, -1.5e-3])  # above the slice, in the picture's margin
+    page.wait_for_timeout(300)
     assert clicked.empty()
+    assert "across the needle" in page.inner_text("#where")
     click(page, image, place)
     page.wait_for_function("document.querySelector('#where').textContent.includes('goes on')")
     started = clicked.get(timeout=30)
@@ -56,17 +58,17 @@ def test_a_run_starts_where_somebody_clicked(scenario, open_page, tmp_path, monk
     assert again.tracker.start == started.tracker.start
 
 
-def test_the_slice_is_the_first_that_the_tracker_gets(scenario):
+@pytest.mark.parametrize(("lost", "seed"), [(0.0, 100), (0.6, 100), (0.6, 101), (0.6, 102)])
+def test_the_slice_is_the_first_that_arrives(lost, seed):
+    changes = {**SHORT, "scanner.connection.lost_sweeps": lost}
+    scenario = load_scenario("carriere2016_d60", changes=changes, seed=seed)
     experiment = make_experiment(scenario)
     seen = []
-    experiment.start()
-    experiment.advance(
-        scenario.period + scenario.processing_time,
-        lambda each: seen.append(each.evaluate(each.slice_converter, "slice")),
-    )
+    experiment.run(lambda each: seen.append(each.evaluate(each.slice_converter, "slice")))
     image = first_slice(scenario)
     np.testing.assert_array_equal(image.intensities, seen[0].intensities)
     assert image.time == seen[0].time
+    assert (len(seen) < 11) == (lost > 0)
 
 
 def test_there_is_nothing_to_click_on_in_a_scenario_of_following():

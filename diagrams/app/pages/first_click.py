@@ -1,16 +1,15 @@
 """The click of a person on the needle in a run's first slice."""
 
-from contextlib import nullcontext
 from dataclasses import replace
 
 from rich.console import Console as Terminal
 
+from sonoservo.diagrams.app.kept_runs.kept_run import refusing
 from sonoservo.diagrams.app.pages.pages import announce, open_site
 from sonoservo.diagrams.experiments.shape_prediction import ShapePredictionExperiment
 from sonoservo.diagrams.experiments.shape_prediction_scenario import ShapePredictionScenario
 from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.systems.display.pages.click_page import ClickPage
-from sonoservo.systems.display.pages.site import Site
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.image_slice import ImageSlice
 
@@ -19,7 +18,6 @@ def ask_click(
     scenario: Scenario,
     terminal: Terminal,
     *,
-    site: Site | None = None,
     host: str = "localhost",
     by_itself: bool = True,
 ) -> ShapePredictionScenario:
@@ -34,11 +32,8 @@ def ask_click(
         Scenario of shape prediction.
     terminal
         Terminal on which the page's address is printed.
-    site
-        Site to which the page with the slice is added, and whose console follows the click. By
-        default, one that closes after the click.
     host
-        Address on which that one listens.
+        Address to serve the page on, until the click.
     by_itself
         Whether to open the page in the browser, if there is a desktop and a person at the terminal.
 
@@ -48,9 +43,10 @@ def ask_click(
         If the scenario is another experiment's, there is no slice, or it cannot listen there.
     """
     predicted = require_scenario(scenario, ShapePredictionScenario)
-    image = first_slice(predicted)
-    with nullcontext(site) if site else open_site(host) as used:
-        page = ClickPage(used, image, following="console" if site else "")
+    with terminal.status("Acquiring the first slice ..."):
+        image = first_slice(predicted)
+    with open_site(host) as site:
+        page = ClickPage(site, image)
         announce(terminal, "Click on the needle at", page.web_url, by_itself=by_itself)
         x, y = page.wait()
     terminal.print(f"The needle's first cross-section: x {1e3 * x:.2f} mm, depth {1e3 * y:.2f} mm.")
@@ -64,9 +60,10 @@ def first_slice(scenario: ShapePredictionScenario) -> ImageSlice:
     Raises
     ------
     ConfigurationError
-        If the scanner loses every slice.
+        If the scenario cannot be carried out, or the scanner loses every slice.
     """
-    experiment = ShapePredictionExperiment(scenario)
+    with refusing(scenario):
+        experiment = ShapePredictionExperiment(scenario)
     experiment.start()
     for number in range(1, scenario.steps + 2):
         experiment.advance(number * scenario.period + scenario.processing_time)

@@ -180,10 +180,13 @@ class Group:
     def inside(self, error: str) -> Figure:
         """Return the share of truths inside the stated 95 % from the detection on, in %.
 
+        Only volumes with a stated uncertainty count, so runs in which the needle was not found, or
+        that failed, do not.
+
         Parameters
         ----------
         error
-            "tip", "axis" or "velocity". Volumes for which no uncertainty is stated do not count.
+            "tip", "axis" or "velocity".
         """
         stated = [each.inside[error][each.judged] for each in self.records]
         runs = [100 * each[np.isfinite(each)] for each in stated]

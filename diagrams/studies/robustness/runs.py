@@ -127,7 +127,8 @@ def as_in_probe(log: RunLog) -> RunLog:
     """Return a log whose estimates lie in W where the probe's measured pose has them in P.
 
     Each estimate is seen from the measured pose and put into W with the true one, so that errors of
-    the pose itself do not count.
+    the pose itself do not count. The velocity and the covariances turn with it; what the needle
+    seems to move because a probe with a wrong pose moves still counts.
     """
     time = log.volume_estimate_time
     true_X, measured_X = (at_times(log, each, time) for each in (log.X_WP, log.measured_X_WP))
@@ -136,10 +137,19 @@ def as_in_probe(log: RunLog) -> RunLog:
         p_P = in_frame(measured_X, p_W)
         return np.asarray(np.einsum("nij,nj->ni", true_X[:, :3, :3], p_P) + true_X[:, :3, 3])
 
+    turn = true_X[:, :3, :3] @ np.swapaxes(measured_X[:, :3, :3], 1, 2)
+
+    def turned(covariance: Floats) -> Floats:
+        return turn @ covariance @ np.swapaxes(turn, 1, 2)
+
     return replace(
         log,
         volume_estimate_tip=moved(log.volume_estimate_tip),
         volume_estimate_entry=moved(log.volume_estimate_entry),
+        volume_estimate_velocity=np.einsum("nij,nj->ni", turn, log.volume_estimate_velocity),
+        volume_estimate_tip_covariance=turned(log.volume_estimate_tip_covariance),
+        volume_estimate_direction_covariance=turned(log.volume_estimate_direction_covariance),
+        volume_estimate_velocity_covariance=turned(log.volume_estimate_velocity_covariance),
     )
 
 

@@ -26,7 +26,8 @@ def inside_stated(log: RunLog, *, across_depth: bool = False) -> dict[str, list[
     Returns
     -------
     `tip`, `axis`, `velocity`: for each volume, whether the truth lies inside the ellipsoid of 95 %;
-    None without an estimate, a stated covariance or a needle.
+    None without an estimate, a stated covariance or a needle. An axis that points the other way
+    does not.
     """
     time = log.volume_estimate_time
     points = at_times(log, log.needle_points, time)
@@ -44,6 +45,8 @@ def inside_stated(log: RunLog, *, across_depth: bool = False) -> dict[str, list[
     length = np.linalg.norm(estimated, axis=1) / np.linalg.norm(needle, axis=1)
     turn = length[:, np.newaxis] * (unit(estimated) - unit(true))
     aside = across - _outer(unit(estimated))
+    axis = _inside(turn, log.volume_estimate_direction_covariance, aside, number - 1)
+    ahead = np.sum(estimated * true, axis=1) > 0
     return {
         "tip": _inside(
             log.volume_estimate_tip - points[:, -1],
@@ -51,7 +54,7 @@ def inside_stated(log: RunLog, *, across_depth: bool = False) -> dict[str, list[
             across,
             number,
         ),
-        "axis": _inside(turn, log.volume_estimate_direction_covariance, aside, number - 1),
+        "axis": [each and bool(right) for each, right in zip(axis, ahead, strict=True)],
         "velocity": _inside(
             log.volume_estimate_velocity - velocity,
             log.volume_estimate_velocity_covariance,

@@ -1,10 +1,10 @@
-"""A page with a picture of a slice, in which a person points at something."""
+"""A page with a picture of a slice, in which a person clicks on the needle."""
 
 import io
 import json
 import math
-import queue
 from base64 import b64encode
+from concurrent.futures import Future
 from importlib.resources import files
 from typing import Any
 
@@ -15,12 +15,11 @@ from PIL import Image
 from sonoservo.systems.display.pages.site import Document, Guarded, Site
 from sonoservo.systems.signals.image_slice import ImageSlice
 
-_PATIENCE = 0.2
-"""Time in s for which the caller is deaf to an interruption from the keyboard."""
+Place = tuple[float, float]
 
 
 class ClickPage:
-    """Shows a slice in a page, and waits for a click in it.
+    """Shows a slice in a page, and waits for the click on the needle in it.
 
     Parameters
     ----------
@@ -28,8 +27,6 @@ class ClickPage:
         Site to which the page "click" is added.
     image
         Slice to show.
-    following
-        Name of the site's page that opens after the click; empty to stay.
 
     Raises
     ------
@@ -37,23 +34,22 @@ class ClickPage:
         If the site has a page "click" already.
     """
 
-    def __init__(self, site: Site, image: ImageSlice, *, following: str = "") -> None:
+    def __init__(self, site: Site, image: ImageSlice) -> None:
         self._site = site
-        self._clicks: queue.Queue[tuple[float, float]] = queue.Queue()
+        self._clicked: Future[Place] = Future()
         low = image.position((-0.5, -0.5))
         high = image.position(np.array(image.intensities.shape) - 0.5)
         shown = {
             "png": _data_address(image),
             "extent": (1e3 * np.array([*low, *(high - low)])).tolist(),
-            "next": f"../{following}/" if following else "",
         }
         page = (files("sonoservo.systems.display.pages") / "click_page.html").read_text()
         text = page.replace("/* SLICE */", json.dumps(shown))
-        taken = {"clicks": self._clicks, "low": low, "high": high}
+        taken = {"clicked": self._clicked, "low": low, "high": high}
         site.add(
             "click",
-            "Point at the needle",
-            [("", Document, {"text": text}), ("click", _Clicked, taken)],
+            "Click on the needle",
+            [("", Document, {"text": text}), ("click", _Click, taken)],
         )
 
     @property
@@ -63,32 +59,27 @@ class ClickPage:
 
     def wait(self) -> NDArray[np.float64]:
         """Return the (2,) x and y in P of the first click, in m, once somebody has clicked."""
-        while True:
-            try:
-                return np.array(self._clicks.get(timeout=_PATIENCE))
-            except queue.Empty:
-                continue
+        return np.array(self._clicked.result())
 
 
-class _Clicked(Guarded):
-    """Takes a click; one outside the slice, or that is no pair of numbers, is refused."""
+class _Click(Guarded):
+    """Takes the first click; one outside the slice, or that is no pair of numbers, is refused."""
 
-    def initialize(self, clicks: "queue.Queue[tuple[float, float]]", low: Any, high: Any) -> None:
-        self._clicks, self._low, self._high = clicks, low, high
-
-    def check_xsrf_cookie(self) -> None:
-        """Leave this to the site's rule, which has checked origin and token."""
+    def initialize(self, clicked: "Future[Place]", low: Any, high: Any) -> None:
+        self._clicked, self._low, self._high = clicked, low, high
 
     def post(self) -> None:
         try:
             sent = json.loads(self.request.body)
             place = float(sent["x"]), float(sent["y"])
-        except (ValueError, TypeError, KeyError):
+        except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
             place = (math.nan, math.nan)
         if not all(a <= each <= b for a, each, b in zip(self._low, place, self._high, strict=True)):
             self.set_status(400)
-            return
-        self._clicks.put(place)
+        elif self._clicked.done():
+            self.set_status(409)
+        else:
+            self._clicked.set_result(place)
 
 
 def _data_address(image: ImageSlice) -> str:

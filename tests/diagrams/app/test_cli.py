@@ -48,6 +48,22 @@ def test_figures_alone_can_be_printed():
     assert "chatelain2013_fig5" in result.stderr
 
 
+@pytest.mark.parametrize(
+    ("scenario", "change", "said"),
+    [
+        ("carriere2016_d60", "depth=0.9", "stays in the phantom"),
+        ("chatelain2013_fig5", "seed=0", "one of 'shape_prediction' is needed here"),
+    ],
+)
+def test_nobody_is_asked_to_click_in_a_run_that_cannot_be(scenario, change, said, tmp_path):
+    out = tmp_path / "out"
+    result = sonoservo_here("run", scenario, "--click", "--set", change, "--out", str(out))
+    assert result.returncode == 2
+    assert said in result.stderr
+    assert "http" not in result.stdout
+    assert not out.exists()
+
+
 def test_version_and_help_are_where_people_look():
     assert runner.invoke(app, ["--version"]).stdout == f"sonoservo {version('sonoservo')}\n"
     assert runner.invoke(app, ["run", "-h"]).stdout.strip().startswith("Usage:")

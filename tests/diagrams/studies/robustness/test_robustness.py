@@ -101,6 +101,20 @@ def test_failed_runs_stay_in_the_statistics():
     assert only_failed.false_starts_per_hour().value is None
 
 
+def test_doubt_is_judged_where_it_is_stated_from_the_detection_on():
+    inside = {"tip": [None] * 5 + [True] * 9 + [False] * 6, "axis": [True] * 20}
+    inside["velocity"] = [False] * 10 + [True] * 10
+    late = [False] * 10 + [True] * 10
+    outcome = Outcome(Case("x", 0), {OURS: kept(inside=inside, tracking=late)})
+    lost = Outcome(Case("x", 1), {OURS: kept(inside=inside, tip=None)})
+    group = Group([outcome, lost], OURS)
+    assert group.inside("tip").value == pytest.approx(40)
+    assert group.inside("velocity").value == group.inside("axis").value == 100
+    assert Group([lost], OURS).inside("tip").value is None
+    rows = {each.quantity: each for each in report(outcomes({1.0: (1, 1, 1)})).rows}
+    assert rows["truth inside the stated 95 %, tip"].true == 100
+
+
 def test_a_probe_that_goes_far_after_nothing_chases_a_ghost():
     assert chased(Record.of(kept(travel_mm=12.0)))
     assert not chased(Record.of(kept(travel_mm=8.0)))
@@ -164,11 +178,15 @@ def test_as_many_runs_as_promised(tmp_path):
     strengths = sum(len(dial.strengths) for dial in GRADED.values())
     names = [name for name in ours if name.startswith("open loop")]
     assert len(names) == strengths + 2
+    assert ours["open loop, drag 1 mm"] == ours["open loop, clinic"] == 10
+    assert ours["open loop, drag 2 mm"] == 3
     assert sum(name.startswith("closed loop") for name in ours) == len(GRADED) + 2
     clinic = [case for case in cases if case.experiment == "clinic without a needle"]
     with scenario_of(clinic[0].settings, clinic[0].seed) as scenario:
         assert len(clinic) * scenario.duration == 3600
         assert make_insertion(scenario).depth(1e3) == 0
+    assert sum(case.settings["trackers"] == [*TRACKERS] for case in clinic) == 2
+    assert sum(case.settings["trackers"] == [OURS] for case in clinic) == 10
     quick = reproduction.study_cases(StudyOptions(folder=tmp_path, quick=True))
     assert len(quick) < 25
     assert {case.settings["loop"] for case in quick} == {"open", "closed", "search"}

@@ -1,11 +1,14 @@
-"""The page in which a person points at something in a slice: what it shows, takes and refuses."""
+"""The page in which a person clicks on the needle: what it shows, takes and refuses."""
 
+import io
 import json
 import threading
+from base64 import b64decode
 
 import numpy as np
 import pytest
 from page_clients.web_request import get, post
+from PIL import Image
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.display.pages.click_page import ClickPage
@@ -24,8 +27,9 @@ def site():
 
 @pytest.fixture
 def page(site):
-    image = ImageSlice(np.zeros((51, 101), np.uint8), ORIGIN, SPACING, RigidTransform(), 0.0)
-    return ClickPage(site, image, following="console")
+    intensities = np.zeros((51, 101), np.uint8)
+    intensities[10, 80] = 200
+    return ClickPage(site, ImageSlice(intensities, ORIGIN, SPACING, RigidTransform(), 0.0))
 
 
 def click(page, body):
@@ -40,6 +44,8 @@ def test_a_click_is_a_place_in_the_slice(page):
     assert click(page, json.dumps({"x": -1.5e-3, "y": 0.0123})) == 200
     thread.join(10)
     np.testing.assert_allclose(waited[0], [-1.5e-3, 0.0123])
+    assert click(page, json.dumps({"x": 0.0, "y": 0.01})) == 409  # too late
+    np.testing.assert_allclose(page.wait(), [-1.5e-3, 0.0123])
 
 
 def test_the_page_shows_the_slice_where_it_lies(page):
@@ -48,8 +54,12 @@ def test_the_page_shows_the_slice_where_it_lies(page):
     assert status == 200
     # Half an element around the centres of the outermost ones.
     np.testing.assert_allclose(shown["extent"], [-10.2, 1.9, 20.4, 20.2])
-    assert shown["png"].startswith("data:image/png;base64,")
-    assert shown["next"] == "../console/"
+    kind, _, coded = shown["png"].partition(",")
+    assert kind == "data:image/png;base64"
+    with Image.open(io.BytesIO(b64decode(coded))) as picture:
+        assert picture.size == (51, 101)  # x runs to the right, depth down
+        assert picture.getpixel((10, 80)) == 200
+        assert np.asarray(picture).sum() == 200
 
 
 @pytest.mark.parametrize(
@@ -57,7 +67,8 @@ def test_the_page_shows_the_slice_where_it_lies(page):
     [
         "", "{", "[]", "3", '{"x": 0.0}', '{"x": "left", "y": 0.01}', '{"x": NaN, "y": 0.01}',
         '{"x": 0.02, "y": 0.01}', '{"x": 0.0, "y": 0.0}', '{"x": 1e999, "y": 0.01}',
-        '{"x": [0.0], "y": 0.01}', '{"x": null, "y": 0.01}',
+        '{"x": [0.0], "y": 0.01}', '{"x": null, "y": 0.01}', '{"x": ' + 400 * "1" + ', "y": 0.01}',
+        2000 * "[",
     ],
 )  # fmt: skip
 def test_anything_else_is_refused_and_the_page_still_waits(page, body):
