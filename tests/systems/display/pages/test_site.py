@@ -111,7 +111,7 @@ def test_requests_that_are_no_requests_stop_nothing(site):
 
 
 def test_pages_are_let_go_when_the_site_closes():
-    with Site(port=23456) as site:  # which no test beside this one may take at once
+    with Site(port=23456) as site:  # no other test takes this port
         site.add("page", "Page", [("socket", Echo, {})])
         connection = open_socket(site.address("page"), "socket")
     with connection, pytest.raises(ConnectionRefusedError):
