@@ -169,13 +169,7 @@ class Group:
             for each in self.records
         ]
         runs += self.failed * [np.array([np.inf])]
-        if not runs:
-            return Figure()
-
-        def figure(values: Floats) -> float:
-            return float(np.quantile(values, q, method="inverted_cdf"))
-
-        return Figure(figure(np.concatenate(runs)), *run_interval(runs, figure))
+        return _pooled(runs, lambda values: float(np.quantile(values, q, method="inverted_cdf")))
 
     def inside(self, error: str) -> Figure:
         """Return the share of truths inside the stated 95 % from the detection on, in %.
@@ -190,10 +184,7 @@ class Group:
         """
         stated = [each.inside[error][each.judged] for each in self.records]
         runs = [100 * each[np.isfinite(each)] for each in stated]
-        runs = [each for each in runs if len(each)]
-        if not runs:
-            return Figure()
-        return Figure(float(np.concatenate(runs).mean()), *run_interval(runs, _mean))
+        return _pooled([each for each in runs if len(each)], lambda values: float(values.mean()))
 
     def false_starts_per_hour(self) -> Figure:
         """Return the rate of false starts; a failed run has as many as the worst of the others."""
@@ -219,8 +210,11 @@ class Group:
         return Figure(max(values)) if values else Figure()
 
 
-def _mean(values: Floats) -> float:
-    return float(values.mean())
+def _pooled(runs: Sequence[Floats], statistic: Callable[[Floats], float]) -> Figure:
+    """Return a statistic of the values of all runs, (v,) each, with its interval over runs."""
+    if not runs:
+        return Figure()
+    return Figure(statistic(np.concatenate(runs)), *run_interval(runs, statistic))
 
 
 def chased(record: Record) -> bool:
