@@ -1,6 +1,5 @@
 """A page with a picture of a slice, in which a person clicks on the needle."""
 
-import io
 import json
 import math
 from base64 import b64encode
@@ -10,9 +9,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from sonoservo.systems.display.pages.site import Document, Guarded, Site
+from sonoservo.systems.display.textured_quads import encode_png
 from sonoservo.systems.signals.image_slice import ImageSlice
 
 Place = tuple[float, float]
@@ -40,7 +39,7 @@ class ClickPage:
         low = image.position((-0.5, -0.5))
         high = image.position(np.array(image.intensities.shape) - 0.5)
         shown = {
-            "png": _data_address(image),
+            "png": f"data:image/png;base64,{b64encode(encode_png(image.intensities.T)).decode()}",
             "extent": (1e3 * np.array([*low, *(high - low)])).tolist(),
         }
         page = (files("sonoservo.systems.display.pages") / "click_page.html").read_text()
@@ -80,10 +79,3 @@ class _Click(Guarded):
             self.set_status(409)
         else:
             self._clicked.set_result(place)
-
-
-def _data_address(image: ImageSlice) -> str:
-    """Return the slice as the address of a PNG; depth runs down."""
-    buffer = io.BytesIO()
-    Image.fromarray(np.ascontiguousarray(image.intensities.T)).save(buffer, "PNG")
-    return f"data:image/png;base64,{b64encode(buffer.getvalue()).decode()}"
