@@ -98,7 +98,7 @@ NOTEBOOKS = sorted(ROOT.glob("notebooks/[1-9]*.py"))
 
 @pytest.mark.parametrize(
     "path",
-    [ROOT / "README.md", ROOT / "notebooks/docs/volumes.md", *NOTEBOOKS],
+    [ROOT / "notebooks/docs/python.md", ROOT / "notebooks/docs/volumes.md", *NOTEBOOKS],
     ids=lambda path: path.stem,
 )
 def test_users_code_imports_from_faces(path):

@@ -1,3 +1,4 @@
+from .hand_eye_corrector import HandEyeCorrector as HandEyeCorrector
 from .pose_calibration import PoseCalibration as PoseCalibration
 from .pose_corrector import PoseCorrector as PoseCorrector
 from .pose_errors import PoseEquations as PoseEquations

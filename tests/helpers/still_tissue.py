@@ -8,6 +8,8 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from scipy.ndimage import gaussian_filter, map_coordinates
 from synthetic_volumes import GEOMETRY, grid
 
+from sonoservo.systems.recording.recording import Recording
+from sonoservo.systems.recording.recording_writer import RecordingWriter
 from sonoservo.systems.signals.sweep import SweepMotion
 from sonoservo.systems.signals.volume import Volume
 
@@ -67,3 +69,10 @@ class LyingProbe:
         grey = np.zeros(inside.shape, np.uint8)
         grey[inside] = np.clip(np.round((seen + 40) * 255 / 60), 1, 255)
         return Volume(grey, low, spacing, self.measured(middle), middle, said)
+
+    def record(self, path, count):
+        """Recording of the first volumes."""
+        with RecordingWriter(path) as writer:
+            for number in range(count):
+                writer.append(self.volume(number))
+        return Recording(path)

@@ -2,21 +2,27 @@
 
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
+from sonoservo.diagrams.calibrated_tracker import MakeCalibratedTracker
 from sonoservo.diagrams.experiments.following_events import observer_events, tracker_events
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
 from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.diagrams.trackers.registry import TRACKERS
+from sonoservo.systems.calibration.hand_eye_corrector import HandEyeCorrector
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.run_logger import RunLogger
 from sonoservo.systems.ultrasound.imaging import sweep_geometry
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
-_LOGGED = ("X_WP", "true_X_WP", "X_WT", "needle", "motion_record")
+_LOGGED = ("true_X_WP", "X_WT", "needle", "motion_record")
 
 
 def MakeLoggedTracker(
-    *, scenario: FollowingScenario, tracker: str, drives: bool = False
+    *,
+    scenario: FollowingScenario,
+    tracker: str,
+    drives: bool = False,
+    correct_poses: bool = False,
 ) -> Diagram:
     """Make a tracker that observes a run, with a log of its own.
 
@@ -42,9 +48,13 @@ def MakeLoggedTracker(
         Kind of the tracker, which has its default parameters.
     drives
         Whether the robot of the run follows an equal tracker.
+    correct_poses
+        Whether the tracker corrects the poses of its volumes first, and the log holds the pose of
+        the probe with the hand-eye error taken out.
     """
     kind = next(each for each in TRACKERS if each.kind == tracker)
-    needle_tracker = MakeNeedleTracker(
+    make = MakeCalibratedTracker if correct_poses else MakeNeedleTracker
+    needle_tracker = make(
         parameters=kind(), seed=draw_seeds(scenario).tracker, **tracker_events(scenario)
     )
     events = observer_events(scenario)
@@ -59,6 +69,15 @@ def MakeLoggedTracker(
     for port in ("estimate", "measurement", "detection"):
         builder.Connect(needle_tracker.GetOutputPort(port), logger.GetInputPort(port))
     builder.ExportInput(needle_tracker.GetInputPort("volume"), "volume")
+    X_WP = logger.GetInputPort("X_WP")
+    if correct_poses:
+        corrector = builder.AddNamedSystem("hand_eye_corrector", HandEyeCorrector())
+        builder.Connect(
+            needle_tracker.GetOutputPort("pose_errors"), corrector.GetInputPort("pose_errors")
+        )
+        builder.Connect(corrector.GetOutputPort("corrected_X_WP"), X_WP)
+        X_WP = corrector.GetInputPort("X_WP")
+    builder.ExportInput(X_WP, "X_WP")
     for port in (*_LOGGED, *(["planar_velocity"] if drives else [])):
         builder.ExportInput(logger.GetInputPort(port), port)
     made = builder.Build()

@@ -30,7 +30,9 @@ from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
 
-def run_open_loop(scenario: FollowingScenario, trackers: Sequence[str]) -> dict[str, RunLog]:
+def run_open_loop(
+    scenario: FollowingScenario, trackers: Sequence[str], *, correct_poses: bool = False
+) -> dict[str, RunLog]:
     """Acquire a scenario's volumes with a probe that is moved as planned, and track in them.
 
     Every tracker gets the same volumes with the same poses; none of them moves the probe.
@@ -41,12 +43,17 @@ def run_open_loop(scenario: FollowingScenario, trackers: Sequence[str]) -> dict[
         Scenario of following, of which the controller and the arm play no part.
     trackers
         Kinds of the trackers.
+    correct_poses
+        Whether each tracker corrects the poses of its volumes first.
 
     Returns
     -------
     Log of each tracker, by its kind.
     """
-    observers = {each: MakeLoggedTracker(scenario=scenario, tracker=each) for each in trackers}
+    observers = {
+        each: MakeLoggedTracker(scenario=scenario, tracker=each, correct_poses=correct_poses)
+        for each in trackers
+    }
     diagram = _make_scene(scenario, observers)
     simulator = Simulator(diagram)
     simulator.Initialize()

@@ -94,7 +94,7 @@ def report(outcomes: Sequence[Outcome]) -> RobustnessStudy:
         Outcomes of all cases.
     """
     groups = group_outcomes(outcomes)
-    curves = dial_curves(outcomes, groups)
+    curves = dial_curves([each for each in outcomes if _is_shared(each)])
     thresholds = dial_thresholds(curves)
     rows = [row for name, trackers in groups.items() for row in _rows(name, trackers)]
     return RobustnessStudy(
@@ -133,16 +133,15 @@ Curve = list[tuple[float, Mapping[str, Group]]]
 """Strength and runs by tracker, the weakest first."""
 
 
-def dial_curves(outcomes: Sequence[Outcome], groups: Groups) -> dict[str, Curve]:
+def dial_curves(outcomes: Sequence[Outcome]) -> dict[str, Curve]:
     """Return the runs of the open loop by dial and strength; "plain" and the clinic are dials too.
 
     Parameters
     ----------
     outcomes
-        Outcomes of all cases.
-    groups
-        The same outcomes by experiment and tracker.
+        Outcomes of cases. Those of other loops play no part.
     """
+    groups = group_outcomes(outcomes)
     curves: dict[str, dict[float, Mapping[str, Group]]] = {}
     for each in outcomes:
         settings = each.case.settings
@@ -169,6 +168,11 @@ def dial_thresholds(curves: Mapping[str, Curve]) -> dict[str, dict[str, Threshol
                 for kind in TRACKERS
             }
     return found
+
+
+def _is_shared(outcome: Outcome) -> bool:
+    """Return True if all trackers saw the scene, so that they are compared like for like."""
+    return set(outcome.case.settings["trackers"]) == set(TRACKERS)
 
 
 def _rows(experiment: str, trackers: Mapping[str, Group]) -> list[StudyRow]:

@@ -21,8 +21,15 @@ from sonoservo.diagrams.studies.study_report import Study
 OPEN_SEEDS, CLOSED_SEEDS = (3, 1), (2, 1)
 """Number of seeds of each dial and strength, in the whole study and in a quick one."""
 
-MODERATE_SEEDS = (10, 1)
-"""Number of seeds of the open loop at moderate strength, with every dial off, and in the clinic."""
+MODERATE_SEEDS, OTHERS_MODERATE_SEEDS = (30, 1), (10, 1)
+"""Number of seeds of the open loop at moderate strength, with every dial off, and in the clinic;
+and of those that the other trackers see too."""
+
+CALIBRATED_SEEDS = (10, 1)
+"""Number of seeds with poses as they are measured, and with corrected ones."""
+
+CLINIC_SEEDS = (10, 1)
+"""Number of runs of the clinic with our tracker in the closed loop."""
 
 WITHDRAWALS, OTHERS_WITHDRAWALS = (50, 1), (10, 1)
 """Number of withdrawals with our tracker, and with each of the others."""
@@ -41,6 +48,16 @@ _OPEN = {True: ["hand.start=1.5", "duration=12.5"], False: ["hand.start=1.5", "d
 _CLOSED = {True: ["duration=15.5"], False: ["duration=17.0"]}
 """Changes of a dial's scenario (True) and of the clinic (False). Without a robot, nothing has to
 land, and the needle comes sooner."""
+
+_CALIBRATED = ("pose delay", "hand-eye calibration")
+"""Dials that the tissue itself shows, and that a tracker can correct."""
+
+_LONG = [
+    "hand.pushes=[{duration: 6.25, speed: 0.008}, {duration: 14, speed: 0.002}]",
+    "hand.start=1.5",
+    "duration=23",
+]
+"""Changes of the scenario in which poses are calibrated: the probe follows a slow second push."""
 
 _QUICK_DIALS = ("faint needle", "breathing", "hand-eye calibration", "speed of sound")
 """Dials of a quick study."""
@@ -70,6 +87,7 @@ def study_cases(options: StudyOptions) -> list[Case]:
     """Return the cases to run."""
     return [
         *_open_cases(options),
+        *_calibration_cases(options),
         *_closed_cases(options),
         *_withdrawals(options),
         *_without_needle(options),
@@ -130,17 +148,28 @@ def _points(quick: bool) -> list[tuple[str, float]]:
 
 def _open_cases(options: StudyOptions) -> list[Case]:
     cases = []
+    shared = options.seed_range(*OTHERS_MODERATE_SEEDS)
     for name, strength in _points(options.quick):
         settings = _dial(name, strength)
         changes = _OPEN[name != CLINIC]
-        settings = _more(
-            settings, changes, loop="open", trackers=[*TRACKERS], dial=name, strength=strength
-        )
+        settings = _more(settings, changes, loop="open", dial=name, strength=strength)
         numbers = MODERATE_SEEDS if name not in GRADED or strength == 1.0 else OPEN_SEEDS
-        cases += [
-            Case(_experiment("open loop", name, strength), seed, settings)
-            for seed in options.seed_range(*numbers)
-        ]
+        for seed in options.seed_range(*numbers):
+            trackers = [*TRACKERS] if seed in shared else [OURS]
+            experiment = _experiment("open loop", name, strength)
+            cases.append(Case(experiment, seed, {**settings, "trackers": trackers}))
+    return cases
+
+
+def _calibration_cases(options: StudyOptions) -> list[Case]:
+    cases = []
+    for name in _CALIBRATED[1:] if options.quick else _CALIBRATED:
+        settings = _more(_dial(name, 1.0), _LONG, loop="calibration", trackers=[OURS])
+        for words, corrects in (("poses as measured", False), ("poses corrected", True)):
+            cases += [
+                Case(_experiment(words, name, 1.0), seed, {**settings, "correct_poses": corrects})
+                for seed in options.seed_range(*CALIBRATED_SEEDS)
+            ]
     return cases
 
 
@@ -149,11 +178,12 @@ def _closed_cases(options: StudyOptions) -> list[Case]:
     names = ("faint needle",) if options.quick else ("plain", *GRADED, CLINIC)
     for name in names:
         settings = _more(_dial(name, 1.0), _CLOSED[name != CLINIC], loop="closed", dial=name)
-        cases += [
-            Case(_experiment("closed loop", name, 1.0), seed, _with(settings, tracker))
-            for seed in options.seed_range(*CLOSED_SEEDS)
-            for tracker in TRACKERS
-        ]
+        for tracker in TRACKERS:
+            more = tracker == OURS and name == CLINIC
+            cases += [
+                Case(_experiment("closed loop", name, 1.0), seed, _with(settings, tracker))
+                for seed in options.seed_range(*(CLINIC_SEEDS if more else CLOSED_SEEDS))
+            ]
     return cases
 
 

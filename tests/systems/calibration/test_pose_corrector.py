@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 from pydrake.common.value import Value
-from pydrake.math import RigidTransform
+from pydrake.math import RigidTransform, RollPitchYaw
+from scipy.spatial.transform import Rotation
 from still_tissue import LyingProbe
 
-from sonoservo.systems.calibration import PoseCorrector, PoseErrors
+from sonoservo.systems.calibration import HandEyeCorrector, PoseCorrector, PoseErrors
 from sonoservo.systems.signals.immutable import NotFound
 
 LYING = LyingProbe(delay=0.06, X_PI=RigidTransform([1e-3, 0.0, 1e-3]))
@@ -59,3 +60,17 @@ def test_a_missing_volume_is_passed_on():
     assert give(system, context, missing) is missing
     system.ExecuteForcedEvents(context)
     assert not system.GetOutputPort("pose_errors").Eval(context)
+
+
+def test_the_hand_eye_error_is_taken_out_of_a_pose():
+    X_PI = RigidTransform(RollPitchYaw(0.01, -0.02, 0.03), [1e-3, 2e-3, -3e-3])
+    X_WP = RigidTransform(RollPitchYaw(0.1, 0.2, -0.3), [0.1, 0.2, 0.3])
+    turn = Rotation.from_matrix(X_PI.rotation().matrix()).as_rotvec()
+    errors = PoseErrors(0.05, X_PI.translation(), turn, np.eye(7), pairs=9, blocks=90)
+    system = HandEyeCorrector()
+    context = system.CreateDefaultContext()
+    system.GetInputPort("X_WP").FixValue(context, Value(X_WP))
+    for value, expected in ((errors, X_WP @ X_PI), (NotFound("too few"), X_WP)):
+        system.GetInputPort("pose_errors").FixValue(context, Value[object](value))
+        pose = system.GetOutputPort("corrected_X_WP").Eval(context)
+        np.testing.assert_allclose(pose.GetAsMatrix4(), expected.GetAsMatrix4(), atol=1e-12)

@@ -14,6 +14,7 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import Gain
+from still_tissue import LyingProbe
 from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.diagrams import MakeNeedleTracker, load_scenario, run, track_recording
@@ -76,7 +77,7 @@ def quiet(line):
 
 
 @contextmanager
-def scanner(play):
+def scanner(play, keep=COUNT):
     """A source of what a function sends, on a thread, once the connection is there."""
     with Link(parse_address("igtl://:0"), report=quiet) as server:
 
@@ -87,14 +88,14 @@ def scanner(play):
         thread = threading.Thread(target=start)
         thread.start()
         address = parse_address(f"igtl://localhost:{server.port}")
-        with LiveSource(address, keep=COUNT, report=quiet) as source:
+        with LiveSource(address, keep=keep, report=quiet) as source:
             yield source
         thread.join()
 
 
 def played(recording):
     """A source of recorded volumes."""
-    return scanner(lambda link: play_live(recording, link, speed=0))
+    return scanner(lambda link: play_live(recording, link, speed=0), keep=len(recording))
 
 
 def rows_of(folder):
@@ -126,6 +127,16 @@ def test_live_estimates_are_those_of_the_recording_to_the_last_bit(recording, ex
     assert isinstance(status, StatusItem)
     assert tip.time == pytest.approx(recording.times[-1], abs=1e-9)
     np.testing.assert_array_equal(tip.X.translation(), expected.estimates[-1].curve.tip)
+
+
+def test_poses_are_corrected_live_as_in_the_recording(tmp_path):
+    lying = LyingProbe(delay=0.06, X_PI=RigidTransform([1e-3, 0.0, 1e-3]))
+    recording = lying.record(tmp_path / "a.seq.nrrd", 14)
+    expected = track_recording(recording, correct_poses=True).summary["pose_errors"]
+    with played(recording) as source:
+        summary = track_live(source, limits=LiveLimits(volumes=14), correct_poses=True)
+    assert summary["pose_errors"] == expected
+    assert expected["delay_ms"] == pytest.approx(60, abs=6)
 
 
 def test_stream_of_another_scanner_is_tracked_as_the_bridge_records_it(recording, tmp_path):

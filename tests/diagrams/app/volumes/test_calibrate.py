@@ -13,7 +13,6 @@ from sonoservo.diagrams import MakeCalibratedTracker, MakeNeedleTracker, track_r
 from sonoservo.diagrams.calibrated_tracker import corrected_frame
 from sonoservo.diagrams.needle_tracker import track_volume
 from sonoservo.systems.recording.recording import Recording
-from sonoservo.systems.recording.recording_writer import RecordingWriter
 
 LYING = LyingProbe(delay=0.06, X_PI=RigidTransform([1e-3, 0.0, 1e-3]))
 
@@ -21,9 +20,7 @@ LYING = LyingProbe(delay=0.06, X_PI=RigidTransform([1e-3, 0.0, 1e-3]))
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
     path = tmp_path_factory.mktemp("calibrated") / "a.seq.nrrd"
-    with RecordingWriter(path) as writer:
-        for number in range(14):
-            writer.append(LYING.volume(number))
+    LYING.record(path, 14)
     return path
 
 
@@ -39,9 +36,7 @@ def test_a_recording_is_calibrated(recorded, tmp_path):
 
 def test_a_short_recording_is_not_calibrated(tmp_path):
     path = tmp_path / "short.seq.nrrd"
-    with RecordingWriter(path) as writer:
-        for number in range(3):
-            writer.append(LYING.volume(number))
+    LYING.record(path, 3)
     done = sonoservo_here("calibrate", str(path))
     assert done.returncode == 1
     assert "too few" in done.stdout

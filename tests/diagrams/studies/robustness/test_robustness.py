@@ -178,7 +178,10 @@ def test_as_many_runs_as_promised(tmp_path):
     strengths = sum(len(dial.strengths) for dial in GRADED.values())
     names = [name for name in ours if name.startswith("open loop")]
     assert len(names) == strengths + 2
-    assert ours["open loop, drag 1 mm"] == ours["open loop, clinic"] == 10
+    assert ours["open loop, drag 1 mm"] == ours["open loop, clinic"] == 30
+    everyone = [case.experiment for case in cases if case.settings["trackers"] == [*TRACKERS]]
+    assert Counter(everyone)["open loop, drag 1 mm"] == 10
+    assert ours["closed loop, clinic"] == ours["poses corrected, pose delay 50 ms"] == 10
     assert ours["open loop, drag 2 mm"] == 3
     assert sum(name.startswith("closed loop") for name in ours) == len(GRADED) + 2
     clinic = [case for case in cases if case.experiment == "clinic without a needle"]
@@ -189,7 +192,9 @@ def test_as_many_runs_as_promised(tmp_path):
     assert sum(case.settings["trackers"] == [OURS] for case in clinic) == 10
     quick = reproduction.study_cases(StudyOptions(folder=tmp_path, quick=True))
     assert len(quick) < 25
-    assert {case.settings["loop"] for case in quick} == {"open", "closed", "search"}
+    assert {case.settings["loop"] for case in quick} == {
+        "open", "calibration", "closed", "search",
+    }  # fmt: skip
 
 
 def test_a_withdrawal_ends_outside_after_the_phantom_has_moved():
@@ -267,6 +272,23 @@ def outcomes(values):
         case = Case(f"open loop, drag {strength:g} mm", 100, settings)
         made.append(Outcome(case, {k: kept(tip=t) for k, t in zip(TRACKERS, tips, strict=True)}))
     return made
+
+
+def test_scenes_that_only_ours_saw_count_in_its_rows_but_not_in_thresholds():
+    shared = outcomes({1.0: (1, 1, 1), 2.0: (1, 1, 1)})
+    settings = {**shared[0].case.settings, "trackers": [OURS]}
+    alone = [
+        Outcome(Case(shared[0].case.experiment, seed, settings), {OURS: kept(tip=9)})
+        for seed in (101, 102, 103)
+    ]
+    study = report([*shared, *alone])
+    assert study.thresholds[0][OURS] == "beyond 2"
+    row = next(
+        each
+        for each in study.rows
+        if (each.experiment, each.quantity) == ("open loop, drag 1 mm", "success")
+    )
+    assert (row.true, row.published_true) == (25, 100)
 
 
 def test_the_report_gives_thresholds_and_they_become_a_table():
