@@ -1,4 +1,4 @@
-"""Kalman filters on the needle's control points for steady and unsteady motion, interacting."""
+"""Interacting Kalman filters on the needle's control points: steady, unsteady and carried along."""
 
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
@@ -7,6 +7,7 @@ import numpy as np
 from filterpy.kalman import predict, update
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
+from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from sonoservo.systems.estimation.needle_motion import NeedleMotionParameters, constant_velocity
@@ -31,11 +32,11 @@ class InteractingState(Immutable):
     time
         Time for which the state holds, in s.
     means, covariances
-        (2, 9n) means and (2, 9n, 9n) covariances under each model, in W: control points in m,
+        (3, 9n) means and (3, 9n, 9n) covariances under each model, in W: control points in m,
         their velocities in m/s, and the repeated error of the measured points, relative to its
         standard deviation.
     weights
-        (2,) probabilities of the models.
+        (3,) probabilities of the models.
     constant
         (3n, 3n) covariance of an error that all measurements of the points have in common, in m^2.
     seen
@@ -55,7 +56,7 @@ class InteractingState(Immutable):
     def __post_init__(self) -> None:
         size = self.means.shape[-1]
         for name, shape in (
-            ("means", (2, size)), ("covariances", (2, size, size)), ("weights", (2,)),
+            ("means", (3, size)), ("covariances", (3, size, size)), ("weights", (3,)),
             ("constant", (size // 3, size // 3)), ("axis", (3,)),
         ):  # fmt: skip
             object.__setattr__(self, name, read_only(getattr(self, name), name, shape))
@@ -112,11 +113,12 @@ class InteractingState(Immutable):
 
 @dataclass(kw_only=True)
 class InteractingFilter:
-    """Filter of a needle that moves steadily or unsteadily, with errors that repeat themselves.
+    """Filter of a needle that moves steadily or not, with errors that repeat themselves.
 
-    Two Kalman filters as in Chatelain 2013 (eqs. 3-14), with little and with much acceleration,
-    interact (Blom and Bar-Shalom 1988). A hand rests or pushes evenly most of the time, and then
-    the measurements of many volumes count.
+    Three Kalman filters as in Chatelain 2013 (eqs. 3-14) interact (Blom and Bar-Shalom 1988): one
+    with little acceleration, one with much of it along the needle, and one with much of it in every
+    direction. A hand rests or pushes evenly most of the time, and then the measurements of many
+    volumes count. It starts and stops, and tissue that breathes carries the needle along.
 
     Most of a measurement's error is due to the needle's speckle. It repeats itself as long as
     neither probe nor needle moves, and a repetition is no evidence. The repeated part is therefore
@@ -128,10 +130,13 @@ class InteractingFilter:
     ----------
     kind
         Name of the filter, always "interacting".
-    steady, unsteady
-        Spectral densities of the needle's acceleration under the two models.
-    steady_time, unsteady_time
-        Mean time for which a needle moves steadily and unsteadily, in s.
+    steady, unsteady, carried
+        Spectral densities of the needle's acceleration under each model.
+    steady_time, unsteady_time, carried_time
+        Mean time for which a needle moves steadily, unsteadily and with the tissue, in s.
+    unseen_time
+        Time in s in which the velocity falls to 1/e while the tip is not seen. A hand that pushes
+        stops before long.
     constant, repeated
         Shares of a measurement's variance that never change, and that repeat themselves at the same
         place in the same view.
@@ -150,8 +155,13 @@ class InteractingFilter:
         default_factory=lambda: NeedleMotionParameters(insertion=2e-8, body=2e-8, bending=2e-8)
     )
     unsteady: NeedleMotionParameters = field(default_factory=NeedleMotionParameters)
+    carried: NeedleMotionParameters = field(
+        default_factory=lambda: NeedleMotionParameters(body=3e-5)
+    )
     steady_time: float = 3.0
     unsteady_time: float = 1.0
+    carried_time: float = 1.0
+    unseen_time: float = 1.0
     constant: float = 0.25
     repeated: float = 0.65
     place_length: float = 3e-3
@@ -168,12 +178,18 @@ class InteractingFilter:
         require_positive(
             steady_time=self.steady_time,
             unsteady_time=self.unsteady_time,
+            carried_time=self.carried_time,
+            unseen_time=self.unseen_time,
             place_length=self.place_length,
             view_length=self.view_length,
             view_angle_deg=self.view_angle_deg,
             first_speed_std=self.first_speed_std,
             first_drift_std=self.first_drift_std,
         )
+
+    @property
+    def _times(self) -> Floats:
+        return np.array([self.steady_time, self.unsteady_time, self.carried_time])
 
     def start(self, measurement: NeedleMeasurement) -> InteractingState:
         """Return the state after a first measurement, with an unknown velocity."""
@@ -191,12 +207,12 @@ class InteractingFilter:
         P[errors, errors] = np.eye(size)
         P[points, errors], P[errors, points] = -root, -root.T
         mean = np.concatenate([curve.control_points.ravel(), np.zeros(2 * size)])
-        total = self.steady_time + self.unsteady_time
-        weights = np.array([self.steady_time, self.unsteady_time]) / total
+        # As many as there are on average: all models are left for each other one alike.
+        weights = self._times / self._times.sum()
         return InteractingState(
             measurement.time,
-            np.stack([mean, mean]),
-            np.stack([P, P]),
+            np.stack([mean] * len(weights)),
+            np.stack([P] * len(weights)),
             weights,
             self.constant * R,
             measurement,
@@ -208,16 +224,19 @@ class InteractingFilter:
         dt = time - state.time
         if dt <= 0:
             return state
-        switch = _transition(dt, self.steady_time, self.unsteady_time)
+        switch = transition(dt, self._times)
+        fades = np.inf if state.seen.tip_seen else self.unseen_time
         weights = state.weights @ switch
         means, covariances = np.empty_like(state.means), np.empty_like(state.covariances)
         size = state.means.shape[1] // 3
         moving, curve = 2 * size, state.curve
-        for model, motion in enumerate((self.steady, self.unsteady)):
+        for model, motion in enumerate((self.steady, self.unsteady, self.carried)):
             came_from = state.weights * switch[:, model] / weights[model]
             mean, P = _mixed(came_from, state.means, state.covariances)
             A, Q = np.eye(3 * size), np.zeros((3 * size, 3 * size))
-            A[:moving, :moving], Q[:moving, :moving] = constant_velocity(dt, motion.density(curve))
+            A[:moving, :moving], Q[:moving, :moving] = constant_velocity(
+                dt, motion.density(curve), fades=fades
+            )
             means[model], covariances[model] = predict(mean, P, A, Q)
         return replace(state, time=time, means=means, covariances=covariances, weights=weights)
 
@@ -244,8 +263,8 @@ class InteractingFilter:
         C = np.hstack([np.eye(size), np.zeros((size, size)), np.sqrt(self.repeated) * _root(R)])
         noise = (1 - self.constant - self.repeated) * R
         means, covariances = np.empty_like(state.means), np.empty_like(state.covariances)
-        fits = np.empty(2)
-        for model in range(2):
+        fits = np.empty(len(means))
+        for model in range(len(means)):
             mean = fades * state.means[model]
             P = np.outer(fades, fades) * state.covariances[model] + renewed
             S = C @ P @ C.T + noise
@@ -301,11 +320,19 @@ def _root(R: Floats) -> Floats:
     return np.asarray((vectors * np.sqrt(values.clip(0))) @ vectors.T)
 
 
-def _transition(dt: float, steady_time: float, unsteady_time: float) -> Floats:
-    """Return the (2, 2) probabilities of going from each model to each other in a time in s."""
-    rates = 1 / np.array([steady_time, unsteady_time])
-    leaves = rates / rates.sum() * -np.expm1(-dt * rates.sum())
-    return np.array([[1 - leaves[0], leaves[0]], [leaves[1], 1 - leaves[1]]])
+def transition(dt: float, times: Floats) -> Floats:
+    """Return the (m, m) probabilities of going from each model to each other.
+
+    Parameters
+    ----------
+    dt
+        Time in s.
+    times
+        (m,) mean time for which each model holds, in s. It is left for each other one alike.
+    """
+    count = len(times)
+    rates = (np.ones((count, count)) - count * np.eye(count)) / (count - 1)
+    return np.asarray(expm(dt * rates / times[:, np.newaxis]))
 
 
 def _mixed(weights: Floats, means: Floats, covariances: Floats) -> tuple[Any, Any]:

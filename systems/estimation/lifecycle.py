@@ -32,6 +32,10 @@ class Lifecycle(Protocol):
     def max_approach(self) -> float:
         """Largest motion of the probe along its axis at which a needle may be found, in m."""
 
+    @property
+    def remembers(self) -> bool:
+        """Whether tracks keep earlier volumes, which a new needle must not be in."""
+
     def without_needle(self, time: float, reason: str = "", searched: float = ...) -> Track:
         """Return the track at a time in s while there is no needle."""
 

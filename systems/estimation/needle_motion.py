@@ -46,7 +46,7 @@ class NeedleMotionParameters:
 
 
 def constant_velocity(
-    dt: float, density: NDArray[np.float64]
+    dt: float, density: NDArray[np.float64], *, fades: float = np.inf
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return transition A and noise Q of a constant-velocity model (Chatelain 2013, eqs. 8, 6).
 
@@ -56,6 +56,8 @@ def constant_velocity(
         Time step in s.
     density
         (d, d) spectral density of the white acceleration.
+    fades
+        Time in s in which the velocity falls to 1/e; by default it does not.
 
     Returns
     -------
@@ -64,7 +66,9 @@ def constant_velocity(
     """
     d = len(density)
     A: NDArray[np.float64] = np.eye(2 * d)
-    A[:d, d:] = dt * np.eye(d)
+    kept = np.exp(-dt / fades)
+    A[:d, d:] = (dt if kept == 1 else fades * (1 - kept)) * np.eye(d)
+    A[d:, d:] = kept * np.eye(d)
     Q: NDArray[np.float64] = np.empty((2 * d, 2 * d))
     Q[:d, :d], Q[d:, d:] = dt**3 / 3 * density, dt * density
     Q[:d, d:] = Q[d:, :d] = dt**2 / 2 * density

@@ -45,6 +45,7 @@ class PublishedLifecycle:
     gate: ClassVar[None] = None
     probe_frame: ClassVar[bool] = True
     max_approach: ClassVar[float] = np.inf
+    remembers: ClassVar[bool] = False
 
     order: int
     needle_filter: NeedleFilter[Any]

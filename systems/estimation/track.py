@@ -11,6 +11,10 @@ from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.insertion_detection import InsertionDetection
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals.volume import Volume
+
+_KEPT, _KEPT_APART = 10, 0.9
+"""Number of earlier volumes that are kept beside the first, and time between them, in s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +53,14 @@ class Track(Immutable):
         Number of successive volumes that showed the candidate.
     searched
         Time of the last search in the whole volume, in s.
+    tip_seen
+        Time at which the tip was last seen, in s.
+    began, longest
+        Time in s at which the needle was found, and its largest length since, in m.
+    grown
+        Whether a needle has ever grown to the length of one.
+    earlier
+        Some of the earlier volumes in order of time, until a needle has grown.
     reason
         Reason why the last volume did not confirm the needle.
     """
@@ -67,6 +79,11 @@ class Track(Immutable):
     candidate: NeedleState | None = None
     seen: int = 0
     searched: float = -np.inf
+    tip_seen: float = -np.inf
+    began: float = np.inf
+    longest: float = 0.0
+    grown: bool = False
+    earlier: tuple[Volume, ...] = ()
     reason: str = ""
 
     def __bool__(self) -> bool:
@@ -80,6 +97,16 @@ class Track(Immutable):
         state, candidate = (each and each.transformed(X) for each in (self.state, self.candidate))
         entry = None if self.entry is None else X.multiply(self.entry)
         return replace(self, X_WP=X_WP, state=state, candidate=candidate, entry=entry)
+
+    def after(self, volume: Volume) -> "Track":
+        """Return the track with a volume among the earlier ones, if it is to be kept."""
+        if self.grown:
+            return replace(self, earlier=())
+        first, last = self.earlier[:1], self.earlier[1:]
+        newest = self.earlier[-1].time if self.earlier else -np.inf
+        if volume.time - newest < _KEPT_APART:
+            return self
+        return replace(self, earlier=(*first, *last[1 - _KEPT :], volume))
 
     @property
     def estimate(self) -> NeedleEstimate:

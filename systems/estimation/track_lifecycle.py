@@ -50,8 +50,8 @@ class TrackLifecycle:
     needle_filter
         Filter that starts, predicts and updates the track's state.
     anywhere
-        Whether the whole volume is searched while there is no needle. The insertion then need not
-        be seen.
+        Whether the whole volume is searched while there is no needle, and one that rests is taken.
+        If not, the first needle must be seen to come.
     """
 
     order: int
@@ -71,6 +71,11 @@ class TrackLifecycle:
     def max_approach(self) -> float:
         """Largest motion of the probe along its axis at which a needle may be found, in m."""
         return self.parameters.max_approach
+
+    @property
+    def remembers(self) -> bool:
+        """Whether tracks keep earlier volumes, which a new needle must not be in."""
+        return not self.anywhere
 
     def without_needle(self, time: float, reason: str = "", searched: float = -np.inf) -> Track:
         """Return the track at a time in s while there is no needle.
@@ -103,7 +108,8 @@ class TrackLifecycle:
         last = track.candidate or track.state
         if last is None:
             if everywhere:
-                return NeedlePrediction(self.order, time, everywhere=True)
+                earlier = None if self.anywhere or track.grown else track.earlier
+                return NeedlePrediction(self.order, time, everywhere=True, earlier=earlier)
             return NotFound("no needle has been detected")
         state = last if everywhere else self.needle_filter.predict(last, time)
         points = 3 * self.order
@@ -117,6 +123,7 @@ class TrackLifecycle:
             state.covariance[:points, :points],
             entry=(track.entry if resting else last.curve.entry) if known else None,
             missed=0 if track.candidate else track.missed,
+            tip_unseen=max(time - track.tip_seen, 0.0),
             everywhere=everywhere,
         )
 
@@ -130,7 +137,7 @@ class TrackLifecycle:
         velocity: VelocityMeasurement | NotFound,
     ) -> Track:
         """Return the track after a volume; see `Lifecycle.next`."""
-        after = self._next(track, time, detection, measurement, velocity)
+        after = self._aged(track, self._next(track, time, detection, measurement, velocity))
         if after.state is None or after.mode == TrackingMode.SEARCHING:
             return replace(after, entry=None)
         found = track.mode in (TrackingMode.SEARCHING, TrackingMode.LOST)
@@ -138,6 +145,29 @@ class TrackLifecycle:
         if track.entry is None or (anew and after.mode == TrackingMode.TRACKING):
             return replace(after, entry=after.state.curve.entry)
         return replace(after, entry=track.entry)
+
+    def _aged(self, before: Track, track: Track) -> Track:
+        """Return a track with the length that it reached, or its end if it is too short for long.
+
+        What is found somewhere may be a structure that looks like the end of a needle, or a ghost.
+        A needle grows.
+        """
+        if track.state is None or track.mode == TrackingMode.SEARCHING:
+            return replace(track, grown=before.grown, earlier=before.earlier)
+        began = min(before.began, track.time)
+        longest = max(before.longest, track.state.curve.chord)
+        grown = longest >= self.parameters.grown_length
+        if not grown and track.time - began > self.parameters.seconds_to_grow:
+            ended = self.without_needle(track.time, "what was found did not grow", track.searched)
+            return replace(ended, grown=before.grown, earlier=before.earlier)
+        return replace(
+            track,
+            began=began,
+            longest=longest,
+            grown=grown or before.grown,
+            earlier=before.earlier,
+            tip_seen=max(before.tip_seen, track.tip_seen),
+        )
 
     def _next(
         self,
@@ -157,22 +187,33 @@ class TrackLifecycle:
         if everywhere or track.candidate is not None:
             return self._find_again(track, time, measurement)
         if track.mode == TrackingMode.SEARCHING or not self.parameters.filtering:
-            return self.confirm(self.needle_filter.start(measurement), measurement.time)
+            return self._confirmed(self.needle_filter.start(measurement), measurement)
         state = self.needle_filter.predict(track.state, measurement.time)
         distance = innovation_distance(state, measurement)
         if distance <= self.gate:
             state = self.needle_filter.update(state, measurement, speed)
-            return self.confirm(state, measurement.time, distance)
+            return self._confirmed(state, measurement, distance)
+        jumps = measurement.curve.control_points - state.curve.control_points
+        if np.linalg.norm(jumps, axis=1).max() <= self.parameters.max_jump:
+            state = self.needle_filter.start(measurement)
+            return self._confirmed(state, measurement, distance)
         if track.rejected is not None:
             # If two rejected measurements agree with each other, the prediction is wrong.
             before = self.needle_filter.start(track.rejected)
             before = self.needle_filter.predict(before, measurement.time)
             if innovation_distance(before, measurement) <= self.gate:
                 state = self.needle_filter.start(measurement)
-                return self.confirm(state, measurement.time, distance)
+                return self._confirmed(state, measurement, distance)
         missed = replace(track, rejected=measurement, innovation=distance)
         reason = f"the measurement is {distance:.1f} standard deviations from the prediction"
         return self._miss(missed, time, detection, speed, reason)
+
+    def _confirmed(
+        self, state: NeedleState, measurement: NeedleMeasurement, innovation: float | None = None
+    ) -> Track:
+        """Return a track that is confirmed by a measurement, whose tip may not have been seen."""
+        track = self.confirm(state, measurement.time, innovation)
+        return replace(track, tip_seen=measurement.time) if measurement.tip_seen else track
 
     def _is_searched_everywhere(self, track: Track, time: float) -> bool:
         """Return True if a needle may be anywhere: it is lost, or none is seen to move for long."""
@@ -192,7 +233,7 @@ class TrackLifecycle:
                 state = self.needle_filter.update(expected, measurement, None)
                 seen = track.seen + 1
         if seen >= self.parameters.volumes_to_find_again:
-            return self.confirm(state, measurement.time)
+            return self._confirmed(state, measurement)
         reason = "a needle was found in the whole volume; it is not confirmed yet"
         track = self._miss(track, time, NotFound(reason), None, reason)
         return replace(track, candidate=state, seen=seen)

@@ -160,6 +160,8 @@ class TrackManager(LeafSystem):
             measurement=measurement,
             velocity=velocity,
         )
+        if self._lifecycle.remembers:
+            track = track.after(volume)
         track = replace(
             track,
             volume_time=volume.time,

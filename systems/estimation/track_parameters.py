@@ -20,6 +20,13 @@ class TrackParameters:
         Largest distance of the tip between successive detections, in m.
     gate
         Probability that a true measurement passes the gate on the innovation.
+    max_jump
+        Distance of every control point from its prediction up to which a measurement shows the same
+        needle although it fails the gate, in m. The needle was then moved as no model foresees, and
+        the filter starts anew.
+    grown_length, seconds_to_grow
+        Length in m that a needle must reach within a time in s after it was found. What does not is
+        given up.
     volumes_to_confirm
         Number of volumes within which a detection must be repeated and the needle be localized.
     volumes_to_lose
@@ -30,7 +37,7 @@ class TrackParameters:
         tracked. Until then no robot moves for it.
     seconds_between_searches
         Time between two searches in the whole volume while no insertion is seen, in s. They find a
-        needle that rests. Zero switches them off.
+        needle that moves too slowly, or from too deep, to be noticed. Zero switches them off.
     withdrawn_length
         Predicted length below which a needle that is not found counts as withdrawn, in m.
     seconds_to_give_up
@@ -51,14 +58,17 @@ class TrackParameters:
     min_advance: float = 2.5e-3
     max_detection_jump: float = 10e-3
     gate: float = 0.9999
+    max_jump: float = 4e-3
+    grown_length: float = 10e-3
+    seconds_to_grow: float = 3.0
     volumes_to_confirm: int = 4
     volumes_to_lose: int = 4
     volumes_to_find_again: int = 3
-    seconds_between_searches: float = 1.0
+    seconds_between_searches: float = 0.25
     withdrawn_length: float = 6e-3
     seconds_to_give_up: float = 10.0
     filtering: bool = True
-    max_approach: float = 0.5e-3
+    max_approach: float = 1.5e-3
     probe_frame: bool = False
 
     def __post_init__(self) -> None:
@@ -67,6 +77,9 @@ class TrackParameters:
             min_advance=self.min_advance,
             max_detection_jump=self.max_detection_jump,
             gate=self.gate,
+            max_jump=self.max_jump,
+            grown_length=self.grown_length,
+            seconds_to_grow=self.seconds_to_grow,
             withdrawn_length=self.withdrawn_length,
             seconds_to_give_up=self.seconds_to_give_up,
             max_approach=self.max_approach,

@@ -29,6 +29,8 @@ class NeedleLocalizerParameters:
     min_length, min_share
         Smallest visible length of the needle, in m, and its smallest share of the predicted length
         that lies in the field of view.
+    min_shaft
+        Visible length that suffices whatever its share, in m.
     max_aside
         Largest distance between the detected motion and the axis of a newly found needle, in m.
     max_entry_gap
@@ -38,6 +40,9 @@ class NeedleLocalizerParameters:
         Distance to search outwards for the rest of a needle of which only the end was found, in m.
     min_probability
         Smallest probability at which a line in the whole volume counts as a needle.
+    min_odds
+        Smallest logarithm of the odds at which a line that moved counts as a needle; see
+        `NeedleLine`. What moved needs no more than not to be a sheet.
     min_inlier_ratio
         Smallest share of inliers among the candidates between entry and tip.
     min_evidence
@@ -53,7 +58,12 @@ class NeedleLocalizerParameters:
         were taken, nothing would ever contradict a velocity along the axis.
     unseen_tip_std
         Standard deviation of the tip along the axis if the needle leaves the field of view, in m;
-        also the largest one.
+        also the largest one. So it is if the needle fades before its tip.
+    faded_std
+        Standard deviation of a visible end, in m, above which the needle may go on beyond it.
+    max_shortening, max_unseen
+        Distance in m by which a hand cannot have shortened the needle between two volumes. An end
+        that seems that much too short is not the tip until this time, in s, has passed.
     echo_offset, echo_offset_std
         Distance from the centre of the needle's echo to its axis, away from the probe, in m, and
         its standard deviation, as the gauge is unknown. Most of the sound returns from the front
@@ -81,16 +91,21 @@ class NeedleLocalizerParameters:
     slab: float = 2e-3
     min_length: float = 4e-3
     min_share: float = 0.4
+    min_shaft: float = 8e-3
     max_aside: float = 2.5e-3
     max_entry_gap: float = 8e-3
     search_reach: float = 40e-3
     min_probability: float = 0.8
+    min_odds: float = -14.0
     min_inlier_ratio: float = 0.15
     min_evidence: float = 12e-3
     correlation_length: float = 2e-3
     tip_std: float = 0.25e-3
     entry_std: float = 1e-3
     unseen_tip_std: float = 10e-3
+    faded_std: float = 1e-3
+    max_shortening: float = 15e-3
+    max_unseen: float = 0.7
     echo_offset: float = 0.4e-3
     echo_offset_std: float = 0.2e-3
     systematic_std: float = 0.1e-3
@@ -110,6 +125,7 @@ class NeedleLocalizerParameters:
             slab=self.slab,
             min_length=self.min_length,
             min_share=self.min_share,
+            min_shaft=self.min_shaft,
             max_aside=self.max_aside,
             max_entry_gap=self.max_entry_gap,
             search_reach=self.search_reach,
@@ -120,6 +136,9 @@ class NeedleLocalizerParameters:
             tip_std=self.tip_std,
             entry_std=self.entry_std,
             unseen_tip_std=self.unseen_tip_std,
+            faded_std=self.faded_std,
+            max_shortening=self.max_shortening,
+            max_unseen=self.max_unseen,
             systematic_std=self.systematic_std,
         )
         require_not_negative(echo_offset_std=self.echo_offset_std)

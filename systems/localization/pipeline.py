@@ -12,10 +12,12 @@ from sonoservo.systems.localization.axis_fit import AxisFit, fit_axis
 from sonoservo.systems.localization.candidates import select_candidates
 from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.localization.needle_line import NeedleLine, line_between, needle_lines
+from sonoservo.systems.localization.novelty import THERE_BEFORE, is_new
 from sonoservo.systems.localization.ransac import ransac_axis
 from sonoservo.systems.localization.search_region import (
     EVERYWHERE,
     agrees_with_motion,
+    fades_before_tip,
     found_again,
     line_region,
     outer_region,
@@ -87,6 +89,8 @@ def explain_localization(
         region = predicted_region(prediction, parameters)
         attempts = _localize_around(volume, region, parameters, rng)
         measurement = attempts[-1].measurement
+        if region.tip_moved and isinstance(measurement, NeedleMeasurement):
+            measurement = _if_needle(volume, measurement, parameters)
     else:
         attempts, measurement, log_odds = _localize_everywhere(volume, prediction, parameters, rng)
         probability = float(expit(log_odds))
@@ -109,15 +113,19 @@ def _localize_everywhere(
         ends = volume.to_world(line.ends)[0]
         return (line.log_odds, ends) if last is None else found_again(line.log_odds, ends, last)
 
-    lines = needle_lines(volume)
+    lines = sorted(map(odds, needle_lines(volume)), key=lambda each: -each[0])
     if not lines:
         return [], NotFound("no bright line comes from outside the field of view"), -np.inf
-    log_odds, ends = max((odds(line) for line in lines), key=lambda each: each[0])
-    if expit(log_odds) < parameters.min_probability:
+    probable = [each for each in lines if expit(each[0]) >= parameters.min_probability]
+    if not probable:
         reason = "no line stands out from its surroundings as a needle does"
         if last is not None:
             reason = "no line looks like the needle that was lost"
-        return [], NotFound(reason), log_odds
+        return [], NotFound(reason), lines[0][0]
+    new = (each for each in probable if is_new(volume, each[1], prediction.earlier))
+    log_odds, ends = next(new, (-np.inf, None))
+    if ends is None:
+        return [], NotFound(THERE_BEFORE), log_odds
     # The beam makes a short needle look thick, so its axis varies with the random draws.
     region = line_region(ends, prediction.order, parameters)
     repeats = [_localize_around(volume, region, parameters, rng) for _ in range(_REPEATS)]
@@ -126,11 +134,28 @@ def _localize_everywhere(
     if isinstance(measurement, NotFound):
         return attempts, measurement, -np.inf
     # What was measured must look like a needle, too, over all its length.
-    ends_P = acquired_from(volume, measurement.curve.control_points[[0, -1]])
-    measured = line_between(volume, ends_P)
+    measured = _line_of(volume, measurement)
     if measured is None or odds(measured)[0] < 0:
         measurement = NotFound("the line found does not look like a needle over all its length")
     return attempts, measurement, log_odds
+
+
+def _if_needle(
+    volume: Volume, measurement: NeedleMeasurement, parameters: NeedleLocalizerParameters
+) -> NeedleMeasurement | NotFound:
+    """Return the measurement of what moved, unless it looks like a sheet by far.
+
+    While a needle is too short for its looks to tell (odds of zero), its motion must do.
+    """
+    line = _line_of(volume, measurement)
+    if line is not None and -np.inf < line.log_odds < parameters.min_odds:
+        return NotFound("what moved does not look like a needle")
+    return measurement
+
+
+def _line_of(volume: Volume, measurement: NeedleMeasurement) -> NeedleLine | None:
+    """Return the line between a measured needle's ends; None if it lies outside the view."""
+    return line_between(volume, acquired_from(volume, measurement.curve.control_points[[0, -1]]))
 
 
 def _middlemost(found: Sequence[NeedleMeasurement | NotFound]) -> NeedleMeasurement | NotFound:
@@ -265,7 +290,8 @@ def _extent(
     least = parameters.min_length
     if region.entry is not None:
         predicted = profile.seen & (profile.a >= ends[0]) & (profile.a <= ends[1])
-        least = max(least, parameters.min_share * parameters.tip.step * float(predicted.sum()))
+        share = parameters.min_share * parameters.tip.step * float(predicted.sum())
+        least = max(least, min(share, parameters.min_shaft))
     if extent.tip - extent.start < least:
         visible = 1e3 * (extent.tip - extent.start)
         raise _AbsentError(f"only {visible:.1f} mm of the needle are visible")
@@ -315,19 +341,21 @@ def _judge(
     if extent.evidence < parameters.min_evidence:
         raise _AbsentError("the axis stands out too little from the background")
     start = extent.start if region.entry is None else float(fit.axis.abscissa(region.entry))
+    fades = fades_before_tip(region, fit.axis, extent, parameters)
+    tip = float(fit.axis.abscissa(region.curve.tip)) if fades else extent.tip
     if extent.tip - start < parameters.min_length:
         raise _AbsentError("the needle has been withdrawn to its entry")
     # Interior points are uniform along the chord. The entry rests, the tip moves, no point slides.
     order = region.curve.order
     u = np.linspace(0, 1, order)
-    a = start + u * (extent.tip - start)
+    a = start + u * (tip - start)
     k = fit.axis.direction
     deeper = volume.X_WP.rotation().matrix()[:, 1]
     deeper = deeper - (deeper @ k) * k
     curve = NeedleCurve(fit.axis.position(a) + parameters.echo_offset * deeper)
     independent = max((extent.tip - extent.start) / parameters.correlation_length, order + 1.0)
     tip_std = parameters.unseen_tip_std
-    if not extent.leaves:
+    if not (fades or extent.leaves):
         tip_std = min(float(np.hypot(parameters.tip_std, extent.tip_std)), tip_std)
     ends = np.stack([1 - u, u], axis=1)
     along = ends @ np.diag([parameters.entry_std**2, tip_std**2]) @ ends.T
@@ -338,4 +366,6 @@ def _judge(
         + parameters.systematic_std**2 * np.eye(3 * len(u))
     )
     time = float(volume.to_world(acquired_from(volume, curve.control_points[-1:]))[1][0])
-    return NeedleMeasurement(curve, covariance, time, inliers, ratio, volume.X_WP)
+    return NeedleMeasurement(
+        curve, covariance, time, inliers, ratio, volume.X_WP, tip_seen=not (fades or extent.leaves)
+    )

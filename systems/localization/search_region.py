@@ -50,6 +50,7 @@ def predicted_region(
             math.pi / 4 if guessed else math.pi / 2,
         ),
         entry=prediction.entry,
+        tip_unseen=prediction.tip_unseen,
         tip_moved=guessed,
     )
     if not parameters.volume_of_interest:
@@ -117,6 +118,22 @@ def agrees_with_motion(
     aside = float(axis.distance(region.curve.tip))
     near = away <= parameters.max_entry_gap and aside <= parameters.max_aside
     return near or not region.tip_moved
+
+
+def fades_before_tip(
+    region: SearchRegion, axis: Axis, extent: NeedleExtent, parameters: NeedleLocalizerParameters
+) -> bool:
+    """Return True if a followed needle is thought to go on beyond its visible end.
+
+    It is visible as far as its echo stands out, and shadows and fading hide parts of it. So an end
+    that is short of the prediction is not the tip if it is a blurred one, or if no hand can have
+    withdrawn the needle so far since the tip was last seen.
+    """
+    if region.entry is None or extent.leaves:
+        return False
+    short = float(axis.abscissa(region.curve.tip)) - extent.tip
+    sudden = short > parameters.max_shortening and region.tip_unseen < parameters.max_unseen
+    return short > parameters.margin and (sudden or extent.tip_std > parameters.faded_std)
 
 
 def outer_region(

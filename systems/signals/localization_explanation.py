@@ -29,6 +29,8 @@ class SearchRegion(Immutable):
         Largest angle between the needle and the curve, in rad.
     entry
         (3,) position of the entry in W, in m; None if it is unknown.
+    tip_unseen
+        Time since the tip was last seen, in s.
     tip_moved
         Whether the motion of the curve's tip is the only thing known about the needle.
     followed
@@ -42,6 +44,7 @@ class SearchRegion(Immutable):
     shaft_beyond: float
     max_angle: float
     entry: NDArray[np.float64] | None = None
+    tip_unseen: float = 0.0
     tip_moved: bool = False
     followed: int = 0
 

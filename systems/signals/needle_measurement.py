@@ -29,6 +29,9 @@ class NeedleMeasurement(Immutable):
         between entry and tip.
     X_WP
         Pose of the probe from which the tip was seen; None if unknown.
+    tip_seen
+        Whether the tip was seen. If not, the curve ends where the tip was expected, as the needle
+        fades before it.
     """
 
     curve: NeedleCurve
@@ -37,6 +40,7 @@ class NeedleMeasurement(Immutable):
     inlier_count: int
     inlier_ratio: float
     X_WP: RigidTransform | None = None
+    tip_seen: bool = True
 
     def __post_init__(self) -> None:
         size = 3 * self.curve.order

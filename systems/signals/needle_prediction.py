@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from sonoservo.systems.signals.immutable import Immutable, read_only
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.requirements import require
+from sonoservo.systems.signals.volume import Volume
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,8 +35,13 @@ class NeedlePrediction(Immutable):
         (3,) last measured position of the entry in W, in m; None while the entry is a guess.
     missed
         Number of successive volumes that did not confirm the needle.
+    tip_unseen
+        Time since the tip was last seen, in s.
     everywhere
         Whether the whole volume is searched, because the needle was lost or never seen.
+    earlier
+        Earlier volumes in order of time, which must lack a needle found anywhere; None if a needle
+        that rests counts, too.
 
     Raises
     ------
@@ -51,7 +57,9 @@ class NeedlePrediction(Immutable):
     covariance: NDArray[np.float64] | None = None
     entry: NDArray[np.float64] | None = None
     missed: int = 0
+    tip_unseen: float = 0.0
     everywhere: bool = False
+    earlier: tuple[Volume, ...] | None = None
 
     def __post_init__(self) -> None:
         if self.curve is None:

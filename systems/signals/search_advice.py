@@ -47,6 +47,12 @@ _CASES = (
     ),
     ("no needle in the whole", "no needle in the whole volume", _FAINT),
     ("no needle has been", "no needle has been detected", _FAINT),
+    (
+        "a line that looks like a needle was",
+        "a line was there before, or was not seen to come",
+        "push the needle into view, or take what rests for a needle: tracker.start=anywhere",
+    ),
+    ("what was found did not", "what was found did not grow", "push the needle further in"),
     ("no line", "no line stands out as a needle does", _FAINT),
     ("no bright line", "no bright line comes in from the side", _FAINT),
     ("only the end", "only the end of a needle is seen", "push the needle further in"),

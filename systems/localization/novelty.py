@@ -1,0 +1,79 @@
+"""Whether a line is new: earlier volumes from nearly the same place lack it."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.localization.needle_line import refined_line
+from sonoservo.systems.signals.acquisition import acquired_from
+from sonoservo.systems.signals.volume import Volume
+
+THERE_BEFORE = "a line that looks like a needle was there before, or was not seen to come"
+"""Reason why a line that rests is not followed."""
+
+_LOOKS = 3
+"""Number of earlier volumes that must lack a line."""
+
+_ASIDE, _DEEPER, _TURNED = 2e-3, 6e-3, np.deg2rad(2.0)
+"""Motion of the probe across its axis and along it, in m, and turn in rad, up to which an earlier
+volume shows what this one does. A specular line comes and goes with the view."""
+
+_NEARBY = 4.0
+"""Multiple of these up to which a line that an earlier volume shows is an old one."""
+
+_LEAST_SHARE = 0.5
+"""Share of a line's evidence from which on an earlier volume shows it."""
+
+_DISPLACED, _PARALLEL = 8e-3, 0.9
+"""Largest distance in m to a line in an earlier volume that is the same one, displaced by breath,
+and smallest cosine of the angle between the two."""
+
+
+def is_new(
+    volume: Volume, ends: NDArray[np.float64], earlier: tuple[Volume, ...] | None
+) -> bool:
+    """Return True if earlier volumes lacked a line before any showed it.
+
+    A second needle, a guide wire or a fascia looks like a needle, but was there before. Only
+    volumes from nearly the same place tell.
+
+    Parameters
+    ----------
+    volume
+        Volume in which the line was found.
+    ends
+        (2, 3) ends of the line in W, in m.
+    earlier
+        Earlier volumes in order of time; if it is None, every line is new.
+    """
+    if earlier is None:
+        return True
+    now, lacking = _evidence(volume, ends), 0
+    for each in earlier:
+        distance = _distance(each, volume)
+        if distance > _NEARBY:
+            continue
+        if _evidence(each, ends) >= _LEAST_SHARE * now:
+            break
+        lacking += distance <= 1
+    return lacking >= _LOOKS
+
+
+def _evidence(volume: Volume, ends: NDArray[np.float64]) -> float:
+    """Return the evidence for a needle along a line or near it, in dB m."""
+    ends = acquired_from(volume, ends)
+    line = refined_line(volume, ends)
+    if line is None:
+        return 0.0
+    k = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+    aside = line.ends.mean(axis=0) - ends.mean(axis=0)
+    aside = aside - (aside @ k) * k
+    same = np.linalg.norm(aside) <= _DISPLACED and abs(line.direction @ k) >= _PARALLEL
+    return line.evidence if same else 0.0
+
+
+def _distance(before: Volume, volume: Volume) -> float:
+    """Return how far the probe was moved between two volumes, relative to what shows the same."""
+    X = before.X_WP.inverse().multiply(volume.X_WP)
+    x, y, z = X.translation()
+    turn = float(X.rotation().ToAngleAxis().angle())
+    return max(float(np.hypot(x, z)) / _ASIDE, abs(y) / _DEEPER, turn / _TURNED)
