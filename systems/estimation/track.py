@@ -60,7 +60,7 @@ class Track(Immutable):
     grown
         Whether a needle has ever grown to the length of one.
     earlier
-        Some of the earlier volumes in order of time, until a needle has grown.
+        Some of the volumes before a needle had grown, in order of time.
     reason
         Reason why the last volume did not confirm the needle.
     """
@@ -100,11 +100,9 @@ class Track(Immutable):
 
     def after(self, volume: Volume) -> "Track":
         """Return the track with a volume among the earlier ones, if it is to be kept."""
-        if self.grown:
-            return replace(self, earlier=())
         first, last = self.earlier[:1], self.earlier[1:]
         newest = self.earlier[-1].time if self.earlier else -np.inf
-        if volume.time - newest < _KEPT_APART:
+        if self.grown or volume.time - newest < _KEPT_APART:
             return self
         return replace(self, earlier=(*first, *last[1 - _KEPT :], volume))
 

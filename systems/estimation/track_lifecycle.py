@@ -108,8 +108,13 @@ class TrackLifecycle:
         last = track.candidate or track.state
         if last is None:
             if everywhere:
-                earlier = None if self.anywhere or track.grown else track.earlier
-                return NeedlePrediction(self.order, time, everywhere=True, earlier=earlier)
+                return NeedlePrediction(
+                    self.order,
+                    time,
+                    everywhere=True,
+                    earlier=track.earlier,
+                    must_come=not (self.anywhere or track.grown),
+                )
             return NotFound("no needle has been detected")
         state = last if everywhere else self.needle_filter.predict(last, time)
         points = 3 * self.order
@@ -125,6 +130,7 @@ class TrackLifecycle:
             missed=0 if track.candidate else track.missed,
             tip_unseen=max(time - track.tip_seen, 0.0),
             everywhere=everywhere,
+            earlier=track.earlier,
         )
 
     def next(

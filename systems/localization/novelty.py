@@ -29,7 +29,11 @@ and smallest cosine of the angle between the two."""
 
 
 def is_new(
-    volume: Volume, ends: NDArray[np.float64], earlier: tuple[Volume, ...] | None
+    volume: Volume,
+    ends: NDArray[np.float64],
+    earlier: tuple[Volume, ...],
+    *,
+    must_come: bool = False,
 ) -> bool:
     """Return True if earlier volumes lacked a line before any showed it.
 
@@ -43,19 +47,20 @@ def is_new(
     ends
         (2, 3) ends of the line in W, in m.
     earlier
-        Earlier volumes in order of time; if it is None, every line is new.
+        Earlier volumes in order of time.
+    must_come
+        Whether three of them must lack the line. If not, what no volume shows is new, too.
     """
-    if earlier is None:
-        return True
-    now, lacking = _evidence(volume, ends), 0
+    now, lacking, shown = _evidence(volume, ends), 0, False
     for each in earlier:
         distance = _distance(each, volume)
         if distance > _NEARBY:
             continue
         if _evidence(each, ends) >= _LEAST_SHARE * now:
+            shown = True
             break
         lacking += distance <= 1
-    return lacking >= _LOOKS
+    return lacking >= _LOOKS if must_come else lacking > 0 or not shown
 
 
 def _evidence(volume: Volume, ends: NDArray[np.float64]) -> float:

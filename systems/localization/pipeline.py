@@ -122,7 +122,8 @@ def _localize_everywhere(
         if last is not None:
             reason = "no line looks like the needle that was lost"
         return [], NotFound(reason), lines[0][0]
-    new = (each for each in probable if is_new(volume, each[1], prediction.earlier))
+    earlier, must_come = prediction.earlier, prediction.must_come
+    new = (each for each in probable if is_new(volume, each[1], earlier, must_come=must_come))
     log_odds, ends = next(new, (-np.inf, None))
     if ends is None:
         return [], NotFound(THERE_BEFORE), log_odds

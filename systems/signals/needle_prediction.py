@@ -40,8 +40,9 @@ class NeedlePrediction(Immutable):
     everywhere
         Whether the whole volume is searched, because the needle was lost or never seen.
     earlier
-        Earlier volumes in order of time, which must lack a needle found anywhere; None if a needle
-        that rests counts, too.
+        Volumes in order of time from before the needle was found. What they show is none.
+    must_come
+        Whether a needle found anywhere counts only if some of these volumes lack it.
 
     Raises
     ------
@@ -59,7 +60,8 @@ class NeedlePrediction(Immutable):
     missed: int = 0
     tip_unseen: float = 0.0
     everywhere: bool = False
-    earlier: tuple[Volume, ...] | None = None
+    earlier: tuple[Volume, ...] = ()
+    must_come: bool = False
 
     def __post_init__(self) -> None:
         if self.curve is None:
