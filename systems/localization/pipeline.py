@@ -20,6 +20,7 @@ from sonoservo.systems.localization.search_region import (
     fades_before_tip,
     found_again,
     line_region,
+    narrow_region,
     outer_region,
     predicted_region,
 )
@@ -88,6 +89,8 @@ def explain_localization(
     elif not prediction.everywhere:
         region = predicted_region(prediction, parameters)
         attempts = _localize_around(volume, region, parameters, rng)
+        if isinstance(attempts[-1].measurement, NotFound) and region.entry is not None:
+            attempts += _localize_around(volume, narrow_region(region, parameters), parameters, rng)
         measurement = attempts[-1].measurement
         if region.tip_moved and isinstance(measurement, NeedleMeasurement):
             measurement = _if_needle(volume, measurement, parameters)

@@ -109,6 +109,18 @@ def line_region(
     )
 
 
+def narrow_region(region: SearchRegion, parameters: NeedleLocalizerParameters) -> SearchRegion:
+    """Return the part of a region in which a faint needle that did as predicted must lie.
+
+    Where much else is bright, a large region has too little of the needle in it.
+    """
+    return replace(
+        region,
+        radius=min(region.radius, 0.8 * parameters.margin),
+        max_angle=min(region.max_angle, math.radians(parameters.max_angle_deg) / 2),
+    )
+
+
 def agrees_with_motion(
     region: SearchRegion, axis: Axis, extent: NeedleExtent, parameters: NeedleLocalizerParameters
 ) -> bool:
