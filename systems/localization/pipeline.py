@@ -23,6 +23,7 @@ from sonoservo.systems.localization.search_region import (
     narrow_region,
     outer_region,
     predicted_region,
+    turns_too_far,
 )
 from sonoservo.systems.localization.tip import axis_profile, find_extent
 from sonoservo.systems.signals.acquisition import acquired_from
@@ -246,6 +247,8 @@ def _attempt(
         )
     if longer:
         raise _LongerError(_expect(outer_region(region, fit.axis, extent, parameters)))
+    if turns_too_far(region, fit.axis, extent, parameters):
+        raise _AbsentError("too little of a needle is visible to show that it turned")
     inliers, between = _inliers(points, parameters, fit, extent)
     return _judge(volume, region, parameters, fit, extent, int(inliers.sum()), int(between.sum()))
 

@@ -19,6 +19,13 @@ EVERYWHERE = 0.3
 _LOST = 1.0
 """Logarithm of the odds that a needle lost a short while ago is still there."""
 
+_BRIGHT_SHARE, _LEAST_TURN = 0.7, 0.3
+"""Share of the largest evidence from which on a needle is bright, and share of the largest angle
+that is left for the faintest."""
+
+_LONG = 20e-3
+"""Length in m from which on the direction of a needle is known."""
+
 _MOST_TURNED, _MOST_ASIDE, _MOST_ADVANCED, _MOST_LENGTHENED = math.radians(20), 25e-3, 50e-3, 1.0
 """Standard deviations of what may have changed since a needle was lost: direction in rad, distances
 of the line from the last axis and between the tips in m, and logarithm of the visible length."""
@@ -130,6 +137,22 @@ def agrees_with_motion(
     aside = float(axis.distance(region.curve.tip))
     near = away <= parameters.max_entry_gap and aside <= parameters.max_aside
     return near or not region.tip_moved
+
+
+def turns_too_far(
+    region: SearchRegion, axis: Axis, extent: NeedleExtent, parameters: NeedleLocalizerParameters
+) -> bool:
+    """Return True if a followed needle seems to turn, and too little of it is visible to show that.
+
+    Where it fades, what else is bright draws its axis away, volume by volume. The less of the
+    evidence that a bright needle gives is there, the nearer to the prediction its direction is.
+    """
+    if region.entry is None or region.curve.chord < _LONG:
+        return False
+    most = parameters.tip.max_evidence * max(region.curve.chord, parameters.min_length)
+    share = min(extent.evidence / most / _BRIGHT_SHARE, 1.0)
+    largest = math.radians(parameters.max_angle_deg) * max(share, _LEAST_TURN)
+    return math.acos(min(float(axis.direction @ region.curve.direction), 1.0)) > largest
 
 
 def fades_before_tip(

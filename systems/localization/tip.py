@@ -290,7 +290,8 @@ def _tip(
             contrast, seen, step=step, neutral=neutral, max_evidence=neutral
         )
 
-    first, last, _ = stretch(contrast, profile.seen, parameters.min_end_contrast)
+    from_start = profile.seen & (np.arange(len(a)) >= needle[0])
+    first, last, _ = stretch(contrast, from_start, parameters.min_end_contrast)
     first, last = (first, last) if last >= first else needle
     near = contrast[max(first, last - round(2 * parameters.end_length / step)) : last + 1]
     threshold = float(
