@@ -1,41 +1,28 @@
-"""Localization in one volume: region, candidates, consensus, extent, refit, judgement."""
+"""Localization in one volume: around a prediction, or anywhere."""
 
 from collections.abc import Sequence
-from typing import Any, TypeVar
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from sonoservo.systems.localization.axis import axis_through
-from sonoservo.systems.localization.axis_fit import AxisFit, fit_axis
-from sonoservo.systems.localization.candidates import select_candidates
 from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.localization.needle_line import NeedleLine, line_between, needle_lines
 from sonoservo.systems.localization.novelty import THERE_BEFORE, is_new
-from sonoservo.systems.localization.ransac import ransac_axis
+from sonoservo.systems.localization.region_localization import localize_in_region
 from sonoservo.systems.localization.search_region import (
-    EVERYWHERE,
-    agrees_with_motion,
-    fades_before_tip,
     found_again,
     line_region,
     narrow_region,
-    outer_region,
     predicted_region,
-    turns_too_far,
 )
-from sonoservo.systems.localization.tip import axis_profile, find_extent
 from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.localization_explanation import (
-    AxisProfile,
     LocalizationAttempt,
     LocalizationExplanation,
-    NeedleExtent,
-    SearchRegion,
 )
-from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.signals.volume import Volume
@@ -43,7 +30,9 @@ from sonoservo.systems.signals.volume import Volume
 _REPEATS = 7
 """Number of searches around a line without a prediction; the result nearest the median counts."""
 
-T = TypeVar("T")
+_SURER = 2.0
+"""Factor on the smallest evidence in a narrow region, where anything agrees with the prediction."""
+
 Floats = NDArray[np.float64]
 Attempts = list[LocalizationAttempt]
 
@@ -89,9 +78,11 @@ def explain_localization(
         measurement: NeedleMeasurement | NotFound = prediction
     elif not prediction.everywhere:
         region = predicted_region(prediction, parameters)
-        attempts = _localize_around(volume, region, parameters, rng)
+        attempts = localize_in_region(volume, region, parameters, rng)
         if isinstance(attempts[-1].measurement, NotFound) and region.entry is not None:
-            attempts += _localize_around(volume, narrow_region(region, parameters), parameters, rng)
+            narrow = narrow_region(region, parameters)
+            surer = replace(parameters, min_evidence=_SURER * parameters.min_evidence)
+            attempts += localize_in_region(volume, narrow, surer, rng)
         measurement = attempts[-1].measurement
         if region.tip_moved and isinstance(measurement, NeedleMeasurement):
             measurement = _if_needle(volume, measurement, parameters)
@@ -133,7 +124,7 @@ def _localize_everywhere(
         return [], NotFound(THERE_BEFORE), log_odds
     # The beam makes a short needle look thick, so its axis varies with the random draws.
     region = line_region(ends, prediction.order, parameters)
-    repeats = [_localize_around(volume, region, parameters, rng) for _ in range(_REPEATS)]
+    repeats = [localize_in_region(volume, region, parameters, rng) for _ in range(_REPEATS)]
     attempts = [attempt for each in repeats for attempt in each]
     measurement = _middlemost([each[-1].measurement for each in repeats])
     if isinstance(measurement, NotFound):
@@ -171,208 +162,3 @@ def _middlemost(found: Sequence[NeedleMeasurement | NotFound]) -> NeedleMeasurem
     points = np.array([each.curve.control_points for each in measured])
     away = np.linalg.norm(points - np.median(points, axis=0), axis=-1).sum(axis=-1)
     return measured[int(away.argmin())]
-
-
-class _AbsentError(Exception):
-    """Ends an attempt without a needle, for the reason given."""
-
-
-class _LongerError(Exception):
-    """Ends an attempt because the needle continues towards the outside, in the region given."""
-
-
-def _expect(value: T | NotFound) -> T:
-    """Return a value without which the attempt cannot continue."""
-    if isinstance(value, NotFound):
-        raise _AbsentError(value.reason)
-    return value
-
-
-def _localize_around(
-    volume: Volume,
-    region: SearchRegion,
-    parameters: NeedleLocalizerParameters,
-    rng: np.random.Generator,
-) -> Attempts:
-    """Localize the needle in a region and follow it outwards; the last attempt has the result."""
-    attempts: Attempts = []
-    following: SearchRegion | None = region
-    while following is not None:
-        looked: dict[str, Any] = {}
-        region, following = following, None
-        try:
-            result: NeedleMeasurement | NotFound = _attempt(volume, region, parameters, rng, looked)
-        except _AbsentError as absent:
-            result = NotFound(str(absent))
-        except _LongerError as longer:
-            result, following = NotFound("only the end of a needle was found"), longer.args[0]
-        attempts.append(LocalizationAttempt(region, result, **looked))
-    return attempts
-
-
-def _attempt(
-    volume: Volume,
-    region: SearchRegion,
-    parameters: NeedleLocalizerParameters,
-    rng: np.random.Generator,
-    looked: dict[str, Any],
-) -> NeedleMeasurement:
-    """Localize the needle in a region, and store the intermediate results in ``looked``."""
-    points, weights = _candidates(volume, region, parameters, rng)
-    looked.update(candidates=points, weights=weights)
-    consensus = _expect(
-        ransac_axis(
-            points,
-            weights,
-            order=region.curve.order,
-            rng=rng,
-            parameters=parameters.ransac,
-            direction=region.curve.direction,
-            max_angle=region.max_angle,
-        )
-    )
-    looked.update(inliers=consensus.inliers)
-    rough = consensus.fit
-    extent = _extent(volume, region, parameters, rough, looked)
-    if not agrees_with_motion(region, rough.axis, extent, parameters):
-        raise _AbsentError("the needle found is not the one that moved")
-    fit = _refit(points, weights, parameters, rough, extent)
-    extent = _extent(volume, region, parameters, fit, looked)
-    longer = region.entry is None and extent.start - extent.entered > parameters.max_entry_gap
-    if region.entry is not None:
-        # A probe that follows a needle on its way out sees more of it than its known entry.
-        known = float(fit.axis.abscissa(region.entry))
-        longer = (
-            extent.tip - known < parameters.min_length and known - extent.start > region.before / 2
-        )
-    if longer:
-        raise _LongerError(_expect(outer_region(region, fit.axis, extent, parameters)))
-    if turns_too_far(region, fit.axis, extent, parameters):
-        raise _AbsentError("too little of a needle is visible to show that it turned")
-    inliers, between = _inliers(points, parameters, fit, extent)
-    return _judge(volume, region, parameters, fit, extent, int(inliers.sum()), int(between.sum()))
-
-
-def _candidates(
-    volume: Volume,
-    region: SearchRegion,
-    parameters: NeedleLocalizerParameters,
-    rng: np.random.Generator,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (m, 3) candidate voxels in W, in m, and their (m,) weights."""
-    candidates = select_candidates(
-        volume,
-        _expect(axis_through(acquired_from(volume, region.curve.control_points))),
-        start=-region.before,
-        # The shaft determines the axis. Voxels beyond the predicted tip may be something else.
-        stop=region.curve.chord + region.shaft_beyond,
-        radius=region.radius,
-        cross_section=parameters.cross_section,
-        slab=parameters.slab,
-        rng=rng,
-    )
-    if len(candidates.p_P) == 0:
-        raise _AbsentError("the predicted needle lies outside the field of view")
-    return volume.to_world(candidates.p_P)[0], candidates.weights
-
-
-def _extent(
-    volume: Volume,
-    region: SearchRegion,
-    parameters: NeedleLocalizerParameters,
-    fit: AxisFit,
-    looked: dict[str, Any],
-) -> NeedleExtent:
-    """Find the points at which the needle begins and ends along an axis."""
-    ends = np.sort(fit.axis.abscissa(region.curve.control_points[[0, -1]]))
-    # A needle that was thrown forwards goes on beyond the region.
-    for beyond in (region.beyond, EVERYWHERE):
-        start, stop = ends[0] - region.before, ends[1] + beyond
-        profile: AxisProfile = axis_profile(volume, fit.axis, start, stop, parameters.tip)
-        looked.update(profile=profile, extent=None)
-        extent = _expect(find_extent(profile, parameters.tip))
-        looked.update(extent=extent)
-        if region.entry is None or not (extent.leaves and profile.seen[-1]):
-            break
-    least = parameters.min_length
-    if region.entry is not None:
-        predicted = profile.seen & (profile.a >= ends[0]) & (profile.a <= ends[1])
-        share = parameters.min_share * parameters.tip.step * float(predicted.sum())
-        least = max(least, min(share, parameters.min_shaft))
-    if extent.tip - extent.start < least:
-        visible = 1e3 * (extent.tip - extent.start)
-        raise _AbsentError(f"only {visible:.1f} mm of the needle are visible")
-    return extent
-
-
-def _inliers(
-    points: NDArray[np.float64],
-    parameters: NeedleLocalizerParameters,
-    fit: AxisFit,
-    extent: NeedleExtent,
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return flags of the candidates between the ends near the axis, and of all between them."""
-    a = fit.axis.abscissa(points)
-    between = np.asarray((a >= extent.start) & (a <= extent.tip))
-    return between & (fit.axis.distance(points) < parameters.ransac.residual_threshold), between
-
-
-def _refit(
-    points: NDArray[np.float64],
-    weights: NDArray[np.float64],
-    parameters: NeedleLocalizerParameters,
-    fit: AxisFit,
-    extent: NeedleExtent,
-) -> AxisFit:
-    """Fit the axis to the inliers between the needle's ends."""
-    if parameters.ransac.refits == 0:
-        return fit
-    inliers, _ = _inliers(points, parameters, fit, extent)
-    axis = fit.axis
-    return _expect(fit_axis(points[inliers], weights[inliers], axis.order, axis.direction))
-
-
-def _judge(
-    volume: Volume,
-    region: SearchRegion,
-    parameters: NeedleLocalizerParameters,
-    fit: AxisFit,
-    extent: NeedleExtent,
-    inliers: int,
-    candidates: int,
-) -> NeedleMeasurement:
-    """Return the control points and their covariance, if the evidence is sufficient."""
-    ratio = float(inliers / max(candidates, 1))
-    if ratio < parameters.min_inlier_ratio:
-        raise _AbsentError(f"only {100 * ratio:.0f} % of the candidates lie on the axis")
-    if extent.evidence < parameters.min_evidence:
-        raise _AbsentError("the axis stands out too little from the background")
-    start = extent.start if region.entry is None else float(fit.axis.abscissa(region.entry))
-    fades = fades_before_tip(region, fit.axis, extent, parameters)
-    tip = float(fit.axis.abscissa(region.curve.tip)) if fades else extent.tip
-    if extent.tip - start < parameters.min_length:
-        raise _AbsentError("the needle has been withdrawn to its entry")
-    # Interior points are uniform along the chord. The entry rests, the tip moves, no point slides.
-    order = region.curve.order
-    u = np.linspace(0, 1, order)
-    a = start + u * (tip - start)
-    k = fit.axis.direction
-    deeper = volume.X_WP.rotation().matrix()[:, 1]
-    deeper = deeper - (deeper @ k) * k
-    curve = NeedleCurve(fit.axis.position(a) + parameters.echo_offset * deeper)
-    independent = max((extent.tip - extent.start) / parameters.correlation_length, order + 1.0)
-    tip_std = parameters.unseen_tip_std
-    if not (fades or extent.leaves):
-        tip_std = min(float(np.hypot(parameters.tip_std, extent.tip_std)), tip_std)
-    ends = np.stack([1 - u, u], axis=1)
-    along = ends @ np.diag([parameters.entry_std**2, tip_std**2]) @ ends.T
-    covariance = (
-        fit.covariance(a, independent)
-        + np.kron(along, np.outer(k, k))
-        + parameters.echo_offset_std**2 * np.kron(np.ones((order, order)), np.outer(deeper, deeper))
-        + parameters.systematic_std**2 * np.eye(3 * len(u))
-    )
-    time = float(volume.to_world(acquired_from(volume, curve.control_points[-1:]))[1][0])
-    return NeedleMeasurement(
-        curve, covariance, time, inliers, ratio, volume.X_WP, tip_seen=not (fades or extent.leaves)
-    )

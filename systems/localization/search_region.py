@@ -147,7 +147,7 @@ def turns_too_far(
     Where it fades, what else is bright draws its axis away, volume by volume. The less of the
     evidence that a bright needle gives is there, the nearer to the prediction its direction is.
     """
-    if region.entry is None or region.curve.chord < _LONG:
+    if not parameters.angle_gate or region.entry is None or region.curve.chord < _LONG:
         return False
     most = parameters.tip.max_evidence * max(region.curve.chord, parameters.min_length)
     share = min(extent.evidence / most / _BRIGHT_SHARE, 1.0)

@@ -10,6 +10,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.special import ndtri
 
 from sonoservo.systems.localization.axis import Axis
+from sonoservo.systems.localization.hidden_length import hidden_length
 from sonoservo.systems.localization.needle_blur import needle_blur
 from sonoservo.systems.sampling.interpolation import trilinear
 from sonoservo.systems.signals.acquisition import acquired_from
@@ -316,26 +317,6 @@ def _tip(
     faint = inside[: end + 1 - first] < min(parameters.min_end_contrast, float(np.median(inside)))
     hidden, hidden_std = hidden_length(faint, step)
     return tip + hidden, float(np.hypot(_END_SHARE * sigma * np.exp(doubt), hidden_std))
-
-
-def hidden_length(faint: NDArray[np.bool_], step: float) -> tuple[float, float]:
-    """Return by how much a needle goes on beyond its visible end, and the standard deviation, in m.
-
-    A needle that is seen with gaps probably ends in one. A point chosen at random lies in a gap of
-    length l with probability l / L, and if it does, anywhere in it. So on average the sum of
-    l^2 / 2L is hidden, and the mean square is the sum of l^3 / 3L.
-
-    Parameters
-    ----------
-    faint
-        (m,) flags of the samples of a needle's visible length L that do not stand out.
-    step
-        Distance between samples, in m.
-    """
-    edges = np.flatnonzero(np.diff(faint.astype(int), prepend=0, append=0))
-    gaps, length = step * (edges[1::2] - edges[::2]), step * len(faint)
-    mean = float(np.sum(gaps**2)) / (2 * length)
-    return mean, float(np.sqrt(max(np.sum(gaps**3) / (3 * length) - mean**2, 0.0)))
 
 
 def _blurred_length(top: float, fallen: float) -> float:

@@ -36,6 +36,13 @@ def test_prediction_is_the_integral_of_white_acceleration(dt):
     np.testing.assert_allclose(Q, exponential[:n, n:] @ A.T, rtol=1e-9, atol=1e-12)
 
 
+@given(st.floats(1e-3, 2.0), st.floats(0.1, 10.0))
+def test_a_velocity_that_fades_falls_to_its_share(dt, fades):
+    drift = np.array([[0.0, 1.0], [0.0, -1.0 / fades]])
+    A, _ = constant_velocity(dt, np.eye(1), fades=fades)
+    np.testing.assert_allclose(A, expm(drift * dt), atol=1e-12)
+
+
 def test_update_is_equations_12_to_14():
     rng = np.random.default_rng(0)
     B = rng.normal(size=(12, 12)) * 1e-3

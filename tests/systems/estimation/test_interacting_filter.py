@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform, RollPitchYaw
 
-from sonoservo.systems.estimation.interacting_filter import InteractingFilter
+from sonoservo.systems.estimation.interacting_filter import InteractingFilter, transition
 from sonoservo.systems.estimation.needle_filter import FILTERS
+from sonoservo.systems.estimation.track_lifecycle import gate_distance, innovation_distance
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 
@@ -83,6 +84,54 @@ def test_even_motion_makes_the_steady_model_likely_and_a_start_the_other():
     assert follow(even).weights[0] > 0.8
     started = [*even, measurement(20, 0.033), measurement(21, 0.036)]
     assert follow(started).weights[1] > 0.5
+
+
+@pytest.mark.parametrize("period", [3.0, 5.0])
+def test_a_needle_that_breathes_with_the_tissue_is_followed(period):
+    """10 mm from peak to peak, across the needle; the velocity is judged as stated, too."""
+    rng, inside, passed = np.random.default_rng(4), [], []
+    noise = 0.1e-3 * rng.normal(size=(60, 3))
+    state = None
+    for k in range(60):
+        phase = 2 * np.pi * PERIOD * k / period
+        true = 5e-3 * np.array([0, np.sin(phase), 0])
+        velocity = 5e-3 * 2 * np.pi / period * np.array([0, np.cos(phase), 0])
+        z = measurement(k, X_WP=RigidTransform())
+        z = dataclasses.replace(z, curve=NeedleCurve(z.curve.control_points + true + noise[k]))
+        if state is None:
+            state = FILTER.start(z)
+            continue
+        predicted = FILTER.predict(state, z.time)
+        passed.append(innovation_distance(predicted, z) <= gate_distance(0.9999, 2))
+        state = FILTER.update(predicted, z, None)
+        miss = state.velocity[1] - velocity
+        inside.append(miss @ np.linalg.solve(state.covariance[9:12, 9:12], miss) < 7.815)
+    assert np.mean(inside) >= 0.9
+    assert np.mean(passed) >= 0.95
+
+
+def test_models_are_left_after_their_time_for_each_other_alike():
+    times = np.array([3.0, 1.0, 1.0])
+    switch = transition(0.4, times)
+    np.testing.assert_allclose(switch.sum(axis=1), 1)
+    np.testing.assert_allclose(transition(0.2, times) @ transition(0.2, times), switch)
+    np.testing.assert_allclose(times @ switch, times)  # as many as there are on average
+    # With two models there is a closed form.
+    leaves = 1 - np.exp(-0.4 * (1 / 3 + 1))
+    expected = [[1 - leaves / 4, leaves / 4], [3 * leaves / 4, 1 - 3 * leaves / 4]]
+    np.testing.assert_allclose(transition(0.4, np.array([3.0, 1.0])), expected)
+
+
+def test_a_needle_whose_tip_is_not_seen_comes_to_rest():
+    pushed = [measurement(k, 0.02 + 8e-3 * PERIOD * k) for k in range(8)]
+    unseen = [*pushed[:-1], dataclasses.replace(pushed[-1], tip_seen=False)]
+    seen, hidden = follow(pushed), follow(unseen)
+    later = [FILTER.predict(each, seen.time + 2 * FILTER.unseen_time) for each in (seen, hidden)]
+    speeds = [each.velocity[1, 0] for each in later]
+    assert speeds[0] == pytest.approx(seen.velocity[1, 0])
+    assert speeds[1] == pytest.approx(hidden.velocity[1, 0] * np.exp(-2))
+    gone = later[1].curve.tip[0] - hidden.curve.tip[0]
+    assert gone == pytest.approx(hidden.velocity[1, 0] * FILTER.unseen_time * (1 - np.exp(-2)))
 
 
 def test_stated_covariance_holds_what_it_says():

@@ -57,7 +57,9 @@ def followed(needle_filter, order, steps=6, frame=None, noise=0.0):
 def with_motion(needle_filter, motion):
     """The filter with one motion model, and errors that do not repeat themselves."""
     if isinstance(needle_filter, InteractingFilter):
-        return InteractingFilter(steady=motion, unsteady=motion, constant=0.0, repeated=0.0)
+        return InteractingFilter(
+            steady=motion, unsteady=motion, carried=motion, constant=0.0, repeated=0.0
+        )
     needle_filter.motion = motion
     return needle_filter
 

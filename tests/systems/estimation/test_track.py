@@ -1,6 +1,7 @@
 """Life of a track, with a filter that believes all it is told."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -102,7 +103,7 @@ def test_a_needle_that_is_withdrawn_starts_no_track():
 
 
 def test_the_prediction_says_what_is_known():
-    life = lifecycle()
+    life = lifecycle(seconds_between_searches=1.0)
     nothing = life.predict(life.without_needle(0.0, searched=0.5), 1.0, STILL)
     assert nothing.reason == "no needle has been detected"
     guess = life.initiate(life.initiate(life.without_needle(0.0), detection(2e-3)), detection(6e-3))
@@ -220,6 +221,62 @@ def test_the_whole_volume_is_searched_now_and_then_while_nothing_moves():
     never = lifecycle(seconds_between_searches=0.0)
     waiting = never.next(never.without_needle(0.0), 0.3, **NOTHING)
     assert isinstance(never.predict(waiting, 99.0, STILL), NotFound)
+
+
+def test_what_does_not_grow_is_given_up():
+    life = lifecycle(grown_length=0.02, seconds_to_grow=3.0)
+    for tip, kept in ((0.015, False), (0.021, True)):
+        first = life.needle_filter.start(measurement(0.015))
+        track = life.confirm(first, 0.0)
+        for time in (0.1, 1.0, 2.0, 3.0, 3.2):
+            seen = {"measurement": measurement(tip, time=time)}
+            track = life.next(track, time, **NOTHING | seen)
+        assert bool(track) is kept
+        assert track.grown is kept
+        assert kept or track.reason == "what was found did not grow"
+
+
+def test_a_measurement_nearby_is_the_same_needle_whatever_the_gate_says():
+    life = lifecycle(gate=0.5, max_jump=4e-3)
+    for y, mode in ((3.9e-3, TrackingMode.TRACKING), (4.1e-3, TrackingMode.COASTING)):
+        after = life.next(tracked(life), 0.3, **NOTHING | {"measurement": measurement(y=y)})
+        assert after.mode == mode
+        assert after.innovation > life.gate
+    assert after.reason.startswith("the measurement is")
+
+
+def test_the_prediction_knows_for_how_long_the_tip_is_unseen():
+    life = lifecycle()
+    seen = life.next(tracked(life), 1.0, **NOTHING | {"measurement": measurement(time=1.0)})
+    hidden = dataclasses.replace(measurement(time=1.5), tip_seen=False)
+    track = life.next(seen, 1.5, **NOTHING | {"measurement": hidden})
+    assert life.predict(track, 1.8, STILL).tip_unseen == pytest.approx(0.8)
+
+
+def test_until_a_needle_has_grown_what_is_new_must_come():
+    life = lifecycle(grown_length=0.02, seconds_between_searches=0.1)
+    nothing = life.predict(life.without_needle(0.0), 1.0, STILL)
+    assert nothing.everywhere
+    assert nothing.must_come
+    resting = lifecycle(anywhere=True)
+    assert not resting.predict(resting.without_needle(0.0), 1.0, STILL).must_come
+    grown = life.next(tracked(life), 1.0, **NOTHING | {"measurement": measurement(0.03)})
+    ended = life.next(grown, 99.0, **NOTHING)
+    assert not ended
+    assert not life.predict(ended, 99.5, STILL).must_come
+
+
+def test_earlier_volumes_are_the_first_and_the_last_ones():
+    track = Track(TrackingMode.SEARCHING, 0.0)
+    volumes = [SimpleNamespace(time=0.5 * k) for k in range(100)]
+    for each in volumes:
+        track = track.after(each)
+    times = [each.time for each in track.earlier]
+    assert times[0] == 0.0
+    np.testing.assert_allclose(np.diff(times[1:]), 1.0)
+    assert (len(times), times[-1]) == (11, 49.0)
+    grown = dataclasses.replace(track, grown=True)
+    assert grown.after(SimpleNamespace(time=99.0)).earlier == track.earlier
 
 
 def test_a_guess_that_is_not_confirmed_is_forgotten():

@@ -5,11 +5,13 @@ import numpy as np
 import pytest
 from independent_images import volume_case
 from independent_images.cases import draw_kinds
+from pydrake.math import RigidTransform, RollPitchYaw
 from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.diagrams.app.volumes.locate import locate_in
 from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.localization.needle_line import line_between, needle_lines, refined_line
+from sonoservo.systems.localization.novelty import is_new
 from sonoservo.systems.localization.search_region import found_again
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 
@@ -111,6 +113,46 @@ def test_what_disagrees_with_the_lost_needle_needs_more_evidence(ends):
 def test_moderate_moves_of_the_phantom_are_allowed():
     moved = turned(20) + np.array([0.02, 0.0, 0.01])
     assert found_again(2.5, moved, LAST)[0] > 1.4
+
+
+def scene(count, needle=None, aside=0.0, turn=0.0):
+    """Volumes of a probe that was moved aside and turned; the needle stays in W."""
+    X_WP = RigidTransform(RollPitchYaw(0.0, turn, 0.0), [aside, 0.0, 0.0])
+    ends = needle if needle is None else lambda time: needle
+    return [SCENE.volume(number, ends, X_WP) for number in range(count)]
+
+
+@pytest.mark.parametrize("must_come", [True, False])
+def test_a_line_that_earlier_volumes_lack_is_new(must_come):
+    assert is_new(volume(), NEEDLE, tuple(scene(3)), must_come=must_come)
+
+
+@pytest.mark.parametrize("must_come", [True, False])
+def test_a_line_that_was_there_first_is_not_new(must_come):
+    earlier = (*scene(1, NEEDLE), *scene(4))
+    assert not is_new(volume(), NEEDLE, earlier, must_come=must_come)
+    displaced = NEEDLE + np.array([0.0, 0.004, 0.0])
+    assert not is_new(volume(), NEEDLE, tuple(scene(1, displaced)), must_come=must_come)
+
+
+def test_a_line_that_came_stays_new():
+    assert is_new(volume(), NEEDLE, (*scene(3), *scene(4, NEEDLE)), must_come=True)
+
+
+def test_too_few_looks_do_not_show_that_a_line_came():
+    for earlier in ((), tuple(scene(2)), (*scene(2), *scene(4, NEEDLE))):
+        assert not is_new(volume(), NEEDLE, earlier, must_come=True)
+        assert is_new(volume(), NEEDLE, earlier)
+
+
+@pytest.mark.parametrize("moved", [{"aside": 0.003}, {"turn": np.radians(3)}])
+def test_looks_from_elsewhere_do_not_show_that_a_line_came(moved):
+    assert not is_new(volume(), NEEDLE, tuple(scene(5, **moved)), must_come=True)
+    assert not is_new(volume(), NEEDLE, (*scene(1, NEEDLE, **moved), *scene(3)), must_come=True)
+
+
+def test_looks_from_far_away_show_nothing():
+    assert is_new(volume(), NEEDLE, (*scene(2, NEEDLE, aside=0.02), *scene(3)), must_come=True)
 
 
 @pytest.mark.slow

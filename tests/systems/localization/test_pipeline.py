@@ -246,10 +246,11 @@ def test_explanation_of_a_failure_ends_where_it_failed():
     explain = lambda volume, guess: explain_localization(  # noqa: E731
         volume, guess, PARAMETERS, np.random.default_rng(0)
     )
-    (outside,) = explain(SCENE.volume(1), expected(needle(0.03) + 1.0)).attempts
+    outside, narrow = explain(SCENE.volume(1), expected(needle(0.03) + 1.0)).attempts
+    assert narrow.region.radius < outside.region.radius
     assert outside.measurement.reason == "the predicted needle lies outside the field of view"
     assert outside.candidates is outside.inliers is outside.profile is outside.extent is None
-    (empty,) = explain(SCENE.volume(1), expected(needle(0.03))).attempts
+    empty, _ = explain(SCENE.volume(1), expected(needle(0.03))).attempts
     assert not empty.measurement
     assert len(empty.candidates) > 100
 
@@ -267,6 +268,45 @@ def test_explanation_shows_each_attempt_to_follow_a_needle_outwards():
     ]
     assert explained.attempts[0].measurement.reason == "only the end of a needle was found"
     assert explained.attempts[-1].measurement is explained.measurement
+
+
+def faded(length, beyond):
+    """A needle that fades out over its last centimetre, and the volume that shows it."""
+    p_P = SCENE.volume(1).position(
+        np.moveaxis(np.indices(SCENE.volume(1).intensities.shape), 0, -1)
+    )
+    shown, none = (SCENE.volume(1, ends) for ends in (lambda time: needle(length), None))
+    share = np.clip((length - beyond - (p_P - ENTRY) @ K) / 0.01, 0, 1)
+    grey = share * shown.intensities + (1 - share) * none.intensities
+    return dataclasses.replace(shown, intensities=grey.astype(np.uint8))
+
+
+def test_a_needle_that_fades_ends_where_it_was_expected():
+    found = run(faded(0.05, beyond=0.015), expected(needle(0.05)))
+    assert not found.tip_seen
+    assert np.linalg.norm(found.curve.tip - needle(0.05)[1]) < 1.5e-3
+    assert K @ found.covariance[-3:, -3:] @ K > (9e-3) ** 2
+
+
+@pytest.mark.parametrize("unseen", [0.0, 2.0])
+def test_a_needle_cannot_be_withdrawn_at_once(unseen):
+    """What cuts off its echo is thought to be a shadow, until it has lasted."""
+    volume = SCENE.volume(1, lambda time: needle(0.03))
+    found = run(volume, expected(needle(0.05), tip_unseen=unseen))
+    assert found.tip_seen == (unseen > 0)
+    end = needle(0.03 if unseen else 0.05)[1]
+    assert np.linalg.norm(found.curve.tip - end) < 2e-3
+    moved = run(volume, expected(needle(0.04), tip_unseen=0.0))
+    assert moved.tip_seen
+
+
+def test_too_little_of_a_needle_does_not_show_that_it_turned():
+    """A bright needle may turn by 8 deg; a short remainder of it may not."""
+    k = RotationMatrix(RollPitchYaw(0, 0, np.radians(8))) @ K
+    guess = expected(np.array([ENTRY, ENTRY + 0.05 * k]))
+    assert run(SCENE.volume(1, lambda time: needle(0.05)), guess)
+    short = run(SCENE.volume(1, lambda time: needle(0.012)), guess)
+    assert isinstance(short, NotFound)
 
 
 def test_a_needle_that_enters_the_tissue_in_view_comes_from_outside():

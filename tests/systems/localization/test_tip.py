@@ -8,6 +8,7 @@ from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.systems.localization.axis import axis_through
 from sonoservo.systems.localization.candidates import select_candidates
+from sonoservo.systems.localization.hidden_length import hidden_length
 from sonoservo.systems.localization.tip import (
     TipParameters,
     axis_profile,
@@ -210,3 +211,36 @@ def test_a_rough_end_blurs_as_an_intensity_and_a_mirror_as_an_amplitude():
         ends.append(find_extent(line, PARAMETERS).tip)
     assert np.median(ends[:-1]) == pytest.approx(0.03, abs=0.4e-3)
     assert ends[-1] == pytest.approx(0.03, abs=0.3e-3)
+
+
+def test_without_gaps_nothing_is_hidden():
+    assert hidden_length(np.zeros(80, dtype=bool), STEP) == (0.0, 0.0)
+
+
+def test_what_is_hidden_is_what_a_tip_drawn_at_random_has_before_it():
+    faint = np.zeros(160, dtype=bool)
+    faint[10:30] = faint[60:64] = faint[100:148] = True
+    edges = STEP * np.array([[10, 30], [60, 64], [100, 148]])
+    tips = np.random.default_rng(5).uniform(0, 160 * STEP, 200_000)
+    hidden = np.zeros_like(tips)
+    for begin, end in edges:
+        hidden += np.where((tips > begin) & (tips < end), tips - begin, 0.0)
+    mean, std = hidden_length(faint, STEP)
+    assert mean == pytest.approx(hidden.mean(), rel=0.01)
+    assert std == pytest.approx(hidden.std(), rel=0.01)
+
+
+def test_a_needle_seen_with_gaps_is_longer_and_less_certain():
+    whole = find_extent(profile(0.04), PARAMETERS)
+    gaps = find_extent(profile(0.04, gaps=[(0.01, 0.014), (0.024, 0.028)]), PARAMETERS)
+    assert 0 < gaps.tip - whole.tip < 1e-3
+    assert gaps.tip_std > 2 * whole.tip_std
+
+
+def test_what_is_bright_before_the_needle_is_not_its_end():
+    """The tip is looked for at a higher contrast, at which a short bright stretch may win."""
+    before = profile(-0.002, 25.0, start=-0.008)
+    needle = profile(0.05, 5.0, start=0.012)
+    both = replace(before, level=np.maximum(before.level, needle.level))
+    extent = find_extent(both, PARAMETERS)
+    assert extent.tip > extent.start
