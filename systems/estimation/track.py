@@ -13,8 +13,9 @@ from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMo
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.volume import Volume
 
-_KEPT, _KEPT_APART = 10, 0.9
-"""Number of earlier volumes that are kept beside the first, and time between them, in s."""
+_KEPT, _KEPT_APART, _FIRST_APART = 10, 0.9, 0.3
+"""Number of earlier volumes that are kept beside the first, and times between them and between the
+first three, in s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +103,8 @@ class Track(Immutable):
         """Return the track with a volume among the earlier ones, if it is to be kept."""
         first, last = self.earlier[:1], self.earlier[1:]
         newest = self.earlier[-1].time if self.earlier else -np.inf
-        if self.grown or volume.time - newest < _KEPT_APART:
+        apart = _KEPT_APART if len(self.earlier) > 2 else _FIRST_APART
+        if self.grown or volume.time - newest < apart:
             return self
         return replace(self, earlier=(*first, *last[1 - _KEPT :], volume))
 

@@ -109,7 +109,7 @@ def report(outcomes: Sequence[Outcome]) -> RobustnessStudy:
                 "dial": name,
                 "unit": GRADED[name].unit,
                 "moderate": GRADED[name].words(1.0, unit=False),
-                **{kind: str(each) for kind, each in trackers.items()},
+                **{kind: _threshold_words(name, each) for kind, each in trackers.items()},
             }
             for name, trackers in thresholds.items()
         ],
@@ -168,6 +168,13 @@ def dial_thresholds(curves: Mapping[str, Curve]) -> dict[str, dict[str, Threshol
                 for kind in TRACKERS
             }
     return found
+
+
+def _threshold_words(name: str, threshold: Threshold) -> str:
+    """Return a threshold in words; a switch has no strength."""
+    if GRADED[name].unit:
+        return str(threshold)
+    return "on" if threshold.value is not None else "not reached"
 
 
 def _is_shared(outcome: Outcome) -> bool:

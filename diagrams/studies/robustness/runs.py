@@ -41,15 +41,15 @@ def run_case(case: Case) -> Mapping[str, Any]:
     Parameters
     ----------
     case
-        Case whose settings name the `loop` ("open", "calibration", which is open too, "closed" or
-        "search"), the `scenario` and its `changes`, the kinds of the `trackers`, of which a closed
-        loop has one, the frame of the errors (`in_probe`, `across_depth`), and whether trackers
-        correct their poses (`correct_poses`).
+        Case whose settings name the `loop` ("open", "closed" or "search"), the `scenario` and its
+        `changes`, the kinds of the `trackers`, of which a closed loop has one, the frame of the
+        errors (`in_probe`, `across_depth`), and whether trackers correct their poses
+        (`correct_poses`).
     """
     settings = case.settings
     trackers = settings["trackers"]
     with scenario_of(settings, case.seed) as scenario:
-        if settings["loop"] in ("open", "calibration"):
+        if settings["loop"] == "open":
             corrects = bool(settings.get("correct_poses"))
             logs = run_open_loop(scenario, trackers, correct_poses=corrects)
         elif settings["loop"] == "closed":

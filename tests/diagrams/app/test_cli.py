@@ -237,7 +237,9 @@ def test_what_is_recorded_is_tracked_and_its_needle_located(tmp_path):
         "--record", str(recording), "--out", str(tmp_path / "run"),
     )  # fmt: skip
     assert made.returncode == 0, made.stderr
-    tracked = sonoservo_here("track", str(recording), "--show", "--out", str(tmp_path / "out"))
+    tracked = sonoservo_here(
+        "track", str(recording), "--start", "anywhere", "--show", "--out", str(tmp_path / "out")
+    )
     assert tracked.returncode == 0, tracked.stderr
     assert "Watch at http://localhost:" in tracked.stdout
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())

@@ -192,9 +192,7 @@ def test_as_many_runs_as_promised(tmp_path):
     assert sum(case.settings["trackers"] == [OURS] for case in clinic) == 10
     quick = reproduction.study_cases(StudyOptions(folder=tmp_path, quick=True))
     assert len(quick) < 25
-    assert {case.settings["loop"] for case in quick} == {
-        "open", "calibration", "closed", "search",
-    }  # fmt: skip
+    assert {case.settings["loop"] for case in quick} == {"open", "closed", "search"}
 
 
 def test_a_withdrawal_ends_outside_after_the_phantom_has_moved():
