@@ -13,9 +13,8 @@ from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMo
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.volume import Volume
 
-_KEPT, _KEPT_APART, _FIRST_APART = 10, 0.9, 0.3
-"""Number of earlier volumes that are kept beside the first, and times between them and between the
-first three, in s."""
+_FIRST, _FIRST_APART, _KEPT, _KEPT_APART = 3, 0.3, 8, 0.9
+"""Numbers of the first and of the last volumes that are kept, and times between them in s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,9 +100,9 @@ class Track(Immutable):
 
     def after(self, volume: Volume) -> "Track":
         """Return the track with a volume among the earlier ones, if it is to be kept."""
-        first, last = self.earlier[:1], self.earlier[1:]
+        first, last = self.earlier[:_FIRST], self.earlier[_FIRST:]
         newest = self.earlier[-1].time if self.earlier else -np.inf
-        apart = _KEPT_APART if len(self.earlier) > 2 else _FIRST_APART
+        apart = _KEPT_APART if len(self.earlier) >= _FIRST else _FIRST_APART
         if self.grown or volume.time - newest < apart:
             return self
         return replace(self, earlier=(*first, *last[1 - _KEPT :], volume))

@@ -161,7 +161,8 @@ class TrackLifecycle:
         if track.state is None or track.mode == TrackingMode.SEARCHING:
             return replace(track, grown=before.grown, earlier=before.earlier)
         began = min(before.began, track.time)
-        longest = max(before.longest, track.state.curve.chord)
+        measured = track.state.curve.chord if track.mode == TrackingMode.TRACKING else 0.0
+        longest = max(before.longest, measured)
         grown = longest >= self.parameters.grown_length
         if not grown and track.time - began > self.parameters.seconds_to_grow:
             ended = self.without_needle(track.time, "what was found did not grow", track.searched)

@@ -23,6 +23,13 @@ _NEARBY = 4.0
 _LEAST_SHARE = 0.5
 """Share of a line's evidence from which on an earlier volume shows it."""
 
+_LEAST_EVIDENCE = 5e-3
+"""Evidence of any line, in dB m."""
+
+_AROUND, _DARKER = 5e-3, 10.0
+"""Distance from a line at which its surroundings are compared, in m, and difference in dB from
+which on an earlier volume shows no tissue there, as before the probe has landed."""
+
 _DISPLACED, _PARALLEL = 8e-3, 0.9
 """Largest distance in m to a line in an earlier volume that is the same one, displaced by breath,
 and smallest cosine of the angle between the two."""
@@ -32,7 +39,6 @@ def is_new(
     volume: Volume,
     ends: NDArray[np.float64],
     earlier: tuple[Volume, ...],
-    *,
     must_come: bool = False,
 ) -> bool:
     """Return True if earlier volumes lacked a line before any showed it.
@@ -51,16 +57,15 @@ def is_new(
     must_come
         Whether three of them must lack the line. If not, what no volume shows is new, too.
     """
-    now, lacking, shown = _evidence(volume, ends), 0, False
-    for each in earlier:
-        distance = _distance(each, volume)
-        if distance > _NEARBY:
-            continue
-        if _evidence(each, ends) >= _LEAST_SHARE * now:
-            shown = True
-            break
-        lacking += distance <= 1
-    return lacking >= _LOOKS if must_come else lacking > 0 or not shown
+    near = [each for each in earlier if _distance(each, volume) <= _NEARBY]
+    now, lacking = _evidence(volume, ends), 0
+    for each in near:
+        if _evidence(each, ends) >= max(_LEAST_SHARE * now, _LEAST_EVIDENCE):
+            return False
+        lacking += _distance(each, volume) <= 1 and _shows_tissue(each, volume, ends)
+        if lacking >= (_LOOKS if must_come else 1):
+            return True
+    return not must_come
 
 
 def _evidence(volume: Volume, ends: NDArray[np.float64]) -> float:
@@ -74,6 +79,19 @@ def _evidence(volume: Volume, ends: NDArray[np.float64]) -> float:
     aside = aside - (aside @ k) * k
     same = np.linalg.norm(aside) <= _DISPLACED and abs(line.direction @ k) >= _PARALLEL
     return line.evidence if same else 0.0
+
+
+def _shows_tissue(before: Volume, volume: Volume, ends: NDArray[np.float64]) -> bool:
+    """Return True if an earlier volume is not much darker around a line."""
+    levels = []
+    for each in (before, volume):
+        start, stop = acquired_from(each, ends)
+        points = np.linspace(start, stop, 20)
+        aside = np.cross(points[-1] - points[0], [0.0, 1.0, 0.0])
+        aside *= _AROUND / max(float(np.linalg.norm(aside)), 1e-9)
+        beside = each.sample(np.concatenate([points - aside, points + aside]))
+        levels.append(each.decibels_per_level * float(beside.mean()))
+    return levels[0] > levels[1] - _DARKER
 
 
 def _distance(before: Volume, volume: Volume) -> float:

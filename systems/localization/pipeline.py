@@ -79,7 +79,8 @@ def explain_localization(
     elif not prediction.everywhere:
         region = predicted_region(prediction, parameters)
         attempts = localize_in_region(volume, region, parameters, rng)
-        if isinstance(attempts[-1].measurement, NotFound) and region.entry is not None:
+        limited = parameters.volume_of_interest and parameters.angle_gate
+        if not attempts[-1].measurement and region.entry is not None and limited:
             narrow = narrow_region(region, parameters)
             surer = replace(parameters, min_evidence=_SURER * parameters.min_evidence)
             attempts += localize_in_region(volume, narrow, surer, rng)
@@ -103,10 +104,13 @@ def _localize_everywhere(
     """Localize a needle that was lost or never seen, and return the logarithm of its odds."""
     last = prediction.curve
 
-    def odds(line: NeedleLine) -> tuple[float, Floats]:
-        """Return the logarithm of a line's odds, and its ends in W, the entry first."""
+    def odds(line: NeedleLine) -> tuple[float, Floats, bool]:
+        """Return the logarithm of a line's odds, its ends in W, and whether it is where it was."""
         ends = volume.to_world(line.ends)[0]
-        return (line.log_odds, ends) if last is None else found_again(line.log_odds, ends, last)
+        if last is None:
+            return line.log_odds, ends, False
+        log_odds, ends = found_again(line.log_odds, ends, last)
+        return log_odds, ends, log_odds >= line.log_odds
 
     lines = sorted(map(odds, needle_lines(volume)), key=lambda each: -each[0])
     if not lines:
@@ -118,8 +122,8 @@ def _localize_everywhere(
             reason = "no line looks like the needle that was lost"
         return [], NotFound(reason), lines[0][0]
     earlier, must_come = prediction.earlier, prediction.must_come
-    new = (each for each in probable if is_new(volume, each[1], earlier, must_come=must_come))
-    log_odds, ends = next(new, (-np.inf, None))
+    new = (each for each in probable if each[2] or is_new(volume, each[1], earlier, must_come))
+    log_odds, ends, _ = next(new, (-np.inf, None, False))
     if ends is None:
         return [], NotFound(THERE_BEFORE), log_odds
     # The beam makes a short needle look thick, so its axis varies with the random draws.
@@ -141,7 +145,7 @@ def _if_needle(
 ) -> NeedleMeasurement | NotFound:
     """Return the measurement of what moved, unless it looks like a sheet by far.
 
-    While a needle is too short for its looks to tell (odds of zero), its motion must do.
+    Where its looks cannot tell, as while it is too short, its motion must do.
     """
     line = _line_of(volume, measurement)
     if line is not None and -np.inf < line.log_odds < parameters.min_odds:

@@ -152,7 +152,8 @@ def turns_too_far(
     most = parameters.tip.max_evidence * max(region.curve.chord, parameters.min_length)
     share = min(extent.evidence / most / _BRIGHT_SHARE, 1.0)
     largest = math.radians(parameters.max_angle_deg) * max(share, _LEAST_TURN)
-    return math.acos(min(float(axis.direction @ region.curve.direction), 1.0)) > largest
+    turn = float(np.clip(axis.direction @ region.curve.direction, -1, 1))
+    return math.acos(turn) > largest
 
 
 def fades_before_tip(
@@ -168,7 +169,7 @@ def fades_before_tip(
         return False
     short = float(axis.abscissa(region.curve.tip)) - extent.tip
     sudden = short > parameters.max_shortening and region.tip_unseen < parameters.max_unseen
-    return short > parameters.margin and (sudden or extent.tip_std > parameters.faded_std)
+    return short > parameters.margin and (sudden or extent.end_std > parameters.faded_std)
 
 
 def outer_region(

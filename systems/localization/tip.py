@@ -256,7 +256,7 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
     )
     if last < 0:
         return NotFound("nothing along the axis stands out from the background")
-    tip, tip_std = _tip(profile, contrast, (first, last), parameters)
+    tip, end_std, hidden_std = _tip(profile, contrast, (first, last), parameters)
     # Outside the tissue nothing scatters, so a needle that enters it in view comes from nowhere.
     around = uniform_filter1d(profile.background, round(parameters.end_length / step))
     empty = around < np.median(around[first : last + 1]) - _EMPTY
@@ -268,7 +268,8 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
         entered=float(profile.a[unseen[-1]]) if len(unseen) else -np.inf,
         leaves=bool(beyond >= len(profile.a) or not profile.seen[beyond]),
         evidence=evidence,
-        tip_std=tip_std,
+        tip_std=float(np.hypot(end_std, hidden_std)),
+        end_std=end_std,
     )
 
 
@@ -277,8 +278,8 @@ def _tip(
     contrast: NDArray[np.float64],
     needle: tuple[int, int],
     parameters: TipParameters,
-) -> tuple[float, float]:
-    """Return the tip's abscissa and its standard deviation in m, by the blurred end's shape.
+) -> tuple[float, float, float]:
+    """Return the tip's abscissa, and its standard deviations by the end's shape and by gaps, in m.
 
     A needle that stands out far and ends abruptly ends where it seems to. One that is faint or
     fades may continue unseen. The ``needle`` is that between two indices if nothing stands out as
@@ -316,7 +317,7 @@ def _tip(
     tip = lost - sigma * _blurred_length(top, max(top - threshold, 0.1))
     faint = inside[: end + 1 - first] < min(parameters.min_end_contrast, float(np.median(inside)))
     hidden, hidden_std = hidden_length(faint, step)
-    return tip + hidden, float(np.hypot(_END_SHARE * sigma * np.exp(doubt), hidden_std))
+    return tip + hidden, _END_SHARE * sigma * float(np.exp(doubt)), hidden_std
 
 
 def _blurred_length(top: float, fallen: float) -> float:

@@ -102,7 +102,10 @@ class NeedleExtent(Immutable):
         Integral along the stretch of the evidence for a needle, in dB m. It is about 2 dB times the
         length. Lines through speckle reach 6 dB mm, and a needle of 5 mm reaches 12 to 30 dB mm.
     tip_std
-        Standard deviation of the tip due to the blur and the shape of the end, in m.
+        Standard deviation of the tip due to the blur and the shape of the end, and to what gaps in
+        the needle may hide beyond it, in m.
+    end_std
+        Part of it due to the end itself, in m.
     """
 
     start: float
@@ -111,6 +114,7 @@ class NeedleExtent(Immutable):
     leaves: bool
     evidence: float
     tip_std: float = 0.0
+    end_std: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

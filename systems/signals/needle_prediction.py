@@ -40,7 +40,8 @@ class NeedlePrediction(Immutable):
     everywhere
         Whether the whole volume is searched, because the needle was lost or never seen.
     earlier
-        Volumes in order of time from before the needle was found. What they show is none.
+        Some volumes in order of time from before a needle had grown. What they show before they
+        lack it is none.
     must_come
         Whether a needle found anywhere counts only if some of these volumes lack it.
 

@@ -52,6 +52,7 @@ _CASES = (
         "a line was there before, or was not seen to come",
         "push the needle into view, or take what rests for a needle: tracker.start=anywhere",
     ),
+    ("what moved does not", "what moved does not look like a needle", _FAINT),
     ("what was found did not", "what was found did not grow", "push the needle further in"),
     ("no line", "no line stands out as a needle does", _FAINT),
     ("no bright line", "no bright line comes in from the side", _FAINT),

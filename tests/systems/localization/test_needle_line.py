@@ -155,6 +155,12 @@ def test_looks_from_far_away_show_nothing():
     assert is_new(volume(), NEEDLE, (*scene(2, NEEDLE, aside=0.02), *scene(3)), must_come=True)
 
 
+def test_volumes_before_the_probe_has_landed_lack_nothing():
+    air = [replace(each, intensities=each.intensities // 8) for each in scene(5)]
+    assert not is_new(volume(), NEEDLE, tuple(air), must_come=True)
+    assert is_new(volume(), NEEDLE, (*air, *scene(3)), must_come=True)
+
+
 @pytest.mark.slow
 def test_structures_of_independent_images_are_no_needles():
     false = right = count = 0

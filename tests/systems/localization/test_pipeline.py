@@ -6,6 +6,7 @@ from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
+from sonoservo.systems.localization.novelty import THERE_BEFORE
 from sonoservo.systems.localization.pipeline import explain_localization, localize
 from sonoservo.systems.localization.ransac import RansacParameters
 from sonoservo.systems.localization.tip import TipParameters
@@ -286,6 +287,14 @@ def test_a_needle_that_fades_ends_where_it_was_expected():
     assert not found.tip_seen
     assert np.linalg.norm(found.curve.tip - needle(0.05)[1]) < 1.5e-3
     assert K @ found.covariance[-3:, -3:] @ K > (9e-3) ** 2
+
+
+def test_a_needle_lost_where_it_was_is_found_whatever_was_there_before():
+    volume = SCENE.volume(1, lambda time: needle(0.05))
+    lost = expected(needle(0.05), everywhere=True, earlier=(volume,))
+    assert np.linalg.norm(run(volume, lost).curve.tip - needle(0.05)[1]) < 2e-3
+    never = NeedlePrediction(2, 0.0, everywhere=True, earlier=(volume,))
+    assert run(volume, never).reason == THERE_BEFORE
 
 
 @pytest.mark.parametrize("unseen", [0.0, 2.0])

@@ -235,6 +235,7 @@ def test_a_needle_seen_with_gaps_is_longer_and_less_certain():
     gaps = find_extent(profile(0.04, gaps=[(0.01, 0.014), (0.024, 0.028)]), PARAMETERS)
     assert 0 < gaps.tip - whole.tip < 1e-3
     assert gaps.tip_std > 2 * whole.tip_std
+    assert gaps.end_std < 2 * whole.end_std
 
 
 def test_what_is_bright_before_the_needle_is_not_its_end():
