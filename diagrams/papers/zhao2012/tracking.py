@@ -78,7 +78,8 @@ def tracker_parameters() -> Zhao2012TrackerParameters:
             first_speed_std=1e-3,
             first_drift_std=0.2e-3,
         ),
-        track=TrackParameters(withdrawn_length=2e-3),
+        # The dynamic needle begins with 5 mm.
+        track=TrackParameters(withdrawn_length=2e-3, grown_length=4e-3),
     )
 
 
