@@ -77,7 +77,7 @@ def test_scatterers_drawn_out_by_an_unfocused_beam_are_no_needles(tmp_path, seed
     [
         (ABDOMINAL, "abdominal", 10, 9, 0.6),
         (LINEAR, "linear", 10, 7, 1.0),
-        (LENS_AT_20_MM, "", 3, 0, 3.5),
+        (LENS_AT_20_MM, "", 4, 0, 3.0),
     ],
     ids=["abdominal", "linear", "lens at 20 mm"],
 )

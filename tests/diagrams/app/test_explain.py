@@ -114,8 +114,8 @@ def test_an_interrupted_run_keeps_what_it_explained(tmp_path):
     scenario = load_scenario("chatelain2013_fig4", seed=101, changes=CHANGES)
     assert run(scenario, out=tmp_path, explain=True, after_step=stop).summary["interrupted"]
     occasions = [str(each.occasion) for each in read_explanations(tmp_path)]
-    assert occasions[:2] == ["before", "before"]
-    assert "searching to tracking" in occasions
+    detected = ["before", "before", "first detection", "after"]
+    assert occasions[:5] == [*detected, "searching to tracking"]
     assert read_explained_run(tmp_path).log is not None
 
 

@@ -273,10 +273,8 @@ def test_explanation_shows_each_attempt_to_follow_a_needle_outwards():
 
 def faded(length, beyond):
     """A needle that fades out over its last centimetre, and the volume that shows it."""
-    p_P = SCENE.volume(1).position(
-        np.moveaxis(np.indices(SCENE.volume(1).intensities.shape), 0, -1)
-    )
     shown, none = (SCENE.volume(1, ends) for ends in (lambda time: needle(length), None))
+    p_P = none.position(np.moveaxis(np.indices(none.intensities.shape), 0, -1))
     share = np.clip((length - beyond - (p_P - ENTRY) @ K) / 0.01, 0, 1)
     grey = share * shown.intensities + (1 - share) * none.intensities
     return dataclasses.replace(shown, intensities=grey.astype(np.uint8))
