@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sonoservo.systems.localization.needle_blur import echo_covariance
 from sonoservo.systems.signals.volume import Volume
 
 Floats = NDArray[np.float64]
@@ -20,6 +21,16 @@ rest of the cross-section is the ring far from it."""
 
 _AMPLITUDE = 0.35
 """Share of the line's amplitude below which a point of the cross-section is no part of it."""
+
+_FINEST = 0.45e-3
+"""Standard deviation in m by which a line's echo counts as blurred further."""
+
+_NARROW, _WIDE = 0.3, 1.15
+"""Limits of a line's width relative to the blur. Wider ones are alike; so is an unknown one."""
+
+_LONG, _INSIDE = 20e-3, 8e-3
+"""Length from which on a line is no more likely a needle, and the unit of the distance between its
+entry and the side of the field of view, in m."""
 
 _ABOVE, _BELOW, _FAR_BELOW = (
     1e-3 * np.array(each) for each in ((4, 6, 8, 10), (2.5, 3.5, 4.5), (5, 7, 9, 11, 13))
@@ -55,14 +66,15 @@ _ASIDE, _OTHER_SIDE, _OVER = 0, 4, 6
 
 
 def line_features(
-    volume: Volume, ends: Floats, *, evidence: float, tip_gap: float
+    volume: Volume, ends: Floats, *, evidence: float, entry_gap: float, tip_gap: float
 ) -> dict[str, float]:
     """Return what tells a needle from other bright lines.
 
-    A needle is as narrow as the beam, and nothing beside it or above it is as bright. A sheet is
-    wide. The surface of a bone or the border between two tissues has unlike sides above and below.
-    A sheet, or the wall of a vessel, brightens what lies below; a needle shades it. A needle goes
-    down rather than up, and ends within the field of view.
+    A needle is as narrow as the beam, and nothing around it is as bright. A sheet is wide. The
+    surface of a bone or the border between two tissues has unlike sides above and below. A sheet,
+    or the wall of a vessel, brightens what lies below; a needle shades it. A needle comes from the
+    side of the field of view, goes down rather than up, and ends within. Fibres and calcifications
+    are short.
 
     Parameters
     ----------
@@ -72,8 +84,8 @@ def line_features(
         (2, 3) ends of the line in P, the one on the entry's side first, in m.
     evidence
         Integral along the line of its contrast with its sides, in dB m.
-    tip_gap
-        Distance from the side of the field of view to the second end, in m.
+    entry_gap, tip_gap
+        Distances from the side of the field of view to the first and the second end, in m.
     """
     length = float(np.linalg.norm(ends[1] - ends[0]))
     k = (ends[1] - ends[0]) / length
@@ -83,7 +95,9 @@ def line_features(
         return {
             "constant": 1.0,
             "evidence": min(math.log(max(evidence, 1e-3) / 80e-3), _MOST_EVIDENCE),
+            "short": max(1 - length / _LONG, 0.0),
             "fall": max(float(k[1]), 0.0),
+            "inside": entry_gap / _INSIDE,
             "tip at edge": math.exp(-tip_gap / _EDGE),
             **_section_features(volume, points, k),
             **_depth_features(volume, points),
@@ -102,30 +116,52 @@ def _limited(value: Any, lowest: float, highest: float) -> float:
 
 
 def _section_features(volume: Volume, points: Floats, k: Floats) -> dict[str, float]:
-    """Return a line's width and its contrasts with what lies around it.
+    """Return a line's width relative to the beam's and its contrasts with what lies around it.
 
     The levels of its cross-sections are averaged along the line, which removes the speckle.
     """
     aside = np.cross(_DEEPER, k)
     aside /= np.linalg.norm(aside)
-    offsets = _POINTS @ np.array([aside, np.cross(k, aside)])
-    section = np.nanmean(_levels(volume, points[:, np.newaxis] + offsets), axis=0)
+    across = np.array([aside, np.cross(k, aside)])
+    section = np.nanmean(_levels(volume, points[:, np.newaxis] + _POINTS @ across), axis=0)
     line = np.nanmean(section[_ON_LINE])
     near, far = (
         line - np.array([np.nanmean(section[each]) for each in sectors])
         for sectors in (_NEAR_SECTORS, _FAR_SECTORS)
     )
-    amplitude = np.nan_to_num(np.clip(10 ** ((section - line) / 20) - _AMPLITUDE, 0, None))
-    spread = (amplitude[:, np.newaxis] * _POINTS).T @ _POINTS / max(amplitude.sum(), 1e-9)
     contrasts = {
         "near aside": np.fmin(near[_ASIDE], near[_OTHER_SIDE]),
-        "far aside": np.fmin(far[_ASIDE], far[_OTHER_SIDE]),
+        "near least": np.nanmin(near),
         "far above": far[_OVER],
+        "far middle": np.nanmedian(far),
     }
     return {
-        "width": 1e3 * math.sqrt(max(float(np.linalg.eigvalsh(spread)[1]), 0.0)),
+        "width": _relative_width(volume, points, across, section - line),
         **{name: _limited(value, -12, 18) for name, value in contrasts.items()},
     }
+
+
+def _relative_width(volume: Volume, points: Floats, across: Floats, section: Floats) -> float:
+    """Return the largest width of a cross-section, relative to the beam's there.
+
+    Parameters
+    ----------
+    volume
+        Volume with the line.
+    points
+        (n, 3) points of the line in P, in m.
+    across
+        (2, 3) unit vectors across it.
+    section
+        (m,) levels of the cross-section's points above the line's, in dB.
+    """
+    covariance = echo_covariance(volume, points[[0, len(points) // 2, -1]])
+    if covariance is None:
+        return _WIDE
+    blur = np.linalg.eigvalsh((across @ covariance @ across.T).mean(axis=0))[1] + _FINEST**2
+    amplitude = np.nan_to_num(np.clip(10 ** (section / 20) - _AMPLITUDE, 0, None))
+    spread = (amplitude[:, np.newaxis] * _POINTS).T @ _POINTS / max(amplitude.sum(), 1e-9)
+    return _limited(math.sqrt(max(np.linalg.eigvalsh(spread)[1], 0.0) / blur), _NARROW, _WIDE)
 
 
 def _depth_features(volume: Volume, points: Floats) -> dict[str, float]:

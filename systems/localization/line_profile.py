@@ -85,9 +85,11 @@ def refine(  # pragma: no cover - compiled
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def profile(  # pragma: no cover - compiled
-    intensities: Any, points: Any, core: Any, ring: Any, half: int
+    intensities: Any, points: Any, core: Any, ring: Any, half: int, rank: int
 ) -> Any:
-    """Return the levels along a line and those of the brightest side beside it.
+    """Return the levels along a line and those of a bright side beside it.
+
+    The brightest side is bright by chance, too, the more so the fewer samples it has.
 
     Parameters
     ----------
@@ -99,10 +101,12 @@ def profile(  # pragma: no cover - compiled
         (c, 3) and (rings, sectors, 3) differences of index between a point and the samples.
     half
         Number of points to either side over which a sector's level is averaged.
+    rank
+        Number of the sector that counts as the side, the brightest first, from 1.
 
     Returns
     -------
-    (m,) means of the core and (m,) largest means of a sector; the latter where the core is seen.
+    (m,) means of the core and of the sector; the latter where the core is seen.
     """
     m, sectors = len(points), ring.shape[1]
     levels, sides = np.zeros(m), np.zeros(m)
@@ -119,10 +123,11 @@ def profile(  # pragma: no cover - compiled
                 )  # fmt: skip
                 total[s, c] += level
                 seen[s, c] += level > 0
+    means = np.zeros(sectors)
     for s in range(m):
         first, last = max(s - half, 0), min(s + half + 1, m)
         for c in range(sectors):
             count = np.sum(seen[first:last, c])
-            if count > half:
-                sides[s] = max(sides[s], np.sum(total[first:last, c]) / count)
+            means[c] = np.sum(total[first:last, c]) / count if count > half else 0.0
+        sides[s] = np.sort(means)[sectors - rank]
     return levels, sides

@@ -51,7 +51,7 @@ def needle_blur(
     (m,) full widths at half maximum in m; None if the volume does not tell them.
     """
     few = np.linspace(0, len(p_P) - 1, _BLUR_POINTS).astype(int)
-    covariance = _echo_covariance(volume, p_P[few], measure=beam_width is None)
+    covariance = echo_covariance(volume, p_P[few], measure=beam_width is None)
     if covariance is None:
         return None
     projected = np.sqrt(covariance @ along @ along)
@@ -74,14 +74,14 @@ def streak_length(volume: Volume, ends: NDArray[np.float64]) -> float:
     Largest full width at half maximum along the line in m; 0 if the volume does not tell it.
     """
     points = np.linspace(ends[0], ends[1], 3)
-    covariance = _echo_covariance(volume, points)
+    covariance = echo_covariance(volume, points)
     if covariance is None:
         return 0.0
     along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
     return FWHM_PER_SIGMA * float(_on_axis(covariance + _FINEST**2 * np.eye(3), along).max())
 
 
-def _echo_covariance(
+def echo_covariance(
     volume: Volume, p_P: NDArray[np.float64], measure: bool = True
 ) -> NDArray[np.float64] | None:
     """Return the (m, 3, 3) covariances of echoes of points at (m, 3) p_P, in m^2, or None."""

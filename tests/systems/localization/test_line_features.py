@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform
 
+from sonoservo.systems.localization import line_features as module
 from sonoservo.systems.localization.line_features import line_features
 from sonoservo.systems.signals.volume import Volume
 
@@ -28,7 +29,7 @@ def volume(level):
 
 
 def features(level):
-    return line_features(volume(level), ENDS, evidence=80e-3, tip_gap=4e-3)
+    return line_features(volume(level), ENDS, evidence=80e-3, entry_gap=4e-3, tip_gap=4e-3)
 
 
 def line(below, aside, x=0.0):
@@ -36,18 +37,27 @@ def line(below, aside, x=0.0):
     return np.where(np.hypot(below, aside) < 0.8e-3, LINE, TISSUE)
 
 
-def test_a_line_in_even_tissue_is_narrow_and_alike_on_all_sides():
+@pytest.fixture
+def blur(monkeypatch):
+    """A beam that draws out a point with a standard deviation of 0.6 mm in every direction."""
+    covariance = 0.6e-3**2 * np.eye(3)
+    monkeypatch.setattr(module, "echo_covariance", lambda volume, p_P: np.array([covariance] * 3))
+
+
+def test_a_line_in_even_tissue_is_narrow_and_alike_on_all_sides(blur):
     found = features(line)
-    assert found["width"] < 0.7
-    assert 10 < found["near aside"] == pytest.approx(found["far aside"], abs=0.5)
-    assert found["far above"] == pytest.approx(found["far aside"], abs=0.5)
+    assert found["width"] < 0.95
+    assert 10 < found["near aside"] == pytest.approx(found["far middle"], abs=0.5)
+    assert found["near least"] == pytest.approx(found["far middle"], abs=0.5)
+    assert found["far above"] == pytest.approx(found["far middle"], abs=0.5)
+    assert found["inside"] == pytest.approx(0.5)
     assert found["behind"] == found["border"] == found["evidence"] == found["fall"] == 0
     assert found["tip at edge"] == pytest.approx(np.exp(-1))
 
 
-def test_a_sheet_is_wide_and_as_bright_beside():
+def test_a_sheet_is_wide_and_as_bright_beside(blur):
     found = features(lambda below, aside, x: np.where(np.abs(below) < 0.8e-3, LINE, TISSUE))
-    assert found["width"] > 1.5
+    assert found["width"] == 1.15
     assert found["near aside"] < 3  # a sector is wider than the sheet
     assert found["far above"] > 10
 
@@ -64,6 +74,18 @@ def test_what_brightens_below_is_behind():
     found = features(lambda below, aside, x: line(below, aside) + 16.0 * (below > 3e-3))
     assert found["behind"] == pytest.approx(2.0, abs=0.1)
     assert found["border"] == 0
+
+
+@pytest.mark.parametrize(("length", "short"), [(35e-3, 0.0), (20e-3, 0.0), (10e-3, 0.5)])
+def test_short_lines_are_told(length, short):
+    ends = ENDS[0] + np.outer([0, length], [1.0, 0.0, 0.0])
+    found = line_features(volume(line), ends, evidence=80e-3, entry_gap=0.0, tip_gap=4e-3)
+    assert found["short"] == pytest.approx(short)
+    assert found["inside"] == 0
+
+
+def test_a_line_is_as_good_as_wide_where_the_blur_is_unknown():
+    assert features(line)["width"] == 1.15
 
 
 def test_outside_the_field_of_view_counts_neither_way():
