@@ -158,21 +158,21 @@ class TrackLifecycle:
         What is found somewhere may be a structure that looks like the end of a needle, or a ghost.
         A needle grows.
         """
+        track = replace(track, grown=before.grown, earlier=before.earlier)
         if track.state is None or track.mode == TrackingMode.SEARCHING:
-            return replace(track, grown=before.grown, earlier=before.earlier)
+            return track
         began = min(before.began, track.time)
         measured = track.state.curve.chord if track.mode == TrackingMode.TRACKING else 0.0
         longest = max(before.longest, measured)
         grown = longest >= self.parameters.grown_length
         if not grown and track.time - began > self.parameters.seconds_to_grow:
             ended = self.without_needle(track.time, "what was found did not grow", track.searched)
-            return replace(ended, grown=before.grown, earlier=before.earlier)
+            return replace(ended, grown=track.grown, earlier=track.earlier)
         return replace(
             track,
             began=began,
             longest=longest,
-            grown=grown or before.grown,
-            earlier=before.earlier,
+            grown=grown or track.grown,
             tip_seen=max(before.tip_seen, track.tip_seen),
         )
 

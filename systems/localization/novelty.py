@@ -57,12 +57,14 @@ def is_new(
     must_come
         Whether three of them must lack the line. If not, what no volume shows is new, too.
     """
-    near = [each for each in earlier if _distance(each, volume) <= _NEARBY]
-    now, lacking = _evidence(volume, ends), 0
-    for each in near:
-        if _evidence(each, ends) >= max(_LEAST_SHARE * now, _LEAST_EVIDENCE):
+    distances = [(each, _distance(each, volume)) for each in earlier]
+    near = [(each, distance) for each, distance in distances if distance <= _NEARBY]
+    least = max(_LEAST_SHARE * _evidence(volume, ends), _LEAST_EVIDENCE) if near else 0.0
+    lacking = 0
+    for each, distance in near:
+        if _evidence(each, ends) >= least:
             return False
-        lacking += _distance(each, volume) <= 1 and _shows_tissue(each, volume, ends)
+        lacking += distance <= 1 and _shows_tissue(each, volume, ends)
         if lacking >= (_LOOKS if must_come else 1):
             return True
     return not must_come

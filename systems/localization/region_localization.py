@@ -177,7 +177,7 @@ def _extent(
         share = parameters.min_share * parameters.tip.step * float(predicted.sum())
         least = max(least, min(share, parameters.min_shaft))
     if extent.tip - extent.start < least:
-        visible = 1e3 * (extent.tip - extent.start)
+        visible = 1e3 * max(extent.tip - extent.start, 0.0)
         raise _AbsentError(f"only {visible:.1f} mm of the needle are visible")
     return extent
 
