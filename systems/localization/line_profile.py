@@ -109,25 +109,29 @@ def profile(  # pragma: no cover - compiled
     (m,) means of the core and of the sector; the latter where the core is seen.
     """
     m, sectors = len(points), ring.shape[1]
-    levels, sides = np.zeros(m), np.zeros(m)
-    total, seen = np.zeros((m, sectors)), np.zeros((m, sectors))
+    levels, sides, brightest = np.zeros(m), np.zeros(m), np.zeros(rank)
+    total, seen = np.zeros((m + 1, sectors)), np.zeros((m + 1, sectors))  # before each point
     for s in range(m):
         x, y, z = points[s]
         for c in range(len(core)):
             levels[s] += _level(intensities, x + core[c, 0], y + core[c, 1], z + core[c, 2])
         levels[s] /= len(core)
-        for c in range(sectors if levels[s] > 0 else 0):
-            for t in range(ring.shape[0]):
+        for c in range(sectors):
+            total[s + 1, c], seen[s + 1, c] = total[s, c], seen[s, c]
+            for t in range(ring.shape[0] if levels[s] > 0 else 0):
                 level = _level(
                     intensities, x + ring[t, c, 0], y + ring[t, c, 1], z + ring[t, c, 2]
                 )  # fmt: skip
-                total[s, c] += level
-                seen[s, c] += level > 0
-    means = np.zeros(sectors)
+                total[s + 1, c] += level
+                seen[s + 1, c] += level > 0
     for s in range(m):
         first, last = max(s - half, 0), min(s + half + 1, m)
+        brightest[:] = 0
         for c in range(sectors):
-            count = np.sum(seen[first:last, c])
-            means[c] = np.sum(total[first:last, c]) / count if count > half else 0.0
-        sides[s] = np.sort(means)[sectors - rank]
+            count = seen[last, c] - seen[first, c]
+            mean = (total[last, c] - total[first, c]) / count if count > half else 0.0
+            for place in range(rank):
+                if mean > brightest[place]:
+                    mean, brightest[place] = brightest[place], mean
+        sides[s] = brightest[-1]
     return levels, sides
