@@ -9,8 +9,15 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.diagrams.app.volumes.locate import locate_in
+from sonoservo.systems.localization import needle_line as module
+from sonoservo.systems.localization.line_profile import profile
 from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
-from sonoservo.systems.localization.needle_line import line_between, needle_lines, refined_line
+from sonoservo.systems.localization.needle_line import (
+    NeedleLine,
+    line_between,
+    needle_lines,
+    refined_line,
+)
 from sonoservo.systems.localization.novelty import is_new
 from sonoservo.systems.localization.search_region import found_again
 from sonoservo.systems.signals.needle_curve import NeedleCurve
@@ -40,6 +47,39 @@ def test_the_needle_is_the_most_probable_line():
     first, *others = needle_lines(volume())
     assert abs(first.direction @ K) > np.cos(np.radians(2))
     assert all(each.log_odds <= first.log_odds for each in others)
+
+
+def test_a_whole_needle_is_as_sure_as_its_parts_and_goes_first(monkeypatch):
+    """Unless it does not look like a needle: a part of a sheet may."""
+    part, beside = ENTRY + np.outer([0.0, 0.02], K), NEEDLE + np.array([0.0, 0.01, 0.0])
+    sheet = np.array([beside[0], beside[0] + 0.07 * K])
+    lines = [
+        NeedleLine(part, 0.1, 0.0, 0.05, log_odds=5.0),
+        NeedleLine(NEEDLE, 0.2, 0.0, 0.04, log_odds=2.0),
+        NeedleLine(beside, 0.2, 0.0, 0.04, log_odds=4.0),
+        NeedleLine(sheet, 0.3, 0.0, 0.01, log_odds=-1.0),
+    ]
+    remaining = iter(lines)
+    monkeypatch.setattr(module, "bright_lines", lambda volume, count: lines)
+    monkeypatch.setattr(module, "refined_line", lambda volume, ends: next(remaining))
+    found = needle_lines(volume())
+    assert [each.log_odds for each in found] == [5.0, 5.0, 4.0, -1.0]
+    np.testing.assert_array_equal(found[0].ends, NEEDLE)
+
+
+@pytest.mark.parametrize(("bright", "side"), [(3, 50.0), (4, 90.0)])
+def test_few_bright_sectors_beside_a_line_count_for_speckle(bright, side):
+    angles = 2 * np.pi / 16 * np.arange(16)
+    x, y = np.indices((31, 31)) - 15
+    sector = np.round(np.arctan2(y, x) / angles[1]).astype(int) % 16
+    section = np.where((np.hypot(x, y) > 5) & (sector < bright), 90.0, 50.0)
+    section[15, 15] = 100.0
+    points = np.array([[15.0, 15.0, z] for z in range(2, 18)])
+    ring = 10.0 * np.stack([np.cos(angles), np.sin(angles), np.zeros(16)], axis=1)
+    levels = np.repeat(section[..., np.newaxis], 20, axis=2)
+    line, sides = profile(levels, points, np.zeros((1, 3)), ring[np.newaxis], 3, 4)
+    np.testing.assert_allclose(line, 100.0)
+    np.testing.assert_allclose(sides, side)
 
 
 def test_a_longer_stretch_than_the_needle_is_less_probable():
