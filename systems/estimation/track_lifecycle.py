@@ -167,12 +167,12 @@ class TrackLifecycle:
         grown = longest >= self.parameters.grown_length
         if not grown and track.time - began > self.parameters.seconds_to_grow:
             ended = self.without_needle(track.time, "what was found did not grow", track.searched)
-            return replace(ended, grown=track.grown, earlier=track.earlier)
+            return replace(ended, grown=before.grown, earlier=before.earlier)
         return replace(
             track,
             began=began,
             longest=longest,
-            grown=grown or track.grown,
+            grown=grown or before.grown,
             tip_seen=max(before.tip_seen, track.tip_seen),
         )
 

@@ -23,14 +23,16 @@ _AMPLITUDE = 0.35
 """Share of the line's amplitude below which a point of the cross-section is no part of it."""
 
 _FINEST = 0.45e-3
-"""Standard deviation in m by which a line's echo counts as blurred further."""
+"""Standard deviation in m by which a cross-section is wider than the blur: needles have a width,
+and the line's course is not known exactly."""
 
-_NARROW, _WIDE = 0.3, 1.15
-"""Limits of a line's width relative to the blur. Wider ones are alike; so is an unknown one."""
+_NARROW, _WIDE, _UNKNOWN = 0.3, 1.15, 1.0
+"""Limits of a line's width relative to the blur, and the width that speaks neither for nor against
+a needle. Wider lines count alike."""
 
-_LONG, _INSIDE = 20e-3, 8e-3
-"""Length from which on a line is no more likely a needle, and the unit of the distance between its
-entry and the side of the field of view, in m."""
+_LONG, _ENTRY = 20e-3, 8e-3
+"""Length beyond which more of it tells nothing, and unit of the distance between the first end and
+the side of the field of view, in m."""
 
 _ABOVE, _BELOW, _FAR_BELOW = (
     1e-3 * np.array(each) for each in ((4, 6, 8, 10), (2.5, 3.5, 4.5), (5, 7, 9, 11, 13))
@@ -97,7 +99,7 @@ def line_features(
             "evidence": min(math.log(max(evidence, 1e-3) / 80e-3), _MOST_EVIDENCE),
             "short": max(1 - length / _LONG, 0.0),
             "fall": max(float(k[1]), 0.0),
-            "inside": entry_gap / _INSIDE,
+            "entry gap": entry_gap / _ENTRY,
             "tip at edge": math.exp(-tip_gap / _EDGE),
             **_section_features(volume, points, k),
             **_depth_features(volume, points),
@@ -141,7 +143,7 @@ def _section_features(volume: Volume, points: Floats, k: Floats) -> dict[str, fl
     }
 
 
-def _relative_width(volume: Volume, points: Floats, across: Floats, section: Floats) -> float:
+def _relative_width(volume: Volume, points: Floats, across: Floats, levels: Floats) -> float:
     """Return the largest width of a cross-section, relative to the beam's there.
 
     Parameters
@@ -152,16 +154,22 @@ def _relative_width(volume: Volume, points: Floats, across: Floats, section: Flo
         (n, 3) points of the line in P, in m.
     across
         (2, 3) unit vectors across it.
-    section
+    levels
         (m,) levels of the cross-section's points above the line's, in dB.
+
+    Returns
+    -------
+    The width within limits; what speaks neither for nor against a needle if the volume does not
+    tell the beam's.
     """
     covariance = echo_covariance(volume, points[[0, len(points) // 2, -1]])
     if covariance is None:
-        return _WIDE
-    blur = np.linalg.eigvalsh((across @ covariance @ across.T).mean(axis=0))[1] + _FINEST**2
-    amplitude = np.nan_to_num(np.clip(10 ** (section / 20) - _AMPLITUDE, 0, None))
+        return _UNKNOWN
+    blur = (across @ covariance @ across.T).mean(axis=0) + _FINEST**2 * np.eye(2)
+    amplitude = np.nan_to_num(np.clip(10 ** (levels / 20) - _AMPLITUDE, 0, None))
     spread = (amplitude[:, np.newaxis] * _POINTS).T @ _POINTS / max(amplitude.sum(), 1e-9)
-    return _limited(math.sqrt(max(np.linalg.eigvalsh(spread)[1], 0.0) / blur), _NARROW, _WIDE)
+    largest = np.linalg.eigvalsh(spread)[1] / np.linalg.eigvalsh(blur)[1]
+    return _limited(math.sqrt(max(largest, 0.0)), _NARROW, _WIDE)
 
 
 def _depth_features(volume: Volume, points: Floats) -> dict[str, float]:

@@ -85,11 +85,11 @@ def refine(  # pragma: no cover - compiled
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def profile(  # pragma: no cover - compiled
-    intensities: Any, points: Any, core: Any, ring: Any, half: int, rank: int
+    intensities: Any, points: Any, core: Any, ring: Any, half: int, brighter: float
 ) -> Any:
     """Return the levels along a line and those of a bright side beside it.
 
-    The brightest side is bright by chance, too, the more so the fewer samples it has.
+    The brightest of many sides is bright by chance, the more so the fewer its samples.
 
     Parameters
     ----------
@@ -101,37 +101,40 @@ def profile(  # pragma: no cover - compiled
         (c, 3) and (rings, sectors, 3) differences of index between a point and the samples.
     half
         Number of points to either side over which a sector's level is averaged.
-    rank
-        Number of the sector that counts as the side, the brightest first, from 1.
+    brighter
+        Share of the sectors seen that are brighter than the one that counts as the side.
 
     Returns
     -------
-    (m,) means of the core and of the sector; the latter where the core is seen.
+    (m,) means of the core and of that sector; the latter where the core is seen.
     """
     m, sectors = len(points), ring.shape[1]
-    levels, sides, brightest = np.zeros(m), np.zeros(m), np.zeros(rank)
-    total, seen = np.zeros((m + 1, sectors)), np.zeros((m + 1, sectors))  # before each point
+    levels, sides = np.zeros(m), np.zeros(m)
+    brightest = np.zeros(int(brighter * sectors) + 1)  # means, in descending order
+    total, count = np.zeros((m + 1, sectors)), np.zeros((m + 1, sectors))  # up to each point
     for s in range(m):
         x, y, z = points[s]
         for c in range(len(core)):
             levels[s] += _level(intensities, x + core[c, 0], y + core[c, 1], z + core[c, 2])
         levels[s] /= len(core)
         for c in range(sectors):
-            total[s + 1, c], seen[s + 1, c] = total[s, c], seen[s, c]
+            total[s + 1, c], count[s + 1, c] = total[s, c], count[s, c]
             for t in range(ring.shape[0] if levels[s] > 0 else 0):
                 level = _level(
                     intensities, x + ring[t, c, 0], y + ring[t, c, 1], z + ring[t, c, 2]
                 )  # fmt: skip
                 total[s + 1, c] += level
-                seen[s + 1, c] += level > 0
+                count[s + 1, c] += level > 0
     for s in range(m):
         first, last = max(s - half, 0), min(s + half + 1, m)
-        brightest[:] = 0
+        brightest[:], seen = 0, 0
         for c in range(sectors):
-            count = seen[last, c] - seen[first, c]
-            mean = (total[last, c] - total[first, c]) / count if count > half else 0.0
-            for place in range(rank):
-                if mean > brightest[place]:
-                    mean, brightest[place] = brightest[place], mean
-        sides[s] = brightest[-1]
+            samples = count[last, c] - count[first, c]
+            if samples > half:
+                seen += 1
+                mean = (total[last, c] - total[first, c]) / samples
+                for place in range(len(brightest)):
+                    if mean > brightest[place]:
+                        mean, brightest[place] = brightest[place], mean
+        sides[s] = brightest[int(brighter * seen)]
     return levels, sides

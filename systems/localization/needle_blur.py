@@ -1,4 +1,4 @@
-"""Blur of a needle's end, and of a single point, along a line."""
+"""Blur of a single point, and of a needle's end, in a volume."""
 
 from functools import lru_cache
 
@@ -84,7 +84,11 @@ def streak_length(volume: Volume, ends: NDArray[np.float64]) -> float:
 def echo_covariance(
     volume: Volume, p_P: NDArray[np.float64], measure: bool = True
 ) -> NDArray[np.float64] | None:
-    """Return the (m, 3, 3) covariances of echoes of points at (m, 3) p_P, in m^2, or None."""
+    """Return the (m, 3, 3) covariances of echoes of points at (m, 3) p_P, in m^2.
+
+    They are those of the volume's transducer or, if ``measure``, of its speckle; None if there is
+    neither.
+    """
     if volume.point_spread is not None and volume.motion is not None:
         return blur_covariance(volume.point_spread, volume.motion.geometry, p_P)
     if measure and (measured := _measured_spread(volume)) is not None:

@@ -19,26 +19,26 @@ from sonoservo.systems.signals.volume import Volume
 Floats = NDArray[np.float64]
 
 _WEIGHTS = {
-    "constant": 9.94,
-    "evidence": 4.50,
-    "short": -8.51,
-    "fall": 4.62,
-    "inside": -1.95,
-    "tip at edge": -2.85,
-    "width": -8.17,
-    "near aside": 0.36,
-    "near least": 0.48,
-    "far above": -0.11,
-    "far middle": -0.68,
+    "constant": 12.87,
+    "evidence": 3.69,
+    "short": -6.14,
+    "fall": 4.12,
+    "entry gap": -1.84,
+    "tip at edge": -3.24,
+    "width": -7.84,
+    "near aside": 0.47,
+    "near least": 0.21,
+    "far above": -0.17,
+    "far middle": -0.74,
     "behind": -0.78,
-    "border": -0.40,
+    "border": -0.49,
 }
 """Weights of a line's features (`line_features`) in the logarithm of the odds that it is a needle.
 
-They are a logistic regression on the lines of 1240 volumes, half of them without a needle, from two
-independent generators of images, of the needles in 65 volumes of the harder world, and of 50
-volumes without a needle from behind a lens that is out of focus. Most have bones, fasciae, vessels,
-calcifications or gas.
+They are a logistic regression on the lines of 1240 volumes from two independent generators of
+images, half of them without a needle. Most have bones, fasciae, vessels, calcifications or gas. To
+these were added the needles of 65 volumes of the harder world, and 50 volumes without a needle from
+a lens that is out of focus.
 """
 
 _SHORTEST, _FARTHEST, _STEEPEST = 10e-3, 8e-3, 0.9
@@ -58,9 +58,9 @@ _CORE = np.concatenate([np.zeros((1, 2)), 0.6e-3 * _CIRCLE[::4]])
 _RING = np.stack([4e-3 * _CIRCLE, 5.5e-3 * _CIRCLE])
 """Points of a cross-section that show the needle, and points of sixteen sectors beside it, in m."""
 
-_HALF, _RANK = 8, 4
-"""Number of samples to either side over which a sector's level is averaged, and the number of the
-sector that counts, the brightest first."""
+_HALF, _BRIGHTER = 8, 0.1
+"""Number of samples to either side over which a sector's level is averaged, and share of the
+sectors that are brighter than the one with which the line is compared."""
 
 _REFINING_RADII = ((5e-3, 4e-3, 3e-3), (3e-3,))
 """Radii of the cross-sections from which a line is refined, one after the other, in m. The second
@@ -72,10 +72,11 @@ _AMPLITUDE = 0.35
 _ASIDE = 0.7e-3
 """Distance from the line at which a cross-section has half the weight, in m."""
 
-_PART = 3e-3
-"""Largest distance of a line's ends from another of which it is a part, in m."""
+_PART, _PARALLEL = 2e-3, math.cos(math.radians(10))
+"""Largest distance of a line's ends from another of which it is a part, in m, and smallest cosine
+of the angle between the two."""
 
-_CONTRAST = 2.5
+_CONTRAST = 3.0
 """Contrast that is evidence neither for nor against a needle, in dB."""
 
 _MAX_EVIDENCE = 6.0
@@ -92,12 +93,12 @@ class NeedleLine(Immutable):
         (2, 3) ends in P, in m: the one on the entry's side, and the tip.
     evidence
         Integral along the stretch of the evidence for a needle, in dB m. Samples count that are
-        brighter than their surroundings on all sides.
+        brighter than their surroundings on all sides but one.
     entry_gap, tip_gap
         Distances from the sides of the field of view to the first end and to the tip, in m.
     log_odds
-        Logarithm of the odds that the line is a needle, judged by this volume alone; -inf if it
-        cannot be one.
+        Logarithm of the odds that the line, or a part of it, is a needle, judged by this volume
+        alone; -inf if it cannot be one.
     """
 
     ends: Floats
@@ -225,7 +226,7 @@ def _contrast_along(
         _CORE @ across / volume.spacing,
         _RING @ across / volume.spacing,
         _HALF,
-        _RANK,
+        _BRIGHTER,
     )
     if len(points) < 2:
         return points, core, core > 0
@@ -252,19 +253,21 @@ def needle_lines(volume: Volume, *, count: int = 40) -> list[NeedleLine]:
     """
     lines = (refined_line(volume, ends) for ends in bright_lines(volume, count=count))
     possible = [line for line in lines if line is not None and line.log_odds > -math.inf]
-    wholes = [_as_sure_as_its_parts(line, possible) for line in possible]
+    wholes = [_as_sure_as_its_surest_part(line, possible) for line in possible]
     return sorted(wholes, key=lambda line: (-line.log_odds, -line.evidence))
 
 
-def _as_sure_as_its_parts(line: NeedleLine, others: list[NeedleLine]) -> NeedleLine:
-    """Return a line that looks like a needle with the odds of its surest part.
+def _as_sure_as_its_surest_part(line: NeedleLine, lines: list[NeedleLine]) -> NeedleLine:
+    """Return a line that looks like a needle with the odds of the surest of those along it.
 
     A part of a needle that fades may look more like one than the whole.
     """
     if line.log_odds < 0:
         return line
-    ends = np.array([each.ends for each in others]) - line.ends[0]
-    along = np.clip(ends @ line.direction, 0, line.length)
-    away = np.linalg.norm(ends - along[..., np.newaxis] * line.direction, axis=-1).max(axis=1)
-    parts = (each for each, d in zip(others, away, strict=True) if d <= _PART)
-    return replace(line, log_odds=max(each.log_odds for each in parts))
+    k = line.direction
+    from_start = np.array([each.ends for each in lines]) - line.ends[0]
+    along = np.clip(from_start @ k, 0, line.length)
+    away = np.linalg.norm(from_start - along[..., np.newaxis] * k, axis=-1).max(axis=1)
+    parallel = np.array([each.direction for each in lines]) @ k >= _PARALLEL
+    odds = np.array([each.log_odds for each in lines])
+    return replace(line, log_odds=float(odds[parallel & (away <= _PART)].max()))

@@ -23,8 +23,8 @@ _NEARBY = 4.0
 _LEAST_SHARE = 0.5
 """Share of a line's evidence from which on an earlier volume shows it."""
 
-_LEAST_EVIDENCE = 5e-3
-"""Evidence of any line, in dB m."""
+_LEAST_EVIDENCE = 12e-3
+"""Evidence of a line that is more than speckle, in dB m."""
 
 _AROUND, _DARKER = 5e-3, 10.0
 """Distance from a line at which its surroundings are compared, in m, and difference in dB from
@@ -57,10 +57,10 @@ def is_new(
     must_come
         Whether three of them must lack the line. If not, what no volume shows is new, too.
     """
-    distances = [(each, _distance(each, volume)) for each in earlier]
-    near = [(each, distance) for each, distance in distances if distance <= _NEARBY]
-    least = max(_LEAST_SHARE * _evidence(volume, ends), _LEAST_EVIDENCE) if near else 0.0
-    lacking = 0
+    near = [(each, d) for each in earlier if (d := _distance(each, volume)) <= _NEARBY]
+    if not near:
+        return not must_come
+    least, lacking = max(_LEAST_SHARE * _evidence(volume, ends), _LEAST_EVIDENCE), 0
     for each, distance in near:
         if _evidence(each, ends) >= least:
             return False

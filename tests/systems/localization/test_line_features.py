@@ -39,9 +39,16 @@ def line(below, aside, x=0.0):
 
 @pytest.fixture
 def blur(monkeypatch):
-    """A beam that draws out a point with a standard deviation of 0.6 mm in every direction."""
-    covariance = 0.6e-3**2 * np.eye(3)
-    monkeypatch.setattr(module, "echo_covariance", lambda volume, p_P: np.array([covariance] * 3))
+    """Set the standard deviations of a point's echo along X, Y and Z in m; 0.6 mm at first."""
+
+    def choose(*std):
+        covariance = np.diag(np.square(std))
+        monkeypatch.setattr(
+            module, "echo_covariance", lambda volume, p_P: np.stack(3 * [covariance])
+        )
+
+    choose(0.6e-3, 0.6e-3, 0.6e-3)
+    return choose
 
 
 def test_a_line_in_even_tissue_is_narrow_and_alike_on_all_sides(blur):
@@ -50,7 +57,7 @@ def test_a_line_in_even_tissue_is_narrow_and_alike_on_all_sides(blur):
     assert 10 < found["near aside"] == pytest.approx(found["far middle"], abs=0.5)
     assert found["near least"] == pytest.approx(found["far middle"], abs=0.5)
     assert found["far above"] == pytest.approx(found["far middle"], abs=0.5)
-    assert found["inside"] == pytest.approx(0.5)
+    assert found["entry gap"] == pytest.approx(0.5)
     assert found["behind"] == found["border"] == found["evidence"] == found["fall"] == 0
     assert found["tip at edge"] == pytest.approx(np.exp(-1))
 
@@ -81,14 +88,23 @@ def test_short_lines_are_told(length, short):
     ends = ENDS[0] + np.outer([0, length], [1.0, 0.0, 0.0])
     found = line_features(volume(line), ends, evidence=80e-3, entry_gap=0.0, tip_gap=4e-3)
     assert found["short"] == pytest.approx(short)
-    assert found["inside"] == 0
+    assert found["entry gap"] == 0
 
 
-def test_a_line_is_as_good_as_wide_where_the_blur_is_unknown():
-    assert features(line)["width"] == 1.15
+def test_a_width_is_relative_to_the_larger_blur_across_the_line(blur):
+    plain = features(line)["width"]
+    blur(5e-3, 0.6e-3, 0.6e-3)  # along the line
+    assert features(line)["width"] == pytest.approx(plain)
+    blur(0.6e-3, 0.6e-3, 0.9e-3)
+    expected = plain * np.hypot(0.6, 0.45) / np.hypot(0.9, 0.45)
+    assert features(line)["width"] == pytest.approx(expected)
 
 
-def test_outside_the_field_of_view_counts_neither_way():
+def test_a_width_says_nothing_where_the_blur_is_unknown():
+    assert features(line)["width"] == 1
+
+
+def test_outside_the_field_of_view_counts_neither_way(blur):
     seen = features(line)
     edge = features(lambda below, aside, x: np.where(aside < 1.5e-3, line(below, aside), 0))
     assert edge == pytest.approx(seen, abs=0.3)

@@ -59,25 +59,31 @@ def test_a_whole_needle_is_as_sure_as_its_parts_and_goes_first(monkeypatch):
         NeedleLine(beside, 0.2, 0.0, 0.04, log_odds=4.0),
         NeedleLine(sheet, 0.3, 0.0, 0.01, log_odds=-1.0),
     ]
+    steep = NEEDLE[0] + np.outer([0.0, 0.007], K + np.cross(K, [0.0, 0.25, 0.0]))
+    lines.append(NeedleLine(steep, 0.1, 0.0, 0.05, log_odds=9.0))  # near, but not along
     remaining = iter(lines)
     monkeypatch.setattr(module, "bright_lines", lambda volume, count: lines)
     monkeypatch.setattr(module, "refined_line", lambda volume, ends: next(remaining))
     found = needle_lines(volume())
-    assert [each.log_odds for each in found] == [5.0, 5.0, 4.0, -1.0]
-    np.testing.assert_array_equal(found[0].ends, NEEDLE)
+    assert [each.log_odds for each in found] == [9.0, 5.0, 5.0, 4.0, -1.0]
+    np.testing.assert_array_equal(found[1].ends, NEEDLE)
 
 
-@pytest.mark.parametrize(("bright", "side"), [(3, 50.0), (4, 90.0)])
-def test_few_bright_sectors_beside_a_line_count_for_speckle(bright, side):
+@pytest.mark.parametrize(
+    ("bright", "seen", "side"),
+    [(3, 16, 50.0), (4, 16, 90.0), (1, 9, 50.0), (2, 9, 90.0), (1, 4, 90.0)],
+)
+def test_few_bright_sectors_beside_a_line_count_for_speckle(bright, seen, side):
     angles = 2 * np.pi / 16 * np.arange(16)
     x, y = np.indices((31, 31)) - 15
     sector = np.round(np.arctan2(y, x) / angles[1]).astype(int) % 16
     section = np.where((np.hypot(x, y) > 5) & (sector < bright), 90.0, 50.0)
+    section[(np.hypot(x, y) > 5) & (sector >= seen)] = 0.0
     section[15, 15] = 100.0
     points = np.array([[15.0, 15.0, z] for z in range(2, 18)])
     ring = 10.0 * np.stack([np.cos(angles), np.sin(angles), np.zeros(16)], axis=1)
     levels = np.repeat(section[..., np.newaxis], 20, axis=2)
-    line, sides = profile(levels, points, np.zeros((1, 3)), ring[np.newaxis], 3, 4)
+    line, sides = profile(levels, points, np.zeros((1, 3)), ring[np.newaxis], 3, 0.2)
     np.testing.assert_allclose(line, 100.0)
     np.testing.assert_allclose(sides, side)
 
@@ -102,6 +108,15 @@ def test_a_bright_sheet_is_no_needle(needle):
         assert abs(lines[0].direction @ K) > np.cos(np.radians(2))
         lines = [each for each in lines if abs(each.direction @ K) < np.cos(np.radians(10))]
     assert all(each.probability < LEAST for each in lines)
+
+
+def test_a_sheet_that_moved_is_refused_by_far():
+    image = SCENE.volume(1)
+    p_P = image.position(np.moveaxis(np.indices(image.intensities.shape), 0, -1))
+    level = (np.abs(p_P[..., 1] - 0.068) < 1e-3) & (image.intensities > 0)
+    sheet = replace(image, intensities=np.where(level, np.uint8(230), image.intensities))
+    line = line_between(sheet, np.array([[-0.08, 0.068, 0.0], [-0.02, 0.068, 0.0]]))
+    assert -np.inf < line.log_odds < NeedleLocalizerParameters().min_odds
 
 
 @pytest.mark.parametrize(
