@@ -72,9 +72,9 @@ _AMPLITUDE = 0.35
 _ASIDE = 0.7e-3
 """Distance from the line at which a cross-section has half the weight, in m."""
 
-_PART, _PARALLEL = 2e-3, math.cos(math.radians(10))
-"""Largest distance of a line's ends from another of which it is a part, in m, and smallest cosine
-of the angle between the two."""
+_PART, _PARALLEL, _SHORTER = 2e-3, math.cos(math.radians(10)), 0.8
+"""Largest distance of a line's ends from another of which it is a part, in m, smallest cosine of
+the angle between the two, and largest share of the other's length."""
 
 _CONTRAST = 3.0
 """Contrast that is evidence neither for nor against a needle, in dB."""
@@ -97,8 +97,8 @@ class NeedleLine(Immutable):
     entry_gap, tip_gap
         Distances from the sides of the field of view to the first end and to the tip, in m.
     log_odds
-        Logarithm of the odds that the line, or a part of it, is a needle, judged by this volume
-        alone; -inf if it cannot be one.
+        Logarithm of the odds that the line, or the surest part of it, is a needle, judged by this
+        volume alone; -inf if it cannot be one.
     """
 
     ends: Floats
@@ -253,21 +253,26 @@ def needle_lines(volume: Volume, *, count: int = 40) -> list[NeedleLine]:
     """
     lines = (refined_line(volume, ends) for ends in bright_lines(volume, count=count))
     possible = [line for line in lines if line is not None and line.log_odds > -math.inf]
-    wholes = [_as_sure_as_its_surest_part(line, possible) for line in possible]
-    return sorted(wholes, key=lambda line: (-line.log_odds, -line.evidence))
+    return _whole_needles(sorted(possible, key=lambda line: -line.log_odds))
 
 
-def _as_sure_as_its_surest_part(line: NeedleLine, lines: list[NeedleLine]) -> NeedleLine:
-    """Return a line that looks like a needle with the odds of the surest of those along it.
+def _whole_needles(lines: list[NeedleLine]) -> list[NeedleLine]:
+    """Return lines, most probable first, without those that are parts of others.
 
-    A part of a needle that fades may look more like one than the whole.
+    A part of a needle that fades may look more like one than the whole, which then is as sure.
     """
-    if line.log_odds < 0:
-        return line
-    k = line.direction
-    from_start = np.array([each.ends for each in lines]) - line.ends[0]
-    along = np.clip(from_start @ k, 0, line.length)
-    away = np.linalg.norm(from_start - along[..., np.newaxis] * k, axis=-1).max(axis=1)
-    parallel = np.array([each.direction for each in lines]) @ k >= _PARALLEL
+    ends = np.array([each.ends for each in lines]).reshape(-1, 2, 3)
+    lengths = np.array([each.length for each in lines])
     odds = np.array([each.log_odds for each in lines])
-    return replace(line, log_odds=float(odds[parallel & (away <= _PART)].max()))
+    surest, parts = odds.copy(), np.zeros(len(lines), bool)
+    for n, line in enumerate(lines):
+        if line.log_odds >= 0:
+            k, from_start = line.direction, ends - line.ends[0]
+            along = np.clip(from_start @ k, 0, line.length)
+            away = np.linalg.norm(from_start - along[..., np.newaxis] * k, axis=-1).max(axis=1)
+            parallel = (ends[:, 1] - ends[:, 0]) @ k >= _PARALLEL * lengths
+            here = parallel & (away <= _PART) & (lengths < _SHORTER * line.length)
+            surest[n] = max(surest[n], odds[here].max(initial=-math.inf))
+            parts |= here
+    order = np.argsort(-surest, kind="stable")
+    return [replace(lines[n], log_odds=float(surest[n])) for n in order if not parts[n]]
