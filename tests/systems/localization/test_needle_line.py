@@ -6,6 +6,7 @@ import pytest
 from independent_images import volume_case
 from independent_images.cases import draw_kinds
 from pydrake.math import RigidTransform, RollPitchYaw
+from random_scans import random_scan
 from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.diagrams.app.volumes.locate import locate_in
@@ -232,3 +233,35 @@ def test_structures_of_independent_images_are_no_needles():
                 right += bool(found) and np.linalg.norm(found.curve.tip - truth.tip) < 5e-3
     assert false == 0
     assert right > 0.45 * count
+
+
+def is_along(line, ends):
+    """Whether a line lies along a needle, (2, 3) ends in P, to 3 mm and 10 deg."""
+    length = np.linalg.norm(ends[1] - ends[0])
+    k = (ends[1] - ends[0]) / length
+    points = np.linspace(*line.ends, 9) - ends[0]
+    away = points - np.clip(points @ k, 0, length)[:, np.newaxis] * k
+    near = np.linalg.norm(away, axis=1).mean() < 3e-3
+    return near and abs(line.direction @ k) > np.cos(np.radians(10))
+
+
+@pytest.mark.slow
+def test_a_probability_is_the_share_of_needles():
+    """In 320 volumes of two generators, half of them without a needle, none of them fitted to."""
+    stated, right = [], []
+    for seed in range(520, 600):
+        for needle in (True, False):
+            made = random_scan(seed, needle=needle)
+            rng = np.random.default_rng([seed, int(needle)])
+            image, truth = volume_case(rng, needle, draw_kinds(rng) if seed % 2 else ())
+            true_ends = made.needle.control_points[[0, -1]] if needle else None
+            other_ends = np.array([truth.entry, truth.tip]) if truth else None
+            for each, ends in ((made.volume, true_ends), (image, other_ends)):
+                for line in needle_lines(each.at_once())[:1]:
+                    stated.append(line.probability)
+                    right.append(needle and is_along(line, each.at_once().to_probe(ends)))
+    stated, right = np.array(stated), np.array(right)
+    for low, high in ((0.0, 0.2), (0.2, 0.8), (0.8, 1.0)):
+        p, these = stated[here := (stated >= low) & (stated <= high)], right[here]
+        print(f"{low} to {high}: stated {p.mean():.2f}, right {these.mean():.2f} of {len(p)}")
+        assert abs(these.sum() - p.sum()) < 2.6 * np.sqrt((p * (1 - p)).sum()) + 1
