@@ -165,7 +165,7 @@ def fades_before_tip(
     that is short of the prediction is not the tip if it is a blurred one, or if no hand can have
     withdrawn the needle so far since the tip was last seen.
     """
-    if region.entry is None or extent.leaves:
+    if region.entry is None or extent.leaves or extent.faint > 0:
         return False
     short = float(axis.abscissa(region.curve.tip)) - extent.tip
     sudden = short > parameters.max_shortening and region.tip_unseen < parameters.max_unseen

@@ -10,6 +10,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.special import ndtri
 
 from sonoservo.systems.localization.axis import Axis
+from sonoservo.systems.localization.faint_end import FAINT_STD, faint_length
 from sonoservo.systems.localization.hidden_length import hidden_length
 from sonoservo.systems.localization.needle_blur import needle_blur
 from sonoservo.systems.sampling.interpolation import trilinear
@@ -219,7 +220,9 @@ def most_evident_stretch(
     return first, last, float(evidence[first : last + 1].sum()) * step
 
 
-def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent | NotFound:
+def find_extent(
+    profile: AxisProfile, parameters: TipParameters, known: float = -np.inf
+) -> NeedleExtent | NotFound:
     """Find the ends of a needle along its axis (Chatelain 2013, end of section II-D).
 
     The needle is the `most_evident_stretch`. It bridges gaps, as a needle fades unless a scan line
@@ -238,15 +241,18 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
         Profile of the intensity along the axis.
     parameters
         Thresholds.
+    known
+        Abscissa up to which a needle is known to reach, in m. If it stands out less far, it may go
+        on faintly; see `faint_length`.
 
     Returns
     -------
     The extent, or a `NotFound` with the reason why there is none.
     """
     step = float(profile.a[1] - profile.a[0])
-    width = max(1, round(parameters.smoothing / step))
-    level = uniform_filter1d(profile.level, width, mode="nearest")
-    contrast = level - uniform_filter1d(profile.background, width, mode="nearest")
+    samples = max(1, round(parameters.smoothing / step))
+    level = uniform_filter1d(profile.level, samples, mode="nearest")
+    contrast = level - uniform_filter1d(profile.background, samples, mode="nearest")
     first, last, evidence = most_evident_stretch(
         contrast,
         profile.seen,
@@ -257,6 +263,13 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
     if last < 0:
         return NotFound("nothing along the axis stands out from the background")
     tip, end_std, hidden_std = _tip(profile, contrast, (first, last), parameters)
+    faint = 0.0
+    if tip < known:
+        end = int(np.searchsorted(profile.a, tip))
+        stop = end + int(np.argmin(np.append(profile.seen[end:], False)))
+        faint = faint_length(contrast[end:stop], step, _width_at(profile, tip, parameters))
+    if faint > 0:
+        tip, end_std, hidden_std = tip + faint, FAINT_STD, 0.0
     # Outside the tissue nothing scatters, so a needle that enters it in view comes from nowhere.
     around = uniform_filter1d(profile.background, round(parameters.end_length / step))
     empty = around < np.median(around[first : last + 1]) - _EMPTY
@@ -270,6 +283,7 @@ def find_extent(profile: AxisProfile, parameters: TipParameters) -> NeedleExtent
         evidence=evidence,
         tip_std=float(np.hypot(end_std, hidden_std)),
         end_std=end_std,
+        faint=faint,
     )
 
 
@@ -307,10 +321,7 @@ def _tip(
     lost = float(a[end])
     if end + 1 < len(a) and contrast[end + 1] < threshold < contrast[end]:
         lost = float(np.interp(threshold, contrast[[end + 1, end]], a[[end + 1, end]]))
-    width = parameters.beam_width or _TYPICAL_WIDTH
-    if profile.beam_width is not None:
-        width = float(np.interp(lost, a, profile.beam_width))
-    sigma = width / FWHM_PER_SIGMA
+    sigma = _width_at(profile, lost, parameters) / FWHM_PER_SIGMA
     blurred = contrast[int(np.searchsorted(a, lost - 2 * sigma)) : end + 1]
     drop = float(blurred.max(initial=threshold)) - threshold
     doubt = _FADED * max(1 - drop / _ABRUPT_DROP, 0) + _FAINT * max(1 - top / _CLEAR_CONTRAST, 0)
@@ -318,6 +329,13 @@ def _tip(
     faint = inside[: end + 1 - first] < min(parameters.min_end_contrast, float(np.median(inside)))
     hidden, hidden_std = hidden_length(faint, step)
     return tip + hidden, _END_SHARE * sigma * float(np.exp(doubt)), hidden_std
+
+
+def _width_at(profile: AxisProfile, a: float, parameters: TipParameters) -> float:
+    """Return the width of the beam along the needle at an abscissa, in m."""
+    if profile.beam_width is None:
+        return parameters.beam_width or _TYPICAL_WIDTH
+    return float(np.interp(a, profile.a, profile.beam_width))
 
 
 def _blurred_length(top: float, fallen: float) -> float:

@@ -106,6 +106,8 @@ class NeedleExtent(Immutable):
         the needle may hide beyond it, in m.
     end_std
         Part of it due to the end itself, in m.
+    faint
+        Length before the tip that stands out as a whole only, in m.
     """
 
     start: float
@@ -115,6 +117,7 @@ class NeedleExtent(Immutable):
     evidence: float
     tip_std: float = 0.0
     end_std: float = 0.0
+    faint: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
