@@ -162,13 +162,13 @@ def _extent(
 ) -> NeedleExtent:
     """Find the points at which the needle begins and ends along an axis."""
     ends = np.sort(fit.axis.abscissa(region.curve.control_points[[0, -1]]))
-    known = -np.inf if region.entry is None else float(ends[1]) - parameters.margin
+    expected = -np.inf if region.entry is None else float(ends[1])
     # A needle that was thrown forwards goes on beyond the region.
     for beyond in (region.beyond, EVERYWHERE):
         start, stop = ends[0] - region.before, ends[1] + beyond
         profile: AxisProfile = axis_profile(volume, fit.axis, start, stop, parameters.tip)
         looked.update(profile=profile, extent=None)
-        extent = _expect(find_extent(profile, parameters.tip, known))
+        extent = _expect(find_extent(profile, parameters.tip, expected))
         looked.update(extent=extent)
         if region.entry is None or not (extent.leaves and profile.seen[-1]):
             break

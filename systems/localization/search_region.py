@@ -165,11 +165,12 @@ def fades_before_tip(
     that is short of the prediction is not the tip if it is a blurred one, or if no hand can have
     withdrawn the needle so far since the tip was last seen.
     """
-    if region.entry is None or extent.leaves or extent.faint > 0:
+    if region.entry is None or extent.leaves:
         return False
     short = float(axis.abscissa(region.curve.tip)) - extent.tip
     sudden = short > parameters.max_shortening and region.tip_unseen < parameters.max_unseen
-    return short > parameters.margin and (sudden or extent.end_std > parameters.faded_std)
+    blurred = extent.faint == 0 and extent.end_std > parameters.faded_std
+    return short > parameters.margin and (sudden or blurred or extent.continues)
 
 
 def outer_region(

@@ -10,7 +10,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.special import ndtri
 
 from sonoservo.systems.localization.axis import Axis
-from sonoservo.systems.localization.faint_end import FAINT_STD, faint_length
+from sonoservo.systems.localization.faint_end import FAINT_STD, faint_part
 from sonoservo.systems.localization.hidden_length import hidden_length
 from sonoservo.systems.localization.needle_blur import needle_blur
 from sonoservo.systems.sampling.interpolation import trilinear
@@ -221,7 +221,7 @@ def most_evident_stretch(
 
 
 def find_extent(
-    profile: AxisProfile, parameters: TipParameters, known: float = -np.inf
+    profile: AxisProfile, parameters: TipParameters, expected: float = -np.inf
 ) -> NeedleExtent | NotFound:
     """Find the ends of a needle along its axis (Chatelain 2013, end of section II-D).
 
@@ -241,9 +241,9 @@ def find_extent(
         Profile of the intensity along the axis.
     parameters
         Thresholds.
-    known
-        Abscissa up to which a needle is known to reach, in m. If it stands out less far, it may go
-        on faintly; see `faint_length`.
+    expected
+        Abscissa at which the tip is expected, in m. A needle that stands out less far may go on
+        faintly; see `faint_part`.
 
     Returns
     -------
@@ -263,11 +263,8 @@ def find_extent(
     if last < 0:
         return NotFound("nothing along the axis stands out from the background")
     tip, end_std, hidden_std = _tip(profile, contrast, (first, last), parameters)
-    faint = 0.0
-    if tip < known:
-        end = int(np.searchsorted(profile.a, tip))
-        stop = end + int(np.argmin(np.append(profile.seen[end:], False)))
-        faint = faint_length(contrast[end:stop], step, _width_at(profile, tip, parameters))
+    width = _width_at(profile, tip, parameters)
+    faint, continues = faint_part(profile.a, contrast, profile.seen, tip, expected, width)
     if faint > 0:
         tip, end_std, hidden_std = tip + faint, FAINT_STD, 0.0
     # Outside the tissue nothing scatters, so a needle that enters it in view comes from nowhere.
@@ -284,6 +281,7 @@ def find_extent(
         tip_std=float(np.hypot(end_std, hidden_std)),
         end_std=end_std,
         faint=faint,
+        continues=continues,
     )
 
 

@@ -108,6 +108,8 @@ class NeedleExtent(Immutable):
         Part of it due to the end itself, in m.
     faint
         Length before the tip that stands out as a whole only, in m.
+    continues
+        Whether the needle seems to go on to where its tip is expected.
     """
 
     start: float
@@ -118,6 +120,7 @@ class NeedleExtent(Immutable):
     tip_std: float = 0.0
     end_std: float = 0.0
     faint: float = 0.0
+    continues: bool = False
 
 
 @dataclass(frozen=True, eq=False)
