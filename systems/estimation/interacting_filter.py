@@ -161,7 +161,7 @@ class InteractingFilter:
     steady_time: float = 3.0
     unsteady_time: float = 1.0
     carried_time: float = 1.0
-    unseen_time: float = 1.0
+    unseen_time: float = 0.5
     constant: float = 0.25
     repeated: float = 0.65
     place_length: float = 3e-3

@@ -26,6 +26,9 @@ that is left for the faintest."""
 _LONG = 20e-3
 """Length in m from which on the direction of a needle is known."""
 
+_WITHDRAWN = 15e-3
+"""Speed in m/s up to which a faint end may be that of a needle being withdrawn."""
+
 _MOST_TURNED, _MOST_ASIDE, _MOST_ADVANCED, _MOST_LENGTHENED = math.radians(20), 25e-3, 50e-3, 1.0
 """Standard deviations of what may have changed since a needle was lost: direction in rad, distances
 of the line from the last axis and between the tips in m, and logarithm of the visible length."""
@@ -169,8 +172,11 @@ def fades_before_tip(
         return False
     short = float(axis.abscissa(region.curve.tip)) - extent.tip
     sudden = short > parameters.max_shortening and region.tip_unseen < parameters.max_unseen
-    blurred = extent.faint == 0 and extent.end_std > parameters.faded_std
-    return short > parameters.margin and (sudden or blurred or extent.continues)
+    if extent.faint > 0:
+        sudden |= short > parameters.margin + _WITHDRAWN * region.tip_unseen
+    else:
+        sudden |= extent.end_std > parameters.faded_std
+    return short > parameters.margin and (sudden or extent.continues)
 
 
 def outer_region(
