@@ -18,7 +18,7 @@ _SHORT = 3e-3
 """Distance between the visible end and the expected tip within which the end may be the tip, and
 from the expected tip to the farthest faint end, in m."""
 
-_LENGTH, _MEAN = 5e-3, 1.0
+_LENGTH, _MEAN = 10e-3, 1.35
 """Length in m over which the mean contrast tells whether there is a needle, and that mean in dB."""
 
 
@@ -55,7 +55,9 @@ def faint_part(
     faint = 0
     if evidence.max(initial=0.0) >= _SURE * beam_width:
         faint = 1 + int(evidence.argmax())
-    rest = further[faint : np.count_nonzero(beyond & (a <= expected))]
+    # The blurred end of what stands out is no part of the rest.
+    begin = faint or round(beam_width / step)
+    rest = further[begin : np.count_nonzero(beyond & (a <= expected))]
     most = _CONTRAST + _MOST
     unclear = step * len(rest) >= _LENGTH and np.clip(rest, -most, most).mean() > _MEAN
     return step * faint, bool(unclear)
