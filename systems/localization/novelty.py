@@ -26,6 +26,9 @@ _LEAST_SHARE = 0.5
 _LEAST_EVIDENCE = 12e-3
 """Evidence of a line that is more than speckle, in dB m."""
 
+_GROWN = 6e-3
+"""Length in m by which a needle has grown at least since a volume did not show its end."""
+
 _AROUND, _DARKER = 5e-3, 10.0
 """Distance from a line at which its surroundings are compared, in m, and difference in dB from
 which on an earlier volume shows no tissue there, as before the probe has landed."""
@@ -60,9 +63,9 @@ def is_new(
     near = [(each, d) for each in earlier if (d := _distance(each, volume)) <= _NEARBY]
     if not near:
         return not must_come
-    least, lacking = max(_LEAST_SHARE * _evidence(volume, ends), _LEAST_EVIDENCE), 0
+    least, lacking = _least_evidence(volume, ends), 0
     for each, distance in near:
-        if _evidence(each, ends) >= least:
+        if _evidence(each, ends)[0] >= least:
             return False
         lacking += distance <= 1 and _shows_tissue(each, volume, ends)
         if lacking >= (_LOOKS if must_come else 1):
@@ -70,17 +73,47 @@ def is_new(
     return not must_come
 
 
-def _evidence(volume: Volume, ends: NDArray[np.float64]) -> float:
-    """Return the evidence for a needle along a line or near it, in dB m."""
+def was_there(volume: Volume, ends: NDArray[np.float64], earlier: tuple[Volume, ...]) -> bool:
+    """Return True if most earlier volumes from near its place showed a line up to its end.
+
+    The end of a needle that moved is new, even if the rest of it is not.
+
+    Parameters
+    ----------
+    volume
+        Volume in which the line was found.
+    ends
+        (2, 3) entry and tip in W, in m.
+    earlier
+        Earlier volumes.
+    """
+    near = [each for each in earlier if _distance(each, volume) <= _NEARBY]
+    least, showing = _least_evidence(volume, ends), 0
+    for each in near:
+        evidence, beyond = _evidence(each, ends)
+        showing += evidence >= least and beyond > -_GROWN
+    return 2 * showing > len(near)
+
+
+def _least_evidence(volume: Volume, ends: NDArray[np.float64]) -> float:
+    """Return the evidence from which on another volume shows a line, in dB m."""
+    return max(_LEAST_SHARE * _evidence(volume, ends)[0], _LEAST_EVIDENCE)
+
+
+def _evidence(volume: Volume, ends: NDArray[np.float64]) -> tuple[float, float]:
+    """Return the evidence for a needle along a line or near it, and how far beyond the end it goes.
+
+    The first is in dB m, the second in m.
+    """
     ends = acquired_from(volume, ends)
     line = refined_line(volume, ends)
     if line is None:
-        return 0.0
+        return 0.0, -np.inf
     k = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
     aside = line.ends.mean(axis=0) - ends.mean(axis=0)
     aside = aside - (aside @ k) * k
     same = np.linalg.norm(aside) <= _DISPLACED and abs(line.direction @ k) >= _PARALLEL
-    return line.evidence if same else 0.0
+    return (line.evidence if same else 0.0), float(((line.ends - ends[1]) @ k).max())
 
 
 def _shows_tissue(before: Volume, volume: Volume, ends: NDArray[np.float64]) -> bool:

@@ -9,7 +9,7 @@ from scipy.special import expit
 
 from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.localization.needle_line import NeedleLine, line_between, needle_lines
-from sonoservo.systems.localization.novelty import THERE_BEFORE, is_new
+from sonoservo.systems.localization.novelty import THERE_BEFORE, is_new, was_there
 from sonoservo.systems.localization.region_localization import localize_in_region
 from sonoservo.systems.localization.search_region import (
     found_again,
@@ -86,7 +86,7 @@ def explain_localization(
             attempts += localize_in_region(volume, narrow, surer, rng)
         measurement = attempts[-1].measurement
         if region.tip_moved and isinstance(measurement, NeedleMeasurement):
-            measurement = _if_needle(volume, measurement, parameters)
+            measurement = _if_needle(volume, measurement, prediction, parameters)
     else:
         attempts, measurement, log_odds = _localize_everywhere(volume, prediction, parameters, rng)
         probability = float(expit(log_odds))
@@ -123,7 +123,7 @@ def _localize_everywhere(
         return [], NotFound(reason), lines[0][0]
     earlier, must_come = prediction.earlier, prediction.must_come
     new = (each for each in probable if each[2] or is_new(volume, each[1], earlier, must_come))
-    log_odds, ends, _ = next(new, (-np.inf, None, False))
+    log_odds, ends, there = next(new, (-np.inf, None, False))
     if ends is None:
         return [], NotFound(THERE_BEFORE), log_odds
     # The beam makes a short needle look thick, so its axis varies with the random draws.
@@ -133,29 +133,42 @@ def _localize_everywhere(
     measurement = _middlemost([each[-1].measurement for each in repeats])
     if isinstance(measurement, NotFound):
         return attempts, measurement, -np.inf
-    # What was measured must look like a needle, too, over all its length.
+    # What was measured must look like a needle, too, over all its length, and be as new.
     measured = _line_of(volume, measurement)
     if measured is None or odds(measured)[0] < 0:
-        measurement = NotFound("the line found does not look like a needle over all its length")
+        reason = "the line found does not look like a needle over all its length"
+        return attempts, NotFound(reason), log_odds
+    if not (there or is_new(volume, _ends(measurement), earlier, must_come)):
+        return attempts, NotFound(THERE_BEFORE), log_odds
     return attempts, measurement, log_odds
 
 
 def _if_needle(
-    volume: Volume, measurement: NeedleMeasurement, parameters: NeedleLocalizerParameters
+    volume: Volume,
+    measurement: NeedleMeasurement,
+    prediction: NeedlePrediction,
+    parameters: NeedleLocalizerParameters,
 ) -> NeedleMeasurement | NotFound:
-    """Return the measurement of what moved, unless it looks like a sheet by far.
+    """Return the measurement of what moved, unless it looks like a sheet by far, or was there.
 
     Where its looks cannot tell, as while it is too short, its motion must do.
     """
     line = _line_of(volume, measurement)
     if line is not None and -np.inf < line.log_odds < parameters.min_odds:
         return NotFound("what moved does not look like a needle")
+    if was_there(volume, _ends(measurement), prediction.earlier):
+        return NotFound(THERE_BEFORE)
     return measurement
 
 
 def _line_of(volume: Volume, measurement: NeedleMeasurement) -> NeedleLine | None:
     """Return the line between a measured needle's ends; None if it lies outside the view."""
-    return line_between(volume, acquired_from(volume, measurement.curve.control_points[[0, -1]]))
+    return line_between(volume, acquired_from(volume, _ends(measurement)))
+
+
+def _ends(measurement: NeedleMeasurement) -> Floats:
+    """Return the (2, 3) ends of a measured needle in W, in m."""
+    return measurement.curve.control_points[[0, -1]]
 
 
 def _middlemost(found: Sequence[NeedleMeasurement | NotFound]) -> NeedleMeasurement | NotFound:
