@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-FAINT_STD = 3e-3
+FAINT_STD = 4e-3
 """Standard deviation of a faint end, in m."""
 
 _CONTRAST, _MOST = 1.7, 2.0

@@ -295,6 +295,20 @@ def test_a_needle_lost_where_it_was_is_found_whatever_was_there_before():
     assert run(volume, never).reason == THERE_BEFORE
 
 
+def test_what_moved_was_not_there_before():
+    """A probe that moves lets a bright line at rest come and go. A needle's end is new."""
+    volume, shorter, without = (
+        SCENE.volume(seed, lambda time, length=length: needle(length) if length else None)
+        for seed, length in ((1, 0.04), (2, 0.025), (3, 0.0))
+    )
+    moved = needle(0.04)
+    for earlier, new in (((volume,) * 3, False), ((shorter,) * 3, True), ((without,) * 3, True)):
+        found = run(volume, expected(moved, entry=None, earlier=earlier))
+        assert bool(found) == new
+        if not new:
+            assert found.reason == THERE_BEFORE
+
+
 @pytest.mark.parametrize("unseen", [0.0, 2.0])
 def test_a_needle_cannot_be_withdrawn_at_once(unseen):
     """What cuts off its echo is thought to be a shadow, until it has lasted."""
