@@ -25,8 +25,6 @@ PARAMETERS = TipParameters(beam_width=SIGMA * np.sqrt(8 * np.log(2)))
 STEP = 0.25e-3
 RNG = np.random.default_rng(0)
 SCENE_VOLUME = Scene(seed=2).volume(0)
-
-
 WIDTH, END, EXPECTED = 1.5e-3, 0.02, 0.05
 A = np.arange(0, 0.08, STEP)
 
@@ -254,7 +252,7 @@ def test_what_is_bright_before_the_needle_is_not_its_end():
 
 
 def speckle(seed, std=1.8):
-    """Return the contrast of tissue in dB: as varied as a maximum over a tube, alike over a beam."""
+    """Return the contrast of tissue in dB, alike over a beam's width."""
     sigma = WIDTH / 2.355 / STEP * np.sqrt(2)
     noise = gaussian_filter1d(np.random.default_rng(seed).normal(size=len(A) + 100), sigma)
     return std * noise[50:-50] / noise.std()
