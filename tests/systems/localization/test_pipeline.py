@@ -5,12 +5,15 @@ import pytest
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from synthetic_volumes import Scene, entry_on_side
 
+from sonoservo.systems.localization.axis import axis_through
 from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.localization.novelty import THERE_BEFORE
 from sonoservo.systems.localization.pipeline import explain_localization, localize
 from sonoservo.systems.localization.ransac import RansacParameters
+from sonoservo.systems.localization.search_region import fades_before_tip, predicted_region
 from sonoservo.systems.localization.tip import TipParameters
 from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.localization_explanation import NeedleExtent
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
@@ -287,6 +290,29 @@ def test_a_needle_that_fades_ends_where_it_was_expected():
     assert K @ found.covariance[-3:, -3:] @ K > (9e-3) ** 2
 
 
+@pytest.mark.parametrize(
+    ("short", "unseen", "ends", "hidden"),
+    [
+        (2e-3, 0.0, {"continues": True}, False),
+        (12e-3, 2.0, {}, False),
+        (12e-3, 2.0, {"continues": True}, True),
+        (12e-3, 2.0, {"end_std": 2e-3}, True),
+        (16e-3, 0.5, {}, True),
+        (16e-3, 1.0, {}, False),
+        (10e-3, 0.5, {"faint": 0.01, "end_std": 4e-3}, False),
+        (11e-3, 0.5, {"faint": 0.01, "end_std": 4e-3}, True),
+        (10e-3, 0.5, {"faint": 0.01, "end_std": 4e-3, "continues": True}, True),
+    ],
+)
+def test_an_end_short_of_the_prediction_may_not_be_the_tip(short, unseen, ends, hidden):
+    guess = expected(needle(0.05), tip_unseen=unseen)
+    region = predicted_region(guess, PARAMETERS)
+    axis = axis_through(guess.curve.control_points)
+    tip = float(axis.abscissa(guess.curve.tip)) - short
+    extent = NeedleExtent(0.0, tip, 0.0, False, 0.05, **ends)
+    assert fades_before_tip(region, axis, extent, PARAMETERS) == hidden
+
+
 def test_a_needle_lost_where_it_was_is_found_whatever_was_there_before():
     volume = SCENE.volume(1, lambda time: needle(0.05))
     lost = expected(needle(0.05), everywhere=True, earlier=(volume,))
@@ -296,7 +322,7 @@ def test_a_needle_lost_where_it_was_is_found_whatever_was_there_before():
 
 
 def test_what_moved_was_not_there_before():
-    """A probe that moves lets a bright line at rest come and go. A needle's end is new."""
+    """What changed may be a bright line at rest. A needle's end is new, if not the rest of it."""
     volume, shorter, without = (
         SCENE.volume(seed, lambda time, length=length: needle(length) if length else None)
         for seed, length in ((1, 0.04), (2, 0.025), (3, 0.0))

@@ -280,17 +280,29 @@ def test_a_faint_part_is_followed_to_its_end():
 
 
 def test_a_gap_does_not_show_that_a_needle_ends():
-    """After the gap it is faint again, but too short for that to be sure."""
+    """After the gap it is faint again, but too short for its end to be sure."""
     contrast = np.where((A < 0.025) | (A > 0.036), 2.6, 0.0)
-    length, continues = further(contrast, end=0.025)
-    assert length == 0 or continues
-    assert not further(np.zeros(len(A)))[1]
+    assert further(contrast, end=0.025) == (0.0, True)
+    assert further(np.zeros(len(A))) == (0.0, False)
 
 
-def test_nothing_is_followed_beyond_the_expected_tip_or_the_field_of_view():
+def test_a_faint_part_is_followed_to_a_little_beyond_the_expected_tip_at_most():
     bright = np.full(len(A), 5.0)
-    assert END + further(bright)[0] <= EXPECTED + 3e-3 + STEP
+    assert END + further(bright)[0] == pytest.approx(EXPECTED + 3e-3, abs=2 * STEP)
     assert END + further(bright, seen=A < 0.04)[0] == pytest.approx(0.04, abs=2 * STEP)
+
+
+def test_only_a_needle_that_is_expected_further_on_has_a_faint_part():
+    bright = profile(0.02)
+    fading = replace(bright, level=bright.level + 2.6 * ((bright.a > 0.02) & (bright.a < 0.045)))
+    short = find_extent(fading, PARAMETERS)
+    assert short.tip == pytest.approx(0.02, abs=1.5e-3)
+    long = find_extent(fading, PARAMETERS, 0.05)
+    assert long.tip == pytest.approx(0.045, abs=1.5e-3)
+    assert long.faint == pytest.approx(0.025, abs=2e-3)
+    assert long.tip_std == FAINT_STD
+    assert long.evidence == short.evidence
+    assert not long.continues
 
 
 def test_an_end_where_it_is_expected_is_the_tip():
