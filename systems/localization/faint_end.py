@@ -30,11 +30,11 @@ def faint_part(
     expected: float,
     beam_width: float,
 ) -> tuple[float, bool]:
-    """Return by how much a needle goes on beyond its visible end, in m, and if it may go on more.
+    """Return by how much a needle goes on beyond its visible end, in m, and if it may go on further.
 
     Speckle averages out over a length, so a part of a needle that no single sample shows is evident
-    as a whole. It may go on more if what lies between its end and the expected tip is brighter than
-    tissue.
+    as a whole. It may go on further if 1 cm or more between its end and the expected tip is
+    brighter than tissue, or if it is followed to a little beyond that tip, where the search ends.
 
     Parameters
     ----------
@@ -59,5 +59,6 @@ def faint_part(
     begin = faint or round(beam_width / step)
     rest = further[begin : np.count_nonzero(beyond & (a <= expected))]
     most = _CONTRAST + _MOST
-    unclear = step * len(rest) >= _LENGTH and np.clip(rest, -most, most).mean() > _MEAN
-    return step * faint, bool(unclear)
+    bright = step * len(rest) >= _LENGTH and np.clip(rest, -most, most).mean() > _MEAN
+    endless = faint == np.count_nonzero(a > end) - np.count_nonzero(a > expected + _SHORT)
+    return step * faint, bool(bright or (faint > 0 and endless))

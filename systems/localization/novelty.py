@@ -8,10 +8,10 @@ from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.volume import Volume
 
 THERE_BEFORE = "a line that looks like a needle was there before, or was not seen to come"
-"""Reason why a line that rests is not followed."""
+"""Reason why a line is not followed that may have rested."""
 
 _LOOKS = 3
-"""Number of earlier volumes that must lack a line."""
+"""Number of earlier volumes that must lack a line that is new, or show one that is not."""
 
 _ASIDE, _DEEPER, _TURNED = 2e-3, 6e-3, np.deg2rad(2.0)
 """Motion of the probe across its axis and along it, in m, and turn in rad, up to which an earlier
@@ -60,7 +60,7 @@ def is_new(
     must_come
         Whether three of them must lack the line. If not, what no volume shows is new, too.
     """
-    near = [(each, d) for each in earlier if (d := _distance(each, volume)) <= _NEARBY]
+    near = _near(volume, earlier)
     if not near:
         return not must_come
     least, lacking = _least_evidence(volume, ends), 0
@@ -74,9 +74,10 @@ def is_new(
 
 
 def was_there(volume: Volume, ends: NDArray[np.float64], earlier: tuple[Volume, ...]) -> bool:
-    """Return True if most earlier volumes from near its place showed a line up to its end.
+    """Return True if more earlier volumes showed a line up to its end than lacked it.
 
-    The end of a needle that moved is new, even if the rest of it is not.
+    The end of a needle that moved is new, even if the rest of it is not. Volumes from near its
+    place may show it, and those from nearly the same place may lack it.
 
     Parameters
     ----------
@@ -87,12 +88,20 @@ def was_there(volume: Volume, ends: NDArray[np.float64], earlier: tuple[Volume, 
     earlier
         Earlier volumes.
     """
-    near = [each for each in earlier if _distance(each, volume) <= _NEARBY]
-    least, showing = _least_evidence(volume, ends), 0
-    for each in near:
+    near = _near(volume, earlier)
+    least, showing, lacking = _least_evidence(volume, ends), 0, 0
+    for each, distance in near:
         evidence, beyond = _evidence(each, ends)
-        showing += evidence >= least and beyond > -_GROWN
-    return 2 * showing > len(near)
+        if evidence >= least and beyond > -_GROWN:
+            showing += 1
+        else:
+            lacking += distance <= 1 and _shows_tissue(each, volume, ends)
+    return showing >= _LOOKS and showing > lacking
+
+
+def _near(volume: Volume, earlier: tuple[Volume, ...]) -> list[tuple[Volume, float]]:
+    """Return the earlier volumes from near the same place, and how far each is from there."""
+    return [(each, d) for each in earlier if (d := _distance(each, volume)) <= _NEARBY]
 
 
 def _least_evidence(volume: Volume, ends: NDArray[np.float64]) -> float:

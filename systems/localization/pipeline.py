@@ -133,7 +133,7 @@ def _localize_everywhere(
     measurement = _middlemost([each[-1].measurement for each in repeats])
     if isinstance(measurement, NotFound):
         return attempts, measurement, -np.inf
-    # What was measured must look like a needle, too, over all its length, and be as new.
+    # What was measured must look like a needle, too, over all its length, and be new, too.
     measured = _line_of(volume, measurement)
     if measured is None or odds(measured)[0] < 0:
         reason = "the line found does not look like a needle over all its length"
@@ -149,7 +149,7 @@ def _if_needle(
     prediction: NeedlePrediction,
     parameters: NeedleLocalizerParameters,
 ) -> NeedleMeasurement | NotFound:
-    """Return the measurement of what moved, unless it looks like a sheet by far, or was there.
+    """Return the measurement of what moved, unless it clearly looks like a sheet or was there before.
 
     Where its looks cannot tell, as while it is too short, its motion must do.
     """

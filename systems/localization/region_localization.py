@@ -177,8 +177,8 @@ def _extent(
         predicted = profile.seen & (profile.a >= ends[0]) & (profile.a <= ends[1])
         share = parameters.min_share * parameters.tip.step * float(predicted.sum())
         least = max(least, min(share, parameters.min_shaft))
-    if extent.tip - extent.start < least:
-        visible = 1e3 * max(extent.tip - extent.start, 0.0)
+    if extent.visible_tip - extent.start < least:
+        visible = 1e3 * max(extent.visible_tip - extent.start, 0.0)
         raise _AbsentError(f"only {visible:.1f} mm of the needle are visible")
     return extent
 
@@ -191,7 +191,7 @@ def _inliers(
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return flags of the candidates between the ends near the axis, and of all between them."""
     a = fit.axis.abscissa(points)
-    between = np.asarray((a >= extent.start) & (a <= extent.tip))
+    between = np.asarray((a >= extent.start) & (a <= extent.visible_tip))
     return between & (fit.axis.distance(points) < parameters.ransac.residual_threshold), between
 
 
@@ -238,7 +238,7 @@ def _judge(
     deeper = volume.X_WP.rotation().matrix()[:, 1]
     deeper = deeper - (deeper @ k) * k
     curve = NeedleCurve(fit.axis.position(a) + parameters.echo_offset * deeper)
-    independent = max((extent.tip - extent.start) / parameters.correlation_length, order + 1.0)
+    independent = max((extent.visible_tip - extent.start) / parameters.correlation_length, order + 1.0)
     tip_std = parameters.unseen_tip_std
     if not (fades or extent.leaves):
         tip_std = min(float(np.hypot(parameters.tip_std, extent.tip_std)), tip_std)

@@ -165,18 +165,21 @@ def fades_before_tip(
     """Return True if a followed needle is thought to go on beyond its visible end.
 
     It is visible as far as its echo stands out, and shadows and fading hide parts of it. So an end
-    that is short of the prediction is not the tip if it is a blurred one, or if no hand can have
-    withdrawn the needle so far since the tip was last seen.
+    that is short of the prediction is not the tip if it is a blurred one, if it may go on further,
+    or if no hand can have withdrawn the needle so far since the tip was last seen. A faint end is
+    short of the tip more often, so it must agree with a slow withdrawal.
     """
     if region.entry is None or extent.leaves:
         return False
+    if extent.continues:
+        return True
     short = float(axis.abscissa(region.curve.tip)) - extent.tip
-    sudden = short > parameters.max_shortening and region.tip_unseen < parameters.max_unseen
+    doubtful = short > parameters.max_shortening and region.tip_unseen < parameters.max_unseen
     if extent.faint > 0:
-        sudden |= short > parameters.margin + _WITHDRAWN * region.tip_unseen
+        doubtful |= short > parameters.margin + _WITHDRAWN * region.tip_unseen
     else:
-        sudden |= extent.end_std > parameters.faded_std
-    return short > parameters.margin and (sudden or extent.continues)
+        doubtful |= extent.end_std > parameters.faded_std
+    return short > parameters.margin and doubtful
 
 
 def outer_region(

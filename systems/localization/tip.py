@@ -262,11 +262,12 @@ def find_extent(
     )
     if last < 0:
         return NotFound("nothing along the axis stands out from the background")
-    tip, end_std, hidden_std = _tip(profile, contrast, (first, last), parameters)
+    tip, end_std, hidden, hidden_std = _tip(profile, contrast, (first, last), parameters)
     width = _width_at(profile, tip, parameters)
     faint, continues = faint_part(profile.a, contrast, profile.seen, tip, expected, width)
     if faint > 0:
-        tip, end_std, hidden_std = tip + faint, FAINT_STD, 0.0
+        end_std, hidden, hidden_std = FAINT_STD, 0.0, 0.0
+    tip += faint + hidden
     # Outside the tissue nothing scatters, so a needle that enters it in view comes from nowhere.
     around = uniform_filter1d(profile.background, round(parameters.end_length / step))
     empty = around < np.median(around[first : last + 1]) - _EMPTY
@@ -290,8 +291,8 @@ def _tip(
     contrast: NDArray[np.float64],
     needle: tuple[int, int],
     parameters: TipParameters,
-) -> tuple[float, float, float]:
-    """Return the tip's abscissa, and its standard deviations by the end's shape and by gaps, in m.
+) -> tuple[float, float, float, float]:
+    """Return the abscissa of the end, its standard deviation, and `hidden_length`, in m.
 
     A needle that stands out far and ends abruptly ends where it seems to. One that is faint or
     fades may continue unseen. The ``needle`` is that between two indices if nothing stands out as
@@ -326,7 +327,7 @@ def _tip(
     tip = lost - sigma * _blurred_length(top, max(top - threshold, 0.1))
     faint = inside[: end + 1 - first] < min(parameters.min_end_contrast, float(np.median(inside)))
     hidden, hidden_std = hidden_length(faint, step)
-    return tip + hidden, _END_SHARE * sigma * float(np.exp(doubt)), hidden_std
+    return tip, _END_SHARE * sigma * float(np.exp(doubt)), hidden, hidden_std
 
 
 def _width_at(profile: AxisProfile, a: float, parameters: TipParameters) -> float:

@@ -103,13 +103,13 @@ class NeedleExtent(Immutable):
         length. Lines through speckle reach 6 dB mm, and a needle of 5 mm reaches 12 to 30 dB mm.
     tip_std
         Standard deviation of the tip due to the blur and the shape of the end, and to what gaps in
-        the needle may hide beyond it, in m.
+        the needle may hide beyond it, in m; that of a faint end if there is a faint part.
     end_std
         Part of it due to the end itself, in m.
     faint
-        Length before the tip that stands out as a whole only, in m.
+        Length of the last part, which stands out only as a whole, in m.
     continues
-        Whether the needle seems to go on to where its tip is expected.
+        Whether the needle may go on further; see `faint_part`.
     """
 
     start: float
@@ -121,6 +121,11 @@ class NeedleExtent(Immutable):
     end_std: float = 0.0
     faint: float = 0.0
     continues: bool = False
+
+    @property
+    def visible_tip(self) -> float:
+        """Abscissa up to which each part of the needle stands out, in m."""
+        return self.tip - self.faint
 
 
 @dataclass(frozen=True, eq=False)

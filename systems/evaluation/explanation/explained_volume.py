@@ -241,5 +241,5 @@ def _search(explanation: LocalizationExplanation) -> dict[str, Any]:
         arrays["contrast"] = np.nan if profile.contrast is None else profile.contrast
     if extent is not None:
         arrays["start"], arrays["tip"] = extent.start, extent.tip
-        arrays["leaves"] = extent.leaves
+        arrays["leaves"], arrays["faint"] = extent.leaves, extent.faint
     return arrays

@@ -293,7 +293,6 @@ def test_a_needle_that_fades_ends_where_it_was_expected():
 @pytest.mark.parametrize(
     ("short", "unseen", "ends", "hidden"),
     [
-        (2e-3, 0.0, {"continues": True}, False),
         (12e-3, 2.0, {}, False),
         (12e-3, 2.0, {"continues": True}, True),
         (12e-3, 2.0, {"end_std": 2e-3}, True),
