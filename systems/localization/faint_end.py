@@ -61,4 +61,4 @@ def faint_part(
     most = _CONTRAST + _MOST
     bright = step * len(rest) >= _LENGTH and np.clip(rest, -most, most).mean() > _MEAN
     endless = faint == np.count_nonzero(a > end) - np.count_nonzero(a > expected + _SHORT)
-    return step * faint, bool(bright or (faint > 0 and endless))
+    return step * faint, bool(bright)

@@ -191,7 +191,7 @@ def _inliers(
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return flags of the candidates between the ends near the axis, and of all between them."""
     a = fit.axis.abscissa(points)
-    between = np.asarray((a >= extent.start) & (a <= extent.visible_tip))
+    between = np.asarray((a >= extent.start) & (a <= extent.tip))
     return between & (fit.axis.distance(points) < parameters.ransac.residual_threshold), between
 
 
