@@ -22,6 +22,9 @@ from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 
+_WITHDRAWN = "the needle was withdrawn"
+"""Reason why the track of a needle that came out ends."""
+
 
 def innovation_distance(state: NeedleState, measurement: NeedleMeasurement) -> float:
     """Return the Mahalanobis distance of a measurement from a state predicted to its time."""
@@ -195,6 +198,9 @@ class TrackLifecycle:
             return self._find_again(track, time, measurement)
         if track.mode == TrackingMode.SEARCHING or not self.parameters.filtering:
             return self._confirmed(self.needle_filter.start(measurement), measurement)
+        if measurement.curve.direction @ track.state.curve.direction < 0:
+            # Its tip has come out past its entry.
+            return self.without_needle(time, _WITHDRAWN, track.searched)
         state = self.needle_filter.predict(track.state, measurement.time)
         distance = innovation_distance(state, measurement)
         if distance <= self.gate:
@@ -272,8 +278,11 @@ class TrackLifecycle:
         state = self.needle_filter.update(state, None, velocity)
         length = (state.curve.tip - state.curve.entry) @ track.state.curve.direction
         if length < p.withdrawn_length:
-            return self.without_needle(time, "the needle was withdrawn", track.searched)
-        mode = TrackingMode.LOST if track.missed >= p.volumes_to_lose else TrackingMode.COASTING
+            return self.without_needle(time, _WITHDRAWN, track.searched)
+        # No robot goes after a needle that was last seen to come out.
+        leaving = float(state.velocity[-1] @ state.curve.direction) < -p.withdrawal_speed
+        lost = leaving or track.missed >= p.volumes_to_lose
+        mode = TrackingMode.LOST if lost else TrackingMode.COASTING
         return replace(track, mode=mode, time=state.time, state=state, reason=reason)
 
     def _await(

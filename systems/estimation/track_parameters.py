@@ -40,6 +40,9 @@ class TrackParameters:
         needle that moves too slowly, or from too deep, to be noticed. Zero switches them off.
     withdrawn_length
         Predicted length below which a needle that is not found counts as withdrawn, in m.
+    withdrawal_speed
+        Speed in m/s above which a needle that comes out is lost as soon as a volume does not show
+        it. Any other one is lost after several such volumes.
     seconds_to_give_up
         Time without the needle after which a new insertion is awaited, in s.
     filtering
@@ -66,6 +69,7 @@ class TrackParameters:
     volumes_to_find_again: int = 3
     seconds_between_searches: float = 0.25
     withdrawn_length: float = 6e-3
+    withdrawal_speed: float = 5e-3
     seconds_to_give_up: float = 10.0
     filtering: bool = True
     max_approach: float = 1.5e-3
@@ -81,6 +85,7 @@ class TrackParameters:
             grown_length=self.grown_length,
             seconds_to_grow=self.seconds_to_grow,
             withdrawn_length=self.withdrawn_length,
+            withdrawal_speed=self.withdrawal_speed,
             seconds_to_give_up=self.seconds_to_give_up,
             max_approach=self.max_approach,
         )
