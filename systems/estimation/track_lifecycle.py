@@ -198,6 +198,7 @@ class TrackLifecycle:
             return self._find_again(track, time, measurement)
         if track.mode == TrackingMode.SEARCHING or not self.parameters.filtering:
             return self._confirmed(self.needle_filter.start(measurement), measurement)
+        assert track.state is not None
         if measurement.curve.direction @ track.state.curve.direction < 0:
             # Its tip has come out past its entry.
             return self.without_needle(time, _WITHDRAWN, track.searched)

@@ -30,10 +30,10 @@ def faint_part(
     expected: float,
     beam_width: float,
 ) -> tuple[float, bool]:
-    """Return by how much a needle goes on beyond its visible end, in m, and if it may go on further.
+    """Return by how much a needle goes on beyond its visible end, in m, and if it may go further.
 
     Speckle averages out over a length, so a part of a needle that no single sample shows is evident
-    as a whole. It may go on further if 1 cm or more between its end and the expected tip is
+    as a whole. It may go further if 1 cm or more between its end and the expected tip is
     brighter than tissue, or if it is followed to a little beyond that tip, where the search ends.
 
     Parameters
@@ -61,4 +61,4 @@ def faint_part(
     most = _CONTRAST + _MOST
     bright = step * len(rest) >= _LENGTH and np.clip(rest, -most, most).mean() > _MEAN
     endless = faint == np.count_nonzero(a > end) - np.count_nonzero(a > expected + _SHORT)
-    return step * faint, bool(bright)
+    return step * faint, bool(bright or (faint > 0 and endless))

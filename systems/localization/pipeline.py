@@ -149,7 +149,7 @@ def _if_needle(
     prediction: NeedlePrediction,
     parameters: NeedleLocalizerParameters,
 ) -> NeedleMeasurement | NotFound:
-    """Return the measurement of what moved, unless it clearly looks like a sheet or was there before.
+    """Return the measurement of what moved, unless it clearly is a sheet or was there before.
 
     Where its looks cannot tell, as while it is too short, its motion must do.
     """

@@ -238,7 +238,9 @@ def _judge(
     deeper = volume.X_WP.rotation().matrix()[:, 1]
     deeper = deeper - (deeper @ k) * k
     curve = NeedleCurve(fit.axis.position(a) + parameters.echo_offset * deeper)
-    independent = max((extent.visible_tip - extent.start) / parameters.correlation_length, order + 1.0)
+    independent = max(
+        (extent.visible_tip - extent.start) / parameters.correlation_length, order + 1.0
+    )
     tip_std = parameters.unseen_tip_std
     if not (fades or extent.leaves):
         tip_std = min(float(np.hypot(parameters.tip_std, extent.tip_std)), tip_std)

@@ -109,7 +109,7 @@ class NeedleExtent(Immutable):
     faint
         Length of the last part, which stands out only as a whole, in m.
     continues
-        Whether the needle may go on further; see `faint_part`.
+        Whether the needle may go further; see `faint_part`.
     """
 
     start: float

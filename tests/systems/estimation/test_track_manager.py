@@ -231,6 +231,30 @@ def test_withdrawn_needle_is_awaited_again():
     assert estimate.reason == "the needle was withdrawn"
 
 
+@pytest.mark.parametrize(
+    ("speed", "mode"),
+    [
+        (-8e-3, TrackingMode.LOST),
+        (0.0, TrackingMode.COASTING),
+        (8e-3, TrackingMode.COASTING),
+    ],
+)
+def test_no_robot_goes_after_a_needle_that_comes_out_and_is_not_seen(speed, mode):
+    bench = Bench()
+    bench.track_from()
+    for time in 0.6 + 0.3 * np.arange(1, 6):
+        bench.step(time, measurement=measurement(0.03 + speed * (time - 0.6), time))
+    assert bench.step(2.4).mode == mode
+
+
+def test_a_needle_whose_tip_has_passed_its_entry_has_come_out():
+    bench = Bench()
+    bench.track_from()
+    estimate = bench.step(0.9, measurement=measurement(-0.005, 0.9))
+    assert estimate.mode == TrackingMode.SEARCHING
+    assert estimate.reason == "the needle was withdrawn"
+
+
 def test_repeated_and_missing_volumes_change_nothing():
     bench = Bench()
     before = bench.track_from()
