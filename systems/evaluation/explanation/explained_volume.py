@@ -76,6 +76,9 @@ class ExplainedVolume(Log):
     contrast: Annotated[Array, Column("threshold of the level over the background", "dB", ())]
     start: Annotated[Array, Column("abscissa of the needle's visible start", "m", ())]
     tip: Annotated[Array, Column("abscissa of its tip", "m", ())]
+    faint: Annotated[
+        Array, Column("length of its last part, which stands out only as a whole", "m", ())
+    ]
     leaves: Annotated[
         Array, Column("whether it goes on beyond what was searched or seen", "", (), "?")
     ]

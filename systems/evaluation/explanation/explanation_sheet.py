@@ -90,6 +90,8 @@ def describe(explained: ExplainedVolume, tip_error: float = np.nan) -> str:
         facts.append(f"innovation {explained.innovation:.1f}, gate {explained.gate:.1f}")
     if explained.leaves:
         facts.append("the needle extends beyond the region searched, so its tip was not seen")
+    if explained.faint > 0:
+        facts.append(f"its last {1e3 * explained.faint:.0f} mm stand out only as a whole")
     if len(explained.attempt_reasons) > 1:
         facts.append(f"{len(explained.attempt_reasons)} searches, the deciding one shown")
     title = f"{float(explained.volume_time):.2f} s, {mode}: {str(explained.reason) or nothing}"
