@@ -24,10 +24,12 @@ class DaskProcesses:
 
     @property
     def address(self):
-        while not self._file.exists():
+        while True:
+            # The scheduler creates the file before it fills it.
+            with suppress(FileNotFoundError, json.JSONDecodeError):
+                return json.loads(self._file.read_text())["address"]
             assert self.scheduler.poll() is None
             time.sleep(0.02)
-        return json.loads(self._file.read_text())["address"]
 
     def add_worker(self, path=()):
         """Start a worker; folders of the path come before those of this process."""
