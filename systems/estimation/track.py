@@ -13,7 +13,7 @@ from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMo
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.volume import Volume
 
-_FIRST, _FIRST_APART, _KEPT, _KEPT_APART = 3, 0.3, 8, 0.9
+_FIRST, _FIRST_APART, _KEPT, _KEPT_APART = 3, 0.3, 13, 0.55
 """Numbers of the first and of the last volumes that are kept, and times between them in s."""
 
 

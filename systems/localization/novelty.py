@@ -1,4 +1,4 @@
-"""Whether a line is new: earlier volumes from nearly the same place lack it."""
+"""Whether a line is new: earlier volumes lack it, or show it shorter."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,14 @@ _LEAST_EVIDENCE = 12e-3
 _GROWN = 6e-3
 """Length in m by which a needle has grown at least since a volume did not show its end."""
 
+_LACKING_SHARE, _SHORTER_SHARE, _SHORTER_LOOKS = 0.25, 0.4, 2
+"""Share of a line's evidence below which an earlier volume lacks it, share from which on one that
+shows less of it shows it shorter, and number of those that must."""
+
+_IN_VIEW, _BEYOND = 0.9, 4e-3
+"""Share of a line, and length beyond its end in m, that are in view in an earlier volume that tells
+whether it has grown."""
+
 _AROUND, _DARKER = 5e-3, 10.0
 """Distance from a line at which its surroundings are compared, in m, and difference in dB from
 which on an earlier volume shows no tissue there, as before the probe has landed."""
@@ -44,10 +52,11 @@ def is_new(
     earlier: tuple[Volume, ...],
     must_come: bool = False,
 ) -> bool:
-    """Return True if earlier volumes lacked a line before any showed it.
+    """Return True if earlier volumes lacked a line before any showed it, or if it has grown.
 
     A second needle, a guide wire or a fascia looks like a needle, but was there before. Only
-    volumes from nearly the same place tell.
+    volumes from nearly the same place tell whether a line that they lack is new, as a specular one
+    comes and goes with the view. Volumes from anywhere tell whether it has grown.
 
     Parameters
     ----------
@@ -60,10 +69,20 @@ def is_new(
     must_come
         Whether three of them must lack the line. If not, what no volume shows is new, too.
     """
+    return _has_come(volume, ends, earlier, must_come) or _has_grown(volume, ends, earlier)
+
+
+def _has_come(
+    volume: Volume, ends: NDArray[np.float64], earlier: tuple[Volume, ...], must_come: bool
+) -> bool:
+    """Return True if volumes from nearly the same place lacked a line before any showed it."""
     near = _near(volume, earlier)
     if not near:
         return not must_come
-    least, lacking = _least_evidence(volume, ends), 0
+    now, lacking = _evidence(volume, ends)[0], 0
+    if must_come and _LEAST_SHARE * now < _LEAST_EVIDENCE:
+        return False
+    least = max(_LEAST_SHARE * now, _LEAST_EVIDENCE)
     for each, distance in near:
         if _evidence(each, ends)[0] >= least:
             return False
@@ -71,6 +90,26 @@ def is_new(
         if lacking >= (_LOOKS if must_come else 1):
             return True
     return not must_come
+
+
+def _has_grown(volume: Volume, ends: NDArray[np.float64], earlier: tuple[Volume, ...]) -> bool:
+    """Return True if volumes lacked a line, then showed it shorter, before any showed all of it."""
+    now, lacking, shorter = _evidence(volume, ends)[0], 0, 0
+    if _LACKING_SHARE * now < _LEAST_EVIDENCE:
+        return False
+    for each in earlier:
+        if not (_is_in_view(each, ends) and _shows_tissue(each, volume, ends)):
+            continue
+        evidence, beyond = _evidence(each, ends)
+        if evidence >= _LEAST_SHARE * now and beyond > -_GROWN:
+            return False
+        if evidence < _LACKING_SHARE * now:
+            lacking += 1
+        elif evidence >= _SHORTER_SHARE * now and beyond <= -_GROWN and lacking >= _LOOKS:
+            shorter += 1
+        if shorter >= _SHORTER_LOOKS:
+            return True
+    return False
 
 
 def was_there(volume: Volume, ends: NDArray[np.float64], earlier: tuple[Volume, ...]) -> bool:
@@ -89,7 +128,8 @@ def was_there(volume: Volume, ends: NDArray[np.float64], earlier: tuple[Volume, 
         Earlier volumes.
     """
     near = _near(volume, earlier)
-    least, showing, lacking = _least_evidence(volume, ends), 0, 0
+    least = max(_LEAST_SHARE * _evidence(volume, ends)[0], _LEAST_EVIDENCE)
+    showing = lacking = 0
     for each, distance in near:
         evidence, beyond = _evidence(each, ends)
         if evidence >= least and beyond > -_GROWN:
@@ -102,11 +142,6 @@ def was_there(volume: Volume, ends: NDArray[np.float64], earlier: tuple[Volume, 
 def _near(volume: Volume, earlier: tuple[Volume, ...]) -> list[tuple[Volume, float]]:
     """Return the earlier volumes from near the same place, and how far each is from there."""
     return [(each, d) for each in earlier if (d := _distance(each, volume)) <= _NEARBY]
-
-
-def _least_evidence(volume: Volume, ends: NDArray[np.float64]) -> float:
-    """Return the evidence from which on another volume shows a line, in dB m."""
-    return max(_LEAST_SHARE * _evidence(volume, ends)[0], _LEAST_EVIDENCE)
 
 
 def _evidence(volume: Volume, ends: NDArray[np.float64]) -> tuple[float, float]:
@@ -123,6 +158,14 @@ def _evidence(volume: Volume, ends: NDArray[np.float64]) -> tuple[float, float]:
     aside = aside - (aside @ k) * k
     same = np.linalg.norm(aside) <= _DISPLACED and abs(line.direction @ k) >= _PARALLEL
     return (line.evidence if same else 0.0), float(((line.ends - ends[1]) @ k).max())
+
+
+def _is_in_view(volume: Volume, ends: NDArray[np.float64]) -> bool:
+    """Return True if a volume's field of view holds a line and what lies just beyond its end."""
+    start, stop = acquired_from(volume, ends)
+    past = stop + _BEYOND * (stop - start) / np.linalg.norm(stop - start)
+    seen = volume.sample(np.linspace(start, stop, 20)) > 0
+    return bool(seen.mean() >= _IN_VIEW and np.all(volume.sample(np.array([stop, past])) > 0))
 
 
 def _shows_tissue(before: Volume, volume: Volume, ends: NDArray[np.float64]) -> bool:
