@@ -211,6 +211,25 @@ def test_looks_from_far_away_show_nothing():
     assert is_new(volume(), NEEDLE, (*scene(2, NEEDLE, aside=0.02), *scene(3)), must_come=True)
 
 
+SHORTER = np.array([ENTRY, ENTRY + 0.022 * K])
+
+
+def test_a_line_that_grew_is_new_wherever_it_was_seen_from():
+    lacking, shorter = scene(3, aside=-0.01), scene(2, SHORTER, aside=-0.01)
+    whole = scene(2, NEEDLE, aside=-0.01)
+    assert is_new(volume(), NEEDLE, (*lacking, *shorter, *whole), must_come=True)
+    for earlier in (lacking, lacking[:2] + shorter, lacking + shorter[:1], shorter + lacking):
+        assert not is_new(volume(), NEEDLE, tuple(earlier), must_come=True)
+    assert not is_new(volume(), NEEDLE, (*whole[:1], *lacking, *shorter), must_come=True)
+    partly_out_of_view = scene(3, aside=0.02)
+    assert not is_new(volume(), NEEDLE, (*partly_out_of_view, *shorter), must_come=True)
+
+
+def test_a_line_that_is_hardly_brighter_than_speckle_is_not_new():
+    ends = NEEDLE + np.array([0.0, 0.015, 0.01])
+    assert not is_new(SCENE.volume(1), ends, tuple(scene(3)), must_come=True)
+
+
 def test_volumes_before_the_probe_has_landed_lack_nothing():
     air = [replace(each, intensities=each.intensities // 8) for each in scene(5)]
     assert not is_new(volume(), NEEDLE, tuple(air), must_come=True)
