@@ -134,6 +134,7 @@ class TrackLifecycle:
             tip_unseen=max(time - track.tip_seen, 0.0),
             everywhere=everywhere,
             earlier=track.earlier,
+            must_come=everywhere and not (self.anywhere or track.grown),
         )
 
     def next(
@@ -161,21 +162,22 @@ class TrackLifecycle:
         What is found somewhere may be a structure that looks like the end of a needle, or a ghost.
         A needle grows.
         """
-        track = replace(track, grown=before.grown, earlier=before.earlier)
+        remembered = before.grown and track.reason != _WITHDRAWN
+        track = replace(track, grown=remembered, earlier=before.earlier)
         if track.state is None or track.mode == TrackingMode.SEARCHING:
             return track
         began = min(before.began, track.time)
         measured = track.state.curve.chord if track.mode == TrackingMode.TRACKING else 0.0
         longest = max(before.longest, measured)
-        grown = longest >= self.parameters.grown_length
-        if not grown and track.time - began > self.parameters.seconds_to_grow:
+        long_enough = longest >= self.parameters.grown_length
+        if not long_enough and track.time - began > self.parameters.seconds_to_grow:
             ended = self.without_needle(track.time, "what was found did not grow", track.searched)
             return replace(ended, grown=before.grown, earlier=before.earlier)
         return replace(
             track,
             began=began,
             longest=longest,
-            grown=grown or before.grown,
+            grown=before.grown or longest >= self.parameters.sure_length,
             tip_seen=max(before.tip_seen, track.tip_seen),
         )
 
@@ -194,10 +196,10 @@ class TrackLifecycle:
         if isinstance(measurement, NotFound):
             missed = replace(track, innovation=None, candidate=None, seen=0)
             return self._miss(missed, time, detection, speed, measurement.reason)
-        if everywhere or track.candidate is not None:
-            return self._find_again(track, time, measurement)
-        if track.mode == TrackingMode.SEARCHING or not self.parameters.filtering:
+        if not self.parameters.filtering:
             return self._confirmed(self.needle_filter.start(measurement), measurement)
+        if everywhere or track.candidate is not None or track.mode == TrackingMode.SEARCHING:
+            return self._find_again(track, time, measurement)
         assert track.state is not None
         if measurement.curve.direction @ track.state.curve.direction < 0:
             # Its tip has come out past its entry.
@@ -248,7 +250,7 @@ class TrackLifecycle:
                 seen = track.seen + 1
         if seen >= self.parameters.volumes_to_find_again:
             return self._confirmed(state, measurement)
-        reason = "a needle was found in the whole volume; it is not confirmed yet"
+        reason = "a needle was found; it is not confirmed yet"
         track = self._miss(track, time, NotFound(reason), None, reason)
         return replace(track, candidate=state, seen=seen)
 

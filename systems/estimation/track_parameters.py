@@ -27,14 +27,17 @@ class TrackParameters:
     grown_length, seconds_to_grow
         Length in m that a needle must reach within a time in s after it was found. What does not is
         given up.
+    sure_length
+        Length in m from which on what is followed surely is a needle. Before, one that is found
+        anywhere must be seen to come.
     volumes_to_confirm
         Number of volumes within which a detection must be repeated and the needle be localized.
     volumes_to_lose
         Number of successive volumes without the needle after which it is lost and the whole volume
         is searched.
     volumes_to_find_again
-        Number of successive volumes that must show a needle found in the whole volume before it is
-        tracked. Until then no robot moves for it.
+        Number of successive volumes that must show a needle that was found before it is tracked.
+        Until then no robot moves for it.
     seconds_between_searches
         Time between two searches in the whole volume while no insertion is seen, in s. They find a
         needle that moves too slowly, or from too deep, to be noticed. Zero switches them off.
@@ -64,6 +67,7 @@ class TrackParameters:
     max_jump: float = 4e-3
     grown_length: float = 10e-3
     seconds_to_grow: float = 3.0
+    sure_length: float = 20e-3
     volumes_to_confirm: int = 4
     volumes_to_lose: int = 4
     volumes_to_find_again: int = 3
@@ -84,6 +88,7 @@ class TrackParameters:
             max_jump=self.max_jump,
             grown_length=self.grown_length,
             seconds_to_grow=self.seconds_to_grow,
+            sure_length=self.sure_length,
             withdrawn_length=self.withdrawn_length,
             withdrawal_speed=self.withdrawal_speed,
             seconds_to_give_up=self.seconds_to_give_up,

@@ -80,12 +80,15 @@ def _has_come(
     if not near:
         return not must_come
     now, lacking = _evidence(volume, ends)[0], 0
-    if must_come and _LEAST_SHARE * now < _LEAST_EVIDENCE:
+    if must_come and _LACKING_SHARE * now < _LEAST_EVIDENCE:
         return False
     least = max(_LEAST_SHARE * now, _LEAST_EVIDENCE)
     for each, distance in near:
-        if _evidence(each, ends)[0] >= least:
+        evidence, beyond = _evidence(each, ends)
+        if evidence >= least:
             return False
+        if evidence >= _LEAST_EVIDENCE and (evidence >= _LACKING_SHARE * now or beyond > -_GROWN):
+            continue
         lacking += distance <= 1 and _shows_tissue(each, volume, ends)
         if lacking >= (_LOOKS if must_come else 1):
             return True

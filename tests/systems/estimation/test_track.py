@@ -180,20 +180,23 @@ def test_coast_lose_find_again_and_give_up():
     assert modes == ["coasting", "lost", "lost", "searching"]
 
 
-@pytest.mark.parametrize("known", [True, False])
-def test_a_needle_found_in_the_whole_volume_is_tracked_once_others_confirm_it(known):
+@pytest.mark.parametrize("before", ["lost", "nothing", "moved"])
+def test_a_needle_that_was_found_is_tracked_once_others_confirm_it(before):
     life = lifecycle(volumes_to_find_again=3, seconds_to_give_up=3.0)
-    track = dataclasses.replace(tracked(life), mode=TrackingMode.LOST)
-    track = track if known else life.without_needle(0.0)
+    track = life.without_needle(0.0)
+    if before == "lost":
+        track = dataclasses.replace(tracked(life), mode=TrackingMode.LOST)
+    elif before == "moved":
+        track = life.initiate(life.initiate(track, detection(2e-3)), detection(6e-3))
+    mode = track.mode
     seen = {"measurement": measurement(y=0.1)}
     modes, everywhere = [], []
     for time in (1.0, 1.3, 1.6):
         everywhere.append(life.predict(track, time, STILL).everywhere)
         track = life.next(track, time, **NOTHING | seen)
         modes.append(track.mode)
-    before = TrackingMode.LOST if known else TrackingMode.SEARCHING
-    assert modes == [before, before, TrackingMode.TRACKING]
-    assert everywhere == [True, False, False]
+    assert modes == [mode, mode, TrackingMode.TRACKING]
+    assert everywhere == [before != "moved", False, False]
     np.testing.assert_allclose(track.estimate.curve.tip, [0.03, 0.1, 0.0])
 
 
@@ -202,7 +205,7 @@ def test_a_needle_that_is_not_confirmed_is_forgotten(then):
     life = lifecycle(volumes_to_find_again=2)
     lost = dataclasses.replace(tracked(life), mode=TrackingMode.LOST)
     once = life.next(lost, 1.0, **NOTHING | {"measurement": measurement(y=0.1)})
-    assert once.reason == "a needle was found in the whole volume; it is not confirmed yet"
+    assert once.reason == "a needle was found; it is not confirmed yet"
     np.testing.assert_allclose(once.estimate.curve.tip, [0.03, 0.0, 0.0])
     other = {"measurement": measurement(y=0.2)} if then == "another needle" else {}
     then_seen = life.next(once, 1.3, **NOTHING | other)
@@ -232,7 +235,6 @@ def test_what_does_not_grow_is_given_up():
             seen = {"measurement": measurement(tip, time=time)}
             track = life.next(track, time, **NOTHING | seen)
         assert bool(track) is kept
-        assert track.grown is kept
         assert kept or track.reason == "what was found did not grow"
 
 
@@ -254,7 +256,7 @@ def test_the_prediction_knows_for_how_long_the_tip_is_unseen():
 
 
 def test_until_a_needle_has_grown_what_is_new_must_come():
-    life = lifecycle(grown_length=0.02, seconds_between_searches=0.1)
+    life = lifecycle(sure_length=0.02, seconds_between_searches=0.1)
     nothing = life.predict(life.without_needle(0.0), 1.0, STILL)
     assert nothing.everywhere
     assert nothing.must_come
@@ -264,6 +266,18 @@ def test_until_a_needle_has_grown_what_is_new_must_come():
     ended = life.next(grown, 99.0, **NOTHING)
     assert not ended
     assert not life.predict(ended, 99.5, STILL).must_come
+    short = life.next(tracked(life), 1.0, **NOTHING | {"measurement": measurement(0.019)})
+    lost = dataclasses.replace(short, mode=TrackingMode.LOST)
+    assert life.predict(lost, 2.0, STILL).must_come
+    assert not life.predict(dataclasses.replace(lost, grown=True), 2.0, STILL).must_come
+
+
+def test_after_a_withdrawal_a_needle_must_come_again():
+    life = lifecycle(sure_length=0.02, seconds_between_searches=0.1)
+    grown = life.next(tracked(life), 1.0, **NOTHING | {"measurement": measurement(0.03)})
+    out = life.next(grown, 1.3, **NOTHING | {"measurement": measurement(-0.01)})
+    assert (out.mode, out.reason) == (TrackingMode.SEARCHING, "the needle was withdrawn")
+    assert life.predict(out, 2.0, STILL).must_come
 
 
 def test_earlier_volumes_are_the_first_and_the_last_ones():

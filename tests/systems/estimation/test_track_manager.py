@@ -38,12 +38,12 @@ def volume(time, X_WP=None):
 
 
 class Bench:
-    """The manager with its inputs in hand."""
+    """The manager with its inputs in hand. One volume confirms, unless a test says otherwise."""
 
     def __init__(self, needle_filter=None, **parameters):
         lifecycle = TrackLifecycle(
             order=2,
-            parameters=TrackParameters(**parameters),
+            parameters=TrackParameters(**{"volumes_to_find_again": 1} | parameters),
             needle_filter=needle_filter or ControlPointFilter(),
         )
         self.manager = TrackManager(lifecycle=lifecycle, period=0.1)
@@ -155,7 +155,8 @@ def test_loss_ladder():
 
 def test_lost_needle_found_elsewhere_is_tracked_once_confirmed():
     bench = Bench(volumes_to_lose=1, volumes_to_find_again=2)
-    bench.track_from()
+    assert bench.track_from(-0.3).mode == TrackingMode.SEARCHING
+    assert bench.step(0.6, measurement=measurement(time=0.6)).mode == TrackingMode.TRACKING
     assert bench.step(0.9).mode == TrackingMode.LOST
     estimate = bench.step(1.2, measurement=measurement(0.08, 1.2, y=0.04, entry=0.05))
     assert estimate.mode == TrackingMode.LOST
