@@ -48,7 +48,7 @@ class Track(Immutable):
     innovation
         Mahalanobis distance of the last measurement from its prediction; None if none was gated.
     candidate
-        State of a needle found in the whole volume that is not confirmed yet.
+        State of a needle that was found and is not confirmed yet.
     seen
         Number of successive volumes that showed the candidate.
     searched
@@ -58,7 +58,7 @@ class Track(Immutable):
     began, longest
         Time in s at which the needle was found, and its largest length since, in m.
     grown
-        Whether a needle has ever grown to the length of one.
+        Whether a needle has been followed that was long enough to be one, and not withdrawn since.
     earlier
         Some of the volumes before a needle had grown, in order of time.
     reason

@@ -12,6 +12,7 @@ from pydrake.math import RigidTransform
 from scipy.stats import chi2
 
 from sonoservo.systems.estimation.needle_filter import NeedleFilter, NeedleState, require_order
+from sonoservo.systems.estimation.needle_motion import was_pushed
 from sonoservo.systems.estimation.track import Track
 from sonoservo.systems.estimation.track_parameters import TrackParameters
 from sonoservo.systems.signals.immutable import NotFound
@@ -54,7 +55,8 @@ class TrackLifecycle:
         Filter that starts, predicts and updates the track's state.
     anywhere
         Whether the whole volume is searched while there is no needle, and one that rests is taken.
-        If not, the first needle must be seen to come.
+        If not, a needle must be seen to come until one has been followed for some length, and again
+        after it was withdrawn.
     """
 
     order: int
@@ -108,15 +110,12 @@ class TrackLifecycle:
         """
         track = track.seen_from(X_WP)
         everywhere = self._is_searched_everywhere(track, time)
+        must_come = everywhere and not (self.anywhere or track.grown)
         last = track.candidate or track.state
         if last is None:
             if everywhere:
                 return NeedlePrediction(
-                    self.order,
-                    time,
-                    everywhere=True,
-                    earlier=track.earlier,
-                    must_come=not (self.anywhere or track.grown),
+                    self.order, time, everywhere=True, earlier=track.earlier, must_come=must_come
                 )
             return NotFound("no needle has been detected")
         state = last if everywhere else self.needle_filter.predict(last, time)
@@ -134,7 +133,7 @@ class TrackLifecycle:
             tip_unseen=max(time - track.tip_seen, 0.0),
             everywhere=everywhere,
             earlier=track.earlier,
-            must_come=everywhere and not (self.anywhere or track.grown),
+            must_come=must_come,
         )
 
     def next(
@@ -162,8 +161,10 @@ class TrackLifecycle:
         What is found somewhere may be a structure that looks like the end of a needle, or a ghost.
         A needle grows.
         """
-        remembered = before.grown and track.reason != _WITHDRAWN
-        track = replace(track, grown=remembered, earlier=before.earlier)
+        if track.state is None and track.reason == _WITHDRAWN:
+            # The next needle must come, and what showed this one tells nothing about it.
+            return track
+        track = replace(track, grown=before.grown, earlier=before.earlier)
         if track.state is None or track.mode == TrackingMode.SEARCHING:
             return track
         began = min(before.began, track.time)
@@ -196,10 +197,11 @@ class TrackLifecycle:
         if isinstance(measurement, NotFound):
             missed = replace(track, innovation=None, candidate=None, seen=0)
             return self._miss(missed, time, detection, speed, measurement.reason)
+        moved = track.mode == TrackingMode.SEARCHING and self.parameters.filtering
+        if everywhere or track.candidate is not None or moved:
+            return self._found(track, time, measurement)
         if not self.parameters.filtering:
             return self._confirmed(self.needle_filter.start(measurement), measurement)
-        if everywhere or track.candidate is not None or track.mode == TrackingMode.SEARCHING:
-            return self._find_again(track, time, measurement)
         assert track.state is not None
         if measurement.curve.direction @ track.state.curve.direction < 0:
             # Its tip has come out past its entry.
@@ -240,15 +242,20 @@ class TrackLifecycle:
         awaited = track.mode == TrackingMode.SEARCHING and track.state is None
         return track.mode == TrackingMode.LOST or (awaited and waited)
 
-    def _find_again(self, track: Track, time: float, measurement: NeedleMeasurement) -> Track:
-        """Return the track after a volume in which a search in the whole of it found a needle."""
+    def _found(self, track: Track, time: float, measurement: NeedleMeasurement) -> Track:
+        """Return the track after a volume that shows a needle which is not followed yet."""
         state, seen = self.needle_filter.start(measurement), 1
         if track.candidate is not None:
             expected = self.needle_filter.predict(track.candidate, measurement.time)
-            if innovation_distance(expected, measurement) <= self.gate:
+            agrees = innovation_distance(expected, measurement) <= self.gate
+            if agrees:
                 state = self.needle_filter.update(expected, measurement, None)
+            seconds = measurement.time - track.candidate.time
+            if agrees or was_pushed(
+                track.candidate.curve, measurement.curve, seconds, self.parameters.max_jump
+            ):
                 seen = track.seen + 1
-        if seen >= self.parameters.volumes_to_find_again:
+        if seen >= self.parameters.volumes_to_follow:
             return self._confirmed(state, measurement)
         reason = "a needle was found; it is not confirmed yet"
         track = self._miss(track, time, NotFound(reason), None, reason)
@@ -273,6 +280,7 @@ class TrackLifecycle:
         if track.mode == TrackingMode.SEARCHING:
             return self._await(track, time, detection, reason)
         if time - track.since > p.seconds_to_give_up:
+            reason = _WITHDRAWN if self._is_leaving(track.state) else reason
             return self.without_needle(time, reason, track.searched)
         if track.mode == TrackingMode.LOST:
             return replace(track, reason=reason)
@@ -283,18 +291,29 @@ class TrackLifecycle:
         if length < p.withdrawn_length:
             return self.without_needle(time, _WITHDRAWN, track.searched)
         # No robot goes after a needle that was last seen to come out.
-        leaving = float(state.velocity[-1] @ state.curve.direction) < -p.withdrawal_speed
-        lost = leaving or track.missed >= p.volumes_to_lose
+        lost = self._is_leaving(state) or track.missed >= p.volumes_to_lose
         mode = TrackingMode.LOST if lost else TrackingMode.COASTING
         return replace(track, mode=mode, time=state.time, state=state, reason=reason)
+
+    def _is_leaving(self, state: NeedleState | None) -> bool:
+        """Return True if a needle came out of the tissue fast when it was last seen."""
+        v = (
+            0.0
+            if state is None
+            else (state.velocity[-1] - state.velocity[0]) @ state.curve.direction
+        )
+        return bool(v < -self.parameters.withdrawal_speed)
 
     def _await(
         self, track: Track, time: float, detection: InsertionDetection | NotFound, reason: str
     ) -> Track:
         """Return the track after a volume in which no needle was localized yet."""
+        expired = track.missed >= self.parameters.volumes_to_confirm
         if isinstance(detection, InsertionDetection):
-            return self.initiate(track, detection)
-        if track.detections is None or track.missed >= self.parameters.volumes_to_confirm:
+            # What is never confirmed may not keep the whole volume from being searched.
+            begun = self.without_needle(time, searched=track.searched) if expired else track
+            return replace(self.initiate(begun, detection), missed=begun.missed if begun else 0)
+        if track.detections is None or expired:
             return self.without_needle(time, detection.reason, track.searched)
         return replace(track, reason=reason if track else detection.reason)
 

@@ -101,7 +101,7 @@ class TrackManager(LeafSystem):
         """Start to track a needle found by other means, as if the last volume had shown it."""
         state = self._lifecycle.needle_filter.start(measurement)
         track = self._lifecycle.confirm(state, measurement.time)
-        track = replace(track, volume_time=measurement.time, tip_seen=measurement.time)
+        track = replace(track, volume_time=measurement.time, tip_seen=measurement.time, grown=True)
         context.SetAbstractState(int(self._track), track)
 
     def _calc_estimate(self, context: Context, output: Value) -> None:

@@ -35,7 +35,7 @@ class TrackParameters:
     volumes_to_lose
         Number of successive volumes without the needle after which it is lost and the whole volume
         is searched.
-    volumes_to_find_again
+    volumes_to_follow
         Number of successive volumes that must show a needle that was found before it is tracked.
         Until then no robot moves for it.
     seconds_between_searches
@@ -70,7 +70,7 @@ class TrackParameters:
     sure_length: float = 20e-3
     volumes_to_confirm: int = 4
     volumes_to_lose: int = 4
-    volumes_to_find_again: int = 3
+    volumes_to_follow: int = 3
     seconds_between_searches: float = 0.25
     withdrawn_length: float = 6e-3
     withdrawal_speed: float = 5e-3
@@ -95,6 +95,12 @@ class TrackParameters:
             max_approach=self.max_approach,
         )
         require_not_negative(seconds_between_searches=self.seconds_between_searches)
+        require(
+            self.sure_length >= self.grown_length,
+            "sure_length",
+            self.sure_length,
+            f"grown_length, {self.grown_length}, or more",
+        )
         require(self.gate < 1, "gate", self.gate, "below 1")
-        for name in ("volumes_to_confirm", "volumes_to_lose", "volumes_to_find_again"):
+        for name in ("volumes_to_confirm", "volumes_to_lose", "volumes_to_follow"):
             require(getattr(self, name) >= 1, name, getattr(self, name), "1 or more")

@@ -1,11 +1,17 @@
 """Whether a line is new: earlier volumes lack it, or show it shorter."""
 
+from collections.abc import Callable
+from functools import cache
+
 import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.localization.needle_line import refined_line
 from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.volume import Volume
+
+Looks = Callable[[Volume], tuple[float, float]]
+"""Evidence for a line in a volume in dB m, and how far it goes beyond the line's end, in m."""
 
 THERE_BEFORE = "a line that looks like a needle was there before, or was not seen to come"
 """Reason why a line is not followed that may have rested."""
@@ -27,11 +33,11 @@ _LEAST_EVIDENCE = 12e-3
 """Evidence of a line that is more than speckle, in dB m."""
 
 _GROWN = 6e-3
-"""Length in m by which a needle has grown at least since a volume did not show its end."""
+"""Smallest length in m by which a line is shorter where its end is not shown."""
 
 _LACKING_SHARE, _SHORTER_SHARE, _SHORTER_LOOKS = 0.25, 0.4, 2
-"""Share of a line's evidence below which an earlier volume lacks it, share from which on one that
-shows less of it shows it shorter, and number of those that must."""
+"""Share of a line's evidence below which an earlier volume lacks it, smallest share of a shorter
+line, and number of earlier volumes that must show the line shorter."""
 
 _IN_VIEW, _BEYOND = 0.9, 4e-3
 """Share of a line, and length beyond its end in m, that are in view in an earlier volume that tells
@@ -44,6 +50,9 @@ which on an earlier volume shows no tissue there, as before the probe has landed
 _DISPLACED, _PARALLEL = 8e-3, 0.9
 """Largest distance in m to a line in an earlier volume that is the same one, displaced by breath,
 and smallest cosine of the angle between the two."""
+
+_OVERLAP = 0.5
+"""Smallest share of the shorter one that the two have in common."""
 
 
 def is_new(
@@ -67,24 +76,32 @@ def is_new(
     earlier
         Earlier volumes in order of time.
     must_come
-        Whether three of them must lack the line. If not, what no volume shows is new, too.
+        Whether three of them must lack the line, or it must have grown. If not, what no volume
+        shows is new, too. A line that is hardly brighter than speckle never is new then.
     """
-    return _has_come(volume, ends, earlier, must_come) or _has_grown(volume, ends, earlier)
+    looks = cache(lambda each: _evidence(each, ends))
+    return _has_come(volume, ends, earlier, must_come, looks) or _has_grown(
+        volume, ends, earlier, looks
+    )
 
 
 def _has_come(
-    volume: Volume, ends: NDArray[np.float64], earlier: tuple[Volume, ...], must_come: bool
+    volume: Volume,
+    ends: NDArray[np.float64],
+    earlier: tuple[Volume, ...],
+    must_come: bool,
+    looks: Looks,
 ) -> bool:
     """Return True if volumes from nearly the same place lacked a line before any showed it."""
     near = _near(volume, earlier)
     if not near:
         return not must_come
-    now, lacking = _evidence(volume, ends)[0], 0
+    now, lacking = looks(volume)[0], 0
     if must_come and _LACKING_SHARE * now < _LEAST_EVIDENCE:
         return False
     least = max(_LEAST_SHARE * now, _LEAST_EVIDENCE)
     for each, distance in near:
-        evidence, beyond = _evidence(each, ends)
+        evidence, beyond = looks(each)
         if evidence >= least:
             return False
         if evidence >= _LEAST_EVIDENCE and (evidence >= _LACKING_SHARE * now or beyond > -_GROWN):
@@ -95,15 +112,17 @@ def _has_come(
     return not must_come
 
 
-def _has_grown(volume: Volume, ends: NDArray[np.float64], earlier: tuple[Volume, ...]) -> bool:
+def _has_grown(
+    volume: Volume, ends: NDArray[np.float64], earlier: tuple[Volume, ...], looks: Looks
+) -> bool:
     """Return True if volumes lacked a line, then showed it shorter, before any showed all of it."""
-    now, lacking, shorter = _evidence(volume, ends)[0], 0, 0
+    now, lacking, shorter = looks(volume)[0], 0, 0
     if _LACKING_SHARE * now < _LEAST_EVIDENCE:
         return False
     for each in earlier:
         if not (_is_in_view(each, ends) and _shows_tissue(each, volume, ends)):
             continue
-        evidence, beyond = _evidence(each, ends)
+        evidence, beyond = looks(each)
         if evidence >= _LEAST_SHARE * now and beyond > -_GROWN:
             return False
         if evidence < _LACKING_SHARE * now:
@@ -159,8 +178,16 @@ def _evidence(volume: Volume, ends: NDArray[np.float64]) -> tuple[float, float]:
     k = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
     aside = line.ends.mean(axis=0) - ends.mean(axis=0)
     aside = aside - (aside @ k) * k
-    same = np.linalg.norm(aside) <= _DISPLACED and abs(line.direction @ k) >= _PARALLEL
-    return (line.evidence if same else 0.0), float(((line.ends - ends[1]) @ k).max())
+    length = float(np.linalg.norm(ends[1] - ends[0]))
+    first, last = np.sort((line.ends - ends[0]) @ k)
+    # Something bright may lie on the line, too, beyond the needle.
+    shared = min(last, length) - max(first, 0.0)
+    same = (
+        np.linalg.norm(aside) <= _DISPLACED
+        and abs(line.direction @ k) >= _PARALLEL
+        and shared >= _OVERLAP * min(last - first, length)
+    )
+    return (line.evidence, float(last - length)) if same else (0.0, -np.inf)
 
 
 def _is_in_view(volume: Volume, ends: NDArray[np.float64]) -> bool:

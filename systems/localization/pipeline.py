@@ -156,7 +156,8 @@ def _if_needle(
     line = _line_of(volume, measurement)
     if line is not None and -np.inf < line.log_odds < parameters.min_odds:
         return NotFound("what moved does not look like a needle")
-    if was_there(volume, _ends(measurement), prediction.earlier):
+    ends, earlier = _ends(measurement), prediction.earlier
+    if was_there(volume, ends, earlier) and not is_new(volume, ends, earlier, must_come=True):
         return NotFound(THERE_BEFORE)
     return measurement
 

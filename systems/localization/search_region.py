@@ -26,7 +26,7 @@ that is left for the faintest."""
 _LONG = 20e-3
 """Length in m from which on the direction of a needle is known."""
 
-_WITHDRAWN = 15e-3
+_SLOW_WITHDRAWAL = 15e-3
 """Speed in m/s up to which a faint end may be that of a needle being withdrawn."""
 
 _MOST_TURNED, _MOST_ASIDE, _MOST_ADVANCED, _MOST_LENGTHENED = math.radians(20), 25e-3, 50e-3, 1.0
@@ -176,7 +176,7 @@ def fades_before_tip(
     short = float(axis.abscissa(region.curve.tip)) - extent.tip
     doubtful = short > parameters.max_shortening and region.tip_unseen < parameters.max_unseen
     if extent.faint > 0:
-        doubtful |= short > parameters.margin + _WITHDRAWN * region.tip_unseen
+        doubtful |= short > parameters.margin + _SLOW_WITHDRAWAL * region.tip_unseen
     else:
         doubtful |= extent.end_std > parameters.faded_std
     return short > parameters.margin and doubtful

@@ -45,6 +45,11 @@ _CASES = (
         "something moved, and is not confirmed yet",
         "push the needle further in or more slowly (hand.pushes), or raise imaging.volume_rate",
     ),
+    (
+        "a needle was found",
+        "a needle was found, and is not confirmed yet",
+        "let the run be longer (duration), or raise imaging.volume_rate",
+    ),
     ("no needle in the whole", "no needle in the whole volume", _FAINT),
     ("no needle has been", "no needle has been detected", _FAINT),
     (
@@ -60,7 +65,7 @@ _CASES = (
     ("none of", "nothing lies where the needle is expected", _FAINT),
     ("nothing along", "no needle stands out along its line", _FAINT),
     (
-        "the line found",
+        "the line found does not come",
         "the line found does not come from outside the image",
         "let the needle come in from the side of the image (hand.entry, hand.aim)",
     ),

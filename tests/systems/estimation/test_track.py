@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform
 
+from sonoservo.systems.estimation.control_point_filter import ControlPointFilter
 from sonoservo.systems.estimation.track import Track
 from sonoservo.systems.estimation.track_lifecycle import TrackLifecycle, gate_distance
 from sonoservo.systems.estimation.track_parameters import TrackParameters
@@ -57,15 +58,17 @@ class FakeFilter:
         return dataclasses.replace(state, curve=curve, told=told)
 
 
-def lifecycle(anywhere=False, **parameters):
-    parameters = TrackParameters(**parameters)
+def lifecycle(anywhere=False, needle_filter=None, **parameters):
     return TrackLifecycle(
-        order=2, parameters=parameters, needle_filter=FakeFilter(), anywhere=anywhere
+        order=2,
+        parameters=TrackParameters(**parameters),
+        needle_filter=needle_filter or FakeFilter(),
+        anywhere=anywhere,
     )
 
 
-def measurement(tip=0.03, time=0.0, y=0.0):
-    curve = NeedleCurve([[0, y, 0], [tip, y, 0]])
+def measurement(tip=0.03, time=0.0, y=0.0, entry=0.0):
+    curve = NeedleCurve([[entry, y, 0], [tip, y, 0]])
     return NeedleMeasurement(curve, 1e-6 * np.eye(6), time, 100, 0.8)
 
 
@@ -182,7 +185,7 @@ def test_coast_lose_find_again_and_give_up():
 
 @pytest.mark.parametrize("before", ["lost", "nothing", "moved"])
 def test_a_needle_that_was_found_is_tracked_once_others_confirm_it(before):
-    life = lifecycle(volumes_to_find_again=3, seconds_to_give_up=3.0)
+    life = lifecycle(volumes_to_follow=3, seconds_to_give_up=3.0)
     track = life.without_needle(0.0)
     if before == "lost":
         track = dataclasses.replace(tracked(life), mode=TrackingMode.LOST)
@@ -200,9 +203,33 @@ def test_a_needle_that_was_found_is_tracked_once_others_confirm_it(before):
     np.testing.assert_allclose(track.estimate.curve.tip, [0.03, 0.1, 0.0])
 
 
+@pytest.mark.parametrize(
+    ("entry", "step", "followed"),
+    [(0.0, 0.012, True), (0.0, 0.03, False), (0.006, 0.012, True), (0.0, -0.012, False)],
+)
+def test_a_needle_that_is_pushed_on_fast_is_confirmed(entry, step, followed):
+    life = lifecycle(volumes_to_follow=3)
+    track = life.initiate(life.initiate(life.without_needle(0.0), detection(2e-3)), detection(6e-3))
+    for n in range(3):
+        moved = measurement(0.03 + n * step, 1.0 + 0.3 * n, entry=n * entry)
+        track = life.next(track, moved.time, **NOTHING | {"measurement": moved})
+    assert (track.mode == TrackingMode.TRACKING) is followed
+
+
+def test_a_guess_that_is_not_confirmed_yields_to_a_search():
+    life = lifecycle(volumes_to_confirm=2, seconds_between_searches=0.1)
+    track, searched = life.without_needle(0.0), []
+    for n in range(1, 12):
+        seen = {"detection": detection(3e-3 * n, 0.3 * n)}
+        expected = life.predict(track, 0.3 * n, STILL)
+        searched.append(not isinstance(expected, NotFound) and expected.everywhere)
+        track = life.next(track, 0.3 * n, **NOTHING | seen)
+    assert sum(searched[3:]) >= 2
+
+
 @pytest.mark.parametrize("then", ["nothing", "another needle"])
 def test_a_needle_that_is_not_confirmed_is_forgotten(then):
-    life = lifecycle(volumes_to_find_again=2)
+    life = lifecycle(volumes_to_follow=2)
     lost = dataclasses.replace(tracked(life), mode=TrackingMode.LOST)
     once = life.next(lost, 1.0, **NOTHING | {"measurement": measurement(y=0.1)})
     assert once.reason == "a needle was found; it is not confirmed yet"
@@ -272,12 +299,35 @@ def test_until_a_needle_has_grown_what_is_new_must_come():
     assert not life.predict(dataclasses.replace(lost, grown=True), 2.0, STILL).must_come
 
 
-def test_after_a_withdrawal_a_needle_must_come_again():
-    life = lifecycle(sure_length=0.02, seconds_between_searches=0.1)
-    grown = life.next(tracked(life), 1.0, **NOTHING | {"measurement": measurement(0.03)})
-    out = life.next(grown, 1.3, **NOTHING | {"measurement": measurement(-0.01)})
-    assert (out.mode, out.reason) == (TrackingMode.SEARCHING, "the needle was withdrawn")
-    assert life.predict(out, 2.0, STILL).must_come
+@pytest.mark.parametrize("seen_out", [True, False])
+def test_after_a_withdrawal_a_needle_must_come_again(seen_out):
+    life = lifecycle(
+        needle_filter=ControlPointFilter(), sure_length=0.02, seconds_between_searches=0.1
+    )
+    track = dataclasses.replace(tracked(life), earlier=(SimpleNamespace(time=-1.0),))
+    times = 0.3 * np.arange(1, 50)
+    for time, tip in zip(times, 0.03 - 0.0217 * times, strict=True):
+        out = tip < 0.012
+        seen = {} if out and not seen_out else {"measurement": measurement(tip, time=time)}
+        track = life.next(track, time, **NOTHING | seen)
+        if not track:
+            break
+        assert track.grown
+    assert (track.mode, track.reason) == (TrackingMode.SEARCHING, "the needle was withdrawn")
+    assert track.earlier == ()
+    assert life.predict(track, time + 1, STILL).must_come
+
+
+def test_a_needle_that_tissue_carries_along_is_not_lost_at_once():
+    life = lifecycle(needle_filter=ControlPointFilter(), volumes_to_lose=4)
+    for carried, mode in ((True, TrackingMode.COASTING), (False, TrackingMode.LOST)):
+        track = tracked(life)
+        for time in 0.3 * np.arange(1, 5):
+            out = -0.01 * time
+            seen = measurement(0.03 + out, time, entry=out if carried else 0.0)
+            track = life.next(track, time, **NOTHING | {"measurement": seen})
+        assert track.mode == TrackingMode.TRACKING
+        assert life.next(track, 1.5, **NOTHING).mode == mode
 
 
 def test_earlier_volumes_are_the_first_and_the_last_ones():

@@ -43,7 +43,7 @@ class Bench:
     def __init__(self, needle_filter=None, **parameters):
         lifecycle = TrackLifecycle(
             order=2,
-            parameters=TrackParameters(**{"volumes_to_find_again": 1} | parameters),
+            parameters=TrackParameters(**{"volumes_to_follow": 1} | parameters),
             needle_filter=needle_filter or ControlPointFilter(),
         )
         self.manager = TrackManager(lifecycle=lifecycle, period=0.1)
@@ -154,7 +154,7 @@ def test_loss_ladder():
 
 
 def test_lost_needle_found_elsewhere_is_tracked_once_confirmed():
-    bench = Bench(volumes_to_lose=1, volumes_to_find_again=2)
+    bench = Bench(volumes_to_lose=1, volumes_to_follow=2)
     assert bench.track_from(-0.3).mode == TrackingMode.SEARCHING
     assert bench.step(0.6, measurement=measurement(time=0.6)).mode == TrackingMode.TRACKING
     assert bench.step(0.9).mode == TrackingMode.LOST

@@ -19,7 +19,7 @@ from sonoservo.systems.localization.needle_line import (
     needle_lines,
     refined_line,
 )
-from sonoservo.systems.localization.novelty import is_new
+from sonoservo.systems.localization.novelty import is_new, was_there
 from sonoservo.systems.localization.search_region import found_again
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 
@@ -209,6 +209,25 @@ def test_looks_from_elsewhere_do_not_show_that_a_line_came(moved):
 
 def test_looks_from_far_away_show_nothing():
     assert is_new(volume(), NEEDLE, (*scene(2, NEEDLE, aside=0.02), *scene(3)), must_come=True)
+
+
+@pytest.mark.parametrize("must_come", [True, False])
+def test_something_bright_beyond_the_needle_is_no_earlier_needle(must_come):
+    """A needle is aimed at a target."""
+    target = NEEDLE[1] + np.outer([0.008, 0.022], K)
+    before = [SCENE.volume(number, lambda time: target) for number in range(4)]
+    both = np.maximum(volume().intensities, before[1].intensities)
+    image = replace(volume(), intensities=both)
+    assert is_new(image, NEEDLE, tuple(before), must_come=must_come)
+    assert not was_there(image, NEEDLE, tuple(before))
+    assert was_there(image, NEEDLE, tuple(scene(4, NEEDLE)))
+
+
+def test_more_looks_must_show_a_line_than_lack_it():
+    lacking, showing = scene(4), scene(4, NEEDLE)
+    for lack, show, there in ((0, 3, True), (3, 4, True), (3, 3, False), (0, 2, False)):
+        earlier = (*lacking[:lack], *showing[:show])
+        assert was_there(volume(), NEEDLE, earlier) is there
 
 
 SHORTER = np.array([ENTRY, ENTRY + 0.022 * K])

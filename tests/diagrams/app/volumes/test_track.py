@@ -198,7 +198,7 @@ def test_poses_of_plus_carry_the_needle_into_the_tracker_s_frame(tmp_path, volum
     array = volumes[-1].intensities
     path = write_meta_image(tmp_path / "a.mha", [array] * 3, tracked(3, [1]), steps=STEPS)
     at_once = tracker_parameters(start="anywhere")
-    at_once.track.volumes_to_find_again = 1
+    at_once.track.volumes_to_follow = 1
     result = track_recording(Recording(path), parameters=at_once, out=tmp_path / "out")
     assert result.summary["skipped"] == 1
     (first, second) = result.rows
