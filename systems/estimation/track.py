@@ -60,7 +60,7 @@ class Track(Immutable):
     grown
         Whether a needle has been followed that was long enough to be one, and not withdrawn since.
     earlier
-        Some of the volumes before a needle had grown, in order of time.
+        Some of the volumes from while no needle was followed for long, in order of time.
     reason
         Reason why the last volume did not confirm the needle.
     """

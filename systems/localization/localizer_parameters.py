@@ -60,7 +60,8 @@ class NeedleLocalizerParameters:
         Standard deviation of the tip along the axis if the needle leaves the field of view, in m;
         also the largest one. So it is if the needle fades before its tip.
     faded_std
-        Standard deviation of a visible end, in m, above which the needle may go on beyond it.
+        Standard deviation of a visible end, in m, above which the needle may go on beyond it. A
+        faint end has its own rule; see `fades_before_tip`.
     max_shortening, max_unseen
         Distance in m by which a hand cannot have shortened the needle between two volumes. An end
         that seems that much too short is not the tip until this time, in s, has passed.

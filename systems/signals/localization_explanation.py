@@ -124,7 +124,7 @@ class NeedleExtent(Immutable):
 
     @property
     def visible_tip(self) -> float:
-        """Abscissa up to which each part of the needle stands out, in m."""
+        """Abscissa up to which the needle stands out, apart from hidden parts in between, in m."""
         return self.tip - self.faint
 
 

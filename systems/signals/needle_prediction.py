@@ -40,10 +40,11 @@ class NeedlePrediction(Immutable):
     everywhere
         Whether the whole volume is searched, because the needle was lost or never seen.
     earlier
-        Some volumes in order of time from before a needle had grown. What they show before they
-        lack it is none.
+        Some volumes, in order of time, from while no needle was followed for long. A line that is
+        in them from the first is no needle.
     must_come
-        Whether a needle found anywhere counts only if some of these volumes lack it.
+        Whether a needle found anywhere counts only if some of these volumes lack it, or show it
+        shorter.
 
     Raises
     ------
