@@ -227,8 +227,7 @@ def _judge(
         raise _AbsentError("the axis stands out too little from the background")
     start = extent.start if region.entry is None else float(fit.axis.abscissa(region.entry))
     fades = fades_before_tip(region, fit.axis, extent, parameters)
-    expected = float(fit.axis.abscissa(region.curve.tip))
-    tip = max(expected, extent.tip) if fades else extent.tip
+    tip = float(fit.axis.abscissa(region.curve.tip)) if fades else extent.tip
     if extent.tip - start < parameters.min_length:
         raise _AbsentError("the needle has been withdrawn to its entry")
     # Interior points are uniform along the chord. The entry rests, the tip moves, no point slides.
