@@ -48,7 +48,7 @@ class Track(Immutable):
     innovation
         Mahalanobis distance of the last measurement from its prediction; None if none was gated.
     candidate
-        State of a needle that was found and is not confirmed yet.
+        State of a needle found in the whole volume that is not confirmed yet.
     seen
         Number of successive volumes that showed the candidate.
     searched

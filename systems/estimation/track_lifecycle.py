@@ -197,10 +197,9 @@ class TrackLifecycle:
         if isinstance(measurement, NotFound):
             missed = replace(track, innovation=None, candidate=None, seen=0)
             return self._miss(missed, time, detection, speed, measurement.reason)
-        moved = track.mode == TrackingMode.SEARCHING and self.parameters.filtering
-        if everywhere or track.candidate is not None or moved:
+        if everywhere or track.candidate is not None:
             return self._found(track, time, measurement)
-        if not self.parameters.filtering:
+        if track.mode == TrackingMode.SEARCHING or not self.parameters.filtering:
             return self._confirmed(self.needle_filter.start(measurement), measurement)
         assert track.state is not None
         if measurement.curve.direction @ track.state.curve.direction < 0:

@@ -39,11 +39,12 @@ class TrackManager(LeafSystem):
         - last_measurement
         - explanation
 
-    Detections that advance start a track, which stays unconfirmed until several successive volumes
-    have shown the needle. If a volume does not show it, or its measurement fails the gate, the
-    track coasts and the region of interest grows. After several such volumes the needle is lost,
-    and the whole volume is searched. After some time, or once the needle was withdrawn, a new
-    insertion is awaited. See `TrackLifecycle`, or `PublishedLifecycle` for other rules.
+    Detections that advance start a track, which stays unconfirmed until the needle is localized.
+    One found in the whole volume must be shown by several successive volumes. If a volume does not
+    show the needle, or its measurement fails the gate, the track coasts and the region of interest
+    grows. After several such volumes the needle is lost, and the whole volume is searched. After
+    some time, or once the needle was withdrawn, a new insertion is awaited. See `TrackLifecycle`,
+    or `PublishedLifecycle` for other rules.
 
     ``prediction`` is the `NeedlePrediction` for the volume at the input, or a `NotFound`. It
     depends only on the state and on that volume's time and pose, never on a measurement in it. It

@@ -36,8 +36,8 @@ class TrackParameters:
         Number of successive volumes without the needle after which it is lost and the whole volume
         is searched.
     volumes_to_follow
-        Number of successive volumes that must show a needle that was found before it is tracked.
-        Until then no robot moves for it.
+        Number of successive volumes that must show a needle found in the whole volume before it is
+        followed. Until then no robot moves for it.
     seconds_between_searches
         Time between two searches in the whole volume while no insertion is seen, in s. They find a
         needle that moves too slowly, or from too deep, to be noticed. Zero switches them off.

@@ -183,14 +183,12 @@ def test_coast_lose_find_again_and_give_up():
     assert modes == ["coasting", "lost", "lost", "searching"]
 
 
-@pytest.mark.parametrize("before", ["lost", "nothing", "moved"])
+@pytest.mark.parametrize("before", ["lost", "nothing"])
 def test_a_needle_that_was_found_is_tracked_once_others_confirm_it(before):
     life = lifecycle(volumes_to_follow=3, seconds_to_give_up=3.0)
     track = life.without_needle(0.0)
     if before == "lost":
         track = dataclasses.replace(tracked(life), mode=TrackingMode.LOST)
-    elif before == "moved":
-        track = life.initiate(life.initiate(track, detection(2e-3)), detection(6e-3))
     mode = track.mode
     seen = {"measurement": measurement(y=0.1)}
     modes, everywhere = [], []
@@ -199,7 +197,7 @@ def test_a_needle_that_was_found_is_tracked_once_others_confirm_it(before):
         track = life.next(track, time, **NOTHING | seen)
         modes.append(track.mode)
     assert modes == [mode, mode, TrackingMode.TRACKING]
-    assert everywhere == [before != "moved", False, False]
+    assert everywhere == [True, False, False]
     np.testing.assert_allclose(track.estimate.curve.tip, [0.03, 0.1, 0.0])
 
 
@@ -209,7 +207,7 @@ def test_a_needle_that_was_found_is_tracked_once_others_confirm_it(before):
 )
 def test_a_needle_that_is_pushed_on_fast_is_confirmed(entry, step, followed):
     life = lifecycle(volumes_to_follow=3)
-    track = life.initiate(life.initiate(life.without_needle(0.0), detection(2e-3)), detection(6e-3))
+    track = life.without_needle(0.0)
     for n in range(3):
         moved = measurement(0.03 + n * step, 1.0 + 0.3 * n, entry=n * entry)
         track = life.next(track, moved.time, **NOTHING | {"measurement": moved})
