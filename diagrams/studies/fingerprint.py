@@ -25,8 +25,8 @@ _PACKAGES = ("sonoservo", "drake", "numpy", "scipy", "numba", "llvmlite", "filte
 def code_fingerprint(*modules: str) -> str:
     """Return a digest of the code that makes results, of its data files and of Drake's version.
 
-    Code that only displays results (`_SHOWS_RESULTS`) is excluded: a better plot does not make runs
-    out of date.
+    Code that only displays results (`_SHOWS_RESULTS`) is excluded, and so are pages of
+    documentation: a better plot, or a better word, does not make runs out of date.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def code_fingerprint(*modules: str) -> str:
             names = (part, *path.relative_to(folder).with_suffix("").parts)
             code = path.suffix in (".py", ".pyi")
             counts = not code or reached is None or ".".join(("sonoservo", *names)) in reached
-            shows = any(name.endswith(_SHOWS_RESULTS) for name in names)
+            shows = path.suffix == ".md" or any(name.endswith(_SHOWS_RESULTS) for name in names)
             if path.is_file() and counts and not shows and "__pycache__" not in names:
                 digest.update("/".join(names).encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:16]
