@@ -1,3 +1,4 @@
+from .conspicuity import conspicuous_length as conspicuous_length
 from .curve_error import curve_deviations as curve_deviations
 from .log import Column as Column
 from .log import Log as Log

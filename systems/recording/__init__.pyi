@@ -14,5 +14,6 @@ from .side_files import read_acquisition as read_acquisition
 from .side_files import read_truth as read_truth
 from .side_files import side_path as side_path
 from .tracked_frames import TrackedFrames as TrackedFrames
+from .volume_collector import VolumeCollector as VolumeCollector
 from .volume_player import VolumePlayer as VolumePlayer
 from .volume_recorder import VolumeRecorder as VolumeRecorder

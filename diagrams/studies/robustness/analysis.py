@@ -19,7 +19,7 @@ from sonoservo.systems.evaluation.statistics.run_intervals import (
 Floats = NDArray[np.float64]
 
 ENOUGH_MM = 10.0
-"""Length of needle in the image from which a volume counts, in mm."""
+"""Length of needle that stands out from which a volume counts, in mm."""
 
 FOUND_MM, FOUND_DEG = 5.0, 5.0
 """Errors of tip and axis within which a tracked needle is the right one."""
@@ -44,8 +44,8 @@ class Record:
         (v,) errors in mm and deg; infinite without an estimate.
     tracking
         (v,) mask of the volumes that confirmed a needle.
-    in_view
-        (v,) true length in the swept sector, in mm.
+    conspicuous
+        (v,) length of the true needle that stands out in the volume, in mm.
     false_starts
         Number of false starts.
     seconds
@@ -62,7 +62,7 @@ class Record:
     tip: Floats
     axis: Floats
     tracking: NDArray[np.bool_]
-    in_view: Floats
+    conspicuous: Floats
     false_starts: int
     seconds: float
     shown_s: float
@@ -77,7 +77,7 @@ class Record:
             tip=np.where(np.isfinite(tip), tip, np.inf),
             axis=np.where(np.isfinite(axis), axis, np.inf),
             tracking=np.array(kept["tracking"], dtype=bool),
-            in_view=np.array(kept["in_view_mm"], dtype=float),
+            conspicuous=np.array(kept["conspicuous_mm"], dtype=float),
             false_starts=int(kept["false_starts"]),
             seconds=float(kept["seconds"]),
             shown_s=float(kept["shown_s"]),
@@ -97,8 +97,8 @@ class Record:
 
     @cached_property
     def judged(self) -> NDArray[np.bool_]:
-        """(v,) mask of the volumes from the detection on with enough of the needle in the image."""
-        return (np.cumsum(self.right) > 0) & (self.in_view >= ENOUGH_MM)
+        """(v,) mask of the volumes from the detection on with enough of the needle to be seen."""
+        return (np.cumsum(self.right) > 0) & (self.conspicuous >= ENOUGH_MM)
 
     @property
     def kept(self) -> bool:

@@ -8,6 +8,7 @@ from sonoservo.diagrams.studies.robustness.analysis import (
     SUCCESS_DEG,
     SUCCESS_MM,
 )
+from sonoservo.systems.evaluation.conspicuity import STANDS_OUT_DB
 
 TITLE = "Robustness: one dial of the harder world at a time, and all of them in the clinic"
 
@@ -28,10 +29,10 @@ NOTES = (
     "the published tracker thus has our controller, and not eq. 25 of its paper alone.",
     f"Found: a volume is tracked with the tip within {FOUND_MM:g} mm and the axis within "
     f"{FOUND_DEG:g} deg of the truth. Kept: this holds in {100 * KEPT:.0f} % of the volumes from "
-    f"then on in which at least {ENOUGH_MM:g} mm of the needle lie in the swept sector, whether or "
-    "not it stands out from the tissue there: shadows, air and a fading echo count against a "
-    f"tracker. Success: kept, and median errors of at most {SUCCESS_MM:g} mm and {SUCCESS_DEG:g} "
-    "deg in these volumes. A run that ends with an error is none.",
+    f"then on in which at least {ENOUGH_MM:g} mm of the needle stand {STANDS_OUT_DB:g} dB or more "
+    "over the tissue around it, measured in the image along the true needle. Success: kept, and "
+    f"median errors of at most {SUCCESS_MM:g} mm and {SUCCESS_DEG:g} deg in these volumes. A run "
+    "that ends with an error is none.",
     "Errors are those of the estimate after each of these volumes, at the time for which it holds. "
     "With an error of the hand-eye calibration, they are those in the probe's frame; with a wrong "
     "speed of sound, those across the depth; in the clinic, both. A run in which the needle is not "

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram, DiagramBuilder, System
 
-from sonoservo.diagrams.experiments.following_events import is_irregular
+from sonoservo.diagrams.experiments.following_events import is_irregular, observer_events
 from sonoservo.diagrams.experiments.following_insertion import (
     check_beside_probe,
     check_entry,
@@ -21,8 +21,10 @@ from sonoservo.diagrams.wiring import connect_by_name
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.needle.hand import Hand
 from sonoservo.systems.needle.insertion import Insertion
+from sonoservo.systems.recording.volume_collector import VolumeCollector
 from sonoservo.systems.robot.errors.calibration import hand_eye_error
 from sonoservo.systems.robot.errors.pose_delay import PoseDelay
+from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.ultrasound.imaging import sweep_geometry
 from sonoservo.systems.ultrasound.scan_converter import ScanConverter
 from sonoservo.systems.ultrasound.simulation.scanner import Scanner
@@ -32,7 +34,7 @@ from sonoservo.systems.ultrasound.transducer import load_transducer
 
 def run_open_loop(
     scenario: FollowingScenario, trackers: Sequence[str], *, correct_poses: bool = False
-) -> dict[str, RunLog]:
+) -> tuple[dict[str, RunLog], list[Volume]]:
     """Acquire a scenario's volumes with a probe that is moved as planned, and track in them.
 
     Every tracker gets the same volumes with the same poses; none of them moves the probe.
@@ -48,24 +50,26 @@ def run_open_loop(
 
     Returns
     -------
-    Log of each tracker, by its kind.
+    Log of each tracker, by its kind, and the volumes.
     """
     observers = {
         each: MakeLoggedTracker(scenario=scenario, tracker=each, correct_poses=correct_poses)
         for each in trackers
     }
-    diagram = _make_scene(scenario, observers)
+    collector = VolumeCollector(**observer_events(scenario))
+    diagram = _make_scene(scenario, {**observers, "volume_collector": collector})
     simulator = Simulator(diagram)
     simulator.Initialize()
     simulator.AdvanceTo(scenario.duration)
     context = simulator.get_context()
-    return {
+    logs = {
         name: log_of(each, each.GetMyContextFromRoot(context)) for name, each in observers.items()
     }
+    return logs, collector.volumes(collector.GetMyContextFromRoot(context))
 
 
-def _make_scene(scenario: FollowingScenario, observers: dict[str, Diagram]) -> Diagram:
-    """Return the diagram of planned motion, needle, scanner and trackers."""
+def _make_scene(scenario: FollowingScenario, observers: dict[str, System]) -> Diagram:
+    """Return the diagram of planned motion, needle, scanner and observers."""
     seeds, transducer = draw_seeds(scenario), load_transducer(scenario.probe)
     insertion = make_insertion(scenario)
     tissue = load_tissue(scenario.phantom).placed(insertion.entry, insertion.direction)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.diagrams.experiments.following import FollowingExperiment
+from sonoservo.diagrams.experiments.following_events import observer_events
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.studies.robustness.graded_dials import scenario_of
 from sonoservo.diagrams.studies.robustness.logged_tracker import MakeLoggedTracker, log_of
@@ -15,10 +16,14 @@ from sonoservo.diagrams.studies.robustness.open_loop import run_open_loop
 from sonoservo.diagrams.studies.robustness.search_path import MakeSearchingTracker
 from sonoservo.diagrams.studies.robustness.stated_doubt import inside_stated
 from sonoservo.diagrams.studies.study import Case
+from sonoservo.systems.evaluation.conspicuity import conspicuous_length
 from sonoservo.systems.evaluation.metrics import MetricsParameters, detection
 from sonoservo.systems.evaluation.run_errors import at_times, in_frame
 from sonoservo.systems.evaluation.run_log import RunLog, unit
+from sonoservo.systems.recording.volume_collector import VolumeCollector
+from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.needle_estimate import TrackingMode
+from sonoservo.systems.signals.volume import Volume
 
 OURS, PUBLISHED, ZHAO = "chatelain2013", "chatelain2013_as_published", "zhao2012"
 TRACKERS = (OURS, PUBLISHED, ZHAO)
@@ -51,15 +56,22 @@ def run_case(case: Case) -> Mapping[str, Any]:
     with scenario_of(settings, case.seed) as scenario:
         if settings["loop"] == "open":
             corrects = bool(settings.get("correct_poses"))
-            logs = run_open_loop(scenario, trackers, correct_poses=corrects)
+            logs, volumes = run_open_loop(scenario, trackers, correct_poses=corrects)
         elif settings["loop"] == "closed":
-            experiment = FollowingExperiment(scenario)
-            experiment.run()
-            logs = {trackers[0]: experiment.log()}
+            log, volumes = _run_closed_loop(scenario)
+            logs = {trackers[0]: log}
         else:
-            logs = _run_search(scenario, trackers)
+            logs, volumes = _run_search(scenario, trackers), []
     judged = {name: bool(settings.get(name)) for name in ("in_probe", "across_depth")}
-    return {kind: record(log, **judged) for kind, log in logs.items()}
+    return {kind: record(log, volumes, **judged) for kind, log in logs.items()}
+
+
+def _run_closed_loop(scenario: FollowingScenario) -> tuple[RunLog, list[Volume]]:
+    """Return the log of a run in which the robot follows the tracker, and its volumes."""
+    collector = VolumeCollector(**observer_events(scenario))
+    experiment = FollowingExperiment(scenario, observers={"volume_collector": collector})
+    experiment.run()
+    return experiment.log(), collector.volumes(experiment.context_of(collector))
 
 
 def _run_search(scenario: FollowingScenario, trackers: Sequence[str]) -> dict[str, RunLog]:
@@ -81,13 +93,22 @@ def _run_search(scenario: FollowingScenario, trackers: Sequence[str]) -> dict[st
     return {kind: log_of(each, experiment.context_of(each)) for kind, each in observers.items()}
 
 
-def record(log: RunLog, *, in_probe: bool = False, across_depth: bool = False) -> dict[str, Any]:
+def record(
+    log: RunLog,
+    volumes: Sequence[Volume] = (),
+    *,
+    in_probe: bool = False,
+    across_depth: bool = False,
+) -> dict[str, Any]:
     """Return what a study keeps of a tracker's run.
 
     Parameters
     ----------
     log
         Log of the run.
+    volumes
+        Its volumes, of which the `conspicuous_length` is measured; without a needle, none need be
+        given.
     in_probe
         Whether errors and false starts are those in the probe's frame; see `as_in_probe`.
         Otherwise, they are those in W.
@@ -97,16 +118,14 @@ def record(log: RunLog, *, in_probe: bool = False, across_depth: bool = False) -
     Returns
     -------
     `tip_mm`, `axis_deg`: errors of each volume's estimate, None without one; `tracking`: whether
-    the volume confirmed a needle; `in_view_mm`: true length of the needle in the swept sector;
+    the volume confirmed a needle; `conspicuous_mm`: length of the needle that stands out in it;
     `false_starts`: see `detection`; `seconds`: simulated time; `shown_s`, `travel_mm`: time for
     which a needle is shown, and distance that the servo commands the probe to go meanwhile, while
     there is none in the image, None if no servo follows the tracker; `inside`: `inside_stated`.
     """
+    conspicuous = conspicuous_lengths(log, volumes)
     log = as_in_probe(log) if in_probe else log
     tip, axis = judged_errors(log, across_depth=across_depth)
-    time = np.where(
-        np.isfinite(log.volume_estimate_time), log.volume_estimate_time, log.volume_time
-    )
     shown = np.isin(log.estimate_mode, _FOLLOWED)
     ghost = shown & (np.nan_to_num(log.visible_length) < _SHOWN)
     steps = np.diff(log.time, append=log.time[-1:])
@@ -116,13 +135,41 @@ def record(log: RunLog, *, in_probe: bool = False, across_depth: bool = False) -
         "tip_mm": 1e3 * tip,
         "axis_deg": np.rad2deg(axis),
         "tracking": log.volume_estimate_mode == TrackingMode.TRACKING,
-        "in_view_mm": 1e3 * np.nan_to_num(at_times(log, log.visible_length, time)),
+        "conspicuous_mm": 1e3 * conspicuous,
         "false_starts": detection(log, MetricsParameters())["false_starts"],
         "seconds": float(log.time[-1]),
         "shown_s": float(steps[ghost].sum()),
         "travel_mm": 1e3 * travel if np.isfinite(speed).any() else None,
         "inside": inside_stated(log, across_depth=across_depth),
     }
+
+
+def conspicuous_lengths(log: RunLog, volumes: Sequence[Volume]) -> Floats:
+    """Return the length of the true needle that stands out in each volume of a log, in m.
+
+    Parameters
+    ----------
+    log
+        Log of the run.
+    volumes
+        Volumes of the run, at least those that are acquired while the needle is in the tissue.
+
+    Returns
+    -------
+    (v,) lengths; 0 without a needle, and for a volume that was not given.
+    """
+    time = log.volume_time
+    true_X, points = at_times(log, log.X_WP, time), at_times(log, log.needle_points, time)
+    by_time = {each.time: each for each in volumes}
+    lengths = np.zeros(len(time))
+    for n in range(len(time)):
+        volume = by_time.get(float(time[n]))
+        if volume is not None and np.isfinite(points[n]).all():
+            # The volume shows the needle where it lay in P; its measured poses may be wrong.
+            p_P = in_frame(np.broadcast_to(true_X[n], (points.shape[1], 4, 4)), points[n])
+            shown = acquired_from(volume, volume.X_WP.multiply(p_P.T).T)
+            lengths[n] = conspicuous_length(volume, shown)
+    return lengths
 
 
 def as_in_probe(log: RunLog) -> RunLog:
