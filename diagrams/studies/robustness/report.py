@@ -24,7 +24,7 @@ Groups = Mapping[str, Mapping[str, Group]]
 _ERRORS: Sequence[tuple[str, str, Callable[[Group], Figure]]] = (
     ("found", "%", lambda group: group.share(lambda run: run.found)),
     (
-        "kept, while 10 mm or more lie in the swept sector",
+        "kept, while 10 mm or more stand out",
         "%",
         lambda group: group.share(lambda run: run.kept),
     ),
