@@ -110,7 +110,7 @@ class TrackLifecycle:
         """
         track = track.seen_from(X_WP)
         everywhere = self._is_searched_everywhere(track, time)
-        must_come = everywhere and not (self.anywhere or track.grown)
+        must_come = not (self.anywhere or track.grown)
         last = track.candidate or track.state
         if last is None:
             if everywhere:
@@ -174,11 +174,16 @@ class TrackLifecycle:
         if not long_enough and track.time - began > self.parameters.seconds_to_grow:
             ended = self.without_needle(track.time, "what was found did not grow", track.searched)
             return replace(ended, grown=before.grown, earlier=before.earlier)
+        followed = track.since - began
+        sure = (
+            longest >= self.parameters.sure_length
+            and followed >= self.parameters.seconds_to_be_sure
+        )
         return replace(
             track,
             began=began,
             longest=longest,
-            grown=before.grown or longest >= self.parameters.sure_length,
+            grown=before.grown or sure,
             tip_seen=max(before.tip_seen, track.tip_seen),
         )
 

@@ -27,9 +27,9 @@ class TrackParameters:
     grown_length, seconds_to_grow
         Length in m that a needle must reach within a time in s after it was found. What does not is
         given up.
-    sure_length
-        Length in m from which on what is followed surely is a needle. Before, one that is found
-        anywhere must be seen to come.
+    sure_length, seconds_to_be_sure
+        Length in m from which on what has been followed for a time in s surely is a needle. Before,
+        one that is found anywhere must be seen to come.
     volumes_to_confirm
         Number of volumes within which a detection must be repeated and the needle be localized.
     volumes_to_lose
@@ -68,6 +68,7 @@ class TrackParameters:
     grown_length: float = 10e-3
     seconds_to_grow: float = 3.0
     sure_length: float = 20e-3
+    seconds_to_be_sure: float = 3.0
     volumes_to_confirm: int = 4
     volumes_to_lose: int = 4
     volumes_to_follow: int = 3
@@ -94,7 +95,10 @@ class TrackParameters:
             seconds_to_give_up=self.seconds_to_give_up,
             max_approach=self.max_approach,
         )
-        require_not_negative(seconds_between_searches=self.seconds_between_searches)
+        require_not_negative(
+            seconds_between_searches=self.seconds_between_searches,
+            seconds_to_be_sure=self.seconds_to_be_sure,
+        )
         require(
             self.sure_length >= self.grown_length,
             "sure_length",

@@ -1,6 +1,6 @@
 """Whether a line is new: earlier volumes lack it, or show it shorter."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 
 import numpy as np
@@ -79,10 +79,33 @@ def is_new(
         Whether three of them must lack the line, or it must have grown. If not, what no volume
         shows is new, too. A line that is hardly brighter than speckle never is new then.
     """
-    looks = cache(lambda each: _evidence(each, ends))
-    return _has_come(volume, ends, earlier, must_come, looks) or _has_grown(
-        volume, ends, earlier, looks
-    )
+    looks = cache(lambda each: _evidence(each, acquired_from(each, ends)))
+    came = _has_come(volume, ends, earlier, must_come, looks)
+    new = came or _has_grown(volume, ends, earlier, looks)
+    return new and not rides_along(volume, ends, earlier)
+
+
+def rides_along(volume: Volume, ends: NDArray[np.float64], earlier: tuple[Volume, ...]) -> bool:
+    """Return True if most volumes from elsewhere show a line at the same place in the image.
+
+    A reverberation does that, and the glint of a level layer. Each moves along with the probe.
+
+    Parameters
+    ----------
+    volume
+        Volume in which the line was found.
+    ends
+        (2, 3) ends of the line in W, in m.
+    earlier
+        Earlier volumes.
+    """
+    p_P = acquired_from(volume, ends)
+    elsewhere = [each for each in earlier if not _is_along(acquired_from(each, ends), p_P)]
+    if len(elsewhere) < _LOOKS:
+        return False
+    least = max(_LEAST_SHARE * _evidence(volume, p_P)[0], _LEAST_EVIDENCE)
+    showing = sum(_evidence(each, p_P)[0] >= least for each in elsewhere)
+    return showing >= _LOOKS and 2 * showing > len(elsewhere)
 
 
 def _has_come(
@@ -115,8 +138,11 @@ def _has_come(
 def _has_grown(
     volume: Volume, ends: NDArray[np.float64], earlier: tuple[Volume, ...], looks: Looks
 ) -> bool:
-    """Return True if volumes lacked a line, then showed it shorter, before any showed all of it."""
-    now, lacking, shorter = looks(volume)[0], 0, 0
+    """Return True if volumes from one place lacked a line, and then showed it shorter.
+
+    None may have shown all of it before. What stands out of a structure varies with the view.
+    """
+    now, lacking, shorter = looks(volume)[0], list[Volume](), 0
     if _LACKING_SHARE * now < _LEAST_EVIDENCE:
         return False
     for each in earlier:
@@ -126,16 +152,21 @@ def _has_grown(
         if evidence >= _LEAST_SHARE * now and beyond > -_GROWN:
             return False
         if evidence < _LACKING_SHARE * now:
-            lacking += 1
-        elif evidence >= _SHORTER_SHARE * now and beyond <= -_GROWN and lacking >= _LOOKS:
-            shorter += 1
+            lacking.append(each)
+        elif evidence >= _SHORTER_SHARE * now and beyond <= -_GROWN:
+            shorter += len(_near(each, lacking)) >= _LOOKS
         if shorter >= _SHORTER_LOOKS:
             return True
     return False
 
 
-def was_there(volume: Volume, ends: NDArray[np.float64], earlier: tuple[Volume, ...]) -> bool:
-    """Return True if more earlier volumes showed a line up to its end than lacked it.
+def has_moved(
+    volume: Volume,
+    ends: NDArray[np.float64],
+    earlier: tuple[Volume, ...],
+    must_come: bool = False,
+) -> bool:
+    """Return True unless more earlier volumes showed a line up to its end than lacked it.
 
     The end of a needle that moved is new, even if the rest of it is not. Volumes from near its
     place may show it, and those from nearly the same place may lack it.
@@ -148,20 +179,23 @@ def was_there(volume: Volume, ends: NDArray[np.float64], earlier: tuple[Volume, 
         (2, 3) entry and tip in W, in m.
     earlier
         Earlier volumes.
+    must_come
+        Whether three of them must lack the line or its end, too.
     """
-    near = _near(volume, earlier)
-    least = max(_LEAST_SHARE * _evidence(volume, ends)[0], _LEAST_EVIDENCE)
+    least = max(_LEAST_SHARE * _evidence(volume, acquired_from(volume, ends))[0], _LEAST_EVIDENCE)
     showing = lacking = 0
-    for each, distance in near:
-        evidence, beyond = _evidence(each, ends)
+    for each, distance in _near(volume, earlier):
+        evidence, beyond = _evidence(each, acquired_from(each, ends))
         if evidence >= least and beyond > -_GROWN:
             showing += 1
         else:
             lacking += distance <= 1 and _shows_tissue(each, volume, ends)
-    return showing >= _LOOKS and showing > lacking
+    if must_come and lacking < _LOOKS:
+        return False
+    return showing < _LOOKS or showing <= lacking
 
 
-def _near(volume: Volume, earlier: tuple[Volume, ...]) -> list[tuple[Volume, float]]:
+def _near(volume: Volume, earlier: Sequence[Volume]) -> list[tuple[Volume, float]]:
     """Return the earlier volumes from near the same place, and how far each is from there."""
     return [(each, d) for each in earlier if (d := _distance(each, volume)) <= _NEARBY]
 
@@ -169,25 +203,26 @@ def _near(volume: Volume, earlier: tuple[Volume, ...]) -> list[tuple[Volume, flo
 def _evidence(volume: Volume, ends: NDArray[np.float64]) -> tuple[float, float]:
     """Return the evidence for a needle along a line or near it, and how far beyond the end it goes.
 
-    The first is in dB m, the second in m.
+    ``ends`` are those of the line in P, in m. The evidence is in dB m, the distance in m.
     """
-    ends = acquired_from(volume, ends)
     line = refined_line(volume, ends)
     if line is None:
         return 0.0, -np.inf
-    k = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
-    aside = line.ends.mean(axis=0) - ends.mean(axis=0)
-    aside = aside - (aside @ k) * k
     length = float(np.linalg.norm(ends[1] - ends[0]))
+    k = (ends[1] - ends[0]) / length
     first, last = np.sort((line.ends - ends[0]) @ k)
     # Something bright may lie on the line, too, beyond the needle.
     shared = min(last, length) - max(first, 0.0)
-    same = (
-        np.linalg.norm(aside) <= _DISPLACED
-        and abs(line.direction @ k) >= _PARALLEL
-        and shared >= _OVERLAP * min(last - first, length)
-    )
+    same = _is_along(line.ends, ends) and shared >= _OVERLAP * min(last - first, length)
     return (line.evidence, float(last - length)) if same else (0.0, -np.inf)
+
+
+def _is_along(line: NDArray[np.float64], ends: NDArray[np.float64]) -> bool:
+    """Return True if a line, (2, 3) in P, in m, lies nearly along another one."""
+    direction, k = ((b - a) / np.linalg.norm(b - a) for a, b in (line, ends))
+    aside = line.mean(axis=0) - ends.mean(axis=0)
+    aside = aside - (aside @ k) * k
+    return bool(np.linalg.norm(aside) <= _DISPLACED and abs(direction @ k) >= _PARALLEL)
 
 
 def _is_in_view(volume: Volume, ends: NDArray[np.float64]) -> bool:

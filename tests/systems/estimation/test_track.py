@@ -281,7 +281,7 @@ def test_the_prediction_knows_for_how_long_the_tip_is_unseen():
 
 
 def test_until_a_needle_has_grown_what_is_new_must_come():
-    life = lifecycle(sure_length=0.02, seconds_between_searches=0.1)
+    life = lifecycle(sure_length=0.02, seconds_to_be_sure=0.0, seconds_between_searches=0.1)
     nothing = life.predict(life.without_needle(0.0), 1.0, STILL)
     assert nothing.everywhere
     assert nothing.must_come
@@ -297,10 +297,24 @@ def test_until_a_needle_has_grown_what_is_new_must_come():
     assert not life.predict(dataclasses.replace(lost, grown=True), 2.0, STILL).must_come
 
 
+def test_what_was_followed_for_a_moment_may_be_no_needle():
+    life = lifecycle(sure_length=0.02, seconds_to_be_sure=2.0)
+    track = life.next(tracked(life), 1.0, **NOTHING | {"measurement": measurement(0.03, time=1.0)})
+    for time, grown in ((2.0, False), (2.9, False), (3.1, True)):
+        track = life.next(track, time, **NOTHING | {"measurement": measurement(0.03, time=time)})
+        assert track.grown is grown
+    # Only volumes that show it count.
+    track = life.next(tracked(life), 1.0, **NOTHING | {"measurement": measurement(0.03, time=1.0)})
+    assert not life.next(track, 3.1, **NOTHING).grown
+
+
 @pytest.mark.parametrize("seen_out", [True, False])
 def test_after_a_withdrawal_a_needle_must_come_again(seen_out):
     life = lifecycle(
-        needle_filter=ControlPointFilter(), sure_length=0.02, seconds_between_searches=0.1
+        needle_filter=ControlPointFilter(),
+        sure_length=0.02,
+        seconds_to_be_sure=0.0,
+        seconds_between_searches=0.1,
     )
     track = dataclasses.replace(tracked(life), earlier=(SimpleNamespace(time=-1.0),))
     times = 0.3 * np.arange(1, 50)

@@ -7,7 +7,7 @@ from independent_images import volume_case
 from independent_images.cases import draw_kinds
 from pydrake.math import RigidTransform, RollPitchYaw
 from random_scans import random_scan
-from synthetic_volumes import Scene, entry_on_side
+from synthetic_volumes import GEOMETRY, Scene, entry_on_side
 
 from sonoservo.diagrams.app.volumes.locate import locate_in
 from sonoservo.systems.localization import needle_line as module
@@ -19,7 +19,7 @@ from sonoservo.systems.localization.needle_line import (
     needle_lines,
     refined_line,
 )
-from sonoservo.systems.localization.novelty import is_new, was_there
+from sonoservo.systems.localization.novelty import has_moved, is_new, rides_along
 from sonoservo.systems.localization.search_region import found_again
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 
@@ -48,6 +48,14 @@ def test_the_needle_is_the_most_probable_line():
     first, *others = needle_lines(volume())
     assert abs(first.direction @ K) > np.cos(np.radians(2))
     assert all(each.log_odds <= first.log_odds for each in others)
+
+
+def test_a_line_along_the_side_of_the_field_of_view_is_no_needle():
+    depths = np.array([20e-3, 60e-3]) / GEOMETRY.sample_pitch
+    for last, possible in ((3, False), (30, True)):
+        ends = GEOMETRY.position(12, np.array([3, last]), depths, 1)
+        found = refined_line(SCENE.volume(1, lambda time, ends=ends: ends), ends)
+        assert np.isfinite(found.log_odds) == possible
 
 
 def test_a_whole_needle_takes_the_place_of_its_parts(monkeypatch):
@@ -219,15 +227,15 @@ def test_something_bright_beyond_the_needle_is_no_earlier_needle(must_come):
     both = np.maximum(volume().intensities, before[1].intensities)
     image = replace(volume(), intensities=both)
     assert is_new(image, NEEDLE, tuple(before), must_come=must_come)
-    assert not was_there(image, NEEDLE, tuple(before))
-    assert was_there(image, NEEDLE, tuple(scene(4, NEEDLE)))
+    assert has_moved(image, NEEDLE, tuple(before))
+    assert not has_moved(image, NEEDLE, tuple(scene(4, NEEDLE)))
 
 
 def test_more_looks_must_show_a_line_than_lack_it():
     lacking, showing = scene(4), scene(4, NEEDLE)
     for lack, show, there in ((0, 3, True), (3, 4, True), (3, 3, False), (0, 2, False)):
         earlier = (*lacking[:lack], *showing[:show])
-        assert was_there(volume(), NEEDLE, earlier) is there
+        assert has_moved(volume(), NEEDLE, earlier) is not there
 
 
 SHORTER = np.array([ENTRY, ENTRY + 0.022 * K])
@@ -240,8 +248,49 @@ def test_a_line_that_grew_is_new_wherever_it_was_seen_from():
     for earlier in (lacking, lacking[:2] + shorter, lacking + shorter[:1], shorter + lacking):
         assert not is_new(volume(), NEEDLE, tuple(earlier), must_come=True)
     assert not is_new(volume(), NEEDLE, (*whole[:1], *lacking, *shorter), must_come=True)
+    lacking_elsewhere = scene(3, aside=0.01)
+    assert not is_new(volume(), NEEDLE, (*lacking_elsewhere, *shorter, *whole), must_come=True)
     partly_out_of_view = scene(3, aside=0.02)
     assert not is_new(volume(), NEEDLE, (*partly_out_of_view, *shorter), must_come=True)
+
+
+ACROSS = np.array([0.0, 0.0, 0.012])
+ALONG = 0.012 * K
+
+
+def moved_along(step, line_moves, count=3):
+    """Volumes of a probe that was moved by a step in W; the line moves with it, or stays."""
+    ends = NEEDLE + step if line_moves else NEEDLE
+    return [SCENE.volume(number, lambda time: ends, RigidTransform(step)) for number in range(count)]
+
+
+def test_a_line_that_rides_along_with_the_probe_is_not_new():
+    """A reverberation does, and the glint of a level layer."""
+    riding = moved_along(ACROSS, line_moves=True)
+    assert rides_along(volume(), NEEDLE, tuple(riding))
+    assert not is_new(volume(), NEEDLE, (*riding, *scene(3)), must_come=True)
+    assert not rides_along(volume(), NEEDLE, tuple(riding[:2]))
+    lacking = [SCENE.volume(number, None, RigidTransform(ACROSS)) for number in range(3)]
+    assert not rides_along(volume(), NEEDLE, (*riding, *lacking))
+
+
+def test_a_line_at_rest_does_not_ride_along():
+    resting = moved_along(ACROSS, line_moves=False)
+    assert not rides_along(volume(), NEEDLE, tuple(resting))
+    assert is_new(volume(), NEEDLE, (*scene(3), *resting), must_come=True)
+
+
+def test_a_probe_that_moves_along_a_line_does_not_tell_whether_it_rides_along():
+    assert not rides_along(volume(), NEEDLE, tuple(moved_along(ALONG, line_moves=True)))
+
+
+def test_what_moved_must_have_been_lacking_where_it_must_come():
+    for lack, moved in ((0, False), (2, False), (3, True)):
+        assert has_moved(volume(), NEEDLE, tuple(scene(lack)), must_come=True) is moved
+        assert has_moved(volume(), NEEDLE, tuple(scene(lack)))
+    assert not has_moved(volume(), NEEDLE, (*scene(3), *scene(4, NEEDLE)), must_come=True)
+    elsewhere = scene(4, aside=0.003)
+    assert not has_moved(volume(), NEEDLE, tuple(elsewhere), must_come=True)
 
 
 def test_a_line_that_is_hardly_brighter_than_speckle_is_not_new():
