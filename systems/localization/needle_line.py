@@ -49,9 +49,9 @@ _STREAKS = 3.0
 """Smallest length of a needle as a multiple of the length to which the beam draws out a point. Far
 from the lens's focus, a single scatterer looks like a short needle across the frames."""
 
-_BESIDE, _SKIRTING = 3e-3, 0.7
-"""Distance from the side of the field of view at which a point of a line skirts it, in m, and share
-of such points from which on the line is the field's own edge rather than a needle."""
+_BESIDE, _EDGE_SHARE = 3e-3, 0.7
+"""Distance in m at which a point at an edge of the field of view has more unseen sides than seen
+ones, and share of such points from which on a line is that edge rather than a needle."""
 
 _STEP = 0.5e-3
 """Distance between samples along a line, in m."""
@@ -159,7 +159,7 @@ def judged(volume: Volume, line: NeedleLine) -> NeedleLine:
         or line.entry_gap > _FARTHEST
         or abs(line.direction[1]) > _STEEPEST
         or line.length < _STREAKS * streak_length(volume, line.ends)
-        or _skirts_side(volume, line.ends)
+        or _is_edge(volume, line.ends)
     ):  # fmt: skip
         return replace(line, log_odds=-math.inf)
     features = line_features(
@@ -172,12 +172,12 @@ def judged(volume: Volume, line: NeedleLine) -> NeedleLine:
     return replace(line, log_odds=sum(w * features[name] for name, w in _WEIGHTS.items()))
 
 
-def _skirts_side(volume: Volume, ends: Floats) -> bool:
-    """Return True if a line runs along the side of the field of view, where the image ends."""
+def _is_edge(volume: Volume, ends: Floats) -> bool:
+    """Return True if a line runs along an edge of the field of view, where two sides meet."""
     _, across = _across(ends)
     points = np.linspace(ends[0], ends[1], 16)[:, np.newaxis]
-    beside = volume.sample(points + _BESIDE * np.concatenate([across, -across])) > 0
-    return bool(np.mean(~beside.all(axis=1)) >= _SKIRTING)
+    unseen = volume.sample(points + _BESIDE * _CIRCLE @ across) == 0
+    return bool(np.mean(unseen.mean(axis=1) > 0.5) >= _EDGE_SHARE)
 
 
 def refined_line(volume: Volume, ends: Floats) -> NeedleLine | None:

@@ -50,12 +50,16 @@ def test_the_needle_is_the_most_probable_line():
     assert all(each.log_odds <= first.log_odds for each in others)
 
 
-def test_a_line_along_the_side_of_the_field_of_view_is_no_needle():
-    depths = np.array([20e-3, 60e-3]) / GEOMETRY.sample_pitch
-    for last, possible in ((3, False), (30, True)):
-        ends = GEOMETRY.position(12, np.array([3, last]), depths, 1)
-        found = refined_line(SCENE.volume(1, lambda time, ends=ends: ends), ends)
-        assert np.isfinite(found.log_odds) == possible
+@pytest.mark.parametrize(
+    ("lines", "depths", "possible"),
+    [([1, 1], [2e-3, 60e-3], False), ([2, 60], [40e-3, 40e-3], True)],
+    ids=["along an edge", "in an outer frame"],
+)
+def test_a_line_along_an_edge_of_the_field_of_view_is_no_needle(lines, depths, possible):
+    samples = np.array(depths) / GEOMETRY.sample_pitch
+    ends = GEOMETRY.position(1, np.array(lines), samples, 1)
+    found = refined_line(SCENE.volume(1, lambda time: ends), ends)
+    assert np.isfinite(found.log_odds) == possible
 
 
 def test_a_whole_needle_takes_the_place_of_its_parts(monkeypatch):
@@ -261,7 +265,9 @@ ALONG = 0.012 * K
 def moved_along(step, line_moves, count=3):
     """Volumes of a probe that was moved by a step in W; the line moves with it, or stays."""
     ends = NEEDLE + step if line_moves else NEEDLE
-    return [SCENE.volume(number, lambda time: ends, RigidTransform(step)) for number in range(count)]
+    return [
+        SCENE.volume(number, lambda time: ends, RigidTransform(step)) for number in range(count)
+    ]
 
 
 def test_a_line_that_rides_along_with_the_probe_is_not_new():
