@@ -49,9 +49,9 @@ _STREAKS = 3.0
 """Smallest length of a needle as a multiple of the length to which the beam draws out a point. Far
 from the lens's focus, a single scatterer looks like a short needle across the frames."""
 
-_BESIDE, _EDGE_SHARE = 3e-3, 0.7
-"""Distance in m at which a point at an edge of the field of view has more unseen sides than seen
-ones, and share of such points from which on a line is that edge rather than a needle."""
+_BESIDE, _UNSEEN, _EDGE_SHARE = 3e-3, 0.4, 0.6
+"""Distance in m at which more than a share of a point's sides are unseen if it lies at an edge of
+the field of view, and share of such points from which on a line is that edge."""
 
 _STEP = 0.5e-3
 """Distance between samples along a line, in m."""
@@ -177,7 +177,7 @@ def _is_edge(volume: Volume, ends: Floats) -> bool:
     _, across = _across(ends)
     points = np.linspace(ends[0], ends[1], 16)[:, np.newaxis]
     unseen = volume.sample(points + _BESIDE * _CIRCLE @ across) == 0
-    return bool(np.mean(unseen.mean(axis=1) > 0.5) >= _EDGE_SHARE)
+    return bool(np.mean(unseen.mean(axis=1) > _UNSEEN) >= _EDGE_SHARE)
 
 
 def refined_line(volume: Volume, ends: Floats) -> NeedleLine | None:

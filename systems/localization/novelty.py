@@ -169,7 +169,7 @@ def has_moved(
     """Return True unless more earlier volumes showed a line up to its end than lacked it.
 
     The end of a needle that moved is new, even if the rest of it is not. Volumes from near its
-    place may show it, and those from nearly the same place may lack it.
+    place may show it or lack all of it, and those from nearly the same place may lack its end.
 
     Parameters
     ----------
@@ -182,14 +182,15 @@ def has_moved(
     must_come
         Whether three of them must lack the line or its end, too.
     """
-    least = max(_LEAST_SHARE * _evidence(volume, acquired_from(volume, ends))[0], _LEAST_EVIDENCE)
+    now = _evidence(volume, acquired_from(volume, ends))[0]
+    least = max(_LEAST_SHARE * now, _LEAST_EVIDENCE)
     showing = lacking = 0
     for each, distance in _near(volume, earlier):
         evidence, beyond = _evidence(each, acquired_from(each, ends))
         if evidence >= least and beyond > -_GROWN:
             showing += 1
-        else:
-            lacking += distance <= 1 and _shows_tissue(each, volume, ends)
+        elif distance <= 1 or (evidence < _LACKING_SHARE * now and _is_in_view(each, ends)):
+            lacking += _shows_tissue(each, volume, ends)
     if must_come and lacking < _LOOKS:
         return False
     return showing < _LOOKS or showing <= lacking

@@ -295,8 +295,9 @@ def test_what_moved_must_have_been_lacking_where_it_must_come():
         assert has_moved(volume(), NEEDLE, tuple(scene(lack)), must_come=True) is moved
         assert has_moved(volume(), NEEDLE, tuple(scene(lack)))
     assert not has_moved(volume(), NEEDLE, (*scene(3), *scene(4, NEEDLE)), must_come=True)
-    elsewhere = scene(4, aside=0.003)
-    assert not has_moved(volume(), NEEDLE, tuple(elsewhere), must_come=True)
+    for aside, needle, moved in ((0.003, None, True), (0.003, SHORTER, False), (0.02, None, False)):
+        earlier = tuple(scene(4, needle, aside=aside))
+        assert has_moved(volume(), NEEDLE, earlier, must_come=True) is moved
 
 
 def test_a_line_that_is_hardly_brighter_than_speckle_is_not_new():
