@@ -58,7 +58,8 @@ class Track(Immutable):
     began, longest
         Time in s at which the needle was found, and its largest length since, in m.
     grown
-        Whether a needle has been followed that was long enough to be one, and not withdrawn since.
+        Whether a needle has been followed that was long enough, and for long enough, to be one, and
+        not withdrawn since.
     earlier
         Some of the volumes from while no needle was followed for long, in order of time.
     reason

@@ -29,7 +29,7 @@ class TrackParameters:
         given up.
     sure_length, seconds_to_be_sure
         Length in m from which on what has been followed for a time in s surely is a needle. Before,
-        one that is found anywhere must be seen to come.
+        a needle must be seen to come.
     volumes_to_confirm
         Number of volumes within which a detection must be repeated and the needle be localized.
     volumes_to_lose

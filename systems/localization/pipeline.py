@@ -9,12 +9,7 @@ from scipy.special import expit
 
 from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.localization.needle_line import NeedleLine, line_between, needle_lines
-from sonoservo.systems.localization.novelty import (
-    THERE_BEFORE,
-    has_moved,
-    is_new,
-    rides_along,
-)
+from sonoservo.systems.localization.novelty import THERE_BEFORE, has_moved, is_new, rides_along
 from sonoservo.systems.localization.region_localization import localize_in_region
 from sonoservo.systems.localization.search_region import (
     found_again,
@@ -154,7 +149,7 @@ def _if_needle(
     prediction: NeedlePrediction,
     parameters: NeedleLocalizerParameters,
 ) -> NeedleMeasurement | NotFound:
-    """Return the measurement of what moved, unless it clearly is a sheet or was there before.
+    """Return the measurement of what moved, unless it clearly is a sheet or did not come.
 
     Where its looks cannot tell, as while it is too short, its motion must do.
     """

@@ -43,8 +43,7 @@ class NeedlePrediction(Immutable):
         Some volumes, in order of time, from while no needle was followed for long. A line that is
         in them from the first is no needle.
     must_come
-        Whether a needle found anywhere counts only if some of these volumes lack it, or show it
-        shorter.
+        Whether a new needle counts only if some of these volumes lack it, or show it shorter.
 
     Raises
     ------
