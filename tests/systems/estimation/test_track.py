@@ -291,6 +291,9 @@ def test_until_a_needle_has_grown_what_is_new_must_come():
     ended = life.next(grown, 99.0, **NOTHING)
     assert not ended
     assert not life.predict(ended, 99.5, STILL).must_come
+    moved = dataclasses.replace(tracked(life), mode=TrackingMode.SEARCHING)
+    assert life.predict(moved, 1.0, STILL).must_come
+    assert not life.predict(dataclasses.replace(moved, grown=True), 1.0, STILL).must_come
     short = life.next(tracked(life), 1.0, **NOTHING | {"measurement": measurement(0.019)})
     lost = dataclasses.replace(short, mode=TrackingMode.LOST)
     assert life.predict(lost, 2.0, STILL).must_come

@@ -334,6 +334,25 @@ def test_what_moved_was_not_there_before():
             assert found.reason == THERE_BEFORE
 
 
+def test_what_moved_must_be_seen_to_come():
+    """Until a needle was followed: structures come into view as the probe moves."""
+    volume, without = SCENE.volume(1, lambda time: needle(0.03)), SCENE.volume(2)
+    for lacking, came in ((0, False), (2, False), (3, True)):
+        guess = expected(needle(0.03), entry=None, earlier=(without,) * lacking, must_come=True)
+        found = run(volume, guess)
+        assert bool(found) is came
+        if not came:
+            assert found.reason == THERE_BEFORE
+
+
+def test_what_moved_does_not_ride_along_with_the_probe():
+    step = np.array([0.0, 0.0, 0.012])
+    volume = SCENE.volume(1, lambda time: needle(0.03))
+    riding = SCENE.volume(2, lambda time: needle(0.03) + step, RigidTransform(step))
+    found = run(volume, expected(needle(0.03), entry=None, earlier=(riding,) * 3))
+    assert found.reason == THERE_BEFORE
+
+
 @pytest.mark.parametrize("unseen", [0.0, 2.0])
 def test_a_needle_cannot_be_withdrawn_at_once(unseen):
     """What cuts off its echo is thought to be a shadow, until it has lasted."""
