@@ -1,4 +1,4 @@
-"""Whether a line is new: earlier volumes lack it, or show it shorter."""
+"""Whether a line is new: earlier volumes lack it or show it shorter, and it does not ride along."""
 
 from collections.abc import Callable, Sequence
 from functools import cache
@@ -65,7 +65,8 @@ def is_new(
 
     A second needle, a guide wire or a fascia looks like a needle, but was there before. Only
     volumes from nearly the same place tell whether a line that they lack is new, as a specular one
-    comes and goes with the view. Volumes from anywhere tell whether it has grown.
+    comes and goes with the view. Volumes from near one place, wherever that is, tell whether it has
+    grown. What rides along with the probe is not new.
 
     Parameters
     ----------
