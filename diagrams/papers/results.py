@@ -1,8 +1,8 @@
 """Kept results of papers and studies, and the tables of the documentation that show them.
 
 The results of a paper or study are the file ``results.json`` in its package, made by ``sonoservo
-reproduce all --keep``, or by its own name instead of "all". They are shown only as long as the code
-that made them is the present one.
+reproduce all --keep``, or by its own name instead of "all". The tables name the commit that made
+them, and say so if the code that makes them has changed since.
 """
 
 import json
@@ -24,10 +24,9 @@ PAGES = (_ROOT / "README.md", _ROOT / "notebooks/docs/results.md")
 
 _TABLE = re.compile(r"<!-- results (\w+) (\w+) -->\n.*?<!-- end of results -->", re.S)
 
-_NONE = (
-    "*There are no results of this version yet: its code is not the one that made the last ones. "
-    "`sonoservo reproduce {} --keep` makes them, in hours.*"
-)
+_NONE = "*There are no results yet. `sonoservo reproduce {} --keep` makes them, in hours.*"
+
+_CHANGED = " *The code that makes these results has changed since.*"
 
 _HEADS = (
     "experiment", "quantity", "paper", "ours, estimated", "ours, true", "95 %",
@@ -67,21 +66,30 @@ def keep_results(results: Mapping[str, Mapping[str, Any]]) -> None:
 
 
 def kept_results(paper: str) -> dict[str, Any] | None:
-    """Return the kept results of a paper; None if there are none, or other code made them.
-
-    With another version of Drake than the one that made them, they are returned, as nobody can tell
-    whether the code would still give them.
-    """
+    """Return the kept results of a paper; None if there are none."""
     path = _results_path(paper)
     if not path.is_file():
         return None
     kept: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return kept
+
+
+def is_outdated(kept: Mapping[str, Any]) -> bool:
+    """Return True if results were made by other code than the present one.
+
+    With another version of Drake than the one that made them, nobody can tell.
+
+    Parameters
+    ----------
+    kept
+        Contents of study.json.
+    """
     same_drake = kept["drake"] == version("drake")
-    return None if same_drake and kept["fingerprint"] != study_fingerprint(paper) else kept
+    return bool(same_drake and kept["fingerprint"] != study_fingerprint(kept["paper"]))
 
 
 def results_table(kept: Mapping[str, Any], rows: str) -> str:
-    """Return results as Markdown: where they come from, and a table.
+    """Return results as Markdown: where they come from, whether that is outdated, and a table.
 
     Parameters
     ----------
@@ -92,11 +100,12 @@ def results_table(kept: Mapping[str, Any], rows: str) -> str:
         the strengths at which success ends, in a study that has them.
     """
     source = f"Commit {kept['commit'][:10]}, `{kept['command']}`"
+    changed = _CHANGED if is_outdated(kept) else ""
     if rows == "thresholds":
-        return f"{source}.\n\n{_thresholds_table(kept['thresholds'])}"
+        return f"{source}.{changed}\n\n{_thresholds_table(kept['thresholds'])}"
     judged = [row["met"] for row in kept["rows"] if row["met"] is not None]
     lines = [
-        f"{source}: {sum(judged)} of {len(judged)} targets met.",
+        f"{source}: {sum(judged)} of {len(judged)} targets met.{changed}",
         "",
         "| " + " | ".join(_HEADS) + " |",
         "|" + "---|" * len(_HEADS),

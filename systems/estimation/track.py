@@ -55,11 +55,10 @@ class Track(Immutable):
         Time of the last search in the whole volume, in s.
     tip_seen
         Time at which the tip was last seen, in s.
-    began, longest
-        Time in s at which the needle was found, and its largest length since, in m.
+    began, first_length, longest
+        Time in s at which the needle was found, and its length then and largest one since, in m.
     grown
-        Whether a needle has been followed that was long enough, and for long enough, to be one, and
-        not withdrawn since.
+        Whether a needle has been followed that surely is one, and was not withdrawn since.
     earlier
         Some of the volumes from while no needle was followed for long, in order of time.
     reason
@@ -82,6 +81,7 @@ class Track(Immutable):
     searched: float = -np.inf
     tip_seen: float = -np.inf
     began: float = np.inf
+    first_length: float = np.inf
     longest: float = 0.0
     grown: bool = False
     earlier: tuple[Volume, ...] = ()

@@ -174,14 +174,14 @@ class TrackLifecycle:
         if not long_enough and track.time - began > self.parameters.seconds_to_grow:
             ended = self.without_needle(track.time, "what was found did not grow", track.searched)
             return replace(ended, grown=before.grown, earlier=before.earlier)
-        followed = track.since - began
-        sure = (
-            longest >= self.parameters.sure_length
-            and followed >= self.parameters.seconds_to_be_sure
-        )
+        first_length = before.first_length if np.isfinite(before.began) else measured
+        grew = longest - first_length >= self.parameters.grown_length
+        stayed = track.since - began >= self.parameters.seconds_to_be_sure
+        sure = longest >= self.parameters.sure_length and (grew or stayed)
         return replace(
             track,
             began=began,
+            first_length=first_length,
             longest=longest,
             grown=before.grown or sure,
             tip_seen=max(before.tip_seen, track.tip_seen),

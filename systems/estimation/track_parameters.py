@@ -28,8 +28,8 @@ class TrackParameters:
         Length in m that a needle must reach within a time in s after it was found. What does not is
         given up.
     sure_length, seconds_to_be_sure
-        Length in m from which on what has been followed for a time in s surely is a needle. Before,
-        a needle must be seen to come.
+        Length in m from which on what is followed surely is a needle, if it has grown by
+        ``grown_length`` or was followed for a time in s. Before, a needle must be seen to come.
     volumes_to_confirm
         Number of volumes within which a detection must be repeated and the needle be localized.
     volumes_to_lose

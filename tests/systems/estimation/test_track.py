@@ -303,12 +303,21 @@ def test_until_a_needle_has_grown_what_is_new_must_come():
 def test_what_was_followed_for_a_moment_may_be_no_needle():
     life = lifecycle(sure_length=0.02, seconds_to_be_sure=2.0)
     track = life.next(tracked(life), 1.0, **NOTHING | {"measurement": measurement(0.03, time=1.0)})
+    assert track.first_length == pytest.approx(0.03, abs=2e-3)
     for time, grown in ((2.0, False), (2.9, False), (3.1, True)):
         track = life.next(track, time, **NOTHING | {"measurement": measurement(0.03, time=time)})
         assert track.grown is grown
     # Only volumes that show it count.
     track = life.next(tracked(life), 1.0, **NOTHING | {"measurement": measurement(0.03, time=1.0)})
     assert not life.next(track, 3.1, **NOTHING).grown
+
+
+def test_a_needle_that_grew_surely_is_one():
+    life = lifecycle(sure_length=0.02, grown_length=0.01, seconds_to_be_sure=9.0, max_jump=0.05)
+    track = life.next(tracked(life), 1.0, **NOTHING | {"measurement": measurement(0.012, time=1.0)})
+    for time, tip, grown in ((1.3, 0.019, False), (1.6, 0.025, True)):
+        track = life.next(track, time, **NOTHING | {"measurement": measurement(tip, time=time)})
+        assert track.grown is grown
 
 
 @pytest.mark.parametrize("seen_out", [True, False])
