@@ -1,6 +1,5 @@
 """Kept results, and the tables that show them."""
 
-import json
 import re
 
 import pytest
