@@ -55,8 +55,8 @@ class TrackLifecycle:
         Filter that starts, predicts and updates the track's state.
     anywhere
         Whether the whole volume is searched while there is no needle, and one that rests is taken.
-        If not, a needle must be seen to come until one has been followed for some length and time,
-        and again after it was withdrawn.
+        If not, a needle must be seen to come until what is followed surely is one, and again after
+        it was withdrawn.
     """
 
     order: int

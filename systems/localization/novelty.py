@@ -170,7 +170,8 @@ def has_moved(
     """Return True unless more earlier volumes showed a line up to its end than lacked it.
 
     The end of a needle that moved is new, even if the rest of it is not. Volumes from near its
-    place may show it or lack all of it, and those from nearly the same place may lack its end.
+    place may show it or lack all of it, and those from nearly the same place may lack its end. What
+    rides along with the probe has not moved by itself.
 
     Parameters
     ----------
@@ -192,9 +193,9 @@ def has_moved(
             showing += 1
         elif distance <= 1 or (evidence < _LACKING_SHARE * now and _is_in_view(each, ends)):
             lacking += _shows_tissue(each, volume, ends)
-    if must_come and lacking < _LOOKS:
-        return False
-    return showing < _LOOKS or showing <= lacking
+    came = lacking >= _LOOKS or not must_come
+    shown = showing >= _LOOKS and showing > lacking
+    return came and not shown and not rides_along(volume, ends, earlier)
 
 
 def _near(volume: Volume, earlier: Sequence[Volume]) -> list[tuple[Volume, float]]:

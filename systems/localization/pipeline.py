@@ -9,7 +9,7 @@ from scipy.special import expit
 
 from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.localization.needle_line import NeedleLine, line_between, needle_lines
-from sonoservo.systems.localization.novelty import THERE_BEFORE, has_moved, is_new, rides_along
+from sonoservo.systems.localization.novelty import THERE_BEFORE, has_moved, is_new
 from sonoservo.systems.localization.region_localization import localize_in_region
 from sonoservo.systems.localization.search_region import (
     found_again,
@@ -158,7 +158,6 @@ def _if_needle(
         return NotFound("what moved does not look like a needle")
     ends, earlier = _ends(measurement), prediction.earlier
     moved = has_moved(volume, ends, earlier, prediction.must_come)
-    moved = moved and not rides_along(volume, ends, earlier)
     if not (moved or is_new(volume, ends, earlier, must_come=True)):
         return NotFound(THERE_BEFORE)
     return measurement
