@@ -55,8 +55,10 @@ class Track(Immutable):
         Time of the last search in the whole volume, in s.
     tip_seen
         Time at which the tip was last seen, in s.
-    began, first_length, longest
-        Time in s at which the needle was found, and its length then and largest one since, in m.
+    began, longest
+        Time in s at which the needle was found, and its largest length since, in m.
+    first
+        First state since when it was confirmed without a loss or a turn; None before.
     grown
         Whether a needle has been followed that surely is one, and was not withdrawn since.
     earlier
@@ -81,8 +83,8 @@ class Track(Immutable):
     searched: float = -np.inf
     tip_seen: float = -np.inf
     began: float = np.inf
-    first_length: float = np.inf
     longest: float = 0.0
+    first: NeedleState | None = None
     grown: bool = False
     earlier: tuple[Volume, ...] = ()
     reason: str = ""
@@ -95,9 +97,10 @@ class Track(Immutable):
         if self.X_WP is None:
             return self
         X = X_WP.multiply(self.X_WP.inverse())
-        state, candidate = (each and each.transformed(X) for each in (self.state, self.candidate))
+        states = {name: getattr(self, name) for name in ("state", "candidate", "first")}
+        moved = {name: state and state.transformed(X) for name, state in states.items()}
         entry = None if self.entry is None else X.multiply(self.entry)
-        return replace(self, X_WP=X_WP, state=state, candidate=candidate, entry=entry)
+        return replace(self, X_WP=X_WP, entry=entry, **moved)
 
     def after(self, volume: Volume) -> "Track":
         """Return the track with a volume among the earlier ones, if it is to be kept."""

@@ -3,6 +3,7 @@
 A `NeedleFilter` models the needle's motion and its correction in between.
 """
 
+import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -26,6 +27,9 @@ from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 _WITHDRAWN = "the needle was withdrawn"
 """Reason why the track of a needle that came out ends."""
 
+_MOST_TURNED = np.deg2rad(25)
+"""Largest angle in rad between two directions of one needle; that of a short one is uncertain."""
+
 
 def innovation_distance(state: NeedleState, measurement: NeedleMeasurement) -> float:
     """Return the Mahalanobis distance of a measurement from a state predicted to its time."""
@@ -39,6 +43,11 @@ def innovation_distance(state: NeedleState, measurement: NeedleMeasurement) -> f
 def gate_distance(gate: float, order: int) -> float:
     """Return the Mahalanobis distance that a true measurement exceeds with probability 1 - gate."""
     return float(np.sqrt(chi2.ppf(gate, 3 * order)))
+
+
+def _angle(first: NeedleState, now: NeedleState) -> float:
+    """Return the angle between the directions of two states, in rad."""
+    return math.acos(min(float(first.curve.direction @ now.curve.direction), 1.0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,25 +176,33 @@ class TrackLifecycle:
         track = replace(track, grown=before.grown, earlier=before.earlier)
         if track.state is None or track.mode == TrackingMode.SEARCHING:
             return track
-        began = min(before.began, track.time)
-        measured = track.state.curve.chord if track.mode == TrackingMode.TRACKING else 0.0
-        longest = max(before.longest, measured)
+        began, longest = min(before.began, track.time), before.longest
+        first, grown = before.first, before.grown
+        if track.mode == TrackingMode.TRACKING:
+            longest = max(longest, track.state.curve.chord)
+            found = before.mode == TrackingMode.LOST
+            if first is None or found or _angle(first, track.state) > _MOST_TURNED:
+                first = track.state
+            grown = grown or self._is_sure(first, track.state)
         long_enough = longest >= self.parameters.grown_length
         if not long_enough and track.time - began > self.parameters.seconds_to_grow:
             ended = self.without_needle(track.time, "what was found did not grow", track.searched)
             return replace(ended, grown=before.grown, earlier=before.earlier)
-        first_length = before.first_length if np.isfinite(before.began) else measured
-        grew = longest - first_length >= self.parameters.grown_length
-        stayed = track.since - began >= self.parameters.seconds_to_be_sure
-        sure = longest >= self.parameters.sure_length and (grew or stayed)
         return replace(
             track,
             began=began,
-            first_length=first_length,
             longest=longest,
-            grown=before.grown or sure,
+            first=first,
+            grown=grown,
             tip_seen=max(before.tip_seen, track.tip_seen),
         )
+
+    def _is_sure(self, first: NeedleState, now: NeedleState) -> bool:
+        """Return True if what is followed surely is a needle; see ``sure_length``."""
+        p = self.parameters
+        grew = now.curve.chord - first.curve.chord >= p.grown_length
+        stayed = now.time - first.time >= p.seconds_to_be_sure
+        return now.curve.chord >= p.sure_length and (grew or stayed)
 
     def _next(
         self,

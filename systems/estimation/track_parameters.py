@@ -29,7 +29,8 @@ class TrackParameters:
         given up.
     sure_length, seconds_to_be_sure
         Length in m from which on what is followed surely is a needle, if it has grown by
-        ``grown_length`` or was followed for a time in s. Before, a needle must be seen to come.
+        ``grown_length`` or was followed for a time in s, without a loss or a turn. Before, a needle
+        must be seen to come.
     volumes_to_confirm
         Number of volumes within which a detection must be repeated and the needle be localized.
     volumes_to_lose

@@ -49,9 +49,10 @@ _STREAKS = 3.0
 """Smallest length of a needle as a multiple of the length to which the beam draws out a point. Far
 from the lens's focus, a single scatterer looks like a short needle across the frames."""
 
-_BESIDE, _UNSEEN, _EDGE_SHARE = 3e-3, 0.4, 0.6
-"""Distance in m at which more than a share of a point's sides are unseen if it lies at an edge of
-the field of view, and share of such points from which on a line is that edge."""
+_BESIDE, _UNSEEN, _BORDER_SHARE = 3e-3, 0.4, 0.6
+"""Distance in m at which more than a share of a point's surroundings are unseen if it lies at the
+border of the field of view, and share of such points from which on a line runs along that border.
+Within 1.1 mm of a flat side, 44 % are unseen, and more where two sides meet."""
 
 _STEP = 0.5e-3
 """Distance between samples along a line, in m."""
@@ -159,7 +160,7 @@ def judged(volume: Volume, line: NeedleLine) -> NeedleLine:
         or line.entry_gap > _FARTHEST
         or abs(line.direction[1]) > _STEEPEST
         or line.length < _STREAKS * streak_length(volume, line.ends)
-        or _is_edge(volume, line.ends)
+        or _is_border(volume, line.ends)
     ):  # fmt: skip
         return replace(line, log_odds=-math.inf)
     features = line_features(
@@ -172,12 +173,12 @@ def judged(volume: Volume, line: NeedleLine) -> NeedleLine:
     return replace(line, log_odds=sum(w * features[name] for name, w in _WEIGHTS.items()))
 
 
-def _is_edge(volume: Volume, ends: Floats) -> bool:
-    """Return True if a line runs along an edge of the field of view, where two sides meet."""
+def _is_border(volume: Volume, ends: Floats) -> bool:
+    """Return True if a line runs along the border of the field of view, or of a deep shadow."""
     _, across = _across(ends)
     points = np.linspace(ends[0], ends[1], 16)[:, np.newaxis]
     unseen = volume.sample(points + _BESIDE * _CIRCLE @ across) == 0
-    return bool(np.mean(unseen.mean(axis=1) > _UNSEEN) >= _EDGE_SHARE)
+    return bool(np.mean(unseen.mean(axis=1) > _UNSEEN) >= _BORDER_SHARE)
 
 
 def refined_line(volume: Volume, ends: Floats) -> NeedleLine | None:

@@ -24,7 +24,8 @@ _ASIDE, _DEEPER, _TURNED = 2e-3, 6e-3, np.deg2rad(2.0)
 volume shows what this one does. A specular line comes and goes with the view."""
 
 _NEARBY = 4.0
-"""Multiple of these up to which a line that an earlier volume shows is an old one."""
+"""Multiple of these up to which an earlier volume is from near one place, and a line that it shows
+is an old one."""
 
 _LEAST_SHARE = 0.5
 """Share of a line's evidence from which on an earlier volume shows it."""
@@ -41,7 +42,7 @@ line, and number of earlier volumes that must show the line shorter."""
 
 _IN_VIEW, _BEYOND = 0.9, 4e-3
 """Share of a line, and length beyond its end in m, that are in view in an earlier volume that tells
-whether it has grown."""
+whether the line has grown or moved."""
 
 _AROUND, _DARKER = 5e-3, 10.0
 """Distance from a line at which its surroundings are compared, in m, and difference in dB from
@@ -49,7 +50,7 @@ which on an earlier volume shows no tissue there, as before the probe has landed
 
 _DISPLACED, _PARALLEL = 8e-3, 0.9
 """Largest distance in m to a line in an earlier volume that is the same one, displaced by breath,
-and smallest cosine of the angle between the two."""
+and smallest cosine of the angle between the two. A line farther off is elsewhere."""
 
 _OVERLAP = 0.5
 """Smallest share of the shorter one that the two have in common."""
@@ -191,8 +192,9 @@ def has_moved(
         evidence, beyond = _evidence(each, acquired_from(each, ends))
         if evidence >= least and beyond > -_GROWN:
             showing += 1
-        elif distance <= 1 or (evidence < _LACKING_SHARE * now and _is_in_view(each, ends)):
-            lacking += _shows_tissue(each, volume, ends)
+        elif evidence < _LACKING_SHARE * now or beyond <= -_GROWN:
+            looked = distance <= 1 or (evidence < _LACKING_SHARE * now and _is_in_view(each, ends))
+            lacking += looked and _shows_tissue(each, volume, ends)
     came = lacking >= _LOOKS or not must_come
     shown = showing >= _LOOKS and showing > lacking
     return came and not shown and not rides_along(volume, ends, earlier)

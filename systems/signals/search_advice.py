@@ -55,7 +55,8 @@ _CASES = (
     (
         "a line that looks like a needle was",
         "a line was there before, or was not seen to come",
-        "push the needle into view, or take what rests for a needle: tracker.start=anywhere",
+        "push the needle into view while the probe rests, or take any line that looks like one: "
+        "tracker.start=anywhere",
     ),
     ("what moved does not", "what moved does not look like a needle", _FAINT),
     ("what was found did not", "what was found did not grow", "push the needle further in"),

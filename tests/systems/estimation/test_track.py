@@ -137,8 +137,9 @@ def test_a_track_in_the_probe_s_frame_is_carried_along():
     X = RigidTransform([0.0, 0.01, 0.0])
     track = tracked(lifecycle())
     assert track.seen_from(X) is track
-    carried = dataclasses.replace(track, X_WP=STILL).seen_from(X)
-    np.testing.assert_allclose(carried.state.curve.tip, [0.03, 0.01, 0.0])
+    carried = dataclasses.replace(track, X_WP=STILL, first=track.state).seen_from(X)
+    for state in (carried.state, carried.first):
+        np.testing.assert_allclose(state.curve.tip, [0.03, 0.01, 0.0])
     assert carried.X_WP is X
     predicted = lifecycle().predict(dataclasses.replace(track, X_WP=STILL), 1.0, X)
     np.testing.assert_allclose(predicted.entry, [0.0, 0.01, 0.0])
@@ -303,13 +304,19 @@ def test_until_a_needle_has_grown_what_is_new_must_come():
 def test_what_was_followed_for_a_moment_may_be_no_needle():
     life = lifecycle(sure_length=0.02, seconds_to_be_sure=2.0)
     track = life.next(tracked(life), 1.0, **NOTHING | {"measurement": measurement(0.03, time=1.0)})
-    assert track.first_length == pytest.approx(0.03, abs=2e-3)
+    assert track.first.curve.chord == pytest.approx(0.03, abs=2e-3)
     for time, grown in ((2.0, False), (2.9, False), (3.1, True)):
         track = life.next(track, time, **NOTHING | {"measurement": measurement(0.03, time=time)})
         assert track.grown is grown
-    # Only volumes that show it count.
+    # Only volumes that show it count, and what is found after a loss may be something else.
     track = life.next(tracked(life), 1.0, **NOTHING | {"measurement": measurement(0.03, time=1.0)})
     assert not life.next(track, 3.1, **NOTHING).grown
+    track = dataclasses.replace(track, mode=TrackingMode.LOST, candidate=track.state)
+    for time in (3.2, 3.3, 3.4):
+        track = life.next(track, time, **NOTHING | {"measurement": measurement(0.03, time=time)})
+    assert track.mode == TrackingMode.TRACKING
+    assert track.first.time == pytest.approx(3.4)
+    assert not track.grown
 
 
 def test_a_needle_that_grew_surely_is_one():
@@ -318,6 +325,17 @@ def test_a_needle_that_grew_surely_is_one():
     for time, tip, grown in ((1.3, 0.019, False), (1.6, 0.025, True)):
         track = life.next(track, time, **NOTHING | {"measurement": measurement(tip, time=time)})
         assert track.grown is grown
+
+
+def test_what_turns_as_it_grows_may_be_no_needle():
+    life = lifecycle(sure_length=0.02, grown_length=0.01, seconds_to_be_sure=9.0, max_jump=0.05)
+    track = life.next(tracked(life), 1.0, **NOTHING | {"measurement": measurement(0.012, time=1.0)})
+    for time, aside in ((1.3, 0.019), (1.6, 0.025)):
+        ends = np.array([[0.0, 0.0, 0.0], [0.019, aside, 0.0]])
+        turned = dataclasses.replace(measurement(time=time), curve=NeedleCurve(ends))
+        track = life.next(track, time, **NOTHING | {"measurement": turned})
+        assert track.longest > 0.025
+        assert not track.grown
 
 
 @pytest.mark.parametrize("seen_out", [True, False])

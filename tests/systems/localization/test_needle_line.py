@@ -51,13 +51,17 @@ def test_the_needle_is_the_most_probable_line():
 
 
 @pytest.mark.parametrize(
-    ("lines", "depths", "possible"),
-    [([1, 1], [2e-3, 60e-3], False), ([2, 60], [40e-3, 40e-3], True)],
-    ids=["along an edge", "in an outer frame"],
+    ("frame", "lines", "depths", "possible"),
+    [
+        (1, [1, 1], [2e-3, 60e-3], False),
+        (1, [2, 60], [40e-3, 40e-3], True),
+        (0, [2, 60], [40e-3, 40e-3], False),
+    ],
+    ids=["where two sides meet", "in an outer frame", "in the outermost frame"],
 )
-def test_a_line_along_an_edge_of_the_field_of_view_is_no_needle(lines, depths, possible):
+def test_a_line_along_the_border_of_the_field_of_view_is_no_needle(frame, lines, depths, possible):
     samples = np.array(depths) / GEOMETRY.sample_pitch
-    ends = GEOMETRY.position(1, np.array(lines), samples, 1)
+    ends = GEOMETRY.position(frame, np.array(lines), samples, 1)
     found = refined_line(SCENE.volume(1, lambda time: ends), ends)
     assert np.isfinite(found.log_odds) == possible
 
@@ -359,3 +363,13 @@ def test_a_probability_is_the_share_of_needles():
         p, these = stated[here := (stated >= low) & (stated <= high)], right[here]
         print(f"{low} to {high}: stated {p.mean():.2f}, right {these.mean():.2f} of {len(p)}")
         assert abs(these.sum() - p.sum()) < 2.6 * np.sqrt((p * (1 - p)).sum()) + 1
+
+
+def test_a_line_that_was_fainter_has_not_come():
+    """What a volume shows up to its end, if with less than half the evidence, it does not lack."""
+    faint = [
+        replace(each, intensities=np.uint8(0.665 * each.intensities + 0.335 * volume().intensities))
+        for each in scene(3)
+    ]
+    assert not has_moved(volume(), NEEDLE, tuple(faint), must_come=True)
+    assert has_moved(volume(), NEEDLE, tuple(faint))
