@@ -11,6 +11,9 @@ from sonoservo.systems.signals.requirements import require_not_negative
 _FASTEST = 60e-3
 """Largest speed of a hand that pushes a needle, in m/s."""
 
+_MOST_TURNED = np.deg2rad(25)
+"""Largest angle in rad between two directions of one needle; that of a short one is uncertain."""
+
 
 @dataclass(kw_only=True)
 class NeedleMotionParameters:
@@ -94,3 +97,8 @@ def was_pushed(before: NeedleCurve, after: NeedleCurve, seconds: float, max_asid
     along = steps @ before.direction
     aside = np.linalg.norm(steps - np.outer(along, before.direction), axis=1).max()
     return bool(0 <= along[1] <= _FASTEST * seconds and aside <= max_aside)
+
+
+def has_turned(before: NeedleCurve, after: NeedleCurve) -> bool:
+    """Return True if the directions of two curves differ by more than those of one needle."""
+    return bool(before.direction @ after.direction < np.cos(_MOST_TURNED))

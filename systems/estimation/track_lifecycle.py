@@ -3,17 +3,15 @@
 A `NeedleFilter` models the needle's motion and its correction in between.
 """
 
-import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from pydrake.math import RigidTransform
-from scipy.stats import chi2
 
+from sonoservo.systems.estimation.innovation_gate import gate_distance, innovation_distance
 from sonoservo.systems.estimation.needle_filter import NeedleFilter, NeedleState, require_order
-from sonoservo.systems.estimation.needle_motion import was_pushed
+from sonoservo.systems.estimation.needle_motion import has_turned, was_pushed
 from sonoservo.systems.estimation.track import Track
 from sonoservo.systems.estimation.track_parameters import TrackParameters
 from sonoservo.systems.signals.immutable import NotFound
@@ -26,28 +24,6 @@ from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 
 _WITHDRAWN = "the needle was withdrawn"
 """Reason why the track of a needle that came out ends."""
-
-_MOST_TURNED = np.deg2rad(25)
-"""Largest angle in rad between two directions of one needle; that of a short one is uncertain."""
-
-
-def innovation_distance(state: NeedleState, measurement: NeedleMeasurement) -> float:
-    """Return the Mahalanobis distance of a measurement from a state predicted to its time."""
-    points = state.curve.control_points.ravel()
-    y = measurement.curve.control_points.ravel() - points
-    S = state.covariance[: len(points), : len(points)] + measurement.covariance
-    return float(np.sqrt(y @ np.linalg.solve(S, y)))
-
-
-@lru_cache
-def gate_distance(gate: float, order: int) -> float:
-    """Return the Mahalanobis distance that a true measurement exceeds with probability 1 - gate."""
-    return float(np.sqrt(chi2.ppf(gate, 3 * order)))
-
-
-def _angle(first: NeedleState, now: NeedleState) -> float:
-    """Return the angle between the directions of two states, in rad."""
-    return math.acos(min(float(first.curve.direction @ now.curve.direction), 1.0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,7 +157,7 @@ class TrackLifecycle:
         if track.mode == TrackingMode.TRACKING:
             longest = max(longest, track.state.curve.chord)
             found = before.mode == TrackingMode.LOST
-            if first is None or found or _angle(first, track.state) > _MOST_TURNED:
+            if first is None or found or has_turned(first.curve, track.state.curve):
                 first = track.state
             grown = grown or self._is_sure(first, track.state)
         long_enough = longest >= self.parameters.grown_length

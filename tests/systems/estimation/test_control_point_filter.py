@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from sonoservo.systems.estimation.control_point_filter import ControlPointFilter
+from sonoservo.systems.estimation.innovation_gate import innovation_distance
 from sonoservo.systems.estimation.needle_motion import NeedleMotionParameters, constant_velocity
-from sonoservo.systems.estimation.track_lifecycle import innovation_distance
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform, RollPitchYaw
 
+from sonoservo.systems.estimation.innovation_gate import gate_distance, innovation_distance
 from sonoservo.systems.estimation.interacting_filter import InteractingFilter, transition
 from sonoservo.systems.estimation.needle_filter import FILTERS
-from sonoservo.systems.estimation.track_lifecycle import gate_distance, innovation_distance
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 

@@ -8,8 +8,9 @@ import pytest
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.estimation.control_point_filter import ControlPointFilter
+from sonoservo.systems.estimation.innovation_gate import gate_distance
 from sonoservo.systems.estimation.track import Track
-from sonoservo.systems.estimation.track_lifecycle import TrackLifecycle, gate_distance
+from sonoservo.systems.estimation.track_lifecycle import TrackLifecycle
 from sonoservo.systems.estimation.track_parameters import TrackParameters
 from sonoservo.systems.signals.immutable import Immutable, NotFound
 from sonoservo.systems.signals.insertion_detection import InsertionDetection
