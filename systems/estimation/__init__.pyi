@@ -3,6 +3,7 @@ from .axis_tip_filter import AxisTipState as AxisTipState
 from .axis_tip_filter import direction_angles as direction_angles
 from .control_point_filter import ControlPointFilter as ControlPointFilter
 from .control_point_filter import ControlPointState as ControlPointState
+from .innovation_gate import innovation_distance as innovation_distance
 from .lifecycle import Lifecycle as Lifecycle
 from .needle_filter import NeedleFilter as NeedleFilter
 from .needle_filter import NeedleState as NeedleState
@@ -35,6 +36,5 @@ from .shape.shape_posterior import WanderParameters as WanderParameters
 from .shape.shape_posterior import combined_wander as combined_wander
 from .track import Track as Track
 from .track_lifecycle import TrackLifecycle as TrackLifecycle
-from .track_lifecycle import innovation_distance as innovation_distance
 from .track_manager import TrackManager as TrackManager
 from .track_parameters import TrackParameters as TrackParameters
