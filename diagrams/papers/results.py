@@ -26,7 +26,8 @@ _TABLE = re.compile(r"<!-- results (\w+) (\w+) -->\n.*?<!-- end of results -->",
 
 _NONE = "*There are no results yet. `sonoservo reproduce {} --keep` makes them, in hours.*"
 
-_CHANGED = " *The code that makes these results has changed since.*"
+CHANGED = " *The code that makes these results has changed since.*"
+"""Note beside results that the present code did not make."""
 
 _HEADS = (
     "experiment", "quantity", "paper", "ours, estimated", "ours, true", "95 %",
@@ -100,7 +101,7 @@ def results_table(kept: Mapping[str, Any], rows: str) -> str:
         the strengths at which success ends, in a study that has them.
     """
     source = f"Commit {kept['commit'][:10]}, `{kept['command']}`"
-    changed = _CHANGED if is_outdated(kept) else ""
+    changed = CHANGED if is_outdated(kept) else ""
     if rows == "thresholds":
         return f"{source}.{changed}\n\n{_thresholds_table(kept['thresholds'])}"
     judged = [row["met"] for row in kept["rows"] if row["met"] is not None]

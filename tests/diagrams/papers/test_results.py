@@ -1,6 +1,7 @@
 """Kept results, and the tables that show them."""
 
 import re
+from importlib.metadata import version
 
 import pytest
 
@@ -11,6 +12,8 @@ from sonoservo.diagrams.studies.study import Case, Outcome
 from sonoservo.diagrams.studies.study_report import Study, StudyRow
 from sonoservo.systems.files.refusals import ConfigurationError
 
+KEPT = ("robustness", *PAPERS)
+
 
 @pytest.mark.parametrize("page", results.PAGES, ids=lambda page: page.name)
 def test_pages_show_what_was_kept_and_nothing_else(page):
@@ -19,7 +22,11 @@ def test_pages_show_what_was_kept_and_nothing_else(page):
     `python -c "from sonoservo.diagrams.papers.results import write_tables; write_tables()"`
     """
     text = page.read_text(encoding="utf-8")
-    assert results.with_tables(text) == text
+    tables = results.with_tables(text)
+    if any(results.kept_results(each)["drake"] != version("drake") for each in KEPT):
+        # With another Drake, nobody can tell whether the code has changed.
+        text, tables = text.replace(results.CHANGED, ""), tables.replace(results.CHANGED, "")
+    assert tables == text
 
 
 def test_every_paper_has_its_table():
