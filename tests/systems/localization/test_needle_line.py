@@ -304,6 +304,16 @@ def test_what_moved_must_have_been_lacking_where_it_must_come():
         assert has_moved(volume(), NEEDLE, earlier, must_come=True) is moved
 
 
+def test_a_line_that_was_fainter_has_not_come():
+    """What a volume shows up to its end, if with less than half the evidence, it does not lack."""
+    faint = [
+        replace(each, intensities=np.uint8(0.665 * each.intensities + 0.335 * volume().intensities))
+        for each in scene(3)
+    ]
+    assert not has_moved(volume(), NEEDLE, tuple(faint), must_come=True)
+    assert has_moved(volume(), NEEDLE, tuple(faint))
+
+
 def test_a_line_that_is_hardly_brighter_than_speckle_is_not_new():
     ends = NEEDLE + np.array([0.0, 0.015, 0.01])
     assert not is_new(SCENE.volume(1), ends, tuple(scene(3)), must_come=True)
@@ -363,13 +373,3 @@ def test_a_probability_is_the_share_of_needles():
         p, these = stated[here := (stated >= low) & (stated <= high)], right[here]
         print(f"{low} to {high}: stated {p.mean():.2f}, right {these.mean():.2f} of {len(p)}")
         assert abs(these.sum() - p.sum()) < 2.6 * np.sqrt((p * (1 - p)).sum()) + 1
-
-
-def test_a_line_that_was_fainter_has_not_come():
-    """What a volume shows up to its end, if with less than half the evidence, it does not lack."""
-    faint = [
-        replace(each, intensities=np.uint8(0.665 * each.intensities + 0.335 * volume().intensities))
-        for each in scene(3)
-    ]
-    assert not has_moved(volume(), NEEDLE, tuple(faint), must_come=True)
-    assert has_moved(volume(), NEEDLE, tuple(faint))
