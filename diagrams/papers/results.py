@@ -34,6 +34,20 @@ _HEADS = (
     "as published, estimated", "as published, true", "95 %", "target", "met",
 )  # fmt: skip
 
+_MAIN_FIGURES = {
+    "found (%)": ("found", ""),
+    "kept (%)": ("kept, while 10 mm or more stand out", ""),
+    "success (%)": ("success", ""),
+    "success, as published (%)": ("success", "published_"),
+    "success, zhao2012 (%)": ("success, zhao2012", ""),
+    "tip error, median (mm)": ("tip error, median", ""),
+    "tip error, 95 % (mm)": ("tip error, 95 %", ""),
+    "tip inside the stated 95 % (%)": ("truth inside the stated 95 %, tip", ""),
+    "false starts (1/h)": ("false starts", ""),
+    "runs that chase nothing (%)": ("runs with 10 mm of such travel or more", ""),
+}
+"""Quantities of the study of robustness that judge a tracker, each with the prefix of its keys."""
+
 
 def keep_results(results: Mapping[str, Mapping[str, Any]]) -> None:
     """Keep the results of papers in their packages, and write the tables that show them.
@@ -97,13 +111,16 @@ def results_table(kept: Mapping[str, Any], rows: str) -> str:
     kept
         Contents of study.json.
     rows
-        "all"; "published" for those with a figure of the paper; or "thresholds" for the table of
-        the strengths at which success ends, in a study that has them.
+        "all"; "published" for those with a figure of the paper; in the study of robustness,
+        "thresholds" for the strengths at which success ends, and "experiments" for a line with the
+        main figures of each experiment.
     """
     source = f"Commit {kept['commit'][:10]}, `{kept['command']}`"
     changed = CHANGED if is_outdated(kept) else ""
     if rows == "thresholds":
         return f"{source}.{changed}\n\n{_thresholds_table(kept['thresholds'])}"
+    if rows == "experiments":
+        return f"{source}.{changed}\n\n{_experiments_table(kept)}"
     judged = [row["met"] for row in kept["rows"] if row["met"] is not None]
     lines = [
         f"{source}: {sum(judged)} of {len(judged)} targets met.{changed}",
@@ -154,6 +171,24 @@ def _thresholds_table(thresholds: Sequence[Mapping[str, str]]) -> str:
     return "\n".join(lines)
 
 
+def _experiments_table(kept: Mapping[str, Any]) -> str:
+    """Return the `_MAIN_FIGURES` of each experiment as Markdown, with their intervals."""
+    experiments: dict[str, dict[str, Mapping[str, Any]]] = {}
+    for row in kept["rows"]:
+        experiments.setdefault(row["experiment"], {})[row["quantity"]] = row
+    heads = ["experiment", "seeds", *_MAIN_FIGURES]
+    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    for name, seeds in kept["seeds"].items():
+        cells = [name, str(len(seeds))]
+        for quantity, prefix in _MAIN_FIGURES.values():
+            row = experiments[name].get(quantity, {})
+            figure, low, high = (row.get(prefix + key) for key in ("true", "low", "high"))
+            known = figure is not None and low is not None
+            cells.append(_figure(figure) + (f" ({_interval(low, high)})" if known else ""))
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
 def _cells(row: Mapping[str, Any], before: str) -> list[str]:
     quantity = row["quantity"] + (f" ({row['unit']})" if row["unit"] else "")
     target = "" if row["target"] is None else f"{_SIDES[row['wanted']]} {row['target']:g}"
@@ -173,15 +208,13 @@ _SIDES = {"at most": "≤", "at least": "≥"}
 
 
 def _figure(value: float | None) -> str:
-    return "" if value is None else cell_text(value)
+    return "" if value is None else cell_text(value) if value else "0"
 
 
 def _interval(low: float | None, high: float | None) -> str:
     if low is None and high is None:
         return ""
-    return (
-        f"{'-∞' if low is None else cell_text(low)} to {'∞' if high is None else cell_text(high)}"
-    )
+    return f"{'-∞' if low is None else _figure(low)} to {'∞' if high is None else _figure(high)}"
 
 
 def _results_path(paper: str) -> Path:

@@ -76,6 +76,28 @@ def test_bars_stay_in_their_cells(data):
     assert r"mean \|X\|" in results.results_table(data, "all")
 
 
+def test_each_experiment_has_a_line_of_its_main_figures(data):
+    row = data["rows"][0] | {"true": 50.0, "low": 20.0, "high": None, "published_true": None}
+    published = {"published_true": 0.0, "published_low": 0.0, "published_high": 40.0}
+    rows = [
+        row | {"quantity": "success", **published},
+        row | {"quantity": "success, zhao2012", "true": 25.0, "low": None},
+        row | {"quantity": "axis error, median"},
+        row | {"experiment": "success falls under 95 % at"},
+    ]
+    lines = results.results_table(data | {"rows": rows}, "experiments").splitlines()[2:]
+    cells = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines]
+    line = dict(zip(cells[0], cells[2], strict=True))
+    assert len(cells) == 3
+    assert {head: cell for head, cell in line.items() if cell} == {
+        "experiment": "fig5",
+        "seeds": "1",
+        "success (%)": "50.0 (20.0 to ∞)",
+        "success, as published (%)": "0 (0 to 40.0)",
+        "success, zhao2012 (%)": "25.0",
+    }
+
+
 def test_only_results_of_one_commit_and_the_present_code_are_kept(data, tmp_path, monkeypatch):
     monkeypatch.setattr(results, "_ROOT", tmp_path)
     with pytest.raises(ConfigurationError, match="in a checkout"):
