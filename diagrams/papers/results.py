@@ -122,20 +122,15 @@ def results_table(kept: Mapping[str, Any], rows: str) -> str:
     if rows == "experiments":
         return f"{source}.{changed}\n\n{_experiments_table(kept)}"
     judged = [row["met"] for row in kept["rows"] if row["met"] is not None]
-    lines = [
-        f"{source}: {sum(judged)} of {len(judged)} targets met.{changed}",
-        "",
-        "| " + " | ".join(_HEADS) + " |",
-        "|" + "---|" * len(_HEADS),
-    ]
+    lines = []
     before = ""
     for row in kept["rows"]:
         if rows == "published" and row["paper"] is None:
             continue
-        cells = [cell.replace("|", r"\|") for cell in _cells(row, before)]
-        lines.append("| " + " | ".join(cells) + " |")
+        lines.append(_cells(row, before))
         before = row["experiment"]
-    return "\n".join(lines)
+    met = f"{sum(judged)} of {len(judged)} targets met"
+    return f"{source}: {met}.{changed}\n\n{_markdown_table(_HEADS, lines)}"
 
 
 def write_tables() -> None:
@@ -166,9 +161,7 @@ def with_tables(text: str) -> str:
 def _thresholds_table(thresholds: Sequence[Mapping[str, str]]) -> str:
     """Return the dials' thresholds as Markdown, with a column for each tracker."""
     heads = list(dict.fromkeys(key for each in thresholds for key in each))
-    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
-    lines += [f"| {' | '.join(each.get(key, '') for key in heads)} |" for each in thresholds]
-    return "\n".join(lines)
+    return _markdown_table(heads, [[each.get(key, "") for key in heads] for each in thresholds])
 
 
 def _experiments_table(kept: Mapping[str, Any]) -> str:
@@ -176,8 +169,7 @@ def _experiments_table(kept: Mapping[str, Any]) -> str:
     experiments: dict[str, dict[str, Mapping[str, Any]]] = {}
     for row in kept["rows"]:
         experiments.setdefault(row["experiment"], {})[row["quantity"]] = row
-    heads = ["experiment", "seeds", *_MAIN_FIGURES]
-    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    lines = []
     for name, seeds in kept["seeds"].items():
         cells = [name, str(len(seeds))]
         for quantity, prefix in _MAIN_FIGURES.values():
@@ -185,8 +177,15 @@ def _experiments_table(kept: Mapping[str, Any]) -> str:
             figure, low, high = (row.get(prefix + key) for key in ("true", "low", "high"))
             known = figure is not None and low is not None
             cells.append(_figure(figure) + (f" ({_interval(low, high)})" if known else ""))
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        lines.append(cells)
+    return _markdown_table(["experiment", "seeds", *_MAIN_FIGURES], lines)
+
+
+def _markdown_table(heads: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    """Return a table as Markdown; bars in cells are escaped."""
+    escaped = [[cell.replace("|", r"\|") for cell in cells] for cells in lines]
+    head, *body = (f"| {' | '.join(cells)} |" for cells in (heads, *escaped))
+    return "\n".join([head, "|" + "---|" * len(heads), *body])
 
 
 def _cells(row: Mapping[str, Any], before: str) -> list[str]:
@@ -208,7 +207,9 @@ _SIDES = {"at most": "≤", "at least": "≥"}
 
 
 def _figure(value: float | None) -> str:
-    return "" if value is None else cell_text(value) if value else "0"
+    if value is None:
+        return ""
+    return cell_text(value) if value else "0"
 
 
 def _interval(low: float | None, high: float | None) -> str:

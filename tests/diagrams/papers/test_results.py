@@ -98,6 +98,11 @@ def test_each_experiment_has_a_line_of_its_main_figures(data):
     }
 
 
+def test_each_main_figure_is_a_quantity_of_the_study():
+    quantities = {row["quantity"] for row in results.kept_results("robustness")["rows"]}
+    assert {quantity for quantity, _ in results._MAIN_FIGURES.values()} <= quantities
+
+
 def test_only_results_of_one_commit_and_the_present_code_are_kept(data, tmp_path, monkeypatch):
     monkeypatch.setattr(results, "_ROOT", tmp_path)
     with pytest.raises(ConfigurationError, match="in a checkout"):
