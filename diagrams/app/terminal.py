@@ -1,10 +1,12 @@
 """Output in the terminal: progress during a run, and figures at its end."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from itertools import groupby
 from types import TracebackType
 from typing import Any, Self
 
 import typer
+from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as RichProgress
@@ -14,7 +16,12 @@ from rich.text import Text
 from sonoservo.diagrams.app.run_result import RunResult, format_figure
 from sonoservo.diagrams.experiments.experiment import Experiment
 from sonoservo.diagrams.scenario import Scenario
-from sonoservo.diagrams.studies.study_report import Study, interval_text, target_text
+from sonoservo.diagrams.studies.study_report import (
+    Study,
+    StudyRow,
+    interval_text,
+    target_text,
+)
 from sonoservo.systems.evaluation.labels import LABELS, look_up, recording_labels
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 
@@ -40,34 +47,62 @@ _MET: Mapping[bool | None, Text] = {
 }
 
 
-_COLUMNS = (
-    "paper", "estimated", "true", "95 %",
-    "as published, estimated", "as published, true", "95 %", "target", "met",
-)  # fmt: skip
-"""Columns of a study's table after the quantity."""
+def _figure(value: float | None) -> Text:
+    return Text("" if value is None else format_figure(value))
 
 
-def study_table(study: Study) -> Table:
-    """Return the rows of a study, for a terminal."""
+_CELLS: Mapping[str, Callable[[StudyRow], Text]] = {
+    "paper": lambda row: _figure(row.paper),
+    "estimated": lambda row: _figure(row.estimated),
+    "true": lambda row: _figure(row.true),
+    "95 %": lambda row: Text(interval_text(row.low, row.high, format_figure)),
+    "as published, estimated": lambda row: _figure(row.published_estimated),
+    "as published, true": lambda row: _figure(row.published_true),
+    "as published, 95 %": lambda row: Text(
+        interval_text(row.published_low, row.published_high, format_figure)
+    ),
+    "target": lambda row: Text(target_text(row)),
+    "met": lambda row: _MET[row.met],
+}
+"""Cells of a study's table after the quantity, by column."""
+
+_NEEDS_WIDTH = {"estimated", "as published, estimated", "as published, 95 %"}
+"""Columns that a terminal of fewer than 120 characters has no room for."""
+
+
+def study_table(study: Study, width: int) -> Table:
+    """Return the rows of a study, for a terminal.
+
+    Columns in which nothing stands are left out.
+
+    Parameters
+    ----------
+    study
+        Study to show.
+    width
+        Characters in a line of the terminal. Below 120, only what is true is shown.
+    """
     failed = sum(not each for each in study.outcomes)
+    columns = {
+        name: cell
+        for name, cell in _CELLS.items()
+        if (width >= 120 or name not in _NEEDS_WIDTH) and any(str(cell(row)) for row in study.rows)
+    }
     table = Table(
-        title=f"{study.paper} reproduced", caption=f"{len(study.outcomes)} runs, {failed} failed"
+        title=f"{study.paper} reproduced",
+        caption=f"{len(study.outcomes)} runs, {failed} failed",
+        box=box.SIMPLE_HEAD,
+        collapse_padding=True,
+        pad_edge=False,
     )
-    table.add_column("experiment")
-    table.add_column("quantity")
-    for name in _COLUMNS:
-        table.add_column(name, justify="right")
-    for row in study.rows:
-        table.add_row(
-            row.experiment,
-            row.quantity + (f", {row.unit}" if row.unit else ""),
-            *map(format_figure, (row.paper, row.estimated, row.true)),
-            interval_text(row.low, row.high, format_figure),
-            *map(format_figure, (row.published_estimated, row.published_true)),
-            interval_text(row.published_low, row.published_high, format_figure),
-            target_text(row),
-            _MET[row.met],
-        )
+    table.add_column("")
+    for name in columns:
+        table.add_column(name, justify="right", max_width=10)
+    for experiment, rows in groupby(study.rows, lambda row: row.experiment):
+        table.add_row(Text(experiment, style="bold"))
+        for row in rows:
+            quantity = row.quantity + (f", {row.unit}" if row.unit else "")
+            table.add_row(Text(quantity), *(cell(row) for cell in columns.values()))
     return table
 
 

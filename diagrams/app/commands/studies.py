@@ -163,7 +163,7 @@ def reproduce_command(
                 with Heartbeat(console, f"Reproducing {each}"):
                     studies.append(reproduce(each, replace(options, folder=into, cluster=executor)))
                 # before its files, which a full disk would prevent
-                console.print(study_table(studies[-1]))
+                console.print(study_table(studies[-1], console.width))
     except KeyboardInterrupt:
         console.print(f"Interrupted. Finished runs are in {folder}; repeat the command to resume.")
         raise

@@ -2,9 +2,11 @@
 
 import json
 import re
+from dataclasses import replace
 
 import pytest
 from matplotlib.figure import Figure
+from rich.console import Console
 
 from sonoservo.diagrams.app.terminal import study_table
 from sonoservo.diagrams.studies.study import Case, Outcome
@@ -94,7 +96,30 @@ def test_page_needs_no_other_file(study, tmp_path):
     assert "20 seeds &lt; 100." in text
 
 
-def test_table_in_the_terminal(study):
-    table = study_table(study)
-    assert table.row_count == 4
-    assert "3 runs, 1 failed" in table.caption
+def _shown(study, width):
+    console = Console(width=width)
+    with console.capture() as capture:
+        console.print(study_table(study, console.width))
+    return " ".join(capture.get().split())
+
+
+def test_a_wide_terminal_shows_every_column(study):
+    text = _shown(study, 120)
+    assert "tip error, mm 1.5 0.4 0.61 0.5 to 0.9 1.2 too few ≤ 0.7 yes" in text
+    assert "0.75 runs" in text
+    assert text.count("fig4") == 1
+    assert "3 runs, 1 failed" in text
+
+
+def test_a_narrow_terminal_shows_what_is_true_and_cuts_nothing_off(study):
+    text = _shown(study, 80)
+    assert "tip error, mm 1.5 0.61 0.5 to 1.2 ≤ 0.7 yes 0.75" in text
+    assert "estimated" not in text
+    assert "…" not in text
+
+
+def test_a_column_in_which_nothing_stands_is_left_out(study):
+    text = _shown(replace(study, rows=study.rows[1:]), 120)
+    assert "paper" not in text
+    assert "published" not in text
+    assert "target" in text
