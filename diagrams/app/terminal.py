@@ -16,12 +16,7 @@ from rich.text import Text
 from sonoservo.diagrams.app.run_result import RunResult, format_figure
 from sonoservo.diagrams.experiments.experiment import Experiment
 from sonoservo.diagrams.scenario import Scenario
-from sonoservo.diagrams.studies.study_report import (
-    Study,
-    StudyRow,
-    interval_text,
-    target_text,
-)
+from sonoservo.diagrams.studies.study_report import Study, StudyRow, interval_text, target_text
 from sonoservo.systems.evaluation.labels import LABELS, look_up, recording_labels
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 
@@ -86,7 +81,7 @@ def study_table(study: Study, width: int) -> Table:
     columns = {
         name: cell
         for name, cell in _CELLS.items()
-        if (width >= 120 or name not in _NEEDS_WIDTH) and any(str(cell(row)) for row in study.rows)
+        if (width >= 120 or name not in _NEEDS_WIDTH) and any(map(cell, study.rows))
     }
     table = Table(
         title=f"{study.paper} reproduced",
