@@ -136,7 +136,7 @@ def _texture(volume: Volume) -> NDArray[np.float32]:
     """Return every `_STRIDE`-th voxel less the mean of its depth; symmetric about the middle."""
     nx, _, nz = volume.intensities.shape
     x, z = (np.unique(np.r_[i := np.arange(0, n // 2, _STRIDE), n - 1 - i]) for n in (nx, nz))
-    sample = volume.intensities[x][:, ::_STRIDE][..., z].astype(np.float32)
-    seen = sample > 0
+    sample, seen = (each[x][:, ::_STRIDE][..., z] for each in (volume.intensities, volume.seen))
+    sample = sample.astype(np.float32)
     mean = sample.sum(axis=(0, 2)) / np.maximum(seen.sum(axis=(0, 2)), 1)
     return np.where(seen, sample - mean[:, np.newaxis], np.float32(0))
