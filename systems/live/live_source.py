@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Protocol, Self
@@ -10,7 +10,7 @@ from typing import Any, Protocol, Self
 from sonoservo.systems.live.connection.items import Item
 from sonoservo.systems.live.connection.link import Link
 from sonoservo.systems.live.connection.protocols import Address
-from sonoservo.systems.live.image_matcher import ImageMatcher, PosedImage
+from sonoservo.systems.live.image_matcher import MAX_WAITING, ImageMatcher, LeftOut, PosedImage
 from sonoservo.systems.live.volume_maker import VolumeMaker
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.volume import Volume
@@ -51,6 +51,8 @@ class LiveSource:
         Name of the device that is the probe's pose; see `ImageMatcher`.
     keep
         Number of volumes that wait while one is worked on; older ones are dropped.
+    clock_offset
+        Difference between the clocks of poses and images; see `ImageMatcher`.
     report
         Function that is called with one line for a person.
     """
@@ -62,20 +64,23 @@ class LiveSource:
         maker: ImagesToVolumes | None = None,
         poses: str | None = None,
         keep: int = 1,
+        clock_offset: float | None = None,
         report: Callable[[str], None] = print,
     ) -> None:
-        self._report = report
         self._maker: ImagesToVolumes = maker or VolumeMaker()
         self._matcher = ImageMatcher(
             device=address.device,
             poses=poses,
             layers=not self._maker.takes_frames,
+            clock_offset=clock_offset,
             report=self._say,
         )
         self._images: deque[PosedImage] = deque()
         self._keep = _FRAMES_KEPT if self._maker.takes_frames else keep
         self._news = threading.Condition()
         self._said = ""
+        self._proved: set[tuple[str, str]] = set()
+        self._no_volume = 0
         self.link = Link(address, self._receive, report)
         self.dropped = 0
         self.newest: PosedImage | None = None
@@ -103,9 +108,12 @@ class LiveSource:
         return self._matcher.posed or bool(self.newest and self.newest.acquisition)
 
     @property
-    def left_out(self) -> int:
-        """Number of images that had no pose, or came out of order."""
-        return self._matcher.left_out
+    def left_out(self) -> Counter[str]:
+        """Numbers of images and messages that were left out, by the reason."""
+        counts = Counter(self._matcher.left_out)
+        counts[LeftOut.DAMAGED] += self.link.refused
+        counts[LeftOut.NO_VOLUME] += self._no_volume
+        return Counter({why.value: count for why, count in counts.items() if count})
 
     def X_WL(self) -> Any:
         """Pose of the sender's frame in W, when the last volume was acquired."""
@@ -119,16 +127,26 @@ class LiveSource:
             posed = self._next(end)
             if posed is None:
                 return NotFound(f"no volume has come from {self.address}")
-            volume = self._maker(posed)
+            try:
+                volume = self._maker(posed)
+            except Exception as error:  # whatever a foreign image sets off costs that image alone
+                volume = NotFound(f"{posed.image.name}: {type(error).__name__}: {error}")
             if isinstance(volume, Volume):
                 self.newest = posed
+                self._proved.add(posed.sender)
                 return volume
             if volume.reason:
+                self._no_volume += 1
                 self._say(volume.reason)
+                if posed.sender not in self._proved:
+                    with self._news:
+                        self._matcher.refuse(posed.sender)
 
     def _next(self, end: float) -> PosedImage | None:
         with self._news:
             while not self._images:
+                if self.link.failure is not None:
+                    raise self.link.failure
                 left = end - time.perf_counter()
                 self._keep_images(self._matcher.release(time.perf_counter()))
                 if self._images:
@@ -138,14 +156,17 @@ class LiveSource:
                 self._news.wait(min(left, 0.05))
             return self._images.popleft()
 
-    def _receive(self, item: Item, arrived: float) -> None:
+    def _receive(self, item: Item, arrived: float, peer: str) -> None:
         with self._news:
-            self._keep_images(self._matcher.feed(item, arrived))
+            self._keep_images(self._matcher.feed(item, arrived, peer))
 
     def _keep_images(self, images: list[PosedImage]) -> None:
         for image in images:
             self._images.append(image)
-            if len(self._images) > self._keep:
+            if len(self._images) > self._keep or (
+                len(self._images) > 1
+                and sum(each.image.voxels.nbytes for each in self._images) > MAX_WAITING
+            ):
                 self._images.popleft()
                 self.dropped += 1
         if images:
@@ -155,4 +176,4 @@ class LiveSource:
         """Report a line once, not for each of the images that it is true of."""
         if line != self._said:
             self._said = line
-            self._report(f"{self.link.address}: {line}")
+            self.link.say(f"{self.link.address}: {line}")
