@@ -77,6 +77,7 @@ def test_grey_levels_are_those_of_the_first_volume_or_of_the_window():
     numbers = np.linspace(-1000, 1000, 60).reshape(5, 4, 3).astype(np.int16)
     made = maker(posed(image(numbers)))
     assert (made.intensities.min(), made.intensities.max()) == (0, 255)
+    maker.grey.held = True
     half = maker(posed(image((numbers // 2).astype(np.int16))))
     assert half.intensities.max() == pytest.approx(191, abs=1)
     fixed = VolumeMaker(window=(0, 1000))(posed(image(numbers)))
