@@ -1,11 +1,8 @@
-"""Settings that must be there before NumPy is imported."""
-
-import os
-
-# Small matrix products are ten times as fast with one thread, which PyMUST's are by the thousand.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+"""Settings of the test session."""
 
 from hypothesis import settings
+
+import sonoservo.systems  # noqa: F401  (one thread for PyMUST's matrices, too)
 
 # The first example may have to wait for a kernel to be compiled.
 settings.register_profile("compiled", deadline=None)

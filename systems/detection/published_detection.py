@@ -73,8 +73,9 @@ def detect_as_published(
         return NotFound("the previous volume lies on another grid")
     count = max(4, round(parameters.candidate_volume / float(np.prod(volume.spacing))))
     # Sweeps to and fro see slightly unlike sectors; only voxels that both show are compared.
+    seen = volume.seen, previous.seen
     index, threshold = top_differences(
-        volume.intensities, previous.intensities, count, rng, both_seen=True
+        volume.intensities, previous.intensities, count, rng, seen=seen
     )
     if len(index) < 4:
         return NotFound("nothing changed")

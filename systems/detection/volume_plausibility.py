@@ -1,5 +1,6 @@
 """Plausibility of a volume, before a tracker believes it."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -122,21 +123,24 @@ def mirrored_axis(volume: Volume, last: Volume, threshold: float) -> str:
     if volume.intensities.shape != last.intensities.shape or threshold >= 1:
         return ""
     now, before = _texture(volume), _texture(last)
-    size = float(np.linalg.norm(now) * np.linalg.norm(before))
+    size = math.sqrt(int(np.vdot(now, now)) * int(np.vdot(before, before)))
     if size == 0:
         return ""
-    least = max(0.0, float(np.vdot(now, before)) / size) + threshold
+    least = max(0.0, int(np.vdot(now, before)) / size) + threshold
     for axis, mirrored in (("X", before[::-1]), ("Z", before[..., ::-1])):
-        if float(np.vdot(now, mirrored)) / size > least:
+        if int(np.vdot(now, mirrored)) / size > least:
             return axis
     return ""
 
 
-def _texture(volume: Volume) -> NDArray[np.float32]:
-    """Return every `_STRIDE`-th voxel less the mean of its depth; symmetric about the middle."""
+def _texture(volume: Volume) -> NDArray[np.int64]:
+    """Return every `_STRIDE`-th voxel less the mean of its depth; symmetric about the middle.
+
+    In whole grey levels, whose sums are exact.
+    """
     nx, _, nz = volume.intensities.shape
     x, z = (np.unique(np.r_[i := np.arange(0, n // 2, _STRIDE), n - 1 - i]) for n in (nx, nz))
-    sample = volume.intensities[x][:, ::_STRIDE][..., z].astype(np.float32)
-    seen = sample > 0
-    mean = sample.sum(axis=(0, 2)) / np.maximum(seen.sum(axis=(0, 2)), 1)
-    return np.where(seen, sample - mean[:, np.newaxis], np.float32(0))
+    sample, seen = (each[x][:, ::_STRIDE][..., z] for each in (volume.intensities, volume.seen))
+    sample = sample.astype(np.int64)
+    mean = sample.sum(axis=(0, 2)) // np.maximum(seen.sum(axis=(0, 2)), 1)
+    return np.where(seen, sample - mean[:, np.newaxis], 0)

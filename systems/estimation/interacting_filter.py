@@ -1,5 +1,6 @@
 """Interacting Kalman filters on the needle's control points: steady, unsteady and carried along."""
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
@@ -7,7 +8,6 @@ import numpy as np
 from filterpy.kalman import predict, update
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
-from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from sonoservo.systems.estimation.needle_motion import NeedleMotionParameters, constant_velocity
@@ -321,18 +321,22 @@ def _root(R: Floats) -> Floats:
 
 
 def transition(dt: float, times: Floats) -> Floats:
-    """Return the (m, m) probabilities of going from each model to each other.
+    """Return the (3, 3) probabilities of going from each of three models to each other.
 
-    Parameters
-    ----------
-    dt
-        Time in s.
-    times
-        (m,) mean time for which each model holds, in s. It is left for each other one alike.
+    A model holds for its mean time of `times` and is left for each other one alike; both times in
+    s. The rates' exponential is closed: their eigenvalues are 0, for the share of time spent in
+    each model, and -m - d and -m + d, for all that passes.
     """
-    count = len(times)
-    rates = (np.ones((count, count)) - count * np.eye(count)) / (count - 1)
-    return np.asarray(expm(dt * rates / times[:, np.newaxis]))
+    a, b, c = (0.5 * dt / float(time) for time in times)
+    rates = np.array([[-2 * a, a, a], [b, -2 * b, b], [c, c, -2 * c]])
+    m, d = a + b + c, math.sqrt(0.5 * ((a - b) ** 2 + (b - c) ** 2 + (c - a) ** 2))
+    lasting = np.broadcast_to(times / times.sum(), (3, 3))
+    passing = np.eye(3) - lasting
+    # exp(-m) times cosh(d) and sinh(d) / d, without overflow.
+    slower = math.exp(d - m)
+    cosh = 0.5 * slower * (1 + math.exp(-2 * d))
+    sinh = -0.5 * slower * math.expm1(-2 * d) / d if d > 0 else slower
+    return np.asarray(lasting + cosh * passing + sinh * (rates + m * passing))
 
 
 def _mixed(weights: Floats, means: Floats, covariances: Floats) -> tuple[Any, Any]:

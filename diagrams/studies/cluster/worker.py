@@ -17,16 +17,9 @@ from typing import Any, Literal
 
 from sonoservo.diagrams.studies.cluster import case_process
 from sonoservo.diagrams.studies.study import CASES_PER_PROCESS, DIED
+from sonoservo.systems.sampling.threads import LINEAR_ALGEBRA
 
-_THREADS = (
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "BLIS_NUM_THREADS",
-    "VECLIB_MAXIMUM_THREADS",
-    "NUMEXPR_NUM_THREADS",
-    "NUMBA_NUM_THREADS",
-)
+_THREADS = (*LINEAR_ALGEBRA, "OMP_NUM_THREADS", "NUMEXPR_NUM_THREADS", "NUMBA_NUM_THREADS")
 """Variables that limit the threads of a case to one."""
 
 _START_S = 120.0

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from pydrake.math import RigidTransform, RollPitchYaw
+from scipy.linalg import expm
 
 from sonoservo.systems.estimation.innovation_gate import gate_distance, innovation_distance
 from sonoservo.systems.estimation.interacting_filter import InteractingFilter, transition
@@ -110,16 +111,14 @@ def test_a_needle_that_breathes_with_the_tissue_is_followed(period):
     assert np.mean(passed) >= 0.95
 
 
-def test_models_are_left_after_their_time_for_each_other_alike():
-    times = np.array([3.0, 1.0, 1.0])
-    switch = transition(0.4, times)
-    np.testing.assert_allclose(switch.sum(axis=1), 1)
-    np.testing.assert_allclose(transition(0.2, times) @ transition(0.2, times), switch)
+@pytest.mark.parametrize("times", [(3.0, 1.0, 1.0), (2.0, 2.0, 2.0), (0.3, 5.0, 40.0)])
+@pytest.mark.parametrize("dt", [1e-3, 0.4, 500.0])
+def test_models_are_left_after_their_time_for_each_other_alike(dt, times):
+    times = np.array(times)
+    rates = (np.ones((3, 3)) - 3 * np.eye(3)) / 2 / times[:, np.newaxis]
+    switch = transition(dt, times)
+    np.testing.assert_allclose(switch, expm(dt * rates), rtol=1e-12, atol=1e-15)
     np.testing.assert_allclose(times @ switch, times)  # as many as there are on average
-    # With two models there is a closed form.
-    leaves = 1 - np.exp(-0.4 * (1 / 3 + 1))
-    expected = [[1 - leaves / 4, leaves / 4], [3 * leaves / 4, 1 - 3 * leaves / 4]]
-    np.testing.assert_allclose(transition(0.4, np.array([3.0, 1.0])), expected)
 
 
 def test_a_needle_whose_tip_is_not_seen_comes_to_rest():
