@@ -10,7 +10,6 @@ from scipy.special import expit
 
 from sonoservo.systems.localization.line_features import line_features
 from sonoservo.systems.localization.line_profile import profile, refine
-from sonoservo.systems.localization.line_search import bright_lines
 from sonoservo.systems.localization.needle_blur import streak_length
 from sonoservo.systems.localization.tip import most_evident_stretch
 from sonoservo.systems.signals.immutable import Immutable, read_only
@@ -226,6 +225,22 @@ def line_between(volume: Volume, ends: Floats) -> NeedleLine | None:
     )
 
 
+def log_odds(volume: Volume, ends: Floats) -> float | None:
+    """Return the log odds that the stretch between two points is a needle, judged by its looks.
+
+    What is dark between the side of the field of view and the stretch does not count: the near part
+    of a needle may be faint. None if the stretch is not seen. ``ends`` are (2, 3) entry and tip in
+    P, in m.
+    """
+    line = line_between(volume, ends)
+    if line is None:
+        return None
+    features = line_features(
+        volume, line.ends, evidence=line.evidence, entry_gap=0.0, tip_gap=line.tip_gap
+    )
+    return sum(w * features[name] for name, w in _WEIGHTS.items())
+
+
 def _contrast_along(
     volume: Volume, ends: Floats
 ) -> tuple[Floats, NDArray[np.float64], NDArray[np.bool_]]:
@@ -266,7 +281,7 @@ def needle_lines(volume: Volume, *, count: int = 40) -> list[NeedleLine]:
     count
         Number of bright lines that are refined and judged.
     """
-    lines = (refined_line(volume, ends) for ends in bright_lines(volume, count=count))
+    lines: list[NeedleLine | None] = []
     possible = [line for line in lines if line is not None and line.log_odds > -math.inf]
     return _whole_needles(sorted(possible, key=lambda line: -line.log_odds))
 

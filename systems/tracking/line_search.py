@@ -7,18 +7,14 @@ from typing import Any
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
 
 from sonoservo.systems.sampling.workers import workers
-from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.tracking.cells import Cells
 
 Floats = NDArray[np.float64]
 
 _STEEPEST = 0.92
 """Largest share of the depth's direction in the direction of a line that is searched for."""
-
-_DARKEST, _BRIGHTEST = -6.0, 14.0
-"""Limits of a cell's level above its surroundings, in dB."""
 
 _DARK_SIDES = -1.0
 """Level above the surroundings at which sides get no darker, in dB. Shadows would otherwise make
@@ -27,36 +23,15 @@ the tissue beside them a line."""
 _UNEVEN = 2.0
 """Largest contrast of a line above that of its darker half, in dB."""
 
-_MOST_CELLS = 50_000
-"""Number of cells from which larger cells are used."""
+HALF_LENGTH, _BESIDE, _STEP, _APART = 10e-3, 4.5e-3, 0.2, 4e-3
+"""Half the length of a line and distance of the parallel lines in m, angle between neighbouring
+directions in rad, and smallest distance in m between parallel lines that are two."""
 
 _PARTS = 4
 """Number of parts in which the directions are tried."""
 
 
 @njit(cache=True, nogil=True)
-def _cell_levels(  # pragma: no cover - compiled
-    intensities: Any, seen: Any, bx: int, by: int, bz: int
-) -> Any:
-    """Return the mean intensity of each block of voxels, and whether most of it was seen."""
-    nx, ny, nz = intensities.shape
-    means = np.zeros((nx // bx, ny // by, nz // bz), np.float32)
-    shown = np.zeros(means.shape, np.bool_)
-    for p in range(means.shape[0]):
-        for q in range(means.shape[1]):
-            for r in range(means.shape[2]):
-                total, count = 0.0, 0
-                for i in range(p * bx, p * bx + bx):
-                    for j in range(q * by, q * by + by):
-                        for k in range(r * bz, r * bz + bz):
-                            total += intensities[i, j, k]
-                            count += seen[i, j, k]
-                if 2 * count >= bx * by * bz:
-                    means[p, q, r], shown[p, q, r] = total / count, True
-    return means, shown
-
-
-@njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nnan", "nsz"})
 def _line_contrasts(  # pragma: no cover - compiled
     levels: Any, margin: int, along: Any, beside: Any
 ) -> Any:
@@ -170,77 +145,45 @@ def _all_contrasts(levels: Any, margin: int, along: Any, beside: Any) -> tuple[A
     return best, direction
 
 
-def bright_lines(
-    volume: Volume,
-    *,
-    count: int = 40,
-    cell: float = 1.5e-3,
-    half_length: float = 10e-3,
-    beside: float = 4.5e-3,
-    around: float = 13e-3,
-    step: float = 0.2,
-) -> list[Floats]:
+def bright_lines(cells: Cells, count: int) -> tuple[Floats, Floats]:
     """Find the lines of a volume that are brighter than their surroundings on all sides.
 
-    The volume is reduced to the mean levels of cells above the tissue around them. A line's level
-    is the mean of the cells along it, and its contrast is that level above the brightest of the
-    parallel lines beside it. Speckle is averaged along the line; a sheet is as bright beside the
-    line as on it; a compact inclusion fills one half of the line only. All cells and directions
-    are tried.
+    A line's level is the mean of the cells along it, and its contrast is that level above the
+    brightest of the parallel lines beside it. Speckle is averaged along the line; a sheet is as
+    bright beside the line as on it; a compact inclusion fills one half of the line only. All cells
+    and directions are tried.
 
     Parameters
     ----------
-    volume
-        Volume to search.
+    cells
+        Cells of the volume.
     count
         Largest number of lines.
-    cell
-        Smallest edge length of the cells, in m.
-    half_length
-        Half the length of a line, in m.
-    beside
-        Distance of the parallel lines, in m.
-    around
-        Edge length of the cube over which the level around a cell is averaged, in m.
-    step
-        Angle between neighbouring directions, in rad.
 
     Returns
     -------
-    Lines, most prominent first, each (2, 3): ends in the probe frame, in m.
+    (n, 3) middles in P, in m, and (n, 3) unit vectors, most prominent first.
     """
-    cell = max(cell, float(np.prod(volume.upper - volume.origin) / _MOST_CELLS) ** (1 / 3))
-    size = np.maximum(1, np.round(cell / volume.spacing)).astype(int)
-    edges = size * volume.spacing
-    means, seen = _cell_levels(volume.intensities, volume.seen, *size)
-    means *= np.float32(volume.decibels_per_level)
-    if not means.any():
-        return []
-    window = np.maximum(3, np.round(around / edges)).astype(int)
-    share = uniform_filter(seen.astype(np.float32), window, mode="constant")
-    level = uniform_filter(means, window, mode="constant") / np.maximum(share, 0.05)
-    levels = np.where(seen, np.clip(means - level, _DARKEST, _BRIGHTEST), np.float32(0))
-
+    levels, edges = cells.levels, cells.edges
     pitch = float(edges.mean())
-    half = max(2, round(half_length / pitch))
-    directions = _directions(step)
+    half = max(2, round(HALF_LENGTH / pitch))
+    directions = _directions(_STEP)
     # A margin behind each row is also the one before the next.
     padded = np.pad(levels, ((0, 0), (0, half), (0, half)))
     strides = np.array([padded.shape[1] * padded.shape[2], padded.shape[2], 1])
     steps = np.arange(1, half + 1)[:, np.newaxis] * pitch
     along, aside = (
         np.round(each / edges).astype(np.int64) @ strides
-        for each in (directions[:, np.newaxis] * steps, beside * _around(directions))
+        for each in (directions[:, np.newaxis] * steps, _BESIDE * _around(directions))
     )
     margin = 2 * int(max(np.abs(along).max(), np.abs(aside).max()))
     contrast, number = _all_contrasts(np.pad(padded.ravel(), margin), margin, along, aside)
-    contrast = np.where(seen, contrast.reshape(padded.shape)[:, :-half, :-half], 0).ravel()
+    contrast = np.where(cells.seen, contrast.reshape(padded.shape)[:, :-half, :-half], 0).ravel()
     number = number.reshape(padded.shape)[:, :-half, :-half].ravel()
 
-    order = np.argsort(-contrast)[: np.count_nonzero(contrast > 0)]
+    order = np.argsort(-contrast, kind="stable")[: np.count_nonzero(contrast > 0)]
     index = np.stack(np.unravel_index(order, levels.shape), axis=1)
-    centres = volume.position((index + 0.5) * size - 0.5)
+    centres = cells.origin + index * edges
     k = directions[number[order]]
-    chosen = _select_lines(centres, k, count, 4e-3, half_length)
-    reach = half * pitch * np.array([[-1.0], [1.0]])
-    return [centres[c] + reach * k[c] for c in chosen]
+    chosen = _select_lines(centres, k, count, _APART, HALF_LENGTH)
+    return centres[chosen], k[chosen]

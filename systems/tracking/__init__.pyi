@@ -1,0 +1,2 @@
+from .line_follower import LineFollower as LineFollower
+from .line_belief import BeliefParameters as BeliefParameters

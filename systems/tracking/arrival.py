@@ -1,0 +1,236 @@
+"""When each bin of a line arrived, and what that makes of the line: needle, at rest, or neither."""
+
+import math
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from sonoservo.systems.tracking.line_contrast import BIN
+
+Floats = NDArray[np.float64]
+
+SPEEDS = (0.0, 3e-3, 8e-3, 16e-3, 30e-3)
+"""Speeds at which a hand pushes a needle, in m/s; see `advances`."""
+
+_MOST = 12
+"""Number of bins that a tip may pass between two volumes."""
+
+_KEEPS = 0.8
+"""Probability that a hand goes on as it does from one volume to the next."""
+
+_SHARE = 0.5
+"""Share of a bin's evidence that its neighbours do not give as well: a line's echo and the speckle
+beside it are longer than a bin."""
+
+_BEGIN, _END = 0.02, 0.04
+"""Probabilities that something bright begins and ends from one bin to the next: structures are some
+5 cm apart and long."""
+
+_ENTERING = 0.7
+"""Probability that a needle is first seen at the outer end of the part of its line in view."""
+
+_LARGEST = 20.0
+"""Largest logarithm of a bin's ratio: nothing is gained by more."""
+
+_UNLIKELY = -12.0
+"""Logarithm of the odds against a needle beyond which they are not computed."""
+
+
+@lru_cache(maxsize=64)
+def _advances(milliseconds: int) -> Floats:
+    rows = []
+    for speed in SPEEDS:
+        mean = speed * 1e-3 * milliseconds / BIN
+        row = [math.exp(-0.5 * ((b - mean) / (0.35 * mean + 0.35)) ** 2) for b in range(_MOST)]
+        rows.append(np.array(row) / sum(row))
+    return np.array(rows)
+
+
+def advances(seconds: float) -> Floats:
+    """Return (m, d) probabilities of the number of bins that a tip passes in a time in s.
+
+    There is a row for each of the `SPEEDS`, from which a hand's differs by about a third.
+    """
+    return _advances(max(round(1e3 * seconds), 1))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_volume(  # pragma: no cover - compiled
+    shown: Any, logs: Any, ratios: Any, seen: Any, renewed: float, temper: float, prior: float
+) -> None:
+    """Add a volume to what is known of when each bin of each line arrived.
+
+    Parameters
+    ----------
+    shown
+        (n, t, b) probabilities that a bin which arrived at one of t times shows itself; changed.
+    logs
+        (n, t, b) log ratios of all contrasts since then, there against not there; changed.
+    ratios, seen
+        (n, b) log ratios of the volume's contrasts, shown against nothing, and flags of the bins
+        that are seen.
+    renewed
+        Share of what shows itself that is drawn anew since the last volume.
+    temper
+        Share of the volume that is new evidence.
+    prior
+        Probability that a bin that is there shows itself.
+    """
+    for n in range(len(ratios)):
+        for b in range(ratios.shape[1]):
+            if not seen[n, b]:
+                continue
+            factor = math.exp(temper * ratios[n, b])
+            for t in range(shown.shape[1]):
+                p = shown[n, t, b]
+                p += renewed * (prior - p)
+                total = p * factor + 1 - p
+                logs[n, t, b] += math.log(total)
+                shown[n, t, b] = p * factor / total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _stretches(factors: Any) -> Any:  # pragma: no cover - compiled
+    """Return (b + 1,) logs of what rests before each bin: all stretches there, against none."""
+    absent, present = 1 - _BEGIN, _BEGIN
+    result = np.zeros(len(factors) + 1)
+    for b in range(len(factors)):
+        if b > 0:
+            absent, present = (
+                absent * (1 - _BEGIN) + present * _END, absent * _BEGIN + present * (1 - _END)
+            )  # fmt: skip
+        present *= factors[b]
+        norm = absent + present
+        absent /= norm
+        present /= norm
+        result[b + 1] = result[b] + math.log(norm)
+    return result
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _advancing(  # pragma: no cover - compiled
+    factors: Any, before: Any, beyond: Any, first: Any, moves: Any
+) -> float:
+    """Return the log of the summed probability of all needles that advance along a line.
+
+    Parameters
+    ----------
+    factors
+        (t, b) likelihood ratios of each bin, if it arrived at each time.
+    before, beyond
+        (b + 1,) logs of what rests on either side of each place of the tip.
+    first
+        (b + 1,) prior probabilities of the tip's first place.
+    moves
+        (m, d) probabilities of a tip's `advances`; the first row is rest.
+    """
+    times, bins = factors.shape
+    modes, most = moves.shape
+    top = before.max()
+    tip, mixed = np.zeros((modes, bins + 1)), np.zeros((modes, bins + 1))
+    for a in range(bins + 1):
+        one = first[a] * math.exp(before[a] - top)
+        for m in range(modes):
+            tip[m, a] = one * (0.5 if m == 0 else 0.5 / (modes - 1))
+    result = top
+    reached = np.zeros(most)
+    for t in range(1, times):
+        for a in range(bins + 1):
+            moving = 0.0
+            for m in range(1, modes):
+                moving += tip[m, a]
+            mixed[0, a] = _KEEPS * tip[0, a] + 0.6 * (1 - _KEEPS) * moving
+            for m in range(1, modes):
+                others = (moving - tip[m, a]) / max(modes - 2, 1)
+                mixed[m, a] = _KEEPS * tip[m, a] + (1 - _KEEPS) * (
+                    tip[0, a] / (modes - 1) + 0.4 * others
+                )
+        tip[:] = 0
+        total = 0.0
+        for a in range(bins + 1):
+            reached[0] = 1.0
+            for d in range(1, most):
+                reached[d] = reached[d - 1] * factors[t, a + d - 1] if a + d <= bins else 0.0
+            for m in range(modes):
+                weight = mixed[m, a]
+                if weight > 1e-12:
+                    for d in range(most):
+                        if a + d <= bins:
+                            one = weight * moves[m, d] * reached[d]
+                            tip[m, a + d] += one
+                            total += one
+        if total <= 0:
+            return -1e3
+        tip /= total
+        result += math.log(total)
+    last = beyond.max()
+    total = 0.0
+    for a in range(bins + 1):
+        total += tip[:, a].sum() * math.exp(beyond[a] - last)
+    return result + last + math.log(max(total, 1e-300))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def class_logs(  # pragma: no cover - compiled
+    logs: Any, riding: Any, appearing: Any, moves: Any
+) -> Any:
+    """Return (n, 5) log evidence of each line: needle either way, resting, riding, appeared.
+
+    Parameters
+    ----------
+    logs
+        (n, t, b) log ratios by time of arrival; see `add_volume`. The first is "always".
+    riding
+        (n, b) log ratios of a line that keeps its place in the image.
+    appearing
+        (t,) prior logarithms of the probability that something appears at each time.
+    moves
+        (m, d) probabilities of a tip's `advances`.
+    """
+    count, times, bins = logs.shape
+    result = np.full((count, 5), -1e3)
+    factors, turned = np.zeros((times, bins)), np.zeros((times, bins))
+    before, beyond = np.zeros(bins + 1), np.zeros(bins + 1)
+    first = np.zeros(bins + 1)
+    for n in range(count):
+        bound = 0.0
+        for b in range(bins):
+            highest = 0.0
+            for t in range(times):
+                highest = max(highest, _SHARE * logs[n, t, b])
+            bound += highest
+            factors[0, b] = math.exp(min(_SHARE * logs[n, 0, b], _LARGEST))
+            turned[0, bins - 1 - b] = factors[0, b]
+        before[:] = _stretches(factors[0])
+        back = _stretches(turned[0])
+        result[n, 2] = before[bins]
+        result[n, 3] = _stretches(np.exp(_SHARE * riding[n]))[bins]
+        # No needle is more probable than if each bin had arrived at its own best time.
+        if bound < max(result[n, 2], result[n, 3]) + _UNLIKELY:
+            continue
+        for t in range(1, times):
+            for b in range(bins):
+                factors[t, b] = math.exp(min(_SHARE * logs[n, t, b], _LARGEST))
+                turned[t, bins - 1 - b] = factors[t, b]
+            one = _stretches(factors[t])[bins] + appearing[t]
+            a, c = max(result[n, 4], one), min(result[n, 4], one)
+            result[n, 4] = a + math.log1p(math.exp(c - a))
+        for way in range(2):
+            seen = 0
+            one = factors if way == 0 else turned
+            for b in range(bins):
+                if one[0, b] != 1.0:
+                    seen = b
+                    break
+            first[:] = (1 - _ENTERING) / (bins + 1)
+            first[seen] += _ENTERING
+            if way == 0:
+                beyond[:] = back[::-1]
+                result[n, 0] = _advancing(one, before, beyond, first, moves)
+            else:
+                beyond[:] = before[::-1]
+                result[n, 1] = _advancing(one, back, beyond, first, moves)
+    return result

@@ -1,0 +1,167 @@
+"""Cells of a volume: their levels above the surroundings, and how the tissue moved between two."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
+
+from sonoservo.systems.sampling.interpolation import trilinear
+from sonoservo.systems.signals.volume import Volume
+
+Floats = NDArray[np.float64]
+
+CELL = 1.5e-3
+"""Smallest edge length of a cell, in m: less than a beam's width, so that no line falls between."""
+
+_MOST_CELLS = 50_000
+"""Number of cells from which on larger ones are used."""
+
+_AROUND = 13e-3
+"""Edge length in m of the cube over which the level around a cell is averaged."""
+
+_DARKEST, _BRIGHTEST = -6.0, 14.0
+"""Limits of a cell's level above its surroundings, in dB."""
+
+_UNLIKE = 3.0
+"""Difference in dB of two cells' levels at which they tell half as much about a shift: what comes
+or goes in between does not move."""
+
+_STEPS, _CONVERGED = 8, 0.02
+"""Largest number of steps of the search for a shift, and length of a step that ends it, in cells.
+"""
+
+
+@njit(cache=True, nogil=True)
+def _cell_levels(  # pragma: no cover - compiled
+    intensities: Any, seen: Any, bx: int, by: int, bz: int
+) -> Any:
+    """Return the mean intensity of each block of voxels, and whether most of it was seen."""
+    nx, ny, nz = intensities.shape
+    means = np.zeros((nx // bx, ny // by, nz // bz), np.float32)
+    shown = np.zeros(means.shape, np.bool_)
+    for p in range(means.shape[0]):
+        for q in range(means.shape[1]):
+            for r in range(means.shape[2]):
+                total, count = 0.0, 0
+                for i in range(p * bx, p * bx + bx):
+                    for j in range(q * by, q * by + by):
+                        for k in range(r * bz, r * bz + bz):
+                            total += intensities[i, j, k]
+                            count += seen[i, j, k]
+                if 2 * count >= bx * by * bz:
+                    means[p, q, r], shown[p, q, r] = total / count, True
+    return means, shown
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Levels of the cells of a volume, in dB above the mean of what lies around each.
+
+    Parameters
+    ----------
+    levels
+        (i, j, k) levels in dB, as float32; 0 where nothing was seen.
+    seen
+        (i, j, k) flags of the cells that were seen.
+    origin, edges
+        (3,) position in P of the first cell's centre, and edge lengths of the cells, in m.
+    """
+
+    levels: NDArray[np.float32]
+    seen: NDArray[np.bool_]
+    origin: Floats
+    edges: Floats
+
+
+def cells_of(volume: Volume) -> Cells:
+    """Return the cells of a volume."""
+    edge = max(CELL, float(np.prod(volume.upper - volume.origin) / _MOST_CELLS) ** (1 / 3))
+    size = np.maximum(1, np.round(edge / volume.spacing)).astype(int)
+    edges = size * volume.spacing
+    means, seen = _cell_levels(volume.intensities, volume.seen, *size)
+    means *= np.float32(volume.decibels_per_level)
+    window = np.maximum(3, np.round(_AROUND / edges)).astype(int)
+    share = uniform_filter(seen.astype(np.float32), window, mode="constant")
+    around = uniform_filter(means, window, mode="constant") / np.maximum(share, np.float32(0.05))
+    levels = np.where(seen, np.clip(means - around, _DARKEST, _BRIGHTEST), np.float32(0))
+    return Cells(levels, seen, volume.position(0.5 * size - 0.5), edges)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _shift_equations(  # pragma: no cover - compiled
+    now: Any, now_seen: Any, before: Any, before_seen: Any, M: Any, offset: Any
+) -> Any:
+    """Return the normal equations of the shift of one image against another, and their difference.
+
+    ``M`` and ``offset`` take indices of the cells now to those before. Every second cell counts.
+    """
+    nx, ny, nz = before.shape
+    H, g, gradient = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
+    unlike, count = 0.0, 0
+    for i in range(1, now.shape[0] - 1, 2):
+        for j in range(1, now.shape[1] - 1, 2):
+            for k in range(1, now.shape[2] - 1, 2):
+                if not now_seen[i, j, k]:
+                    continue
+                x = M[0, 0] * i + M[0, 1] * j + M[0, 2] * k + offset[0]
+                y = M[1, 0] * i + M[1, 1] * j + M[1, 2] * k + offset[1]
+                z = M[2, 0] * i + M[2, 1] * j + M[2, 2] * k + offset[2]
+                if not (1 <= x <= nx - 2 and 1 <= y <= ny - 2 and 1 <= z <= nz - 2):
+                    continue
+                if not before_seen[int(x + 0.5), int(y + 0.5), int(z + 0.5)]:
+                    continue
+                error = now[i, j, k] - trilinear(before, x, y, z)
+                gradient[0] = trilinear(before, x + 1, y, z) - trilinear(before, x - 1, y, z)
+                gradient[1] = trilinear(before, x, y + 1, z) - trilinear(before, x, y - 1, z)
+                gradient[2] = trilinear(before, x, y, z + 1) - trilinear(before, x, y, z - 1)
+                weight = 1 / (1 + (error / _UNLIKE) ** 2)
+                for a in range(3):
+                    g[a] += 0.5 * weight * gradient[a] * error
+                    for b in range(3):
+                        H[a, b] += 0.25 * weight * gradient[a] * gradient[b]
+                unlike += min(abs(error), 2 * _UNLIKE)
+                count += 1
+    return H, g, unlike, count
+
+
+def tissue_shift(now: Cells, before: Cells, X_BN: Floats, starts: list[Floats]) -> Floats:
+    """Return the shift by which the tissue moved between two volumes, beyond the probe's poses.
+
+    Breath, a late pose and a wrong calibration shift all that rests in the tissue alike, so one
+    shift a volume describes them (Lucas and Kanade 1981, with weights of a Cauchy distribution).
+
+    Parameters
+    ----------
+    now, before
+        Cells of the two volumes.
+    X_BN
+        (4, 4) pose of the probe now in its frame before, by its measured poses.
+    starts
+        (3,) shifts in m from which the search begins; the one that ends with the smallest
+        difference counts.
+
+    Returns
+    -------
+    (3,) shift in the probe's frame before, in m: what lies at p now lay at X_BN p + shift.
+    """
+    M = X_BN[:3, :3] * now.edges / before.edges[:, np.newaxis]
+    offset = (X_BN[:3, :3] @ now.origin + X_BN[:3, 3] - before.origin) / before.edges
+    best, least = np.zeros(3), np.inf
+    for start in starts:
+        shift = start / before.edges
+        for _ in range(_STEPS):
+            H, g, unlike, count = _shift_equations(
+                now.levels, now.seen, before.levels, before.seen, M, offset + shift
+            )
+            if count < 200:
+                break
+            if unlike / count < least:
+                best, least = shift * before.edges, unlike / count
+            step = np.clip(np.linalg.solve(H + 1e-3 * np.trace(H) * np.eye(3), g), -1, 1)
+            shift = shift + step
+            if np.abs(step).max() < _CONVERGED:
+                break
+    return best

@@ -1,0 +1,454 @@
+"""One belief about all lines: each is followed, and the needle is the most probable of them.
+
+A needle's far end advances along its own axis; what rests in the tissue does not, and what rides
+along keeps its place in the image. The same contrasts along a line have a likelihood under each of
+these classes (Musicki and Evans 2004; Ristic et al. 2013), so nothing else has to tell a needle from
+a guide wire, and a probe that moves needs no other rule than one that rests.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import expit
+
+from sonoservo.systems.localization.needle_line import log_odds
+from sonoservo.systems.signals.acquisition import acquired_from
+from sonoservo.systems.signals.immutable import Immutable
+from sonoservo.systems.signals.line_hypotheses import LINE_CLASSES, LineHypotheses
+from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.tracking.arrival import add_volume, advances, class_logs
+from sonoservo.systems.tracking.cells import Cells, cells_of, tissue_shift
+from sonoservo.systems.tracking.line_contrast import (
+    BIN,
+    BINS,
+    MIDDLES,
+    line_contrasts,
+    log_ratio,
+    stretches,
+)
+from sonoservo.systems.tracking.line_fit import FittedLine, brightness, fitted_lines
+
+Floats = NDArray[np.float64]
+
+_REMEMBERED, _ARRIVALS = 14, 30
+"""Numbers of volumes that a new line is looked for in, and of times of arrival that are told apart:
+what came before them was always there."""
+
+_SHOWS = 0.7
+"""Probability that a bin of a line shows itself: speckle and shadows hide the others."""
+
+_RENEWED, _RENEWED_BY_MOTION = 0.03, 0.06
+"""Share of what shows itself that is drawn anew from one volume to the next, while the probe rests,
+and per unit of its motion."""
+
+_NEW_AT_REST, _NEW_IN_MOTION = 0.6, 0.5
+"""Share of a volume's evidence that is new: at rest its speckle repeats itself, and in motion the
+error with which a line is followed does."""
+
+_PLACE, _DEPTH, _TURN = 2e-3, 6e-3, np.deg2rad(2.0)
+"""Unit of the probe's motion between two volumes: across its axis and along it in m, and turn in
+rad, after which half of the speckle is new."""
+
+_PRIORS = np.array([0.02, 0.02, 0.7, 0.08, 0.2])
+"""Prior probabilities of a line: needle from either end, resting, riding, and nothing but speckle.
+"""
+
+_APPEARS, _APPEARS_BY_MOTION = 0.002, 0.05
+"""Probabilities that a line appears at once with a volume, at rest and per unit of motion: a
+specular surface comes into view, or a shadow goes."""
+
+_LOOKS, _NEUTRAL, _MOST_LOOKS = 0.7, -1.0, (-8.0, 4.0)
+"""Share of the evidence of a line's looks that its motion does not give as well, log odds that speak
+neither for nor against a needle, and limits of the log odds."""
+
+_SAME, _OVERLAP, _BETTER = 3e-3, 10e-3, 4.0
+"""Distance in m up to which the ends of two fits belong to one line, length in m by which its parts
+may be apart, and sum of contrasts in dB, of one bin, by which a fit must be better to replace it."""
+
+_KEPT, _LEAST_PROMINENCE = 0.8, 3.0
+"""Share of a line's prominence that lasts from volume to volume, and the least one."""
+
+_SHIFTS = np.array([0.0, -3e-3, 3e-3])
+"""Displacements in W along Z, in m, from which the tissue's is searched: breath is faster than its
+cells are large."""
+
+
+@dataclass(kw_only=True)
+class BeliefParameters:
+    """What a user may choose about the belief.
+
+    Parameters
+    ----------
+    act
+        Probability of being a needle from which on a line is followed by robot and filter.
+    lines
+        Largest number of lines that are followed.
+    """
+
+    act: float = 0.95
+    lines: int = 150
+
+    def __post_init__(self) -> None:
+        require(0.5 < self.act < 1, "act", self.act, "above 0.5 and below 1")
+        require_positive(lines=self.lines)
+
+
+@dataclass(frozen=True, eq=False)
+class Remembered(Immutable):
+    """A volume with its cells, and the displacement (3,) of the tissue in W since the first one."""
+
+    volume: Volume
+    cells: Cells
+    displacement: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """Lines that are followed, with rows for each; all in the tissue's frame at the first volume.
+
+    Parameters
+    ----------
+    points, directions
+        (n, 3) points of abscissa 0 in m, and unit vectors.
+    spans
+        (n, 2) abscissae in m between which a line was seen.
+    image_points, image_directions
+        (n, 3) the same of the line that keeps its place in the image, in P.
+    shown, logs
+        (n, t, BINS) see `add_volume`.
+    image_shown, image_logs
+        (n, 1, BINS) the same along the line that keeps its place in the image.
+    contrasts, seen
+        (n, BINS) contrasts in the newest volume in dB, and flags of what is seen.
+    prominence
+        (n,) evidence for a line, whatever it is, averaged over the last volumes.
+    looks, looked
+        (n,) sums of the log odds by looks, and numbers of volumes.
+    numbers
+        (n,) numbers by which the lines are known.
+    classes
+        (n, 6) logarithms of the probabilities of the classes, the needle's in either sense.
+    """
+
+    points: Floats
+    directions: Floats
+    spans: Floats
+    image_points: Floats
+    image_directions: Floats
+    shown: Floats
+    logs: Floats
+    image_shown: Floats
+    image_logs: Floats
+    contrasts: NDArray[np.float32]
+    seen: NDArray[np.bool_]
+    prominence: Floats
+    looks: Floats
+    looked: Floats
+    numbers: Floats
+    classes: Floats
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    def take(self, rows: NDArray[Any]) -> "Lines":
+        """Return some of the lines."""
+        return Lines(**{each.name: getattr(self, each.name)[rows] for each in fields(self)})
+
+    def join(self, other: "Lines") -> "Lines":
+        """Return these lines and others."""
+        names = [each.name for each in fields(self)]
+        return Lines(**{n: np.concatenate([getattr(self, n), getattr(other, n)]) for n in names})
+
+
+def _new_lines(ends: Floats, ends_P: Floats, numbers: Floats, times: int) -> Lines:
+    """Return lines with (n, 2, 3) ends in the tissue and in P, of which nothing is known yet."""
+    n = len(ends)
+
+    def line(ends: Floats) -> tuple[Floats, Floats, Floats]:
+        along = ends[:, 1] - ends[:, 0]
+        length = np.linalg.norm(along, axis=1, keepdims=True)
+        return ends.mean(axis=1), along / length, length
+
+    points, directions, length = line(ends)
+    image_points, image_directions, _ = line(ends_P)
+    return Lines(
+        points, directions, 0.5 * length * [-1.0, 1.0], image_points, image_directions,
+        np.full((n, times, BINS), _SHOWS), np.zeros((n, times, BINS)),
+        np.full((n, 1, BINS), _SHOWS), np.zeros((n, 1, BINS)),
+        np.zeros((n, BINS), np.float32), np.zeros((n, BINS), bool),
+        np.zeros(n), np.zeros(n), np.zeros(n), numbers, np.zeros((n, 1 + len(LINE_CLASSES))),
+    )  # fmt: skip
+
+
+_NONE = _new_lines(np.zeros((0, 2, 3)), np.zeros((0, 2, 3)), np.zeros(0), 1)
+
+
+@dataclass(frozen=True, eq=False)
+class LineBelief(Immutable):
+    """Belief about all lines after the volumes so far.
+
+    Parameters
+    ----------
+    memory
+        Last volumes, oldest first.
+    lines
+        Lines that are followed.
+    appearing
+        Logarithms of the prior probability that a line appeared, for each time of arrival; the
+        first stands for "always".
+    born
+        Number of lines so far.
+    """
+
+    memory: tuple[Remembered, ...] = ()
+    lines: Lines = field(default_factory=lambda: _NONE)
+    appearing: tuple[float, ...] = (-50.0,)
+    born: int = 0
+
+    @property
+    def time(self) -> float:
+        """Time of the newest volume in s; -inf before the first one."""
+        return self.memory[-1].volume.time if self.memory else -np.inf
+
+    @property
+    def hypotheses(self) -> LineHypotheses:
+        """What the belief says about the lines in the newest volume."""
+        lines = self.lines
+        needle = np.logaddexp(lines.classes[:, 0], lines.classes[:, 1])
+        looks = lines.looks / np.maximum(lines.looked, 1)
+        odds = needle - np.log(-np.expm1(np.minimum(needle, -1e-12)))
+        odds = odds + _LOOKS * (np.where(lines.looked > 0, looks, 0.0) - _NEUTRAL)
+        displacement = self.memory[-1].displacement if self.memory else np.zeros(3)
+        ends = _seen_ends(lines) + displacement
+        backwards = _backwards(lines)
+        return LineHypotheses(
+            self.time,
+            np.where(backwards[:, np.newaxis, np.newaxis], ends[:, ::-1], ends),
+            expit(odds),
+            np.exp(np.column_stack([needle, lines.classes[:, 2:]])),
+            looks,
+            lines.looked,
+            lines.numbers,
+        )
+
+
+def follow(
+    belief: LineBelief, volume: Volume, parameters: BeliefParameters, *, look: bool = False
+) -> LineBelief:
+    """Return the belief after another volume.
+
+    Parameters
+    ----------
+    belief
+        Belief before it.
+    volume
+        Volume, later than the ones before.
+    parameters
+        What a user may choose.
+    look
+        Whether all prominent lines are judged by their looks, not only those that move like a
+        needle.
+    """
+    memory = (*belief.memory[1 - _REMEMBERED :], _remember(volume, belief.memory))
+    appears = _APPEARS + _APPEARS_BY_MOTION * min(_motion(memory), 1.0)
+    appearing = belief.appearing
+    if belief.memory:
+        # The oldest arrivals but "always" are forgotten.
+        appearing = (-50.0, *appearing[1:][1 - _ARRIVALS + 1 :], float(np.log(appears)))
+    lines = _look_on(belief.lines, memory, len(appearing))
+    born = belief.born
+    lines, born = _add_fits(lines, fitted_lines(volume, memory[-1].cells), memory, born)
+    order = np.argsort(-lines.prominence, kind="stable")[: parameters.lines]
+    lines = lines.take(order[lines.prominence[order] >= _LEAST_PROMINENCE])
+    if len(lines):
+        seconds = (memory[-1].volume.time - memory[0].volume.time) / max(len(memory) - 1, 1)
+        logs = class_logs(
+            lines.logs, lines.image_logs[:, 0], np.array(appearing), advances(seconds)
+        )
+        # Needle either way, resting, riding, appeared, nothing.
+        joint = np.column_stack([logs, np.zeros(len(lines))])
+        joint[:, [0, 1, 2, 3, 5]] += np.log(_PRIORS)
+        total = np.logaddexp.reduce(joint, axis=1)
+        lines = replace(lines, classes=joint - total[:, np.newaxis])
+        lines = _judged(lines, volume, memory[-1], look)
+    return LineBelief(memory, lines, appearing, born)
+
+
+def _motion(memory: Sequence[Remembered]) -> float:
+    """Return how far the probe moved between the last two volumes, in units of its speckle's."""
+    if len(memory) < 2:
+        return 0.0
+    X = memory[-2].volume.X_WP.inverse().multiply(memory[-1].volume.X_WP)
+    x, y, z = X.translation()
+    turn = float(X.rotation().ToAngleAxis().angle())
+    return max(float(np.hypot(x, z)) / _PLACE, abs(y) / _DEPTH, turn / _TURN)
+
+
+def _remember(volume: Volume, memory: Sequence[Remembered]) -> Remembered:
+    """Return a volume with the displacement of its tissue, compared with several before it."""
+    cells = cells_of(volume)
+    if not memory:
+        return Remembered(volume, cells, np.zeros(3))
+    last = memory[-1].displacement
+    before = memory[-2].displacement if len(memory) > 1 else last
+    guesses = [2 * last - before, *(last + np.outer(_SHIFTS, [0.0, 0.0, 1.0]))]
+    found: list[Floats] = []
+    for lag in (1, 2, 4, 8):
+        if lag <= len(memory):
+            each = memory[-lag]
+            R = each.volume.X_WP.rotation().matrix()
+            X = each.volume.X_WP.inverse().multiply(volume.X_WP).GetAsMatrix4()
+            starts = [R.T @ (each.displacement - guess) for guess in found[:1] or guesses]
+            found.append(each.displacement - R @ tissue_shift(cells, each.cells, X, starts))
+    return Remembered(volume, cells, np.median(found, axis=0))
+
+
+def _shown_at(
+    lines: Lines, each: Remembered
+) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.float32], NDArray[np.bool_]]:
+    """Return contrasts and flags of what is seen, along lines in the tissue and in the image."""
+    reach = MIDDLES[-1] / 2 * lines.directions
+    n = len(lines)
+    ends = np.concatenate([lines.points - reach, lines.points + reach]) + each.displacement
+    p_P = acquired_from(each.volume, ends)
+    along = p_P[n:] - p_P[:n]
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    here = line_contrasts(each.volume, 0.5 * (p_P[:n] + p_P[n:]), along)
+    riding = line_contrasts(each.volume, lines.image_points, lines.image_directions)
+    return *here, *riding
+
+
+def _add(lines: Lines, memory: Sequence[Remembered], begun: int) -> None:
+    """Add the newest of some volumes to what is known of lines, for the arrivals that have begun."""
+    motion = _motion(memory)
+    renewed = min(_RENEWED + _RENEWED_BY_MOTION * motion, 0.3)
+    new = _NEW_IN_MOTION if motion > 0.5 else _NEW_AT_REST
+    contrasts, seen, riding, riding_seen = _shown_at(lines, memory[-1])
+    shown, logs = lines.shown[:, :begun], lines.logs[:, :begun]
+    add_volume(shown, logs, log_ratio(contrasts), seen, renewed, new, _SHOWS)
+    add_volume(
+        lines.image_shown, lines.image_logs, log_ratio(riding), riding_seen, renewed, new, _SHOWS
+    )
+    lines.contrasts[:], lines.seen[:] = contrasts, seen
+
+
+def _look_on(lines: Lines, memory: Sequence[Remembered], times: int) -> Lines:
+    """Return lines after another volume, with one more time of arrival."""
+    n, before = len(lines), lines.logs.shape[1]
+    kept = np.r_[0, before - times + 2 : before] if before >= times else np.arange(before)
+    lines = replace(
+        lines,
+        shown=np.concatenate([lines.shown[:, kept], np.full((n, 1, BINS), _SHOWS)], axis=1)
+        if times > 1
+        else lines.shown.copy(),
+        logs=np.concatenate([lines.logs[:, kept], np.zeros((n, 1, BINS))], axis=1)
+        if times > 1
+        else lines.logs.copy(),
+        image_shown=lines.image_shown.copy(),
+        image_logs=lines.image_logs.copy(),
+        contrasts=lines.contrasts.copy(),
+        seen=lines.seen.copy(),
+    )
+    if n == 0:
+        return lines
+    _add(lines, memory, times)
+    evidence = stretches(lines.contrasts, lines.seen)[2]
+    return replace(lines, prominence=_KEPT * lines.prominence + (1 - _KEPT) * evidence)
+
+
+def _add_fits(
+    lines: Lines, fits: Sequence[FittedLine], memory: Sequence[Remembered], born: int
+) -> tuple[Lines, int]:
+    """Return lines with the fits of a volume: better ones replace, and new ones are looked for."""
+    if not fits:
+        return lines, born
+    newest, times = memory[-1], lines.logs.shape[1]
+    ends_P = np.array([fit.ends for fit in fits])
+    ends = newest.volume.to_world(ends_P.reshape(-1, 3))[0].reshape(-1, 2, 3)
+    fresh = _new_lines(ends - newest.displacement, ends_P, np.arange(len(fits)) + born, times)
+    now = brightness(lines.contrasts, lines.seen)
+    better: dict[int, int] = {}
+    taken, new = set[int](), list[int]()
+    spans = lines.spans.copy()
+    for number, fit in enumerate(fits):
+        here = _along(fresh, number, lines)
+        if len(here):
+            best = int(here[np.argmax(now[here])])
+            if best in taken:
+                continue
+            taken.add(best)
+            if fit.brightness > now[here].max() + _BETTER:
+                better[best] = number
+            else:
+                a = (ends[number] - newest.displacement - lines.points[best]) @ (
+                    lines.directions[best]
+                )
+                spans[best] = [min(spans[best, 0], a.min()), max(spans[best, 1], a.max())]
+        elif not len(_along(fresh, number, fresh.take(np.array(new, dtype=int)))):
+            new.append(number)
+    changed = [*better.values(), *new]
+    if not changed:
+        return replace(lines, spans=spans), born
+    added = fresh.take(np.array(changed))
+    for end in range(1, len(memory) + 1):
+        _add(added, memory[:end], max(times - len(memory) + end, 1))
+    added = replace(added, prominence=stretches(added.contrasts, added.seen)[2])
+    olds = np.array(list(better), dtype=int)
+    for name in ("looks", "looked", "numbers"):
+        getattr(added, name)[: len(olds)] = getattr(lines, name)[olds]
+    added.numbers[len(olds) :] = born + np.arange(len(new))
+    kept = np.setdiff1d(np.arange(len(lines)), olds)
+    return replace(lines, spans=spans).take(kept).join(added), born + len(new)
+
+
+def _along(fresh: Lines, number: int, lines: Lines) -> NDArray[np.int64]:
+    """Return the numbers of the lines along which a new one lies."""
+    ends = fresh.points[number] + np.outer(fresh.spans[number], fresh.directions[number])
+    away = ends[:, np.newaxis] - lines.points
+    a = np.sum(away * lines.directions, axis=-1)
+    off = np.linalg.norm(away - a[..., np.newaxis] * lines.directions, axis=-1)
+    overlap = np.minimum(a.max(axis=0), lines.spans[:, 1]) - np.maximum(
+        a.min(axis=0), lines.spans[:, 0]
+    )
+    return np.flatnonzero((off.max(axis=0) < _SAME) & (overlap > -2 * _OVERLAP))
+
+
+def _seen_ends(lines: Lines) -> Floats:
+    """Return (n, 2, 3) ends of the stretches that stand out in the newest volume, in the tissue."""
+    firsts, lasts, _ = stretches(lines.contrasts, lines.seen)
+    a = np.stack([MIDDLES[firsts] - BIN / 2, MIDDLES[np.maximum(lasts, firsts)] + BIN / 2], axis=1)
+    return lines.points[:, np.newaxis] + a[..., np.newaxis] * lines.directions[:, np.newaxis]
+
+
+def _backwards(lines: Lines) -> NDArray[np.bool_]:
+    """Return flags of the lines whose second end is the outer one.
+
+    A needle advances from there; one at rest is seen as far as the side of the field of view.
+    """
+    firsts, lasts, _ = stretches(lines.contrasts, lines.seen)
+    bins = np.arange(BINS)
+    before, beyond = (
+        np.sum(lines.seen & outside, axis=1)
+        for outside in (bins < firsts[:, np.newaxis], bins > lasts[:, np.newaxis])
+    )
+    surer = lines.classes[:, 1] - lines.classes[:, 0]
+    return np.where(np.abs(surer) > 1, surer > 0, beyond < before)
+
+
+def _judged(lines: Lines, volume: Volume, newest: Remembered, look: bool) -> Lines:
+    """Return lines with the looks of those that move like a needle, or of all prominent ones."""
+    needle = np.logaddexp(lines.classes[:, 0], lines.classes[:, 1])
+    judged = np.flatnonzero(needle > np.log(0.1)) if not look else np.arange(min(len(lines), 40))
+    looks, looked = lines.looks.copy(), lines.looked.copy()
+    ends = _seen_ends(lines) + newest.displacement
+    backwards = _backwards(lines)
+    for n in judged:
+        odds = log_odds(volume, acquired_from(volume, ends[n, ::-1] if backwards[n] else ends[n]))
+        if odds is not None:
+            looks[n] += np.clip(odds, *_MOST_LOOKS)
+            looked[n] += 1
+    return replace(lines, looks=looks, looked=looked)

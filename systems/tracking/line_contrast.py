@@ -1,0 +1,196 @@
+"""Contrast of a line with what lies beside it, and what it tells about the line."""
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit, vectorize
+from numpy.typing import NDArray
+
+from sonoservo.systems.sampling.interpolation import trilinear
+from sonoservo.systems.signals.volume import Volume
+
+Floats = NDArray[np.float64]
+
+BIN = 2e-3
+"""Length of a bin along a line, in m, about the length of its echo."""
+
+BINS = 70
+"""Number of bins along a line: as far as a needle can be seen in either direction."""
+
+MIDDLES: Floats = BIN * (np.arange(BINS) - 0.5 * (BINS - 1))
+"""(BINS,) abscissae of the bins' middles, in m."""
+
+_CORE, _RING = 0.6e-3, 4.5e-3
+"""Radius in m over which a line's echo is averaged, and of the ring beside it, outside the beam."""
+
+_AVERAGED = 2
+"""Number of bins to either side over which a sector of the ring is averaged, against speckle."""
+
+_LINE, _NOTHING = ((4.6, 3.0), (8.0, 8.0)), ((-1.2, 1.8), (1.0, 6.0))
+"""Means and standard deviations in dB of two Gaussians each: contrasts of a line that shows itself,
+and of nothing. Fitted to volumes of the harder world along true needles and beyond their tips."""
+
+_RARE = 0.06
+"""Share of the second Gaussian."""
+
+_SUREST = 3.3
+"""Largest logarithm of the ratio: what one bin can tell, given structures that nobody modelled."""
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _line_contrasts(  # pragma: no cover - compiled
+    intensities: Any, volume_seen: Any, starts: Any, steps: Any, across: Any, count: int
+) -> Any:
+    """Return the contrasts of lines, in grey levels, and where they are seen.
+
+    Parameters
+    ----------
+    intensities, volume_seen
+        Grey levels, and flags of those that were seen.
+    starts, steps
+        (n, 3) fractional indices of each line's first bin, and differences between its bins.
+    across
+        (n, 2, 3) differences of index for 1 m along two directions across each line.
+    count
+        Number of bins.
+
+    Returns
+    -------
+    (n, count) grey levels of the core above the second brightest of eight sectors of the ring, and
+    (n, count) flags of the bins that are seen. A sheet has two sectors as bright as the line.
+    """
+    nx, ny, nz = intensities.shape
+    contrasts = np.zeros((len(starts), count), np.float32)
+    seen = np.zeros((len(starts), count), np.bool_)
+    core, sides = np.zeros(count), np.zeros((count, 8))
+    valid = np.zeros((count, 8), np.int64)
+    offsets = np.zeros((8, 3))
+    for n in range(len(starts)):
+        for s in range(8):
+            c, d = _RING * math.cos(s * math.pi / 4), _RING * math.sin(s * math.pi / 4)
+            for axis in range(3):
+                offsets[s, axis] = c * across[n, 0, axis] + d * across[n, 1, axis]
+        for b in range(count):
+            seen[n, b], core[b] = True, 0.0
+            for half in range(2):
+                a = b + 0.5 * half - 0.25
+                x = starts[n, 0] + a * steps[n, 0]
+                y = starts[n, 1] + a * steps[n, 1]
+                z = starts[n, 2] + a * steps[n, 2]
+                if not (1 <= x <= nx - 2 and 1 <= y <= ny - 2 and 1 <= z <= nz - 2) or not (
+                    volume_seen[int(x + 0.5), int(y + 0.5), int(z + 0.5)]
+                ):
+                    seen[n, b] = False
+                    break
+                level = trilinear(intensities, x, y, z)
+                for q in range(4):
+                    c = _CORE * (1 - 2 * (q % 2))
+                    p = x + c * across[n, q // 2, 0]
+                    r = y + c * across[n, q // 2, 1]
+                    t = z + c * across[n, q // 2, 2]
+                    if 0 <= p <= nx - 1 and 0 <= r <= ny - 1 and 0 <= t <= nz - 1:
+                        level += trilinear(intensities, p, r, t)
+                core[b] += 0.1 * level
+            for s in range(8):
+                valid[b, s], sides[b, s] = 0, 0.0
+                if seen[n, b]:
+                    x = starts[n, 0] + b * steps[n, 0] + offsets[s, 0]
+                    y = starts[n, 1] + b * steps[n, 1] + offsets[s, 1]
+                    z = starts[n, 2] + b * steps[n, 2] + offsets[s, 2]
+                    inside = 0 <= x <= nx - 1 and 0 <= y <= ny - 1 and 0 <= z <= nz - 1
+                    if inside and volume_seen[int(x + 0.5), int(y + 0.5), int(z + 0.5)]:
+                        sides[b, s], valid[b, s] = trilinear(intensities, x, y, z), 1
+        for b in range(count):
+            if seen[n, b]:
+                first, last = max(b - _AVERAGED, 0), min(b + _AVERAGED + 1, count)
+                brightest, second = 0.0, 0.0
+                for s in range(8):
+                    total, number = 0.0, 0
+                    for e in range(first, last):
+                        total += sides[e, s]
+                        number += valid[e, s]
+                    if 2 * number > last - first:
+                        total /= number
+                        if total > brightest:
+                            brightest, second = total, brightest
+                        elif total > second:
+                            second = total
+                contrasts[n, b] = core[b] - second
+    return contrasts, seen
+
+
+def across(directions: Floats) -> Floats:
+    """Return (n, 2, 3) unit vectors across (n, 3) directions in P; the first ones are level."""
+    x, y, z = directions.T
+    flat = np.hypot(x, z)
+    level = np.maximum(flat, 1e-9)
+    u, w = np.where(flat > 1e-6, [-z / level, x / level], [[1.0], [0.0]])
+    sides = [[u, np.zeros_like(u), w], [y * w, z * u - x * w, -y * u]]
+    return np.moveaxis(np.array(sides), 2, 0)
+
+
+def line_contrasts(
+    volume: Volume, points: Floats, directions: Floats
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Return the contrasts along lines in a volume, and where they are seen.
+
+    Parameters
+    ----------
+    volume
+        Volume to sample.
+    points, directions
+        (n, 3) points of abscissa 0 in P, in m, and unit vectors along the lines.
+
+    Returns
+    -------
+    (n, BINS) levels in dB above the second brightest side, and (n, BINS) flags of what is seen.
+    """
+    contrasts, seen = _line_contrasts(
+        volume.intensities,
+        volume.seen,
+        volume.index(points + MIDDLES[0] * directions),
+        BIN * directions / volume.spacing,
+        across(directions) / volume.spacing,
+        BINS,
+    )
+    return contrasts * np.float32(volume.decibels_per_level), seen
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _density(contrast: float, parts: Any) -> float:  # pragma: no cover - compiled
+    (mean, std), (rare_mean, rare_std) = parts
+    usual = math.exp(-0.5 * ((contrast - mean) / std) ** 2) / std
+    rare = math.exp(-0.5 * ((contrast - rare_mean) / rare_std) ** 2) / rare_std
+    return (1 - _RARE) * usual + _RARE * rare
+
+
+@vectorize(["float64(float32)", "float64(float64)"], cache=True)
+def log_ratio(contrast: Any) -> Any:  # pragma: no cover - compiled
+    """Return the logarithm of the likelihood ratio of a contrast in dB: a line against nothing."""
+    ratio = _density(contrast, _LINE) / _density(contrast, _NOTHING)
+    return min(max(math.log(max(ratio, 1e-30)), -_SUREST), _SUREST)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def best_stretches(evidence: Any) -> Any:  # pragma: no cover - compiled
+    """Return the first and last bin of the stretch of each row with the largest sum, and the sum.
+
+    The last one is below the first where no bin is evidence for a line (Kadane's algorithm).
+    """
+    rows = len(evidence)
+    firsts, lasts, sums = np.zeros(rows, np.int64), np.full(rows, -1), np.zeros(rows)
+    for n in range(rows):
+        start, total = 0, 0.0
+        for b in range(evidence.shape[1]):
+            if total <= 0:
+                start, total = b, 0.0
+            total += evidence[n, b]
+            if total > sums[n]:
+                firsts[n], lasts[n], sums[n] = start, b, total
+    return firsts, lasts, sums
+
+
+def stretches(contrasts: NDArray[Any], seen: NDArray[np.bool_]) -> Any:
+    """Return `best_stretches` by the `log_ratio`; what is not seen is weak evidence against it."""
+    return best_stretches(np.where(seen, log_ratio(contrasts), -0.5))
