@@ -53,7 +53,7 @@ def _cell_levels(intensities: Any, bx: int, by: int, bz: int) -> Any:  # pragma:
     return means
 
 
-@njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nnan", "nsz"})
+@njit(cache=True, nogil=True)
 def _line_contrasts(  # pragma: no cover - compiled
     levels: Any, margin: int, along: Any, beside: Any
 ) -> Any:
