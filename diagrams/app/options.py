@@ -73,6 +73,14 @@ PosesOption = Annotated[
     str | None,
     typer.Option(help="Transform to use as the probe's pose (ProbeToTracker), or none."),
 ]
+ClockOffsetOption = Annotated[
+    float | None,
+    typer.Option(
+        "--clock-offset",
+        help="Live: time stamps of the poses minus those of images taken at the same time, in s; "
+        "by default 0, or what the times of arrival tell.",
+    ),
+]
 ServeOption = Annotated[
     str | None,
     typer.Option(help="Send all data live; igtl://:18944 lets programs on this machine connect."),

@@ -27,11 +27,13 @@ def end_run(result: RunResult) -> None:
     Raises
     ------
     typer.Exit
-        With status 3, if the guard had stopped the robot at the end.
+        With status 3, if the guard had stopped the robot at the end, or the probe never touched the
+        body.
     """
     if result.failure is not None:
         raise result.failure
-    if look_up(result.summary, "guard.stopped_at_end"):
+    touched = look_up(result.summary, "force.touched")
+    if look_up(result.summary, "guard.stopped_at_end") or touched is False:
         raise typer.Exit(3)
 
 
@@ -215,7 +217,6 @@ def mode_table(summary: Mapping[str, Any]) -> Table:
 _LIVE_ROWS = {
     "volumes": "volumes",
     "dropped": "dropped, because newer ones had arrived",
-    "left_out": "left out, because they had no pose or were out of order",
     "compute_ms.track.median": "tracking, median, ms",
     "latency_ms.total.median": "from the last byte to the estimate sent, median, ms",
     "latency_ms.total.p99": "from the last byte to the estimate sent, 99 %, ms",
@@ -231,6 +232,8 @@ def live_table(summary: Mapping[str, Any]) -> Table:
     table.add_column("this stream", justify="right")
     for path, label in _LIVE_ROWS.items():
         table.add_row(label, format_figure(look_up(summary, path)))
+    for reason, count in summary["left_out_reasons"].items():
+        table.add_row(f"left out: {reason}", str(count))
     for mode, count in summary["modes"].items():
         table.add_row(f"volumes after which the mode was {mode}", str(count))
     return table

@@ -30,7 +30,6 @@ nb_execution_timeout = 900
 nb_execution_raise_on_error = True
 nb_merge_streams = True
 autodoc_typehints = "signature"
-autodoc_mock_imports = ["pyigtl"]
 napoleon_google_docstring = False
 doctest_test_doctest_blocks = ""
 suppress_warnings = ["myst.xref_missing", "ref.python"]

@@ -87,7 +87,7 @@ def _is_seen(volume: Volume, p_W: Floats, axes: Floats, half: int) -> NDArray[np
     """Return (m,) flags of the positions in W around which the corners of a block are seen."""
     corners = np.stack(np.meshgrid(*3 * [[-1, 1]], indexing="ij"), axis=-1).reshape(-1, 3)
     points = p_W[:, np.newaxis] + _PITCH * half * corners @ axes.T
-    seen = volume.sample(acquired_from(volume, points.reshape(-1, 3))) > 0
+    seen = volume.sees(acquired_from(volume, points.reshape(-1, 3)))
     return np.asarray(seen.reshape(-1, len(corners)).all(axis=1))
 
 

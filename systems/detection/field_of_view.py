@@ -11,7 +11,7 @@ def closest_side(volume: Volume, p_P: NDArray[np.float64]) -> NDArray[np.float64
 
     A needle enters beside the probe, so the probe's face and the far end of the depth are no
     candidates. If the volume knows its sweep, the sides are those of the swept sector. Otherwise
-    they are those of the region of non-zero voxels.
+    they are those of the voxels that were seen.
 
     Parameters
     ----------
@@ -53,14 +53,14 @@ def _faces(volume: Volume, p_P: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _ends_of_what_is_seen(volume: Volume, p_P: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (6, 3) positions to either side along X, Z and Y of P where the voxels become zero."""
+    """Return (6, 3) positions to either side along X, Z and Y of P where what is seen ends."""
     last = np.array(volume.intensities.shape) - 1
     at = np.clip(np.rint((p_P - volume.origin) / volume.spacing), 0, last).astype(int)
     ends = np.repeat(p_P[np.newaxis], 6, axis=0)
     for row, axis in ((0, 0), (2, 2), (4, 1)):
         line = [slice(int(i), int(i) + 1) for i in at]
         line[axis] = slice(None)
-        seen = np.flatnonzero(volume.intensities[tuple(line)])
+        seen = np.flatnonzero(volume.seen[tuple(line)])
         outermost = seen[[0, -1]] if len(seen) else np.array([0, last[axis]])
         ends[row : row + 2, axis] = volume.origin[axis] + volume.spacing[axis] * outermost
     return ends

@@ -109,8 +109,7 @@ def max_motion(current: Volume, previous: Volume) -> float:
 
 def _floor(volume: Volume, quantile: float) -> float:
     """Return a quantile of the intensities in the field of view, from every 27th voxel."""
-    sample = volume.intensities[::3, ::3, ::3]
-    sample = sample[sample > 0]
+    sample = volume.intensities[::3, ::3, ::3][volume.seen[::3, ::3, ::3]]
     if quantile == 0 or sample.size == 0:
         return 0.0
     return float(np.quantile(sample, quantile, method="lower"))
@@ -173,17 +172,23 @@ def _background(
     """Return the brightest that each voxel was in earlier volumes; None if there are too few."""
     comparable = [each for each in earlier if _comparable(volume, each) is None]
     aligned = [_aligned(volume, each, parameters) for each in comparable]
-    seen = [each.intensities for each in aligned if isinstance(each, Volume)]
-    if len(seen) < 1 + _LEAST_EARLIER:
+    past = [each for each in aligned if isinstance(each, Volume)]
+    if len(past) < 1 + _LEAST_EARLIER:
         return None
-    return replace(volume, intensities=np.maximum.reduce(seen))
+    return replace(
+        volume,
+        intensities=np.maximum.reduce([each.intensities for each in past]),
+        mask=np.logical_or.reduce([each.seen for each in past]),
+    )
 
 
 def _changed_voxels(
     volume: Volume,
     previous: Volume,
     parameters: InsertionDetectorParameters,
-    **which: bool,
+    *,
+    both_seen: bool,
+    brighter_only: bool = False,
 ) -> tuple[NDArray[np.float64], float]:
     """Return the places of the `top_differences` in P, in m, and the smallest of them in dB."""
     count = max(4, round(parameters.candidate_volume / float(np.prod(volume.spacing))))
@@ -193,7 +198,8 @@ def _changed_voxels(
         count,
         floor=_floor(volume, parameters.floor_quantile),
         reach=round(parameters.reach / float(volume.spacing.mean())),
-        **which,
+        seen=(volume.seen, previous.seen) if both_seen else None,
+        brighter_only=brighter_only,
     )
     change = threshold * volume.decibels_per_level
     return volume.position(index), change if len(index) >= count else min(change, 0.0)

@@ -7,7 +7,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sonoservo.systems.sampling.interpolation import trilinear
+from sonoservo.systems.sampling.interpolation import flagged, trilinear
 from sonoservo.systems.signals.volume import Volume
 
 _STRIDE = 5
@@ -15,10 +15,12 @@ _STRIDE = 5
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _resample(intensities: Any, R: Any, offset: Any) -> Any:  # pragma: no cover - compiled
-    """Return the intensities at the indices R i + offset of each element i; 0 off the grid."""
+def _resample(  # pragma: no cover - compiled
+    intensities: Any, seen: Any, R: Any, offset: Any
+) -> Any:
+    """Return the intensities at the indices R i + offset of each element i, and what was seen."""
     nx, ny, nz = intensities.shape
-    result = np.zeros_like(intensities)
+    result, shown = np.zeros_like(intensities), np.zeros(intensities.shape, np.bool_)
     for i in range(nx):
         for j in range(ny):
             for k in range(nz):
@@ -27,12 +29,12 @@ def _resample(intensities: Any, R: Any, offset: Any) -> Any:  # pragma: no cover
                 z = R[2, 0] * i + R[2, 1] * j + R[2, 2] * k + offset[2]
                 if 0 <= x <= nx - 1 and 0 <= y <= ny - 1 and 0 <= z <= nz - 1:
                     result[i, j, k] = trilinear(intensities, x, y, z)
-    return result
+                    shown[i, j, k] = flagged(seen, x, y, z)
+    return result, shown
 
 
-def _correlation(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    """Return the correlation of two sets of intensities where both lie in the field of view."""
-    seen = (a > 0) & (b > 0)
+def _correlation(a: NDArray[np.float64], b: NDArray[np.float64], seen: NDArray[np.bool_]) -> float:
+    """Return the correlation of two sets of intensities where both were seen."""
     if np.count_nonzero(seen) < 2 or a[seen].std() == 0 or b[seen].std() == 0:
         return 0.0
     return float(np.corrcoef(a[seen], b[seen])[0, 1])
@@ -55,13 +57,18 @@ def compensate_motion(volume: Volume, previous: Volume, min_correlation: float) 
     X_PvPn = previous.X_WP.InvertAndCompose(volume.X_WP)
     axes = (np.arange(0, count, _STRIDE) for count in volume.intensities.shape)
     index = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    now, before = (each.intensities[tuple(index.T)].astype(float) for each in (volume, previous))
-    moved = previous.sample(X_PvPn.multiply(volume.position(index).T).T).astype(float)
-    together, across = _correlation(now, before), _correlation(now, moved)
+    at = tuple(index.T)
+    now, before = (each.intensities[at].astype(float) for each in (volume, previous))
+    places = X_PvPn.multiply(volume.position(index).T).T
+    moved = previous.sample(places).astype(float)
+    seen = volume.seen[at]
+    together = _correlation(now, before, seen & previous.seen[at])
+    across = _correlation(now, moved, seen & previous.sees(places))
     if max(together, across) < min_correlation:
         return None
     if together >= across:
         return previous
     R = X_PvPn.rotation().matrix() * volume.spacing / volume.spacing[:, np.newaxis]
     offset = previous.index(X_PvPn.multiply(volume.origin))
-    return replace(previous, intensities=_resample(previous.intensities, R, offset))
+    intensities, mask = _resample(previous.intensities, previous.seen, R, offset)
+    return replace(previous, intensities=intensities, mask=mask)

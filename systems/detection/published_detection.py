@@ -70,9 +70,8 @@ def detect_as_published(
         return NotFound("the previous volume lies on another grid")
     count = max(4, round(parameters.candidate_volume / float(np.prod(volume.spacing))))
     # Sweeps to and fro see slightly unlike sectors; only voxels that both show are compared.
-    index, threshold = top_differences(
-        volume.intensities, previous.intensities, count, both_seen=True
-    )
+    seen = volume.seen, previous.seen
+    index, threshold = top_differences(volume.intensities, previous.intensities, count, seen=seen)
     if len(index) < 4:
         return NotFound("nothing changed")
     p_P = volume.position(index)

@@ -8,11 +8,14 @@ from numpy.typing import NDArray
 
 from sonoservo.systems.sampling.kernels import chosen_ties
 
+_ALL = np.ones((1, 1, 1), bool)
+
 
 @njit(cache=True, nogil=True)
 def _changes(  # pragma: no cover - compiled
-    a: Any, b: Any, floor: float, reach: int, both: bool, brighter_only: bool
-) -> Any:
+    a: Any, b: Any, seen_a: Any, seen_b: Any, floor: float, reach: int, both: bool,
+    brighter_only: bool,
+) -> Any:  # fmt: skip
     """Find the voxels brighter than everything nearby in the other volume, and by how much."""
     nx, ny, nz = a.shape
     capacity = 65536
@@ -24,7 +27,9 @@ def _changes(  # pragma: no cover - compiled
             row_a, row_b = a[i, j], b[i, j]
             for k in range(nz):
                 x, y = row_a[k], row_b[k]
-                if x == y or (x <= floor and y <= floor) or (both and (x == 0 or y == 0)):
+                if x == y or (x <= floor and y <= floor):
+                    continue
+                if both and not (seen_a[i, j, k] and seen_b[i, j, k]):
                     continue
                 if brighter_only and x < y:
                     continue
@@ -57,7 +62,7 @@ def top_differences(
     *,
     floor: float = 0.0,
     reach: int = 0,
-    both_seen: bool = False,
+    seen: tuple[NDArray[np.bool_], NDArray[np.bool_]] | None = None,
     brighter_only: bool = False,
 ) -> tuple[NDArray[np.int64], float]:
     """Find the voxels with the largest absolute difference (Chatelain 2013, eq. 1).
@@ -80,9 +85,9 @@ def top_differences(
         Intensity below which all intensities count as equal.
     reach
         Tolerated displacement in voxels.
-    both_seen
-        Whether to leave out voxels that are zero in either volume, because they lie outside a
-        sector that moves.
+    seen
+        Flags of the voxels seen in either volume; those that both show are compared. None compares
+        all.
     brighter_only
         Whether to leave out voxels that are darker now.
 
@@ -91,7 +96,11 @@ def top_differences(
     index, threshold
         (m, 3) indices of the voxels, and the smallest difference among them (0 if nothing changed).
     """
-    index, change = _changes(current, previous, float(floor), reach, both_seen, brighter_only)
+    seen_now, seen_before = seen or (_ALL, _ALL)
+    index, change = _changes(
+        current, previous, seen_now, seen_before, float(floor), reach, seen is not None,
+        brighter_only,
+    )  # fmt: skip
     if len(index) == 0:
         return np.empty((0, 3), np.int64), 0.0
     if len(index) > count:

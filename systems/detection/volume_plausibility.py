@@ -140,7 +140,7 @@ def _texture(volume: Volume) -> NDArray[np.int64]:
     """
     nx, _, nz = volume.intensities.shape
     x, z = (np.unique(np.r_[i := np.arange(0, n // 2, _STRIDE), n - 1 - i]) for n in (nx, nz))
-    sample = volume.intensities[x][:, ::_STRIDE][..., z].astype(np.int64)
-    seen = sample > 0
+    sample, seen = (each[x][:, ::_STRIDE][..., z] for each in (volume.intensities, volume.seen))
+    sample = sample.astype(np.int64)
     mean = sample.sum(axis=(0, 2)) // np.maximum(seen.sum(axis=(0, 2)), 1)
     return np.where(seen, sample - mean[:, np.newaxis], 0)

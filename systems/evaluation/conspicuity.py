@@ -54,9 +54,9 @@ def conspicuous_length(volume: Volume, points: Floats) -> float:
     axis = np.stack([np.interp(samples, ends, each) for each in points.T], axis=1)
     scaled = [axis * [1.0, factor, 1.0] for factor in _DEPTHS]
     axis = max(scaled, key=lambda each: float(volume.sample(_beside(each, _NEAR)).mean()))
-    shown = volume.sample(axis) > 0
-    around = volume.sample(_beside(axis, _AROUND))
-    count = np.count_nonzero(around, axis=0)
+    shown = volume.sees(axis)
+    around = volume.sample(beside := _beside(axis, _AROUND))
+    count = np.count_nonzero(volume.sees(beside), axis=0)
     echo = volume.sample(_beside(axis, _NEAR)).mean(axis=0)
     tissue = around.sum(axis=0) / np.maximum(count, 1)
     over = volume.decibels_per_level * uniform_filter1d(echo - tissue, round(_AVERAGED / _STEP))

@@ -15,16 +15,20 @@ from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.live.connection.items import TextItem
-from sonoservo.systems.recording.side_files import describe_acquisition, describe_grid
+from sonoservo.systems.recording.side_files import (
+    describe_acquisition,
+    describe_grid,
+    parse_acquisition,
+)
 from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.point_spread import PointSpread
-from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL, SweepGeometry, SweepMotion
+from sonoservo.systems.signals.requirements import require
+from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL, SweepMotion
 from sonoservo.systems.signals.volume import Volume
 
 NAME = "Acquisition"
 
 _MAX_TEXT = 60000
-_GRID = ("origin", "spacing", "decibels_per_level", "point_spread", "geometry")
 _VOLUME = ("time", "X_WP", "direction", "frame_times", "frame_X_WP")
 
 
@@ -79,7 +83,7 @@ def acquisition_item(volume: Volume, settings: Mapping[str, Any]) -> TextItem:
 
 
 def read_acquisition_item(item: TextItem) -> VolumeAcquisition:
-    """Read the acquisition from a text.
+    """Read the acquisition from a text, with the checks that one in a file passes.
 
     Raises
     ------
@@ -87,22 +91,21 @@ def read_acquisition_item(item: TextItem) -> VolumeAcquisition:
         If the text holds no acquisition.
     """
     try:
-        said = json.loads(item.text)
-        motion, spread = None, said.get("point_spread")
-        if said.get("geometry") and "frame_X_WP" in said:
-            geometry = SweepGeometry(**said["geometry"])
-            motion = SweepMotion(
-                geometry, said["direction"], said["frame_times"], said["frame_X_WP"]
-            )
+        first = json.loads(item.text)
+        line = {key: first.pop(key) for key in _VOLUME if key in first}
+        if "frame_X_WP" not in line:
+            first["geometry"] = None
+        said = parse_acquisition(first, [line])
+        require(np.isfinite(said.times[0]), "time", said.times[0], "finite")
         return VolumeAcquisition(
-            float(said["time"]),
-            np.array(said["origin"], float),
-            np.array(said["spacing"], float),
-            RigidTransform(np.array(said["X_WP"], float)),
-            motion,
-            float(said.get("decibels_per_level", DECIBELS_PER_LEVEL)),
-            PointSpread(**spread) if spread else None,
-            {k: v for k, v in said.items() if k not in _GRID + _VOLUME},
+            said.times[0],
+            said.origin,
+            said.spacing,
+            said.poses[0],
+            said.motions[0],
+            said.decibels_per_level or DECIBELS_PER_LEVEL,
+            said.point_spread,
+            said.settings,
         )
-    except (LookupError, TypeError, AttributeError, ValueError, RuntimeError) as error:
+    except Exception as error:  # whatever a foreign text sets off
         raise ValueError(f"{item.name}: {' '.join(str(error).split())}") from error

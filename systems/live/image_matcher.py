@@ -1,8 +1,9 @@
 """Matching of images and poses as their messages arrive."""
 
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from enum import Enum
 
 import numpy as np
 from pydrake.math import RigidTransform
@@ -11,6 +12,7 @@ from sonoservo.systems.live import acquisition
 from sonoservo.systems.live.acquisition import VolumeAcquisition, read_acquisition_item
 from sonoservo.systems.live.connection.items import ImageItem, Item, PoseItem, TextItem
 from sonoservo.systems.live.pose_history import PoseHistory
+from sonoservo.systems.live.stream_clock import StreamClock
 from sonoservo.systems.signals.immutable import Immutable, NotFound
 
 DEFAULT_POSES = "ProbeToReference"
@@ -24,7 +26,29 @@ _WAIT, _FIRST_WAIT = 0.15, 0.5
 _BACKWARDS, _FORWARDS = 1.0, 60.0
 """A time stamp in s that jumps further is that of a clock that was set anew."""
 
-_REMEMBERED = 8
+_APART = 0.5
+"""Difference in s between two clocks that delays of messages do not explain."""
+
+_SILENT = 2.0
+"""Time in s after which another peer may take the place of one that sends nothing more."""
+
+_ESTABLISHED = 10
+"""Number of images in a row after which the images of other peers are left aside."""
+
+_REMEMBERED, _WAITING, _NAMES, _SENDERS = 8, 32, 8, 512
+
+MAX_WAITING = 1 << 29
+"""Bytes of the images that wait at most; at least one may wait."""
+
+
+class LeftOut(Enum):
+    """Why something that came in was left out, in words for a person."""
+
+    DAMAGED = "damaged, or without sense"
+    NO_POSE = "no pose near its time"
+    STAMP = "time stamp missing, or not later than the last one's"
+    TOO_MANY = "too many waited for their poses"
+    NO_VOLUME = "no volume could be made of it"
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +67,8 @@ class PosedImage(Immutable):
         Time in s; unlike the image's own time stamp, it never runs backwards.
     arrived
         Time of arrival of the last byte, by `time.perf_counter`.
+    sender
+        Peer and device that it comes from.
     """
 
     image: ImageItem
@@ -50,6 +76,40 @@ class PosedImage(Immutable):
     acquisition: VolumeAcquisition | None
     time: float
     arrived: float
+    sender: tuple[str, str] = ("", "")
+
+
+@dataclass(eq=False)
+class _Sender:
+    """What one peer has sent of late.
+
+    Parameters
+    ----------
+    device
+        Device whose images are taken; empty until the first has come.
+    offset
+        Time stamps of the poses minus those of this peer's images, in s.
+    images
+        Number of its images since its clock jumped.
+    shift
+        Time of the stream minus the stamps of this peer's images, in s.
+    stamp, arrived
+        Stamp and arrival of its last image, in s.
+    """
+
+    device: str
+    offset: float
+    heard: float = 0.0
+    images: int = 0
+    image_clock: StreamClock = field(default_factory=StreamClock)
+    pose_clock: StreamClock = field(default_factory=StreamClock)
+    poses: PoseHistory = field(default_factory=PoseHistory)
+    poses_by_arrival: PoseHistory = field(default_factory=PoseHistory)
+    said: OrderedDict[float, VolumeAcquisition] = field(default_factory=OrderedDict)
+    stamp: float | None = None
+    shift: float = 0.0
+    arrived: float = 0.0
+    arrival_told: bool = False
 
 
 class ImageMatcher:
@@ -58,6 +118,14 @@ class ImageMatcher:
     An image waits until a pose at its time or later is there, so that it can be interpolated, but
     not for long. If poses are neither asked for nor there when the first image comes, the probe is
     taken to be at rest from then on.
+
+    Several peers may send to one port. An image takes its pose from its own peer, or from another
+    if that one sends none. A peer that has sent ten images in a row is the scanner: those of
+    others are left aside until it has been silent for 2 s.
+
+    Where time stamps stand still, the times of arrival take their place. Where the clocks of images
+    and poses are further apart than messages can be delayed, the difference is estimated from the
+    times of arrival, and told.
 
     Parameters
     ----------
@@ -68,6 +136,9 @@ class ImageMatcher:
         ``ProbeToReference``, if there is such a device.
     layers
         True to take volumes, False to take 2D frames.
+    clock_offset
+        Time stamps of poses minus those of images taken at the same time, in s; by default 0, or
+        what the times of arrival tell.
     report
         Function that is called with one line for a person.
     """
@@ -78,48 +149,91 @@ class ImageMatcher:
         device: str = "",
         poses: str | None = None,
         layers: bool = True,
+        clock_offset: float | None = None,
         report: Callable[[str], None] = print,
     ) -> None:
-        self._device, self._layers, self._report = device, layers, report
+        self._wanted, self._layers, self._report = device, layers, report
         self._pose_name = poses or DEFAULT_POSES
         self._posed = {None: None, "none": False}.get(poses, True)
-        self._poses = PoseHistory()
-        self._waiting: list[tuple[ImageItem, float]] = []
-        self._said: OrderedDict[float, VolumeAcquisition] = OrderedDict()
+        self._clock_offset = clock_offset
+        self._senders: dict[str, _Sender] = {}
+        self._scanner = ""
+        self._waiting: list[tuple[ImageItem, str, float]] = []
+        self._others: set[str] = set()
         self._last: float | None = None
-        self._step, self._shift = 0.1, 0.0
-        self.left_out = 0
+        self._step = 0.1
+        self.left_out: Counter[LeftOut] = Counter()
 
     @property
     def posed(self) -> bool:
         """True if images have poses."""
         return bool(self._posed)
 
-    def feed(self, item: Item, now: float) -> list[PosedImage]:
-        """Take in an item that arrived ``now``; return the images that it completes."""
-        if isinstance(item, PoseItem) and item.name == self._pose_name:
-            self._poses.add(item.time, item.X)
+    def feed(self, item: Item, now: float, peer: str = "") -> list[PosedImage]:
+        """Take in an item that arrived ``now`` from a peer; return the images it completes.
+
+        Raises
+        ------
+        ValueError
+            If it is a text about an acquisition that makes no sense.
+        """
+        sender = self._sender(peer, now)
+        if isinstance(item, PoseItem):
+            self._note_pose(item, sender, now)
         elif isinstance(item, TextItem) and item.name == acquisition.NAME:
-            self._note(item)
-        elif isinstance(item, ImageItem) and self._is_wanted(item):
-            self._waiting = [*self._waiting[-31:], (item, now)]
+            said = read_acquisition_item(item)
+            sender.said[said.time] = said
+            if len(sender.said) > _REMEMBERED:
+                sender.said.popitem(last=False)
+        elif isinstance(item, ImageItem) and self._is_wanted(item, sender, peer, now):
+            sender.image_clock.note(item.time, now)
+            self._waiting.append((item, peer, now))
+            while len(self._waiting) > _WAITING or (
+                len(self._waiting) > 1
+                and sum(image.voxels.nbytes for image, _, _ in self._waiting) > MAX_WAITING
+            ):
+                del self._waiting[0]
+                self.left_out[LeftOut.TOO_MANY] += 1
         return self.release(now)
+
+    def refuse(self, sender: tuple[str, str]) -> None:
+        """Let another device of a peer take the place of one whose images make no volumes."""
+        peer, device = sender
+        if peer in self._senders and self._senders[peer].device == device:
+            self._senders[peer].device = self._wanted
 
     def release(self, now: float) -> list[PosedImage]:
         """Return the images that need not, or may not, wait any longer."""
         ready: list[PosedImage] = []
         while self._waiting and (image := self._complete(*self._waiting[0], now)) is not None:
             self._waiting.pop(0)
-            if isinstance(image, NotFound):
-                self.left_out += 1
-                self._report(f"an image is left out: {image.reason}")
-            else:
+            if isinstance(image, PosedImage):
                 ready.append(image)
+            else:
+                why, reason = image
+                self.left_out[why] += 1
+                self._report(f"an image is left out: {reason}")
         return ready
 
-    def _is_wanted(self, image: ImageItem) -> bool:
+    def _sender(self, peer: str, now: float) -> _Sender:
+        sender = self._senders.pop(peer, None) or _Sender(self._wanted, self._clock_offset or 0.0)
+        sender.heard = now
+        self._senders[peer] = sender  # the one that was heard last is the last
+        if len(self._senders) > _SENDERS:
+            del self._senders[next(iter(self._senders))]
+        return sender
+
+    def _note_pose(self, item: PoseItem, sender: _Sender, now: float) -> None:
+        if item.name == self._pose_name:
+            sender.pose_clock.note(item.time, now)
+            sender.poses.add(item.time, item.X)
+            sender.poses_by_arrival.add(now, item.X)
+        elif len(self._others) < _NAMES:
+            self._others.add(item.name)
+
+    def _is_wanted(self, image: ImageItem, sender: _Sender, peer: str, now: float) -> bool:
         if (min(image.voxels.shape) > 1) != self._layers:
-            if self._device == image.name:
+            if self._wanted == image.name:
                 size = " x ".join(map(str, image.voxels.shape))
                 self._report(
                     f"{image.name}: {size} numbers are no volume; --reconstruct makes volumes of "
@@ -128,62 +242,116 @@ class ImageMatcher:
                     else f"{image.name}: {size} numbers are no 2D frame"
                 )
             return False
-        if not self._device:
-            self._device = image.name
-        return image.name == self._device
-
-    def _note(self, item: TextItem) -> None:
-        try:
-            said = read_acquisition_item(item)
-            self._said[said.time] = said
-        except ValueError as error:
-            self._report(f"a text is left out: {error}")
-        while len(self._said) > _REMEMBERED:
-            self._said.popitem(last=False)
+        if sender.device not in ("", image.name):
+            return False
+        scanner = self._senders.get(self._scanner)
+        if scanner and scanner is not sender and now - scanner.heard < _SILENT:
+            return False
+        sender.device = image.name
+        return True
 
     def _complete(
-        self, image: ImageItem, arrived: float, now: float
-    ) -> PosedImage | NotFound | None:
+        self, image: ImageItem, peer: str, arrived: float, now: float
+    ) -> PosedImage | tuple[LeftOut, str] | None:
         """Return the image with its pose, why it is left out, or None if it should wait."""
+        sender = self._senders.get(peer) or self._sender(peer, now)
         X_WL: RigidTransform | NotFound
         stamp = image.time
-        said = next((v for v in self._said.values() if abs(v.time - stamp) < _SAME), None)
+        said = next((v for v in sender.said.values() if abs(v.time - stamp) < _SAME), None)
         if said is not None:
             stamp, X_WL = said.time, said.X_WP
         elif self._posed is False:
             X_WL = RigidTransform()
-        elif self._posed is None and not len(self._poses):
+        elif (tracker := self._tracker(sender)) is None and self._posed is None:
             if now - arrived < _FIRST_WAIT:
                 return None
             self._posed = False
-            self._report(f"there is no device {self._pose_name!r}: the probe counts as at rest")
+            there = f" (there are: {', '.join(sorted(self._others))})" if self._others else ""
+            self._report(
+                f"there is no device {self._pose_name!r}{there}: the probe counts as at rest"
+            )
             X_WL = RigidTransform()
         else:
             self._posed = True
-            if not self._poses.reaches(stamp) and now - arrived < _WAIT:
+            found = self._pose(stamp, arrived, sender, tracker, now - arrived < _WAIT)
+            if found is None:
                 return None
-            X_WL = self._poses.at(stamp)
+            X_WL = found
         if isinstance(X_WL, NotFound):
-            return X_WL
-        time = self._steady(stamp)
+            return LeftOut.NO_POSE, X_WL.reason
+        time = self._time(stamp, arrived, sender)
         if time is None:
-            return NotFound(f"its time stamp {stamp:.6f} s is not later than the last one's")
-        return PosedImage(image, X_WL, said, time, arrived)
+            reason = f"its time stamp {stamp:.6f} s is not later than the last one's"
+            return LeftOut.STAMP, reason
+        if sender.images >= _ESTABLISHED:
+            self._scanner = peer
+        return PosedImage(image, X_WL, said, time, arrived, (peer, image.name))
 
-    def _steady(self, stamp: float) -> float | None:
-        """Return a time that goes on where a clock was set anew; None for one that is late."""
-        time = stamp + self._shift
-        if self._last is None:
-            self._last = time
-            return time
-        step = time - self._last
-        if not -_BACKWARDS < step < _FORWARDS:
-            self._report(f"the sender's clock jumped by {step:+.3f} s; the stream goes on")
-            time = self._last + self._step
-            self._shift = time - stamp
-        elif step <= 0:
-            return None
+    def _tracker(self, sender: _Sender) -> _Sender | None:
+        """Return who tells the poses of a peer's images: itself, or who did so last."""
+        if len(sender.poses):
+            return sender
+        return next((s for s in reversed(self._senders.values()) if len(s.poses)), None)
+
+    def _pose(
+        self, stamp: float, arrived: float, sender: _Sender, tracker: _Sender | None, wait: bool
+    ) -> RigidTransform | NotFound | None:
+        """Return the pose at an image's time, by the clocks or by the times of arrival."""
+        if tracker is None:
+            return None if wait else NotFound("there is no pose yet")
+        if sender.image_clock.stands or tracker.pose_clock.stands:
+            poses, at = tracker.poses_by_arrival, arrived
         else:
-            self._step = float(np.clip(step, 1e-3, 1.0))
-        self._last = time
+            poses, at = tracker.poses, stamp + sender.offset
+        if wait and not poses.reaches(at):
+            return None
+        found = poses.at(at)
+        if found or poses is not tracker.poses or self._clock_offset is not None:
+            return found
+        if sender.stamp is not None and not sender.image_clock.steady:
+            return found  # one odd stamp is no clock that was set anew
+        offset = sender.image_clock.delay - tracker.pose_clock.delay
+        if abs(offset - sender.offset) < _APART:
+            return found
+        sender.offset = offset
+        self._report(
+            f"the clock of {self._pose_name} is {abs(offset):.2f} s "
+            f"{'ahead of' if offset > 0 else 'behind'} that of {sender.device}, by the times of "
+            "arrival; --clock-offset states it exactly"
+        )
+        return poses.at(stamp + offset)
+
+    def _time(self, stamp: float, arrived: float, sender: _Sender) -> float | None:
+        """Return the time of an image, which never runs backwards; None if its stamp is odd.
+
+        A clock that was set anew, or another peer's, goes on where the stream was.
+        """
+        stands = sender.image_clock.stands
+        if stands != sender.arrival_told:
+            sender.arrival_told = stands
+            self._report(
+                "the time stamps stand still; the times of arrival are taken"
+                if stands
+                else "the time stamps advance, and are taken from now on"
+            )
+            sender.stamp, sender.shift = None, 0.0
+            self._step = max(arrived - sender.arrived, 1e-3)
+        if stands:
+            stamp = arrived
+        elif stamp == 0 and sender.stamp:
+            return None
+        own = None if sender.stamp is None else stamp - sender.stamp
+        jumped = own is not None and not -_BACKWARDS < own < _FORWARDS
+        if jumped:
+            self._report(f"the sender's clock jumped by {own:+.3f} s; the stream goes on")
+        elif own is not None and own <= 0:
+            return None
+        time = stamp + sender.shift
+        if self._last is not None and (jumped or not 0 < time - self._last < _FORWARDS):
+            time = self._last + self._step
+            sender.shift = time - stamp
+        elif own is not None:
+            self._step = float(np.clip(own, 1e-3, 1.0))
+        sender.images = 0 if jumped else sender.images + 1
+        sender.stamp, sender.arrived, self._last = stamp, arrived, time
         return time

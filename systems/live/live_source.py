@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Protocol, Self
@@ -10,12 +10,13 @@ from typing import Any, Protocol, Self
 from sonoservo.systems.live.connection.items import Item
 from sonoservo.systems.live.connection.link import Link
 from sonoservo.systems.live.connection.protocols import Address
-from sonoservo.systems.live.image_matcher import ImageMatcher, PosedImage
+from sonoservo.systems.live.image_matcher import MAX_WAITING, ImageMatcher, LeftOut, PosedImage
 from sonoservo.systems.live.volume_maker import VolumeMaker
+from sonoservo.systems.recording.grey_levels import GreyLevels
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.volume import Volume
 
-_FRAMES_KEPT = 1024
+_FRAMES_KEPT, _FIRST_KEPT = 1024, 64
 
 
 class ImagesToVolumes(Protocol):
@@ -25,9 +26,12 @@ class ImagesToVolumes(Protocol):
     ----------
     takes_frames
         True if the images are 2D frames, many of which make a volume.
+    grey
+        Conversion of the images' numbers to grey levels.
     """
 
     takes_frames: bool
+    grey: GreyLevels
 
     def __call__(self, posed: PosedImage) -> Volume | NotFound:
         """Return the volume that an image completes, or why there is none; empty if none is due."""
@@ -50,7 +54,10 @@ class LiveSource:
     poses
         Name of the device that is the probe's pose; see `ImageMatcher`.
     keep
-        Number of volumes that wait while one is worked on; older ones are dropped.
+        Number of volumes that wait while one is worked on; older ones are dropped. While the first
+        is worked on, which may compile what it needs, up to 64 wait, and are caught up on.
+    clock_offset
+        Difference between the clocks of poses and images; see `ImageMatcher`.
     report
         Function that is called with one line for a person.
     """
@@ -62,20 +69,23 @@ class LiveSource:
         maker: ImagesToVolumes | None = None,
         poses: str | None = None,
         keep: int = 1,
+        clock_offset: float | None = None,
         report: Callable[[str], None] = print,
     ) -> None:
-        self._report = report
         self._maker: ImagesToVolumes = maker or VolumeMaker()
         self._matcher = ImageMatcher(
             device=address.device,
             poses=poses,
             layers=not self._maker.takes_frames,
+            clock_offset=clock_offset,
             report=self._say,
         )
         self._images: deque[PosedImage] = deque()
         self._keep = _FRAMES_KEPT if self._maker.takes_frames else keep
         self._news = threading.Condition()
         self._said = ""
+        self._proved: set[tuple[str, str]] = set()
+        self._no_volume = self._taken = 0
         self.link = Link(address, self._receive, report)
         self.dropped = 0
         self.newest: PosedImage | None = None
@@ -103,14 +113,21 @@ class LiveSource:
         return self._matcher.posed or bool(self.newest and self.newest.acquisition)
 
     @property
-    def left_out(self) -> int:
-        """Number of images that had no pose, or came out of order."""
-        return self._matcher.left_out
+    def left_out(self) -> Counter[str]:
+        """Numbers of images and messages that were left out, by the reason."""
+        counts = Counter(self._matcher.left_out)
+        counts[LeftOut.DAMAGED] += self.link.refused
+        counts[LeftOut.NO_VOLUME] += self._no_volume
+        return Counter({why.value: count for why, count in counts.items() if count})
 
     def X_WL(self) -> Any:
         """Pose of the sender's frame in W, when the last volume was acquired."""
         assert self.newest is not None
         return self._maker.X_WL(self.newest)
+
+    def hold_grey_levels(self, held: bool) -> None:
+        """Keep the grey levels as they are while something is tracked."""
+        self._maker.grey.held = held
 
     def take(self, timeout: float = 0.0) -> Volume | NotFound:
         """Return the next volume, waiting for it at most ``timeout`` s, or why there is none."""
@@ -119,16 +136,31 @@ class LiveSource:
             posed = self._next(end)
             if posed is None:
                 return NotFound(f"no volume has come from {self.address}")
-            volume = self._maker(posed)
+            before = self._maker.grey.window
+            try:
+                volume = self._maker(posed)
+            except Exception as error:  # whatever a foreign image sets off costs that image alone
+                volume = NotFound(f"{posed.image.name}: {type(error).__name__}: {error}")
+            window = self._maker.grey.window
+            if window is not None and before not in (None, window):
+                self._say(f"numbers from {window.low:g} to {window.high:g} are now black to white")
             if isinstance(volume, Volume):
                 self.newest = posed
+                self._proved.add(posed.sender)
+                self._taken += 1
                 return volume
             if volume.reason:
+                self._no_volume += 1
                 self._say(volume.reason)
+                if posed.sender not in self._proved:
+                    with self._news:
+                        self._matcher.refuse(posed.sender)
 
     def _next(self, end: float) -> PosedImage | None:
         with self._news:
             while not self._images:
+                if self.link.failure is not None:
+                    raise self.link.failure
                 left = end - time.perf_counter()
                 self._keep_images(self._matcher.release(time.perf_counter()))
                 if self._images:
@@ -138,14 +170,18 @@ class LiveSource:
                 self._news.wait(min(left, 0.05))
             return self._images.popleft()
 
-    def _receive(self, item: Item, arrived: float) -> None:
+    def _receive(self, item: Item, arrived: float, peer: str) -> None:
         with self._news:
-            self._keep_images(self._matcher.feed(item, arrived))
+            self._keep_images(self._matcher.feed(item, arrived, peer))
 
     def _keep_images(self, images: list[PosedImage]) -> None:
         for image in images:
             self._images.append(image)
-            if len(self._images) > self._keep:
+            keep = max(self._keep, _FIRST_KEPT) if self._taken == 1 else self._keep
+            if len(self._images) > keep or (
+                len(self._images) > 1
+                and sum(each.image.voxels.nbytes for each in self._images) > MAX_WAITING
+            ):
                 self._images.popleft()
                 self.dropped += 1
         if images:
@@ -155,4 +191,4 @@ class LiveSource:
         """Report a line once, not for each of the images that it is true of."""
         if line != self._said:
             self._said = line
-            self._report(f"{self.link.address}: {line}")
+            self.link.say(f"{self.link.address}: {line}")

@@ -1,14 +1,18 @@
 """From received images to volumes on one grid in the probe's frame."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 
+from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.volume_file import check_grid, require_voxels
+from sonoservo.systems.live.connection.items import ImageItem
 from sonoservo.systems.live.image_matcher import PosedImage
 from sonoservo.systems.recording.file_grid import FileGrid, make_file_grid
-from sonoservo.systems.recording.grey_levels import GreyWindow, choose_window
+from sonoservo.systems.recording.grey_levels import GreyLevels
 from sonoservo.systems.signals.immutable import NotFound, seal
 from sonoservo.systems.signals.requirements import require_positive
 from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL
@@ -34,7 +38,7 @@ def grey_scale(dynamic_range_db: float | None) -> float:
 
 
 class VolumeMaker:
-    """Turns posed images into volumes; the first one decides about grid and grey levels.
+    """Turns posed images into volumes; the first one decides about the grid.
 
     A grid is placed in the probe's frame as that of a file is (`make_file_grid`). An image whose
     own matrix has moved since the first, as that of ``Image_Reference`` does, has its pose there.
@@ -44,7 +48,7 @@ class VolumeMaker:
     depth
         Direction of the sound in L, as an anatomical letter.
     window
-        Numbers that become the grey levels 0 and 255; by default `choose_window` of the first.
+        See `GreyLevels`.
     dynamic_range_db
         dB from black to white; by default what a scanner of this package says, or else 60.
 
@@ -66,10 +70,11 @@ class VolumeMaker:
         self._scale = None if dynamic_range_db is None else grey_scale(dynamic_range_db)
         make_file_grid(np.eye(3), np.zeros(3), (2, 2, 2), depth)
         self._depth = depth
-        self._window = GreyWindow(*window) if window else None
+        self.grey = GreyLevels(window)
         self._grid: FileGrid | None = None
         self._shape: tuple[int, ...] = ()
         self._X_LI: NDArray[np.float64] = np.eye(4)
+        self._sender = "", ""
 
     def __call__(self, posed: PosedImage) -> Volume | NotFound:
         """Return the volume of an image, or why there is none."""
@@ -77,31 +82,47 @@ class VolumeMaker:
             return self._make(posed)
         except ValueError as error:
             return NotFound(f"{posed.image.name}: {error}")
+        except ConfigurationError as error:
+            return NotFound(str(error))
 
     def X_WL(self, posed: PosedImage) -> RigidTransform:
         """Pose of the sender's frame L in W, as the volume of an image has it."""
         assert self._grid is not None
         if posed.acquisition is not None:
             return posed.X_WL @ self._grid.X_LP.inverse()
-        return posed.X_WL @ self._moved(posed.image.X_LI)
+        return posed.X_WL @ _moved(posed.image.X_LI, self._X_LI)
 
     def _make(self, posed: PosedImage) -> Volume:
         image = posed.image
-        if self._grid is None:
-            self._start(image.voxels.shape, image.X_LI)
-        assert self._grid is not None
-        if image.voxels.shape != self._shape:
+        if self._grid is None or (posed.sender != self._sender and not self._fits(image)):
+            chosen = self._place(image)
+        else:
+            chosen = self._grid, self._shape, self._X_LI
+        grid, shape, X_LI = chosen
+        if image.voxels.shape != shape:
             raise ValueError(
-                f"a volume of {image.voxels.shape} numbers is left out; the first had {self._shape}"
+                f"a volume of {image.voxels.shape} numbers is left out; the first had {shape}"
             )
-        voxels = self._grid.arrange(image.voxels)
+        voxels = grid.arrange(image.voxels)
         if voxels.dtype.kind == "f" and not np.isfinite(voxels).all():
             raise ValueError("a volume holds values that are not finite")
-        if self._window is None:
-            self._window = choose_window(voxels)
-        grey = seal(self._window.grey(voxels))
+        volume = self._volume(posed, seal(self.grey(voxels)), grid, X_LI)
+        # Only an image that made a volume decides about those that follow.
+        self._grid, self._shape, self._X_LI = chosen
+        self._sender = posed.sender
+        return volume
+
+    def _volume(
+        self,
+        posed: PosedImage,
+        grey: NDArray[Any],
+        grid: FileGrid,
+        X_LI: NDArray[np.float64],
+    ) -> Volume:
         said = posed.acquisition
         if said is not None:
+            if not np.allclose(said.spacing, grid.spacing, rtol=1e-4, atol=0):
+                raise ValueError("a volume is left out: the text before it tells another grid")
             motion = said.motion if posed.time == said.time else None
             return Volume(
                 grey,
@@ -113,31 +134,40 @@ class VolumeMaker:
                 self._scale or said.decibels_per_level,
                 said.point_spread,
             )
-        X_WP = posed.X_WL @ self._moved(image.X_LI) @ self._grid.X_LP
+        X_WP = posed.X_WL @ _moved(posed.image.X_LI, X_LI) @ grid.X_LP
         return Volume(
             grey,
-            self._grid.origin,
-            self._grid.spacing,
+            grid.origin,
+            grid.spacing,
             X_WP,
             posed.time,
             decibels_per_level=self._scale or DECIBELS_PER_LEVEL,
         )
 
-    def _start(self, shape: tuple[int, ...], X_LI: NDArray[np.float64]) -> None:
-        directions = 1e3 * X_LI[:3, :3]
-        unit = directions / np.linalg.norm(directions, axis=0)
-        if np.abs(unit.T @ unit - np.eye(3)).max() > _RIGHT_ANGLE:
-            raise ValueError("the directions of its axes are not at right angles")
-        count: Any = shape
-        self._grid = make_file_grid(directions, 1e3 * X_LI[:3, 3], count, self._depth)
-        self._shape, self._X_LI = shape, X_LI
+    def _fits(self, image: ImageItem) -> bool:
+        """Return whether an image has the first one's grid, perhaps moved."""
+        try:
+            _moved(image.X_LI, self._X_LI)
+        except ValueError:
+            return False
+        return image.voxels.shape == self._shape
 
-    def _moved(self, X_LI: NDArray[np.float64]) -> RigidTransform:
-        """Return the motion in L that takes the first image's grid to this one's."""
-        if np.abs(X_LI - self._X_LI).max() < _SAME_GRID:
-            return RigidTransform()
-        motion = X_LI @ np.linalg.inv(self._X_LI)
-        R = motion[:3, :3]
-        if np.abs(R.T @ R - np.eye(3)).max() > _RIGHT_ANGLE or np.linalg.det(R) < 0:
-            raise ValueError("a volume is left out: its grid is not the first one's, moved")
-        return RigidTransform(RotationMatrix.ProjectToRotationMatrix(R), motion[:3, 3])
+    def _place(self, image: ImageItem) -> tuple[FileGrid, tuple[int, ...], NDArray[np.float64]]:
+        """Return the grid of an image in P, and what later images are compared with."""
+        directions = 1e3 * image.X_LI[:3, :3]
+        require_voxels(Path(image.name), image.voxels.shape)
+        check_grid(Path(image.name), image.voxels.shape, directions, 1e3 * image.X_LI[:3, 3])
+        count: Any = image.voxels.shape
+        grid = make_file_grid(directions, 1e3 * image.X_LI[:3, 3], count, self._depth)
+        return grid, count, image.X_LI
+
+
+def _moved(X_LI: NDArray[np.float64], first: NDArray[np.float64]) -> RigidTransform:
+    """Return the motion in L that takes the first image's grid to this one's."""
+    if np.abs(X_LI - first).max() < _SAME_GRID:
+        return RigidTransform()
+    motion = X_LI @ np.linalg.inv(first)
+    R = motion[:3, :3]
+    if np.abs(R.T @ R - np.eye(3)).max() > _RIGHT_ANGLE or np.linalg.det(R) < 0:
+        raise ValueError("a volume is left out: its grid is not the first one's, moved")
+    return RigidTransform(RotationMatrix.ProjectToRotationMatrix(R), motion[:3, 3])

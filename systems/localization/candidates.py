@@ -45,7 +45,7 @@ def _voxels_near(  # pragma: no cover - compiled
             y = origin[1] + spacing[1] * j
             base = (x - axis_origin[0]) * direction[0] + (y - axis_origin[1]) * direction[1]
             for k in range(lower[2], upper[2]):
-                if intensities[i, j, k] == 0:
+                if intensities[i, j, k] == 0:  # nothing echoes, whether it was seen or not
                     continue
                 z = origin[2] + spacing[2] * k
                 a = base + (z - axis_origin[2]) * direction[2]

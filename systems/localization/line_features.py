@@ -109,7 +109,7 @@ def line_features(
 def _levels(volume: Volume, points: Floats) -> Floats:
     """Return the levels at points in P, in dB; NaN outside the field of view."""
     level = volume.decibels_per_level * volume.sample(points)
-    return np.where(level > 0, level, np.nan)
+    return np.where(volume.sees(points), level, np.nan)
 
 
 def _limited(value: Any, lowest: float, highest: float) -> float:

@@ -35,22 +35,25 @@ _PARTS = 4
 
 
 @njit(cache=True, nogil=True)
-def _cell_levels(intensities: Any, bx: int, by: int, bz: int) -> Any:  # pragma: no cover - compiled
-    """Return the mean intensity of each block of voxels; 0 where most of it is unseen."""
+def _cell_levels(  # pragma: no cover - compiled
+    intensities: Any, seen: Any, bx: int, by: int, bz: int
+) -> Any:
+    """Return the mean intensity of each block of voxels, and whether most of it was seen."""
     nx, ny, nz = intensities.shape
     means = np.zeros((nx // bx, ny // by, nz // bz), np.float32)
+    shown = np.zeros(means.shape, np.bool_)
     for p in range(means.shape[0]):
         for q in range(means.shape[1]):
             for r in range(means.shape[2]):
-                total, seen = 0.0, 0
+                total, count = 0.0, 0
                 for i in range(p * bx, p * bx + bx):
                     for j in range(q * by, q * by + by):
                         for k in range(r * bz, r * bz + bz):
                             total += intensities[i, j, k]
-                            seen += intensities[i, j, k] > 0
-                if 2 * seen >= bx * by * bz:
-                    means[p, q, r] = total / seen
-    return means
+                            count += seen[i, j, k]
+                if 2 * count >= bx * by * bz:
+                    means[p, q, r], shown[p, q, r] = total / count, True
+    return means, shown
 
 
 @njit(cache=True, nogil=True)
@@ -209,13 +212,14 @@ def bright_lines(
     cell = max(cell, float(np.prod(volume.upper - volume.origin) / _MOST_CELLS) ** (1 / 3))
     size = np.maximum(1, np.round(cell / volume.spacing)).astype(int)
     edges = size * volume.spacing
-    means = _cell_levels(volume.intensities, *size) * np.float32(volume.decibels_per_level)
+    means, seen = _cell_levels(volume.intensities, volume.seen, *size)
+    means *= np.float32(volume.decibels_per_level)
     if not means.any():
         return []
     window = np.maximum(3, np.round(around / edges)).astype(int)
-    share = uniform_filter((means > 0).astype(np.float32), window, mode="constant")
+    share = uniform_filter(seen.astype(np.float32), window, mode="constant")
     level = uniform_filter(means, window, mode="constant") / np.maximum(share, 0.05)
-    levels = np.where(means > 0, np.clip(means - level, _DARKEST, _BRIGHTEST), np.float32(0))
+    levels = np.where(seen, np.clip(means - level, _DARKEST, _BRIGHTEST), np.float32(0))
 
     pitch = float(edges.mean())
     half = max(2, round(half_length / pitch))
@@ -230,7 +234,7 @@ def bright_lines(
     )
     margin = 2 * int(max(np.abs(along).max(), np.abs(aside).max()))
     contrast, number = _all_contrasts(np.pad(padded.ravel(), margin), margin, along, aside)
-    contrast = np.where(levels != 0, contrast.reshape(padded.shape)[:, :-half, :-half], 0).ravel()
+    contrast = np.where(seen, contrast.reshape(padded.shape)[:, :-half, :-half], 0).ravel()
     number = number.reshape(padded.shape)[:, :-half, :-half].ravel()
 
     order = np.argsort(-contrast)[: np.count_nonzero(contrast > 0)]

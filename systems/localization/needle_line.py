@@ -174,10 +174,10 @@ def judged(volume: Volume, line: NeedleLine) -> NeedleLine:
 
 
 def _is_border(volume: Volume, ends: Floats) -> bool:
-    """Return True if a line runs along the border of the field of view, or of a deep shadow."""
+    """Return True if a line runs along the border of the field of view."""
     _, across = _across(ends)
     points = np.linspace(ends[0], ends[1], 16)[:, np.newaxis]
-    unseen = volume.sample(points + _BESIDE * _CIRCLE @ across) == 0
+    unseen = ~volume.sees(points + _BESIDE * _CIRCLE @ across)
     return bool(np.mean(unseen.mean(axis=1) > _UNSEEN) >= _BORDER_SHARE)
 
 
@@ -234,8 +234,9 @@ def _contrast_along(
     reach = float(np.linalg.norm(volume.upper - volume.origin))
     points = ends[0] + np.arange(-reach, reach, _STEP)[:, np.newaxis] * along
     points = points[np.all((points >= volume.origin) & (points <= volume.upper), axis=1)]
-    core, sides = profile(
+    core, sides, seen = profile(
         volume.intensities,
+        volume.seen,
         volume.index(points),
         _CORE @ across / volume.spacing,
         _RING @ across / volume.spacing,
@@ -243,8 +244,8 @@ def _contrast_along(
         _BRIGHTER,
     )
     if len(points) < 2:
-        return points, core, core > 0
-    return points, volume.decibels_per_level * uniform_filter1d(core - sides, 3), core > 0
+        return points, core, seen
+    return points, volume.decibels_per_level * uniform_filter1d(core - sides, 3), seen
 
 
 def _gaps(seen: NDArray[np.bool_], first: int, last: int) -> tuple[float, float]:

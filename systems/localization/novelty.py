@@ -234,8 +234,8 @@ def _is_in_view(volume: Volume, ends: NDArray[np.float64]) -> bool:
     """Return True if a volume's field of view holds a line and what lies just beyond its end."""
     start, stop = acquired_from(volume, ends)
     past = stop + _BEYOND * (stop - start) / np.linalg.norm(stop - start)
-    seen = volume.sample(np.linspace(start, stop, 20)) > 0
-    return bool(seen.mean() >= _IN_VIEW and np.all(volume.sample(np.array([stop, past])) > 0))
+    seen = volume.sees(np.linspace(start, stop, 20))
+    return bool(seen.mean() >= _IN_VIEW and volume.sees(np.array([stop, past])).all())
 
 
 def _shows_tissue(before: Volume, volume: Volume, ends: NDArray[np.float64]) -> bool:

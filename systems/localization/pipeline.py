@@ -123,24 +123,27 @@ def _localize_everywhere(
         return [], NotFound(reason), lines[0][0]
     earlier, must_come = prediction.earlier, prediction.must_come
     new = (each for each in probable if each[2] or is_new(volume, each[1], earlier, must_come))
-    log_odds, ends, there = next(new, (-np.inf, None, False))
-    if ends is None:
-        return [], NotFound(THERE_BEFORE), log_odds
-    # The beam makes a short needle look thick, so its axis varies with the random draws.
-    region = line_region(ends, prediction.order, parameters)
-    repeats = [localize_in_region(volume, region, parameters, rng) for _ in range(_REPEATS)]
-    attempts = [attempt for each in repeats for attempt in each]
-    measurement = _middlemost([each[-1].measurement for each in repeats])
-    if isinstance(measurement, NotFound):
-        return attempts, measurement, -np.inf
-    # What was measured must look like a needle, too, over all its length, and be new, too.
-    measured = _line_of(volume, measurement)
-    if measured is None or odds(measured)[0] < 0:
-        reason = "the line found does not look like a needle over all its length"
-        return attempts, NotFound(reason), log_odds
-    if not (there or is_new(volume, _ends(measurement), earlier, must_come)):
-        return attempts, NotFound(THERE_BEFORE), log_odds
-    return attempts, measurement, log_odds
+    attempts: Attempts = []
+    first: tuple[NotFound, float] | None = None
+    for log_odds, ends, there in new:
+        # The beam makes a short needle look thick, so its axis varies with the random draws.
+        region = line_region(ends, prediction.order, parameters)
+        repeats = [localize_in_region(volume, region, parameters, rng) for _ in range(_REPEATS)]
+        attempts += [attempt for each in repeats for attempt in each]
+        measurement = _middlemost([each[-1].measurement for each in repeats])
+        if isinstance(measurement, NotFound):
+            first = first or (measurement, -np.inf)
+            continue
+        # What was measured must look like a needle, too, over all its length, and be new, too.
+        measured = _line_of(volume, measurement)
+        if measured is None or odds(measured)[0] < 0:
+            reason = "the line found does not look like a needle over all its length"
+            first = first or (NotFound(reason), log_odds)
+        elif there or is_new(volume, _ends(measurement), earlier, must_come):
+            return attempts, measurement, log_odds
+        else:
+            first = first or (NotFound(THERE_BEFORE), log_odds)
+    return attempts, *(first or (NotFound(THERE_BEFORE), -np.inf))
 
 
 def _if_needle(

@@ -45,8 +45,9 @@ correlation of the echoes: Li2(rho^2) / Li2(1)."""
 
 @njit(cache=True, nogil=True)
 def _correlations(  # pragma: no cover - compiled
-    levels: Any, starts: Any, size: Any, lags: Any, share: float, least: float, most: float
-) -> Any:
+    levels: Any, shown: Any, starts: Any, size: Any, lags: Any, share: float, least: float,
+    most: float,
+) -> Any:  # fmt: skip
     """Return the (b, 3, lags) correlations of a block's levels with themselves, NaN if unusable.
 
     The (3, lags) distances are in voxels.
@@ -60,7 +61,7 @@ def _correlations(  # pragma: no cover - compiled
             for j in range(y, y + size[1]):
                 for k in range(z, z + size[2]):
                     level = float(levels[i, j, k])
-                    if level > 0:
+                    if shown[i, j, k]:
                         total += level
                         squares += level * level
                         seen += 1
@@ -77,8 +78,8 @@ def _correlations(  # pragma: no cover - compiled
                 for i in range(x, x + size[0] - a, _STRIDE):
                     for j in range(y, y + size[1] - c, _STRIDE):
                         for k in range(z, z + size[2] - d):
-                            one, other = levels[i, j, k], levels[i + a, j + c, k + d]
-                            if one > 0 and other > 0:
+                            if shown[i, j, k] and shown[i + a, j + c, k + d]:
+                                one, other = levels[i, j, k], levels[i + a, j + c, k + d]
                                 products += (one - mean) * (other - mean)
                                 pairs += 1
                 if pairs:
@@ -111,8 +112,8 @@ def speckle_spread(volume: Volume) -> PointSpread | None:
     limits = np.divide(_DEVIATIONS, volume.decibels_per_level)
     depths, widths = [], []
     for row in np.linspace(0, shape[1] - size[1], _MOST_DEPTHS).astype(int):
-        starts = _seen_blocks(volume.intensities, int(row), size)
-        here = _correlations(volume.intensities, starts, size, lags, _SEEN, *limits)
+        starts = _seen_blocks(volume.seen, int(row), size)
+        here = _correlations(volume.intensities, volume.seen, starts, size, lags, _SEEN, *limits)
         here = here[np.isfinite(here).all(axis=(1, 2))]
         if len(here) < _LEAST_BLOCKS:
             continue
@@ -128,16 +129,16 @@ def speckle_spread(volume: Volume) -> PointSpread | None:
     return PointSpread(np.array(depths), lateral, elevation, axial)
 
 
-def _seen_blocks(levels: NDArray[Any], row: int, size: NDArray[np.int64]) -> NDArray[np.int64]:
+def _seen_blocks(shown: NDArray[np.bool_], row: int, size: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the (b, 3) first voxels of blocks at a depth that seem to lie in the field of view."""
-    (nx, _, nz), (dx, dy, dz) = levels.shape, size
+    (nx, _, nz), (dx, dy, dz) = shown.shape, size
     columns = (np.arange(0, n - d + 1, max(d // 2, 1)) for n, d in ((nx, dx), (nz, dz)))
     x, z = (each.ravel() for each in np.meshgrid(*columns))
     seen = np.ones(len(x), bool)
     for a in (0, dx - 1):
         for c in (0, dy - 1):
             for d in (0, dz - 1):
-                seen &= levels[x + a, row + c, z + d] > 0
+                seen &= shown[x + a, row + c, z + d]
     starts = np.stack([x, np.full_like(x, row), z], axis=1)[seen]
     few = np.linspace(0, len(starts) - 1, min(len(starts), _MOST_BLOCKS)).astype(int)
     return starts[few]

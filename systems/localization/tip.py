@@ -13,7 +13,7 @@ from sonoservo.systems.localization.axis import Axis
 from sonoservo.systems.localization.faint_end import FAINT_STD, faint_part
 from sonoservo.systems.localization.hidden_length import hidden_length
 from sonoservo.systems.localization.needle_blur import needle_blur
-from sonoservo.systems.sampling.interpolation import trilinear
+from sonoservo.systems.sampling.interpolation import flagged, trilinear
 from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.localization_explanation import AxisProfile, NeedleExtent
@@ -103,9 +103,9 @@ class TipParameters:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _tube_maxima(  # pragma: no cover - compiled
-    intensities: Any, origin: Any, spacing: Any, centres: Any, offsets: Any
+    intensities: Any, seen: Any, origin: Any, spacing: Any, centres: Any, offsets: Any
 ) -> Any:
-    """Return the largest sample among `offsets` around each of (m, 3) centres; -1 off the grid."""
+    """Return the largest sample among `offsets` around each of (m, 3) centres; -1 if unseen."""
     nx, ny, nz = intensities.shape
     maxima = np.full(centres.shape[0], -1.0)
     for m in range(centres.shape[0]):
@@ -115,7 +115,8 @@ def _tube_maxima(  # pragma: no cover - compiled
             z = (centres[m, 2] + offsets[q, 2] - origin[2]) / spacing[2]
             if not (0 <= x <= nx - 1 and 0 <= y <= ny - 1 and 0 <= z <= nz - 1):
                 continue
-            maxima[m] = max(maxima[m], trilinear(intensities, x, y, z))
+            if flagged(seen, x, y, z):
+                maxima[m] = max(maxima[m], trilinear(intensities, x, y, z))
     return maxima
 
 
@@ -148,22 +149,25 @@ def axis_profile(
     ring = parameters.background_radius * octagon @ across
     centres = np.concatenate([p_P[np.newaxis], p_P + ring[:, np.newaxis]])
     maxima = _tube_maxima(
-        volume.intensities, volume.origin, volume.spacing, centres.reshape(-1, 3), disc
+        volume.intensities,
+        volume.seen,
+        volume.origin,
+        volume.spacing,
+        centres.reshape(-1, 3),
+        disc,
     ).reshape(len(centres), len(a))
     inside = np.all((p_P >= volume.origin) & (p_P <= volume.upper), axis=1)
     if volume.motion is not None:
         inside &= volume.motion.geometry.contains(p_P)
-    # Without a motion the sector is known only from the zeros outside it.
-    seen = inside & (maxima[0] >= 0 if volume.motion is not None else maxima[0] > 0)
     # Positions beside the axis that fall outside the sector say nothing about the background.
-    beside = np.where(maxima[1:] > 0, maxima[1:], np.nan)
+    beside = np.where(maxima[1:] >= 0, maxima[1:], np.nan)
     beside[0, np.all(np.isnan(beside), axis=0)] = 0.0
     return AxisProfile(
         a,
         p_W,
         maxima[0].clip(0) * volume.decibels_per_level,
         np.nanmedian(beside, axis=0) * volume.decibels_per_level,
-        seen,
+        inside & (maxima[0] >= 0),
         needle_blur(volume, p_P, along, parameters.beam_width),
         parameters.contrast,
     )

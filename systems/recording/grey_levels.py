@@ -1,5 +1,6 @@
 """Conversion of a file's numbers to grey levels."""
 
+from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +23,12 @@ _FAR = 1e4
 
 _ALMOST_ALL = 0.999
 """Quantile of the numbers in the field of view that replaces a maximum far above it."""
+
+_REMEMBERED = 8
+"""Number of volumes that share in the choice of a window."""
+
+_OTHER = 1.25
+"""Ratio of the widths of two windows from which they are not the same."""
 
 
 def read_numbers(file: VolumeFile, number: int) -> NDArray[Any]:
@@ -103,3 +110,49 @@ def choose_window(voxels: NDArray[Any]) -> GreyWindow:
         return GreyWindow(low, low + 1.0)
     most = float(np.quantile(above, _ALMOST_ALL, method="higher"))
     return GreyWindow(low, high if high - low < 2 * (most - low) else most)
+
+
+class GreyLevels:
+    """Turns the numbers of a stream's volumes into grey levels, with one window for all of them.
+
+    The window holds what the last volumes that showed something ask for (`choose_window`). A volume
+    without any contrast chooses nothing, and is black. Unless it is `held`, the window follows when
+    a quarter more or less would do: the first volume may have been dim, or a test picture.
+
+    Parameters
+    ----------
+    window
+        Numbers that become 0 and 255; by default, the volumes choose them.
+
+    Attributes
+    ----------
+    held
+        True while something is tracked, whose echoes must not change by themselves.
+    window
+        Present window; None while no volume has shown anything.
+    """
+
+    def __init__(self, window: tuple[float, float] | None = None) -> None:
+        self._given = window is not None
+        self.window = GreyWindow(*window) if window else None
+        self.held = False
+        self._asked: deque[GreyWindow] = deque(maxlen=_REMEMBERED)
+
+    def __call__(self, voxels: NDArray[Any]) -> NDArray[Any]:
+        """Return the grey levels of a volume or frame, in C order."""
+        if not self._given and (self.window is None or not self.held):
+            self._follow(voxels)
+        if self.window is None:
+            return np.zeros(voxels.shape, np.float32)
+        return self.window.grey(voxels)
+
+    def _follow(self, voxels: NDArray[Any]) -> None:
+        if self.window is not None:  # to follow, a part of the numbers is enough
+            voxels = voxels[(slice(None, None, 3),) * voxels.ndim]
+        if voxels.dtype != np.uint8 and voxels.min() == voxels.max():
+            return
+        self._asked.append(choose_window(voxels))
+        low, high = min(w.low for w in self._asked), max(w.high for w in self._asked)
+        ratio = 0.0 if self.window is None else (high - low) / (self.window.high - self.window.low)
+        if not 1 / _OTHER < ratio < _OTHER:
+            self.window = GreyWindow(low, high)

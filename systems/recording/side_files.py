@@ -7,6 +7,7 @@ exactly.
 
 import json
 import os
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Self
@@ -178,21 +179,31 @@ def read_acquisition(path: Path) -> Acquisition:
         If the file is damaged, or has another format version.
     """
     with refusing_failures(path, "damaged"):
-        first, lines = _read_lines(path)
-        geometry, spread = first.pop("geometry"), first.pop("point_spread", None)
-        swept = SweepGeometry(**geometry) if geometry else None
-        times = np.array([line["time"] for line in lines], float)
-        check_times(path, times, range(len(times)))
-        return Acquisition(
-            np.array(first.pop("origin"), float),
-            np.array(first.pop("spacing"), float),
-            times.tolist(),
-            [RigidTransform(_poses(line["X_WP"])) for line in lines],
-            [_motion(swept, line) for line in lines],
-            _scale(first),
-            PointSpread(**spread) if spread else None,
-            _settings(first),
-        )
+        acquisition = parse_acquisition(*_read_lines(path))
+        check_times(path, np.array(acquisition.times), range(len(acquisition.times)))
+        return acquisition
+
+
+def parse_acquisition(first: dict[str, Any], lines: Sequence[dict[str, Any]]) -> Acquisition:
+    """Return the acquisition that a first line and a line for each volume describe.
+
+    Raises
+    ------
+    ValueError, TypeError, LookupError
+        If a value is missing or not plausible.
+    """
+    geometry, spread = first.pop("geometry"), first.pop("point_spread", None)
+    swept = SweepGeometry(**geometry) if geometry else None
+    return Acquisition(
+        np.array(first.pop("origin"), float),
+        np.array(first.pop("spacing"), float),
+        np.array([line["time"] for line in lines], float).tolist(),
+        [RigidTransform(_poses(line["X_WP"])) for line in lines],
+        [_motion(swept, line) for line in lines],
+        _scale(first),
+        PointSpread(**spread) if spread else None,
+        _settings(first),
+    )
 
 
 def _poses(matrices: Any) -> NDArray[np.float64]:

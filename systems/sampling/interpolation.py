@@ -31,6 +31,21 @@ def trilinear(array: Any, x: Any, y: Any, z: Any) -> Any:  # pragma: no cover - 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def flagged(flags: Any, x: Any, y: Any, z: Any) -> Any:  # pragma: no cover - compiled
+    """Return True if an element with a weight in `trilinear` has its flag set."""
+    if flags[int(x + 0.5), int(y + 0.5), int(z + 0.5)]:
+        return True
+    nx, ny, nz = flags.shape
+    i, j, k = min(int(x), nx - 2), min(int(y), ny - 2), min(int(z), nz - 2)
+    for p in range(i, i + 1 + (x > i)):
+        for q in range(j, j + 1 + (y > j)):
+            for r in range(k, k + 1 + (z > k)):
+                if flags[p, q, r]:
+                    return True
+    return False
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def bilinear(array: Any, x: Any, y: Any) -> Any:  # pragma: no cover - compiled
     """Return a 2D array's value at fractional indices, as `trilinear` does in 3D."""
     nx, ny = array.shape
@@ -64,6 +79,40 @@ def _sample(  # pragma: no cover - compiled
             values[m] = trilinear(array, at[0], at[1], at[2])
         else:
             values[m] = bilinear(array, at[0], at[1])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sample_flags(  # pragma: no cover - compiled
+    flags: Any, points: Any, origin: Any, spacing: Any, values: Any
+) -> None:
+    last = np.array(flags.shape) - 1
+    at = np.zeros(3)
+    for m in range(points.shape[0]):
+        inside = True
+        for axis in range(3):
+            index = (points[m, axis] - origin[axis]) / spacing[axis]
+            inside &= -_SLACK <= index <= last[axis] + _SLACK
+            at[axis] = min(max(index, 0.0), float(last[axis]))
+        values[m] = inside and flagged(flags, at[0], at[1], at[2])
+
+
+def sample_flags(
+    flags: NDArray[np.bool_], points: ArrayLike, origin: ArrayLike, spacing: ArrayLike
+) -> NDArray[np.bool_]:
+    """Return the (...) flags of (..., 3) points that have an element with a set flag around them.
+
+    The grid is that of `sample_grid`; points outside it have none.
+    """
+    points = np.asarray(points, dtype=float)
+    values = np.empty(points.shape[:-1], np.bool_)
+    _sample_flags(
+        flags,
+        points.reshape(-1, 3),
+        np.asarray(origin, dtype=float),
+        np.asarray(spacing, dtype=float),
+        values.reshape(-1),
+    )
+    return values
 
 
 def sample_grid(

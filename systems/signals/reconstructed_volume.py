@@ -1,11 +1,12 @@
 """Volume reconstructed from 2D frames, each with its own pose and time."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sonoservo.systems.signals.immutable import own, read_only
+from sonoservo.systems.signals.immutable import own, read_only, seal
 from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.signals.volume import Volume
 
@@ -45,6 +46,11 @@ class ReconstructedVolume(Volume):
         poses = read_only(self.frame_poses, "frame_poses", (len(times), 4, 4))
         object.__setattr__(self, "frame_times", times)
         object.__setattr__(self, "frame_poses", poses)
+
+    @cached_property
+    def seen(self) -> NDArray[np.bool_]:
+        """(nx, ny, nz) flags of the voxels that frames have passed."""
+        return seal(~self.holes)
 
     @property
     def holes(self) -> NDArray[np.bool_]:

@@ -1,16 +1,18 @@
 """Volume on a Cartesian grid."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.sampling.interpolation import sample_grid
-from sonoservo.systems.signals.immutable import Immutable, read_only
+from sonoservo.systems.sampling.interpolation import sample_flags, sample_grid
+from sonoservo.systems.sampling.seen_hull import seen_hull
+from sonoservo.systems.signals.immutable import Immutable, read_only, seal
 from sonoservo.systems.signals.point_spread import PointSpread
 from sonoservo.systems.signals.requirements import require, require_positive
-from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL, SweepMotion
+from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL, SweepGeometry, SweepMotion
 
 _MAX_SPACING = 0.02
 """Largest distance between voxels, in m; a larger one is given in mm."""
@@ -25,7 +27,7 @@ class Volume(Immutable):
     intensities
         (nx, ny, nz) array of echo amplitudes, log-compressed to 0 to 255, as uint8 or as finite
         float32 on the same scale. Element [i, j, k] lies at ``origin + spacing * (i, j, k)`` in P.
-        Elements outside the sector are zero.
+        Elements that were not seen are zero; those that were may be.
     origin
         (3,) position in P of element [0, 0, 0], in m.
     spacing
@@ -41,6 +43,9 @@ class Volume(Immutable):
         Decibels per unit of intensity.
     point_spread
         Widths of a point's echo by depth; None if unknown.
+    mask
+        (nx, ny, nz) flags of the elements that were seen, if whoever made the volume knows them;
+        see `seen`.
 
     Raises
     ------
@@ -57,6 +62,7 @@ class Volume(Immutable):
     motion: SweepMotion | None = None
     decibels_per_level: float = DECIBELS_PER_LEVEL
     point_spread: PointSpread | None = None
+    mask: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         array = np.asarray(self.intensities)
@@ -74,6 +80,30 @@ class Volume(Immutable):
             require(spacing <= _MAX_SPACING, f"spacing[{axis}]", float(spacing), allowed)
         require(bool(np.isfinite(self.time)), "time", self.time, "finite")
         require_positive(decibels_per_level=self.decibels_per_level)
+        if self.mask is not None:
+            mask = read_only(self.mask, "mask", array.shape, np.bool_)
+            object.__setattr__(self, "mask", mask)
+
+    @cached_property
+    def seen(self) -> NDArray[np.bool_]:
+        """(nx, ny, nz) flags of the elements that were seen, however dark they are.
+
+        They are the ``mask``, or what lies in the transducer's sector if the motion is known, or
+        the `seen_hull` of the intensities.
+        """
+        if self.mask is not None:
+            return self.mask
+        if self.motion is None:
+            return seal(seen_hull(self.intensities))
+        grid = (tuple(self.origin.tolist()), tuple(self.spacing.tolist()), self.intensities.shape)
+        return _in_sector(self.motion.geometry, *grid)
+
+    def sees(self, p_P: ArrayLike) -> NDArray[np.bool_]:
+        """Return the (...) flags of the (..., 3) positions in P between elements that were seen.
+
+        One seen element of the eight around a position suffices.
+        """
+        return sample_flags(self.seen, p_P, self.origin, self.spacing)
 
     @property
     def upper(self) -> NDArray[np.float64]:
@@ -133,3 +163,20 @@ class Volume(Immutable):
     def to_probe(self, p_W: ArrayLike) -> NDArray[np.float64]:
         """Return the (m, 3) positions in P, in m, of positions in W, for the pose at ``time``."""
         return self.X_WP.inverse().multiply(np.asarray(p_W, dtype=float).T).T.reshape(-1, 3)
+
+
+@lru_cache(maxsize=4)
+def _in_sector(
+    geometry: SweepGeometry,
+    origin: tuple[float, ...],
+    spacing: tuple[float, ...],
+    shape: tuple[int, ...],
+) -> NDArray[np.bool_]:
+    """Return the flags of a grid's elements in a sector; a run's volumes share them."""
+    x, y, z = (o + s * np.arange(n) for o, s, n in zip(origin, spacing, shape, strict=True))
+    rows = np.stack(np.broadcast_arrays(y[:, np.newaxis], z), axis=-1)
+    inside = np.empty(shape, bool)
+    for number, each in enumerate(x):
+        plane = np.concatenate([np.full((*rows.shape[:2], 1), each), rows], axis=-1)
+        inside[number] = geometry.contains(plane)
+    return seal(inside)

@@ -2,12 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 
+from sonoservo.systems.sampling.seen_hull import seen_hull
 from sonoservo.systems.signals.immutable import Immutable, seal
 from sonoservo.systems.signals.reconstructed_volume import ReconstructedVolume
 from sonoservo.systems.signals.requirements import require, require_positive
@@ -121,9 +123,9 @@ def reconstruct(
 
     A voxel between two successive frames is interpolated between its perpendicular projections onto
     both frames, in proportion to its distances from them. This leaves no holes between frames.
-    Voxels remain marked as holes if the frames around them are further apart than ``max_gap``, or
-    if no frame passed them. Voxels between several pairs of frames get the mean. P is the middle
-    frame's F.
+    Voxels remain marked as holes if the frames around them are further apart than ``max_gap``, if
+    no frame passed them, or only what lies beside its sector. Voxels between several pairs of
+    frames get the mean. P is the middle frame's F.
 
     Parameters
     ----------
@@ -165,6 +167,7 @@ def reconstruct(
     X_PI[:, :3, 2] = normals / np.linalg.norm(normals, axis=1)[:, np.newaxis]
     inverse = np.linalg.inv(X_PI)  # third row: signed distance from the frame's plane
     total, seen, number = (np.zeros(shape, np.float32) for _ in range(3))
+    shown = _sector([frame.pixels for frame in frames])
     boxes = (p_P - low) / spacing
     for k in range(len(frames) - 1):
         pair = boxes[k : k + 2].reshape(-1, 3)
@@ -172,7 +175,7 @@ def reconstruct(
         stop = np.minimum(np.ceil(pair.max(axis=0) + _SLACK).astype(int) + 1, shape)
         _fill_between(
             total, seen, number, first, stop, low, spacing, max_gap,
-            frames[k].pixels, frames[k + 1].pixels, inverse[k], inverse[k + 1], k,
+            frames[k].pixels, frames[k + 1].pixels, shown, inverse[k], inverse[k + 1], k,
         )  # fmt: skip
     holes = seen == 0
     np.divide(total, seen, out=total, where=~holes)
@@ -194,9 +197,15 @@ def reconstruct(
     )
 
 
+def _sector(pixels: Sequence[NDArray[Any]]) -> NDArray[np.bool_]:
+    """Return (ni, nj) flags of the pixels in the `seen_hull` of all frames of a sweep."""
+    brightest = np.maximum.reduce(list(pixels))[..., np.newaxis]
+    return seen_hull(np.concatenate([brightest, brightest], axis=-1))[..., 0]
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def _fill_between(  # type: ignore[no-untyped-def]
-    total, seen, number, first, stop, low, spacing, max_gap, near, far, to_near, to_far, k
+    total, seen, number, first, stop, low, spacing, max_gap, near, far, shown, to_near, to_far, k
 ):
     """Add the interpolated grey levels of two frames to the voxels between them."""
     for a in range(first[0], stop[0]):
@@ -208,8 +217,8 @@ def _fill_between(  # type: ignore[no-untyped-def]
                 if d0 * d1 > 0 or abs(d0) + abs(d1) > max_gap:
                     continue
                 part = abs(d0) / max(abs(d0) + abs(d1), 1e-30)
-                here = _look_up(near, to_near, x, y, z)
-                there = _look_up(far, to_far, x, y, z)
+                here = _look_up(near, shown, to_near, x, y, z)
+                there = _look_up(far, shown, to_far, x, y, z)
                 if here < 0 or there < 0:
                     continue
                 total[a, b, c] += (1 - part) * here + part * there
@@ -218,12 +227,14 @@ def _fill_between(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _look_up(pixels, to_frame, x, y, z):  # type: ignore[no-untyped-def]
-    """Return the bilinear grey level at a point's projection onto a frame; -1 outside."""
+def _look_up(pixels, shown, to_frame, x, y, z):  # type: ignore[no-untyped-def]
+    """Return the bilinear grey level at a point's projection onto a frame; -1 if unseen."""
     i = to_frame[0, 0] * x + to_frame[0, 1] * y + to_frame[0, 2] * z + to_frame[0, 3]
     j = to_frame[1, 0] * x + to_frame[1, 1] * y + to_frame[1, 2] * z + to_frame[1, 3]
     ni, nj = pixels.shape
     if not (-1e-6 <= i <= ni - 1 + 1e-6 and -1e-6 <= j <= nj - 1 + 1e-6):
+        return -1.0
+    if not shown[min(max(int(i + 0.5), 0), ni - 1), min(max(int(j + 0.5), 0), nj - 1)]:
         return -1.0
     i0, j0 = min(max(int(i), 0), ni - 2), min(max(int(j), 0), nj - 2)
     u, v = i - i0, j - j0

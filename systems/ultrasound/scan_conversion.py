@@ -164,8 +164,9 @@ class ScanConversion:
         """
         motion = sweep.motion
         middle = self.geometry.frames // 2
+        mask = None  # what lies in the sector was seen, unless the probe moved
         if self.compensate_motion:
-            intensities = self._convert_moving(sweep.samples, motion)
+            intensities, mask = self._convert_moving(sweep.samples, motion)
             at_rest = np.broadcast_to(motion.X_WP[middle], motion.X_WP.shape)
             motion = SweepMotion(self.geometry, motion.direction, motion.times, at_rest)
         else:
@@ -179,6 +180,7 @@ class ScanConversion:
             motion=motion,
             decibels_per_level=sweep.decibels_per_level,
             point_spread=sweep.point_spread,
+            mask=mask,
         )
 
     def convert(self, samples: NDArray[np.uint8], direction: int) -> NDArray[np.uint8]:
@@ -208,7 +210,10 @@ class ScanConversion:
         )
         return volume
 
-    def _convert_moving(self, samples: NDArray[np.uint8], motion: SweepMotion) -> NDArray[np.uint8]:
+    def _convert_moving(
+        self, samples: NDArray[np.uint8], motion: SweepMotion
+    ) -> tuple[NDArray[np.uint8], NDArray[np.bool_] | None]:
+        """Return grey levels, and what was seen unless that is the sector of a probe at rest."""
         geometry = self.geometry
         poses = _relative_poses(motion)
         corners = np.stack(np.meshgrid(*([a[0], a[-1]] for a in self._axes)), -1).reshape(-1, 3)
@@ -218,20 +223,22 @@ class ScanConversion:
         nodes = [_nodes(axis) for axis in self._axes]
         shifts = np.empty((len(nodes[0]), len(nodes[1]), 3, len(nodes[2])), np.float32)
         tabulate_shifts(shifts, sector, *nodes, poses.reshape(-1, 12).astype(np.float32))
-        volume = np.zeros(self.grid.shape, np.uint8)
-        resample_moving(
-            volume,
-            rows_in_sector(self._sector, margin, *self._axes),
-            *pack_corners(samples, (0, 0, 0), tuple(n - 2 for n in geometry.shape)),
-            sector,
-            self._axes[0],
-            self._distance,
-            self._step,
-            shifts,
-            np.empty((len(volume), 3, len(nodes[2])), np.float32),
-            np.empty((len(volume), 3, NODE_STRIDE * len(nodes[2])), np.float32),
-        )
-        return volume
+        rows = rows_in_sector(self._sector, margin, *self._axes)
+        nodes_row = np.empty((len(self._axes[0]), 3, len(nodes[2])), np.float32)
+        row = np.empty((len(self._axes[0]), 3, NODE_STRIDE * len(nodes[2])), np.float32)
+
+        def looked_up(levels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+            volume = np.zeros(self.grid.shape, np.uint8)
+            corners = pack_corners(levels, (0, 0, 0), tuple(n - 2 for n in geometry.shape))
+            resample_moving(
+                volume, rows, *corners, sector, self._axes[0], self._distance, self._step, shifts,
+                nodes_row, row,
+            )  # fmt: skip
+            return volume
+
+        if margin.max() < 0.5 * self.grid.spacing.min():
+            return looked_up(samples), None
+        return looked_up(samples), seal(looked_up(np.full_like(samples, 255)) > 0)
 
     def _cells(
         self, x: NDArray[np.float64], q: NDArray[np.float64], step: NDArray[np.float64]

@@ -10,6 +10,7 @@ import typer
 from sonoservo.diagrams.app.interruption import INTERRUPTED
 from sonoservo.diagrams.app.options import (
     BeamWidthOption,
+    ClockOffsetOption,
     DepthOption,
     DynamicRangeOption,
     EchoOffsetOption,
@@ -84,6 +85,7 @@ def track_command(
     points: Annotated[
         bool, typer.Option("--points", help="Live: send control points (POINT) in place of a line.")
     ] = False,
+    clock_offset: ClockOffsetOption = None,
     volumes: VolumesOption = None,
     patience: PatienceOption = None,
     explain: ExplainOption = False,
@@ -140,6 +142,7 @@ def track_command(
             parameters=parameters,
             maker=maker,
             poses=poses,
+            clock_offset=clock_offset,
             seed=seed,
             page=pages.console if pages else None,
             serve=serve or [],
@@ -214,6 +217,7 @@ def bridge_command(
         float, typer.Option(help="Playing speed; 0 for as fast as the slowest peer accepts.")
     ] = 1.0,
     wait_for: WaitOption = 1,
+    clock_offset: ClockOffsetOption = None,
     volumes: VolumesOption = None,
     patience: PatienceOption = None,
     json_path: JsonOption = None,
@@ -234,6 +238,7 @@ def bridge_command(
         frames=frames,
         spacing=1e-3 * spacing,
         poses=poses,
+        clock_offset=clock_offset,
         speed=speed,
         wait_for=wait_for,
         limits=LiveLimits(volumes=volumes, patience=patience),

@@ -45,8 +45,8 @@ def record_live(
 
     Returns
     -------
-    Summary of the recording: its path, the numbers of volumes recorded, dropped and left out, and
-    whether it was interrupted.
+    Summary of the recording: its path, the numbers of volumes recorded, dropped and left out (with
+    the reasons), and whether it was interrupted.
 
     Raises
     ------
@@ -74,7 +74,8 @@ def record_live(
         "recording": str(path) if count else None,
         "volumes": count,
         "dropped": source.dropped,
-        "left_out": source.left_out,
+        "left_out": source.left_out.total(),
+        "left_out_reasons": dict(source.left_out.most_common()),
         "interrupted": interrupted,
     }
 

@@ -130,6 +130,7 @@ def track_address(
     parameters: TrackerParameters,
     maker: ImagesToVolumes,
     poses: str | None,
+    clock_offset: float | None,
     seed: int | None,
     page: "Page | None",
     serve: Sequence[str],
@@ -142,7 +143,7 @@ def track_address(
     say = saying(console)
     place = parse_address(address)
     folder = out or Path("out") / f"{_file_name(place)}_track"
-    source = LiveSource(place, maker=maker, poses=poses, report=say)
+    source = LiveSource(place, maker=maker, poses=poses, clock_offset=clock_offset, report=say)
     with ExitStack() as stack:
         outlets = []
         for each in serve:
@@ -185,6 +186,7 @@ def bridge_files(
     frames: int | None,
     spacing: float,
     poses: str | None,
+    clock_offset: float | None,
     speed: float,
     wait_for: int,
     limits: LiveLimits,
@@ -235,13 +237,17 @@ def bridge_files(
             frames=frames,
             spacing=spacing,
         )
-        with LiveSource(place, maker=maker, poses=poses, keep=QUEUE, report=say) as live:
+        with LiveSource(
+            place, maker=maker, poses=poses, keep=QUEUE, clock_offset=clock_offset, report=say
+        ) as live:
             if place.listens:
                 say(f"Waiting for a scanner on port {live.link.port}; Ctrl-C ends")
             summary = record_live(live, Path(target), limits=limits, say=say)
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
-    say(f"{summary['volumes']} volumes recorded, {summary['dropped']} dropped: {target}")
+    reasons = summary["left_out_reasons"].items()
+    left_out = "".join(f", {count} left out ({why})" for why, count in reasons)
+    say(f"{summary['volumes']} volumes recorded, {summary['dropped']} dropped{left_out}: {target}")
     return summary
 
 

@@ -150,6 +150,7 @@ def track_live(
             began = time.perf_counter()
             estimate = track_volume(tracker, context, volume)
             ended = time.perf_counter()
+            source.hold_grey_levels(bool(estimate))
             for outlet in outlets:
                 outlet.send(needle_items(estimate, names, newest.image.time), topic="estimate")
             total_s.append(time.perf_counter() - newest.arrived)
@@ -178,7 +179,8 @@ def track_live(
         "wall_s": time.perf_counter() - started,
         "volumes": modes.total(),
         "dropped": source.dropped,
-        "left_out": source.left_out,
+        "left_out": source.left_out.total(),
+        "left_out_reasons": dict(source.left_out.most_common()),
         "poses": source.posed,
         "modes": dict(sorted(modes.items())),
         "compute_ms": {"track": _spread(track_s)},

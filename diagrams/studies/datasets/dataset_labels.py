@@ -72,7 +72,7 @@ def needle_as_imaged(
 
 
 def needle_mask(volume: Volume, needle: Needle) -> NDArray[np.bool_]:
-    """Return the mask of the non-zero voxels through which a needle, given in P, passes.
+    """Return the mask of the seen voxels through which a needle, given in P, passes.
 
     Their centres lie within the needle's radius of its axis or, because a needle may be thinner
     than the grid, within 0.75 of the largest spacing.
@@ -90,7 +90,7 @@ def needle_mask(volume: Volume, needle: Needle) -> NDArray[np.bool_]:
         p_P, k = volume.position(index) - a, b - a
         along = np.clip(p_P @ k / (k @ k), 0, 1)
         mask[box] |= np.linalg.norm(p_P - along[..., np.newaxis] * k, axis=-1) <= radius
-    return mask & (volume.intensities > 0)
+    return mask & volume.seen
 
 
 def describe_needle(needle: Needle) -> dict[str, Any]:

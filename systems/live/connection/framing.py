@@ -3,26 +3,34 @@
 Nothing here opens a socket or waits, so every kind of damage can be tested without one.
 """
 
-import re
 import struct
-from collections.abc import Container, Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+
+import numpy as np
 
 from sonoservo.systems.live.connection.crc64 import crc64
 
 HEADER_SIZE = 58
 MAX_BODY = 1 << 28
-"""Bytes; a volume of 400 x 400 x 400 float32 numbers fits."""
+"""Most bytes of a body that is kept; a volume of 400 x 400 x 400 float32 numbers fits."""
+
+_MAX_SKIPPED = 1 << 32
+"""Most bytes of a body that is skipped; a header that announces more is none."""
+
+_FIRST_PIECE = 1 << 20
+"""Bytes reserved for a body at first; what is reserved doubles as they arrive."""
 
 _HEADER = struct.Struct("> H 12s 20s I I Q Q")
 _EXTENDED = struct.Struct("> H H I I")
-_TYPE = re.compile(rb"[A-Z][A-Z0-9_]*")
-_VERSIONS = (1, 2)
+_VERSIONS = (1, 2, 3)
+"""Version 3 is laid out as version 2 is."""
+
 _FRACTION = 1 << 32
 """The second half of a time stamp counts in these parts of a second."""
 
 _HEADER_PATIENCE, _SLOWEST = 5.0, 1e6
-"""Longest time for a header, in s, and least bytes per second for a body."""
+"""Time in s that a message may take, and how many bytes a second prolong it."""
 
 
 class FramingError(Exception):
@@ -40,7 +48,7 @@ class Header:
     Parameters
     ----------
     version
-        1, or 2 with an extended header and metadata.
+        1, or more with an extended header and metadata.
     type, device
         For example ``IMAGE`` and ``Image_Probe``.
     time
@@ -78,22 +86,21 @@ class Frame:
     fault: str = ""
 
 
-def parse_header(data: bytes | bytearray, max_body: int = MAX_BODY) -> Header:
-    """Read a header.
+def parse_header(data: bytes | bytearray) -> Header:
+    """Read a header. Its type may be any text: the size is all that is needed to skip a message.
 
     Raises
     ------
     FramingError
-        If it cannot be one, or announces a body of more than ``max_body`` bytes.
+        If it cannot be one.
     """
     version, kind, device, seconds, fraction, size, crc = _HEADER.unpack(data)
-    name = kind.rstrip(b"\0 ")
-    if version not in _VERSIONS or not _TYPE.fullmatch(name):
-        raise FramingError(f"not OpenIGTLink: version {version}, type {name!r}")
-    if size > max_body:
-        raise FramingError(f"a {name.decode()} of {size} bytes; at most {max_body} are taken")
-    text = device.partition(b"\0")[0].decode("utf-8", "replace").strip()
-    return Header(version, name.decode(), text, seconds + fraction / _FRACTION, size, crc)
+    name, text = (
+        each.partition(b"\0")[0].decode("utf-8", "replace").strip() for each in (kind, device)
+    )
+    if version not in _VERSIONS or not name or size > _MAX_SKIPPED:
+        raise FramingError(f"not OpenIGTLink: version {version}, type {name!r}, {size} bytes")
+    return Header(version, name, text, seconds + fraction / _FRACTION, size, crc)
 
 
 def pack_frame(kind: str, device: str, time: float, content: bytes) -> bytes:
@@ -126,18 +133,18 @@ def pack_frame(kind: str, device: str, time: float, content: bytes) -> bytes:
 class Framer:
     """Cuts the bytes of one connection into messages.
 
-    Read into `buffer`, then call `advance` with the number of bytes and the time.
+    Read into `buffer`, then call `advance` with the number of bytes and the time. Memory is
+    reserved as the bytes arrive, whatever size a header announces.
 
     Parameters
     ----------
     wanted
-        Types whose bodies are kept; others are skipped without being stored.
-    max_body
-        Most bytes of a body.
+        Most bytes of a body by type. Larger bodies, and those of other types, are skipped without
+        being stored.
     """
 
-    def __init__(self, wanted: Container[str], *, max_body: int = MAX_BODY) -> None:
-        self._wanted, self._max_body = wanted, max_body
+    def __init__(self, wanted: Mapping[str, int]) -> None:
+        self._wanted = wanted
         self._scrap = memoryview(bytearray(1 << 16))
         self._begin()
 
@@ -148,18 +155,27 @@ class Framer:
         self._since: float | None = None
 
     @property
+    def _kept(self) -> bool:
+        header = self._header
+        return header is None or header.size <= self._wanted.get(header.type, -1)
+
+    @property
+    def held(self) -> int:
+        """Bytes of memory reserved for the message that is under way."""
+        return len(self._target) if self._header is not None else 0
+
+    @property
     def buffer(self) -> memoryview:
         """Memory that takes the next bytes."""
-        if self._header is not None and self._header.type not in self._wanted:
+        if self._header is not None and not self._kept:
             return self._scrap[: self._header.size - self._filled]
         return self._target[self._filled :][: 1 << 18]
 
     def is_overdue(self, now: float) -> bool:
-        """Return whether the message that is under way takes too long, at a time in s."""
+        """Return whether too little has come of the message under way, at a time in s."""
         if self._since is None:
             return False
-        size = self._header.size if self._header is not None else 0
-        return now - self._since > _HEADER_PATIENCE + size / _SLOWEST
+        return now - self._since > _HEADER_PATIENCE + self._filled / _SLOWEST
 
     def advance(self, count: int, now: float) -> Iterator[Frame]:
         """Take in ``count`` bytes of `buffer`; yield the message that they complete, if any.
@@ -177,21 +193,29 @@ class Framer:
         if self._header is None:
             if self._filled < HEADER_SIZE:
                 return
-            self._header = parse_header(bytes(self._target), self._max_body)
-            self._filled = 0
-            kept = self._header.size if self._header.type in self._wanted else 0
-            self._target = memoryview(bytearray(kept))
+            self._header = parse_header(bytes(self._target))
+            self._filled, self._target = 0, memoryview(b"")
         header = self._header
         if self._filled < header.size:
+            if self._kept and self._filled == len(self._target):
+                self._grow(min(header.size, max(2 * self._filled, _FIRST_PIECE)))
             return
-        body, crc = self._target, self._crc
+        body, crc, kept = self._target, self._crc, self._kept
         self._begin()
-        if crc != header.crc:
+        if kept and crc != header.crc:
             yield Frame(header, None, "the checksum is wrong")
-        elif header.type not in self._wanted:
-            yield Frame(header, None)
-        else:
+        elif kept:
             yield _cut_frame(header, body)
+        elif header.type in self._wanted:
+            most = self._wanted[header.type]
+            yield Frame(header, None, f"{header.size} bytes; at most {most} are taken")
+        else:
+            yield Frame(header, None)
+
+    def _grow(self, size: int) -> None:
+        larger = memoryview(np.empty(size, np.uint8))
+        larger[: self._filled] = self._target
+        self._target = larger
 
 
 def _cut_frame(header: Header, body: memoryview) -> Frame:

@@ -1,78 +1,127 @@
 """A live connection: one thread that reads, writes, connects again and refuses what is wrong."""
 
+import asyncio
 import errno
-import selectors
+import re
 import socket
 import threading
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
-from sonoservo.systems.live.connection.framing import FramingError, MessageError
+from sonoservo.systems.live.connection.framing import FramingError
 from sonoservo.systems.live.connection.items import Item
 from sonoservo.systems.live.connection.outbox import Outbox
-from sonoservo.systems.live.connection.protocols import Address, StreamFramer, load_protocol
+from sonoservo.systems.live.connection.protocols import Address, load_protocol
 
-_MAX_PEERS = 64
+MAX_HELD = 1 << 29
+"""Bytes reserved at most for the unfinished messages of all peers together."""
+
+_MAX_PEERS = 256
+_PIECE = 1 << 18
+"""Bytes that are written at once, and so the most that waits outside of an outbox."""
+
 _HUNG = 30.0
 """Time in s after which a peer that takes nothing of what waits for it is given up."""
 
-_FIRST_RETRY, _LAST_RETRY = 0.1, 2.0
+_FIRST_RETRY, _LAST_RETRY, _CONNECTING = 0.1, 2.0, 5.0
 _TICK = 0.25
 _REPORT_EVERY, _REPORTS = 10.0, 5
 """Time in s in which at most so many lines about one host are printed."""
 
+_LONGEST_LINE = 400
 
-@dataclass(eq=False)
-class _Peer:
-    socket: socket.socket
-    name: str
-    framer: StreamFramer
-    outbox: Outbox = field(default_factory=Outbox)
-    taken: float = 0.0
-    writing: bool = False
+
+def shown(text: str) -> str:
+    """Return a text on one line in which nothing acts on a terminal: escapes are spelt out."""
+    return "".join(
+        each if each.isprintable() else each.encode("unicode_escape").decode() for each in text
+    )[:_LONGEST_LINE]
+
+
+class _Peer(asyncio.BufferedProtocol):
+    """One connection, whose bytes go straight into the memory of its message."""
+
+    def __init__(self, link: "Link", name: str = "") -> None:
+        self.link, self.name = link, name
+        self.framer = link.protocol.make_framer()
+        self.outbox = Outbox()
+        self.useful = self.taken = time.perf_counter()
+        self.proved = self.paused = False
+        self.left = 0
+        self.gone = asyncio.Event()
+        self.transport: Any = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self.transport = transport
+        self.transport.set_write_buffer_limits(high=0)
+        if not self.name:
+            host, port, *_ = transport.get_extra_info("peername") or ("a peer", 0)
+            self.name = f"{host}:{port}"
+        self.link.welcome(self)
+
+    def get_buffer(self, sizehint: int) -> memoryview:
+        return self.framer.buffer
+
+    def buffer_updated(self, nbytes: int) -> None:
+        self.link.read(self, nbytes)
+
+    def pause_writing(self) -> None:
+        self.paused = True
+
+    def resume_writing(self) -> None:
+        self.paused = False
+        self.link.write(self)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        reason = getattr(exc, "strerror", None) or str(exc or "closed by the peer")
+        self.link.drop(self, f"connection lost: {reason}")
+        self.gone.set()
+
+    def has_proved(self, now: float) -> None:
+        """Note that the peer has just sent something of use, or taken something."""
+        self.proved, self.useful = True, now
 
 
 class Link:
     """A connection that is kept up, or a port that any number of peers connect to.
 
-    Use it as a context manager, or call `start` and `close`. Faults of a peer are one line each to
-    ``report``; a peer whose bytes make no sense is cut off, and may come again.
+    Use it as a context manager, or call `start` and `close`. Whatever comes in passes one boundary:
+    a message that sets off an error is left out, a peer whose bytes make no sense is cut off and
+    may come again, and each is one line to ``report``. All peers share one budget of memory and of
+    connections; when it is spent, those leave first that never sent or took anything of use, then
+    those that did so longest ago.
 
     Parameters
     ----------
     address
         Address to connect to or to listen on.
     receive
-        Function that is called with every received item and the time of its last byte
-        (`time.perf_counter`); on the link's own thread, so it must be quick.
+        Function that is called with every received item, the time of its last byte
+        (`time.perf_counter`) and the peer's name; on the link's own thread, so it must be quick.
     report
-        Function that is called with one line for a person, on any thread.
+        Function that is called with one printable line for a person, on any thread.
     """
 
     def __init__(
         self,
         address: Address,
-        receive: Callable[[Item, float], None] | None = None,
+        receive: Callable[[Item, float, str], None] | None = None,
         report: Callable[[str], None] = print,
     ) -> None:
         self.address = address
-        self._protocol = load_protocol(address.scheme)
-        self._receive, self._say = receive, report
+        self.protocol = load_protocol(address.scheme)
+        self._receive, self._report = receive, report
         self._lock = threading.Lock()
         self._peers: list[_Peer] = []
         self._reported: dict[str, tuple[float, int]] = {}
-        self._selector = selectors.DefaultSelector()
-        self._ears, self._mouth = socket.socketpair()
         self._listener: socket.socket | None = None
-        self._connecting: socket.socket | None = None
-        self._retry_at, self._retry = 0.0, _FIRST_RETRY
-        self._closed = False
+        self._loop = asyncio.new_event_loop()
+        self._ending = asyncio.Event()
         self._thread = threading.Thread(target=self._run, name=str(address), daemon=True)
-        self.dropped = 0
+        self.dropped = self.refused = 0
+        self.failure: Exception | None = None
 
     def __enter__(self) -> Self:
         self.start()
@@ -94,35 +143,29 @@ class Link:
         OSError
             If the port is taken, or not ours to listen on.
         """
-        self._ears.setblocking(False)
-        self._selector.register(self._ears, selectors.EVENT_READ)
         if self.address.listens:
-            family = socket.AF_INET6 if ":" in self.address.host else socket.AF_INET
-            self._listener = socket.socket(family, socket.SOCK_STREAM)
-            self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            six = ":" in self.address.host
             try:
-                self._listener.bind(self.address.bound)
-                self._listener.listen(128)
+                self._listener = socket.create_server(
+                    self.address.bound,
+                    family=socket.AF_INET6 if six else socket.AF_INET,
+                    backlog=128,
+                    dualstack_ipv6=six and socket.has_dualstack_ipv6(),
+                )
             except OSError as error:
-                self._listener.close()
-                raise OSError(f"{self.address}: cannot listen there: {error.strerror}") from error
-            self._listener.setblocking(False)
-            self._selector.register(self._listener, selectors.EVENT_READ)
+                self._loop.close()
+                reason = (error.strerror or str(error)).partition(" (while")[0]
+                raise OSError(f"{self.address}: cannot listen there: {reason}") from error
         self._thread.start()
 
     def close(self) -> None:
         """End the connection; what waits to be sent is lost (see `flush`)."""
-        self._closed = True
-        self._wake()
-        if self._thread.ident is not None:
+        if self._thread.is_alive():
+            self._loop.call_soon_threadsafe(self._ending.set)
             self._thread.join()
-        for each in [*(peer.socket for peer in self._peers), self._listener, self._connecting]:
-            if each is not None:
-                each.close()
-        self._peers.clear()
-        self._selector.close()
-        self._ears.close()
-        self._mouth.close()
+        self._loop.close()
+        if self._listener is not None:
+            self._listener.close()
 
     @property
     def port(self) -> int:
@@ -133,6 +176,10 @@ class Link:
     def peers(self) -> int:
         """Number of peers that are connected."""
         return len(self._peers)
+
+    def say(self, line: str) -> None:
+        """Report a line, in which nothing of a foreign peer acts on a terminal."""
+        self._report(shown(line))
 
     def send(self, items: Sequence[Item], topic: str = "", keep: int | None = None) -> None:
         """Send items to every peer; never waits.
@@ -149,175 +196,163 @@ class Link:
         """
         if not self._peers or not items:
             return
-        data = b"".join(map(self._protocol.encode, items))
+        data = b"".join(map(self.protocol.encode, items))
         with self._lock:
             for peer in self._peers:
-                if not peer.outbox:
-                    peer.taken = time.perf_counter()
                 before = peer.outbox.dropped.total()
                 peer.outbox.put(data, topic or items[0].name, keep)
                 self.dropped += peer.outbox.dropped.total() - before
-        self._wake()
+            if not self._ending.is_set():
+                self._loop.call_soon_threadsafe(self._write_all)
 
     def flush(self, timeout: float) -> bool:
         """Wait at most ``timeout`` s until everything has been sent; return whether it has."""
         end = time.perf_counter() + timeout
         while time.perf_counter() < end:
             with self._lock:
-                if not any(peer.outbox for peer in self._peers):
+                if not any(peer.outbox or peer.paused for peer in self._peers):
                     return True
             time.sleep(0.001)
         return False
 
-    def _report(self, peer: str, line: str) -> None:
+    # The methods below are called on the link's own thread.
+
+    def welcome(self, peer: _Peer) -> None:
+        """Take in a peer; if there are too many, the one that is of least use leaves."""
+        if not self.address.listens:
+            self._tell(peer.name, "connected")
+        if len(self._peers) >= _MAX_PEERS:
+            reason = f"cut off: {_MAX_PEERS} peers are connected, and it was of least use"
+            self.drop(self._least_useful(self._peers), reason)
+        with self._lock:
+            self._peers.append(peer)
+
+    def read(self, peer: _Peer, count: int) -> None:
+        """Take in bytes of a peer."""
+        now = time.perf_counter()
+        try:
+            for frame in peer.framer.advance(count, now):
+                self._take(peer, frame, now)
+        except FramingError as error:
+            self.drop(peer, f"cut off: {error}")
+        while sum(each.framer.held for each in self._peers) > MAX_HELD:
+            holding = [each for each in self._peers if each.framer.held]
+            reason = f"cut off: unfinished messages take more than {MAX_HELD >> 20} MB in all"
+            self.drop(self._least_useful(holding), reason)
+
+    def write(self, peer: _Peer) -> None:
+        """Give the socket what it takes."""
+        while not peer.paused and peer in self._peers:
+            with self._lock:
+                piece = peer.outbox.next()[:_PIECE]
+                peer.outbox.sent(len(piece))
+            if not piece:
+                return
+            peer.taken = time.perf_counter()
+            peer.has_proved(peer.taken)
+            peer.transport.write(piece)
+
+    def drop(self, peer: _Peer, reason: str) -> None:
+        """Let a peer go; its host may connect again."""
+        if peer in self._peers:
+            with self._lock:
+                self._peers.remove(peer)
+            peer.transport.abort()
+            self._tell(peer.name, reason)
+
+    def _take(self, peer: _Peer, frame: Any, now: float) -> None:
+        """Take in a message. Whatever it sets off is its own fault, and costs it alone."""
+        try:
+            for item in self.protocol.decode(frame):
+                peer.has_proved(now)
+                if self._receive is not None:
+                    self._receive(item, now, peer.name)
+        except Exception as error:
+            self.refused += 1
+            reason = " ".join(str(error).split()) or type(error).__name__
+            self._tell(peer.name, f"a message is left out: {reason}")
+
+    def _least_useful(self, peers: Sequence[_Peer]) -> _Peer:
+        return min(peers, key=lambda peer: (peer.proved, peer.useful))
+
+    def _tell(self, peer: str, line: str) -> None:
         """Report a line about a peer, unless there were many about its host of late."""
         host = peer.rpartition(":")[0]
         since, count = self._reported.get(host, (-_REPORT_EVERY, 0))
         now = time.perf_counter()
         if now - since > _REPORT_EVERY:
             more = f" (and {count - _REPORTS} more lines like this before)"
-            self._say(f"{peer}: {line}" + (more if count > _REPORTS else ""))
+            self.say(f"{peer}: {line}" + (more if count > _REPORTS else ""))
             self._reported[host] = (now, 1)
         else:
             if count < _REPORTS:
-                self._say(f"{peer}: {line}")
+                self.say(f"{peer}: {line}")
             self._reported[host] = (since, count + 1)
 
-    def _wake(self) -> None:
-        with suppress(OSError):
-            self._mouth.send(b"\0", socket.MSG_DONTWAIT)
+    def _write_all(self) -> None:
+        for peer in list(self._peers):
+            self.write(peer)
 
     def _run(self) -> None:
-        while not self._closed:
-            if self._listener is None and not self._peers and self._connecting is None:
-                self._connect()
-            self._mark_writers()
-            for key, events in self._selector.select(_TICK):
-                if key.fileobj is self._ears:
-                    with suppress(BlockingIOError):
-                        self._ears.recv(4096)
-                elif key.fileobj is self._listener:
-                    self._accept(self._listener)
-                elif key.fileobj is self._connecting:
-                    self._connected(self._connecting)
-                else:
-                    self._serve(key.data, events)
-            self._check_patience()
-
-    def _connect(self) -> None:
-        now = time.perf_counter()
-        if now < self._retry_at:
-            time.sleep(min(self._retry_at - now, _TICK))
-            return
         try:
-            found = socket.getaddrinfo(*self.address.bound, type=socket.SOCK_STREAM)
-        except OSError as error:
-            self._failed(error.strerror or str(error))
-            return
-        family, kind, number, _, place = found[0]
-        self._connecting = socket.socket(family, kind, number)
-        self._connecting.setblocking(False)
-        self._selector.register(self._connecting, selectors.EVENT_WRITE)
-        self._connecting.connect_ex(place)
-        self._retry_at = now + max(self._retry, 5.0)  # until when it may take
+            with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
+                runner.run(self._live())
+        except Exception as error:  # handed on, so that nobody waits for a thread that has ended
+            self.failure = error
 
-    def _connected(self, connecting: socket.socket) -> None:
-        self._selector.unregister(connecting)
-        self._connecting = None
-        code = connecting.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
-        if code:
-            connecting.close()
-            self._failed(errno.errorcode.get(code, str(code)))
-            return
-        self._retry = _FIRST_RETRY
-        self._report(str(self.address), "connected")
-        self._welcome(connecting, str(self.address))
-
-    def _failed(self, reason: str) -> None:
-        self._report(str(self.address), f"no connection ({reason}); trying again")
-        self._retry_at = time.perf_counter() + self._retry
-        self._retry = min(2 * self._retry, _LAST_RETRY)
-
-    def _accept(self, listener: socket.socket) -> None:
-        try:
-            accepted, place = listener.accept()
-        except OSError:
-            return
-        name = f"{place[0]}:{place[1]}"
-        if len(self._peers) >= _MAX_PEERS:
-            accepted.close()
-            self._report(name, f"refused, {_MAX_PEERS} peers are connected already")
-            return
-        self._welcome(accepted, name)
-
-    def _welcome(self, connected: socket.socket, name: str) -> None:
-        connected.setblocking(False)
-        connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        peer = _Peer(connected, name, self._protocol.make_framer(), taken=time.perf_counter())
-        self._selector.register(connected, selectors.EVENT_READ, peer)
-        with self._lock:
-            self._peers.append(peer)
-
-    def _mark_writers(self) -> None:
-        for peer in self._peers:
-            if bool(peer.outbox) != peer.writing:
-                peer.writing = not peer.writing
-                events = selectors.EVENT_READ | (selectors.EVENT_WRITE if peer.writing else 0)
-                self._selector.modify(peer.socket, events, peer)
-
-    def _serve(self, peer: _Peer, events: int) -> None:
-        try:
-            if events & selectors.EVENT_WRITE:
-                self._write(peer)
-            if events & selectors.EVENT_READ:
-                self._read(peer)
-        except BlockingIOError:
-            pass
-        except FramingError as error:
-            self._drop(peer, f"cut off: {error}")
-        except OSError as error:
-            self._drop(peer, f"connection lost: {error.strerror or error}")
-
-    def _read(self, peer: _Peer) -> None:
-        count = peer.socket.recv_into(peer.framer.buffer)
-        now = time.perf_counter()
-        if not count:
-            self._drop(peer, "connection lost: closed by the peer")
-            return
-        for frame in peer.framer.advance(count, now):
-            try:
-                for item in self._protocol.decode(frame):
-                    if self._receive is not None:
-                        self._receive(item, now)
-            except MessageError as error:
-                self._report(peer.name, f"a message is left out: {error}")
-
-    def _write(self, peer: _Peer) -> None:
-        with self._lock:
-            data = peer.outbox.next()
-        if data:
-            count = peer.socket.send(data[: 1 << 18])
-            peer.taken = time.perf_counter()
-            with self._lock:
-                peer.outbox.sent(count)
-
-    def _check_patience(self) -> None:
-        now = time.perf_counter()
-        if self._connecting is not None and now > self._retry_at:
-            self._selector.unregister(self._connecting)
-            self._connecting.close()
-            self._connecting = None
-            self._failed("no answer")
+    async def _live(self) -> None:
+        """Listen or stay connected, and watch the peers, until the end."""
+        work = self._listen() if self.address.listens else self._stay_connected()
+        tasks = [asyncio.create_task(each) for each in (work, self._watch(), self._ending.wait())]
+        done, others = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        for task in others:
+            task.cancel()
+        self._ending.set()
         for peer in list(self._peers):
-            if peer.framer.is_overdue(now):
-                self._drop(peer, "cut off: it is too slow to finish a message")
-            elif peer.outbox and now - peer.taken > _HUNG:
-                self._drop(peer, "cut off: it takes nothing of what it is sent")
-
-    def _drop(self, peer: _Peer, reason: str) -> None:
+            peer.transport.abort()
         with self._lock:
-            self._peers.remove(peer)
-        self._selector.unregister(peer.socket)
-        peer.socket.close()
-        self._report(peer.name, reason)
-        self._retry_at = time.perf_counter() + _FIRST_RETRY
+            self._peers.clear()
+        for task in done:
+            task.result()
+
+    async def _listen(self) -> None:
+        server = await self._loop.create_server(lambda: _Peer(self), sock=self._listener)
+        async with server:
+            await server.serve_forever()
+
+    async def _stay_connected(self) -> None:
+        name, retry = str(self.address), _FIRST_RETRY
+        while True:
+            try:
+                async with asyncio.timeout(_CONNECTING):
+                    _, peer = await self._loop.create_connection(
+                        lambda: _Peer(self, name), *self.address.bound
+                    )
+            except TimeoutError:
+                reason = "no answer"
+            except OSError as error:
+                code = re.search(r"Errno (-?\d+)", repr(error) + str(error))
+                number = error.errno or int(code[1] if code else 0)
+                reason = errno.errorcode.get(number, error.strerror or str(error))
+            else:
+                retry = _FIRST_RETRY
+                await peer.gone.wait()
+                await asyncio.sleep(_FIRST_RETRY)
+                continue
+            self._tell(name, f"no connection ({reason}); trying again")
+            await asyncio.sleep(retry)
+            retry = min(2 * retry, _LAST_RETRY)
+
+    async def _watch(self) -> None:
+        """Give up peers that hang."""
+        while True:
+            await asyncio.sleep(_TICK)
+            now = time.perf_counter()
+            for peer in list(self._peers):
+                left = peer.transport.get_write_buffer_size()
+                if left != peer.left:
+                    peer.left, peer.taken = left, now
+                if peer.framer.is_overdue(now):
+                    self.drop(peer, "cut off: it is too slow to finish a message")
+                elif left and now - peer.taken > _HUNG:
+                    self.drop(peer, "cut off: it takes nothing of what it is sent")

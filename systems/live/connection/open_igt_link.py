@@ -2,19 +2,25 @@
 
 The header leaves open in which axes a TRANSFORM or a POINT is meant. 3D Slicer takes them, and the
 matrix of an IMAGE, as RAS; so everything is sent as RAS, and an IMAGE says so. What is received
-without a flag counts as RAS too. The bodies are packed by pyigtl's message classes; the checksum,
-the types that pyigtl lacks, and the checks of what is received are here.
+without a flag counts as RAS too. The layouts are those of the protocol's specification, version 3.
 """
 
 import struct
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform, RotationMatrix
 
-from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.live.connection.framing import Frame, Framer, MessageError, pack_frame
+from sonoservo.systems.live.connection.framing import (
+    MAX_BODY,
+    Frame,
+    Framer,
+    MessageError,
+    pack_frame,
+)
 from sonoservo.systems.live.connection.items import (
     CovarianceItem,
     CurveItem,
@@ -26,13 +32,6 @@ from sonoservo.systems.live.connection.items import (
     TextItem,
 )
 
-try:
-    from pyigtl import messages
-except ImportError as error:
-    raise ConfigurationError(
-        "OpenIGTLink needs the package pyigtl: pip install -e '.[live]'"
-    ) from error
-
 DEFAULT_PORT = 18944
 
 _FLIP = np.diag([-1.0, -1.0, 1.0])
@@ -41,13 +40,28 @@ _FLIP = np.diag([-1.0, -1.0, 1.0])
 _MM = 1e3
 _MAX_TEXT = 0xFFFF
 _FLOAT64, _OK, _NOT_READY = 11, 1, 13
-_TOOL = struct.Struct("> 20s B B 12f")
+_UTF8 = 106
+"""Number of UTF-8 in IANA's list of character sets."""
+
+_LITTLE, _RAS = 2, 1
+_TYPES = {2: "i1", 3: "u1", 4: "i2", 5: "u2", 6: "i4", 7: "u4", 10: "f4", 11: "f8"}
+_CODES = {np.dtype(each): code for code, each in _TYPES.items()}
+_LUMINANCE = np.array([0.299, 0.587, 0.114])
+"""Weights of red, green and blue (ITU-R BT.601)."""
+
+_IMAGE = struct.Struct("> H 4B 3H 12f 6H")
+_POINT = struct.Struct("> 64s 32s 4B 4f 20s")
+_POSITION = struct.Struct("> 64s 32s 4B 8f 20s")
+"""A named point with a quaternion, real part first, as pyigtl sends them."""
+
+_TOOL = struct.Struct("> 20s 2B 12f")
+_QUATERNION_TOOL = struct.Struct("> 20s 2B 7f")
 _STATUS = struct.Struct("> H q 20s")
 
 
 def make_framer() -> Framer:
     """Return what cuts a connection's bytes into messages of the types that `decode` knows."""
-    return Framer(_DECODERS)
+    return Framer({kind: most for kind, (_, most) in _DECODERS.items()})
 
 
 def encode(item: Item) -> bytes:
@@ -77,8 +91,8 @@ def decode(frame: Frame) -> list[Item]:
     header = frame.header
     try:
         with np.errstate(all="ignore"):
-            return _DECODERS[header.type](header.device, header.time, frame.content)
-    except (ValueError, TypeError, LookupError, NotImplementedError, struct.error) as error:
+            return _DECODERS[header.type][0](header.device, header.time, frame.content)
+    except Exception as error:  # whatever a foreign message sets off costs that message alone
         reason = " ".join(str(error).split()) or type(error).__name__
         raise MessageError(f"{header.type} {header.device!r}: {reason}") from error
 
@@ -86,16 +100,16 @@ def decode(frame: Frame) -> list[Item]:
 def _encoded(item: Item) -> tuple[str, bytes]:
     match item:
         case ImageItem():
-            matrix = item.X_LI.copy()
-            matrix[:3] = _MM * (_FLIP @ item.X_LI[:3])
-            image = messages.ImageMessage(item.voxels.transpose(2, 1, 0), matrix, "ras")
-            return "IMAGE", image._pack_content()
+            return "IMAGE", _pack_image(item)
         case PoseItem():
-            return "TRANSFORM", messages.TransformMessage(_to_ras(item.X))._pack_content()
+            R = _FLIP @ item.X.rotation().matrix() @ _FLIP
+            return "TRANSFORM", _floats([*R.T, _MM * _FLIP @ item.X.translation()])
         case PointsItem():
-            points = _MM * item.points @ _FLIP
-            names = [f"{number}" for number in range(len(points))]
-            return "POINT", messages.PointMessage(points, names)._pack_content()
+            colour, nobody = (255, 255, 0, 255), b""
+            return "POINT", b"".join(
+                _POINT.pack(b"%d" % number, nobody, *colour, *point, 0.0, nobody)
+                for number, point in enumerate(_MM * item.points @ _FLIP)
+            )
         case CurveItem():
             return "POLYDATA", _pack_line(_MM * item.points @ _FLIP)
         case StatusItem():
@@ -109,8 +123,7 @@ def _encoded(item: Item) -> tuple[str, bytes]:
             text = item.text.encode()
             if len(text) > _MAX_TEXT:
                 raise ValueError(f"{item.name}: a text of {len(text)} bytes is too long to send")
-            utf8 = messages.MessageBase.IANA_CHARACTER_SET_UTF8
-            return "STRING", struct.pack("> H H", utf8, len(text)) + text
+            return "STRING", struct.pack("> H H", _UTF8, len(text)) + text
     raise TypeError(f"{type(item).__name__} has no OpenIGTLink message")
 
 
@@ -121,62 +134,107 @@ def _pack_line(points: NDArray[np.float64]) -> bytes:
     return counts + points.astype(">f4").tobytes() + cell
 
 
+def _pack_image(item: ImageItem) -> bytes:
+    voxels = item.voxels.astype(item.voxels.dtype.newbyteorder("<"), copy=False)
+    code, size = _CODES.get(item.voxels.dtype.newbyteorder("=")), voxels.shape
+    if code is None:
+        raise ValueError(f"{item.name}: numbers of type {voxels.dtype} cannot be sent")
+    matrix = _MM * (_FLIP @ item.X_LI[:3])
+    centre = matrix @ [*(0.5 * (np.array(size) - 1)), 1.0]
+    geometry = [*matrix[:, :3].T.ravel(), *centre]
+    head = _IMAGE.pack(1, 1, code, _LITTLE, _RAS, *size, *geometry, 0, 0, 0, *size)
+    return head + voxels.tobytes("F")
+
+
 def _decode_image(name: str, time: float, content: memoryview) -> list[Item]:
-    message = messages.ImageMessage()
-    message._unpack_content(content)
-    voxels = message.image
-    if voxels.ndim != 3 or voxels.size == 0:
-        raise ValueError(f"{voxels.shape[::-1]} numbers; one number a voxel is wanted")
-    matrix = np.asarray(message.ijk_to_world_matrix, float)
-    if voxels.shape[0] == 1 and not matrix[:3, 2].any():  # a 2D frame needs no third direction
+    _, components, code, endian, space, *rest = _IMAGE.unpack(content[: _IMAGE.size])
+    size, numbers, first, part = rest[:3], rest[3:15], rest[15:18], rest[18:]
+    if any(first) or part != size:
+        raise ValueError("parts of volumes (subvolumes) are not taken")
+    if code not in _TYPES:
+        raise ValueError(f"numbers of type {code} are not known")
+    kind = np.dtype(_TYPES[code]).newbyteorder("<" if endian == _LITTLE else ">")
+    voxels = np.frombuffer(content[_IMAGE.size :], kind)
+    if voxels.size != components * np.prod(size, dtype=object) or voxels.size == 0:
+        raise ValueError(f"{voxels.size} numbers for {size} voxels of {components}")
+    if components != 1:
+        voxels = _luminance(voxels.reshape(-1, components))
+    if voxels.dtype.kind == "f" and not np.isfinite(voxels).any():
+        raise ValueError("none of its numbers is finite")
+    matrix = np.eye(4)
+    matrix[:3] = np.reshape(numbers, (4, 3)).T
+    if size[2] == 1 and not matrix[:3, 2].any():  # a 2D frame needs no third direction
         matrix[:3, 2] = np.cross(matrix[:3, 0], matrix[:3, 1])
+    matrix[:3, 3] -= matrix[:3, :3] @ (0.5 * (np.array(size) - 1))
     if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3])) < 1e-12:
         raise ValueError("its matrix is no grid in space")
-    X_LI = np.eye(4)
-    X_LI[:3] = matrix[:3] / _MM
-    if message.world_coordinate_system == "ras":
-        X_LI[:3] = _FLIP @ X_LI[:3]
-    return [ImageItem(name, time, voxels.transpose(2, 1, 0), X_LI)]
+    matrix[:3] /= _MM
+    if space == _RAS:
+        matrix[:3] = _FLIP @ matrix[:3]
+    return [ImageItem(name, time, voxels.reshape(size, order="F"), matrix)]
+
+
+def _luminance(colours: NDArray[np.generic]) -> NDArray[np.generic]:
+    """Return the grey levels of (n, 3) or (n, 4) colours, as numbers of the same type."""
+    if colours.shape[1] not in (3, 4):
+        raise ValueError(f"{colours.shape[1]} numbers a voxel; one, or red, green and blue, wanted")
+    grey = colours[:, :3] @ _LUMINANCE
+    return (grey if colours.dtype.kind == "f" else np.rint(grey)).astype(colours.dtype)
 
 
 def _decode_transform(name: str, time: float, content: memoryview) -> list[Item]:
-    message = messages.TransformMessage()
-    message._unpack_content(content)
-    return [PoseItem(name, time, _from_ras(np.asarray(message.matrix, float)))]
+    return [PoseItem(name, time, _rigid(struct.unpack("> 12f", content)))]
 
 
 def _decode_tracking_data(name: str, time: float, content: memoryview) -> list[Item]:
     """Each tool of a tracker has a name of its own."""
-    if len(content) % _TOOL.size:
-        raise ValueError(f"{len(content)} bytes are no whole number of tools")
-    items: list[Item] = []
-    for tool, _, _, *numbers in _TOOL.iter_unpack(content):
-        matrix = np.eye(4)
-        matrix[:3] = np.reshape(numbers, (4, 3)).T
-        label = tool.partition(b"\0")[0].decode("utf-8", "replace").strip()
-        items.append(PoseItem(label or name, time, _from_ras(matrix)))
-    return items
+    return [
+        PoseItem(_label(tool) or name, time, _rigid(numbers))
+        for tool, _, _, *numbers in _records(_TOOL, content, "tools")
+    ]
+
+
+def _decode_quaternion_tools(name: str, time: float, content: memoryview) -> list[Item]:
+    return [
+        PoseItem(_label(tool) or name, time, _turned(numbers[:3], numbers[3:]))
+        for tool, _, _, *numbers in _records(_QUATERNION_TOOL, content, "tools")
+    ]
+
+
+def _decode_position(name: str, time: float, content: memoryview) -> list[Item]:
+    """One position and its quaternion; without a quaternion there is no pose."""
+    if len(content) and len(content) % _POSITION.size == 0:
+        return [
+            PoseItem(_label(point) or name, time, _turned(each[:3], [*each[4:7], each[3]]))
+            for point, _, _, _, _, _, *each, _, _ in _POSITION.iter_unpack(content)
+        ]
+    if len(content) == 12:
+        raise ValueError("a position without an orientation is no pose of the probe")
+    if len(content) == 24:
+        x, y, z, *vector = struct.unpack("> 6f", content)
+        real = np.sqrt(max(0.0, 1.0 - float(np.dot(vector, vector))))
+        return [PoseItem(name, time, _turned([x, y, z], [*vector, real]))]
+    numbers = struct.unpack("> 7f", content)
+    return [PoseItem(name, time, _turned(numbers[:3], numbers[3:]))]
 
 
 def _decode_string(name: str, time: float, content: memoryview) -> list[Item]:
-    message = messages.StringMessage()
-    message._unpack_content(bytes(content))
-    return [TextItem(name, time, message.string)]
+    _, length = struct.unpack("> H H", content[:4])
+    if len(content) < 4 + length:
+        raise ValueError(f"{len(content) - 4} bytes of a text of {length}")
+    return [TextItem(name, time, bytes(content[4 : 4 + length]).decode("utf-8", "replace"))]
 
 
 def _decode_status(name: str, time: float, content: memoryview) -> list[Item]:
     code, _, _ = _STATUS.unpack(content[: _STATUS.size])
-    text = bytes(content[_STATUS.size :]).partition(b"\0")[0].decode("utf-8", "replace")
-    return [StatusItem(name, time, code == _OK, text)]
+    return [StatusItem(name, time, code == _OK, _label(bytes(content[_STATUS.size :])))]
 
 
 def _decode_points(name: str, time: float, content: memoryview) -> list[Item]:
-    message = messages.PointMessage()
-    message._unpack_content(content)
-    points = np.reshape(message.positions, (-1, 3)).astype(float)
+    points = np.array([each[6:9] for each in _records(_POINT, content, "points")], float)
     if not np.isfinite(points).all():
         raise ValueError("a point is not finite")
-    return [PointsItem(name, time, points @ _FLIP / _MM)]
+    return [PointsItem(name, time, points.reshape(-1, 3) @ _FLIP / _MM)]
 
 
 def _decode_polydata(name: str, time: float, content: memoryview) -> list[Item]:
@@ -195,29 +253,55 @@ def _decode_array(name: str, time: float, content: memoryview) -> list[Item]:
     return [CovarianceItem(name, time, _FLIP @ array @ _FLIP / _MM**2)]
 
 
-_DECODERS = {
-    "IMAGE": _decode_image,
-    "TRANSFORM": _decode_transform,
-    "TDATA": _decode_tracking_data,
-    "STRING": _decode_string,
-    "STATUS": _decode_status,
-    "POINT": _decode_points,
-    "POLYDATA": _decode_polydata,
-    "NDARRAY": _decode_array,
+_SMALL = 1 << 22
+"""Most bytes of a message that is no image."""
+
+_DECODERS: dict[str, tuple[Callable[[str, float, memoryview], list[Item]], int]] = {
+    "IMAGE": (_decode_image, MAX_BODY),
+    "TRANSFORM": (_decode_transform, _SMALL),
+    "TDATA": (_decode_tracking_data, _SMALL),
+    "QTDATA": (_decode_quaternion_tools, _SMALL),
+    "QTRANS": (_decode_position, _SMALL),
+    "POSITION": (_decode_position, _SMALL),
+    "STRING": (_decode_string, _SMALL),
+    "STATUS": (_decode_status, _SMALL),
+    "POINT": (_decode_points, _SMALL),
+    "POLYDATA": (_decode_polydata, _SMALL),
+    "NDARRAY": (_decode_array, _SMALL),
 }
+"""Decoder of each type, and the most bytes of its body."""
 
 
-def _to_ras(X: RigidTransform) -> NDArray[np.float64]:
-    matrix = X.GetAsMatrix4()
-    matrix[:3, :3] = _FLIP @ matrix[:3, :3] @ _FLIP
-    matrix[:3, 3] = _MM * _FLIP @ matrix[:3, 3]
-    return matrix
+def _label(text: bytes) -> str:
+    return text.partition(b"\0")[0].decode("utf-8", "replace").strip()
 
 
-def _from_ras(matrix: NDArray[Any]) -> RigidTransform:
-    R = _FLIP @ matrix[:3, :3] @ _FLIP
-    if not np.isfinite(matrix).all() or np.abs(R.T @ R - np.eye(3)).max() > 1e-3:
+def _records(record: struct.Struct, content: memoryview, name: str) -> Iterator[tuple[Any, ...]]:
+    if len(content) % record.size:
+        raise ValueError(f"{len(content)} bytes are no whole number of {name}")
+    return record.iter_unpack(content)
+
+
+def _floats(rows: Iterable[ArrayLike]) -> bytes:
+    return np.concatenate([np.ravel(row) for row in rows]).astype(">f4").tobytes()
+
+
+def _rigid(numbers: Sequence[float]) -> RigidTransform:
+    """Return the motion of three columns and a position, in RAS and mm."""
+    columns = np.reshape(numbers, (4, 3)).T
+    R = _FLIP @ columns[:, :3] @ _FLIP
+    if not np.isfinite(columns).all() or np.abs(R.T @ R - np.eye(3)).max() > 1e-3:
         raise ValueError("its matrix is no rigid motion")
     if np.linalg.det(R) < 0:
         raise ValueError("its matrix is a reflection, no rigid motion")
-    return RigidTransform(RotationMatrix.ProjectToRotationMatrix(R), _FLIP @ matrix[:3, 3] / _MM)
+    return RigidTransform(RotationMatrix.ProjectToRotationMatrix(R), _FLIP @ columns[:, 3] / _MM)
+
+
+def _turned(position: Sequence[float], xyzw: Sequence[float]) -> RigidTransform:
+    """Return the motion of a position and a quaternion, real part last, in RAS and mm."""
+    size = float(np.linalg.norm(xyzw))
+    if not np.isfinite([*position, size]).all() or abs(size - 1) > 1e-2:
+        raise ValueError("its quaternion is no rotation")
+    x, y, z, w = np.array(xyzw) / size
+    R = RotationMatrix(Quaternion([w, x, y, z])).matrix()
+    return _rigid([*R.T.ravel(), *position])

@@ -24,6 +24,11 @@ class StreamFramer(Protocol):
         """Memory that takes the next bytes."""
         ...
 
+    @property
+    def held(self) -> int:
+        """Bytes of memory reserved for the message under way."""
+        ...
+
     def advance(self, count: int, now: float) -> Iterator[Any]:
         """Take in bytes of the buffer; yield the messages that they complete."""
         ...

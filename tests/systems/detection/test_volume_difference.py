@@ -77,5 +77,5 @@ def test_outside_a_moving_sector_is_no_change():
     a, b = np.full(SHAPE, 30, np.uint8), np.full(SHAPE, 30, np.uint8)
     b[0] = 0
     b[5, 5, 5] = 40
-    index, _ = top_differences(a, b, 5, both_seen=True)
+    index, _ = top_differences(a, b, 5, seen=(a > 0, b > 0))
     np.testing.assert_array_equal(index, [[5, 5, 5]])

@@ -4,7 +4,7 @@ from live_items import X, make_volume
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.live.connection.items import ImageItem, PoseItem, TextItem
-from sonoservo.systems.live.image_matcher import ImageMatcher
+from sonoservo.systems.live.image_matcher import ImageMatcher, LeftOut
 from sonoservo.systems.live.volume_sender import volume_items
 
 
@@ -14,6 +14,9 @@ def image(time, name="Image", shape=(4, 3, 2)):
 
 def pose(time, x=0.0, name="ProbeToReference"):
     return PoseItem(name, time, RigidTransform([x, 0, 0]))
+
+
+ACQUISITION = volume_items(make_volume(1.0))[0].text
 
 
 @pytest.fixture
@@ -47,7 +50,7 @@ def test_image_does_not_wait_for_ever(matcher, lines):
     assert len(matcher.release(0.2)) == 1
     matcher.feed(image(2.0), 1.0)
     assert matcher.release(1.2) == []
-    assert matcher.left_out == 1
+    assert matcher.left_out == {LeftOut.NO_POSE: 1}
     assert "the nearest pose is 1.000 s away" in lines[-1]
 
 
@@ -100,8 +103,88 @@ def test_stamps_that_stand_still_or_run_back_a_little_are_left_out(lines):
     matcher = ImageMatcher(poses="none", report=lines.append)
     times = [p.time for t in (1.0, 1.3, 1.3, 1.2, 1.6) for p in matcher.feed(image(t), t)]
     assert times == [1.0, 1.3, 1.6]
-    assert matcher.left_out == 2
+    assert matcher.left_out == {LeftOut.STAMP: 2}
     assert "is not later than the last one's" in lines[-1]
+
+
+@pytest.mark.parametrize("stamps", ["zero", "whole seconds"])
+def test_stamps_that_do_not_run_give_way_to_the_times_of_arrival(stamps, lines):
+    matcher, out = ImageMatcher(poses="ProbeToReference", report=lines.append), []
+    for k in range(12):
+        now = 50.0 + 0.1 * k
+        stamp = 0.0 if stamps == "zero" else float(int(now))
+        out += matcher.feed(pose(stamp, x=float(k)), now)
+        out += matcher.feed(image(stamp), now + 0.01)
+        out += matcher.release(now + 0.09)
+    out += matcher.release(60.0)
+    assert len(out) >= 9
+    assert sum("the times of arrival are taken" in line for line in lines) == 1
+    later = out[3:]
+    np.testing.assert_allclose(np.diff([each.time for each in later]), 0.1, atol=1e-9)
+    # Each has the pose that came with it.
+    places = [each.X_WL.translation()[0] for each in later]
+    np.testing.assert_allclose(np.diff(places), 1.0, atol=0.11)
+
+
+def test_one_missing_stamp_costs_one_image():
+    matcher = ImageMatcher(poses="none")
+    stamps = (7.0, 7.3, 0.0, 7.9, 8.2)
+    out = [p for k, t in enumerate(stamps) for p in matcher.feed(image(t), 0.3 * k)]
+    assert [each.time for each in out] == [7.0, 7.3, 7.9, 8.2]
+    assert matcher.left_out == {LeftOut.STAMP: 1}
+
+
+@pytest.mark.parametrize("apart", [-7200.0, -1000.0, 1000.0])
+def test_clocks_hours_apart_are_put_together_by_arrival(apart, lines):
+    """The delays of both streams differ by 20 ms here, and so does the pose that is taken."""
+    matcher, out = ImageMatcher(report=lines.append), []
+    for k in range(40):
+        now = 10.0 + 0.02 * k
+        out += matcher.feed(pose(5000.0 + now + apart, x=now), now)
+        if k % 10 == 9:
+            out += matcher.feed(image(5000.0 + now - 0.02), now)
+    out += matcher.release(20.0)
+    assert len(out) == 4
+    for each in out:
+        assert each.X_WL.translation()[0] == pytest.approx(each.time - 5000.0, abs=0.021)
+    (line,) = lines
+    told = float(line.partition(" s ")[0].rpartition(" ")[2])
+    assert told == pytest.approx(abs(apart), abs=0.03)
+    assert ("ahead of" if apart > 0 else "behind") in line
+    stated = ImageMatcher(clock_offset=apart, report=lines.append)
+    for k in range(3):
+        stated.feed(pose(100.0 + apart + k, x=float(k)), 0.0)
+    (posed,) = stated.feed(image(101.0), 0.0)
+    assert posed.X_WL.translation()[0] == 1.0
+
+
+def test_another_peer_neither_pushes_the_clock_nor_takes_the_scanners_place(lines):
+    matcher = ImageMatcher(poses="none", report=lines.append)
+    good = []
+    for k in range(30):
+        now = 0.3 * k
+        matcher.feed(image(1e9 * (k % 4)), now, "hostile")
+        good += [p for p in matcher.feed(image(5.0 + now), now, "good") if p.sender[0] == "good"]
+    assert len(good) == 30
+    assert matcher.feed(image(20.0), 9.0, "late") == []
+    assert len(matcher.feed(image(20.0), 12.0, "heir")) == 1
+
+
+def test_pose_of_the_images_own_peer_is_preferred():
+    matcher = ImageMatcher(poses="ProbeToReference")
+    matcher.feed(pose(1.0, 3.0), 0.0, "tracker")
+    assert matcher.feed(image(1.0), 0.0, "scanner")[0].X_WL.translation()[0] == 3.0
+    matcher.feed(pose(2.0, 4.0), 1.0, "scanner")
+    matcher.feed(pose(2.0, 5.0), 1.0, "tracker")
+    assert matcher.feed(image(2.0), 1.0, "scanner")[0].X_WL.translation()[0] == 4.0
+
+
+def test_other_poses_are_named_where_the_expected_one_is_missing(lines):
+    matcher = ImageMatcher(report=lines.append)
+    matcher.feed(pose(1.0, name="ProbeToTracker"), 0.0)
+    matcher.feed(image(1.0), 0.0)
+    assert len(matcher.release(1.0)) == 1
+    assert "there are: ProbeToTracker" in lines[-1]
 
 
 @pytest.mark.parametrize("restart", [5.0, 90000.0])
@@ -117,19 +200,33 @@ def test_clock_that_is_set_anew_goes_on(restart, lines):
 def test_scanner_of_this_package_tells_the_pose_exactly():
     matcher = ImageMatcher()
     volume = make_volume(1000.3)
-    text, _, picture = volume_items(volume, settings={"dynamic_range_db": 55})
+    text, _, picture = volume_items(volume, settings={"tracker_seed": 7})
     matcher.feed(text, 0.0)
     (posed,) = matcher.feed(picture, 0.0)
     assert posed.X_WL.IsExactlyEqualTo(X)
     assert posed.time == 1000.3
-    assert posed.acquisition.settings == {"dynamic_range_db": 55}
+    assert posed.acquisition.settings == {"tracker_seed": 7}
 
 
-@pytest.mark.parametrize("text", ["", "{}", "[]", "null", '{"time": "x"}', '{"origin": 1e999}'])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "{}",
+        "[]",
+        "null",
+        '{"time": "x"}',
+        '{"origin": 1e999}',
+        ACQUISITION.replace('"time":1.0', '"time":1' + 400 * "0"),
+        ACQUISITION.replace('"time":1.0', '"time":1e999'),
+        ACQUISITION.replace("}", ',"tracker_seed":"abc"}'),
+        "[" * 50000,
+    ],
+)
 def test_text_that_makes_no_sense_is_left_out(text, lines):
     matcher = ImageMatcher(poses="none", report=lines.append)
-    matcher.feed(TextItem("Acquisition", 1.0, text), 0.0)
-    assert "a text is left out" in lines[-1]
+    with pytest.raises(ValueError, match="Acquisition: "):
+        matcher.feed(TextItem("Acquisition", 1.0, text), 0.0)
     assert len(matcher.feed(image(1.0), 0.0)) == 1
 
 

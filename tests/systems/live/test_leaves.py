@@ -89,13 +89,13 @@ def test_needle_sender_sends_each_estimate_once_with_its_volumes_time(outlet):
 
 
 def test_volume_sender_sends_each_volume_once(outlet):
-    sender = VolumeSender(outlet=outlet, settings={"dynamic_range_db": 50}, period=1.0)
+    sender = VolumeSender(outlet=outlet, settings={"tracker_seed": 7}, period=1.0)
     volumes = [NotFound("none yet"), make_volume(1.0), make_volume(1.0), make_volume(2.0)]
     publish(sender, volume=volumes)
     assert len(outlet.sent) == 2
     text, pose, image = outlet.sent[0][1]
     said = read_acquisition_item(text)
-    assert said.settings == {"dynamic_range_db": 50}
+    assert said.settings == {"tracker_seed": 7}
     np.testing.assert_array_equal(said.origin, volumes[1].origin)
     assert pose.name == "ProbeToReference"
     assert pose.X.IsExactlyEqualTo(X)

@@ -77,6 +77,7 @@ def test_grey_levels_are_those_of_the_first_volume_or_of_the_window():
     numbers = np.linspace(-1000, 1000, 60).reshape(5, 4, 3).astype(np.int16)
     made = maker(posed(image(numbers)))
     assert (made.intensities.min(), made.intensities.max()) == (0, 255)
+    maker.grey.held = True
     half = maker(posed(image((numbers // 2).astype(np.int16))))
     assert half.intensities.max() == pytest.approx(191, abs=1)
     fixed = VolumeMaker(window=(0, 1000))(posed(image(numbers)))
@@ -89,7 +90,21 @@ def test_oblique_and_infinite_images_are_left_out():
     assert "right angles" in VolumeMaker()(posed(image(VOXELS, R))).reason
     numbers = VOXELS.astype(np.float32)
     numbers[0, 0, 0] = np.nan
-    assert "not finite" in VolumeMaker()(posed(image(numbers))).reason
+    maker = VolumeMaker()
+    assert "not finite" in maker(posed(image(numbers[:-1]))).reason
+    assert maker(posed(image(VOXELS)))  # what was refused has decided nothing
+
+
+@pytest.mark.parametrize("steps", [[1e-300, 1e-3, 1e-3], [1e-3, 1.0, 1e-3]])
+def test_implausible_grid_is_left_out(steps):
+    assert "spacing" in VolumeMaker()(posed(image(VOXELS, steps=steps))).reason
+
+
+def test_another_scanner_begins_with_its_own_grid():
+    maker = VolumeMaker()
+    maker(posed(image(VOXELS)))
+    other = PosedImage(image(VOXELS[:-1]), RigidTransform(), None, 2.0, 0.0, ("other", "Image"))
+    assert maker(other).intensities.size == VOXELS[:-1].size
 
 
 def test_depth_must_be_a_letter_of_the_body():

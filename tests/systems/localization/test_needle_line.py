@@ -100,7 +100,7 @@ def test_few_bright_sectors_beside_a_line_count_for_speckle(bright, seen, side):
     points = np.array([[15.0, 15.0, z] for z in range(2, 18)])
     ring = 10.0 * np.stack([np.cos(angles), np.sin(angles), np.zeros(16)], axis=1)
     levels = np.repeat(section[..., np.newaxis], 20, axis=2)
-    line, sides = profile(levels, points, np.zeros((1, 3)), ring[np.newaxis], 3, 0.2)
+    line, sides, _ = profile(levels, levels > 0, points, np.zeros((1, 3)), ring[np.newaxis], 3, 0.2)
     np.testing.assert_allclose(line, 100.0)
     np.testing.assert_allclose(sides, side)
 

@@ -83,3 +83,44 @@ def test_at_once_everything_was_acquired_in_the_middle_from_one_pose():
     assert np.ptp(moving.to_world(p_P)[1]) > 0.05
     plain = replace(volume, motion=None)
     assert plain.at_once() is plain
+
+
+def test_what_was_seen_is_the_mask_or_the_sector_or_the_hull():
+    volume = Scene().volume(1)
+    inside = volume.intensities > 0  # this scene has no black speckle
+    spots = np.indices(inside.shape).sum(axis=0) % 7 == 3
+    dark = replace(volume, intensities=np.where(spots, 0, volume.intensities))
+    np.testing.assert_array_equal(dark.seen, inside)  # from the transducer
+    np.testing.assert_array_equal(replace(dark, motion=None, mask=inside).seen, inside)
+    hull = replace(dark, motion=None).seen
+    assert np.mean(hull[inside]) > 0.97
+    assert np.mean(hull[~inside]) < 0.01
+    with pytest.raises(ValueError, match="mask"):
+        make(mask=np.ones((4, 5, 7), bool))
+
+
+def test_a_position_is_seen_beside_an_element_that_was():
+    mask = np.zeros((4, 5, 6), bool)
+    mask[1, 2, 3] = True
+    volume = make(mask=mask)
+    at = volume.position(np.array([[1, 2, 3], [1.9, 1.1, 3.9], [2, 2, 3], [1, 0.9, 3], [-1, 2, 3]]))
+    np.testing.assert_array_equal(volume.sees(at), [True, True, False, False, False])
+
+
+@pytest.mark.parametrize("level", ["speckle", "sparse"])
+def test_dark_cysts_shadows_and_water_are_seen(level):
+    volume = Scene().volume(1)
+    p_P = volume.position(np.moveaxis(np.indices(volume.intensities.shape), 0, -1))
+    inside = volume.intensities > 0
+    x, y, z = np.moveaxis(p_P, -1, 0)
+    cyst = np.linalg.norm(p_P - [0, 0.05, 0], axis=-1) < 8e-3
+    shadow = (np.abs(x - 0.01) < 4e-3) & (np.abs(z) < 4e-3) & (y > 0.03)
+    grey = np.where(cyst | shadow, 0, volume.intensities)
+    if level == "sparse":
+        grey[grey < np.quantile(grey[grey > 0], 0.97)] = 0
+    hull = replace(volume, intensities=grey, motion=None).seen
+    assert hull[(cyst | shadow) & inside].all()
+    assert np.mean(hull & ~inside) < (0.01 if level == "speckle" else 0.1)
+    assert make().seen.all()  # darkness alone tells nothing
+    (line := np.zeros((4, 5, 6), np.uint8))[1, 1:4, 2] = 9
+    assert make(intensities=line).seen.sum() == 3

@@ -1,6 +1,8 @@
 """Single volumes: how often the needle is found, and that its storage does not matter."""
 
+import os
 import time
+from pathlib import Path
 
 import nrrd
 import numpy as np
@@ -146,3 +148,68 @@ def test_a_volume_that_is_not_there(tmp_path, made):
     recording = Recording(write_volume(tmp_path / "a.nrrd", made.volume))
     with pytest.raises(ConfigurationError, match=r"volume 3 is out of range \(0 to 0\)"):
         locate_in_recording(recording, 3)
+
+
+WIRES = np.array(
+    [
+        [[x + step, 22 + 8 * n, -16.5], [x, 22 + 8 * n, 16.5]]
+        for n in range(3)
+        for x, step in ((-13, 0), (-9, 18 - 8 * n), (13, 0))
+    ],
+    float,
+)
+"""Ends of the wires of three Ns, one above the other, in mm."""
+
+
+def wires_in_the_dark():
+    """A thresholded reconstruction of wires in water: all but the wires is black."""
+    rng = np.random.default_rng(5)
+    grid = np.meshgrid(*(0.5 * np.arange(-36, 37) for _ in range(3)), indexing="ij")
+    p = np.stack(grid, axis=-1) + np.array([0, 30, 0])
+    grey = np.zeros(p.shape[:3])
+    for a, b in WIRES:
+        k = (b - a) / np.linalg.norm(b - a)
+        s = (p - a) @ k
+        d2 = np.sum((p - a) ** 2, axis=-1) - s**2
+        along = (s > 0) & (s < np.linalg.norm(b - a))
+        grey += along * 220 * np.exp(-d2 / 0.8) * rng.uniform(0.7, 1.0, grey.shape)
+    return np.where(grey < 40, 0, grey).astype(np.uint8)
+
+
+@pytest.mark.parametrize("depth", ["P", "A", "L", "R", "S", "I"])
+def test_wires_in_the_dark_are_found_from_each_side(tmp_path, depth):
+    nrrd.write(str(tmp_path / "wires.nrrd"), wires_in_the_dark(), {
+        "space": "left-posterior-superior",
+        "space directions": np.diag([0.5] * 3),
+        "space origin": [-18, 12, -18],
+    })  # fmt: skip
+    found = locate_in_recording(Recording(tmp_path / "wires.nrrd", depth=depth))
+    assert_on_a_line(found, WIRES)
+
+
+RECORDED_WIRES = np.array([
+    [[-9.7, -122.2, -55.1], [5.6, -121.7, -23.8]], [[14.2, -120.7, -57.1], [13.8, -121.2, -24.1]],
+    [[-7.6, -117.6, -23.7], [8.4, -115.8, -56.8]], [[-16.4, -118.1, -47.6], [-16.5, -118.6, -23.6]],
+])  # fmt: skip
+"""Principal axes of the longest wires in a recording of PLUS's public test data, in mm."""
+
+
+@pytest.mark.parametrize("depth", ["P", "A", "L", "R", "S", "I"])
+def test_recorded_wires_are_found_from_each_side(depth):
+    path = Path(os.environ.get("SONOSERVO_TEST_DATA", "")) / "NwirePhantomFreehandReconstructed.mha"
+    if not path.is_file():
+        pytest.skip("the recording is not at hand; SONOSERVO_TEST_DATA names its folder")
+    assert_on_a_line(locate_in_recording(Recording(path, depth=depth)), RECORDED_WIRES)
+
+
+def assert_on_a_line(found, lines):
+    """Assert that a needle lies within 0.6 mm and 0.5 deg of one of (n, 2, 3) lines in mm."""
+    assert found["found"], found["reason"]
+    k = (lines[:, 1:] - lines[:, :1]) / np.linalg.norm(lines[:, 1:] - lines[:, :1], axis=2)[
+        ..., None
+    ]
+    away = np.array([found["entry_lps_mm"], found["tip_lps_mm"]]) - lines[:, :1]
+    away = np.linalg.norm(away - np.sum(away * k, axis=-1, keepdims=True) * k, axis=-1)
+    nearest = away.max(axis=1).argmin()
+    angle = np.degrees(np.arccos(min(abs(k[nearest, 0] @ found["direction_lps"]), 1)))
+    assert (away[nearest].max() <= 0.6, angle <= 0.5) == (True, True), (away[nearest], angle)

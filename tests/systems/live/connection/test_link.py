@@ -2,6 +2,7 @@ import socket
 import subprocess
 import threading
 import time
+from contextlib import ExitStack, suppress
 
 import numpy as np
 import pyigtl
@@ -26,7 +27,7 @@ class Ear:
     def __init__(self):
         self.items, self.lines = [], []
 
-    def receive(self, item, now):
+    def receive(self, item, now, peer):
         self.items.append(item)
 
     def open(self, address):
@@ -137,7 +138,7 @@ def test_slow_client_loses_old_volumes_and_holds_nobody_up(server):
         assert server.dropped > 5
         assert max(len(peer.outbox._waiting) for peer in server._peers) <= 2
         # What it gets in the end is whole, in order, and the newest.
-        framer, stamps = framing.Framer({"STRING"}), []
+        framer, stamps = framing.Framer({"STRING": 1 << 20}), []
         while stamps.count(19) < 50:
             count = slow.recv_into(framer.buffer)
             stamps += [frame.header.time for frame in framer.advance(count, 0.0)]
@@ -206,16 +207,52 @@ def test_torn_message_is_forgotten(server, ear):
     assert [item.text for item in ear.items] == ["whole"]
 
 
-def test_a_hundred_connections(server, ear, monkeypatch):
-    monkeypatch.setattr(link, "_MAX_PEERS", 60)
-    peers = [plug(server) for _ in range(100)]
-    wait_until(lambda: server.peers == 60 and len(ear.said("refused")) > 0)
-    assert len(ear.lines) <= 5
-    peers[0].sendall(message("still there"))
-    wait_until(lambda: ear.items)
-    for peer in peers:
-        peer.close()
-    wait_until(lambda: server.peers == 0)
+def test_idle_peers_make_room_and_useful_ones_stay(server, ear, monkeypatch):
+    monkeypatch.setattr(link, "_MAX_PEERS", 20)
+    with plug(server) as good:
+        good.sendall(message("useful"))
+        wait_until(lambda: ear.items)
+        idle = [plug(server) for _ in range(60)]
+        wait_until(lambda: server.peers == 20 and ear.said("it was of least use"))
+        assert len(ear.lines) <= 5
+        good.sendall(message("still there"))
+        wait_until(lambda: len(ear.items) == 2)
+        with plug(server) as newcomer:
+            newcomer.sendall(message("let in"))
+            wait_until(lambda: len(ear.items) == 3)
+        for peer in idle:
+            peer.close()
+        wait_until(lambda: server.peers == 1)
+
+
+def test_unfinished_messages_share_one_budget(server, ear, monkeypatch):
+    """A header alone reserves nothing; what has arrived counts, and a proved peer stays."""
+    monkeypatch.setattr(link, "MAX_HELD", 8 << 20)
+    announced = message("x")[:42] + (1 << 27).to_bytes(8, "big") + bytes(8)
+    head = announced.replace(b"STRING", b"IMAGE\0", 1)
+    with plug(server) as good, ExitStack() as stack:
+        good.sendall(message("useful"))
+        wait_until(lambda: ear.items)
+        greedy = [stack.enter_context(plug(server)) for _ in range(6)]
+        for peer in greedy:
+            peer.sendall(head)
+        wait_until(lambda: server.peers == 7)
+        for peer in greedy:
+            with suppress(OSError):
+                peer.sendall(bytes(3 << 20))
+        wait_until(lambda: ear.said("unfinished messages take more than 8 MB"))
+        good.sendall(message("still there"))
+        wait_until(lambda: len(ear.items) == 2)
+
+
+def test_names_of_a_foreign_peer_are_shown_escaped(server, ear):
+    damaged = bytearray(encode(TextItem("\x1b[2J\nforged: fine", 1.0, "x")))
+    damaged[-1] ^= 1
+    with plug(server) as peer:
+        peer.sendall(bytes(damaged))
+        wait_until(lambda: ear.lines)
+    assert ear.lines[0].isprintable()
+    assert "forged" in ear.lines[0]
 
 
 def test_lines_about_one_peer_do_not_flood(server, ear):

@@ -107,6 +107,44 @@ def test_our_messages_are_read_by_pyigtl():
         assert messages.CRC64(data[58:]) == int.from_bytes(data[50:58], "big")
 
 
+@pytest.mark.parametrize("components", [3, 4])
+@pytest.mark.parametrize("dtype", ["u1", "<u2", "<f4"])
+def test_colours_become_their_luminance(components, dtype):
+    colours = np.random.default_rng(1).integers(0, 250, (3, 4, 5, components)).astype(dtype)
+    message = messages.ImageMessage(colours, np.eye(4), device_name="I")
+    (item,) = decode_all(message.pack())
+    expected = colours[..., :3].astype(float) @ [0.299, 0.587, 0.114]
+    assert item.voxels.dtype == colours.dtype
+    atol = 1e-3 if dtype == "<f4" else 0.5
+    np.testing.assert_allclose(item.voxels, expected.transpose(2, 1, 0), atol=atol)
+
+
+def test_image_without_a_finite_number_is_left_out():
+    voxels = np.full((5, 4, 3), np.nan, np.float32)
+    with pytest.raises(MessageError, match="none of its numbers is finite"):
+        decode_all(encode(ImageItem("I", 0, voxels, grid())))
+
+
+@pytest.mark.parametrize("kind", ["QTDATA", "POSITION", "POSITION24", "pyigtl"])
+def test_poses_of_quaternions_are_those_of_matrices(kind):
+    """In every layout: of tools, of one position, with three numbers, and as pyigtl has it."""
+    flip = np.diag([-1.0, -1.0, 1.0])
+    w, x, y, z = RotationMatrix(flip @ X.rotation().matrix() @ flip).ToQuaternion().wxyz()
+    where = 1e3 * flip @ X.translation()
+    if kind == "QTDATA":
+        tool = struct.pack("> 20s B B 7f", b"Probe", 2, 0, *where, x, y, z, w)
+        (item,) = decode_all(pack_frame("QTDATA", "Tracker", 3.0, tool))
+    elif kind == "pyigtl":
+        sent = messages.PositionMessage(where, [w, x, y, z], names=["Probe"], device_name="T")
+        (item,) = decode_all(sent.pack())
+    else:
+        numbers = [*where, x, y, z, w][: 7 if kind == "POSITION" else 6]
+        content = struct.pack(f"> {len(numbers)}f", *numbers)
+        (item,) = decode_all(pack_frame("POSITION", "Probe", 3.0, content))
+    assert item.name == "Probe"
+    assert item.X.IsNearlyEqualTo(X, 1e-6)
+
+
 def test_millimetres_and_ras_are_only_on_the_wire():
     data = encode(PoseItem("P", 0, RigidTransform([0.001, 0.002, 0.003])))
     assert struct.unpack(">3f", data[-12:]) == (-1, -2, 3)
@@ -130,9 +168,13 @@ def test_tools_of_tracking_data_have_their_own_names():
         ("TRANSFORM", struct.pack(">12f", *[np.nan] * 12), "no rigid motion"),
         ("TRANSFORM", b"short", "TRANSFORM 'D'"),
         ("TDATA", b"short", "no whole number of tools"),
+        ("QTDATA", b"short", "no whole number of tools"),
+        ("POSITION", bytes(12), "without an orientation"),
+        ("POSITION", bytes(28), "no rotation"),
+        ("POSITION", b"short", "POSITION 'D'"),
         ("IMAGE", b"short", "IMAGE 'D'"),
         ("IMAGE", bytes(72), "IMAGE 'D'"),
-        ("STRING", b"\0\7\0\1x", "STRING 'D'"),
+        ("STRING", b"\0\7\0\2x", "1 bytes of a text of 2"),
         ("POINT", struct.pack(">64s32s4B4f20s", b"", b"", *[0] * 4, *[np.inf] * 4, b""), "finite"),
         ("POLYDATA", struct.pack(">10I", 10**9, *[0] * 9), "missing"),
         ("STATUS", b"", "STATUS 'D'"),
@@ -147,8 +189,8 @@ def test_content_that_makes_no_sense_is_left_out(kind, content, message):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (dict(at=0, value=struct.pack(">HB", 1, 3)), "one number a voxel|cannot reshape"),
-        (dict(at=3, value=b"\x63"), "99"),
+        (dict(at=0, value=struct.pack(">HB", 1, 3)), "60 numbers for .* voxels of 3"),
+        (dict(at=3, value=b"\x63"), "numbers of type 99 are not known"),
         (dict(at=12, value=struct.pack(">12f", *np.zeros(12))), "no grid in space"),
         (dict(at=12, value=struct.pack(">12f", *[np.nan] * 12)), "no grid in space"),
         (dict(at=60, value=struct.pack(">6H", 1, 0, 0, 2, 4, 3)), "ubvolume"),

@@ -1,0 +1,54 @@
+"""Time stamps of a device: whether they run, and how late they arrive."""
+
+from collections import deque
+
+_STANDS = 0.1
+"""A stamp that has not changed for longer than this time in s, over three messages, stands."""
+
+_RUNS = 3
+"""Number of successive stamps that advance, after which a clock runs again."""
+
+_SET_ANEW = 1.0
+"""Change of the delay in s that no network makes: the clock was set anew."""
+
+
+class StreamClock:
+    """The stamps of one device's messages, as they arrive.
+
+    A stamp of 0 is that of a program without a clock. The delay is how much later than its stamp a
+    message arrives; its smallest value is that of the two clocks, and of the fastest way.
+    """
+
+    def __init__(self) -> None:
+        self.stands = False
+        self._last: float | None = None
+        self._since, self._repeats, self._advances = 0.0, 0, 0
+        self._delays: deque[float] = deque(maxlen=64)
+
+    def note(self, stamp: float, arrived: float) -> None:
+        """Take in the stamp of a message that has just arrived."""
+        if stamp != self._last:
+            self._since, self._repeats = arrived, 0
+            self._advances += 1
+            if self._advances > _RUNS and stamp != 0:
+                self.stands = False
+        else:
+            self._repeats += 1
+            self._advances = 0
+            if stamp == 0 or (self._repeats >= 2 and arrived - self._since > _STANDS):
+                self.stands = True
+        self._last = stamp
+        delay = arrived - stamp
+        if self._delays and abs(delay - self._delays[-1]) > _SET_ANEW:
+            self._delays.clear()
+        self._delays.append(delay)
+
+    @property
+    def steady(self) -> bool:
+        """True if the last two messages or more took about the same time."""
+        return len(self._delays) > 1
+
+    @property
+    def delay(self) -> float:
+        """Time in s by which messages arrive after their stamps, of the fastest of late."""
+        return min(self._delays)
