@@ -121,6 +121,11 @@ class Recording:
                 else {}
             )
 
+    @property
+    def file(self) -> VolumeFile:
+        """The file as its header describes it."""
+        return self._file
+
     def __len__(self) -> int:
         return len(self._numbers)
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
-from sonoservo.systems.files.volume_file import check_grid
+from sonoservo.systems.files.volume_file import VolumeFile, check_grid
 from sonoservo.systems.recording.grey_levels import GreyWindow, choose_window, read_numbers
 from sonoservo.systems.recording.meta_image import open_meta_image
 from sonoservo.systems.recording.valid_frames import (
@@ -87,6 +87,11 @@ class TrackedFrames:
         check_times(self.path, self.times, self._numbers, "frame")
         first = read_numbers(self._file, int(self._numbers[0]))
         self._window = GreyWindow(*window) if window else choose_window(first)
+
+    @property
+    def file(self) -> VolumeFile:
+        """The file as its header describes it."""
+        return self._file
 
     def __len__(self) -> int:
         return len(self._numbers)

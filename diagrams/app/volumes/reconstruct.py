@@ -9,6 +9,7 @@ import numpy as np
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.volume_file import VolumeFile
 from sonoservo.systems.live.volume_maker import grey_scale
 from sonoservo.systems.recording.tracked_frames import TrackedFrames
 from sonoservo.systems.signals.reconstructed_volume import ReconstructedVolume
@@ -66,6 +67,11 @@ class ReconstructedRecording:
         self.posed = False
         self.settings: dict[str, Any] = {}
         self._read = lru_cache(maxsize=1)(self._reconstruct)
+
+    @property
+    def file(self) -> VolumeFile:
+        """The file as its header describes it."""
+        return self._frames.file
 
     def __len__(self) -> int:
         return len(self._sweeps)
