@@ -119,7 +119,7 @@ def run_command(
     wait_for: WaitOption = 0,
     json_path: JsonOption = None,
 ) -> None:
-    """Run a scenario and write its results; exit status 3: the guard stopped the robot for good."""
+    """Run a scenario and write its results; exit status 3: stopped for good, or no contact."""
     with console.status("Loading the simulator ..."):
         from sonoservo.diagrams.app.live.commands import serving
         from sonoservo.diagrams.app.run import run
@@ -182,7 +182,7 @@ def drive_command(
 
     The scenario's own pushes, moves and changes are ignored. Your actions are saved as
     scenario.yaml in the output folder; `sonoservo run` repeats them. Finish in the page or with
-    Ctrl-C. Exit status 3: the guard stopped the robot for good.
+    Ctrl-C. Exit status 3: the guard stopped the robot for good, or there was no contact.
     """
     with console.status("Loading the simulator ..."):
         from sonoservo.diagrams.app.drive import DRIVING, drive

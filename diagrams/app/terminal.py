@@ -27,11 +27,13 @@ def end_run(result: RunResult) -> None:
     Raises
     ------
     typer.Exit
-        With status 3, if the guard had stopped the robot at the end.
+        With status 3, if the guard had stopped the robot at the end, or the probe never touched the
+        body.
     """
     if result.failure is not None:
         raise result.failure
-    if look_up(result.summary, "guard.stopped_at_end"):
+    touched = look_up(result.summary, "force.touched")
+    if look_up(result.summary, "guard.stopped_at_end") or touched is False:
         raise typer.Exit(3)
 
 

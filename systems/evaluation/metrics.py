@@ -74,6 +74,13 @@ class MetricsParameters:
         )
 
 
+_NO_CONTACT = (
+    "Check that the arm reaches the body and that its joints move (max_speed, joint limits and "
+    "home posture in the arm's file; the phantom's place), and let the run be long enough to land "
+    "(duration)."
+)
+
+
 def summarize(log: RunLog, parameters: MetricsParameters | None = None) -> dict[str, Any]:
     """Summarise a run in figures for JSON; a figure without a value is None.
 
@@ -115,6 +122,8 @@ def detection(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     right = started[true]
     first = int(right[0]) if len(right) else None
     reason, advice = missing_needle(log) if first is None else ("", "")
+    if first is None and force(log, parameters)["touched"] is False:
+        reason, advice = "", _NO_CONTACT
 
     def length_mm(lengths: Floats) -> float | None:
         if first is None:
@@ -228,6 +237,7 @@ def force(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
 
     Returns
     -------
+    `touched`: whether there was contact at all; None if the log holds no force;
     `mean_n`, `rms_error_n`: mean force, and root mean square difference from `force_target` (None
     if that changes), from `settling_time` after the first contact on;
     `max_n`: largest sample of the whole run, which the force between samples may exceed;
@@ -237,6 +247,7 @@ def force(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     touching = value > parameters.contact_threshold
     if not touching.any():
         return {
+            "touched": False if np.isfinite(value).any() else None,
             "mean_n": None, "rms_error_n": None, "max_n": _number(_max(value)),
             "contact_lost_s": None,
         }  # fmt: skip
@@ -245,6 +256,7 @@ def force(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     target = parameters.force_target
     error = settled - (np.nan if target is None else target)
     return {
+        "touched": True,
         "mean_n": _number(_mean(settled)),
         "rms_error_n": _number(np.sqrt(_mean(error**2))),
         "max_n": _number(_max(value)),

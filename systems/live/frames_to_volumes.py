@@ -1,12 +1,14 @@
 """From received 2D frames with poses to volumes, one for each sweep of the probe."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.live.image_matcher import PosedImage
 from sonoservo.systems.live.volume_maker import grey_scale
-from sonoservo.systems.recording.grey_levels import GreyWindow, choose_window
+from sonoservo.systems.recording.grey_levels import GreyLevels
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.ultrasound.frame_reconstruction import (
@@ -16,32 +18,18 @@ from sonoservo.systems.ultrasound.frame_reconstruction import (
 )
 
 
-class GreyFrames:
-    """Turns the numbers of frames into grey levels; the first frame decides how.
+def frame_pixels(posed: PosedImage) -> NDArray[Any]:
+    """Return the (ni, nj) numbers of a frame.
 
-    Parameters
-    ----------
-    window
-        Numbers that become 0 and 255; by default `choose_window` of the first.
+    Raises
+    ------
+    ValueError
+        If a number is not finite.
     """
-
-    def __init__(self, window: tuple[float, float] | None = None) -> None:
-        self._window = GreyWindow(*window) if window else None
-
-    def __call__(self, posed: PosedImage) -> NDArray[np.uint8] | NDArray[np.float32]:
-        """Return the (ni, nj) grey levels of a frame.
-
-        Raises
-        ------
-        ValueError
-            If a number is not finite.
-        """
-        pixels = posed.image.voxels[..., 0]
-        if pixels.dtype.kind == "f" and not np.isfinite(pixels).all():
-            raise ValueError("a frame holds values that are not finite")
-        if self._window is None:
-            self._window = choose_window(pixels)
-        return self._window.grey(pixels)
+    pixels = posed.image.voxels[..., 0]
+    if pixels.dtype.kind == "f" and not np.isfinite(pixels).all():
+        raise ValueError("a frame holds values that are not finite")
+    return pixels
 
 
 class FramesToVolumes:
@@ -52,7 +40,7 @@ class FramesToVolumes:
     Parameters
     ----------
     window
-        See `GreyFrames`.
+        See `GreyLevels`.
     dynamic_range_db
         dB from black to white; 60 by default.
     frames
@@ -77,7 +65,7 @@ class FramesToVolumes:
         spacing: float = 7e-4,
     ) -> None:
         self._scale = grey_scale(dynamic_range_db)
-        self._grey = GreyFrames(window)
+        self.grey = GreyLevels(window)
         self._splitter = SweepSplitter(frames=frames)
         self._spacing = spacing
 
@@ -85,7 +73,7 @@ class FramesToVolumes:
         """Take a frame; return the volume that it completes, or a reason, empty if it does not."""
         try:
             X_WI = posed.X_WL.GetAsMatrix4() @ posed.image.X_LI
-            sweep = self._splitter.add(PosedFrame(self._grey(posed), X_WI, posed.time))
+            sweep = self._splitter.add(PosedFrame(self.grey(frame_pixels(posed)), X_WI, posed.time))
             if not sweep:
                 return NotFound("")
             return reconstruct(sweep, spacing=self._spacing, decibels_per_level=self._scale)

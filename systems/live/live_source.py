@@ -12,10 +12,11 @@ from sonoservo.systems.live.connection.link import Link
 from sonoservo.systems.live.connection.protocols import Address
 from sonoservo.systems.live.image_matcher import MAX_WAITING, ImageMatcher, LeftOut, PosedImage
 from sonoservo.systems.live.volume_maker import VolumeMaker
+from sonoservo.systems.recording.grey_levels import GreyLevels
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.volume import Volume
 
-_FRAMES_KEPT = 1024
+_FRAMES_KEPT, _FIRST_KEPT = 1024, 64
 
 
 class ImagesToVolumes(Protocol):
@@ -25,9 +26,12 @@ class ImagesToVolumes(Protocol):
     ----------
     takes_frames
         True if the images are 2D frames, many of which make a volume.
+    grey
+        Conversion of the images' numbers to grey levels.
     """
 
     takes_frames: bool
+    grey: GreyLevels
 
     def __call__(self, posed: PosedImage) -> Volume | NotFound:
         """Return the volume that an image completes, or why there is none; empty if none is due."""
@@ -50,7 +54,8 @@ class LiveSource:
     poses
         Name of the device that is the probe's pose; see `ImageMatcher`.
     keep
-        Number of volumes that wait while one is worked on; older ones are dropped.
+        Number of volumes that wait while one is worked on; older ones are dropped. While the first
+        is worked on, which may compile what it needs, up to 64 wait, and are caught up on.
     clock_offset
         Difference between the clocks of poses and images; see `ImageMatcher`.
     report
@@ -80,7 +85,7 @@ class LiveSource:
         self._news = threading.Condition()
         self._said = ""
         self._proved: set[tuple[str, str]] = set()
-        self._no_volume = 0
+        self._no_volume = self._taken = 0
         self.link = Link(address, self._receive, report)
         self.dropped = 0
         self.newest: PosedImage | None = None
@@ -120,6 +125,10 @@ class LiveSource:
         assert self.newest is not None
         return self._maker.X_WL(self.newest)
 
+    def hold_grey_levels(self, held: bool) -> None:
+        """Keep the grey levels as they are while something is tracked."""
+        self._maker.grey.held = held
+
     def take(self, timeout: float = 0.0) -> Volume | NotFound:
         """Return the next volume, waiting for it at most ``timeout`` s, or why there is none."""
         end = time.perf_counter() + timeout
@@ -127,13 +136,18 @@ class LiveSource:
             posed = self._next(end)
             if posed is None:
                 return NotFound(f"no volume has come from {self.address}")
+            before = self._maker.grey.window
             try:
                 volume = self._maker(posed)
             except Exception as error:  # whatever a foreign image sets off costs that image alone
                 volume = NotFound(f"{posed.image.name}: {type(error).__name__}: {error}")
+            window = self._maker.grey.window
+            if window is not None and before not in (None, window):
+                self._say(f"numbers from {window.low:g} to {window.high:g} are now black to white")
             if isinstance(volume, Volume):
                 self.newest = posed
                 self._proved.add(posed.sender)
+                self._taken += 1
                 return volume
             if volume.reason:
                 self._no_volume += 1
@@ -163,7 +177,8 @@ class LiveSource:
     def _keep_images(self, images: list[PosedImage]) -> None:
         for image in images:
             self._images.append(image)
-            if len(self._images) > self._keep or (
+            keep = max(self._keep, _FIRST_KEPT) if self._taken == 1 else self._keep
+            if len(self._images) > keep or (
                 len(self._images) > 1
                 and sum(each.image.voxels.nbytes for each in self._images) > MAX_WAITING
             ):

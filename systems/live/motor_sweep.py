@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.files.typed_yaml import load_typed, read_yaml
-from sonoservo.systems.live.frames_to_volumes import GreyFrames
+from sonoservo.systems.live.frames_to_volumes import frame_pixels
 from sonoservo.systems.live.image_matcher import PosedImage
+from sonoservo.systems.recording.grey_levels import GreyLevels
 from sonoservo.systems.signals.immutable import NotFound, seal
 from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.signals.sweep import Sweep, SweepMotion
@@ -73,7 +74,7 @@ class MotorSweepVolumes:
     parameters
         Sweep of the motor.
     window
-        See `GreyFrames`.
+        See `GreyLevels`.
 
     Raises
     ------
@@ -99,7 +100,7 @@ class MotorSweepVolumes:
             make_grid(self.geometry, spacing),
             compensate_motion=parameters.scan_conversion.compensate_motion,
         )
-        self._grey = GreyFrames(window)
+        self.grey = GreyLevels(window)
         self._number = -1
         self._frames: dict[int, PosedImage] = {}
 
@@ -129,7 +130,7 @@ class MotorSweepVolumes:
 
     def _make(self, frames: list[PosedImage], direction: int) -> Volume:
         geometry = self.geometry
-        pixels = [self._grey(frame) for frame in frames]
+        pixels = [self.grey(frame_pixels(frame)) for frame in frames]
         if {each.shape for each in pixels} == {(geometry.samples, geometry.lines)}:
             samples = np.array([np.rint(each).astype(np.uint8).T for each in pixels])
             poses = np.array([frame.X_WL.GetAsMatrix4() for frame in frames])

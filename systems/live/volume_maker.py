@@ -1,5 +1,6 @@
 """From received images to volumes on one grid in the probe's frame."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from sonoservo.systems.files.volume_file import check_grid, require_voxels
 from sonoservo.systems.live.connection.items import ImageItem
 from sonoservo.systems.live.image_matcher import PosedImage
 from sonoservo.systems.recording.file_grid import FileGrid, make_file_grid
-from sonoservo.systems.recording.grey_levels import GreyWindow, choose_window
+from sonoservo.systems.recording.grey_levels import GreyLevels, void_flags
 from sonoservo.systems.signals.immutable import NotFound, seal
 from sonoservo.systems.signals.requirements import require_positive
 from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL
@@ -38,7 +39,7 @@ def grey_scale(dynamic_range_db: float | None) -> float:
 
 
 class VolumeMaker:
-    """Turns posed images into volumes; the first one decides about grid and grey levels.
+    """Turns posed images into volumes; the first one decides about the grid.
 
     A grid is placed in the probe's frame as that of a file is (`make_file_grid`). An image whose
     own matrix has moved since the first, as that of ``Image_Reference`` does, has its pose there.
@@ -48,7 +49,7 @@ class VolumeMaker:
     depth
         Direction of the sound in L, as an anatomical letter.
     window
-        Numbers that become the grey levels 0 and 255; by default `choose_window` of the first.
+        See `GreyLevels`.
     dynamic_range_db
         dB from black to white; by default what a scanner of this package says, or else 60.
 
@@ -70,7 +71,7 @@ class VolumeMaker:
         self._scale = None if dynamic_range_db is None else grey_scale(dynamic_range_db)
         make_file_grid(np.eye(3), np.zeros(3), (2, 2, 2), depth)
         self._depth = depth
-        self._window = GreyWindow(*window) if window else None
+        self.grey = GreyLevels(window)
         self._grid: FileGrid | None = None
         self._shape: tuple[int, ...] = ()
         self._X_LI: NDArray[np.float64] = np.eye(4)
@@ -104,13 +105,15 @@ class VolumeMaker:
                 f"a volume of {image.voxels.shape} numbers is left out; the first had {shape}"
             )
         voxels = grid.arrange(image.voxels)
-        if voxels.dtype.kind == "f" and not np.isfinite(voxels).all():
+        void = void_flags(voxels)
+        if void is not None and void.all():
             raise ValueError("a volume holds values that are not finite")
-        window = self._window or choose_window(voxels)
-        volume = self._volume(posed, seal(window.grey(voxels)), grid, X_LI)
+        volume = self._volume(posed, seal(self.grey(voxels, void)), grid, X_LI)
+        if void is not None:
+            volume = replace(volume, mask=~void)
         # Only an image that made a volume decides about those that follow.
         self._grid, self._shape, self._X_LI = chosen
-        self._window, self._sender = window, posed.sender
+        self._sender = posed.sender
         return volume
 
     def _volume(

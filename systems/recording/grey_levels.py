@@ -1,5 +1,7 @@
 """Conversion of a file's numbers to grey levels."""
 
+from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +25,12 @@ _FAR = 1e4
 _ALMOST_ALL = 0.999
 """Quantile of the numbers in the field of view that replaces a maximum far above it."""
 
+
+_REMEMBERED = 8
+"""Number of volumes that share in the choice of a window."""
+
+_OTHER = 1.25
+"""Ratio of the widths of two windows from which they are not the same."""
 
 _LUMINANCE = np.array([0.299, 0.587, 0.114])
 """Weights of red, green and blue (ITU-R BT.601)."""
@@ -176,46 +184,75 @@ def shows_something(voxels: NDArray[Any]) -> bool:
     return bool(known.size and known.min() != known.max())
 
 
-class WindowChoice:
-    """Window of a recording or stream, chosen from the first volumes that show something.
+def window_of_first(volumes: Iterable[NDArray[Any]], enough: int) -> tuple[GreyWindow, int]:
+    """Choose the window of a recording from its first volumes or frames that show something.
 
-    A blank volume does not choose, and a dark one alone does not: the choice is revised with each
-    volume until ``enough`` of them have been seen.
+    Parameters
+    ----------
+    volumes
+        First volumes, read one after the other.
+    enough
+        Number of volumes that choose.
+
+    Returns
+    -------
+    The window, and the number of volumes before the last of these that show nothing.
+    """
+    chosen: list[NDArray[Any]] = []
+    blank = 0
+    for voxels in volumes:
+        if voxels.dtype == np.uint8:
+            return GreyWindow(0, 255), 0
+        if shows_something(voxels):
+            chosen.append(voxels)
+        else:
+            blank += 1
+        if len(chosen) == enough:
+            break
+    return (choose_window(*chosen) if chosen else GreyWindow(0, 255)), blank
+
+
+class GreyLevels:
+    """Turns the numbers of a stream's volumes into grey levels, with one window for all of them.
+
+    The window holds what the last volumes that showed something ask for (`choose_window`). A volume
+    without any contrast chooses nothing, and is black. Unless it is `held`, the window follows when
+    a quarter more or less would do: the first volume may have been dim, or a test picture.
 
     Parameters
     ----------
     window
-        Window that a person stated; None lets the volumes choose.
-    enough
-        Number of volumes that choose.
+        Numbers that become 0 and 255; by default, the volumes choose them.
 
     Attributes
     ----------
+    held
+        True while something is tracked, whose echoes must not change by themselves.
     window
-        Present window; None before the first volume that shows something.
+        Present window; None while no volume has shown anything.
     """
 
-    def __init__(self, window: GreyWindow | None = None, *, enough: int = 4) -> None:
-        self.window, self._enough = window, enough
-        self._stated = window is not None
-        self._samples: list[NDArray[Any]] = []
+    def __init__(self, window: tuple[float, float] | None = None) -> None:
+        self._given = window is not None
+        self.window = GreyWindow(*window) if window else None
+        self.held = False
+        self._asked: deque[GreyWindow] = deque(maxlen=_REMEMBERED)
 
-    @property
-    def settled(self) -> bool:
-        """Whether no further volume changes the window."""
-        return self._stated or len(self._samples) >= self._enough
+    def __call__(self, voxels: NDArray[Any], void: NDArray[np.bool_] | None = None) -> NDArray[Any]:
+        """Return the grey levels of a volume or frame, in C order; 0 where ``void`` is set."""
+        if not self._given and (self.window is None or not self.held):
+            self._follow(voxels)
+        if self.window is None:
+            return np.zeros(voxels.shape, np.float32)
+        return self.window.grey(voxels, void)
 
-    def look(self, voxels: NDArray[Any]) -> GreyWindow:
-        """Return the window after another volume."""
-        if self.settled:
-            assert self.window is not None
-            return self.window
-        if voxels.dtype == np.uint8:
-            self.window, self._stated = GreyWindow(0, 255), True
-            return self.window
-        if shows_something(voxels):
-            self._samples.append(voxels)
-            self.window = choose_window(*self._samples)
-            if self.settled:
-                self._samples = [each[:0] for each in self._samples]
-        return self.window or choose_window(voxels)
+    def _follow(self, voxels: NDArray[Any]) -> None:
+        if self.window is not None:  # to follow, a part of the numbers is enough
+            voxels = voxels[(slice(None, None, 3),) * voxels.ndim]
+        if voxels.dtype != np.uint8 and not shows_something(voxels):
+            return
+        self._asked.append(choose_window(voxels))
+        low, high = min(w.low for w in self._asked), max(w.high for w in self._asked)
+        ratio = 0.0 if self.window is None else (high - low) / (self.window.high - self.window.low)
+        if not 1 / _OTHER < ratio < _OTHER:
+            self.window = GreyWindow(low, high)

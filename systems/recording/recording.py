@@ -14,11 +14,10 @@ from sonoservo.systems.recording.file_grid import FileGrid, make_file_grid
 from sonoservo.systems.recording.formats import open_file
 from sonoservo.systems.recording.grey_levels import (
     GreyWindow,
-    WindowChoice,
     read_numbers,
     require_echoes,
-    shows_something,
     void_flags,
+    window_of_first,
 )
 from sonoservo.systems.recording.side_files import (
     ACQUISITION,
@@ -36,8 +35,8 @@ from sonoservo.systems.signals.volume import Volume
 _VOLUME_RATES = 1e-3, 1e4
 """Limits of the rate of volumes, in Hz."""
 
-_LOOKS = 16
-"""Number of first volumes among which those are that choose the grey levels."""
+_LOOKS, _ENOUGH = 16, 4
+"""Numbers of first volumes among which those are that choose the grey levels, and of these."""
 
 _ASKEW = 0.1
 """Largest deviation of R^T R from the identity; 0.1 is a right angle that is 6 deg off."""
@@ -209,27 +208,18 @@ class Recording:
             return window
         if self._acquisition is not None:
             return GreyWindow(0, 255)  # this program's recorder writes grey levels
-        choice, blank, empty = WindowChoice(), [], []
-        for k in self._numbers[:_LOOKS]:
-            voxels = self._voxels(int(k))
-            chosen = choice.look(voxels)
-            if choice.window is None or (voxels.dtype != np.uint8 and not shows_something(voxels)):
-                blank.append(int(k))
-            void = void_flags(voxels, self._void)
-            if void is not None and void.all():
-                empty.append(int(k))
-            if choice.settled:
-                break
-        if len(empty) == len(self._numbers):
+        looks = [int(k) for k in self._numbers[:_LOOKS]]
+        chosen, blank = window_of_first(map(self._voxels, looks), _ENOUGH)
+        first = self._voxels(looks[0])
+        void = void_flags(first, self._void)
+        if void is not None and void.all() and blank == len(self._numbers):
             raise ConfigurationError(
-                f"{self.path}: volume {empty[0]} and all others hold values that are not finite, or "
-                "stand for what was not seen"
+                f"{self.path}: volume {looks[0]} holds values that are not finite, or stand for "
+                "what was not seen, and so do all others"
             )
-        if voxels.dtype != np.uint8:
+        if first.dtype != np.uint8:
             said = f"grey levels: {chosen.low:g} is black and {chosen.high:g} white (--window)"
-            if blank:
-                said += f"; blank volumes do not choose ({', '.join(map(str, blank[:3]))})"
-            self.notes.append(said)
+            self.notes.append(said + (f"; {blank} blank volumes did not choose" if blank else ""))
         return chosen
 
     def _read_acquisition(self, depth: str) -> Acquisition | None:

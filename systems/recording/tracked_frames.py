@@ -12,10 +12,10 @@ from sonoservo.systems.files.volume_file import check_grid
 from sonoservo.systems.recording.formats import open_file
 from sonoservo.systems.recording.grey_levels import (
     GreyWindow,
-    WindowChoice,
     read_numbers,
     require_echoes,
     void_flags,
+    window_of_first,
 )
 from sonoservo.systems.recording.transform_chain import TransformChain, find_chain
 from sonoservo.systems.recording.valid_frames import choose_items, frame_times
@@ -82,7 +82,7 @@ class TrackedFrames:
             self._file = open_file(self.path, frames=True, orientation=orientation)
             require_echoes(self._file, luminance)
             self._open(poses, dict(transforms or {}), frame_rate)
-            self._window = self._choose_window(GreyWindow(*window) if window else None)
+            self._window = GreyWindow(*window) if window else self._choose_window()
 
     def _open(
         self,
@@ -150,19 +150,13 @@ class TrackedFrames:
             )
         return chain
 
-    def _choose_window(self, window: GreyWindow | None) -> GreyWindow:
-        choice = WindowChoice(window, enough=_ENOUGH)
-        chosen = window or GreyWindow(0, 255)
-        for k in self.numbers[:_LOOKS]:
-            if choice.settled:
-                break
-            pixels = read_numbers(self._file, int(k))
-            chosen = choice.look(pixels)
-            if choice.settled and pixels.dtype != np.uint8:
-                self.notes.append(
-                    f"grey levels: {chosen.low:g} is black and {chosen.high:g} white (--window)"
-                )
-        return choice.window or chosen
+    def _choose_window(self) -> GreyWindow:
+        looks = (read_numbers(self._file, int(k)) for k in self.numbers[:_LOOKS])
+        chosen, blank = window_of_first(looks, _ENOUGH)
+        if read_numbers(self._file, int(self.numbers[0])).dtype != np.uint8:
+            said = f"grey levels: {chosen.low:g} is black and {chosen.high:g} white (--window)"
+            self.notes.append(said + (f"; {blank} blank frames did not choose" if blank else ""))
+        return chosen
 
     def __len__(self) -> int:
         return len(self.numbers)

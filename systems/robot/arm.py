@@ -160,6 +160,22 @@ def _check(plant: MultibodyPlant, instance: ModelInstanceIndex, arm: Arm) -> Non
     order = [motor.joint().position_start() for motor in motors(plant, instance)]
     if order != sorted(order):
         raise ValueError("directives: the model's transmissions are not in the order of its joints")
+    for joint, speed in zip(joints, plant.GetVelocityUpperLimits(), strict=True):
+        require(
+            speed > 0,
+            f"max_speed of {joint.name()}",
+            float(speed),
+            "above 0 rad/s, or the joint cannot move; the limit is the model's, unless max_speed "
+            "is given",
+        )
+    flange = plant.GetFrameByName(arm.flange, instance).body()
+    for joint in joints:
+        links = plant.GetBodiesWeldedTo(joint.child_body())
+        if flange not in links and not sum(link.default_mass() for link in links) > 0:
+            raise ValueError(
+                f"directives: {joint.name()} moves {joint.child_body().name()}, which has no mass; "
+                "give it an <inertial> in the model's file"
+            )
     home, lower, upper = (
         plant.GetDefaultPositions(),
         plant.GetPositionLowerLimits(),

@@ -150,6 +150,7 @@ def track_live(
             began = time.perf_counter()
             estimate = track_volume(tracker, context, volume)
             ended = time.perf_counter()
+            source.hold_grey_levels(bool(estimate))
             for outlet in outlets:
                 outlet.send(needle_items(estimate, names, newest.image.time), topic="estimate")
             total_s.append(time.perf_counter() - newest.arrived)

@@ -49,6 +49,8 @@ def following_verdict(summary: Mapping[str, Any], *, follows: bool = True) -> Ve
     if stopped:
         text = text if found else f"No needle was found. {text}"
         return Verdict(f"The guard stopped the robot because {stopped}", text, "bad")
+    if look_up(summary, "force.touched") is False:
+        return Verdict("The probe never touched the body", text, "bad")
     if not found:
         return Verdict("No needle was found", text, "bad")
     acts = "found and followed" if follows else "found and tracked"

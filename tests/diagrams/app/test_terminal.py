@@ -31,9 +31,10 @@ def test_the_table_says_why_no_needle_was_found_and_why_the_robot_stands(stopped
 
 
 def test_a_file_that_was_not_written_goes_before_the_exit_status():
-    end_run(result(guard={"stopped_at_end": None}))
-    with pytest.raises(typer.Exit) as ended:
-        end_run(result(guard={"stopped_at_end": "the force is 12 N"}))
-    assert ended.value.exit_code == 3
+    end_run(result(guard={"stopped_at_end": None}, force={"touched": True}))
+    for bad in ({"guard": {"stopped_at_end": "the force is 12 N"}}, {"force": {"touched": False}}):
+        with pytest.raises(typer.Exit) as ended:
+            end_run(result(**bad))
+        assert ended.value.exit_code == 3
     with pytest.raises(OSError, match="disk full"):
         end_run(result(OSError("disk full"), guard={"stopped_at_end": "the force is 12 N"}))

@@ -35,6 +35,7 @@ def test_a_good_run_says_what_was_reached(summary):
         ("tracking", {"lost_events": 2}, "mixed", "and lost twice on the way"),
         ("detection", {"false_starts": 1}, "mixed", "with 1 false start"),
         ("guard", {"stopped_at_end": "force"}, "bad", "The guard stopped the robot because force"),
+        ("force", {"touched": False}, "bad", "The probe never touched the body"),
         ("detection", {"volume": None, "reason": "Dark."}, "bad", "No needle was found. Dark."),
     ],
 )

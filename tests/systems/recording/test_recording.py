@@ -144,7 +144,7 @@ def test_the_window_is_that_of_the_first_volumes_that_show_something(tmp_path, f
     assert (grey.min(), grey.max()) == (0, 255)
     assert np.ptp(recording[0].intensities) == pytest.approx(255 * first)
     said = [note for note in recording.notes if "black" in note]
-    assert ("blank volumes do not choose (0)" in said[0]) == (first == 0)
+    assert ("1 blank volumes did not choose" in said[0]) == (first == 0)
 
 
 def test_numbers_for_nothing_were_not_seen(tmp_path):

@@ -57,7 +57,7 @@ def test_a_time_out_of_order_costs_its_frame(tmp_path, frames, stamp):
     path.write_bytes(path.read_bytes().replace(old, b"Frame0001_Timestamp = " + stamp))
     read = TrackedFrames(path)
     assert (len(read), read.skipped) == (5, 1)
-    assert [frame.time for frame in frames if frame.time not in read.times][0] in (10.0, 10.05)
+    assert not set(read.times) >= {10.0, 10.05}
     assert "left out 1 frames: 1 " in read.notes[-1]
 
 

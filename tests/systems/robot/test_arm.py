@@ -1,3 +1,5 @@
+import re
+
 import numpy as np
 import pytest
 from pydrake.multibody.plant import MultibodyPlant
@@ -103,6 +105,36 @@ def test_a_mistake_names_the_file_and_the_field(own, old, new, message):
     with pytest.raises(ConfigurationError, match=r"mine\.yaml: .*" + message) as error:
         load_arm(own(old, new))
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "new", "message"),
+    [
+        (
+            r' velocity="[^"]*"',
+            ' velocity="0" ',
+            r"max_speed of joint_1: 0\.0 is not .*cannot move",
+        ),
+        (r"(?s)<inertial>.*?</inertial>", "", "joint_1 moves link_1, which has no mass"),
+        (
+            r"(?s)<inertial>.*?</inertial>(?=.*link_6)",
+            "",
+            "joint_1 moves link_1, which has no mass",
+        ),
+        (r'(joint_6" type=)"revolute"', r'\1"continuous"', ""),
+    ],
+    ids=["no speed", "no inertia", "light links", "continuous"],
+)
+def test_arm_that_cannot_move_is_refused(own, tmp_path, pattern, new, message):
+    path = own()
+    changed, count = re.subn(pattern, new, URDF)
+    assert count > 0
+    (tmp_path / "viper_s850.urdf").write_text(changed)
+    if message:
+        with pytest.raises(ConfigurationError, match=message):
+            load_arm(path)
+    else:
+        load_arm(path)
 
 
 def test_too_few_joints_and_unordered_motors_are_refused(own, tmp_path):
