@@ -17,6 +17,7 @@ from sonoservo.systems.robot.phantom_motion import PhantomMotionParameters
 from sonoservo.systems.signals.requirements import require, require_time
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.scan_converter import ScanConversionParameters
+from sonoservo.systems.ultrasound.simulation.needles.needle_kind import NEEDLE
 from sonoservo.systems.ultrasound.simulation.reaction.tissue_reaction import (
     TissueReactionParameters,
 )
@@ -57,6 +58,9 @@ class FollowingScenario(Scenario):
         Motion of the phantom.
     tissue_reaction
         Reaction of the tissue to probe and needle.
+    needle
+        Kind of needle: name of a file in models/needles, or a path. It sets ``hand.gauge`` and
+        ``scanner.needle`` where the scenario does not.
     hand
         Needle, and how it is pushed.
     probe
@@ -84,6 +88,7 @@ class FollowingScenario(Scenario):
     phantom: str = PHANTOM
     phantom_motion: PhantomMotionParameters = field(default_factory=PhantomMotionParameters)
     tissue_reaction: TissueReactionParameters = field(default_factory=TissueReactionParameters)
+    needle: str = NEEDLE
     hand: InsertionParameters = field(default_factory=InsertionParameters)
     probe: str = PROBE
     imaging: ImagingParameters = field(default_factory=ImagingParameters)

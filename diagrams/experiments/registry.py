@@ -4,6 +4,7 @@ A new experiment is a module of this package with a subclass of `Experiment`, an
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
@@ -15,9 +16,11 @@ from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import (
     apply_changes,
     load_typed,
+    merged,
     read_yaml,
     suggest,
 )
+from sonoservo.systems.ultrasound.simulation.needles.needle_kind import load_needle
 
 if TYPE_CHECKING:
     from sonoservo.diagrams.experiments.experiment import Experiment
@@ -135,6 +138,7 @@ def load_scenario(
         raise ConfigurationError(f"unknown scenario {str(scenario)!r}; {suggest(path.name, known)}")
     data: dict[str, Any] = {"name": path.stem, **read_yaml(path)}
     apply_changes(data, changes)
+    data = merged(_of_needle(data), data)
     if as_published:
         published = _schema(data, scenario).as_published(data)
         data = {**published, "name": f"{data['name']}_as_published"}
@@ -147,10 +151,23 @@ def _load(
     changes: Mapping[str, Any] | Sequence[str] | None,
     seed: int | None,
 ) -> "Scenario":
+    before = data.get("needle")
     apply_changes(data, changes)
+    if data.get("needle") != before:
+        # Another kind of needle replaces what the scenario had, except for the other changes.
+        data = merged(data, _of_needle(data))
+        apply_changes(data, changes)
     if seed is not None:
         data["seed"] = seed
     return load_typed(_schema(data, source), data, source)
+
+
+def _of_needle(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of a scenario that its kind of needle sets."""
+    if not isinstance(data.get("needle"), str):
+        return {}
+    kind = load_needle(data["needle"])
+    return {"hand": {"gauge": kind.gauge}, "scanner": {"needle": asdict(kind.echo)}}
 
 
 def _schema(data: Mapping[str, Any], scenario: str | Path) -> "type[Scenario]":

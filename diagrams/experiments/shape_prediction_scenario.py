@@ -16,6 +16,7 @@ from sonoservo.systems.localization.cross_section import CrossSectionParameters
 from sonoservo.systems.needle.insertion_parameters import FeedParameters, InsertionParameters
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
+from sonoservo.systems.ultrasound.simulation.needles.needle_kind import NEEDLE
 from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 
 ESTIMATORS = tuple(SHAPE_FILTERS)
@@ -93,6 +94,9 @@ class ShapePredictionScenario(Scenario):
         Name of a file in models/probes, or a path.
     imaging, scanner
         Settings of the scanner, and parameters of its noise and artefacts.
+    needle
+        Kind of needle: name of a file in models/needles, or a path. It sets ``hand.gauge`` and
+        ``scanner.needle`` where the scenario does not.
     hand
         Needle and its feed through a template.
     tracker
@@ -122,6 +126,7 @@ class ShapePredictionScenario(Scenario):
     probe: str = "trus"
     imaging: ImagingParameters = field(default_factory=_imaging)
     scanner: ScannerParameters = field(default_factory=ScannerParameters)
+    needle: str = NEEDLE
     hand: InsertionParameters = field(default_factory=_hand)
     tracker: CrossSectionParameters = field(default_factory=CrossSectionParameters)
     click_std: float | None = None

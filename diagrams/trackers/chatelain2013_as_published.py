@@ -72,6 +72,5 @@ def MakeChatelain2013AsPublishedTracker(
         min_length=parameters.localization.min_length,
         period=period,
         offset=offset,
-        seed=seed,
     )
     return builder.Build()

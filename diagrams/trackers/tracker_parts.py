@@ -171,7 +171,7 @@ def add_tracker_parts(
             history=parameters.history,
             **events,
         ),
-        detector=InsertionDetector(parameters=parameters.detector, seed=seed),
+        detector=InsertionDetector(parameters=parameters.detector),
         localizer=NeedleLocalizer(parameters=parameters.localizer, seed=seed),
         manager=TrackManager(lifecycle=lifecycle, **events),
     )
@@ -187,7 +187,6 @@ def add_published_parts(
     min_length: float,
     period: float,
     offset: float,
-    seed: int,
 ) -> TrackManager:
     """Add and connect the parts of a tracker as published, and export its ports.
 
@@ -208,7 +207,7 @@ def add_published_parts(
         Localizer with the published method.
     min_length
         Smallest length of a needle, in m.
-    period, offset, seed
+    period, offset
         See `MakeNeedleTracker`.
 
     Returns
@@ -223,7 +222,7 @@ def add_published_parts(
         builder,
         gate=VolumeGate(parameters=parameters.plausibility, **events),
         memory=VolumeMemory(period=period, offset=offset),
-        detector=InsertionDetector(parameters=detection, seed=seed, method=detect_as_published),
+        detector=InsertionDetector(parameters=detection, method=detect_as_published),
         localizer=localizer,
         manager=TrackManager(lifecycle=lifecycle, **events),
     )

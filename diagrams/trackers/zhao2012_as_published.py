@@ -113,7 +113,6 @@ def MakeZhao2012AsPublishedTracker(
         min_length=parameters.localization.min_length,
         period=period,
         offset=offset,
-        seed=seed,
     )
     velocimeter = SpeckleVelocimeter(
         parameters=parameters.velocimeter, method=measure_velocity_as_published

@@ -16,7 +16,6 @@ from sonoservo.systems.detection.volume_difference import top_differences
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.insertion_detection import InsertionDetection
 from sonoservo.systems.signals.ports import evaluate, evaluate_port
-from sonoservo.systems.signals.random_streams import random_stream
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 from sonoservo.systems.signals.volume import Volume
 
@@ -187,7 +186,6 @@ def _changed_voxels(
     volume: Volume,
     previous: Volume,
     parameters: InsertionDetectorParameters,
-    rng: np.random.Generator,
     *,
     both_seen: bool,
     brighter_only: bool = False,
@@ -198,7 +196,6 @@ def _changed_voxels(
         volume.intensities,
         previous.intensities,
         count,
-        rng,
         floor=_floor(volume, parameters.floor_quantile),
         reach=round(parameters.reach / float(volume.spacing.mean())),
         seen=(volume.seen, previous.seen) if both_seen else None,
@@ -212,7 +209,6 @@ def detect_insertion(
     volume: Volume,
     previous: Volume,
     parameters: InsertionDetectorParameters,
-    rng: np.random.Generator,
     earlier: Sequence[Volume] = (),
 ) -> InsertionDetection | NotFound:
     """Find the place at which a needle entered between two volumes (Chatelain 2013, section II-B).
@@ -226,8 +222,6 @@ def detect_insertion(
         Volumes on the same grid.
     parameters
         Thresholds.
-    rng
-        Generator that chooses among equal differences.
     earlier
         Volumes from the seconds before the previous one.
 
@@ -247,13 +241,13 @@ def detect_insertion(
         and volume.motion.direction != previous.motion.direction
     )
     least = parameters.min_change
-    p_P, change = _changed_voxels(volume, aligned, parameters, rng, both_seen=unlike)
+    p_P, change = _changed_voxels(volume, aligned, parameters, both_seen=unlike)
     if change >= least and _spread(p_P, parameters):
         background = _background(volume, [aligned, *earlier], parameters)
         if background is not None:
             least = parameters.min_brightening
             p_P, change = _changed_voxels(
-                volume, background, parameters, rng, both_seen=True, brighter_only=True
+                volume, background, parameters, both_seen=True, brighter_only=True
             )
     if change < least:
         return NotFound(f"nothing changed by more than {change:.1f} dB")
@@ -294,8 +288,6 @@ class InsertionDetector(LeafSystem):
     ----------
     parameters
         Thresholds of the method, in SI units.
-    seed
-        Seed of the choice among equal differences.
     method
         Function that compares two volumes, with the arguments of `detect_insertion`.
     """
@@ -304,13 +296,11 @@ class InsertionDetector(LeafSystem):
         self,
         *,
         parameters: Any = None,
-        seed: int = 0,
         method: Callable[..., InsertionDetection | NotFound] = detect_insertion,
     ) -> None:
         super().__init__()
         self._parameters = parameters or InsertionDetectorParameters()
         self._method = method
-        self._seed = seed
         self.DeclareAbstractInputPort("volume", Value[object]())
         self.DeclareAbstractInputPort("previous_volume", Value[object]())
         self._earlier = self.DeclareAbstractInputPort("earlier_volumes", Value[object]())
@@ -324,8 +314,7 @@ class InsertionDetector(LeafSystem):
         elif not isinstance(previous, Volume):
             output.set_value(previous)
         else:
-            rng = random_stream(self._seed, "detection", volume.time)
             earlier: tuple[Volume, ...] = ()
             if self._earlier.HasValue(context):
                 earlier = evaluate_port(self._earlier, context, tuple)
-            output.set_value(self._method(volume, previous, self._parameters, rng, earlier))
+            output.set_value(self._method(volume, previous, self._parameters, earlier))

@@ -46,7 +46,6 @@ def detect_as_published(
     volume: Volume,
     previous: Volume,
     parameters: PublishedDetectionParameters,
-    rng: np.random.Generator,
     _earlier: Sequence[Volume] = (),
 ) -> InsertionDetection | NotFound:
     """Detect an insertion exactly as Chatelain 2013, section II-B describes it.
@@ -61,8 +60,6 @@ def detect_as_published(
         Consecutive volumes on the same grid.
     parameters
         Thresholds.
-    rng
-        Generator that chooses among equal differences.
 
     Returns
     -------
@@ -74,9 +71,7 @@ def detect_as_published(
     count = max(4, round(parameters.candidate_volume / float(np.prod(volume.spacing))))
     # Sweeps to and fro see slightly unlike sectors; only voxels that both show are compared.
     seen = volume.seen, previous.seen
-    index, threshold = top_differences(
-        volume.intensities, previous.intensities, count, rng, seen=seen
-    )
+    index, threshold = top_differences(volume.intensities, previous.intensities, count, seen=seen)
     if len(index) < 4:
         return NotFound("nothing changed")
     p_P = volume.position(index)

@@ -6,6 +6,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from sonoservo.systems.sampling.kernels import chosen_ties
+
 _ALL = np.ones((1, 1, 1), bool)
 
 
@@ -57,7 +59,6 @@ def top_differences(
     current: NDArray[Any],
     previous: NDArray[Any],
     count: int,
-    rng: np.random.Generator,
     *,
     floor: float = 0.0,
     reach: int = 0,
@@ -67,8 +68,7 @@ def top_differences(
     """Find the voxels with the largest absolute difference (Chatelain 2013, eq. 1).
 
     The threshold is the order statistic that leaves ``count`` voxels. Differences of 8-bit values
-    have many ties at the threshold. A random subset of the ties is taken, to prefer no part of the
-    volume.
+    have many ties at the threshold. A subset of them is taken that is scattered over the volume.
 
     With ``floor`` and ``reach`` at zero the difference is that of eq. 1. Speckle, however, has dark
     spots whose level in dB changes wildly as the probe moves by micrometres, and bright inclusions
@@ -81,8 +81,6 @@ def top_differences(
         (nx, ny, nz) intensities of the same type.
     count
         Wanted number of voxels; fewer are returned only if fewer changed at all.
-    rng
-        Generator that chooses among ties.
     floor
         Intensity below which all intensities count as equal.
     reach
@@ -107,8 +105,9 @@ def top_differences(
         return np.empty((0, 3), np.int64), 0.0
     if len(index) > count:
         threshold = np.partition(change, -count)[-count]
-        above = np.flatnonzero(change > threshold)
-        ties = np.flatnonzero(change == threshold)
-        chosen = np.concatenate([above, rng.choice(ties, count - len(above), replace=False)])
-        index, change = index[chosen], change[chosen]
-    return np.stack(np.unravel_index(index, current.shape), axis=1), float(change.min())
+        above = index[change > threshold]
+        ties = chosen_ties(index[change == threshold], count - len(above))
+        index = np.concatenate([above, ties])
+    else:
+        threshold = change.min()
+    return np.stack(np.unravel_index(index, current.shape), axis=1), float(threshold)

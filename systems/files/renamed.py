@@ -27,6 +27,7 @@ _RENAMED = {
 _REMOVED = {
     "anywhere": "must be left out: the tracker's field start sets it ('search' or 'anywhere')",
     "decibels_per_level": "must be left out: imaging.dynamic_range_db sets it",
+    "tip_db": "must be left out: a tip returns what its faces and its wall mirror (tip, bevel_deg)",
     "friction": "must be left out: the phantom's contact.friction sets it",
 }
 _PREFIXES = {"least_": "min_", "largest_": "max_", "greatest_": "max_"}

@@ -45,9 +45,9 @@ class AxisFit:
         return np.asarray(np.kron(shape, self.scatter), dtype=np.float64)
 
 
-# Sums may be reordered, which lets the compiler vectorise them. Rows are filled by element: numba
-# takes seconds to compile the checks of an array's assignment to a slice.
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
+# Rows are filled by element: numba takes seconds to compile the checks of an array's assignment to
+# a slice.
+@njit(cache=True, nogil=True, error_model="numpy")
 def least_squares(  # pragma: no cover - compiled
     coordinates: Any, weights: Any, order: int, towards: Any
 ) -> Any:

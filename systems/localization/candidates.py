@@ -9,6 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from sonoservo.systems.localization.axis import Axis
+from sonoservo.systems.sampling.kernels import scattered
 from sonoservo.systems.signals.volume import Volume
 
 
@@ -23,12 +24,19 @@ def _voxels_near(  # pragma: no cover - compiled
     start: float,
     stop: float,
     radius: float,
+    slab: float,
     lower: Any,
     upper: Any,
 ) -> Any:
+    """Find the voxels near an axis, each with a key by which to sort them.
+
+    Its first 16 bits are the number of the voxel's slab, the next 16 its darkness in 1/256 grey
+    level, and the last 32 scatter equal ones.
+    """
     capacity = 4096
     index = np.empty((capacity, 3), np.int32)
-    abscissa = np.empty(capacity)
+    key = np.empty(capacity, np.uint64)
+    _, ny, nz = intensities.shape
     found = 0
     order = coefficients.shape[0]
     for i in range(lower[0], upper[0]):
@@ -54,11 +62,14 @@ def _voxels_near(  # pragma: no cover - compiled
                 if found == capacity:
                     capacity *= 2
                     index = np.concatenate((index, np.empty_like(index)))
-                    abscissa = np.concatenate((abscissa, np.empty_like(abscissa)))
+                    key = np.concatenate((key, np.empty_like(key)))
                 index[found, 0], index[found, 1], index[found, 2] = i, j, k
-                abscissa[found] = a
+                level = min(max(256 * float(intensities[i, j, k]), 0.0), 65535.0)
+                number = np.uint64(min((a - start) / slab, 65535.0)) << np.uint64(16)
+                key[found] = (number + np.uint64(65535 - int(level))) << np.uint64(32)
+                key[found] += scattered((i * ny + j) * nz + k)
                 found += 1
-    return index[:found], abscissa[:found]
+    return index[:found], key[:found]
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +98,6 @@ def select_candidates(
     radius: float,
     cross_section: float,
     slab: float,
-    rng: np.random.Generator,
 ) -> Candidates:
     """Select the brightest voxels around a predicted axis (Chatelain 2013, eq. 15).
 
@@ -110,14 +120,12 @@ def select_candidates(
         Area that the candidates fill across the axis, in m^2.
     slab
         Thickness of a slab, in m.
-    rng
-        Generator that chooses among equally bright voxels.
     """
     ends = axis.position(np.linspace(start, stop, 9))
     lower = np.floor((ends.min(axis=0) - radius - volume.origin) / volume.spacing)
     upper = np.ceil((ends.max(axis=0) + radius - volume.origin) / volume.spacing) + 1
     shape = np.array(volume.intensities.shape)
-    index, abscissa = _voxels_near(
+    index, key = _voxels_near(
         volume.intensities,
         volume.origin,
         volume.spacing,
@@ -127,13 +135,13 @@ def select_candidates(
         start,
         stop,
         radius,
+        slab,
         np.clip(lower, 0, shape).astype(np.int64),
         np.clip(upper, 0, shape).astype(np.int64),
     )
+    order = np.argsort(key)  # No two are equal, so every way of sorting gives the same.
+    index, number = index[order], (key[order] >> np.uint64(48)).astype(np.int64)
     value = volume.intensities[index[:, 0], index[:, 1], index[:, 2]].astype(float)
-    number = ((abscissa - start) / slab).astype(np.int64)
-    order = np.lexsort((rng.random(len(value)), -value, number))
-    index, value, number = index[order], value[order], number[order]
     first = np.searchsorted(number, np.arange(math.ceil((stop - start) / slab) + 1))
     rank = np.arange(len(value)) - first[number]
     count = max(1, round(cross_section * slab / float(np.prod(volume.spacing))))

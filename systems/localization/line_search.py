@@ -56,7 +56,7 @@ def _cell_levels(  # pragma: no cover - compiled
     return means, shown
 
 
-@njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nnan", "nsz"})
+@njit(cache=True, nogil=True)
 def _line_contrasts(  # pragma: no cover - compiled
     levels: Any, margin: int, along: Any, beside: Any
 ) -> Any:

@@ -133,7 +133,7 @@ def _localize(
 ) -> NeedleMeasurement | NotFound:
     """Localize the needle in a region, and store the intermediate results in ``looked``."""
     order = region.curve.order
-    points = _candidates(volume, region, parameters, rng)
+    points = _candidates(volume, region, parameters)
     if isinstance(points, NotFound):
         return points
     looked.update(candidates=points, weights=np.ones(len(points)))
@@ -176,7 +176,6 @@ def _candidates(
     volume: Volume,
     region: SearchRegion,
     parameters: PublishedLocalizationParameters,
-    rng: np.random.Generator,
 ) -> NDArray[np.float64] | NotFound:
     """Return (m, 3) brightest voxels of the volume of interest in W, in m (eq. 15)."""
     axis = axis_through(acquired_from(volume, region.curve.control_points))
@@ -192,7 +191,6 @@ def _candidates(
         # One threshold T_t for the whole region, as in eq. 1.
         cross_section=parameters.candidate_volume / (stop - start),
         slab=stop - start,
-        rng=rng,
     )
     if len(candidates.p_P) == 0:
         return NotFound("the predicted needle lies outside the field of view")

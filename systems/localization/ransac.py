@@ -137,7 +137,7 @@ def _through(  # pragma: no cover - compiled
     return True, length
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@njit(cache=True, nogil=True, error_model="numpy")
 def _count_near(  # pragma: no cover - compiled
     coordinates: Any, curve: Any, length: float, limit: float, least: int
 ) -> Any:

@@ -95,7 +95,7 @@ def _attempt(
     looked: dict[str, Any],
 ) -> NeedleMeasurement:
     """Localize the needle in a region, and store the intermediate results in ``looked``."""
-    points, weights = _candidates(volume, region, parameters, rng)
+    points, weights = _candidates(volume, region, parameters)
     looked.update(candidates=points, weights=weights)
     consensus = _expect(
         ransac_axis(
@@ -134,7 +134,6 @@ def _candidates(
     volume: Volume,
     region: SearchRegion,
     parameters: NeedleLocalizerParameters,
-    rng: np.random.Generator,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return (m, 3) candidate voxels in W, in m, and their (m,) weights."""
     candidates = select_candidates(
@@ -146,7 +145,6 @@ def _candidates(
         radius=region.radius,
         cross_section=parameters.cross_section,
         slab=parameters.slab,
-        rng=rng,
     )
     if len(candidates.p_P) == 0:
         raise _AbsentError("the predicted needle lies outside the field of view")

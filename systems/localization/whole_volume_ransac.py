@@ -9,6 +9,7 @@ from sonoservo.systems.localization.axis_fit import AxisFit
 from sonoservo.systems.localization.intensity_drop import intensity_drops
 from sonoservo.systems.localization.ransac import RansacParameters, ransac_axis
 from sonoservo.systems.localization.tip import TipParameters, axis_profile
+from sonoservo.systems.sampling.kernels import chosen_ties
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.localization_explanation import LocalizationExplanation
 from sonoservo.systems.signals.needle_curve import NeedleCurve
@@ -104,8 +105,8 @@ class WholeVolumeNeedle:
         return NeedleMeasurement(curve, covariance, time, 0, 0.0)
 
 
-def brightest_voxels(volume: Volume, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Return the (count, 3) indices of the brightest voxels, drawn among equally bright ones."""
+def brightest_voxels(volume: Volume, count: int) -> NDArray[np.int64]:
+    """Return the (count, 3) indices of the brightest voxels; equal ones count by `chosen_ties`."""
     values = volume.intensities.ravel()
     if values.dtype == np.uint8:
         above = np.cumsum(np.bincount(values, minlength=256)[::-1])[::-1]
@@ -113,7 +114,7 @@ def brightest_voxels(volume: Volume, count: int, rng: np.random.Generator) -> ND
     else:
         least = np.partition(values, -count)[-count]
     brighter, equal = np.flatnonzero(values > least), np.flatnonzero(values == least)
-    chosen = np.concatenate([brighter, rng.choice(equal, count - len(brighter), replace=False)])
+    chosen = np.concatenate([brighter, chosen_ties(equal, count - len(brighter))])
     return np.stack(np.unravel_index(chosen, volume.intensities.shape), axis=1)
 
 
@@ -148,7 +149,7 @@ def localize_in_whole_volume(
         return NotFound("the volume is constant")
     count = round(parameters.candidate_volume / float(np.prod(volume.spacing)))
     count = min(count, volume.intensities.size)
-    index = brightest_voxels(volume, count, rng)
+    index = brightest_voxels(volume, count)
     points = volume.to_world(volume.position(index))[0]
     found = ransac_axis(
         points,

@@ -51,8 +51,7 @@ def volumes():
 def test_detect_insertion(benchmark, volumes):
     before, volume = volumes
     parameters = InsertionDetectorParameters(max_std=1.0, max_depth=1.0)
-    rng = np.random.default_rng(0)
-    assert benchmark(lambda: detect_insertion(volume, before, parameters, rng))
+    assert benchmark(lambda: detect_insertion(volume, before, parameters))
 
     def plain():
         difference = np.abs(volume.intensities.astype(np.int16) - before.intensities)

@@ -105,9 +105,7 @@ GRADED: Mapping[str, GradedDial] = {
     "structure beside the needle": GradedDial(
         moderate=3.0, unit="mm beside the needle's way", inverse=True
     ),
-    "faint needle": GradedDial(
-        strengths=(0.25, 0.5, 1.0), moderate=12.0, off=20.0, unit="dB over the tissue"
-    ),
+    "faint needle": GradedDial(strengths=(0.25, 0.5, 1.0), moderate=8.0, unit="dB fainter"),
     "fading needle": GradedDial(moderate=6.0, unit="dB (standard deviation)"),
     "dip": GradedDial(strengths=(0.5, 0.75, 1.0, 1.25), moderate=60.0, unit="deg"),
     "azimuth": GradedDial(strengths=(0.25, 0.5, 1.0), moderate=180.0, unit="deg to either side"),

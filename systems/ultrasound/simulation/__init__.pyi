@@ -1,6 +1,7 @@
 from .acquisition import acquire_sweep as acquire_sweep
 from .air_pockets import AirPocketParameters as AirPocketParameters
-from .needle_echo import NeedleEchoParameters as NeedleEchoParameters
+from .needles.needle_echo import NeedleEchoParameters as NeedleEchoParameters
+from .needles.needle_kind import load_needle as load_needle
 from .reaction.deformation import Deformation as Deformation
 from .reaction.deformation import Indentation as Indentation
 from .reaction.deformation import indentation as indentation

@@ -19,8 +19,11 @@ from sonoservo.systems.ultrasound.simulation.kernels.image_formation import form
 from sonoservo.systems.ultrasound.simulation.kernels.line_blur import line_kernel
 from sonoservo.systems.ultrasound.simulation.kernels.shadows import expand_gains
 from sonoservo.systems.ultrasound.simulation.kernels.surface_echo import render_surfaces
-from sonoservo.systems.ultrasound.simulation.needle_echo import NeedleEchoParameters
-from sonoservo.systems.ultrasound.simulation.needle_renderer import FrameViews, NeedleRenderer
+from sonoservo.systems.ultrasound.simulation.needles.needle_echo import NeedleEchoParameters
+from sonoservo.systems.ultrasound.simulation.needles.needle_renderer import (
+    FrameViews,
+    NeedleRenderer,
+)
 from sonoservo.systems.ultrasound.simulation.pulses import PulseTables
 from sonoservo.systems.ultrasound.simulation.rays import (
     depth_tables,

@@ -18,7 +18,7 @@ from sonoservo.systems.ultrasound.beam import Beam, point_spread
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation.frame_renderer import FrameRenderer, Frames
 from sonoservo.systems.ultrasound.simulation.kernels.image_formation import modulate
-from sonoservo.systems.ultrasound.simulation.needle_renderer import FrameViews
+from sonoservo.systems.ultrasound.simulation.needles.needle_renderer import FrameViews
 from sonoservo.systems.ultrasound.simulation.reaction.deformation import Deformation, displacements
 from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue

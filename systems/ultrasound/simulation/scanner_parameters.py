@@ -7,7 +7,7 @@ from sonoservo.systems.ultrasound.simulation.air_pockets import AirPocketParamet
 from sonoservo.systems.ultrasound.simulation.errors.clock import ClockParameters
 from sonoservo.systems.ultrasound.simulation.errors.connection import ConnectionParameters
 from sonoservo.systems.ultrasound.simulation.errors.motor import MotorParameters
-from sonoservo.systems.ultrasound.simulation.needle_echo import NeedleEchoParameters
+from sonoservo.systems.ultrasound.simulation.needles.needle_echo import NeedleEchoParameters
 
 
 @dataclass(kw_only=True)

@@ -24,7 +24,9 @@ from sonoservo.systems.signals.volume import Volume
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     out = tmp_path_factory.mktemp("dataset")
-    scenario = load_scenario("chatelain2013_fig5", seed=100)
+    # A needle that shows at every angle tells where it is.
+    rough = {"scanner.needle.diffuse_db": -20.0, "scanner.needle.diffuse_lobe_deg": None}
+    scenario = load_scenario("chatelain2013_fig5", changes=rough, seed=100)
     return out, scenario, make_dataset(scenario, out, count=2, volumes=2, jobs=1)
 
 

@@ -12,10 +12,8 @@ from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.sweep import Sweep, SweepMotion
 from sonoservo.systems.ultrasound.beam import beam_profile, point_spread
 from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
-from sonoservo.systems.ultrasound.simulation.needle_echo import (
+from sonoservo.systems.ultrasound.simulation.needles.needle_echo import (
     NeedleEchoParameters,
-    NeedleFading,
-    needle_view,
     reverberations,
 )
 from sonoservo.systems.ultrasound.simulation.rays import depth_tables
@@ -31,8 +29,8 @@ DIPS, DEPTHS, TIPS, CONTRASTS = (
     (12, 20, 30),
 )
 RADIUS = 0.635e-3
-MIRROR_DB, TIP_DB = 20.0, 10.0
-"""Levels of the mirror-like part and of the tip over the rough surface's, as by default."""
+MIRROR_DB = 20.0
+"""Level of the mirror-like part over the rough surface's."""
 DOWN = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, -0.1], [0, 0, 0, 1.0]])
 """Pose of the probe in the tissue; it looks down."""
 
@@ -79,7 +77,7 @@ def _levels(end, using, p, k):
     bright = float(np.interp(p[1], using.depths, using.bright))
     level = end.contrast + MIRROR_DB - bright - 10 * np.log10(blur / using.width)
     echo = NeedleEchoParameters(
-        specular_db=level, diffuse_db=-MIRROR_DB, tip_db=end.contrast + TIP_DB, tip=end.tip
+        specular_db=level, diffuse_db=-MIRROR_DB, diffuse_lobe_deg=None, tip=end.tip
     )
     return echo, blur, bright
 
@@ -94,24 +92,14 @@ def needle_end(end, using):
     dip, p = np.deg2rad(end.dip), np.array([0, end.depth, 0])
     k = np.array([np.cos(dip), np.sin(dip), 0])
     echo, blur, bright = _levels(end, using, p, k)
-    X_FT = np.linalg.inv(DOWN)[:3]
-    X_FT[1, 3] += using.geometry.motor_radius
-    offset = using.geometry.array_radius - using.geometry.motor_radius
-    fading = NeedleFading(echo, np.random.default_rng(0))
-    needles = [_needle(p, k, 0.02)]
-    view = needle_view(echo, fading, using.beam, needles, X_FT[np.newaxis], offset, np.zeros(1))
-    tip_db = end.contrast + TIP_DB + 20 * np.log10(view.tips[0]) + bright
-    length = echo.bevel_length * RADIUS
-    tip = {"point_db": tip_db} if end.tip == "blunt" else {
-        "bevel_length": length, "bevel_db": tip_db + 10 * np.log10(np.sqrt(np.pi) * blur / length)
-    }  # fmt: skip
     return NeedleEnd(
         shaft_db=end.contrast,
         mirror_db=echo.specular_db + bright + 20 * np.log10(blur / using.width),
         reverberation_db=echo.reverberation_db,
         reverberation_distance=reverberations(echo, RADIUS, using.geometry.sound_speed)[1],
         wavelength=using.beam.wavelength,
-        **tip,
+        # Seen from its face, a bevel is as wide as the needle over most of its length.
+        bevel_length=0.25 * echo.bevel_length * RADIUS,
     )
 
 

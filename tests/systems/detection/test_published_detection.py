@@ -18,7 +18,7 @@ PARAMETERS = PublishedDetectionParameters(candidate_volume=5e-9)
 
 def detect(volume, previous, **changes):
     parameters = dataclasses.replace(PARAMETERS, **changes)
-    return detect_as_published(volume, previous, parameters, np.random.default_rng(0))
+    return detect_as_published(volume, previous, parameters)
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,6 @@ from sonoservo.systems.signals.point_spread import PointSpread
 SIGMA = 0.8e-3
 PARAMETERS = TipParameters(beam_width=SIGMA * np.sqrt(8 * np.log(2)))
 STEP = 0.25e-3
-RNG = np.random.default_rng(0)
 SCENE_VOLUME = Scene(seed=2).volume(0)
 WIDTH, END, EXPECTED = 1.5e-3, 0.02, 0.05
 A = np.arange(0, 0.08, STEP)
@@ -123,7 +122,6 @@ def test_candidates_follow_the_needle_all_along():
         radius=6e-3,
         cross_section=4e-6,
         slab=2e-3,
-        rng=RNG,
     )
     a = axis.abscissa(found.p_P)
     counts = np.histogram(a, np.linspace(0, length, 6))[0]
@@ -139,7 +137,7 @@ def test_candidates_outside_the_volume():
     volume = Scene(seed=3, spacing=1.0e-3).volume(0)
     axis = axis_through(np.array([[1.0, 0, 0], [2.0, 0, 0]]))
     options = {"start": 0, "stop": 0.02, "radius": 5e-3, "cross_section": 4e-6, "slab": 2e-3}
-    assert len(select_candidates(volume, axis, rng=RNG, **options).p_P) == 0
+    assert len(select_candidates(volume, axis, **options).p_P) == 0
 
 
 @pytest.mark.parametrize("dip_deg", [0, 30])

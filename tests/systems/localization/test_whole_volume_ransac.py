@@ -88,7 +88,7 @@ def test_brightest_voxels_are_as_many_as_wanted(dtype):
     rng = np.random.default_rng(0)
     values = rng.integers(0, 20, (12, 13, 14)).astype(dtype)
     volume = Volume(values, np.zeros(3), 1e-3 * np.ones(3), RigidTransform(), 0.0)
-    index = brightest_voxels(volume, 150, rng)
+    index = brightest_voxels(volume, 150)
     assert len(np.unique(index, axis=0)) == 150
     np.testing.assert_array_equal(
         np.sort(values[tuple(index.T)]), np.sort(values, axis=None)[-150:]

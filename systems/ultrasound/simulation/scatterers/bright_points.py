@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.ultrasound.beam import Beam
-from sonoservo.systems.ultrasound.simulation.needle_echo import rod_amplitudes
+from sonoservo.systems.ultrasound.simulation.needles.needle_echo import rod_amplitudes
 from sonoservo.systems.ultrasound.simulation.tissue import Ball, Fibre, Tissue
 
 _BALL_POINTS_PER_CELL = 8

@@ -7,7 +7,7 @@ import numpy as np
 
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.requirements import require
-from sonoservo.systems.ultrasound.simulation.needle_echo import NeedleEchoParameters
+from sonoservo.systems.ultrasound.simulation.needles.needle_echo import NeedleEchoParameters
 from sonoservo.systems.ultrasound.simulation.structures.structure import Structure
 
 

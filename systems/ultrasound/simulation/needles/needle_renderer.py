@@ -1,7 +1,7 @@
 """Renderer of a needle's echo in every frame: shaft, tip, reverberation and shadow."""
 
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -10,20 +10,18 @@ from numpy.typing import NDArray
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.ultrasound.beam import Beam
-from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import (
-    NO_NEEDLE_VIEW,
-    render_needles,
-)
 from sonoservo.systems.ultrasound.simulation.kernels.displacement import Displacements
 from sonoservo.systems.ultrasound.simulation.kernels.medium import View, apparent_points
 from sonoservo.systems.ultrasound.simulation.kernels.projection import DepthTables, Rays
-from sonoservo.systems.ultrasound.simulation.needle_echo import (
+from sonoservo.systems.ultrasound.simulation.needles.needle_echo import (
     NeedleEchoParameters,
     NeedleFading,
     needle_echo,
     needle_view,
     reverberations,
+    rough_phases,
 )
+from sonoservo.systems.ultrasound.simulation.needles.needle_kernel import render_needles
 from sonoservo.systems.ultrasound.simulation.pulses import PulseTables
 from sonoservo.systems.ultrasound.simulation.reaction.deformation import moved_needle
 
@@ -76,8 +74,9 @@ class NeedleRenderer:
         self._geometry = geometry
         self._tables = pulses
         rng = np.random.default_rng(list(seeds))
-        self._echo = needle_echo(parameters, beam, reference, rng)
+        self._phases = rough_phases(beam, rng)
         self._fading = NeedleFading(parameters, rng)
+        self._echoes = lru_cache(maxsize=8)(partial(needle_echo, parameters, beam, reference))
         self._pulses = lru_cache(maxsize=8)(self._pulse)
 
     @property
@@ -98,12 +97,8 @@ class NeedleRenderer:
             Geometry and propagation of the frames.
         """
         parameters, X_FT = self._parameters, views.X_FT
-        view = NO_NEEDLE_VIEW
-        if parameters.varies:
-            offset = self._geometry.array_radius - self._geometry.motor_radius
-            view = needle_view(
-                parameters, self._fading, self._beam, needles, X_FT, offset, views.times
-            )
+        offset = self._geometry.array_radius - self._geometry.motor_radius
+        view = needle_view(parameters, self._fading, self._beam, needles, X_FT, offset, views.times)
         shafts = [needle.shaft for needle in needles]
         if len(views.bent.table):
             shafts = [
@@ -117,7 +112,8 @@ class NeedleRenderer:
             np.concatenate(shafts),
             np.concatenate([[0], np.cumsum([len(shaft) for shaft in shafts])]),
             radius,
-            *self._echo,
+            *self._echoes(radius),
+            self._phases,
             views.rays,
             views.tables,
             self._pulses(radius),

@@ -1,4 +1,10 @@
-"""Echo of a steel needle along its shaft and at its tip, from every angle."""
+"""Echo of a steel needle along its shaft and at its tip, from every angle.
+
+A smooth cylinder mirrors sound as a line of points in phase does (Wear and Harris 2008, "Frequency
+dependence of backscatter from thin, oblique, finite-length cylinders"): the beam's integral along
+it makes the narrow law of its angle. The tip's wall and faces add up in phase in the same way,
+piece by piece (Kirchhoff's integral). What else returns, from a rough surface, has random phases.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,33 +15,45 @@ from numpy.typing import NDArray
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 from sonoservo.systems.ultrasound.beam import Beam
-from sonoservo.systems.ultrasound.simulation.axes import frame_along
-from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import NeedleEcho, NeedleView
+from sonoservo.systems.ultrasound.simulation.needles.needle_kernel import NeedleEcho, NeedleView
+from sonoservo.systems.ultrasound.simulation.needles.needle_tip import (
+    FACES,
+    NeedleTip,
+    tip_axes,
+    tip_surface,
+    width_left,
+)
 
 _WATER_SOUND_SPEED = 1480.0
 _LONGEST_NEEDLE = 0.3
 _NODE = 2e-3
-_FACES = {"plain": 0, "bevel": 1, "diamond": 3, "blunt": 0}
-_TIP_FLOOR = 10 ** (-15 / 20)
 _WAVES = 12
+_GAUGE_18 = 0.635e-3
+_PIECES_PER_WAVELENGTH = 5
+"""Pieces of the tip's surface alias from half a wavelength, two ways, on."""
 
 
 @dataclass(kw_only=True)
 class NeedleEchoParameters:
     """Parameters of a steel needle's echo; levels are amplitudes at the lens's focus.
 
+    The defaults are those of ``models/needles/biopsy.yaml``, a smooth biopsy needle.
+
     Parameters
     ----------
     specular_db
-        Level at normal incidence, relative to the tissue's root mean square.
+        Level of a needle of gauge 18 at normal incidence, relative to the tissue's root mean
+        square. The intensity is proportional to the radius, as that of any rigid cylinder much
+        thicker than the wavelength is.
     diffuse_db
-        Level of the part that the rough surface scatters in all directions, relative to
-        ``specular_db``.
-    tip_db
-        Level of the part that the bevel scatters in all directions, as if from one point, relative
-        to the tissue's root mean square.
-    bevel_deg
-        Angle between the bevel's face and the axis. The shaft's own echo fades along the bevel.
+        Level of the part that the rough surface scatters, relative to ``specular_db`` and, with
+        ``diffuse_lobe_deg``, at normal incidence.
+    tip, bevel_deg
+        Kind of tip, and angle between its faces and the axis. A "bevel" has one face, a "diamond"
+        three, and a "blunt" tip ends in a disc.
+    tip_roll_deg
+        Rotation of the first face about the axis, in addition to the needle's own roll; at 0 deg,
+        it looks up.
     reverberation_db
         Level of each echo inside the needle, relative to the previous one.
     inner_diameter_ratio
@@ -43,9 +61,8 @@ class NeedleEchoParameters:
     shadow
         Share of the amplitude that is lost behind a needle in the middle of the beam.
     diffuse_lobe_deg
-        Angle to the normal at which the rough surface's echo has fallen to one half. With a small
-        angle, as for a polished needle, a steep needle is invisible. None for the same echo in all
-        directions.
+        Angle to the normal at which the amplitude of the rough surface's echo has fallen to one
+        half, in a Gaussian. None for the same echo in all directions.
     fading_db, fading_length, fading_period
         Standard deviation of the shaft's level along it and over time, in dB (0 for no fading), and
         the distance in m and time in s over which the level changes.
@@ -53,35 +70,29 @@ class NeedleEchoParameters:
         Level of each dimple of an echogenic needle, relative to the tissue's root mean square and
         the same at every angle (None for a smooth needle), distance in m between rings of dimples,
         and length in m of the dimpled part behind the tip.
-    tip, tip_roll_deg
-        Kind of tip, and rotation of its faces about the axis, in addition to the needle's own roll.
-        "plain" scatters equally in all directions. "bevel" is bright if its face is turned to the
-        probe, "diamond" has three such faces, and "blunt" has one facing forwards. At 0 deg, the
-        first face looks up.
     """
 
     specular_db: float = 40.0
-    diffuse_db: float = -20.0
-    tip_db: float = 30.0
+    diffuse_db: float = -26.0
+    diffuse_lobe_deg: float | None = 35.0
+    tip: str = "bevel"
     bevel_deg: float = 20.0
+    tip_roll_deg: float = 0.0
     reverberation_db: float = -8.0
     inner_diameter_ratio: float = 0.66
     shadow: float = 0.45
-    diffuse_lobe_deg: float | None = None
     fading_db: float = 0.0
     fading_length: float = 0.015
     fading_period: float = 2.0
     dimples_db: float | None = None
     dimple_spacing: float = 1e-3
     dimpled_length: float = 0.02
-    tip: str = "plain"
-    tip_roll_deg: float = 0.0
 
     def __post_init__(self) -> None:
         require(
             self.reverberation_db <= -3, "reverberation_db", self.reverberation_db, "at most -3 dB"
         )
-        require(0 < self.bevel_deg <= 90, "bevel_deg", self.bevel_deg, "above 0, at most 90 deg")
+        require(5 <= self.bevel_deg <= 85, "bevel_deg", self.bevel_deg, "from 5 to 85 deg")
         for name in ("inner_diameter_ratio", "shadow"):
             value = getattr(self, name)
             require(0 <= value <= 1, name, value, "from 0 to 1")
@@ -98,28 +109,19 @@ class NeedleEchoParameters:
             require(allowed, "diffuse_lobe_deg", self.diffuse_lobe_deg, "from 1 to 90 deg")
         if self.dimples_db is not None:
             require(self.dimples_db <= 60, "dimples_db", self.dimples_db, "at most 60 dB")
-        require(self.tip in _FACES, "tip", self.tip, f"one of {', '.join(_FACES)}")
+        require(self.tip in FACES, "tip", self.tip, f"one of {', '.join(FACES)}")
 
     @property
     def bevel_length(self) -> float:
-        """Ratio of the bevel's length to the needle's radius."""
-        return 0.0 if self.tip == "blunt" else float(2 / np.tan(np.deg2rad(self.bevel_deg)))
-
-    @property
-    def varies(self) -> bool:
-        """True if the echo depends on more than the position of the needle's points."""
-        return (
-            self.tip != "plain"
-            or self.fading_db > 0
-            or self.diffuse_lobe_deg is not None
-            or self.dimples_db is not None
-        )
+        """Ratio of the length of the tip's faces to the needle's radius."""
+        across = {"bevel": 2, "diamond": 1, "blunt": 0}[self.tip]
+        return float(across / np.tan(np.deg2rad(self.bevel_deg)))
 
 
 def needle_echo(
-    parameters: NeedleEchoParameters, beam: Beam, reference: int, rng: np.random.Generator
-) -> tuple[NeedleEcho, NDArray[np.float64]]:
-    """Return the amplitudes of a needle's points, and the phases due to its rough surface.
+    parameters: NeedleEchoParameters, beam: Beam, reference: int, radius: float
+) -> tuple[NeedleEcho, NeedleTip]:
+    """Return the amplitudes of a needle's points, and the pieces of its tip.
 
     Parameters
     ----------
@@ -127,16 +129,39 @@ def needle_echo(
         Levels of the needle's echo.
     beam, reference
         Point spread function, and the sample at which the levels hold.
-    rng
-        Generator that draws the surface.
+    radius
+        Radius of the needle, in m.
     """
     spacing, specular, diffuse = rod_amplitudes(
         parameters.specular_db, parameters.diffuse_db, beam, reference
     )
-    tip = 10 ** (parameters.tip_db / 20)
-    phases = rng.uniform(0, 2 * np.pi, int(_LONGEST_NEEDLE / spacing))
-    bevel = parameters.bevel_length
-    return NeedleEcho(spacing, specular, diffuse, tip, bevel, parameters.shadow), phases
+    thick = np.sqrt(radius / _GAUGE_18)
+    length = parameters.bevel_length * radius
+    points = int(np.ceil(length / spacing)) + 1
+    # In phase, a cylinder's wall adds up to sqrt(pi r / k) exp(-i pi / 4) per metre of its length.
+    wall = np.sqrt(radius * beam.wavelength / 2) * np.exp(-0.25j * np.pi)
+    echo = NeedleEcho(
+        spacing=spacing,
+        specular=specular * thick,
+        diffuse=diffuse * thick,
+        tip=points,
+        taper=np.sqrt(width_left(parameters.tip, length, spacing, points)),
+        piece=complex(specular * thick / spacing / wall),
+        shadow=parameters.shadow,
+    )
+    tip = tip_surface(
+        parameters.tip,
+        np.deg2rad(parameters.bevel_deg),
+        radius,
+        (points - 0.5) * spacing,
+        beam.wavelength / _PIECES_PER_WAVELENGTH,
+    )
+    return echo, tip
+
+
+def rough_phases(beam: Beam, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Draw the phases in rad due to the rough surface of a needle's points."""
+    return rng.uniform(0, 2 * np.pi, int(8 * _LONGEST_NEEDLE / beam.wavelength))
 
 
 def reverberations(
@@ -186,7 +211,7 @@ def needle_view(
     centre_offset: float,
     times: NDArray[np.float64],
 ) -> NeedleView:
-    """Return the factors on a needle's echo in every frame, by angle, time and the tip's roll.
+    """Return what a needle's echo depends on in every frame: angle, time and the tip's roll.
 
     Parameters
     ----------
@@ -205,77 +230,45 @@ def needle_view(
     """
     longest = max(needle.length for needle in needles if needle)
     nodes = int(np.ceil(longest / _NODE)) + 2
-    specular = np.ones((len(needles), nodes))
-    diffuse = np.ones((len(needles), nodes))
-    tips = np.ones(len(needles))
+    frames = len(needles)
     from_tip: NDArray[np.float64] = _NODE * np.arange(nodes, dtype=np.float64)
-    for frame, (needle, X, time) in enumerate(zip(needles, X_FT, times, strict=True)):
-        if not needle:
-            continue
-        points = needle.position(np.maximum(needle.length - from_tip, 0))
-        points = points @ X[:, :3].T + X[:, 3]
-        rays: NDArray[np.float64] = np.add(points, (0.0, centre_offset, 0.0))
-        rays[:, 2] = 0
-        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-        axis = needle.shaft[-1] - needle.shaft[-2]
-        axes = frame_along(axis) @ X[:, :3].T
-        along = np.empty_like(points)
-        along[:-1] = (points[:-1] - points[1:]) / _NODE
-        along[np.append(from_tip[1:], np.inf) > needle.length] = axes[0]
-        fade = 10 ** (fading.level_db(from_tip, float(time)) / 20)
-        specular[frame] = fade
-        diffuse[frame] = fade
-        if parameters.diffuse_lobe_deg is not None:
-            angle = np.rad2deg(np.arcsin(np.clip(np.abs((along * rays).sum(axis=1)), 0, 1)))
-            diffuse[frame] *= 0.5 ** ((angle / parameters.diffuse_lobe_deg) ** 2)
-        roll = needle.roll + np.deg2rad(parameters.tip_roll_deg)
-        tips[frame] = _tip_factor(parameters, axes, rays[0], roll)
+    places, fade = np.zeros((frames, nodes + 1, 3)), np.ones((frames, nodes))
+    axes_T = np.zeros((frames, 3, 3))
+    for frame, (needle, time) in enumerate(zip(needles, times, strict=True)):
+        if needle:
+            axis = needle.shaft[-1] - needle.shaft[-2]
+            beyond = np.append(from_tip, from_tip[-1] + _NODE) - needle.length
+            # The part outside continues the shaft straight on.
+            first = needle.shaft[1] - needle.shaft[0]
+            straight = np.outer(np.maximum(beyond, 0), first / np.linalg.norm(first))
+            places[frame] = needle.position(np.maximum(-beyond, 0)) - straight
+            axes_T[frame] = tip_axes(axis, needle.roll + np.deg2rad(parameters.tip_roll_deg))
+            if parameters.fading_db > 0:
+                fade[frame] = 10 ** (fading.level_db(from_tip, float(time)) / 20)
+    R = np.swapaxes(X_FT[:, :, :3], 1, 2)
+    points = places @ R + X_FT[:, np.newaxis, :, 3]
+    along = (points[:, :-1] - points[:, 1:]) / _NODE
+    towards = -points[:, :-1] - (0.0, centre_offset, 0.0)
+    towards[..., 2] = 0
+    towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
+    sine = np.abs((along * towards).sum(axis=-1)).clip(0, 1)
+    cosine = np.sqrt(1 - sine**2)
+    lobe = np.ones_like(sine)
+    if parameters.diffuse_lobe_deg is not None:
+        lobe = 0.5 ** ((np.rad2deg(np.arcsin(sine)) / parameters.diffuse_lobe_deg) ** 2)
     dimples = parameters.dimples_db
     spacing = beam.wavelength / 8
     return NeedleView(
-        specular=specular,
-        diffuse=diffuse,
-        tips=tips,
+        specular=fade * np.sqrt(cosine),
+        diffuse=fade * lobe,
+        cosine=cosine,
+        axes=axes_T @ R,
+        towards=fade[:, :1] * towards[:, 0],
         points_per_node=_NODE / spacing,
         dimple=0.0 if dimples is None else float(10 ** (dimples / 20)),
         dimple_step=max(round(parameters.dimple_spacing / spacing), 1),
         dimpled=0 if dimples is None else int(parameters.dimpled_length / spacing),
     )
-
-
-def _tip_factor(
-    parameters: NeedleEchoParameters,
-    axes: NDArray[np.float64],
-    ray: NDArray[np.float64],
-    roll: float,
-) -> float:
-    """Return the amplitude of the tip's echo, relative to that of a face turned to the probe.
-
-    A matt face's echo falls with the square of the angle's cosine.
-
-    Parameters
-    ----------
-    parameters
-        Parameters with the kind of tip.
-    axes
-        (3, 3) axes in F as rows: along the needle, across it, and upwards.
-    ray
-        (3,) direction in which sound arrives, in F.
-    roll
-        Rotation of the first face about the axis in rad; at 0 it looks up.
-    """
-    if parameters.tip == "plain":
-        return 1.0
-    if parameters.tip == "blunt":
-        normals = axes[:1]
-    else:
-        count = _FACES[parameters.tip]
-        angles = roll + 2 * np.pi * np.arange(count) / count
-        bevel = np.deg2rad(parameters.bevel_deg)
-        aside = np.cos(angles)[:, np.newaxis] * axes[2] + np.sin(angles)[:, np.newaxis] * axes[1]
-        normals = np.sin(bevel) * axes[0] + np.cos(bevel) * aside
-    facing = np.maximum(-normals @ ray, 0) ** 2
-    return float(max(np.sqrt((facing**2).sum()), _TIP_FLOOR))
 
 
 def rod_amplitudes(

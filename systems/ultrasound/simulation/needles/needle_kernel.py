@@ -1,0 +1,225 @@
+"""Echoes of needles, point by point and piece by piece, with their shadows."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from sonoservo.systems.sampling.kernels import OPTIONS
+from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import add_layer, add_point
+from sonoservo.systems.ultrasound.simulation.kernels.projection import transformed
+
+
+class NeedleEcho(NamedTuple):
+    """Amplitudes of a needle's points."""
+
+    spacing: float
+    """Distance between points along the shaft, in m."""
+    specular: float
+    """Amplitude of each point, all in phase."""
+    diffuse: float
+    """Amplitude of each point, with phases fixed by the needle's surface."""
+    tip: int
+    """Number of points from the tip whose part in phase is that of the tip's pieces."""
+    taper: NDArray[np.float64]
+    """(tip,) factors on the diffuse amplitude of these points, from less and less surface."""
+    piece: complex
+    """Amplitude of the tip's surface per area, where it faces the probe."""
+    shadow: float
+    """Share of the amplitude that is lost behind a needle in the middle of the beam."""
+
+
+class NeedleView(NamedTuple):
+    """What a needle's echo depends on in every frame; factors are given at nodes from the tip."""
+
+    specular: NDArray[np.float64]
+    """(frames, nodes) factors on the specular amplitude."""
+    diffuse: NDArray[np.float64]
+    """(frames, nodes) factors on the diffuse amplitude."""
+    cosine: NDArray[np.float64]
+    """(frames, nodes) cosines of the angle between the beam and the needle's normal."""
+    axes: NDArray[np.float64]
+    """(frames, 3, 3) axes of the needle's frame at the tip in F, as rows."""
+    towards: NDArray[np.float64]
+    """(frames, 3) directions from the tip to the probe in F, times the factor of its fading."""
+    points_per_node: float
+    dimple: float
+    """Amplitude of a dimple."""
+    dimple_step: int
+    """Number of points from one dimple to the next."""
+    dimpled: int
+    """Number of points behind the tip in the dimpled part."""
+
+
+@njit(**OPTIONS)
+def render_needles(  # type: ignore[no-untyped-def]
+    iq, X_FT, shafts, starts, radius, echo, tip, phases, rays, tables, pulse, view, transmission
+):
+    """Add the needle to every frame, with its shadow.
+
+    Parameters
+    ----------
+    iq
+        (frames, lines, samples) complex64, changed.
+    X_FT
+        (frames, 3, 4) poses of the tissue in each frame's F.
+    shafts, starts
+        (m, 3) points in T on the needle's axis, entry first, of all frames together, and
+        (frames + 1,) indices of each frame's first point.
+    radius, echo, tip, phases, rays, tables, pulse, view
+        See `_add_needle` and `_add_tip`.
+    transmission
+        (frames, lines, samples) float32 factors on echoes from behind structures; empty if
+        there are none.
+    """
+    frames, lines, samples = iq.shape
+    taps = pulse.shape[2]
+    for frame in range(frames):
+        shaft = shafts[starts[frame] : starts[frame + 1]]
+        if len(shaft) > 1:
+            layer = np.zeros((2, lines, samples + 2 * taps), np.float32)
+            shadow = np.zeros((lines, samples), np.float32)
+            beam = (rays, tables, pulse)
+            seen = _add_tip(layer, shadow, X_FT[frame], shaft[-1], echo, tip, view, frame, *beam)
+            seen |= _add_needle(
+                layer, shadow, X_FT[frame], shaft, radius, echo, phases, view, frame, *beam
+            )
+            if seen:
+                _cast_shadow(iq[frame], shadow)
+                if len(transmission) > 0:
+                    _weaken_layer(layer, transmission[frame], taps)
+                add_layer(iq[frame], layer, taps)
+
+
+@njit(**OPTIONS)
+def _add_needle(  # type: ignore[no-untyped-def]
+    layer, shadow, X_FT, shaft, radius, echo, phases, view, frame, rays, tables, pulse
+):
+    """Add the echo of a needle, point by point from the tip; return True if any point shows.
+
+    Parameters
+    ----------
+    layer, shadow
+        See `add_point`.
+    X_FT
+        (3, 4) pose of the tissue in F.
+    shaft
+        (m, 3) points of the axis in T, entry first.
+    radius
+        Radius of the needle, in m. The front wall, which reflects the sound, is closer than the
+        axis by this distance times the cosine of the angle.
+    echo
+        Amplitudes of the needle's points.
+    phases
+        (n,) phases of the diffuse points in rad, tip first; used periodically.
+    view, frame
+        Factors on the echo, and the frame's number.
+    rays, tables, pulse
+        See `add_point`.
+    """
+    last = view.specular.shape[1] - 2
+    number = 0
+    along = 0.0
+    seen = False
+    for segment in range(len(shaft) - 1, 0, -1):
+        dx = shaft[segment - 1, 0] - shaft[segment, 0]
+        dy = shaft[segment - 1, 1] - shaft[segment, 1]
+        dz = shaft[segment - 1, 2] - shaft[segment, 2]
+        length = np.sqrt(dx * dx + dy * dy + dz * dz)
+        while along <= length and length > 0:
+            share = along / length
+            x, y, z = transformed(
+                X_FT,
+                shaft[segment, 0] + share * dx,
+                shaft[segment, 1] + share * dy,
+                shaft[segment, 2] + share * dz,
+            )
+            at = number / view.points_per_node
+            node = min(np.int64(at), last)
+            at = min(at - node, 1.0)
+            specular = echo.specular if number >= echo.tip else 0.0
+            specular *= view.specular[frame, node] * (1 - at) + view.specular[frame, node + 1] * at
+            diffuse = echo.diffuse * (echo.taper[number] if number < echo.tip else 1.0)
+            diffuse *= view.diffuse[frame, node] * (1 - at) + view.diffuse[frame, node + 1] * at
+            closer = view.cosine[frame, node] * (1 - at) + view.cosine[frame, node + 1] * at
+            closer *= radius
+            if echo.tip <= number < view.dimpled and number % view.dimple_step == 0:
+                diffuse += view.dimple
+            phase = phases[number % len(phases)]
+            real = specular + diffuse * np.cos(phase)
+            imaginary = diffuse * np.sin(phase)
+            seen |= add_point(
+                layer, shadow, x, y, z, closer, real, imaginary, echo.shadow, rays, tables, pulse
+            )
+            number += 1
+            along += echo.spacing
+        along -= length
+    return seen
+
+
+@njit(**OPTIONS)
+def _add_tip(  # type: ignore[no-untyped-def]
+    layer, shadow, X_FT, p_TTip, echo, tip, view, frame, rays, tables, pulse
+):
+    """Add the echo of a tip's surface, piece by piece; return True if any piece shows.
+
+    Parameters
+    ----------
+    layer, shadow, rays, tables, pulse
+        See `add_point`.
+    X_FT
+        (3, 4) pose of the tissue in F.
+    p_TTip
+        (3,) end of the needle's axis in T, in m.
+    echo, tip
+        Amplitudes of the needle's points, and the pieces of its tip.
+    view, frame
+        Direction of the needle and of the sound, and the frame's number.
+    """
+    x, y, z = transformed(X_FT, p_TTip[0], p_TTip[1], p_TTip[2])
+    axes = view.axes[frame]
+    t0, t1, t2 = axes @ view.towards[frame]
+    seen = False
+    for i in range(len(tip.areas)):
+        normal = tip.normals[i]
+        facing = normal[0] * t0 + normal[1] * t1 + normal[2] * t2
+        if facing <= 0.0:
+            continue
+        a, b, c = tip.points[i]
+        amplitude = echo.piece * tip.areas[i] * facing
+        shown = add_point(
+            layer,
+            shadow,
+            x + a * axes[0, 0] + b * axes[1, 0] + c * axes[2, 0],
+            y + a * axes[0, 1] + b * axes[1, 1] + c * axes[2, 1],
+            z + a * axes[0, 2] + b * axes[1, 2] + c * axes[2, 2],
+            0.0,
+            amplitude.real,
+            amplitude.imag,
+            0.0,
+            rays,
+            tables,
+            pulse,
+        )
+        seen |= shown
+    return seen
+
+
+@njit(**OPTIONS)
+def _cast_shadow(iq, shadow):  # type: ignore[no-untyped-def]
+    """Weaken the (lines, samples) echoes that lie in the (lines, samples) shadow."""
+    for j in range(iq.shape[0]):
+        loss = np.float32(0)
+        for i in range(iq.shape[1]):
+            iq[j, i] *= np.float32(1) - loss
+            loss = max(loss, shadow[j, i])
+
+
+@njit(**OPTIONS)
+def _weaken_layer(layer, transmission, taps):  # type: ignore[no-untyped-def]
+    """Weaken a layer by a frame's (lines, samples) transmission."""
+    for j in range(transmission.shape[0]):
+        for i in range(transmission.shape[1]):
+            layer[0, j, i + taps] *= transmission[j, i]
+            layer[1, j, i + taps] *= transmission[j, i]
