@@ -157,8 +157,8 @@ MemoryOption = Annotated[
 def with_common_options(command: Callable[..., None]) -> Callable[..., None]:
     """Return a command with the options that all have: ``--debug`` and ``--max-memory``.
 
-    An error carries the choice of ``--debug`` to `sonoservo.diagrams.app.cli.run_arguments` as its
-    attribute ``debug``.
+    An error carries the choice of ``--debug`` and the command's name to
+    `sonoservo.diagrams.app.cli.run_arguments` as its attributes ``debug`` and ``command``.
     """
 
     @wraps(command)
@@ -169,6 +169,7 @@ def with_common_options(command: Callable[..., None]) -> Callable[..., None]:
                 command(*args, **options)
         except BaseException as error:
             error.debug = debug  # type: ignore[attr-defined]
+            error.command = command.__name__  # type: ignore[attr-defined]
             raise
 
     common = {"debug": (DebugOption, False), "max_memory": (MemoryOption, None)}

@@ -18,6 +18,7 @@ from sonoservo.systems.files.volume_file import (
     DataSection,
     DataSections,
     FieldUse,
+    HoldsFramesError,
     VolumeFile,
     check_layout,
     decode_header,
@@ -290,7 +291,7 @@ class _Reader:
         if self.frames and re.fullmatch("C?SSL|SSCL", letters):
             return spatial, listed[0], (colours or [None])[0]
         if re.fullmatch("C?SSL|SSCL", letters):
-            raise ConfigurationError(
+            raise HoldsFramesError(
                 f"{self.path}: {' x '.join(map(str, self.sizes))} numbers are 2D frames; make "
                 "volumes of them with --reconstruct"
             )

@@ -52,6 +52,10 @@ _PATTERN = re.compile(r"[^%]*%0?\d{0,2}[di][^%]*")
 _FRAME_FIELD = re.compile(r"Seq_Frame(\d{1,9})_(\w+)")
 
 
+class HoldsFramesError(ConfigurationError):
+    """A file was taken to hold volumes, but holds 2D frames."""
+
+
 @dataclass(frozen=True, eq=False)
 class VolumeFile:
     """Volumes in a file, as its header describes them.
@@ -146,7 +150,7 @@ def check_layout(
     if frames and (shape[2] != 1 or min(shape[:2]) < 2):
         raise ConfigurationError(f"{path}: {_times(shape)} voxels are not 2D frames")
     if not frames and min(shape) < 2:
-        raise ConfigurationError(
+        raise HoldsFramesError(
             f"{path}: {_times(shape)} voxels are 2D frames; make volumes of them with --reconstruct"
         )
     steps = np.linalg.norm(directions, axis=0)

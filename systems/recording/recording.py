@@ -147,6 +147,11 @@ class Recording:
             ]
             self._window = self._choose_window(GreyWindow(*window) if window else None)
 
+    @property
+    def file(self) -> VolumeFile:
+        """The file as its header describes it."""
+        return self._file
+
     def __len__(self) -> int:
         return len(self._numbers)
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
-from sonoservo.systems.files.volume_file import check_grid
+from sonoservo.systems.files.volume_file import VolumeFile, check_grid
 from sonoservo.systems.recording.formats import open_file
 from sonoservo.systems.recording.grey_levels import (
     GreyWindow,
@@ -157,6 +157,11 @@ class TrackedFrames:
             said = f"grey levels: {chosen.low:g} is black and {chosen.high:g} white (--window)"
             self.notes.append(said + (f"; {blank} blank frames did not choose" if blank else ""))
         return chosen
+
+    @property
+    def file(self) -> VolumeFile:
+        """The file as its header describes it."""
+        return self._file
 
     def __len__(self) -> int:
         return len(self.numbers)

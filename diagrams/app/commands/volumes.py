@@ -1,9 +1,9 @@
-"""Commands on recorded and live volumes: track, bridge, locate and calibrate."""
+"""Commands on recorded and live volumes: check, track, bridge, locate and calibrate."""
 
 import shlex
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -39,6 +39,10 @@ from sonoservo.diagrams.app.options import (
     write_printed,
 )
 from sonoservo.systems.files.refusals import ConfigurationError
+
+if TYPE_CHECKING:
+    from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
+    from sonoservo.systems.recording.recording import Recording
 
 
 def track_command(
@@ -188,6 +192,7 @@ def track_command(
         luminance=luminance,
     )
     say_notes(*opened.notes)
+    _say_gravest(opened)
     folder = out or Path("out") / f"{recording.name.partition('.')[0]}_track"
     with VolumeProgress(console, recording.name, len(opened)) as progress:
         result = track_recording(
@@ -319,12 +324,79 @@ def locate_command(
         luminance=luminance,
     )
     say_notes(*opened.notes)
+    _say_gravest(opened)
     found = locate_in_recording(opened, number, order=order, parameters=parameters)
     for name, value in found.items():
         shown = np.round(value, 3).tolist() if isinstance(value, list | float) else value
         console.print(f"{name}: {shown}", soft_wrap=True, highlight=False)
     write_printed(json_path, found)
     if not found["found"]:
+        raise typer.Exit(1)
+
+
+def check_command(
+    source: Annotated[
+        str,
+        typer.Argument(help="File of volumes or frames, or a stream: igtl://host:18944/DEVICE."),
+    ],
+    depth: DepthOption = "P",
+    window: WindowOption = None,
+    volume_rate: RateOption = None,
+    poses: PosesOption = None,
+    plus_config: PlusConfigOption = None,
+    calibration: CalibrationOption = None,
+    void: VoidOption = None,
+    luminance: LuminanceOption = False,
+    clock_offset: ClockOffsetOption = None,
+    seconds: Annotated[
+        float, typer.Option(min=0.5, help="Live: time to listen after the first message, in s.")
+    ] = 5.0,
+    patience: PatienceOption = 30.0,
+    out: OutOption = None,
+    json_path: JsonOption = None,
+) -> None:
+    """Say what is in a file or a stream, and what is wrong with it; exit with 1 if something is.
+
+    A picture marks where the probe is taken to be, and which way is up.
+    """
+    from sonoservo.diagrams.app.live.commands import only_for_files
+    from sonoservo.diagrams.app.terminal import findings_table
+    from sonoservo.diagrams.app.volumes.check import check_file, check_stream
+    from sonoservo.systems.evaluation.reports.plots import png
+    from sonoservo.systems.files.writing import write_atomically
+    from sonoservo.systems.live.connection.protocols import is_address, parse_address
+
+    options: dict[str, Any] = {"depth": depth, "window": window, "poses": poses}
+    reading: dict[str, Any] = {
+        "plus_config": plus_config,
+        "calibration": calibration,
+        "void": void,
+        "luminance": luminance,
+    }
+    if is_address(source):
+        only_for_files(**reading)
+        address = parse_address(source)
+        name = f"{address.host.replace(':', '_') or 'localhost'}_{address.port}"
+        checked = check_stream(
+            address,
+            **options,
+            clock_offset=clock_offset,
+            seconds=seconds,
+            patience=patience or 30.0,
+            say=lambda line: console.print(line, soft_wrap=True),
+        )
+    else:
+        name = Path(source).name.partition(".")[0]
+        with console.status("looking at the volumes"):
+            checked = check_file(Path(source), **options, volume_rate=volume_rate, **reading)
+    console.print(findings_table(checked.findings))
+    if checked.picture is not None:
+        path = (out or Path("out") / f"{name}_check") / "orientation.png"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, png(checked.picture))
+        console.print(f"Picture: {path}", soft_wrap=True)
+    write_printed(json_path, checked.figures())
+    if checked.gravest is not None:
         raise typer.Exit(1)
 
 
@@ -368,6 +440,13 @@ def calibrate_command(
     write_printed(json_path, figures)
     if not figures["found"]:
         raise typer.Exit(1)
+
+
+def _say_gravest(opened: "Recording | ReconstructedRecording") -> None:
+    from sonoservo.diagrams.app.volumes.check import brief_finding
+
+    if line := brief_finding(opened):
+        console.print(line, style="yellow", soft_wrap=True)
 
 
 def _metres(millimetres: float | None) -> float | None:

@@ -13,6 +13,7 @@ from sonoservo.diagrams.app.live.bridge import QUEUE, play_live, record_live
 from sonoservo.diagrams.app.live.serve import live_senders, opened
 from sonoservo.diagrams.app.live.track_live import LiveLimits, track_live
 from sonoservo.diagrams.app.terminal import live_table
+from sonoservo.diagrams.app.volumes.check import brief_finding
 from sonoservo.diagrams.app.volumes.opening import open_volumes
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
@@ -220,6 +221,8 @@ def bridge_files(
             )
             for note in recording.notes:
                 say(note)
+            if line := brief_finding(recording):
+                say(line)
             with opened(target, say, wait_for=wait_for) as link:
                 summary = play_live(recording, link, speed=speed)
             say(f"{summary['volumes']} volumes sent")

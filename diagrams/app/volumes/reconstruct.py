@@ -6,9 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.volume_file import VolumeFile
 from sonoservo.systems.live.volume_maker import grey_scale
 from sonoservo.systems.recording.tracked_frames import TrackedFrames
 from sonoservo.systems.signals.reconstructed_volume import ReconstructedVolume
@@ -75,6 +77,16 @@ class ReconstructedRecording:
         self.posed = False
         self.settings: dict[str, Any] = {}
         self._read = lru_cache(maxsize=1)(self._reconstruct)
+
+    @property
+    def frame_times(self) -> NDArray[np.float64]:
+        """(n,) times of the frames, in s."""
+        return self._frames.times
+
+    @property
+    def file(self) -> VolumeFile:
+        """The file as its header describes it."""
+        return self._frames.file
 
     def __len__(self) -> int:
         return len(self._sweeps)
