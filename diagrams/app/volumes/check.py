@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from pydrake.math import RotationMatrix
 
+from sonoservo.diagrams.app.volumes.opening import open_volumes
 from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
 from sonoservo.systems.calibration.pose_calibration import PoseCalibration
 from sonoservo.systems.evaluation.reports.orientation_sheet import orientation_sheet
@@ -36,7 +37,6 @@ from sonoservo.systems.live.connection.protocols import Address
 from sonoservo.systems.live.image_matcher import ImageMatcher, PosedImage
 from sonoservo.systems.live.volume_maker import VolumeMaker
 from sonoservo.systems.recording.recording import Recording
-from sonoservo.systems.recording.tracked_frames import TrackedFrames
 from sonoservo.systems.signals.volume import Volume
 
 _CALIBRATED = 30
@@ -105,9 +105,7 @@ def check_file(
     path: Path,
     *,
     depth: str = "P",
-    window: tuple[float, float] | None = None,
-    volume_rate: float | None = None,
-    poses: str | None = None,
+    **reading: Any,
 ) -> CheckedSource:
     """Check a file of volumes or frames. A refusal is a finding, too.
 
@@ -115,8 +113,10 @@ def check_file(
     ----------
     path
         Path of the file.
-    depth, window, volume_rate, poses
+    depth
         See `Recording`.
+    **reading
+        Other arguments of `open_volumes`.
 
     Raises
     ------
@@ -128,14 +128,15 @@ def check_file(
     checked = CheckedSource(str(path))
     try:
         try:
-            recording = Recording(
-                path, depth=depth, window=window, volume_rate=volume_rate, poses=poses
-            )
+            opened = open_volumes(path, depth=depth, **reading)
         except HoldsFramesError:
-            frames = TrackedFrames(path, poses=poses, window=window)
-            _check_frames(checked, frames, poses, window)
+            opened = open_volumes(path, depth=depth, **reading, reconstruct=True)
+        for note in opened.notes:
+            checked.note(Check.READING, note)
+        if isinstance(opened, Recording):
+            _check_recording(checked, opened, depth)
         else:
-            _check_recording(checked, recording, depth)
+            _check_frames(checked, opened)
     except ConfigurationError as refusal:
         advice = "the message says what to change"
         checked.note(Check.READING, f"it cannot be read: {refusal}", Grade.WRONG, advice)
@@ -204,26 +205,15 @@ def _check_recording(checked: CheckedSource, recording: Recording, depth: str) -
         checked.findings += check_errors(calibration.errors)
 
 
-def _check_frames(
-    checked: CheckedSource,
-    frames: TrackedFrames,
-    poses: str | None,
-    window: tuple[float, float] | None,
-) -> None:
-    file = frames.file
+def _check_frames(checked: CheckedSource, volumes: ReconstructedRecording) -> None:
+    file = volumes.file
     checked.note(Check.KIND, f"{file.count} 2D frames of {file.shape[0]} x {file.shape[1]} pixels")
-    if frames.skipped:
-        text = f"{frames.skipped} frames are marked as invalid, or have no pose or time"
+    if volumes.skipped:
+        text = f"{volumes.skipped} frames are marked as invalid, or have no pose or time"
         advice = "they are left out; keep the probe in the tracker's sight"
         checked.note(Check.LEFT_OUT, text, Grade.DOUBTFUL, advice)
-    checked.findings += _check_header(file, frames.times, "frames")
-    try:
-        volumes = ReconstructedRecording(frames.path, poses=poses, window=window)
-        volume = volumes[len(volumes) // 2]
-    except ConfigurationError as error:
-        advice = "move the probe across the frames, and record more than one pass"
-        checked.note(Check.CONTENT, str(error), Grade.WRONG, advice)
-        return
+    checked.findings += _check_header(file, volumes.frame_times, "frames")
+    volume = volumes[len(volumes) // 2]
     checked.note(Check.GRID, f"{len(volumes)} sweeps make a volume each")
     checked.show(volume, volume.X_WP.rotation())
 
