@@ -192,7 +192,10 @@ def _add_tip(  # type: ignore[no-untyped-def]
     if abs(z) > slab + 2 * echo.tip * echo.spacing:
         return False
     axes = view.axes[frame]
-    t0, t1, t2 = axes @ view.towards[frame]
+    p, q, r = view.towards[frame]
+    t0 = axes[0, 0] * p + axes[0, 1] * q + axes[0, 2] * r
+    t1 = axes[1, 0] * p + axes[1, 1] * q + axes[1, 2] * r
+    t2 = axes[2, 0] * p + axes[2, 1] * q + axes[2, 2] * r
     seen = False
     for i in range(len(tip.areas)):
         normal = tip.normals[i]
