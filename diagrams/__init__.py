@@ -12,6 +12,6 @@ rooms import `systems`, `models` and `trackers` only.
 
 from lazy_loader import attach_stub
 
-import sonoservo.systems  # noqa: F401  (sets the threads of NumPy's libraries before it is loaded)
+import sonoservo.systems  # noqa: F401  (prepares NumPy's libraries)
 
 __getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

@@ -7,12 +7,12 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
-from sonoservo.systems.estimation.shape.cross_section_memory import CrossSectionMemory
-from sonoservo.systems.estimation.shape.shape_estimator import ShapeEstimator
-from sonoservo.systems.estimation.shape.shape_filter import ShapeFilter
-from sonoservo.systems.estimation.shape.shape_filters import SHAPE_FILTERS
-from sonoservo.systems.localization.cross_section import CrossSectionParameters
-from sonoservo.systems.localization.cross_section_localizer import CrossSectionLocalizer
+from sonoservo.systems.shape.cross_section import CrossSectionParameters
+from sonoservo.systems.shape.cross_section_localizer import CrossSectionLocalizer
+from sonoservo.systems.shape.cross_section_memory import CrossSectionMemory
+from sonoservo.systems.shape.shape_estimator import ShapeEstimator
+from sonoservo.systems.shape.shape_filter import ShapeFilter
+from sonoservo.systems.shape.shape_filters import SHAPE_FILTERS
 from sonoservo.systems.signals.cross_section import CrossSection
 from sonoservo.systems.signals.image_slice import ImageSlice
 from sonoservo.systems.signals.immutable import NotFound

@@ -1,5 +1,5 @@
 """Building blocks: one Drake system a file, beside the pure functions it calls."""
 
-from sonoservo.systems.sampling.threads import limit_threads
+from sonoservo.systems.sampling.libraries import prepare_libraries
 
-limit_threads()
+prepare_libraries()

@@ -19,9 +19,6 @@ from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.diagrams.shape_predictor import MakeShapePredictor
 from sonoservo.systems.display.world.shape_view import ShapeView
-from sonoservo.systems.estimation.shape.shape_estimator import ShapeEstimator
-from sonoservo.systems.estimation.shape.shape_filter import ShapeFilter
-from sonoservo.systems.estimation.shape.shape_filters import SHAPE_FILTERS
 from sonoservo.systems.evaluation.log import Row
 from sonoservo.systems.evaluation.reports.verdict import Verdict
 from sonoservo.systems.evaluation.shape.shape_log import ShapeLog
@@ -43,6 +40,9 @@ from sonoservo.systems.needle.hand import Hand
 from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.needle.insertion_parameters import OUTER_DIAMETER
 from sonoservo.systems.robot.probe_stepper import ProbeStepper
+from sonoservo.systems.shape.shape_estimator import ShapeEstimator
+from sonoservo.systems.shape.shape_filter import ShapeFilter
+from sonoservo.systems.shape.shape_filters import SHAPE_FILTERS
 from sonoservo.systems.signals.cross_section import CrossSection
 from sonoservo.systems.signals.image_slice import ImageSlice
 from sonoservo.systems.signals.immutable import NotFound

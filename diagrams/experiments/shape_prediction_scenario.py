@@ -5,15 +5,15 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from sonoservo.diagrams.scenario import Scenario
-from sonoservo.systems.estimation.shape.published_particle_filter import (
+from sonoservo.systems.files.typed_yaml import suggest
+from sonoservo.systems.needle.insertion_parameters import FeedParameters, InsertionParameters
+from sonoservo.systems.shape.cross_section import CrossSectionParameters
+from sonoservo.systems.shape.published_particle_filter import (
     PublishedParticleFilterParameters,
 )
-from sonoservo.systems.estimation.shape.shape_filters import SHAPE_FILTERS
-from sonoservo.systems.estimation.shape.shape_least_squares import ShapeLeastSquaresParameters
-from sonoservo.systems.estimation.shape.shape_posterior import ShapeParticleFilterParameters
-from sonoservo.systems.files.typed_yaml import suggest
-from sonoservo.systems.localization.cross_section import CrossSectionParameters
-from sonoservo.systems.needle.insertion_parameters import FeedParameters, InsertionParameters
+from sonoservo.systems.shape.shape_filters import SHAPE_FILTERS
+from sonoservo.systems.shape.shape_least_squares import ShapeLeastSquaresParameters
+from sonoservo.systems.shape.shape_posterior import ShapeParticleFilterParameters
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation.needles.needle_kind import NEEDLE

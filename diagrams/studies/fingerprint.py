@@ -1,4 +1,4 @@
-"""Identity of the program: a digest of its code, and the versions that results depend on."""
+"""Identity of the program: a digest of its code, and all else that results depend on."""
 
 import hashlib
 import platform
@@ -8,6 +8,7 @@ from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
 
+import llvmlite.binding
 from grimp import build_graph
 
 _PARTS = ("systems", "models", "diagrams")
@@ -81,11 +82,29 @@ def _reached_modules(modules: Sequence[str]) -> set[str] | None:
 
 
 @cache
-def package_identity() -> Mapping[str, str]:
-    """Return the versions of Python and of the `_PACKAGES`, and the `code_fingerprint`."""
-    versions = {name: version(name) for name in _PACKAGES}
+def made_with() -> Mapping[str, str]:
+    """Return what results depend on beside the code.
+
+    These are the versions of Python and of the `_PACKAGES`, and the set of instructions of which
+    all processors give the same bits.
+    """
     python = ".".join(platform.python_version_tuple()[:2])
-    return {"python": python, **versions, "sonoservo's code": code_fingerprint()}
+    versions = {name: version(name) for name in _PACKAGES}
+    return {"python": python, **versions, "instruction set": _instruction_set()}
+
+
+def _instruction_set() -> str:
+    machine = platform.machine()
+    if machine not in ("x86_64", "AMD64"):
+        return machine
+    has = llvmlite.binding.get_host_cpu_features()
+    return "x86-64-v3" if has.get("avx2") and has.get("fma") else "x86-64-v2"
+
+
+@cache
+def package_identity() -> Mapping[str, str]:
+    """Return what results depend on: `made_with` and the `code_fingerprint`."""
+    return {**made_with(), "sonoservo's code": code_fingerprint()}
 
 
 def describe_differences(theirs: Mapping[str, str], ours: Mapping[str, str]) -> str:

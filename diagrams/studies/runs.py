@@ -11,7 +11,7 @@ from typing import Any
 
 from rich.console import Console
 
-from sonoservo.diagrams.studies.fingerprint import code_fingerprint
+from sonoservo.diagrams.studies.fingerprint import code_fingerprint, made_with
 from sonoservo.diagrams.studies.processes import Processes
 from sonoservo.diagrams.studies.progress import StudyProgress
 from sonoservo.diagrams.studies.store import Store
@@ -75,7 +75,8 @@ def run_cases(
     if len(set(cases)) < len(cases):
         raise ValueError(f"{len(cases)} cases, of which {len(set(cases))} differ; all must differ")
     with claim_folder(folder):
-        kept = _Kept(folder, store or Store(str(folder)), code_fingerprint(_module_of(work)))
+        made_by = {**made_with(), "sonoservo's code": code_fingerprint(_module_of(work))}
+        kept = _Kept(folder, store or Store(str(folder)), made_by)
         outcomes = {case: kept.read(case) for case in cases}
         pending = [case for case, outcome in outcomes.items() if outcome is None]
         pending.sort(key=lambda case: case.seed)  # if interrupted, all experiments have some runs
@@ -96,8 +97,8 @@ def run_cases(
 class _Kept:
     """Outcomes on disk, and the store of their files."""
 
-    def __init__(self, folder: Path, store: Store, code: str) -> None:
-        self._folder, self.store, self._code = folder, store, code
+    def __init__(self, folder: Path, store: Store, made_by: Mapping[str, str]) -> None:
+        self._folder, self.store, self._made_by = folder, store, made_by
 
     @cached_property
     def _sizes(self) -> Mapping[str, int]:
@@ -120,7 +121,7 @@ class _Kept:
             )
             lasting = False
         if lasting:
-            content = {"code": self._code, **to_plain(asdict(outcome))}
+            content = {"made_by": self._made_by, **to_plain(asdict(outcome))}
             with suppress(OSError):
                 write_json(self._path(outcome.case), {**content, "sha256": _digest(content)})
         return outcome
@@ -130,13 +131,13 @@ class _Kept:
 
         Returns
         -------
-        None if there is none by the present code, it was altered, or one of its files is missing
-        or has another size.
+        None if there is none by the present code and libraries, it was altered, or one of its files
+        is missing or has another size.
         """
         try:
             kept = json.loads(self._path(case).read_text(encoding="utf-8"))
             intact = kept.pop("sha256") == _digest(kept)
-            if not intact or kept.pop("code") != self._code:
+            if not intact or kept.pop("made_by") != self._made_by:
                 return None
             if kept.pop("case") != asdict(case):
                 return None

@@ -11,7 +11,7 @@ from typing import Any, Literal
 from matplotlib.figure import Figure
 
 from sonoservo.diagrams.studies.commit import present_commit
-from sonoservo.diagrams.studies.fingerprint import study_fingerprint
+from sonoservo.diagrams.studies.fingerprint import made_with, study_fingerprint
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.systems.evaluation.reports.plots import png
 from sonoservo.systems.evaluation.reports.web_page import cell_text, table, web_page
@@ -131,6 +131,7 @@ class Study:
             "command": command,
             "version": version("sonoservo"),
             "drake": version("drake"),
+            "made_with": dict(made_with()),
             "commit": present_commit(),
             "fingerprint": study_fingerprint(self.paper),
             "seeds": {name: each["seeds"] for name, each in self.experiments.items()},

@@ -8,8 +8,8 @@ from sonoservo.diagrams.trackers.tracker_parts import (
     CommonTrackerParameters,
     add_tracker_parts,
 )
-from sonoservo.systems.estimation.interacting_filter import InteractingFilter
-from sonoservo.systems.estimation.needle_filter import AnyFilter, require_order
+from sonoservo.systems.tracking.interacting_filter import InteractingFilter
+from sonoservo.systems.tracking.needle_filter import AnyFilter, require_order
 
 
 @dataclass(kw_only=True)

@@ -5,12 +5,12 @@ from dataclasses import dataclass, field
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters, add_published_parts
-from sonoservo.systems.detection.published_detection import PublishedDetectionParameters
-from sonoservo.systems.estimation.control_point_filter import ControlPointFilter
-from sonoservo.systems.estimation.needle_filter import require_order
-from sonoservo.systems.estimation.needle_motion import NeedleMotionParameters
-from sonoservo.systems.localization.needle_localizer import NeedleLocalizer
-from sonoservo.systems.localization.published_localization import (
+from sonoservo.systems.tracking.control_point_filter import ControlPointFilter
+from sonoservo.systems.tracking.needle_filter import require_order
+from sonoservo.systems.tracking.needle_localizer import NeedleLocalizer
+from sonoservo.systems.tracking.needle_motion import NeedleMotionParameters
+from sonoservo.systems.tracking.published_detection import PublishedDetectionParameters
+from sonoservo.systems.tracking.published_localization import (
     PublishedLocalizationParameters,
     explain_published_localization,
 )
@@ -72,6 +72,5 @@ def MakeChatelain2013AsPublishedTracker(
         min_length=parameters.localization.min_length,
         period=period,
         offset=offset,
-        seed=seed,
     )
     return builder.Build()

@@ -5,25 +5,21 @@ from typing import Any, Self
 
 from pydrake.systems.framework import DiagramBuilder
 
-from sonoservo.systems.detection.insertion_detector import (
-    InsertionDetector,
-    InsertionDetectorParameters,
-)
-from sonoservo.systems.detection.published_detection import (
-    PublishedDetectionParameters,
-    detect_as_published,
-)
-from sonoservo.systems.detection.volume_gate import VolumeGate
-from sonoservo.systems.detection.volume_memory import VolumeMemory
-from sonoservo.systems.detection.volume_plausibility import VolumePlausibilityParameters
-from sonoservo.systems.estimation.needle_filter import NeedleFilter
-from sonoservo.systems.estimation.published_lifecycle import PublishedLifecycle
-from sonoservo.systems.estimation.track_lifecycle import TrackLifecycle
-from sonoservo.systems.estimation.track_manager import TrackManager
-from sonoservo.systems.estimation.track_parameters import TrackParameters
-from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
-from sonoservo.systems.localization.needle_localizer import NeedleLocalizer
-from sonoservo.systems.signals.requirements import require, require_not_negative
+from sonoservo.systems.signals.requirements import require
+from sonoservo.systems.tracking.insertion_detector import InsertionDetector
+from sonoservo.systems.tracking.line_belief import BeliefParameters
+from sonoservo.systems.tracking.line_follower import LineFollower
+from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
+from sonoservo.systems.tracking.needle_filter import NeedleFilter
+from sonoservo.systems.tracking.needle_localizer import NeedleLocalizer
+from sonoservo.systems.tracking.published_detection import PublishedDetectionParameters
+from sonoservo.systems.tracking.published_lifecycle import PublishedLifecycle
+from sonoservo.systems.tracking.track_lifecycle import TrackLifecycle
+from sonoservo.systems.tracking.track_manager import TrackManager
+from sonoservo.systems.tracking.track_parameters import TrackParameters
+from sonoservo.systems.tracking.volume_gate import VolumeGate
+from sonoservo.systems.tracking.volume_memory import VolumeMemory
+from sonoservo.systems.tracking.volume_plausibility import VolumePlausibilityParameters
 
 VOLUME_GATE = "volume_gate"
 """Name of the system through which all volumes reach a tracker."""
@@ -89,33 +85,22 @@ class CommonTrackerParameters(TrackerParameters):
     start
         "search" to find a needle when it is pushed in; "anywhere" to look for one in the whole
         volume from the first volume on, so that the insertion need not be seen.
-    look_back
-        Minimum age of the volume with which the present one is compared to detect an insertion, in
-        s. Chatelain 2013 compares consecutive volumes (0), in which a slow needle moves too little.
-    history
-        Time before ``look_back`` over which the tissue's coming and going is learnt, in s; about a
-        breath. 0 is the papers' form.
-    same_direction
-        Whether only sweeps in the same direction are compared. A motorised probe samples the tissue
-        differently on its way back, which makes neighbouring volumes differ everywhere.
-    detector, localizer
-        Parameters of the detector and of the localizer.
+    belief
+        What a user may choose about the belief that tells a needle from other lines.
+    localizer
+        Parameters of the localizer.
     track
         Rules by which a track begins, continues and ends.
     """
 
     start: str = "search"
-    look_back: float = 1.8
-    history: float = 4.4
-    same_direction: bool = True
-    detector: InsertionDetectorParameters = field(default_factory=InsertionDetectorParameters)
+    belief: BeliefParameters = field(default_factory=BeliefParameters)
     localizer: NeedleLocalizerParameters = field(default_factory=NeedleLocalizerParameters)
     track: TrackParameters = field(default_factory=TrackParameters)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         require(self.start in STARTS, "start", self.start, " or ".join(map(repr, STARTS)))
-        require_not_negative(look_back=self.look_back, history=self.history)
 
     def knowing(
         self,
@@ -162,19 +147,20 @@ def add_tracker_parts(
         needle_filter=needle_filter,
         anywhere=parameters.start == "anywhere",
     )
-    return _connect_parts(
+    manager = _connect_parts(
         builder,
         gate=VolumeGate(parameters=parameters.plausibility, **events),
-        memory=VolumeMemory(
-            look_back=parameters.look_back,
-            same_direction=parameters.same_direction,
-            history=parameters.history,
-            **events,
-        ),
-        detector=InsertionDetector(parameters=parameters.detector, seed=seed),
         localizer=NeedleLocalizer(parameters=parameters.localizer, seed=seed),
         manager=TrackManager(lifecycle=lifecycle, **events),
     )
+    follower = builder.AddNamedSystem(
+        "line_follower", LineFollower(parameters=parameters.belief, **events)
+    )
+    gate = builder.GetSubsystemByName(VOLUME_GATE)
+    builder.Connect(gate.GetOutputPort("volume"), follower.GetInputPort("volume"))
+    builder.Connect(manager.GetOutputPort("estimate"), follower.GetInputPort("estimate"))
+    builder.Connect(follower.GetOutputPort("lines"), manager.GetInputPort("lines"))
+    return manager
 
 
 def add_published_parts(
@@ -187,7 +173,6 @@ def add_published_parts(
     min_length: float,
     period: float,
     offset: float,
-    seed: int,
 ) -> TrackManager:
     """Add and connect the parts of a tracker as published, and export its ports.
 
@@ -208,7 +193,7 @@ def add_published_parts(
         Localizer with the published method.
     min_length
         Smallest length of a needle, in m.
-    period, offset, seed
+    period, offset
         See `MakeNeedleTracker`.
 
     Returns
@@ -219,42 +204,44 @@ def add_published_parts(
     lifecycle = PublishedLifecycle(
         order=parameters.order, needle_filter=needle_filter, min_length=min_length
     )
-    return _connect_parts(
+    manager = _connect_parts(
         builder,
         gate=VolumeGate(parameters=parameters.plausibility, **events),
-        memory=VolumeMemory(period=period, offset=offset),
-        detector=InsertionDetector(parameters=detection, seed=seed, method=detect_as_published),
         localizer=localizer,
         manager=TrackManager(lifecycle=lifecycle, **events),
     )
+    memory = builder.AddNamedSystem("volume_memory", VolumeMemory(period=period, offset=offset))
+    detector = builder.AddNamedSystem(
+        "insertion_detector", InsertionDetector(parameters=detection)
+    )
+    gate = builder.GetSubsystemByName(VOLUME_GATE)
+    for each in (memory, detector):
+        builder.Connect(gate.GetOutputPort("volume"), each.GetInputPort("volume"))
+    previous = memory.GetOutputPort("previous_volume")
+    builder.Connect(previous, detector.GetInputPort("previous_volume"))
+    builder.Connect(detector.GetOutputPort("detection"), manager.GetInputPort("detection"))
+    return manager
 
 
 def _connect_parts(
     builder: DiagramBuilder,
     *,
     gate: VolumeGate,
-    memory: VolumeMemory,
-    detector: InsertionDetector,
     localizer: NeedleLocalizer,
     manager: TrackManager,
 ) -> TrackManager:
     """Add the parts of any tracker, connect them, export its ports, and return the manager."""
     parts = {
         VOLUME_GATE: gate,
-        "volume_memory": memory,
-        "insertion_detector": detector,
         "needle_localizer": localizer,
         "track_manager": manager,
     }
     for name, part in parts.items():
         builder.AddNamedSystem(name, part)
     builder.ExportInput(gate.GetInputPort("volume"), "volume")
-    for each in (memory, detector, localizer, manager):
+    for each in (localizer, manager):
         builder.Connect(gate.GetOutputPort("volume"), each.GetInputPort("volume"))
     for source, port, target in (
-        (memory, "previous_volume", detector),
-        (memory, "earlier_volumes", detector),
-        (detector, "detection", manager),
         (localizer, "measurement", manager),
         (localizer, "explanation", manager),
         (manager, "prediction", localizer),

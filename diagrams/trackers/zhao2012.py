@@ -11,19 +11,19 @@ from sonoservo.diagrams.trackers.tracker_parts import (
     CommonTrackerParameters,
     add_tracker_parts,
 )
-from sonoservo.systems.detection.volume_memory import VolumeMemory
-from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter
-from sonoservo.systems.estimation.needle_filter import AnyFilter, require_order
-from sonoservo.systems.estimation.track_manager import TrackManager
-from sonoservo.systems.localization.edge_velocimeter import (
+from sonoservo.systems.tracking.axis_tip_filter import AxisTipFilter
+from sonoservo.systems.tracking.edge_velocimeter import (
     EdgeVelocimeterParameters,
     measure_edge_velocity,
 )
-from sonoservo.systems.localization.speckle_velocimeter import (
+from sonoservo.systems.tracking.needle_filter import AnyFilter, require_order
+from sonoservo.systems.tracking.speckle_velocimeter import (
     SpeckleVelocimeter,
     SpeckleVelocimeterParameters,
     measure_velocity,
 )
+from sonoservo.systems.tracking.track_manager import TrackManager
+from sonoservo.systems.tracking.volume_memory import VolumeMemory
 
 _METHODS: dict[str, Callable[..., Any]] = {
     "speckle": measure_velocity,
@@ -89,7 +89,7 @@ def MakeZhao2012Tracker(
     )
     parts = parameters.velocimeter
     velocimeter = SpeckleVelocimeter(parameters=parts, method=_METHODS[parts.kind])
-    memory = VolumeMemory(same_direction=parameters.same_direction, **events)
+    memory = VolumeMemory(same_direction=True, **events)
     connect_velocimeter(builder, manager, velocimeter, memory, speckle_port=speckle_port)
     return builder.Build()
 

@@ -6,19 +6,19 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters, add_published_parts
 from sonoservo.diagrams.trackers.zhao2012 import connect_velocimeter
-from sonoservo.systems.detection.published_detection import PublishedDetectionParameters
-from sonoservo.systems.detection.volume_memory import VolumeMemory
-from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter
-from sonoservo.systems.estimation.needle_filter import require_order
-from sonoservo.systems.estimation.needle_motion import NeedleMotionParameters
-from sonoservo.systems.localization.needle_localizer import NeedleLocalizer
-from sonoservo.systems.localization.ransac import RansacParameters
-from sonoservo.systems.localization.speckle_velocimeter import (
+from sonoservo.systems.tracking.axis_tip_filter import AxisTipFilter
+from sonoservo.systems.tracking.needle_filter import require_order
+from sonoservo.systems.tracking.needle_localizer import NeedleLocalizer
+from sonoservo.systems.tracking.needle_motion import NeedleMotionParameters
+from sonoservo.systems.tracking.published_detection import PublishedDetectionParameters
+from sonoservo.systems.tracking.ransac import RansacParameters
+from sonoservo.systems.tracking.speckle_velocimeter import (
     SpeckleVelocimeter,
     SpeckleVelocimeterParameters,
     measure_velocity_as_published,
 )
-from sonoservo.systems.localization.whole_volume_ransac import (
+from sonoservo.systems.tracking.volume_memory import VolumeMemory
+from sonoservo.systems.tracking.whole_volume_ransac import (
     WholeVolumeLocalizationParameters,
     explain_whole_volume_localization,
 )
@@ -113,7 +113,6 @@ def MakeZhao2012AsPublishedTracker(
         min_length=parameters.localization.min_length,
         period=period,
         offset=offset,
-        seed=seed,
     )
     velocimeter = SpeckleVelocimeter(
         parameters=parameters.velocimeter, method=measure_velocity_as_published

@@ -6,7 +6,6 @@ import numpy as np
 
 from sonoservo.systems.evaluation.run_errors import at_times
 from sonoservo.systems.evaluation.run_log import RunLog
-from sonoservo.systems.localization.novelty import THERE_BEFORE
 from sonoservo.systems.signals.search_advice import search_advice, search_words
 
 _IN_VIEW = 5e-3
@@ -61,7 +60,7 @@ def _reason(is_detected: bool, detection: str, measurement: str) -> str:
     """Return the reason of one volume, from those of the detector and the localizer."""
     if is_detected and measurement == "no needle has been detected":
         return "something moved; the needle is not confirmed yet"
-    tells_more = detection in ("", "a needle is being tracked") or measurement == THERE_BEFORE
+    tells_more = detection in ("", "a needle is being tracked")
     return measurement if tells_more else detection
 
 

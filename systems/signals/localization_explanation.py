@@ -31,8 +31,6 @@ class SearchRegion(Immutable):
         (3,) position of the entry in W, in m; None if it is unknown.
     tip_unseen
         Time since the tip was last seen, in s.
-    tip_moved
-        Whether the motion of the curve's tip is the only thing known about the needle.
     followed
         Number of times that a newly found needle was followed towards the outside.
     """
@@ -45,7 +43,6 @@ class SearchRegion(Immutable):
     max_angle: float
     entry: NDArray[np.float64] | None = None
     tip_unseen: float = 0.0
-    tip_moved: bool = False
     followed: int = 0
 
 

@@ -47,6 +47,8 @@ class NeedleEstimate(Immutable):
         Time of the newest volume seen, in s; -inf before the first one.
     reason
         Reason why the last volume did not confirm the needle; empty if it did.
+    probability
+        Probability that what is estimated is a needle; 0 while nothing is.
     X_WP
         Pose of the probe at the newest volume, if the tracker keeps the needle in the probe's frame
         and not in W; otherwise None.
@@ -60,6 +62,7 @@ class NeedleEstimate(Immutable):
     volume_time: float = -np.inf
     reason: str = ""
     X_WP: RigidTransform | None = None
+    probability: float = 0.0
 
     def __post_init__(self) -> None:
         if self.curve is None:

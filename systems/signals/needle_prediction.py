@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from sonoservo.systems.signals.immutable import Immutable, read_only
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.requirements import require
-from sonoservo.systems.signals.volume import Volume
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,11 +38,9 @@ class NeedlePrediction(Immutable):
         Time since the tip was last seen, in s.
     everywhere
         Whether the whole volume is searched, because the needle was lost or never seen.
-    earlier
-        Some volumes, in order of time, from while no needle was followed for long. A line that is
-        in them from the first is no needle.
-    must_come
-        Whether a new needle counts only if some of these volumes lack it, or show it shorter.
+    found
+        Whether the curve is a line that was found in the volume itself, of which nothing else is
+        known.
 
     Raises
     ------
@@ -61,8 +58,7 @@ class NeedlePrediction(Immutable):
     missed: int = 0
     tip_unseen: float = 0.0
     everywhere: bool = False
-    earlier: tuple[Volume, ...] = ()
-    must_come: bool = False
+    found: bool = False
 
     def __post_init__(self) -> None:
         if self.curve is None:

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from sonoservo.systems.localization.needle_line import log_odds
 from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.line_hypotheses import LINE_CLASSES, LineHypotheses
@@ -31,6 +30,7 @@ from sonoservo.systems.tracking.line_contrast import (
     stretches,
 )
 from sonoservo.systems.tracking.line_fit import FittedLine, brightness, fitted_lines
+from sonoservo.systems.tracking.needle_line import log_odds
 
 Floats = NDArray[np.float64]
 
@@ -202,17 +202,29 @@ class LineBelief(Immutable):
         first stands for "always".
     born
         Number of lines so far.
+    unread
+        Last volumes that nobody looked for lines in, oldest first.
     """
 
     memory: tuple[Remembered, ...] = ()
     lines: Lines = field(default_factory=lambda: _NONE)
     appearing: tuple[float, ...] = (-50.0,)
     born: int = 0
+    unread: tuple[Volume, ...] = ()
 
     @property
     def time(self) -> float:
         """Time of the newest volume in s; -inf before the first one."""
-        return self.memory[-1].volume.time if self.memory else -np.inf
+        volumes = self.unread or tuple(each.volume for each in self.memory[-1:])
+        return volumes[-1].time if volumes else -np.inf
+
+    def unread_after(self, volume: Volume) -> "LineBelief":
+        """Return the belief after a volume that is not searched for lines, as nobody needs them.
+
+        The lines are forgotten; those of a later volume are looked for in this one, too.
+        """
+        volumes = self.unread or tuple(each.volume for each in self.memory)
+        return LineBelief(born=self.born, unread=(*volumes[1 - _REMEMBERED :], volume))
 
     @property
     def hypotheses(self) -> LineHypotheses:
@@ -253,10 +265,12 @@ def follow(
         Whether all prominent lines are judged by their looks, not only those that move like a
         needle.
     """
-    memory = (*belief.memory[1 - _REMEMBERED :], _remember(volume, belief.memory))
+    memory = belief.memory
+    for each in (*belief.unread, volume):
+        memory = (*memory[1 - _REMEMBERED :], _remember(each, memory))
     appears = _APPEARS + _APPEARS_BY_MOTION * min(_motion(memory), 1.0)
     appearing = belief.appearing
-    if belief.memory:
+    if len(memory) > 1:
         # The oldest arrivals but "always" are forgotten.
         appearing = (-50.0, *appearing[1:][1 - _ARRIVALS + 1 :], float(np.log(appears)))
     lines = _look_on(belief.lines, memory, len(appearing))

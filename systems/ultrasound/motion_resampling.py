@@ -7,7 +7,7 @@ It is worked out at some of the grid's elements, and interpolated between these 
 import numpy as np
 from numba import njit, prange
 
-from sonoservo.systems.sampling.options import OPTIONS
+from sonoservo.systems.sampling.kernels import OPTIONS
 from sonoservo.systems.ultrasound.resampling import frame_of, interpolate, line_of, project
 
 POSES_PER_FRAME = 16

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import ArrayLike, NDArray
 
-from sonoservo.systems.sampling.options import OPTIONS
+from sonoservo.systems.sampling.kernels import OPTIONS
 
 WIDEST_ANGLE = 2 * np.arctan(0.8)
 """Largest angle in rad, 77 deg, from the middle of the sector that `_angle` covers."""

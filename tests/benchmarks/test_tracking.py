@@ -12,16 +12,16 @@ from synthetic_volumes import Scene, entry_on_side
 from sonoservo.diagrams import load_scenario, run
 from sonoservo.diagrams.papers.zhao2012.phantom import DIRECTION, Phantom, StraightNeedle
 from sonoservo.diagrams.papers.zhao2012.tracking import BMode, Tracking
-from sonoservo.systems.detection.insertion_detector import (
+from sonoservo.systems.sampling.normalized_cross_correlation import normalized_cross_correlation
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_prediction import NeedlePrediction
+from sonoservo.systems.tracking.insertion_detector import (
     InsertionDetectorParameters,
     detect_insertion,
 )
-from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
-from sonoservo.systems.localization.normalized_cross_correlation import normalized_cross_correlation
-from sonoservo.systems.localization.pipeline import localize
-from sonoservo.systems.localization.ransac import ransac_axis
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_prediction import NeedlePrediction
+from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
+from sonoservo.systems.tracking.pipeline import localize
+from sonoservo.systems.tracking.ransac import ransac_axis
 
 ENTRY = entry_on_side()
 TIP = ENTRY + np.array([0.045, 0.012, 0.005])
@@ -51,8 +51,7 @@ def volumes():
 def test_detect_insertion(benchmark, volumes):
     before, volume = volumes
     parameters = InsertionDetectorParameters(max_std=1.0, max_depth=1.0)
-    rng = np.random.default_rng(0)
-    assert benchmark(lambda: detect_insertion(volume, before, parameters, rng))
+    assert benchmark(lambda: detect_insertion(volume, before, parameters))
 
     def plain():
         difference = np.abs(volume.intensities.astype(np.int16) - before.intensities)
@@ -91,7 +90,7 @@ def candidate_sets(request):
         return ransac_axis(points, weights, **options)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sonoservo.systems.localization.pipeline.ransac_axis", record)
+        patch.setattr("sonoservo.systems.tracking.pipeline.ransac_axis", record)
         run(load_scenario(request.param, seed=100))
     return calls
 

@@ -16,11 +16,11 @@ from sonoservo.diagrams.trackers import (
     Zhao2012TrackerParameters,
 )
 from sonoservo.diagrams.trackers.registry import TRACKERS
-from sonoservo.systems.detection.published_detection import PublishedDetectionParameters
-from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_estimate import TrackingMode
+from sonoservo.systems.tracking.axis_tip_filter import AxisTipFilter
+from sonoservo.systems.tracking.published_detection import PublishedDetectionParameters
 
 PERIOD = 0.303
 SPEED = 5e-3

@@ -11,8 +11,8 @@ from sonoservo.diagrams.studies.robustness.open_loop import run_open_loop
 from sonoservo.diagrams.studies.robustness.runs import record
 from sonoservo.systems.files.model_file import model_file
 from sonoservo.systems.files.typed_yaml import apply_changes, read_yaml
-from sonoservo.systems.localization.needle_blur import streak_length
-from sonoservo.systems.localization.needle_line import needle_lines
+from sonoservo.systems.tracking.needle_blur import streak_length
+from sonoservo.systems.tracking.needle_line import needle_lines
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
 TRACKER = "chatelain2013"

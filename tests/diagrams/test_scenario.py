@@ -10,8 +10,8 @@ from sonoservo.diagrams.trackers import (
     Zhao2012AsPublishedParameters,
     Zhao2012TrackerParameters,
 )
-from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter
 from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.tracking.axis_tip_filter import AxisTipFilter
 
 
 @pytest.mark.parametrize("name", list_scenarios())

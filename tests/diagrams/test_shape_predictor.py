@@ -5,7 +5,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
 
 from sonoservo.diagrams.shape_predictor import MakeShapePredictor
-from sonoservo.systems.localization.cross_section import CrossSectionParameters
+from sonoservo.systems.shape.cross_section import CrossSectionParameters
 from sonoservo.systems.signals.cross_section import CrossSection
 from sonoservo.systems.signals.image_click import ImageClick
 from sonoservo.systems.signals.image_slice import ImageSlice

@@ -7,15 +7,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform
 
+from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
-from sonoservo.systems.localization.pipeline import explain_localization
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.signals.immutable import Immutable, NotFound
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.signals.requirements import require, require_positive
 from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
+from sonoservo.systems.tracking.pipeline import explain_localization
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +114,7 @@ def locate_in(
 
 
 def locate_in_recording(
-    recording: Recording,
+    recording: Recording | ReconstructedRecording,
     number: int = 0,
     *,
     order: int = 2,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sonoservo.systems.evaluation.shape.shape_metrics import plane_of
 from sonoservo.systems.evaluation.statistics.intervals import proportion_interval
 from sonoservo.systems.evaluation.statistics.run_intervals import mean_interval
-from sonoservo.systems.localization.cross_section import variance_image
+from sonoservo.systems.shape.cross_section import variance_image
 
 Results = Mapping[str, Sequence[Mapping[str, Any]]]
 

@@ -23,7 +23,7 @@ from sonoservo.diagrams.papers.carriere2016.runs import UNTAUGHT, run_needle, te
 from sonoservo.diagrams.studies.runs import run_cases
 from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
 from sonoservo.diagrams.studies.study_report import Study
-from sonoservo.systems.estimation.shape.shape_posterior import WanderParameters, combined_wander
+from sonoservo.systems.shape.shape_posterior import WanderParameters, combined_wander
 
 
 def reproduce(options: StudyOptions) -> Study:

@@ -18,11 +18,11 @@ from sonoservo.diagrams.papers.carriere2016.protocols import SWEEPS
 from sonoservo.diagrams.scenario import require_scenario
 from sonoservo.diagrams.shape_predictor import estimate_shape, predict_from_slices
 from sonoservo.diagrams.studies.study import Case
-from sonoservo.systems.estimation.shape.shape_particle_filter import ShapeParticleFilter
-from sonoservo.systems.estimation.shape.shape_posterior import WanderParameters
 from sonoservo.systems.evaluation.shape.shape_bound import TrueBend, deflection_bound
 from sonoservo.systems.evaluation.shape.shape_log import ShapeLog
 from sonoservo.systems.evaluation.shape.shape_metrics import prediction, summarize_shape
+from sonoservo.systems.shape.shape_particle_filter import ShapeParticleFilter
+from sonoservo.systems.shape.shape_posterior import WanderParameters
 from sonoservo.systems.signals.confidence import RADIUS_95
 from sonoservo.systems.signals.cross_section import CrossSection
 from sonoservo.systems.signals.image_slice import ImageSlice

@@ -6,15 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.diagrams.papers.zhao2012.tracking import VELOCIMETER, localize_as_published
-from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter, AxisTipState
-from sonoservo.systems.estimation.needle_motion import NeedleMotionParameters
-from sonoservo.systems.localization.speckle_velocimeter import measure_velocity
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.radio_frequency_sweep import RadioFrequencySweep
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.tracking.axis_tip_filter import AxisTipFilter, AxisTipState
+from sonoservo.systems.tracking.needle_motion import NeedleMotionParameters
+from sonoservo.systems.tracking.speckle_velocimeter import measure_velocity
 
 Floats = NDArray[np.float64]
 

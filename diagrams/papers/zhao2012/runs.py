@@ -14,12 +14,12 @@ from sonoservo.diagrams.papers.zhao2012.published_tracking import PublishedTrack
 from sonoservo.diagrams.papers.zhao2012.tracking import BMode, Tracking, localize_as_published
 from sonoservo.diagrams.studies.following.cases import run_case as run_loop
 from sonoservo.diagrams.studies.study import Case, WithFiles
-from sonoservo.systems.estimation.axis_tip_filter import direction_angles
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.radio_frequency_sweep import RadioFrequencySweep
 from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.tracking.axis_tip_filter import direction_angles
 
 Floats = NDArray[np.float64]
 

@@ -7,18 +7,6 @@ from numpy.typing import NDArray
 from pydrake.common.value import Value
 
 from sonoservo.diagrams.trackers.zhao2012 import MakeZhao2012Tracker, Zhao2012TrackerParameters
-from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter
-from sonoservo.systems.estimation.needle_motion import NeedleMotionParameters
-from sonoservo.systems.estimation.track_manager import TrackManager
-from sonoservo.systems.estimation.track_parameters import TrackParameters
-from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
-from sonoservo.systems.localization.ransac import RansacParameters
-from sonoservo.systems.localization.speckle_velocimeter import SpeckleVelocimeterParameters
-from sonoservo.systems.localization.tip import TipParameters
-from sonoservo.systems.localization.whole_volume_ransac import (
-    WholeVolumeRansacParameters,
-    localize_in_whole_volume,
-)
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
@@ -26,6 +14,18 @@ from sonoservo.systems.signals.radio_frequency_sweep import RadioFrequencySweep
 from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.tracking.axis_tip_filter import AxisTipFilter
+from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
+from sonoservo.systems.tracking.needle_motion import NeedleMotionParameters
+from sonoservo.systems.tracking.ransac import RansacParameters
+from sonoservo.systems.tracking.speckle_velocimeter import SpeckleVelocimeterParameters
+from sonoservo.systems.tracking.tip import TipParameters
+from sonoservo.systems.tracking.track_manager import TrackManager
+from sonoservo.systems.tracking.track_parameters import TrackParameters
+from sonoservo.systems.tracking.whole_volume_ransac import (
+    WholeVolumeRansacParameters,
+    localize_in_whole_volume,
+)
 from sonoservo.systems.ultrasound.radio_frequency import detect_envelope, detected_geometry
 from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
 
@@ -54,7 +54,6 @@ def tracker_parameters() -> Zhao2012TrackerParameters:
     The paper publishes only the windows. The other values were tuned on seeds from 100 on.
     """
     return Zhao2012TrackerParameters(
-        same_direction=False,
         localizer=NeedleLocalizerParameters(
             ransac=_RANSAC,
             tip=_TIP,
@@ -79,7 +78,7 @@ def tracker_parameters() -> Zhao2012TrackerParameters:
             first_drift_std=0.2e-3,
         ),
         # The dynamic needle begins with 5 mm.
-        track=TrackParameters(withdrawn_length=2e-3, grown_length=4e-3),
+        track=TrackParameters(withdrawn_length=2e-3),
     )
 
 

@@ -17,7 +17,7 @@ from typing import Any, Literal
 
 from sonoservo.diagrams.studies.cluster import case_process
 from sonoservo.diagrams.studies.study import CASES_PER_PROCESS, DIED
-from sonoservo.systems.sampling.threads import LINEAR_ALGEBRA
+from sonoservo.systems.sampling.libraries import LINEAR_ALGEBRA
 
 _THREADS = (*LINEAR_ALGEBRA, "OMP_NUM_THREADS", "NUMEXPR_NUM_THREADS", "NUMBA_NUM_THREADS")
 """Variables that limit the threads of a case to one."""

@@ -10,11 +10,11 @@ from sonoservo.diagrams.experiments.shape_prediction_scenario import (
     ShapePredictionScenario,
 )
 from sonoservo.diagrams.shape_predictor import estimate_shape, predict_from_slices
-from sonoservo.systems.estimation.shape.shape_filters import SHAPE_FILTERS
 from sonoservo.systems.evaluation.log import read_log
 from sonoservo.systems.evaluation.shape.shape_log import ShapeLog
 from sonoservo.systems.evaluation.shape.shape_metrics import cross_section_errors, prediction
 from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.shape.shape_filters import SHAPE_FILTERS
 from sonoservo.systems.signals.needle_shape import NeedleShape
 
 SHORT = ["depth=0.04", "rotations=[0.025]", "observe_until=0.025", "step=1e-3"]

@@ -13,7 +13,7 @@ from shutil import copytree
 import pytest
 
 from sonoservo.diagrams.studies import fingerprint, runs
-from sonoservo.diagrams.studies.fingerprint import code_fingerprint
+from sonoservo.diagrams.studies.fingerprint import code_fingerprint, made_with
 from sonoservo.diagrams.studies.runs import run_cases
 from sonoservo.diagrams.studies.study import Case, StudyOptions
 
@@ -69,7 +69,9 @@ def test_other_settings_other_code_or_a_broken_file_are_done_again(tmp_path, cal
     assert seeds_called(calls) == [1, 1, 1]
     monkeypatch.setattr(runs, "code_fingerprint", lambda *modules: "another")
     run_cases(square, make_cases(calls, [1]), folder, jobs=1)
-    assert seeds_called(calls) == [1, 1, 1, 1]
+    monkeypatch.setattr(runs, "made_with", lambda: {**made_with(), "instruction set": "another"})
+    run_cases(square, make_cases(calls, [1]), folder, jobs=1)
+    assert seeds_called(calls) == [1, 1, 1, 1, 1]
 
 
 def test_the_code_counts_but_not_what_shows_results(tmp_path, monkeypatch):
@@ -118,7 +120,7 @@ def test_code_counts_where_the_results_come_from_it(tmp_path, monkeypatch):
         assert code_fingerprint(unknown) != whole
         seen = {first}
         for path in (
-            "systems/localization/tip.py",
+            "systems/tracking/tip.py",
             "diagrams/experiments/following.py",
             "diagrams/scenarios/clinic.yaml",
         ):

@@ -7,9 +7,9 @@ import numpy as np
 
 from sonoservo.systems.evaluation.needle_end import samples_near
 from sonoservo.systems.evaluation.tip_bound import tip_error_bound, tip_posterior
-from sonoservo.systems.localization import NeedleLocalizerParameters, localize
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
+from sonoservo.systems.tracking import NeedleLocalizerParameters, localize
 from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
 
 from .needles import (

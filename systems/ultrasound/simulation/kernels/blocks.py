@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from sonoservo.systems.sampling.options import OPTIONS
+from sonoservo.systems.sampling.kernels import OPTIONS
 
 
 @njit(**OPTIONS)

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sonoservo.systems.sampling.options import OPTIONS
+from sonoservo.systems.sampling.kernels import OPTIONS
 from sonoservo.systems.ultrasound.simulation.kernels.needle_push import (
     nearest_on_shaft,
     push,

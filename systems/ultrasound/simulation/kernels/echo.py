@@ -8,7 +8,7 @@ neighbouring lines are blurred to the beam's width, which depends on depth.
 import numpy as np
 from numba import njit
 
-from sonoservo.systems.sampling.options import OPTIONS
+from sonoservo.systems.sampling.kernels import OPTIONS
 from sonoservo.systems.ultrasound.simulation.kernels.blocks import count_below, frame_blocks, misses
 from sonoservo.systems.ultrasound.simulation.kernels.body import keep_inside
 from sonoservo.systems.ultrasound.simulation.kernels.displacement import (

@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from sonoservo.systems.sampling.options import OPTIONS
+from sonoservo.systems.sampling.kernels import OPTIONS
 from sonoservo.systems.ultrasound.simulation.kernels.body import way_through
 
 _LOG2_10 = np.log2(10)

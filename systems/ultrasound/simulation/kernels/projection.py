@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sonoservo.systems.sampling.options import OPTIONS
+from sonoservo.systems.sampling.kernels import OPTIONS
 
 FRACTIONS = 64
 """Number of fractions of a sample for which pulses are tabulated."""

@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from sonoservo.systems.sampling.options import OPTIONS
+from sonoservo.systems.sampling.kernels import OPTIONS
 from sonoservo.systems.ultrasound.simulation.kernels.pieces import place_pieces
 from sonoservo.systems.ultrasound.simulation.kernels.projection import (
     FRACTIONS,

@@ -8,7 +8,7 @@ from numba import njit
 from numba.core import cgutils, types
 from numba.extending import intrinsic
 
-from sonoservo.systems.sampling.options import OPTIONS
+from sonoservo.systems.sampling.kernels import OPTIONS
 from sonoservo.systems.ultrasound.simulation.kernels.projection import FRACTIONS
 
 LANES = 8

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from sonoservo.diagrams.papers.zhao2012.published_tracking import with_input
-from sonoservo.systems.estimation.axis_tip_filter import AxisTipFilter
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.tracking.axis_tip_filter import AxisTipFilter
 
 
 def test_a_commanded_change_of_speed_moves_the_prediction():

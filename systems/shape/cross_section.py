@@ -1,0 +1,316 @@
+"""Localization of a needle's cross-section in one slice (Carriere 2016, section II)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from sonoservo.systems.sampling.normalized_cross_correlation import Match, best_match
+from sonoservo.systems.shape.echo_vertex import echo_vertex
+from sonoservo.systems.signals.cross_section import CrossSection
+from sonoservo.systems.signals.image_slice import ImageSlice
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.needle_shape import NeedleShape
+from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+
+Floats = NDArray[np.float64]
+
+DEVIATIONS = ("both", "signed", "brighter")
+"""Choices of the deviations from the mean that a variance image shows."""
+
+POSITIONS = ("front", "match")
+"""Choices of the position of a cross-section."""
+
+
+@dataclass(kw_only=True)
+class CrossSectionParameters:
+    """Settings of the search for a cross-section.
+
+    Parameters
+    ----------
+    start
+        x and y in P of the needle in the first slice, in m, as a person would point at it. None
+        finds the needle automatically.
+    start_reach
+        Reach of the search for the echo around the point of ``start``, along X and Y, in m.
+    start_slices
+        Number of slices that are examined before the start. A needle appears in all of them, a
+        fibre does not.
+    follow_shape_from
+        Observed depth in m from which the region of interest is centred on the predicted shape.
+        Before that it is centred on the last cross-section.
+    template
+        Width w and height h of the template in m; the region of interest is 2w x 2h.
+    deviations
+        Deviations from the mean that the variance image (eq. 1) shows. "both" shows them alike, as
+        printed. Shadows and the dark grains of speckle are then as bright as echoes. "signed" keeps
+        their sign, and "brighter" shows only those above the mean.
+    position
+        Position of the cross-section. "match" takes the best match with the template, to a whole
+        pixel, as printed, and the person's point in the first slice. The errors of the successive
+        templates then add up to a drift. "front" takes the axis behind the front of the echo near
+        that place.
+    min_correlation
+        Correlation with the last template below which the needle counts as lost.
+    min_contrast_db
+        Smallest level of the needle's echo above the mean of the image, in dB; with "match" it is
+        not examined.
+    vertex
+        Half width and half height in m of the part of the echo to which a paraboloid is fitted.
+    search
+        Reach of the search for the brightest echo, that of the front wall, around the place given
+        by the template, across and along the beam, in m. Along the beam the reach is longer than
+        the distance between reverberations, and a start on the wrong one is soon corrected.
+    needle_radius
+        Radius of the needle in m. The front wall's echo is closer to the probe than the axis by
+        this distance.
+    """
+
+    start: list[float] | None = None
+    start_reach: float = 1.6e-3
+    start_slices: int = 4
+    follow_shape_from: float = 10e-3
+    template: list[float] = field(default_factory=lambda: [6e-3, 6e-3])
+    deviations: str = "brighter"
+    position: str = "front"
+    min_correlation: float = 0.4
+    min_contrast_db: float = 12.0
+    vertex: list[float] = field(default_factory=lambda: [0.6e-3, 0.2e-3])
+    search: list[float] = field(default_factory=lambda: [0.8e-3, 1.1e-3])
+    needle_radius: float = 0.635e-3
+
+    def __post_init__(self) -> None:
+        if self.start is not None:
+            require(len(self.start) == 2, "start", self.start, "two coordinates in m")
+        require(1 <= self.start_slices <= 20, "start_slices", self.start_slices, "from 1 to 20")
+        require_not_negative(follow_shape_from=self.follow_shape_from)
+        require_positive(needle_radius=self.needle_radius, start_reach=self.start_reach)
+        for name in ("template", "vertex", "search"):
+            value = getattr(self, name)
+            require(len(value) == 2 and min(value) > 0, name, value, "two lengths in m above 0")
+        for name, choices in (("deviations", DEVIATIONS), ("position", POSITIONS)):
+            value = getattr(self, name)
+            require(value in choices, name, value, f"one of {', '.join(choices)}")
+        require(
+            0 <= self.min_correlation < 1,
+            "min_correlation",
+            self.min_correlation,
+            "at least 0 and below 1",
+        )
+
+
+def variance_image(
+    intensities: NDArray[np.uint8], mean: float, *, deviations: str = "both"
+) -> NDArray[np.float32]:
+    """Return the squared deviation from the mean of the image (eq. 1).
+
+    The paper divides it by its largest value, which changes no correlation coefficient.
+
+    Parameters
+    ----------
+    intensities
+        Image or a part of it.
+    mean
+        Mean of the whole image.
+    deviations
+        Deviations to show; see `CrossSectionParameters`.
+    """
+    deviation = intensities.astype(np.float32) - np.float32(mean)
+    if deviations == "signed":
+        return deviation * np.abs(deviation)
+    if deviations == "brighter":
+        np.maximum(deviation, 0, out=deviation)
+    return deviation * deviation
+
+
+def image_mean(image: ImageSlice) -> float:
+    """Return the mean intensity within the sector, without the zeros outside it."""
+    total, count = image.intensities.sum(dtype=np.int64), np.count_nonzero(image.intensities)
+    return float(total / max(count, 1))
+
+
+def find_needle(image: ImageSlice, parameters: CrossSectionParameters) -> Floats | NotFound:
+    """Return (2,) x and y in P, in m, of the axis below the brightest echo of an image."""
+    sigma = [0.5 * length for length in parameters.vertex] / image.spacing
+    blurred = gaussian_filter(image.intensities, sigma, output=np.float32)
+    peak = np.unravel_index(np.argmax(blurred), blurred.shape)
+    head = image.position(peak)
+    return _axis_of(
+        echo_vertex(image, head, parameters.vertex, parameters.search), image, parameters
+    )
+
+
+def start_at(
+    image: ImageSlice, centre: Floats, parameters: CrossSectionParameters
+) -> CrossSection | NotFound:
+    """Find the first cross-section, near a point found by `find_needle`.
+
+    Parameters
+    ----------
+    image
+        First slice.
+    centre
+        (2,) x and y of the point in P, in m.
+    parameters
+        Settings of the search.
+    """
+    return _at(image, np.asarray(centre, dtype=float), 1.0, image_mean(image), parameters)
+
+
+def find_first(
+    images: Sequence[ImageSlice], parameters: CrossSectionParameters
+) -> CrossSection | NotFound:
+    """Find the first cross-section in the newest slice.
+
+    Parameters
+    ----------
+    images
+        Slices since the last attempt, oldest first.
+    parameters
+        Settings of the search.
+    """
+    image = images[-1]
+    if parameters.start is not None:
+        reach = [max(each, parameters.start_reach) for each in parameters.search]
+        return start_at(image, np.array(parameters.start), replace(parameters, search=reach))
+    if len(images) < parameters.start_slices:
+        return NotFound("the first slices are still being compared")
+    lasting = np.min([each.intensities for each in images], axis=0)
+    centre = find_needle(replace(image, intensities=lasting), parameters)
+    return centre if isinstance(centre, NotFound) else start_at(image, centre, parameters)
+
+
+def expected_position(
+    image: ImageSlice,
+    last: CrossSection,
+    shape: NeedleShape | NotFound,
+    parameters: CrossSectionParameters,
+) -> Floats:
+    """Return the expected position of the needle in the next slice: (2,) x and y in P, in m.
+
+    Parameters
+    ----------
+    image
+        Next slice.
+    last
+        Cross-section found last.
+    shape
+        Predicted shape, or a `NotFound`.
+    parameters
+        Settings of the search.
+    """
+    if isinstance(shape, NeedleShape) and shape.observed >= parameters.follow_shape_from:
+        depth = shape.X_WI.inverse().multiply(image.X_WP.translation())[2]
+        p_W = shape.positions([depth])[0]
+    else:
+        p_W = last.position
+    expected: Floats = image.X_WP.inverse().multiply(p_W)[:2]
+    return expected
+
+
+def find_again(
+    image: ImageSlice,
+    last: CrossSection,
+    expected: Floats,
+    parameters: CrossSectionParameters,
+) -> CrossSection | NotFound:
+    """Find a cross-section in the next slice.
+
+    Normalized cross-correlation with the last template identifies the needle's echo. The vertex of
+    that echo's front, or the match itself, gives the position.
+
+    Parameters
+    ----------
+    image
+        Next slice.
+    last
+        Cross-section found last.
+    expected
+        (2,) centre of the region of interest: x and y in P, in m.
+    parameters
+        Settings of the search.
+    """
+    size = np.array(last.template.shape)
+    first = np.rint(image.index(expected)).astype(int) - size
+    shape = np.array(image.intensities.shape)
+    low, high = np.maximum(first, 0), np.minimum(first + 2 * size + 1, shape)
+    if np.any(high - low < size):
+        return NotFound("the needle has left the image")
+    mean = image_mean(image)
+    region = image.intensities[low[0] : high[0], low[1] : high[1]]
+    match = best_match(
+        variance_image(region, mean, deviations=parameters.deviations), last.template
+    )
+    if not isinstance(match, Match):
+        return match
+    if match.correlation < parameters.min_correlation:
+        return NotFound(
+            f"the correlation {match.correlation:.2f} with the template is below "
+            f"{parameters.min_correlation:g}"
+        )
+    place = match.position if parameters.position == "front" else np.rint(match.position)
+    centre = image.position(low + place + 0.5 * (size - 1))
+    return _at(image, centre, match.correlation, mean, parameters)
+
+
+def _at(
+    image: ImageSlice,
+    centre: Floats,
+    correlation: float,
+    mean: float,
+    parameters: CrossSectionParameters,
+) -> CrossSection | NotFound:
+    """Refine a cross-section, if requested, and cut its template."""
+    axis = centre
+    if parameters.position == "front":
+        refined = _refined(image, centre, mean, parameters)
+        if isinstance(refined, NotFound):
+            return refined
+        axis = refined
+    size = np.rint(parameters.template / image.spacing).astype(int)
+    first = np.rint(image.index(axis) - 0.5 * (size - 1)).astype(int)
+    if np.any(first < 0) or np.any(first + size > image.intensities.shape):
+        return NotFound("the needle is at the edge of the image")
+    patch = image.intensities[first[0] : first[0] + size[0], first[1] : first[1] + size[1]]
+    return CrossSection(
+        position=image.to_world(axis),
+        X_WP=image.X_WP.GetAsMatrix4(),
+        time=image.time,
+        correlation=correlation,
+        centre=axis,
+        template=variance_image(patch, mean, deviations=parameters.deviations),
+    )
+
+
+def _refined(
+    image: ImageSlice, centre: Floats, mean: float, parameters: CrossSectionParameters
+) -> Floats | NotFound:
+    """Return the position of the axis behind the front of the echo near a point."""
+    front = _front_of(centre, image, parameters)
+    head = echo_vertex(image, front, parameters.vertex, parameters.search)
+    if isinstance(head, NotFound):
+        return head
+    at = tuple(np.rint(image.index(head)).astype(int))
+    contrast = image.decibels_per_level * (float(image.intensities[at]) - mean)
+    if contrast < parameters.min_contrast_db:
+        return NotFound(
+            f"the echo is only {contrast:.0f} dB above the tissue; "
+            f"{parameters.min_contrast_db:g} dB are required"
+        )
+    return _axis_of(head, image, parameters)
+
+
+def _front_of(axis: Floats, image: ImageSlice, parameters: CrossSectionParameters) -> Floats:
+    """Return the position of the front wall's echo for a needle with this axis."""
+    return axis - parameters.needle_radius * image.beam_direction(axis)
+
+
+def _axis_of(
+    head: Floats | NotFound, image: ImageSlice, parameters: CrossSectionParameters
+) -> Floats | NotFound:
+    """Return the position of the axis of a needle whose front wall's echo is at ``head``."""
+    if isinstance(head, NotFound):
+        return head
+    return head + parameters.needle_radius * image.beam_direction(head)

@@ -1,0 +1,338 @@
+"""Posterior of a needle's path whose curvature wanders as a Gaussian process of depth.
+
+A measured cross-section at depth v is
+
+    (x, y) = o + (u(v) + sum_k a_k psi_k(v)) e_u + sum_k b_k psi_k(v) e_w + noise.
+
+Here o is the origin and u the bicycle model's deflection with radius R and first angle theta_0
+(Carriere 2016, eqs. 3 and 4). The vector e_u points in the direction phi of the plane, and e_w
+across it. The functions psi_k are the `WanderModes`. Their coefficients a_k and b_k are normal,
+with standard deviations alpha / R and beta / R. A particle consists of R, theta_0, phi, ln alpha
+and ln beta. Given these, origin and coefficients are integrated in closed form. The amplitudes
+alpha and beta are thus learnt together with the path.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.shape.measurement_noise import MeasurementNoise
+from sonoservo.systems.shape.shape_parameters import (
+    MAX_PARTICLES,
+    ShapeEstimatorParameters,
+)
+from sonoservo.systems.signals.bicycle_paths import deflections
+from sonoservo.systems.signals.curvature_wander import wander_modes
+from sonoservo.systems.signals.immutable import Immutable
+from sonoservo.systems.signals.requirements import (
+    require,
+    require_not_negative,
+    require_positive,
+    require_within,
+)
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(kw_only=True)
+class WanderParameters:
+    """Prior of the curvature's wander, as a Gaussian process along the path.
+
+    Parameters
+    ----------
+    amplitude
+        Median of the log-normal distribution of the wander's standard deviation, relative to the
+        mean curvature; 0 for a constant curvature.
+    spread
+        Standard deviation of the logarithm of that amplitude.
+    across, across_spread
+        The same for the curvature out of the plane.
+    most
+        Largest amplitude, relative to the mean curvature. Without a limit, tissue that shifts with
+        the breath would count as a needle that bends to and fro.
+    length
+        Standard deviation in m of the Gaussian that smooths white noise to such a curvature.
+    """
+
+    amplitude: float = 0.1
+    spread: float = 0.6
+    across: float = 0.03
+    across_spread: float = 0.6
+    most: float = 0.5
+    length: float = 0.02
+
+    def __post_init__(self) -> None:
+        require_not_negative(amplitude=self.amplitude)
+        require_positive(
+            spread=self.spread,
+            across=self.across,
+            across_spread=self.across_spread,
+            most=self.most,
+            length=self.length,
+        )
+
+
+def combined_wander(
+    prior: WanderParameters, learnt: Sequence[WanderParameters]
+) -> WanderParameters:
+    """Return the wander's distribution after several needles in the same tissue.
+
+    Parameters
+    ----------
+    prior
+        Distribution before the first needle.
+    learnt
+        Distribution after each needle alone; see `ShapeParticleFilter.learned_wander`. Their
+        logarithms count as normal, and the prior counts only once.
+    """
+
+    def combined(median: str, spread: str) -> dict[str, float]:
+        """Add up what each needle tells, as precisions of the logarithm."""
+        first = getattr(prior, spread) ** -2
+        precision, weighted = first, first * np.log(getattr(prior, median))
+        for each in learnt:
+            theirs = getattr(each, spread) ** -2
+            gained = max(theirs - first, 0.0)
+            middle = np.log(getattr(prior, median))
+            if gained:
+                told = theirs * np.log(getattr(each, median)) - first * middle
+                # A needle that says little must not say something extreme.
+                middle = np.clip(told / gained, middle - 3, middle + 3)
+            precision, weighted = precision + gained, weighted + gained * middle
+        return {median: float(np.exp(weighted / precision)), spread: float(precision**-0.5)}
+
+    along, across = combined("amplitude", "spread"), combined("across", "across_spread")
+    return replace(prior, **along, **across)
+
+
+@dataclass(kw_only=True)
+class ShapeParticleFilterParameters(ShapeEstimatorParameters):
+    """Parameters of the particle filter, in addition to those of every shape estimator.
+
+    Parameters
+    ----------
+    particles
+        Number of particles n.
+    min_radius
+        Smallest radius in m, at which the normal distribution of R is cut off.
+    moves
+        Number of Metropolis steps after each resampling.
+    noise
+        Noise of the measured cross-sections.
+    wander
+        Prior of the curvature's wander along the path.
+    """
+
+    particles: int = 500
+    min_radius: float = 0.2
+    moves: int = 3
+    noise: MeasurementNoise = field(default_factory=MeasurementNoise)
+    wander: WanderParameters = field(default_factory=WanderParameters)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_within("particles", self.particles, 50, MAX_PARTICLES)
+        require(self.moves >= 1, "moves", self.moves, "at least 1")
+        self._require_min_radius(self.min_radius)
+
+
+@dataclass(frozen=True, eq=False)
+class Moments(Immutable):
+    """Weighted moments of the measurements and of the modes at their depths.
+
+    Parameters
+    ----------
+    points, square
+        (k + 1, 2) sums of the measured x and y, in m, times a constant and each mode, and the sum
+        of their squares, in m^2.
+    modes
+        (k + 1, k + 1) sums of products of the constant and the modes.
+    """
+
+    points: Floats
+    square: float
+    modes: Floats
+
+    @property
+    def total(self) -> float:
+        """Sum of the weights."""
+        return float(self.modes[0, 0])
+
+
+class WanderFits(NamedTuple):
+    """Fit of the wander for each of n particles; a first axis is in the plane and across it.
+
+    Parameters
+    ----------
+    squares
+        (n,) weighted sum of squared residuals about the best origin and wander, with the squares
+        that the wander's prior adds, in m^2.
+    log_determinant
+        (n,) logarithm of the factor by which the wander widens the distribution of the data.
+    rotation
+        (k, k) rotation of the modes that makes them uncorrelated.
+    mean, shrinkage
+        (2, n, k) means of the rotated coefficients in 1/m, and their variances relative to that of
+        a measurement, in 1/m^4.
+    """
+
+    squares: Floats
+    log_determinant: Floats
+    rotation: Floats
+    mean: Floats
+    shrinkage: Floats
+
+
+class ShapePosterior:
+    """Prior and likelihood of (n, 5) particles R, theta_0, phi, ln alpha, ln beta.
+
+    Parameters
+    ----------
+    parameters
+        Parameters of the particle filter.
+    """
+
+    def __init__(self, parameters: ShapeParticleFilterParameters) -> None:
+        self._parameters = p = parameters
+        self._rotations = np.array(p.rotations, dtype=float)
+        self._modes = wander_modes(p.depth, p.rotations, p.wander.length)
+        self._constant = p.wander.amplitude == 0
+        self._log_median = np.log([p.wander.amplitude or 1.0, p.wander.across])
+        self._log_most = float(np.log(p.wander.most))
+        self._log_spread = np.array([p.wander.spread, p.wander.across_spread])
+
+    def draw(self, rng: np.random.Generator) -> Floats:
+        """Draw (n, 5) particles from the prior, in which phi is uniform."""
+        p = self._parameters
+        radius = rng.normal(p.mean_radius, p.radius_std, p.particles)
+        while np.any(low := radius < p.min_radius):
+            radius[low] = rng.normal(p.mean_radius, p.radius_std, int(low.sum()))
+        angle = rng.normal(0.0, p.angle_std, p.particles)
+        plane = rng.uniform(-np.pi, np.pi, p.particles)
+        amplitudes = rng.normal(self._log_median, self._log_spread, (p.particles, 2))
+        amplitudes = np.minimum(amplitudes, self._log_most)
+        return np.column_stack([radius, angle, plane, amplitudes])
+
+    def log_prior(self, particles: Floats) -> Floats:
+        """Return (n,) logarithms of the prior, up to a constant."""
+        p = self._parameters
+        radius, angle = particles[:, 0], particles[:, 1]
+        out = -0.5 * ((radius - p.mean_radius) / p.radius_std) ** 2
+        out -= 0.5 * (angle / p.angle_std) ** 2
+        out -= 0.5 * (((particles[:, 3:] - self._log_median) / self._log_spread) ** 2).sum(axis=1)
+        possible = (radius >= p.min_radius) & (np.abs(angle) < np.pi / 2)
+        possible &= (particles[:, 3:] <= self._log_most).all(axis=1)
+        return np.where(possible, out, -np.inf)
+
+    def design(self, depths: Floats) -> Floats:
+        """Return (m, k + 1) the constant 1 and the modes at (m,) depths in m."""
+        constant = np.ones((len(depths), 1))
+        return constant if self._constant else np.hstack([constant, self._modes.at(depths)])
+
+    def moments(self, points: Floats, weights: Floats) -> Moments:
+        """Return the moments of (m, 3) measured points with (m,) weights."""
+        design = self.design(points[:, 2])
+        weighted = design * weights[:, np.newaxis]
+        square = float(weights @ (points[:, :2] ** 2).sum(axis=1))
+        return Moments(weighted.T @ points[:, :2], square, weighted.T @ design)
+
+    def sums(self, particles: Floats, points: Floats, weights: Floats) -> Floats:
+        """Return (n, k + 4) weighted sums of u^2, u x, u y, u, and u times each mode.
+
+        Here u are the deflections of the particles' paths at the measured depths.
+        """
+        shape = np.column_stack([1 / particles[:, 0], np.sin(particles[:, 1])])
+        # The kernel needs ascending depths, but slices may come from deep to shallow.
+        order = np.argsort(points[:, 2], kind="stable")
+        points, weights = points[order], weights[order]
+        u = deflections(shape, points[:, 2], self._rotations)
+        factors = np.hstack([points[:, :2], self.design(points[:, 2])])
+        products = u @ (factors * weights[:, np.newaxis])
+        return np.column_stack([(u * u) @ weights, products])
+
+    def log_likelihood(self, fits: WanderFits, moments: Moments) -> Floats:
+        """Return (n,) logarithms of the likelihood, up to a constant."""
+        likelihood = self._parameters.noise.log_likelihood(fits.squares, moments.total)
+        return likelihood - fits.log_determinant
+
+    def sample(
+        self,
+        particles: Floats,
+        sums: Floats,
+        moments: Moments,
+        fits: WanderFits,
+        variance: float,
+        rng: np.random.Generator,
+    ) -> tuple[Floats, Floats]:
+        """Draw the wander of each particle's path, given the measurements.
+
+        Parameters
+        ----------
+        particles, sums, moments, variance
+            Particles and measurements as for `fit`.
+        fits
+            Result of `fit`.
+        rng
+            Generator of the draws.
+
+        Returns
+        -------
+        wander, origins
+            (n, k, 2) coefficients of the modes along X and Y of I, in 1/m, and (n, 2) most probable
+            origins, in m. The origin's remaining variance is ``variance`` / ``moments.total``.
+        """
+        drawn = np.sqrt(variance * fits.shrinkage) * rng.normal(size=fits.mean.shape)
+        along, across = (fits.mean + drawn) @ fits.rotation.T
+        cosine, sine = np.cos(particles[:, 2:3]), np.sin(particles[:, 2:3])
+        wander = np.stack([cosine * along - sine * across, sine * along + cosine * across], axis=-1)
+        first = moments.points[0] - sums[:, 3:4] * np.hstack([cosine, sine])
+        origins = (first - np.tensordot(moments.modes[0, 1:], wander, (0, 1))) / moments.total
+        return wander, origins
+
+    def fit(self, particles: Floats, sums: Floats, moments: Moments, variance: float) -> WanderFits:
+        """Fit origin and wander to the measurements, for each particle.
+
+        Parameters
+        ----------
+        particles, sums
+            (n, 5) particles, and their `sums` over all measurements.
+        moments
+            Moments of all measurements.
+        variance
+            Variance of x and of y of a measurement, in m^2.
+        """
+        # The origin has a flat prior; its integral centres everything.
+        middle = moments.modes[1:, 0] / moments.total
+        strength, rotation = np.linalg.eigh(
+            moments.modes[1:, 1:] - np.outer(middle, moments.modes[0, 1:])
+        )
+        strength = np.maximum(strength, 0.0)
+        points = rotation.T @ (moments.points[1:] - np.outer(middle, moments.points[0]))
+        paths = (sums[:, 4:] - sums[:, 3:4] * middle) @ rotation
+        # Sums of the residuals in the plane and across it, in which the paths have no part.
+        along = np.column_stack([np.cos(particles[:, 2]), np.sin(particles[:, 2])])
+        across = along @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+        products = np.stack([along @ points.T - paths, across @ points.T])
+        first = np.stack([along @ moments.points[0] - sums[:, 3], across @ moments.points[0]])
+        squares = moments.square - 2 * (sums[:, 1:3] * along).sum(axis=1) + sums[:, 0]
+        squares = squares - (first**2).sum(axis=0) / moments.total
+        # Prior variance of the coefficients relative to that of a measurement. The wander of a
+        # needle that bends unusually much is limited, or correlated noise would look like one.
+        p = self._parameters
+        radius = np.maximum(particles[:, :1], p.mean_radius - 1.5 * p.radius_std)
+        curvature = (np.exp(particles[:, 3:]) / radius).T
+        ratio = (curvature**2 / variance)[..., np.newaxis]
+        widened = 1 + ratio * strength
+        shrinkage = ratio / widened
+        mean = shrinkage * products
+        squares = np.maximum(squares - (mean * products).sum(axis=(0, 2)), 0.0)
+        return WanderFits(
+            squares=np.where(np.isfinite(squares), squares, np.inf),
+            log_determinant=0.5 * np.log(widened).sum(axis=(0, 2)),
+            rotation=rotation,
+            mean=mean,
+            shrinkage=shrinkage,
+        )

@@ -1,0 +1,105 @@
+"""Speed of the tip from the displacement of the needle's end between two volumes."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.signals.acquisition import acquired_from
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.radio_frequency_sweep import RadioFrequencySweep
+from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
+from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.tracking.axis import axis_through
+from sonoservo.systems.tracking.tip import TipParameters, axis_profile, find_extent
+
+
+@dataclass(kw_only=True)
+class EdgeVelocimeterParameters:
+    """Parameters of the velocimeter that follows the needle's end.
+
+    A steel needle's echo and the tissue rest while the needle slides, so speckle tracking measures
+    too low a speed. The end of the needle does move.
+
+    Parameters
+    ----------
+    kind
+        Name of the velocimeter, always "edge".
+    behind, beyond
+        Distances from the predicted tip over which the intensity is sampled, in m.
+    across_std
+        Standard deviation of the velocity across the needle, which is not measured, in m/s.
+    profile
+        Parameters of the search for the needle's ends.
+    """
+
+    kind: str = "edge"
+    behind: float = 20e-3
+    beyond: float = 8e-3
+    across_std: float = 20e-3
+    profile: TipParameters = field(default_factory=TipParameters)
+
+    def __post_init__(self) -> None:
+        require(self.kind == "edge", "kind", self.kind, '"edge"')
+        require_positive(
+            behind=self.behind,
+            beyond=self.beyond,
+            across_std=self.across_std,
+        )
+
+
+def measure_edge_velocity(
+    current: Volume | RadioFrequencySweep,
+    previous: Volume | RadioFrequencySweep,
+    p_WBefore: NDArray[np.float64],
+    p_WPredicted: NDArray[np.float64],
+    direction: NDArray[np.float64],
+    parameters: EdgeVelocimeterParameters,
+) -> VelocityMeasurement | NotFound:
+    """Measure the tip's velocity by the ends of the needle's profiles along one and the same axis.
+
+    Errors of the axis and the bias of the end cancel in the difference. The covariance follows from
+    the standard deviations of both ends, so a faint end, which may be misplaced, counts little.
+
+    Parameters
+    ----------
+    current, previous
+        Two volumes, best from sweeps in the same direction.
+    p_WBefore, p_WPredicted
+        (3,) expected positions of the tip in the previous and in the current one, in W, in m.
+    direction
+        (3,) unit vector of the needle in W.
+    parameters
+        Range of the profiles, and standard deviations.
+
+    Returns
+    -------
+    The mean velocity between the acquisitions, or a `NotFound` with the reason why there is none.
+    """
+    if not isinstance(current, Volume) or not isinstance(previous, Volume):
+        return NotFound("the end of a needle is followed in volumes only")
+    rear = p_WPredicted - parameters.behind * direction
+    axis = axis_through(np.stack([rear, p_WPredicted]))
+    assert not isinstance(axis, NotFound)
+    tips, stds, times = [], [], []
+    for volume in (previous, current):
+        stop = parameters.behind + parameters.beyond
+        profile = axis_profile(volume, axis, 0.0, stop, parameters.profile)
+        extent = find_extent(profile, parameters.profile)
+        if isinstance(extent, NotFound):
+            return extent
+        if extent.leaves:
+            return NotFound("the tip lies outside the field of view")
+        at = acquired_from(volume, axis.position(np.array([extent.tip])))
+        tips.append(extent.tip)
+        stds.append(extent.tip_std)
+        times.append(float(volume.to_world(at)[1][0]))
+    elapsed = times[1] - times[0]
+    if not elapsed > 0:
+        return NotFound("the volumes were acquired at the same time")
+    speed = (tips[1] - tips[0]) / elapsed
+    along = np.outer(direction, direction)
+    covariance = (np.hypot(stds[0], stds[1]) / elapsed) ** 2 * along
+    covariance = covariance + parameters.across_std**2 * (np.eye(3) - along)
+    return VelocityMeasurement(speed * direction, covariance, 1.0)

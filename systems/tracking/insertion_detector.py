@@ -1,0 +1,53 @@
+"""Leaf system that detects a needle which enters the field of view, as published."""
+
+from pydrake.common.value import Value
+from pydrake.systems.framework import Context, LeafSystem
+
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.tracking.published_detection import (
+    PublishedDetectionParameters,
+    detect_as_published,
+)
+
+
+class InsertionDetector(LeafSystem):
+    """Detects a needle's insertion from the difference of two volumes.
+
+    .. pydrake_system::
+
+        name: InsertionDetector
+        input_ports:
+        - volume
+        - previous_volume
+        output_ports:
+        - detection
+
+    The system has no state. The variance of the voxels that changed most (Chatelain 2013, eq. 1)
+    distinguishes a local motion from a global one. Their geometric median (eq. 2), projected on the
+    closest face of the volume, gives the entry point. The output is an `InsertionDetection`, or a
+    `NotFound` with the reason why there is none.
+
+    Parameters
+    ----------
+    parameters
+        Thresholds of the method, in SI units.
+    """
+
+    def __init__(self, *, parameters: PublishedDetectionParameters | None = None) -> None:
+        super().__init__()
+        self._parameters = parameters or PublishedDetectionParameters()
+        self.DeclareAbstractInputPort("volume", Value[object]())
+        self.DeclareAbstractInputPort("previous_volume", Value[object]())
+        self.DeclareAbstractOutputPort("detection", lambda: Value[object](), self._calc_detection)
+
+    def _calc_detection(self, context: Context, output: Value) -> None:
+        volume = evaluate(self, context, "volume", (Volume, NotFound))
+        previous = evaluate(self, context, "previous_volume", (Volume, NotFound))
+        if not isinstance(volume, Volume):
+            output.set_value(volume)
+        elif not isinstance(previous, Volume):
+            output.set_value(previous)
+        else:
+            output.set_value(detect_as_published(volume, previous, self._parameters))

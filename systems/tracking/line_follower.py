@@ -1,0 +1,97 @@
+"""Leaf system that follows all lines of the volumes, of which one may be a needle."""
+
+from pydrake.common.value import Value
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.requirements import require_not_negative, require_positive
+from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.tracking.line_belief import BeliefParameters, LineBelief, follow
+
+
+class LineFollower(LeafSystem):
+    """Follows all lines of the volumes, and tells which may be a needle.
+
+    .. pydrake_system::
+
+        name: LineFollower
+        input_ports:
+        - volume
+        - estimate (optional)
+        output_ports:
+        - lines
+        - belief
+
+    ``estimate`` is the `NeedleEstimate` before the volume. While a needle is followed, nobody needs
+    the other lines, and volumes are only kept. ``lines`` are the `LineHypotheses` after the volume at the input, and ``belief`` the `LineBelief`
+    from which they follow; they are a `NotFound` if there are none. They depend on the state, on
+    the estimate and on that volume.
+
+    Parameters
+    ----------
+    parameters
+        What a user may choose about the belief.
+    looks
+        Whether lines at rest are judged by their looks, too.
+    period, offset
+        Period and offset of the event, in s.
+    """
+
+    def __init__(
+        self,
+        *,
+        parameters: BeliefParameters | None = None,
+        looks: bool = True,
+        period: float,
+        offset: float = 0.0,
+    ) -> None:
+        super().__init__()
+        require_positive(period=period)
+        require_not_negative(offset=offset)
+        self._parameters, self._looks = parameters or BeliefParameters(), looks
+        for name in ("volume", "estimate"):
+            self.DeclareAbstractInputPort(name, Value[object]())
+        self._belief = self.DeclareAbstractState(Value[object](LineBelief()))
+        inputs = {self.all_input_ports_ticket(), self.abstract_state_ticket(self._belief)}
+        self._after = self.DeclareAbstractOutputPort(
+            "belief", lambda: Value[object](), self._calc_belief, prerequisites_of_calc=inputs
+        )
+        self.DeclareAbstractOutputPort(
+            "lines", lambda: Value[object](), self._calc_lines, prerequisites_of_calc=inputs
+        )
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, offset, self._update)
+        self.DeclareForcedUnrestrictedUpdateEvent(self._update)
+
+    def _calc_belief(self, context: Context, output: Value) -> None:
+        volume = evaluate(self, context, "volume", (Volume, NotFound))
+        belief: LineBelief = context.get_abstract_state(self._belief).get_value()
+        if not isinstance(volume, Volume):
+            output.set_value(volume)
+        elif volume.time <= belief.time:
+            output.set_value(belief)
+        elif self._is_followed(context):
+            output.set_value(belief.unread_after(volume))
+        else:
+            output.set_value(follow(belief, volume, self._parameters, look=self._looks))
+
+    def _is_followed(self, context: Context) -> bool:
+        if not self.GetInputPort("estimate").HasValue(context):
+            return False
+        estimate = evaluate(self, context, "estimate", NeedleEstimate)
+        return estimate.mode in (TrackingMode.TRACKING, TrackingMode.COASTING)
+
+    def _calc_lines(self, context: Context, output: Value) -> None:
+        belief = self._after.Eval(context)
+        if isinstance(belief, LineBelief):
+            followed = NotFound("a needle is being tracked")
+            belief = followed if belief.unread else belief.hypotheses
+        output.set_value(belief)
+
+    def _update(self, context: Context, state: State) -> EventStatus:
+        belief = self._after.Eval(context)
+        if not isinstance(belief, LineBelief):
+            return EventStatus.DidNothing()
+        state.get_mutable_abstract_state(self._belief).set_value(belief)
+        return EventStatus.Succeeded()

@@ -1,0 +1,152 @@
+"""Parameters of the needle localizer."""
+
+from dataclasses import dataclass, field, replace
+
+from sonoservo.systems.signals.requirements import require_not_negative, require_positive
+from sonoservo.systems.tracking.ransac import RansacParameters
+from sonoservo.systems.tracking.tip import TipParameters
+
+
+@dataclass(kw_only=True)
+class NeedleLocalizerParameters:
+    """Search regions and acceptance thresholds of the localizer. The paper publishes no values.
+
+    Parameters
+    ----------
+    margin
+        Margin around the predicted curve, beyond three standard deviations, in m.
+    margin_growth
+        Additional margin for every volume that did not confirm the needle, in m.
+    max_radius
+        Largest radius of the volume of interest, in m.
+    max_angle_deg
+        Largest angle alpha_0 from the predicted direction, in degrees. The prediction's uncertainty
+        is added to it.
+    cross_section
+        Area of the candidates across the needle, in m^2.
+    slab
+        Length of needle over which the candidates share a threshold, in m.
+    min_length, min_share
+        Smallest visible length of the needle, in m, and its smallest share of the predicted length
+        that lies in the field of view.
+    min_shaft
+        Visible length that suffices whatever its share, in m.
+    search_reach
+        Distance to search outwards for the rest of a needle of which only the end was found, in m.
+    min_probability
+        Smallest probability at which a line in the whole volume counts as a needle.
+    min_inlier_ratio
+        Smallest share of inliers among the candidates between entry and tip.
+    min_evidence
+        Smallest evidence along the needle, in dB m; see `NeedleExtent`.
+    correlation_length
+        Length of needle that one beam width blurs into one observation, in m.
+    tip_std
+        Standard deviation of the tip along the axis in addition to that of its extent, in m; see
+        `NeedleExtent`.
+    entry_std
+        Standard deviation of the entry along the axis, in m. A volume does not show that position.
+        The entry is at rest, so its last position is taken as measured. If its predicted position
+        were taken, nothing would ever contradict a velocity along the axis.
+    unseen_tip_std
+        Standard deviation of the tip along the axis if the needle leaves the field of view, in m;
+        also the largest one. So it is if the needle fades before its tip.
+    faded_std
+        Standard deviation of a visible end, in m, above which the needle may go on beyond it. A
+        faint end has its own rule; see `fades_before_tip`.
+    max_shortening, max_unseen
+        Distance in m by which a hand cannot have shortened the needle between two volumes. An end
+        that seems that much too short is not the tip until this time, in s, has passed.
+    echo_offset, echo_offset_std
+        Distance from the centre of the needle's echo to its axis, away from the probe, in m, and
+        its standard deviation, as the gauge is unknown. Most of the sound returns from the front
+        wall. The rest is reflected to and fro inside.
+    systematic_std
+        Standard deviation added to every control point in every direction, in m.
+    volume_of_interest
+        Whether only the surroundings of the prediction are searched. If not, the whole volume is.
+    angle_gate
+        Whether an axis must agree with the predicted direction (eq. 22).
+    sweep_time
+        Whether each frame counts as acquired at its own time, from the probe's pose at that time.
+        If not, the whole volume counts as acquired at its middle.
+    ransac
+        Parameters of the random sample consensus.
+    tip
+        Parameters of the search for the needle's ends.
+    """
+
+    margin: float = 3e-3
+    margin_growth: float = 2e-3
+    max_radius: float = 20e-3
+    max_angle_deg: float = 10.0
+    cross_section: float = 4e-6
+    slab: float = 2e-3
+    min_length: float = 4e-3
+    min_share: float = 0.4
+    min_shaft: float = 8e-3
+    search_reach: float = 40e-3
+    min_probability: float = 0.8
+    min_inlier_ratio: float = 0.15
+    min_evidence: float = 12e-3
+    correlation_length: float = 2e-3
+    tip_std: float = 0.25e-3
+    entry_std: float = 1e-3
+    unseen_tip_std: float = 10e-3
+    faded_std: float = 1e-3
+    max_shortening: float = 15e-3
+    max_unseen: float = 0.7
+    echo_offset: float = 0.4e-3
+    echo_offset_std: float = 0.2e-3
+    systematic_std: float = 0.1e-3
+    volume_of_interest: bool = True
+    angle_gate: bool = True
+    sweep_time: bool = True
+    ransac: RansacParameters = field(default_factory=RansacParameters)
+    tip: TipParameters = field(default_factory=TipParameters)
+
+    def __post_init__(self) -> None:
+        require_positive(
+            margin=self.margin,
+            margin_growth=self.margin_growth,
+            max_radius=self.max_radius,
+            max_angle_deg=self.max_angle_deg,
+            cross_section=self.cross_section,
+            slab=self.slab,
+            min_length=self.min_length,
+            min_share=self.min_share,
+            min_shaft=self.min_shaft,
+            search_reach=self.search_reach,
+            min_probability=self.min_probability,
+            min_inlier_ratio=self.min_inlier_ratio,
+            min_evidence=self.min_evidence,
+            correlation_length=self.correlation_length,
+            tip_std=self.tip_std,
+            entry_std=self.entry_std,
+            unseen_tip_std=self.unseen_tip_std,
+            faded_std=self.faded_std,
+            max_shortening=self.max_shortening,
+            max_unseen=self.max_unseen,
+            systematic_std=self.systematic_std,
+        )
+        require_not_negative(echo_offset_std=self.echo_offset_std)
+
+    def knowing(
+        self, *, beam_width: float | None = None, echo_offset: float | None = None
+    ) -> "NeedleLocalizerParameters":
+        """Return the parameters with what a user knows about probe and needle.
+
+        Parameters
+        ----------
+        beam_width
+            Width of the beam along the needle at half amplitude, in m, for volumes that do not
+            carry their point spread; None if unknown.
+        echo_offset
+            Distance from the centre of the needle's echo to its axis, in m; None if unknown.
+        """
+        known = self
+        if beam_width is not None:
+            known = replace(known, tip=replace(known.tip, beam_width=beam_width))
+        if echo_offset is not None:
+            known = replace(known, echo_offset=echo_offset, echo_offset_std=0.0)
+        return known

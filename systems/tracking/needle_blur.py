@@ -1,0 +1,102 @@
+"""Blur of a single point, and of a needle's end, in a volume."""
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.signals.blur import blur_covariance
+from sonoservo.systems.signals.point_spread import FWHM_PER_SIGMA
+from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.tracking.speckle_width import speckle_spread
+
+_BLUR_POINTS = 9
+"""Number of points of an axis at which the blur's width is computed; it varies little between."""
+
+_measured_spread = lru_cache(maxsize=1)(speckle_spread)
+"""Widths measured from a volume's speckle; all axes tried in a volume ask for them."""
+
+_FINEST = 1e-3
+"""Standard deviation in m with which a line's course is known at best, by which a point's echo
+counts as blurred further."""
+
+
+def needle_blur(
+    volume: Volume,
+    p_P: NDArray[np.float64],
+    along: NDArray[np.float64],
+    beam_width: float | None,
+) -> NDArray[np.float64] | None:
+    """Return the widths of a needle's blurred end at points of its axis.
+
+    On the axis, the end is blurred with a standard deviation of 1 / sqrt(k^T Sigma^-1 k), with
+    Sigma the covariance of the point spread and k the needle's direction. Its projection on the
+    axis is blurred with sqrt(k^T Sigma k). The tube takes the largest value beside the axis, but
+    not far from it, so the mean of both is taken.
+
+    Parameters
+    ----------
+    volume
+        Volume with the needle.
+    p_P
+        (m, 3) points of the axis in P, in m.
+    along
+        (3,) direction k in P.
+    beam_width
+        Width that the user knows, in m; None if the widths are to be measured from the speckle, if
+        the volume does not know its point spread.
+
+    Returns
+    -------
+    (m,) full widths at half maximum in m; None if the volume does not tell them.
+    """
+    few = np.linspace(0, len(p_P) - 1, _BLUR_POINTS).astype(int)
+    covariance = echo_covariance(volume, p_P[few], measure=beam_width is None)
+    if covariance is None:
+        return None
+    projected = np.sqrt(covariance @ along @ along)
+    width = FWHM_PER_SIGMA * 0.5 * (projected + _on_axis(covariance, along))
+    return np.interp(np.arange(len(p_P)), few, width)
+
+
+def streak_length(volume: Volume, ends: NDArray[np.float64]) -> float:
+    """Return the length to which the beam draws out a single point, along a line through it.
+
+    Parameters
+    ----------
+    volume
+        Volume with the line.
+    ends
+        (2, 3) ends of the line in P, in m.
+
+    Returns
+    -------
+    Largest full width at half maximum along the line in m; 0 if the volume does not tell it.
+    """
+    points = np.linspace(ends[0], ends[1], 3)
+    covariance = echo_covariance(volume, points)
+    if covariance is None:
+        return 0.0
+    along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+    return FWHM_PER_SIGMA * float(_on_axis(covariance + _FINEST**2 * np.eye(3), along).max())
+
+
+def echo_covariance(
+    volume: Volume, p_P: NDArray[np.float64], measure: bool = True
+) -> NDArray[np.float64] | None:
+    """Return the (m, 3, 3) covariances of echoes of points at (m, 3) p_P, in m^2.
+
+    They are those of the volume's transducer or, if ``measure``, of its speckle; None if there is
+    neither.
+    """
+    if volume.point_spread is not None and volume.motion is not None:
+        return blur_covariance(volume.point_spread, volume.motion.geometry, p_P)
+    if measure and (measured := _measured_spread(volume)) is not None:
+        lateral, elevation, axial = measured.widths(p_P[:, 1]).T / FWHM_PER_SIGMA
+        widths = np.stack([lateral, axial, elevation], axis=-1)
+        return np.asarray(widths[:, np.newaxis] ** 2 * np.eye(3))
+    return None
+
+
+def _on_axis(covariance: NDArray[np.float64], along: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(1 / np.sqrt(np.linalg.inv(covariance) @ along @ along))

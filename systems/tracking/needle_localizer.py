@@ -1,0 +1,81 @@
+"""Leaf system that localizes the needle in one volume, given a prediction."""
+
+from collections.abc import Callable
+from typing import Any
+
+from pydrake.common.value import Value
+from pydrake.systems.framework import Context, LeafSystem
+
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.localization_explanation import LocalizationExplanation
+from sonoservo.systems.signals.needle_prediction import NeedlePrediction
+from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.random_streams import random_stream
+from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
+from sonoservo.systems.tracking.pipeline import explain_localization
+
+
+class NeedleLocalizer(LeafSystem):
+    """Localizes the needle in one volume.
+
+    .. pydrake_system::
+
+        name: NeedleLocalizer
+        input_ports:
+        - volume
+        - prediction
+        output_ports:
+        - measurement
+        - explanation
+
+    The system has no state. The candidate voxels are the brightest ones around the predicted curve
+    (Chatelain 2013, eq. 15). A random sample consensus fits the axis (eqs. 16-22). The tip is the
+    point at which the intensity along the axis drops. ``prediction`` is a `NeedlePrediction` or a
+    `NotFound`. ``measurement`` is a `NeedleMeasurement` in W, or a `NotFound` with the reason why
+    there is none. ``explanation`` is a `LocalizationExplanation` with all intermediate results, or
+    a `NotFound` if there is no volume.
+
+    Parameters
+    ----------
+    parameters
+        Thresholds of the method, in SI units.
+    seed
+        Seed of the random samples.
+    method
+        Function that localizes the needle, with the arguments of `explain_localization`.
+    """
+
+    def __init__(
+        self,
+        *,
+        parameters: Any = None,
+        seed: int = 0,
+        method: Callable[..., LocalizationExplanation] = explain_localization,
+    ) -> None:
+        super().__init__()
+        self._parameters = parameters or NeedleLocalizerParameters()
+        self._method = method
+        self._seed = seed
+        self.DeclareAbstractInputPort("volume", Value[object]())
+        self.DeclareAbstractInputPort("prediction", Value[object]())
+        self.DeclareAbstractOutputPort(
+            "measurement", lambda: Value[object](), self._calc_measurement
+        )
+        # The cache entry of this port serves both outputs, so the explanation costs nothing extra.
+        self.DeclareAbstractOutputPort(
+            "explanation", lambda: Value[object](), self._calc_explanation
+        )
+
+    def _calc_explanation(self, context: Context, output: Value) -> None:
+        volume = evaluate(self, context, "volume", (Volume, NotFound))
+        prediction = evaluate(self, context, "prediction", (NeedlePrediction, NotFound))
+        if not isinstance(volume, Volume):
+            output.set_value(volume)
+            return
+        rng = random_stream(self._seed, "localization", volume.time)
+        output.set_value(self._method(volume, prediction, self._parameters, rng))
+
+    def _calc_measurement(self, context: Context, output: Value) -> None:
+        found: Any = self.GetOutputPort("explanation").Eval(context)
+        output.set_value(found.measurement if isinstance(found, LocalizationExplanation) else found)

@@ -1,0 +1,253 @@
+"""Localization in one region of a volume: candidates, consensus, extent, refit, judgement."""
+
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.signals.acquisition import acquired_from
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.localization_explanation import (
+    AxisProfile,
+    LocalizationAttempt,
+    NeedleExtent,
+    SearchRegion,
+)
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.tracking.axis import axis_through
+from sonoservo.systems.tracking.axis_fit import AxisFit, fit_axis
+from sonoservo.systems.tracking.candidates import select_candidates
+from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
+from sonoservo.systems.tracking.ransac import ransac_axis
+from sonoservo.systems.tracking.search_region import (
+    EVERYWHERE,
+    fades_before_tip,
+    outer_region,
+    turns_too_far,
+)
+from sonoservo.systems.tracking.tip import axis_profile, find_extent
+
+T = TypeVar("T")
+Attempts = list[LocalizationAttempt]
+
+
+class _AbsentError(Exception):
+    """Ends an attempt without a needle, for the reason given."""
+
+
+class _LongerError(Exception):
+    """Ends an attempt because the needle continues towards the outside, in the region given."""
+
+
+def _expect(value: T | NotFound) -> T:
+    """Return a value without which the attempt cannot continue."""
+    if isinstance(value, NotFound):
+        raise _AbsentError(value.reason)
+    return value
+
+
+def localize_in_region(
+    volume: Volume,
+    region: SearchRegion,
+    parameters: NeedleLocalizerParameters,
+    rng: np.random.Generator,
+) -> Attempts:
+    """Localize the needle in a region of a volume, and follow it outwards.
+
+    Parameters
+    ----------
+    volume
+        Volume to search.
+    region
+        Region of it, in W.
+    parameters
+        Thresholds.
+    rng
+        Generator that draws the samples.
+
+    Returns
+    -------
+    Attempts in order; the last one has the result.
+    """
+    attempts: Attempts = []
+    following: SearchRegion | None = region
+    while following is not None:
+        looked: dict[str, Any] = {}
+        region, following = following, None
+        try:
+            result: NeedleMeasurement | NotFound = _attempt(volume, region, parameters, rng, looked)
+        except _AbsentError as absent:
+            result = NotFound(str(absent))
+        except _LongerError as longer:
+            result, following = NotFound("only the end of a needle was found"), longer.args[0]
+        attempts.append(LocalizationAttempt(region, result, **looked))
+    return attempts
+
+
+def _attempt(
+    volume: Volume,
+    region: SearchRegion,
+    parameters: NeedleLocalizerParameters,
+    rng: np.random.Generator,
+    looked: dict[str, Any],
+) -> NeedleMeasurement:
+    """Localize the needle in a region, and store the intermediate results in ``looked``."""
+    points, weights = _candidates(volume, region, parameters)
+    looked.update(candidates=points, weights=weights)
+    consensus = _expect(
+        ransac_axis(
+            points,
+            weights,
+            order=region.curve.order,
+            rng=rng,
+            parameters=parameters.ransac,
+            direction=region.curve.direction,
+            max_angle=region.max_angle,
+        )
+    )
+    looked.update(inliers=consensus.inliers)
+    rough = consensus.fit
+    extent = _extent(volume, region, parameters, rough, looked)
+    fit = _refit(points, weights, parameters, rough, extent)
+    extent = _extent(volume, region, parameters, fit, looked)
+    longer = False
+    if region.entry is not None:
+        # A probe that follows a needle on its way out sees more of it than its known entry.
+        known = float(fit.axis.abscissa(region.entry))
+        longer = (
+            extent.tip - known < parameters.min_length and known - extent.start > region.before / 2
+        )
+    if longer:
+        raise _LongerError(_expect(outer_region(region, fit.axis, extent, parameters)))
+    if turns_too_far(region, fit.axis, extent, parameters):
+        raise _AbsentError("too little of a needle is visible to show that it turned")
+    inliers, between = _inliers(points, parameters, fit, extent)
+    return _judge(volume, region, parameters, fit, extent, int(inliers.sum()), int(between.sum()))
+
+
+def _candidates(
+    volume: Volume,
+    region: SearchRegion,
+    parameters: NeedleLocalizerParameters,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return (m, 3) candidate voxels in W, in m, and their (m,) weights."""
+    candidates = select_candidates(
+        volume,
+        _expect(axis_through(acquired_from(volume, region.curve.control_points))),
+        start=-region.before,
+        # The shaft determines the axis. Voxels beyond the predicted tip may be something else.
+        stop=region.curve.chord + region.shaft_beyond,
+        radius=region.radius,
+        cross_section=parameters.cross_section,
+        slab=parameters.slab,
+    )
+    if len(candidates.p_P) == 0:
+        raise _AbsentError("the predicted needle lies outside the field of view")
+    return volume.to_world(candidates.p_P)[0], candidates.weights
+
+
+def _extent(
+    volume: Volume,
+    region: SearchRegion,
+    parameters: NeedleLocalizerParameters,
+    fit: AxisFit,
+    looked: dict[str, Any],
+) -> NeedleExtent:
+    """Find the points at which the needle begins and ends along an axis."""
+    ends = np.sort(fit.axis.abscissa(region.curve.control_points[[0, -1]]))
+    expected = -np.inf if region.entry is None else float(ends[1])
+    # A needle that was thrown forwards goes on beyond the region.
+    for beyond in (region.beyond, EVERYWHERE):
+        start, stop = ends[0] - region.before, ends[1] + beyond
+        profile: AxisProfile = axis_profile(volume, fit.axis, start, stop, parameters.tip)
+        looked.update(profile=profile, extent=None)
+        extent = _expect(find_extent(profile, parameters.tip, expected))
+        looked.update(extent=extent)
+        if region.entry is None or not (extent.leaves and profile.seen[-1]):
+            break
+    least = parameters.min_length
+    if region.entry is not None:
+        predicted = profile.seen & (profile.a >= ends[0]) & (profile.a <= ends[1])
+        share = parameters.min_share * parameters.tip.step * float(predicted.sum())
+        least = max(least, min(share, parameters.min_shaft))
+    if extent.visible_tip - extent.start < least:
+        visible = 1e3 * max(extent.visible_tip - extent.start, 0.0)
+        raise _AbsentError(f"only {visible:.1f} mm of the needle are visible")
+    return extent
+
+
+def _inliers(
+    points: NDArray[np.float64],
+    parameters: NeedleLocalizerParameters,
+    fit: AxisFit,
+    extent: NeedleExtent,
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return flags of the candidates between the ends near the axis, and of all between them."""
+    a = fit.axis.abscissa(points)
+    between = np.asarray((a >= extent.start) & (a <= extent.tip))
+    return between & (fit.axis.distance(points) < parameters.ransac.residual_threshold), between
+
+
+def _refit(
+    points: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    parameters: NeedleLocalizerParameters,
+    fit: AxisFit,
+    extent: NeedleExtent,
+) -> AxisFit:
+    """Fit the axis to the inliers between the needle's ends."""
+    if parameters.ransac.refits == 0:
+        return fit
+    inliers, _ = _inliers(points, parameters, fit, extent)
+    axis = fit.axis
+    return _expect(fit_axis(points[inliers], weights[inliers], axis.order, axis.direction))
+
+
+def _judge(
+    volume: Volume,
+    region: SearchRegion,
+    parameters: NeedleLocalizerParameters,
+    fit: AxisFit,
+    extent: NeedleExtent,
+    inliers: int,
+    candidates: int,
+) -> NeedleMeasurement:
+    """Return the control points and their covariance, if the evidence is sufficient."""
+    ratio = float(inliers / max(candidates, 1))
+    if ratio < parameters.min_inlier_ratio:
+        raise _AbsentError(f"only {100 * ratio:.0f} % of the candidates lie on the axis")
+    if extent.evidence < parameters.min_evidence:
+        raise _AbsentError("the axis stands out too little from the background")
+    start = extent.start if region.entry is None else float(fit.axis.abscissa(region.entry))
+    fades = fades_before_tip(region, fit.axis, extent, parameters)
+    tip = float(fit.axis.abscissa(region.curve.tip)) if fades else extent.tip
+    if extent.tip - start < parameters.min_length:
+        raise _AbsentError("the needle has been withdrawn to its entry")
+    # Interior points are uniform along the chord. The entry rests, the tip moves, no point slides.
+    order = region.curve.order
+    u = np.linspace(0, 1, order)
+    a = start + u * (tip - start)
+    k = fit.axis.direction
+    deeper = volume.X_WP.rotation().matrix()[:, 1]
+    deeper = deeper - (deeper @ k) * k
+    curve = NeedleCurve(fit.axis.position(a) + parameters.echo_offset * deeper)
+    independent = max(
+        (extent.visible_tip - extent.start) / parameters.correlation_length, order + 1.0
+    )
+    tip_std = parameters.unseen_tip_std
+    if not (fades or extent.leaves):
+        tip_std = min(float(np.hypot(parameters.tip_std, extent.tip_std)), tip_std)
+    ends = np.stack([1 - u, u], axis=1)
+    along = ends @ np.diag([parameters.entry_std**2, tip_std**2]) @ ends.T
+    covariance = (
+        fit.covariance(a, independent)
+        + np.kron(along, np.outer(k, k))
+        + parameters.echo_offset_std**2 * np.kron(np.ones((order, order)), np.outer(deeper, deeper))
+        + parameters.systematic_std**2 * np.eye(3 * len(u))
+    )
+    time = float(volume.to_world(acquired_from(volume, curve.control_points[-1:]))[1][0])
+    return NeedleMeasurement(
+        curve, covariance, time, inliers, ratio, volume.X_WP, tip_seen=not (fades or extent.leaves)
+    )

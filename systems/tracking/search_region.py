@@ -1,0 +1,189 @@
+"""Regions of a volume in which a needle is localized."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.localization_explanation import NeedleExtent, SearchRegion
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_prediction import NeedlePrediction
+from sonoservo.systems.tracking.axis import Axis
+from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
+
+EVERYWHERE = 0.3
+"""Length that exceeds any volume, in m."""
+
+_LOST = 1.0
+"""Logarithm of the odds that a needle lost a short while ago is still there."""
+
+_BRIGHT_SHARE, _LEAST_TURN = 0.7, 0.3
+"""Share of the largest evidence from which on a needle is bright, and share of the largest angle
+that is left for the faintest."""
+
+_LONG = 20e-3
+"""Length in m from which on the direction of a needle is known."""
+
+_SLOW_WITHDRAWAL = 15e-3
+"""Speed in m/s up to which a faint end may be that of a needle being withdrawn."""
+
+_MOST_TURNED, _MOST_ASIDE, _MOST_ADVANCED, _MOST_LENGTHENED = math.radians(20), 25e-3, 50e-3, 1.0
+"""Standard deviations of what may have changed since a needle was lost: direction in rad, distances
+of the line from the last axis and between the tips in m, and logarithm of the visible length."""
+
+
+def predicted_region(
+    prediction: NeedlePrediction, parameters: NeedleLocalizerParameters
+) -> SearchRegion:
+    """Return the capsule around the predicted curve, sized by the prediction's covariance."""
+    curve, P = prediction.curve, prediction.covariance
+    assert curve is not None
+    assert P is not None
+    k = curve.direction
+    project = np.eye(3) - np.outer(k, k)
+    ends = [P[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] for i in (0, curve.order - 1)]
+    along = math.sqrt(float(k @ ends[-1] @ k))
+    across = max(math.sqrt(np.linalg.eigvalsh(project @ end @ project)[-1]) for end in ends)
+    margin = parameters.margin + prediction.missed * parameters.margin_growth
+    region = SearchRegion(
+        curve=curve,
+        radius=min(margin + 3 * across, parameters.max_radius),
+        before=margin,
+        shaft_beyond=along,
+        beyond=min(3 * along + margin, 3 * parameters.max_radius),
+        max_angle=min(
+            math.radians(parameters.max_angle_deg) + math.atan2(3 * across, max(curve.chord, 1e-3)),
+            math.pi / 2,
+        ),
+        entry=prediction.entry,
+        tip_unseen=prediction.tip_unseen,
+    )
+    if not parameters.volume_of_interest:
+        far = EVERYWHERE
+        region = replace(region, radius=far, before=far, beyond=far, shaft_beyond=far)
+    if not parameters.angle_gate:
+        region = replace(region, max_angle=math.pi / 2)
+    return region
+
+
+def found_again(
+    log_odds: float, ends: NDArray[np.float64], last: NeedleCurve
+) -> tuple[float, NDArray[np.float64]]:
+    """Return the odds that a line is the needle that was lost, and its ends, the entry first.
+
+    There was a needle, so less evidence suffices. The tissue, or the probe, may have been moved
+    since, so place, direction and length need not agree exactly with those that were known. The
+    less they agree, the more evidence is needed.
+
+    Parameters
+    ----------
+    log_odds
+        Logarithm of the odds that the line is a needle, judged by its looks.
+    ends
+        (2, 3) ends of the line in W, in m. They are swapped if the needle last pointed the other
+        way.
+    last
+        Curve of the needle in W when it was last seen.
+    """
+    if (ends[1] - ends[0]) @ last.direction < 0:
+        ends = ends[::-1]
+    length = float(np.linalg.norm(ends[1] - ends[0]))
+    angle = math.acos(min(float((ends[1] - ends[0]) @ last.direction) / length, 1.0))
+    aside = ends.mean(axis=0) - last.tip
+    aside -= (aside @ last.direction) * last.direction
+    disagreement = (
+        (angle / _MOST_TURNED) ** 2
+        + (float(np.linalg.norm(aside)) / _MOST_ASIDE) ** 2
+        + (float(np.linalg.norm(ends[1] - last.tip)) / _MOST_ADVANCED) ** 2
+        + (math.log(length / max(last.chord, 1e-3)) / _MOST_LENGTHENED) ** 2
+    )
+    return log_odds + _LOST - disagreement / 2, ends
+
+
+def line_region(line: NeedleCurve, parameters: NeedleLocalizerParameters) -> SearchRegion:
+    """Return the capsule around a line in W that may be a new needle."""
+    return SearchRegion(
+        curve=line,
+        radius=0.8 * parameters.margin,
+        before=parameters.search_reach,
+        beyond=1.5 * parameters.margin,
+        shaft_beyond=0.0,
+        max_angle=math.radians(parameters.max_angle_deg),
+    )
+
+
+def narrow_region(region: SearchRegion, parameters: NeedleLocalizerParameters) -> SearchRegion:
+    """Return the part of a region in which a faint needle that did as predicted must lie.
+
+    Where much else is bright, a large region has too little of the needle in it.
+    """
+    return replace(
+        region,
+        radius=min(region.radius, 0.8 * parameters.margin),
+        max_angle=min(region.max_angle, math.radians(parameters.max_angle_deg) / 2),
+    )
+
+
+def turns_too_far(
+    region: SearchRegion, axis: Axis, extent: NeedleExtent, parameters: NeedleLocalizerParameters
+) -> bool:
+    """Return True if a followed needle seems to turn, and too little of it is visible to show that.
+
+    Where it fades, what else is bright draws its axis away, volume by volume. The less of the
+    evidence that a bright needle gives is there, the nearer to the prediction its direction is.
+    """
+    if not parameters.angle_gate or region.entry is None or region.curve.chord < _LONG:
+        return False
+    most = parameters.tip.max_evidence * max(region.curve.chord, parameters.min_length)
+    share = min(extent.evidence / most / _BRIGHT_SHARE, 1.0)
+    largest = math.radians(parameters.max_angle_deg) * max(share, _LEAST_TURN)
+    turn = float(np.clip(axis.direction @ region.curve.direction, -1, 1))
+    return math.acos(turn) > largest
+
+
+def fades_before_tip(
+    region: SearchRegion, axis: Axis, extent: NeedleExtent, parameters: NeedleLocalizerParameters
+) -> bool:
+    """Return True if a followed needle is thought to go on beyond its visible end.
+
+    It is visible as far as its echo stands out, and shadows and fading hide parts of it. So an end
+    that is short of the prediction is not the tip if it is a blurred one, if it may go on further,
+    or if no hand can have withdrawn the needle so far since the tip was last seen. A faint end is
+    short of the tip more often, so it must agree with a slow withdrawal.
+    """
+    if region.entry is None or extent.leaves:
+        return False
+    if extent.continues:
+        return True
+    short = float(axis.abscissa(region.curve.tip)) - extent.tip
+    doubtful = short > parameters.max_shortening and region.tip_unseen < parameters.max_unseen
+    if extent.faint > 0:
+        doubtful |= short > parameters.margin + _SLOW_WITHDRAWAL * region.tip_unseen
+    else:
+        doubtful |= extent.end_std > parameters.faded_std
+    return short > parameters.margin and doubtful
+
+
+def outer_region(
+    region: SearchRegion, axis: Axis, extent: NeedleExtent, parameters: NeedleLocalizerParameters
+) -> SearchRegion | NotFound:
+    """Return the region for the rest of a needle if only its end was found.
+
+    If a needle moves fast, only its new part stands out at first. It is followed towards the
+    outside as long as it continues.
+    """
+    before = axis.abscissa(region.curve.entry) - extent.start
+    if region.followed > 0 and before < parameters.min_length:
+        return NotFound("the line found does not come from outside the field of view")
+    ends = np.linspace(extent.start, extent.tip, region.curve.order)
+    return SearchRegion(
+        curve=NeedleCurve(axis.position(ends)),
+        radius=2 * parameters.margin,
+        before=parameters.search_reach,
+        beyond=parameters.margin,
+        shaft_beyond=0.0,
+        max_angle=math.radians(2 * parameters.max_angle_deg),
+        followed=region.followed + 1,
+    )

@@ -1,0 +1,96 @@
+"""Track of a needle at one time."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.math import RigidTransform
+
+from sonoservo.systems.signals.immutable import Immutable
+from sonoservo.systems.signals.insertion_detection import InsertionDetection
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.tracking.needle_filter import NeedleState
+
+
+@dataclass(frozen=True, eq=False)
+class Track(Immutable):
+    """Track of a needle that is being followed or awaited; falsy without a state.
+
+    Parameters
+    ----------
+    mode
+        Stage of the track's life. In the searching stage, a state is an unconfirmed candidate.
+    time
+        Time of the state in s, or of the last change if there is no state.
+    state
+        State of the filter; None while there is no needle.
+    volume_time
+        Time of the newest volume seen, in s.
+    X_WP
+        Pose of the probe with which the needle is assumed to move; None if its state is kept in W.
+    missed
+        Number of successive volumes that did not confirm the needle.
+    since
+        Time of the last confirmation, in s.
+    detections
+        First and last of successive detections; None if there is none.
+    rejected
+        Last measurement that failed the gate since the last confirmation.
+    entry
+        (3,) place of the entry when the needle was found, in the state's frame, in m; None if no
+        needle is followed. A filter's own entry would slide along the needle if it were measured
+        by itself.
+    innovation
+        Mahalanobis distance of the last measurement from its prediction; None if none was gated.
+    tip_seen
+        Time at which the tip was last seen, in s.
+    probability
+        Probability that what is followed is a needle.
+    reason
+        Reason why the last volume did not confirm the needle.
+    """
+
+    mode: TrackingMode
+    time: float
+    state: NeedleState | None = None
+    volume_time: float = -np.inf
+    X_WP: RigidTransform | None = None
+    missed: int = 0
+    since: float = -np.inf
+    detections: tuple[InsertionDetection, InsertionDetection] | None = None
+    rejected: NeedleMeasurement | None = None
+    entry: NDArray[np.float64] | None = None
+    innovation: float | None = None
+    tip_seen: float = -np.inf
+    probability: float = 0.0
+    reason: str = ""
+
+    def __bool__(self) -> bool:
+        return self.state is not None
+
+    def seen_from(self, X_WP: RigidTransform) -> "Track":
+        """Return the track with the probe at ``X_WP``; a state in the probe's frame moves along."""
+        if self.X_WP is None:
+            return self
+        X = X_WP.multiply(self.X_WP.inverse())
+        state = self.state and self.state.transformed(X)
+        entry = None if self.entry is None else X.multiply(self.entry)
+        return replace(self, X_WP=X_WP, entry=entry, state=state)
+
+    @property
+    def estimate(self) -> NeedleEstimate:
+        """Estimate of the needle; it contains no curve while the track is unconfirmed."""
+        nothing = NeedleEstimate(
+            self.mode, self.time, volume_time=self.volume_time, reason=self.reason, X_WP=self.X_WP
+        )
+        state = self.state
+        if state is None or self.mode == TrackingMode.SEARCHING:
+            return nothing
+        return replace(
+            nothing,
+            curve=state.curve,
+            velocity=state.velocity,
+            covariance=state.covariance,
+            probability=self.probability,
+        )

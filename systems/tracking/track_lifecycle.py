@@ -1,0 +1,266 @@
+"""Life of a track: find, confirm, gate, coast, lose, find again, end.
+
+A `NeedleFilter` models the needle's motion and its correction in between.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.math import RigidTransform
+from scipy.special import expit
+
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.insertion_detection import InsertionDetection
+from sonoservo.systems.signals.line_hypotheses import LINE_CLASSES, LineHypotheses
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_estimate import TrackingMode
+from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals.needle_prediction import NeedlePrediction
+from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
+from sonoservo.systems.tracking.innovation_gate import gate_distance, innovation_distance
+from sonoservo.systems.tracking.needle_filter import NeedleFilter, NeedleState, require_order
+from sonoservo.systems.tracking.search_region import found_again
+from sonoservo.systems.tracking.track import Track
+from sonoservo.systems.tracking.track_parameters import TrackParameters
+
+_WITHDRAWN = "the needle was withdrawn"
+"""Reason why the track of a needle that came out ends."""
+
+_DETECTED, _CLUTTER = 0.6, 0.2
+"""Probabilities that a volume confirms a needle which is there, and that it confirms one which is
+not: what looked like a needle once does so again."""
+
+_SUREST = 0.999
+"""Largest probability of a needle: something that nobody modelled may look like one."""
+
+_KNOWN_BY = {
+    "needle": "no line is a needle with enough certainty yet",
+    "resting": "the lines that look like a needle were there before",
+    "riding": "the lines that look like a needle move along with the probe",
+    "appeared": "the lines that look like a needle appeared at once",
+    "nothing": "no line stands out as a needle does",
+}
+"""Reason why there is no needle, by the class of the line that is most like one."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackLifecycle:
+    """Rules by which a track begins, continues and ends, as pure functions.
+
+    Parameters
+    ----------
+    order
+        Number n of control points of the needle's curve.
+    parameters
+        Thresholds.
+    needle_filter
+        Filter that starts, predicts and updates the track's state.
+    anywhere
+        Whether a line at rest that looks like a needle is taken for one while there is none. If
+        not, a needle must be seen to move.
+    """
+
+    order: int
+    parameters: TrackParameters
+    needle_filter: NeedleFilter[Any]
+    anywhere: bool = False
+
+    def __post_init__(self) -> None:
+        require_order(self.order, self.needle_filter)
+
+    @property
+    def probe_frame(self) -> bool:
+        """Whether the needle's state moves along with the probe between volumes."""
+        return self.parameters.probe_frame
+
+    @property
+    def gate(self) -> float:
+        """Largest Mahalanobis distance at which a measurement is accepted."""
+        return gate_distance(self.parameters.gate, self.order)
+
+    def without_needle(self, time: float, reason: str = "") -> Track:
+        """Return the track at a time in s while there is no needle."""
+        return Track(TrackingMode.SEARCHING, time, reason=reason)
+
+    def confirm(self, state: NeedleState, time: float, innovation: float | None = None) -> Track:
+        """Return a track that is confirmed by a measurement at a time in s."""
+        return Track(
+            TrackingMode.TRACKING,
+            state.time,
+            state,
+            since=time,
+            innovation=innovation,
+            probability=_SUREST,
+        )
+
+    def predict(
+        self,
+        track: Track,
+        time: float,
+        X_WP: RigidTransform,
+        lines: LineHypotheses | NotFound,
+    ) -> NeedlePrediction | NotFound:
+        """Return where to localize the needle: around its prediction, or along a line found.
+
+        See `Lifecycle.predict`.
+        """
+        track = track.seen_from(X_WP)
+        if track.mode in (TrackingMode.TRACKING, TrackingMode.COASTING):
+            assert track.state is not None
+            state = self.needle_filter.predict(track.state, time)
+            points = 3 * self.order
+            return NeedlePrediction(
+                self.order,
+                state.time,
+                state.curve,
+                state.velocity,
+                state.covariance[:points, :points],
+                entry=track.entry,
+                missed=track.missed,
+                tip_unseen=max(time - track.tip_seen, 0.0),
+            )
+        found = self.most_probable(track, lines)
+        if isinstance(found, NotFound):
+            return found
+        ends, _ = found
+        n = self.order
+        curve = NeedleCurve(np.linspace(ends[0], ends[1], n))
+        none = np.zeros((n, 3)), np.zeros((3 * n, 3 * n))
+        return NeedlePrediction(n, time, curve, *none, found=True)
+
+    def most_probable(
+        self, track: Track, lines: LineHypotheses | NotFound
+    ) -> tuple[NDArray[np.float64], float] | NotFound:
+        """Return the (2, 3) ends in W of the line that is the needle, and the probability of that.
+
+        A line is a needle if it moves like one. One that was lost, and any if that is allowed, may
+        rest: then its looks in several volumes decide, and how well it agrees with what was known.
+
+        Parameters
+        ----------
+        track
+            Track without a needle, or with a lost one.
+        lines
+            Lines that are followed.
+        """
+        if isinstance(lines, NotFound):
+            return lines
+        if not lines:
+            return NotFound("no bright line is seen")
+        best = int(lines.probabilities.argmax())
+        choice = lines.ends[best], float(lines.probabilities[best])
+        last = None if track.state is None else track.state.curve
+        if last is not None or self.anywhere:
+            enough = np.flatnonzero(lines.looked >= self.parameters.volumes_to_follow)
+            for n in enough:
+                odds, ends = float(lines.looks[n]), lines.ends[n]
+                if last is not None:
+                    odds, ends = found_again(odds, ends, last)
+                if expit(odds) > choice[1]:
+                    choice = ends, float(expit(odds))
+        if choice[1] >= self.parameters.act:
+            return choice
+        return NotFound(_KNOWN_BY[LINE_CLASSES[int(lines.classes[best].argmax())]])
+
+    def next(
+        self,
+        track: Track,
+        time: float,
+        *,
+        detection: InsertionDetection | NotFound,
+        measurement: NeedleMeasurement | NotFound,
+        velocity: VelocityMeasurement | NotFound,
+        lines: LineHypotheses | NotFound,
+    ) -> Track:
+        """Return the track after a volume; see `Lifecycle.next`."""
+        speed = velocity if isinstance(velocity, VelocityMeasurement) else None
+        if isinstance(measurement, NotFound):
+            return self._miss(replace(track, innovation=None), time, speed, measurement.reason)
+        if track.mode not in (TrackingMode.TRACKING, TrackingMode.COASTING):
+            found = self.most_probable(track, lines)
+            probability = _SUREST if isinstance(found, NotFound) else min(found[1], _SUREST)
+            state = self.needle_filter.start(measurement)
+            return replace(
+                self._confirmed(state, measurement, probability), entry=state.curve.entry
+            )
+        assert track.state is not None
+        probability = _bayes(track.probability, _DETECTED / _CLUTTER)
+        if not self.parameters.filtering:
+            state = self.needle_filter.start(measurement)
+            return self._confirmed(state, measurement, probability, track.entry)
+        if measurement.curve.direction @ track.state.curve.direction < 0:
+            # Its tip has come out past its entry.
+            return self.without_needle(time, _WITHDRAWN)
+        state = self.needle_filter.predict(track.state, measurement.time)
+        distance = innovation_distance(state, measurement)
+        if distance <= self.gate:
+            state = self.needle_filter.update(state, measurement, speed)
+            return self._confirmed(state, measurement, probability, track.entry, distance)
+        jumps = measurement.curve.control_points - state.curve.control_points
+        agrees = np.linalg.norm(jumps, axis=1).max() <= self.parameters.max_jump
+        if not agrees and track.rejected is not None:
+            # If two rejected measurements agree with each other, the prediction is wrong.
+            before = self.needle_filter.start(track.rejected)
+            before = self.needle_filter.predict(before, measurement.time)
+            agrees = innovation_distance(before, measurement) <= self.gate
+        if agrees:
+            state = self.needle_filter.start(measurement)
+            entry = state.curve.entry
+            return self._confirmed(state, measurement, probability, entry, distance)
+        missed = replace(track, rejected=measurement, innovation=distance)
+        reason = f"the measurement is {distance:.1f} standard deviations from the prediction"
+        return self._miss(missed, time, speed, reason)
+
+    def _confirmed(
+        self,
+        state: NeedleState,
+        measurement: NeedleMeasurement,
+        probability: float,
+        entry: NDArray[np.float64] | None = None,
+        innovation: float | None = None,
+    ) -> Track:
+        """Return a track that is confirmed by a measurement, whose tip may not have been seen."""
+        track = self.confirm(state, measurement.time, innovation)
+        seen = measurement.time if measurement.tip_seen else -np.inf
+        return replace(track, probability=probability, entry=entry, tip_seen=seen)
+
+    def _miss(
+        self, track: Track, time: float, velocity: VelocityMeasurement | None, reason: str
+    ) -> Track:
+        """Return the track after a volume that did not confirm it."""
+        p = self.parameters
+        if track.state is None:
+            return replace(self.without_needle(time, reason), tip_seen=track.tip_seen)
+        missed = track.missed + 1
+        track = replace(
+            track,
+            missed=missed,
+            probability=_bayes(track.probability, (1 - _DETECTED) / (1 - _CLUTTER)),
+        )
+        if time - track.since > p.seconds_to_give_up:
+            return self.without_needle(time, _WITHDRAWN if self._is_leaving(track.state) else reason)
+        if track.mode == TrackingMode.LOST:
+            return replace(track, reason=reason)
+        state = self.needle_filter.predict(track.state, time)
+        state = self.needle_filter.update(state, None, velocity)
+        length = (state.curve.tip - state.curve.entry) @ track.state.curve.direction
+        if length < p.withdrawn_length:
+            return self.without_needle(time, _WITHDRAWN)
+        # No robot goes after a needle that was last seen to come out.
+        lost = self._is_leaving(state) or missed >= p.volumes_to_lose
+        mode = TrackingMode.LOST if lost else TrackingMode.COASTING
+        return replace(track, mode=mode, time=state.time, state=state, reason=reason)
+
+    def _is_leaving(self, state: NeedleState) -> bool:
+        """Return True if a needle came out of the tissue fast when it was last seen."""
+        v = (state.velocity[-1] - state.velocity[0]) @ state.curve.direction
+        return bool(v < -self.parameters.withdrawal_speed)
+
+
+def _bayes(probability: float, ratio: float) -> float:
+    """Return a probability after evidence with a likelihood ratio."""
+    odds = ratio * probability / max(1 - probability, 1e-12)
+    return min(odds / (1 + odds), _SUREST) if math.isfinite(odds) else _SUREST

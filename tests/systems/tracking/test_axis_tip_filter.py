@@ -1,0 +1,210 @@
+"""The filter on axis, tip and velocity: against the plain Kalman filter, and under rotations."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
+from sonoservo.systems.tracking.axis_tip_filter import AxisTipFilter, direction_angles
+from sonoservo.systems.tracking.needle_motion import NeedleMotionParameters
+
+MOTION = NeedleMotionParameters(insertion=1e-6, body=2e-7)
+TURNING = 1e-4
+FILTER = AxisTipFilter(motion=MOTION, turning=TURNING, velocity_gate=1 - 1e-12)
+NOISE = np.diag([1, 0.2, 0.3, 0.5, 0.2, 0.4]) * 1e-8
+VELOCITY_NOISE = np.diag([3, 1, 2]) * 1e-7
+
+rotations = st.tuples(*[st.floats(-4, 4)] * 3).map(lambda v: Rotation.from_rotvec(v).as_matrix())
+noises = st.integers(0, 1000).map(np.random.default_rng)
+
+
+def measurement(entry, tip, R=None, time=0.0):
+    R = np.eye(3) if R is None else R
+    both = np.kron(np.eye(2), R)
+    curve = NeedleCurve(np.array([entry, tip]) @ R.T)
+    return NeedleMeasurement(curve, both @ NOISE @ both.T, time, 1, 1.0)
+
+
+def speed(v, R=None):
+    R = np.eye(3) if R is None else R
+    return VelocityMeasurement(R @ v, R @ VELOCITY_NOISE @ R.T, 0.9)
+
+
+def insertion(rng, steps=6):
+    """Noisy ends and velocities of a needle along (2, 1, -1), pushed at 4 mm/s."""
+    k = np.array([2, 1, -1]) / np.sqrt(6)
+    for n in range(steps):
+        tip = (0.02 + 0.004 * n) * k
+        ends = np.concatenate([np.zeros(3), tip]) + np.sqrt(np.diag(NOISE)) * rng.normal(size=6)
+        yield ends[:3], ends[3:], 0.004 * k + np.sqrt(np.diag(VELOCITY_NOISE)) * rng.normal(size=3)
+
+
+def filtered(rng, R, flip=False):
+    state = None
+    for time, (entry, tip, v) in enumerate(insertion(rng)):
+        found = measurement(entry, tip, R, float(time))
+        if state is None:
+            state = FILTER.start(found)
+            continue
+        if flip:
+            # The same line with the opposite sense, its tip where it was.
+            ends = 2 * tip - entry, tip
+            J = np.kron([[-1, 2], [0, 1]], np.eye(3))
+            noise = np.kron(np.eye(2), R) @ J @ NOISE @ J.T @ np.kron(np.eye(2), R).T
+            found = dataclasses.replace(measurement(*ends, R, float(time)), covariance=noise)
+        state = FILTER.update(FILTER.predict(state, found.time), found, speed(v, R))
+    return state
+
+
+@given(R=rotations, seed=st.integers(0, 100))
+@settings(max_examples=30, deadline=None)
+def test_no_direction_is_special(R, seed):
+    """Angles have poles, where a needle along Z stands; here a rotated world rotates the result."""
+    plain = filtered(np.random.default_rng(seed), np.eye(3))
+    turned = filtered(np.random.default_rng(seed), R)
+    np.testing.assert_allclose(turned.direction, R @ plain.direction, atol=1e-9)
+    np.testing.assert_allclose(turned.tip, R @ plain.tip, atol=1e-10)
+    np.testing.assert_allclose(turned.tip_velocity, R @ plain.tip_velocity, atol=1e-10)
+    P, Q = plain.P[2:5, 2:5], turned.P[2:5, 2:5]
+    np.testing.assert_allclose(Q, R @ P @ R.T, atol=1e-13)
+    np.testing.assert_allclose(turned.frame @ turned.frame.T, np.eye(3), atol=1e-12)
+
+
+def test_a_measured_axis_has_no_sense():
+    plain = filtered(np.random.default_rng(0), np.eye(3))
+    flipped = filtered(np.random.default_rng(0), np.eye(3), flip=True)
+    np.testing.assert_allclose(flipped.direction, plain.direction, atol=1e-9)
+    np.testing.assert_allclose(flipped.tip, plain.tip, atol=1e-10)
+
+
+@given(rng=noises, with_axis=st.booleans(), with_velocity=st.booleans())
+@settings(max_examples=30, deadline=None)
+def test_one_step_is_the_textbook_filter_on_the_paper_s_states(rng, with_axis, with_velocity):
+    """Eqs. 1 to 7 with alpha and beta, far from their poles and for small errors."""
+    first, second = list(insertion(rng, 2))
+    state = FILTER.start(measurement(*first[:2]))
+    updated = FILTER.update(
+        FILTER.predict(state, 0.5),
+        measurement(*second[:2]) if with_axis else None,
+        speed(second[2]) if with_velocity else None,
+    )
+
+    def angles_by(function, at, step=1e-7):
+        return np.array(
+            [(function(at + d) - function(at - d)) / (2 * step) for d in step * np.eye(len(at))]
+        ).T
+
+    # The frame's deviations to alpha and beta: X = (alpha, beta, p, v).
+    turn = angles_by(lambda e: direction_angles(state.direction + e @ state.frame[:2]), np.zeros(2))
+    T = np.eye(8)
+    T[:2, :2] = turn
+    x = np.concatenate([direction_angles(state.direction), state.tip, state.tip_velocity])
+    A = np.eye(8)
+    A[2:5, 5:] = 0.5 * np.eye(3)
+    density = MOTION.insertion * np.outer(state.direction, state.direction) + MOTION.body * np.eye(
+        3
+    )
+    Q = np.zeros((8, 8))
+    Q[:2, :2] = TURNING * 0.5 * turn @ turn.T
+    Q[2:, 2:] = np.kron([[0.5**3 / 3, 0.5**2 / 2], [0.5**2 / 2, 0.5]], density)
+    x, P = A @ x, A @ T @ state.P @ T.T @ A.T + Q
+    ends = np.concatenate(second[:2])
+    axis_and_tip = lambda e: np.concatenate([direction_angles(e[3:] - e[:3]), e[3:]])  # noqa: E731
+    J = angles_by(axis_and_tip, ends)
+    z, R = np.concatenate([axis_and_tip(ends), second[2]]), np.zeros((8, 8))
+    R[:5, :5], R[5:, 5:] = J @ NOISE @ J.T, VELOCITY_NOISE
+    H = np.eye(8)[np.repeat([with_axis, with_velocity], [5, 3])]
+    K = P @ H.T @ np.linalg.inv(H @ P @ H.T + H @ R @ H.T)
+    x = x + K @ H @ (z - x)
+    P = (np.eye(8) - K @ H) @ P
+    np.testing.assert_allclose(direction_angles(updated.direction), x[:2], atol=2e-4)
+    np.testing.assert_allclose(updated.tip, x[2:5], atol=3e-6)
+    np.testing.assert_allclose(updated.tip_velocity, x[5:], atol=3e-5)
+    np.testing.assert_allclose(np.sqrt(np.diag(updated.P)[2:]), np.sqrt(np.diag(P)[2:]), rtol=0.05)
+
+
+def test_covariance_says_how_far_it_errs():
+    """Normalised estimation error squared: 8 on average, over insertions of their own."""
+    k = np.array([2, 1, -1]) / np.sqrt(6)
+    squares = []
+    for seed in range(300):
+        state = filtered(np.random.default_rng(seed), np.eye(3))
+        error = np.concatenate(
+            [state.frame[:2] @ k, 0.04 * k - state.tip, 0.004 * k - state.tip_velocity]
+        )
+        squares.append(error @ np.linalg.solve(state.P, error))
+    # The process noise is added to a motion that has none, so it errs by less.
+    assert 1.5 < np.mean(squares) < 9
+
+
+@pytest.mark.parametrize(
+    ("direction", "alpha", "beta"),
+    [([0.94, 0, 0.34], 0, 70.1), ([0, 1, 0], 90, 90), ([0, 0, 2], 0, 0), ([-1, 0, 0], 180, 90)],
+)
+def test_reported_angles(direction, alpha, beta):
+    np.testing.assert_allclose(np.degrees(direction_angles(direction)), [alpha, beta], atol=0.05)
+
+
+@pytest.fixture
+def resting():
+    """A needle along X whose tip has rested at 20 mm for five seconds."""
+    needle_filter = AxisTipFilter(motion=MOTION, turning=TURNING)
+    state = needle_filter.start(measurement([0, 0, 0], [0.02, 0, 0]))
+    for n in range(1, 6):
+        found = measurement([0, 0, 0], [0.02, 0, 0], time=float(n))
+        state = needle_filter.predict(state, found.time)
+        state = needle_filter.update(state, found, speed([0, 0, 0]))
+    return needle_filter, state
+
+
+def test_entry_rests_while_the_tip_advances():
+    state = FILTER.start(measurement([0, 0, 0], [0.02, 0, 0]))
+    # What the entry and the tip have in common is their covariance too.
+    np.testing.assert_allclose(state.covariance[3:6, 3:6], NOISE[3:, 3:], atol=1e-12)
+    for n in range(1, 8):
+        tip = [0.02 + 0.003 * n, 0, 0]
+        found = measurement([0, 0, 0], tip, time=float(n))
+        state = FILTER.update(FILTER.predict(state, n), found, speed([0.003, 0, 0]))
+    np.testing.assert_allclose(state.curve.tip, tip, atol=2e-5)
+    np.testing.assert_allclose(state.curve.entry, 0, atol=1e-9)
+    np.testing.assert_allclose(state.velocity[-1], [0.003, 0, 0], atol=1e-4)
+
+
+def test_a_velocity_alone_moves_the_tip(resting):
+    needle_filter, state = resting
+    told = untold = state
+    for n in (6, 7):
+        told, untold = (needle_filter.predict(each, float(n)) for each in (told, untold))
+        told = needle_filter.update(told, None, speed([0.001, 0, 0]))
+        untold = needle_filter.update(untold, None, None)
+    assert told.curve.tip[0] > 0.0208
+    assert untold.curve.tip[0] == pytest.approx(0.02, abs=2e-4)
+
+
+def test_an_impossible_velocity_is_not_believed(resting):
+    needle_filter, state = resting
+    state = needle_filter.predict(state, 6.0)
+    found = measurement([0, 0, 0], [0.02, 0, 0], time=6.0)
+    without = needle_filter.update(state, found, None)
+    told = needle_filter.update(state, found, speed([0.5, 0, 0]))
+    np.testing.assert_array_equal(told.velocity, without.velocity)
+
+
+def test_a_bent_needle_is_refused():
+    curve = NeedleCurve(np.outer([0, 0.01, 0.02], [1, 0, 0]))
+    with pytest.raises(ValueError, match="straight"):
+        FILTER.start(NeedleMeasurement(curve, np.eye(9), 0.0, 1, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("turning", -1.0), ("velocity_gate", 1.0), ("first_speed_std", 0.0)]
+)
+def test_impossible_parameters_are_refused(field, value):
+    with pytest.raises(ValueError, match=field):
+        dataclasses.replace(FILTER, **{field: value})

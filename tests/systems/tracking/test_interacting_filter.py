@@ -1,0 +1,171 @@
+"""A filter that knows which measurements repeat each other, and that hands mostly move evenly."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from pydrake.math import RigidTransform, RollPitchYaw
+from scipy.linalg import expm
+
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.tracking.innovation_gate import gate_distance, innovation_distance
+from sonoservo.systems.tracking.interacting_filter import InteractingFilter, transition
+from sonoservo.systems.tracking.needle_filter import FILTERS
+
+FILTER = InteractingFilter()
+R = np.diag([1.0, 0.1, 0.1, 0.5, 0.1, 0.1]) ** 2 * 1e-6
+PERIOD = 0.3
+
+
+def measurement(number, tip=0.03, X_WP=None, covariance=R):
+    curve = NeedleCurve([[0.0, 0, 0], [tip, 0, 0]])
+    return NeedleMeasurement(curve, covariance, PERIOD * number, 100, 0.8, X_WP)
+
+
+def follow(measurements, needle_filter=FILTER):
+    measurements = iter(measurements)
+    state = needle_filter.start(next(measurements))
+    for z in measurements:
+        state = needle_filter.update(needle_filter.predict(state, z.time), z, None)
+    return state
+
+
+def tip_std(state):
+    return float(np.sqrt(state.covariance[3, 3]))
+
+
+def at_rest(number):
+    return measurement(number, X_WP=RigidTransform())
+
+
+def test_repetitions_at_rest_are_no_evidence():
+    stds = [tip_std(follow(at_rest(k) for k in range(count))) for count in (1, 3, 40)]
+    assert stds[0] == pytest.approx(0.5e-3)
+    assert min(stds) > 0.85 * stds[0]
+
+
+def test_looks_from_elsewhere_are_evidence():
+    views = (
+        measurement(k, X_WP=RigidTransform(RollPitchYaw(0, 0.1 * k, 0), [2e-3 * k, 0, 0]))
+        for k in range(40)
+    )
+    known, rested = tip_std(follow(views)), tip_std(follow(at_rest(k) for k in range(40)))
+    # What never changes is left over.
+    assert np.sqrt(FILTER.constant) * 0.5e-3 < known < 0.8 * rested
+
+
+def test_a_direction_that_jitters_does_not_move_the_entry():
+    """To and fro, a sweep shows a needle that rests 0.2 mm to either side."""
+
+    def jittering(number):
+        aside = 0.2e-3 * (-1) ** number
+        ends = np.array([[0, aside, 0], [0.03, 0.2 * aside, 0]])
+        k = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+        along, across = np.diag([1.0, 0.36]) * 1e-6, 0.0225e-6 * np.eye(6)
+        covariance = np.kron(along, np.outer(k, k)) + across
+        curve = NeedleCurve(ends)
+        return NeedleMeasurement(curve, covariance, PERIOD * number, 100, 0.8, RigidTransform())
+
+    entry = follow(jittering(k) for k in range(60)).curve.entry
+    np.testing.assert_allclose(entry, 0, atol=0.7e-3)
+
+
+def test_a_hand_that_stops_is_noticed():
+    tips = [0.02 + 8e-3 * PERIOD * min(k, 10) for k in range(16)]
+    state = follow(measurement(k, tip) for k, tip in enumerate(tips))
+    assert state.curve.tip[0] == pytest.approx(tips[-1], abs=0.3e-3)
+    np.testing.assert_allclose(state.velocity[1], 0, atol=0.5e-3)
+    moving = follow(measurement(k, tip) for k, tip in enumerate(tips[:10]))
+    assert moving.velocity[1][0] == pytest.approx(8e-3, abs=0.5e-3)
+
+
+def test_even_motion_makes_the_steady_model_likely_and_a_start_the_other():
+    even = [measurement(k) for k in range(20)]
+    assert follow(even).weights[0] > 0.8
+    started = [*even, measurement(20, 0.033), measurement(21, 0.036)]
+    assert follow(started).weights[1] > 0.5
+
+
+@pytest.mark.parametrize("period", [3.0, 5.0])
+def test_a_needle_that_breathes_with_the_tissue_is_followed(period):
+    """10 mm from peak to peak, across the needle; the velocity is judged as stated, too."""
+    rng, inside, passed = np.random.default_rng(4), [], []
+    noise = 0.1e-3 * rng.normal(size=(60, 3))
+    state = None
+    for k in range(60):
+        phase = 2 * np.pi * PERIOD * k / period
+        true = 5e-3 * np.array([0, np.sin(phase), 0])
+        velocity = 5e-3 * 2 * np.pi / period * np.array([0, np.cos(phase), 0])
+        z = measurement(k, X_WP=RigidTransform())
+        z = dataclasses.replace(z, curve=NeedleCurve(z.curve.control_points + true + noise[k]))
+        if state is None:
+            state = FILTER.start(z)
+            continue
+        predicted = FILTER.predict(state, z.time)
+        passed.append(innovation_distance(predicted, z) <= gate_distance(0.9999, 2))
+        state = FILTER.update(predicted, z, None)
+        miss = state.velocity[1] - velocity
+        inside.append(miss @ np.linalg.solve(state.covariance[9:12, 9:12], miss) < 7.815)
+    assert np.mean(inside) >= 0.9
+    assert np.mean(passed) >= 0.95
+
+
+@pytest.mark.parametrize("times", [(3.0, 1.0, 1.0), (2.0, 2.0, 2.0), (0.3, 5.0, 40.0)])
+@pytest.mark.parametrize("dt", [1e-3, 0.4, 500.0])
+def test_models_are_left_after_their_time_for_each_other_alike(dt, times):
+    times = np.array(times)
+    rates = (np.ones((3, 3)) - 3 * np.eye(3)) / 2 / times[:, np.newaxis]
+    switch = transition(dt, times)
+    np.testing.assert_allclose(switch, expm(dt * rates), rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(times @ switch, times)  # as many as there are on average
+
+
+def test_a_needle_whose_tip_is_not_seen_comes_to_rest():
+    pushed = [measurement(k, 0.02 + 8e-3 * PERIOD * k) for k in range(8)]
+    unseen = [*pushed[:-1], dataclasses.replace(pushed[-1], tip_seen=False)]
+    seen, hidden = follow(pushed), follow(unseen)
+    later = [FILTER.predict(each, seen.time + 2 * FILTER.unseen_time) for each in (seen, hidden)]
+    speeds = [each.velocity[1, 0] for each in later]
+    assert speeds[0] == pytest.approx(seen.velocity[1, 0])
+    assert speeds[1] == pytest.approx(hidden.velocity[1, 0] * np.exp(-2))
+    gone = later[1].curve.tip[0] - hidden.curve.tip[0]
+    assert gone == pytest.approx(hidden.velocity[1, 0] * FILTER.unseen_time * (1 - np.exp(-2)))
+
+
+def test_stated_covariance_holds_what_it_says():
+    """Errors drawn as the filter believes them: a constant, a repeated and a fresh part."""
+    rng = np.random.default_rng(2)
+    root, inside = np.sqrt(R), []
+    shares = [FILTER.constant, FILTER.repeated, 1 - FILTER.constant - FILTER.repeated]
+    for _ in range(60):
+        constant, repeated = (np.sqrt(s) * root @ rng.normal(size=6) for s in shares[:2])
+        state = None
+        for k in range(12):
+            tip = 0.02 + 5e-3 * PERIOD * min(k, 6)
+            if k <= 6:
+                repeated = np.sqrt(shares[1]) * root @ rng.normal(size=6)
+            error = constant + repeated + np.sqrt(shares[2]) * root @ rng.normal(size=6)
+            z = measurement(k, tip, RigidTransform([0.05 * min(k, 6), 0, 0]))
+            points = z.curve.control_points + error.reshape(2, 3)
+            z = dataclasses.replace(z, curve=NeedleCurve(points))
+            if state is None:
+                state = FILTER.start(z)
+                continue
+            state = FILTER.update(FILTER.predict(state, z.time), z, None)
+            miss = state.curve.tip - [tip, 0, 0]
+            inside.append(miss @ np.linalg.solve(state.covariance[3:6, 3:6], miss) < 7.815)
+    assert 0.9 <= np.mean(inside) <= 1.0
+
+
+def test_parameters_outside_their_range_are_refused():
+    with pytest.raises(ValueError, match="constant"):
+        InteractingFilter(constant=-0.1)
+    with pytest.raises(ValueError, match="constant \\+ repeated"):
+        InteractingFilter(constant=0.5, repeated=0.5)
+    with pytest.raises(ValueError, match="kind"):
+        InteractingFilter(kind="control_points")
+
+
+def test_the_filter_is_registered():
+    assert InteractingFilter in FILTERS

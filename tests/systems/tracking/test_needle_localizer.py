@@ -1,0 +1,59 @@
+import numpy as np
+import pytest
+from pydrake.common.value import Value
+from synthetic_volumes import Scene, entry_on_side
+
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals.needle_prediction import NeedlePrediction
+from sonoservo.systems.tracking.needle_localizer import NeedleLocalizer
+
+ENDS = entry_on_side() + np.outer([0, 0.03], [0.96, 0.24, 0.1])
+
+
+class Bench:
+    """The leaf with its inputs in hand."""
+
+    def __init__(self):
+        self.localizer = NeedleLocalizer()
+        self.context = self.localizer.CreateDefaultContext()
+        self.fix("prediction", self.prediction())
+
+    def prediction(self):
+        curve = NeedleCurve(ENDS)
+        return NeedlePrediction(2, 0.0, curve, np.zeros((2, 3)), 1e-6 * np.eye(6), curve.entry)
+
+    def fix(self, port, value):
+        self.localizer.GetInputPort(port).FixValue(self.context, Value[object](value))
+
+    def output(self, port):
+        return self.localizer.GetOutputPort(port).Eval(self.context)
+
+
+def test_measures_and_explains():
+    bench = Bench()
+    bench.fix("volume", Scene(seed=5, spacing=1e-3).volume(1, lambda time: ENDS))
+    found = bench.output("measurement")
+    assert isinstance(found, NeedleMeasurement)
+    assert bench.output("explanation").measurement is found
+    assert bench.output("explanation").attempts
+
+
+def test_says_what_is_missing():
+    bench = Bench()
+    for port in ("measurement", "explanation"):
+        bench.fix("volume", NotFound("no sweep"))
+        assert bench.output(port).reason == "no sweep"
+    bench.fix("volume", Scene(seed=5, spacing=1e-3).volume(1))
+    bench.fix("prediction", NotFound("nothing is expected"))
+    assert bench.output("measurement").reason == "nothing is expected"
+    assert bench.output("explanation").attempts == ()
+
+
+def test_a_wrong_input_is_named():
+    bench = Bench()
+    bench.fix("volume", Scene(seed=5, spacing=1e-3).volume(1))
+    bench.fix("prediction", 3)
+    with pytest.raises(TypeError, match="expected NeedlePrediction or NotFound"):
+        bench.output("measurement")

@@ -1,0 +1,402 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
+from synthetic_volumes import Scene, entry_on_side
+
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.localization_explanation import NeedleExtent
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals.needle_prediction import NeedlePrediction
+from sonoservo.systems.tracking.axis import axis_through
+from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
+from sonoservo.systems.tracking.novelty import THERE_BEFORE
+from sonoservo.systems.tracking.pipeline import explain_localization, localize
+from sonoservo.systems.tracking.ransac import RansacParameters
+from sonoservo.systems.tracking.search_region import fades_before_tip, predicted_region
+from sonoservo.systems.tracking.tip import TipParameters
+
+SCENE = Scene(
+    seed=5,
+    spacing=1.0e-3,
+    balls=[([0.005, 0.06, 0.008], 2e-3), ([-0.01, 0.035, -0.004], 1.5e-3)],
+    rods=[([-0.015, 0.07, 0.0], [-0.003, 0.072, 0.008])],
+)
+ENTRY = entry_on_side()
+K = np.array([1, 0.25, 0.1]) / np.linalg.norm([1, 0.25, 0.1])
+# The synthetic needle echoes where it is, not at its front wall, and ends as an edge.
+PARAMETERS = NeedleLocalizerParameters(echo_offset=0.0, tip=TipParameters(beam_width=2.0e-3))
+
+
+def needle(length):
+    return np.array([ENTRY, ENTRY + length * K])
+
+
+def expected(ends, order=2, **changes):
+    """A prediction, certain to 1 mm, of a needle that has been measured before."""
+    curve = NeedleCurve(np.linspace(*ends, order))
+    fields = {
+        "velocity": np.zeros((order, 3)),
+        "covariance": 1e-6 * np.eye(3 * order),
+        "entry": curve.entry,
+    }
+    return NeedlePrediction(order, 0.0, curve, **(fields | changes))
+
+
+def run(volume, guess, seed=0, **changes):
+    parameters = dataclasses.replace(PARAMETERS, **changes)
+    return localize(volume, guess, parameters, np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize("order", [2, 3])
+@pytest.mark.parametrize("length", [0.012, 0.04])
+def test_measures_axis_and_tip(order, length):
+    X_WP = RigidTransform(RollPitchYaw(2.0, 0.3, -0.5), [0.4, 0.1, 0.2])
+    ends = X_WP.multiply(needle(length).T).T
+    volume = SCENE.volume(1, lambda time: ends, X_WP)
+    rng = np.random.default_rng(1)
+    for seed in range(5):
+        guess = expected(ends + rng.normal(size=(2, 3)) * 1e-3, order)
+        found = run(volume, guess, seed)
+        assert isinstance(found, NeedleMeasurement)
+        k = X_WP.rotation().matrix() @ K
+        angle = np.degrees(np.arccos(found.curve.direction @ k))
+        assert angle < (4 if length < 0.02 else 0.8)
+        error = found.curve.tip - ends[1]
+        assert abs(error @ k) < 1.5e-3
+        assert np.linalg.norm(error - error @ k * k) < 0.8e-3
+        # Interior points are uniform in chord, and the covariance is one.
+        chord = np.linalg.norm(np.diff(found.curve.control_points, axis=0), axis=1)
+        assert np.ptp(chord) < 0.02 * chord.sum()
+        assert np.linalg.eigvalsh(found.covariance).min() > 0
+        assert found.inlier_ratio > 0.3
+
+
+def test_same_seed_same_measurement():
+    volume = SCENE.volume(1, lambda time: needle(0.03))
+    first, second = (run(volume, expected(needle(0.03)), seed=4) for _ in range(2))
+    np.testing.assert_array_equal(first.curve.control_points, second.curve.control_points)
+
+
+def test_tip_that_leaves_the_field_of_view_is_uncertain():
+    far = np.array([ENTRY, ENTRY + np.array([0.12, 0.01, 0])])
+    volume = SCENE.volume(1, lambda time: far)
+    seen = run(volume, expected(np.array([ENTRY, ENTRY + np.array([0.08, 0.006, 0])])))
+    k = (far[1] - far[0]) / np.linalg.norm(far[1] - far[0])
+    assert k @ seen.covariance[-3:, -3:] @ k > (5e-3) ** 2
+
+
+def test_entry_outside_the_field_of_view():
+    ends = np.array([ENTRY - 0.03 * K, ENTRY + 0.03 * K])
+    volume = SCENE.volume(1, lambda time: ends)
+    found = run(volume, expected(ends))
+    assert np.linalg.norm(found.curve.tip - ends[1]) < 1.5e-3
+    assert np.linalg.norm(found.curve.entry - ends[0]) < 2.5e-3
+
+
+def test_no_needle_where_one_is_expected():
+    volume = SCENE.volume(1)
+    for seed in range(5):
+        assert not run(volume, expected(needle(0.03)), seed)
+
+
+def test_withdrawn_needle():
+    assert not run(SCENE.volume(1, lambda time: needle(1.5e-3)), expected(needle(0.01)))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_needle_of_which_only_the_end_moved_is_followed_to_where_it_enters(seed):
+    ends = needle(0.05)
+    end = np.array([ends[1] - 0.012 * K, ends[1]])
+    guess = expected(end, entry=None)
+    found = run(SCENE.volume(1, lambda time: ends), guess, seed)
+    assert np.linalg.norm(found.curve.entry - ENTRY) < PARAMETERS.max_entry_gap
+    assert np.linalg.norm(found.curve.tip - ends[1]) < 2e-3
+    # The same the wrong way round comes from inside.
+    assert not run(SCENE.volume(1, lambda time: ends), expected(end[::-1], entry=None), seed)
+
+
+def test_prediction_outside_the_volume():
+    found = run(SCENE.volume(1), expected(needle(0.03) + 1.0))
+    assert found.reason == "the predicted needle lies outside the field of view"
+
+
+def test_without_a_prediction_its_reason_is_returned():
+    nothing = NotFound("no needle has been detected")
+    assert run(SCENE.volume(1), nothing) is nothing
+
+
+def test_without_a_volume_of_interest_the_needle_is_found_wherever_it_is_predicted():
+    volume = SCENE.volume(1, lambda time: needle(0.03))
+    aside = expected(needle(0.03) + np.array([0.0, 0.012, 0.0]))
+    assert not run(volume, aside)
+    found = run(volume, aside, volume_of_interest=False)
+    assert np.degrees(np.arccos(found.curve.direction @ K)) < 1
+
+
+def test_without_the_angle_gate_the_predicted_direction_does_not_matter():
+    volume = SCENE.volume(1, lambda time: needle(0.03))
+    turn = RotationMatrix.MakeZRotation(np.radians(45)).matrix()
+    turned = expected(np.array([ENTRY, ENTRY + turn @ (0.03 * K)]))
+    found = run(volume, turned, volume_of_interest=False, angle_gate=False)
+    assert np.degrees(np.arccos(found.curve.direction @ K)) < 1
+    gated = run(volume, turned, volume_of_interest=False)
+    assert not gated or gated.curve.direction @ K < np.cos(np.radians(10))
+
+
+def test_without_the_sweep_s_time_a_volume_counts_as_acquired_at_its_middle():
+    ends = needle(0.03)
+    volume = SCENE.volume(1, lambda time: ends)
+    poses = volume.motion.X_WP.copy()
+    poses[:, 1, 3] += np.linspace(-5e-3, 5e-3, len(poses))  # the probe rises while it sweeps
+    moving = dataclasses.replace(volume, motion=dataclasses.replace(volume.motion, X_WP=poses))
+    own_times, middle = (run(moving, expected(ends), sweep_time=flag) for flag in (True, False))
+    for found, seen in ((own_times, moving), (middle, moving.at_once())):
+        shown = seen.to_world(volume.to_probe(ends[1:]))
+        assert abs(found.curve.tip[1] - shown[0][0][1]) < 0.5e-3
+    assert own_times.curve.tip[1] - middle.curve.tip[1] > 0.3e-3
+    assert middle.time == moving.time != own_times.time
+
+
+def test_without_refits_the_axis_is_less_precise():
+    volume = SCENE.volume(1, lambda time: needle(0.03))
+    angles = {}
+    for refits in (0, 3):
+        found = [
+            run(volume, expected(needle(0.03)), seed, ransac=RansacParameters(refits=refits))
+            for seed in range(10)
+        ]
+        assert all(np.linalg.eigvalsh(each.covariance).min() > 0 for each in found)
+        angles[refits] = np.mean([np.arccos(each.curve.direction @ K) for each in found])
+    assert angles[0] > 1.5 * angles[3]
+
+
+def test_lost_needle_is_found_among_balls_and_rods():
+    elsewhere = np.array([[0.0, 0.06, 0.0], [0.03, 0.05, 0.0]])
+    ends = needle(0.035)
+    errors = []
+    for seed in range(5):
+        volume = dataclasses.replace(SCENE, seed=seed).volume(1, lambda time: ends)
+        found = run(volume, expected(elsewhere, everywhere=True), seed)
+        assert found
+        assert np.degrees(np.arccos(found.curve.direction @ K)) < 1
+        errors.append(np.linalg.norm(found.curve.tip - ends[1]))
+    # Speckle right behind the tip may look like more of the needle.
+    assert np.median(errors) < 1.5e-3
+
+
+def test_balls_and_rods_are_no_lost_needle():
+    for seed in range(3):
+        assert not run(SCENE.volume(1), expected(needle(0.03), everywhere=True), seed)
+
+
+@pytest.mark.parametrize("everywhere", [False, True])
+@pytest.mark.parametrize("content", ["zeros", "constant", "noise"])
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+def test_volumes_without_content(everywhere, content, dtype):
+    volume = SCENE.volume(1)
+    shape = volume.intensities.shape
+    rng = np.random.default_rng(0)
+    intensities = {
+        "zeros": np.zeros(shape),
+        "constant": np.full(shape, 80),
+        "noise": rng.integers(0, 255, shape),
+    }[content].astype(dtype)
+    volume = dataclasses.replace(volume, intensities=intensities)
+    assert isinstance(run(volume, expected(needle(0.03), everywhere=everywhere)), NotFound)
+
+
+@pytest.mark.parametrize("order", [2, 3])
+def test_a_needle_never_seen_is_localized_in_the_whole_volume(order):
+    volume = SCENE.volume(1, lambda time: needle(0.05))
+    anywhere = NeedlePrediction(order, 0.0, everywhere=True)
+    explained = explain_localization(volume, anywhere, PARAMETERS, np.random.default_rng(0))
+    found = explained.measurement
+    assert found.curve.order == order
+    assert np.linalg.norm(found.curve.tip - needle(0.05)[1]) < 2e-3
+    assert len(explained.attempts) >= 7
+    assert explained.probability > 0.8
+    nothing = run(SCENE.volume(1), anywhere)
+    assert nothing.reason
+
+
+def test_explanation_has_all_that_was_looked_at():
+    volume = SCENE.volume(1, lambda time: needle(0.03))
+    prediction = expected(needle(0.03))
+    explained = explain_localization(volume, prediction, PARAMETERS, np.random.default_rng(0))
+    assert explained.volume_time == volume.time
+    assert explained.prediction is prediction
+    (attempt,) = explained.attempts
+    assert attempt.measurement is explained.measurement
+    np.testing.assert_array_equal(
+        explained.measurement.curve.control_points,
+        run(volume, prediction).curve.control_points,
+    )
+    assert attempt.region.entry is prediction.entry
+    assert len(attempt.candidates) == len(attempt.weights) == len(attempt.inliers) > 100
+    aside = attempt.candidates - ENTRY
+    aside = np.linalg.norm(aside - np.outer(aside @ K, K), axis=1)
+    assert np.median(aside[attempt.inliers]) < 1e-3 < np.median(aside[~attempt.inliers])
+    profile, extent = attempt.profile, attempt.extent
+    tip = profile.p_W[np.searchsorted(profile.a, extent.tip)]
+    assert np.linalg.norm(tip - needle(0.03)[1]) < 1.5e-3
+    inside = (profile.a > extent.start + 3e-3) & (profile.a < extent.tip - 3e-3)
+    assert np.median((profile.level - profile.background)[inside]) > 6
+
+
+def test_explanation_of_a_failure_ends_where_it_failed():
+    explain = lambda volume, guess: explain_localization(  # noqa: E731
+        volume, guess, PARAMETERS, np.random.default_rng(0)
+    )
+    outside, narrow = explain(SCENE.volume(1), expected(needle(0.03) + 1.0)).attempts
+    assert narrow.region.radius < outside.region.radius
+    assert outside.measurement.reason == "the predicted needle lies outside the field of view"
+    assert outside.candidates is outside.inliers is outside.profile is outside.extent is None
+    empty, _ = explain(SCENE.volume(1), expected(needle(0.03))).attempts
+    assert not empty.measurement
+    assert len(empty.candidates) > 100
+
+
+def test_explanation_shows_each_attempt_to_follow_a_needle_outwards():
+    ends = needle(0.05)
+    end = np.array([ends[1] - 0.012 * K, ends[1]])
+    volume = SCENE.volume(1, lambda time: ends)
+    explained = explain_localization(
+        volume, expected(end, entry=None), PARAMETERS, np.random.default_rng(0)
+    )
+    assert len(explained.attempts) > 1
+    assert [each.region.followed for each in explained.attempts] == [
+        *range(len(explained.attempts))
+    ]
+    assert explained.attempts[0].measurement.reason == "only the end of a needle was found"
+    assert explained.attempts[-1].measurement is explained.measurement
+
+
+def faded(length, beyond):
+    """A needle that fades out over its last centimetre, and the volume that shows it."""
+    shown, none = (SCENE.volume(1, ends) for ends in (lambda time: needle(length), None))
+    p_P = none.position(np.moveaxis(np.indices(none.intensities.shape), 0, -1))
+    share = np.clip((length - beyond - (p_P - ENTRY) @ K) / 0.01, 0, 1)
+    grey = share * shown.intensities + (1 - share) * none.intensities
+    return dataclasses.replace(shown, intensities=grey.astype(np.uint8))
+
+
+def test_a_needle_that_fades_ends_where_it_was_expected():
+    found = run(faded(0.05, beyond=0.015), expected(needle(0.05)))
+    assert not found.tip_seen
+    assert np.linalg.norm(found.curve.tip - needle(0.05)[1]) < 1.5e-3
+    assert K @ found.covariance[-3:, -3:] @ K > (9e-3) ** 2
+
+
+@pytest.mark.parametrize(
+    ("short", "unseen", "ends", "hidden"),
+    [
+        (12e-3, 2.0, {}, False),
+        (12e-3, 2.0, {"continues": True}, True),
+        (12e-3, 2.0, {"end_std": 2e-3}, True),
+        (16e-3, 0.5, {}, True),
+        (16e-3, 1.0, {}, False),
+        (10e-3, 0.5, {"faint": 0.01, "end_std": 4e-3}, False),
+        (11e-3, 0.5, {"faint": 0.01, "end_std": 4e-3}, True),
+        (10e-3, 0.5, {"faint": 0.01, "end_std": 4e-3, "continues": True}, True),
+    ],
+)
+def test_an_end_short_of_the_prediction_may_not_be_the_tip(short, unseen, ends, hidden):
+    guess = expected(needle(0.05), tip_unseen=unseen)
+    region = predicted_region(guess, PARAMETERS)
+    axis = axis_through(guess.curve.control_points)
+    tip = float(axis.abscissa(guess.curve.tip)) - short
+    extent = NeedleExtent(0.0, tip, 0.0, False, 0.05, **ends)
+    assert fades_before_tip(region, axis, extent, PARAMETERS) == hidden
+
+
+def test_a_needle_lost_where_it_was_is_found_whatever_was_there_before():
+    volume = SCENE.volume(1, lambda time: needle(0.05))
+    lost = expected(needle(0.05), everywhere=True, earlier=(volume,))
+    assert np.linalg.norm(run(volume, lost).curve.tip - needle(0.05)[1]) < 2e-3
+    never = NeedlePrediction(2, 0.0, everywhere=True, earlier=(volume,))
+    assert run(volume, never).reason == THERE_BEFORE
+
+
+def test_what_moved_was_not_there_before():
+    """What changed may be a bright line at rest. A needle's end is new, if not the rest of it."""
+    volume, shorter, without = (
+        SCENE.volume(seed, lambda time, length=length: needle(length) if length else None)
+        for seed, length in ((1, 0.04), (2, 0.025), (3, 0.0))
+    )
+    moved = needle(0.04)
+    for earlier, new in (((volume,) * 3, False), ((shorter,) * 3, True), ((without,) * 3, True)):
+        found = run(volume, expected(moved, entry=None, earlier=earlier))
+        assert bool(found) == new
+        if not new:
+            assert found.reason == THERE_BEFORE
+
+
+def test_what_moved_must_be_seen_to_come():
+    """Until a needle was followed: structures come into view as the probe moves."""
+    volume, without = SCENE.volume(1, lambda time: needle(0.03)), SCENE.volume(2)
+    for lacking, came in ((0, False), (2, False), (3, True)):
+        guess = expected(needle(0.03), entry=None, earlier=(without,) * lacking, must_come=True)
+        found = run(volume, guess)
+        assert bool(found) is came
+        if not came:
+            assert found.reason == THERE_BEFORE
+
+
+def test_what_moved_does_not_ride_along_with_the_probe():
+    step = np.array([0.0, 0.0, 0.012])
+    volume = SCENE.volume(1, lambda time: needle(0.03))
+    riding = SCENE.volume(2, lambda time: needle(0.03) + step, RigidTransform(step))
+    found = run(volume, expected(needle(0.03), entry=None, earlier=(riding,) * 3))
+    assert found.reason == THERE_BEFORE
+
+
+@pytest.mark.parametrize("unseen", [0.0, 2.0])
+def test_a_needle_cannot_be_withdrawn_at_once(unseen):
+    """What cuts off its echo is thought to be a shadow, until it has lasted."""
+    volume = SCENE.volume(1, lambda time: needle(0.03))
+    found = run(volume, expected(needle(0.05), tip_unseen=unseen))
+    assert found.tip_seen == (unseen > 0)
+    end = needle(0.03 if unseen else 0.05)[1]
+    assert np.linalg.norm(found.curve.tip - end) < 2e-3
+    moved = run(volume, expected(needle(0.04), tip_unseen=0.0))
+    assert moved.tip_seen
+
+
+def test_too_little_of_a_needle_does_not_show_that_it_turned():
+    """A bright needle may turn by 8 deg; a short remainder of it may not."""
+    k = RotationMatrix(RollPitchYaw(0, 0, np.radians(8))) @ K
+    guess = expected(np.array([ENTRY, ENTRY + 0.05 * k]))
+    assert run(SCENE.volume(1, lambda time: needle(0.05)), guess)
+    short = run(SCENE.volume(1, lambda time: needle(0.012)), guess)
+    assert isinstance(short, NotFound)
+
+
+def test_a_needle_that_enters_the_tissue_in_view_comes_from_outside():
+    wall = ENTRY + 0.03 * K
+    ends = np.array([wall, wall + 0.025 * K])
+    volume = SCENE.volume(1, lambda time: ends)
+    index = np.indices(volume.intensities.shape).reshape(3, -1).T
+    air = ((volume.position(index) - wall) @ K < -1e-3).reshape(volume.intensities.shape)
+    sector = volume.intensities > 0
+    dark = dataclasses.replace(
+        volume, intensities=np.where(air & sector, 1, volume.intensities).astype(np.uint8)
+    )
+    end = np.array([ends[1] - 0.012 * K, ends[1]])
+    found = run(dark, expected(end, entry=None))
+    assert np.linalg.norm(found.curve.entry - ends[0]) < 4e-3
+    assert np.linalg.norm(found.curve.tip - ends[1]) < 1.5e-3
+    inside = run(volume, expected(end, entry=None))
+    assert "outside the field of view" in inside.reason
+
+
+def test_a_needle_on_its_way_out_is_followed_past_the_entry_once_known():
+    """The probe has followed it, so that more of it is in view than at first."""
+    ends = needle(0.04)
+    volume = SCENE.volume(1, lambda time: ends)
+    known = expected(np.array([ends[1] - 2e-3 * K, ends[1] + 1e-3 * K]))
+    found = run(volume, known)
+    assert np.linalg.norm(found.curve.entry - ends[0]) < 4e-3
+    assert np.linalg.norm(found.curve.tip - ends[1]) < 1.5e-3

@@ -1,0 +1,68 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from synthetic_volumes import GEOMETRY, Scene, entry_on_side
+
+from sonoservo.systems.tracking.field_of_view import closest_face
+from sonoservo.systems.tracking.published_detection import (
+    PublishedDetectionParameters,
+    detect_as_published,
+)
+
+ENTRY = entry_on_side()
+INWARD = np.array([1, 0.2, 0.1]) / np.linalg.norm([1, 0.2, 0.1])
+SCENE = Scene(seed=1, spacing=1.0e-3, balls=[([0.01, 0.06, 0.005], 2e-3)])
+PARAMETERS = PublishedDetectionParameters(candidate_volume=5e-9)
+
+
+def detect(volume, previous, **changes):
+    parameters = dataclasses.replace(PARAMETERS, **changes)
+    return detect_as_published(volume, previous, parameters)
+
+
+@pytest.fixture(scope="module")
+def before():
+    return SCENE.volume(0)
+
+
+@pytest.fixture(scope="module")
+def entered():
+    return SCENE.volume(2, lambda time: (ENTRY, ENTRY + 5e-3 * INWARD))
+
+
+def test_one_volume_shows_the_entry(before, entered):
+    found = detect(entered, before)
+    assert np.linalg.norm(found.p_WEntry - ENTRY) < 4e-3
+    assert 0 < (found.p_WMedian - ENTRY) @ INWARD < 5e-3
+    np.testing.assert_array_equal(found.p_WTip, found.p_WMedian)
+    assert found.time == entered.time
+
+
+def test_the_variance_decides(before, entered):
+    unlike = [Scene(seed=seed, spacing=1e-3).volume(0) for seed in (1, 2)]
+    assert "spread" in detect(*unlike).reason
+    assert "spread" in detect(entered, before, max_std=0.1e-3).reason
+
+
+def test_the_median_must_be_near_its_face(before, entered):
+    assert "inside" in detect(entered, before, max_depth=0.1e-3).reason
+
+
+def test_nothing_moved(before):
+    still = dataclasses.replace(before, intensities=np.full(before.intensities.shape, 9, np.uint8))
+    assert "nothing changed" in detect(still, still).reason
+    small = dataclasses.replace(before, intensities=before.intensities[:9])
+    assert "grid" in detect(small, before).reason
+
+
+@pytest.mark.parametrize("motion", [True, False])
+def test_probe_and_far_end_are_faces_too(before, motion):
+    """Where our detector looks aside, the published one takes the face for the entry."""
+    volume = before if motion else dataclasses.replace(before, motion=None)
+    middle = GEOMETRY.position(12, 48, 8, 1)
+    face = closest_face(volume, middle)
+    assert face[1] < middle[1]
+    assert np.linalg.norm(face - middle) < 4e-3
+    deep = GEOMETRY.position(12, 48, GEOMETRY.samples - 8, 1)
+    assert abs(closest_face(volume, deep)[1] - deep[1]) > 1e-3

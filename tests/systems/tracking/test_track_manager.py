@@ -1,0 +1,306 @@
+"""The leaf that manages a track, with each of the filters."""
+
+import numpy as np
+import pytest
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform, RotationMatrix
+
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.insertion_detection import InsertionDetection
+from sonoservo.systems.signals.localization_explanation import LocalizationExplanation
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
+from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
+from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
+from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.tracking.axis_tip_filter import AxisTipFilter
+from sonoservo.systems.tracking.control_point_filter import ControlPointFilter
+from sonoservo.systems.tracking.track_lifecycle import TrackLifecycle
+from sonoservo.systems.tracking.track_manager import TrackManager
+from sonoservo.systems.tracking.track_parameters import TrackParameters
+
+R = np.diag([1, 0.2, 0.3, 0.5, 0.2, 0.4]) * 1e-6
+
+
+def measurement(tip=0.03, time=0.0, y=0.0, entry=0.0):
+    curve = NeedleCurve([[entry, y, 0], [tip, y, 0]])
+    return NeedleMeasurement(curve, R, time, 100, 0.8)
+
+
+def detection(x, time):
+    at = np.array([x, 0, 0])
+    return InsertionDetection(np.zeros(3), at, at, 1e-3, 6.0, time)
+
+
+def volume(time, X_WP=None):
+    X_WP = X_WP or RigidTransform()
+    return Volume(np.zeros((2, 2, 2), np.uint8), np.zeros(3), np.full(3, 1e-3), X_WP, time)
+
+
+class Bench:
+    """The manager with its inputs in hand."""
+
+    def __init__(self, needle_filter=None, **parameters):
+        lifecycle = TrackLifecycle(
+            order=2,
+            parameters=TrackParameters(**parameters),
+            needle_filter=needle_filter or ControlPointFilter(),
+        )
+        self.manager = TrackManager(lifecycle=lifecycle, period=0.1)
+        self.context = self.manager.CreateDefaultContext()
+        self.fix("detection", NotFound("nothing moved"))
+        self.fix("measurement", NotFound("nothing seen"))
+
+    def fix(self, port, value):
+        self.manager.GetInputPort(port).FixValue(self.context, Value[object](value))
+
+    def step(self, time, X_WP=None, **values):
+        self.fix("volume", volume(time, X_WP))
+        for port in ("detection", "measurement", *values):
+            self.fix(port, values.get(port, NotFound(f"no {port}")))
+        self.manager.ExecuteForcedEvents(self.context)
+        return self.estimate
+
+    def output(self, port):
+        return self.manager.GetOutputPort(port).Eval(self.context)
+
+    @property
+    def estimate(self) -> NeedleEstimate:
+        return self.output("estimate")
+
+    def track_from(self, time=0.0):
+        """Detect and confirm a needle whose tip is at 30 mm."""
+        self.step(time, detection=detection(3e-3, time))
+        self.step(time + 0.3, detection=detection(6e-3, time + 0.3))
+        return self.step(time + 0.6, measurement=measurement(time=time + 0.6))
+
+
+def test_a_prediction_does_not_depend_on_the_measurement_it_serves():
+    """Of the inputs only the volume reaches the prediction, so there is no algebraic loop."""
+    lifecycle = TrackLifecycle(
+        order=2, parameters=TrackParameters(), needle_filter=ControlPointFilter()
+    )
+    manager = TrackManager(lifecycle=lifecycle, period=1.0)
+    through = {
+        (manager.get_input_port(i).get_name(), manager.get_output_port(o).get_name())
+        for i in range(manager.num_input_ports())
+        for o in range(manager.num_output_ports())
+        if manager.HasDirectFeedthrough(i, o)
+    }
+    assert through == {("volume", "prediction"), ("explanation", "explanation")}
+
+
+def test_prediction_is_the_same_before_and_after_the_update_it_serves():
+    bench = Bench()
+    bench.track_from()
+    bench.fix("volume", volume(0.9))
+    before = bench.output("prediction")
+    assert before.time == 0.9
+    np.testing.assert_array_equal(before.entry, bench.estimate.curve.entry)
+    bench.step(0.9, measurement=measurement(0.032, 0.88))
+    after = bench.output("prediction")
+    assert after.time == before.time
+    np.testing.assert_array_equal(after.curve.control_points, before.curve.control_points)
+    np.testing.assert_array_equal(after.covariance, before.covariance)
+    bench.fix("volume", volume(1.2))
+    assert bench.output("prediction").time == 1.2
+    bench.fix("volume", NotFound("dropped"))
+    assert bench.output("prediction").reason == "dropped"
+
+
+def test_explanation_tells_how_far_the_measurement_lies_from_the_prediction():
+    bench = Bench()
+    assert bench.output("explanation").reason == "no explanation of a localizer is connected"
+    bench.track_from()
+    found = measurement(0.03, 0.9, y=0.02)
+    explanation = LocalizationExplanation(0.9, NotFound(""), (), found)
+    bench.fix("explanation", explanation)
+    assert bench.output("explanation").innovation is None
+    estimate = bench.step(0.9, measurement=found)
+    explained = bench.output("explanation")
+    assert explained.measurement is found
+    assert explained.innovation > explained.gate > 4
+    assert f"{explained.innovation:.1f} standard deviations" in estimate.reason
+
+
+def test_detection_then_confirmation():
+    bench = Bench()
+    assert bench.estimate.mode == TrackingMode.SEARCHING
+    estimate = bench.step(0.0, detection=detection(3e-3, 0.0))
+    estimate = bench.step(0.3, detection=detection(6e-3, 0.3))
+    assert (estimate.mode, bool(estimate)) == (TrackingMode.SEARCHING, False)
+    estimate = bench.step(0.6, measurement=measurement(time=0.58))
+    assert estimate.mode == TrackingMode.TRACKING
+    assert (estimate.time, estimate.volume_time) == (0.58, 0.6)
+    np.testing.assert_allclose(estimate.curve.tip, [0.03, 0, 0], atol=1e-3)
+
+
+def test_unconfirmed_detection_is_forgotten():
+    bench = Bench(volumes_to_confirm=2, seconds_between_searches=10.0)
+    bench.step(0.0, detection=detection(3e-3, 0.0))
+    bench.step(0.3, detection=detection(6e-3, 0.3))
+    for k in range(3):
+        bench.step(0.6 + 0.3 * k)
+    assert not bench.output("prediction")
+    assert not bench.step(1.3, measurement=measurement(time=1.3))
+
+
+def test_loss_ladder():
+    bench = Bench(volumes_to_lose=3, seconds_to_give_up=2.0)
+    bench.track_from()
+    modes = [bench.step(0.9 + 0.3 * k).mode for k in range(8)]
+    assert modes == ["coasting"] * 2 + ["lost"] * 4 + ["searching"] * 2
+    assert bench.estimate.reason == "no detection"
+
+
+def test_lost_needle_found_elsewhere_is_tracked_once_confirmed():
+    bench = Bench(volumes_to_lose=1, volumes_to_follow=2)
+    bench.track_from()
+    assert bench.step(0.9).mode == TrackingMode.LOST
+    estimate = bench.step(1.2, measurement=measurement(0.08, 1.2, y=0.04, entry=0.05))
+    assert estimate.mode == TrackingMode.LOST
+    estimate = bench.step(1.5, measurement=measurement(0.08, 1.5, y=0.04, entry=0.05))
+    assert estimate.mode == TrackingMode.TRACKING
+    np.testing.assert_allclose(estimate.curve.tip, [0.08, 0.04, 0])
+
+
+def test_gate_rejects_once_and_believes_twice():
+    bench = Bench()
+    bench.track_from()
+    estimate = bench.step(0.9, measurement=measurement(0.03, 0.9, y=0.02))
+    assert estimate.mode == TrackingMode.COASTING
+    assert "deviations from the prediction" in estimate.reason
+    assert abs(estimate.curve.tip[1]) < 1e-3
+    estimate = bench.step(1.2, measurement=measurement(0.03, 1.2, y=0.0201))
+    assert estimate.mode == TrackingMode.TRACKING
+    assert estimate.curve.tip[1] == pytest.approx(0.0201)
+
+
+def test_without_filtering_each_measurement_is_the_estimate():
+    bench = Bench(filtering=False)
+    bench.track_from()
+    for k, tip in enumerate((0.031, 0.05, 0.029)):
+        estimate = bench.step(0.9 + 0.3 * k, measurement=measurement(tip, 0.9 + 0.3 * k))
+        assert estimate.mode == TrackingMode.TRACKING
+        assert estimate.curve.tip[0] == tip
+        np.testing.assert_array_equal(estimate.velocity, 0)
+    assert bench.step(2.1).curve.tip[0] == 0.029
+
+
+def test_in_the_probe_s_frame_the_prediction_is_carried_along():
+    turned = RigidTransform(RotationMatrix.MakeZRotation(0.3), [0.01, 0.02, 0.0])
+    coasted = {}
+    for probe_frame in (False, True):
+        bench = Bench(probe_frame=probe_frame)
+        bench.track_from()
+        before = bench.estimate
+        coasted[probe_frame] = bench.step(0.9, X_WP=turned)
+    np.testing.assert_allclose(coasted[False].curve.tip, before.curve.tip, atol=1e-12)
+    np.testing.assert_allclose(
+        coasted[True].curve.tip, turned.multiply(before.curve.tip), atol=1e-12
+    )
+    R = np.kron(np.eye(4), turned.rotation().matrix())
+    np.testing.assert_allclose(
+        coasted[True].covariance, R @ coasted[False].covariance @ R.T, atol=1e-12
+    )
+
+
+def test_in_the_probe_s_frame_velocity_is_that_in_the_image():
+    """A probe that keeps up with the needle sees it at rest."""
+    velocity = {}
+    for probe_frame in (False, True):
+        bench = Bench(probe_frame=probe_frame)
+        bench.track_from()
+        for k in range(1, 30):
+            x, time = 5e-3 * 0.3 * k, 0.6 + 0.3 * k
+            seen = measurement(0.03 + x, time, entry=x)
+            estimate = bench.step(time, X_WP=RigidTransform([x, 0, 0]), measurement=seen)
+        velocity[probe_frame] = estimate.tip_velocity[0]
+    assert velocity[False] == pytest.approx(5e-3, abs=1e-4)
+    assert velocity[True] == pytest.approx(0, abs=1e-4)
+
+
+def test_withdrawn_needle_is_awaited_again():
+    bench = Bench()
+    bench.track_from()
+    for k in range(10):
+        tip = 0.03 - 2.6e-3 * (k + 1)
+        bench.step(0.9 + 0.3 * k, measurement=measurement(tip, 0.9 + 0.3 * k))
+    estimate = bench.step(3.9)
+    assert estimate.mode == TrackingMode.SEARCHING
+    assert estimate.reason == "the needle was withdrawn"
+
+
+@pytest.mark.parametrize(
+    ("speed", "mode"),
+    [
+        (-8e-3, TrackingMode.LOST),
+        (0.0, TrackingMode.COASTING),
+        (8e-3, TrackingMode.COASTING),
+    ],
+)
+def test_no_robot_goes_after_a_needle_that_comes_out_and_is_not_seen(speed, mode):
+    bench = Bench()
+    bench.track_from()
+    for time in 0.6 + 0.3 * np.arange(1, 6):
+        bench.step(time, measurement=measurement(0.03 + speed * (time - 0.6), time))
+    assert bench.step(2.4).mode == mode
+
+
+def test_a_needle_whose_tip_has_passed_its_entry_has_come_out():
+    bench = Bench()
+    bench.track_from()
+    estimate = bench.step(0.9, measurement=measurement(-0.005, 0.9))
+    assert estimate.mode == TrackingMode.SEARCHING
+    assert estimate.reason == "the needle was withdrawn"
+
+
+def test_repeated_and_missing_volumes_change_nothing():
+    bench = Bench()
+    before = bench.track_from()
+    for value in (volume(0.6), volume(0.1), NotFound("dropped")):
+        bench.fix("volume", value)
+        bench.fix("measurement", measurement(0.05, 0.9))
+        bench.manager.ExecuteForcedEvents(bench.context)
+        assert bench.estimate.time == before.time
+        np.testing.assert_array_equal(bench.estimate.curve.tip, before.curve.tip)
+
+
+def test_log_shows_what_was_used():
+    bench = Bench()
+    bench.track_from()
+    used = bench.manager.GetOutputPort("last_measurement").Eval(bench.context)
+    assert used.time == 0.6
+    bench.fix("measurement", measurement(0.05, 9.0))
+    assert bench.manager.GetOutputPort("last_measurement").Eval(bench.context) is used
+    assert not bench.manager.GetOutputPort("last_detection").Eval(bench.context)
+
+
+def test_starts_where_it_is_told():
+    bench = Bench(AxisTipFilter())
+    start = measurement(time=0.3)
+    bench.manager.start_at(bench.context, start)
+    assert bench.estimate.mode == TrackingMode.TRACKING
+    assert bench.estimate.volume_time == 0.3
+    np.testing.assert_allclose(bench.estimate.curve.control_points, start.curve.control_points)
+
+
+def test_goes_on_with_the_velocity_alone():
+    """The velocity is one of two measurements: while it coasts, a track may still be told it."""
+    tips = {}
+    for moved in (False, True):
+        bench = Bench(AxisTipFilter())
+        bench.manager.start_at(bench.context, measurement())
+        told = VelocityMeasurement(np.array([2e-3, 0, 0]), 1e-7 * np.eye(3), 0.9)
+        speed = {"velocity": told if moved else NotFound("the speckle has changed")}
+        for n in (1, 2):
+            estimate = bench.step(float(n), measurement=NotFound("dark"), **speed)
+        assert estimate.mode == TrackingMode.COASTING
+        assert estimate.reason == "dark"
+        tips[moved] = estimate.curve.tip[0]
+    assert tips[True] > tips[False] + 2e-3
+
+
+def test_a_filter_must_take_the_order():
+    with pytest.raises(ValueError, match="order: 3"):
+        TrackLifecycle(order=3, parameters=TrackParameters(), needle_filter=AxisTipFilter())
