@@ -156,7 +156,7 @@ def _advancing(  # pragma: no cover - compiled
                 reached[d] = reached[d - 1] * factors[t, a + d - 1] if a + d <= bins else 0.0
             for m in range(modes):
                 weight = mixed[m, a]
-                if weight > 1e-12:
+                if weight > 1e-100:
                     for d in range(most):
                         if a + d <= bins:
                             one = weight * moves[m, d] * reached[d]

@@ -61,7 +61,7 @@ _APPEARS, _APPEARS_BY_MOTION = 0.002, 0.05
 """Probabilities that a line appears at once with a volume, at rest and per unit of motion: a
 specular surface comes into view, or a shadow goes."""
 
-_LOOKS, _NEUTRAL, _MOST_LOOKS = 0.7, -1.0, (-8.0, 4.0)
+_LOOKS, _NEUTRAL, _MOST_LOOKS = 0.7, -3.0, (-8.0, 2.0)
 """Share of the evidence of a line's looks that its motion does not give as well, log odds that speak
 neither for nor against a needle, and limits of the log odds."""
 
@@ -99,11 +99,41 @@ class BeliefParameters:
 
 @dataclass(frozen=True, eq=False)
 class Remembered(Immutable):
-    """A volume with its cells, and the displacement (3,) of the tissue in W since the first one."""
+    """A volume with its cells, and how the tissue has moved in W since the first volume.
+
+    Parameters
+    ----------
+    volume, cells
+        Volume, and its cells.
+    displacement, velocity
+        (3,) displacement at the volume's time in m, and its rate of change in m/s: a sweep takes
+        long enough for breath to go on.
+    """
 
     volume: Volume
     cells: Cells
     displacement: Floats
+    velocity: Floats
+
+    def in_tissue(self, p_P: Floats) -> Floats:
+        """Return (n, 3) places in the tissue, in m, of (n, 3) positions in P."""
+        p_W, times = self.volume.to_world(p_P)
+        return np.asarray(p_W - self._displaced(times))
+
+    def in_image(self, p_T: Floats) -> Floats:
+        """Return (n, 3) positions in P, in m, at which the volume shows (n, 3) places in tissue."""
+        times = np.full(len(p_T), self.volume.time)
+        p_P = acquired_from(self.volume, p_T + self._displaced(times))
+        times = self.volume.to_world(p_P)[1]
+        return acquired_from(self.volume, p_T + self._displaced(times))
+
+    def in_world(self, p_T: Floats) -> Floats:
+        """Return (n, 3) positions in W, in m, of (n, 3) places in the tissue when it was seen."""
+        times = self.volume.to_world(self.in_image(p_T))[1]
+        return np.asarray(p_T + self._displaced(times))
+
+    def _displaced(self, times: Floats) -> Floats:
+        return self.displacement + np.outer(times - self.volume.time, self.velocity)
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,8 +264,9 @@ class LineBelief(Immutable):
         looks = lines.looks / np.maximum(lines.looked, 1)
         odds = needle - np.log(-np.expm1(np.minimum(needle, -1e-12)))
         odds = odds + _LOOKS * (np.where(lines.looked > 0, looks, 0.0) - _NEUTRAL)
-        displacement = self.memory[-1].displacement if self.memory else np.zeros(3)
-        ends = _seen_ends(lines) + displacement
+        ends = _seen_ends(lines)
+        if len(lines):
+            ends = self.memory[-1].in_world(ends.reshape(-1, 3)).reshape(-1, 2, 3)
         backwards = _backwards(lines)
         return LineHypotheses(
             self.time,
@@ -288,7 +319,7 @@ def follow(
         joint[:, [0, 1, 2, 3, 5]] += np.log(_PRIORS)
         total = np.logaddexp.reduce(joint, axis=1)
         lines = replace(lines, classes=joint - total[:, np.newaxis])
-        lines = _judged(lines, volume, memory[-1], look)
+        lines = _judged(lines, memory[-1], look)
     return LineBelief(memory, lines, appearing, born)
 
 
@@ -306,7 +337,7 @@ def _remember(volume: Volume, memory: Sequence[Remembered]) -> Remembered:
     """Return a volume with the displacement of its tissue, compared with several before it."""
     cells = cells_of(volume)
     if not memory:
-        return Remembered(volume, cells, np.zeros(3))
+        return Remembered(volume, cells, np.zeros(3), np.zeros(3))
     last = memory[-1].displacement
     before = memory[-2].displacement if len(memory) > 1 else last
     guesses = [2 * last - before, *(last + np.outer(_SHIFTS, [0.0, 0.0, 1.0]))]
@@ -318,7 +349,10 @@ def _remember(volume: Volume, memory: Sequence[Remembered]) -> Remembered:
             X = each.volume.X_WP.inverse().multiply(volume.X_WP).GetAsMatrix4()
             starts = [R.T @ (each.displacement - guess) for guess in found[:1] or guesses]
             found.append(each.displacement - R @ tissue_shift(cells, each.cells, X, starts))
-    return Remembered(volume, cells, np.median(found, axis=0))
+    displacement = np.median(found, axis=0)
+    return Remembered(
+        volume, cells, displacement, (displacement - last) / (volume.time - memory[-1].volume.time)
+    )
 
 
 def _shown_at(
@@ -327,8 +361,7 @@ def _shown_at(
     """Return contrasts and flags of what is seen, along lines in the tissue and in the image."""
     reach = MIDDLES[-1] / 2 * lines.directions
     n = len(lines)
-    ends = np.concatenate([lines.points - reach, lines.points + reach]) + each.displacement
-    p_P = acquired_from(each.volume, ends)
+    p_P = each.in_image(np.concatenate([lines.points - reach, lines.points + reach]))
     along = p_P[n:] - p_P[:n]
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     here = line_contrasts(each.volume, 0.5 * (p_P[:n] + p_P[n:]), along)
@@ -382,8 +415,8 @@ def _add_fits(
         return lines, born
     newest, times = memory[-1], lines.logs.shape[1]
     ends_P = np.array([fit.ends for fit in fits])
-    ends = newest.volume.to_world(ends_P.reshape(-1, 3))[0].reshape(-1, 2, 3)
-    fresh = _new_lines(ends - newest.displacement, ends_P, np.arange(len(fits)) + born, times)
+    ends = newest.in_tissue(ends_P.reshape(-1, 3)).reshape(-1, 2, 3)
+    fresh = _new_lines(ends, ends_P, np.arange(len(fits)) + born, times)
     now = brightness(lines.contrasts, lines.seen)
     better: dict[int, int] = {}
     taken, new = set[int](), list[int]()
@@ -398,9 +431,7 @@ def _add_fits(
             if fit.brightness > now[here].max() + _BETTER:
                 better[best] = number
             else:
-                a = (ends[number] - newest.displacement - lines.points[best]) @ (
-                    lines.directions[best]
-                )
+                a = (ends[number] - lines.points[best]) @ lines.directions[best]
                 spans[best] = [min(spans[best, 0], a.min()), max(spans[best, 1], a.max())]
         elif not len(_along(fresh, number, fresh.take(np.array(new, dtype=int)))):
             new.append(number)
@@ -453,15 +484,15 @@ def _backwards(lines: Lines) -> NDArray[np.bool_]:
     return np.where(np.abs(surer) > 1, surer > 0, beyond < before)
 
 
-def _judged(lines: Lines, volume: Volume, newest: Remembered, look: bool) -> Lines:
+def _judged(lines: Lines, newest: Remembered, look: bool) -> Lines:
     """Return lines with the looks of those that move like a needle, or of all prominent ones."""
     needle = np.logaddexp(lines.classes[:, 0], lines.classes[:, 1])
     judged = np.flatnonzero(needle > np.log(0.1)) if not look else np.arange(min(len(lines), 40))
     looks, looked = lines.looks.copy(), lines.looked.copy()
-    ends = _seen_ends(lines) + newest.displacement
+    ends = newest.in_image(_seen_ends(lines).reshape(-1, 3)).reshape(-1, 2, 3)
     backwards = _backwards(lines)
     for n in judged:
-        odds = log_odds(volume, acquired_from(volume, ends[n, ::-1] if backwards[n] else ends[n]))
+        odds = log_odds(newest.volume, ends[n, ::-1] if backwards[n] else ends[n])
         if odds is not None:
             looks[n] += np.clip(odds, *_MOST_LOOKS)
             looked[n] += 1
