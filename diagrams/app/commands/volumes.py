@@ -49,7 +49,8 @@ def track_command(
     source: Annotated[
         str,
         typer.Argument(
-            help="Recorded volumes: .seq.nrrd, .nrrd, .nhdr, .mha or .mhd; or live ones: "
+            help="Recorded volumes: .seq.nrrd, .nrrd, .nhdr, .mha, .mhd or .hdf5, or frames (also "
+            ".dcm, .h5, a folder of PNG) with --reconstruct; or live ones: "
             "igtl://host:18944/DEVICE, or igtl://:18944 to wait for a scanner to connect."
         ),
     ],
@@ -221,7 +222,7 @@ def track_command(
 def bridge_command(
     source: Annotated[str, typer.Argument(help="Address to record from, or a recording to play.")],
     target: Annotated[
-        str, typer.Argument(help="NAME.seq.nrrd to record to, or address to play to.")
+        str, typer.Argument(help="NAME.seq.nrrd or NAME.hdf5 to record to, or address to play to.")
     ],
     depth: DepthOption = "P",
     window: WindowOption = None,
@@ -272,7 +273,10 @@ def bridge_command(
 
 def locate_command(
     volume: Annotated[
-        Path, typer.Argument(help="File with the volume: .nrrd, .nhdr, .mha or .mhd.")
+        Path,
+        typer.Argument(
+            help="File with the volume: .nrrd, .nhdr, .mha, .mhd or .hdf5; see --reconstruct."
+        ),
     ],
     number: Annotated[
         int, typer.Option(help="Number of the volume, from 0, if the file has several.")

@@ -123,7 +123,7 @@ def check_file(
     ConfigurationError
         If there is no such file.
     """
-    if not path.is_file():
+    if not path.exists():
         raise ConfigurationError(f"there is no file {path}")
     checked = CheckedSource(str(path))
     try:
