@@ -17,6 +17,7 @@ from sonoservo.diagrams.app.run_result import RunResult, format_figure
 from sonoservo.diagrams.experiments.experiment import Experiment
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.studies.study_report import Study, StudyRow, interval_text, target_text
+from sonoservo.diagrams.studies.verdicts import Verdict
 from sonoservo.systems.evaluation.labels import LABELS, look_up, recording_labels
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 
@@ -37,10 +38,11 @@ def end_run(result: RunResult) -> None:
         raise typer.Exit(3)
 
 
-_MET: Mapping[bool | None, Text] = {
+_MET: Mapping[Verdict | None, Text] = {
     None: Text(""),
-    True: Text("yes"),
-    False: Text("no", style="bold red"),
+    Verdict.MET: Text("yes"),
+    Verdict.UNDECIDED: Text("undecided", style="yellow"),
+    Verdict.NOT_MET: Text("no", style="bold red"),
 }
 
 
@@ -59,7 +61,7 @@ _CELLS: Mapping[str, Callable[[StudyRow], Text]] = {
         interval_text(row.published_low, row.published_high, format_figure)
     ),
     "target": lambda row: Text(target_text(row)),
-    "met": lambda row: _MET[row.met],
+    "met": lambda row: _MET[row.verdict],
 }
 """Cells of a study's table after the quantity, by column."""
 
