@@ -4,6 +4,7 @@ A command imports what it needs only when it is called, so that help appears at 
 """
 
 import os
+import re
 import sys
 import traceback
 from collections.abc import Sequence
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer.main import get_command
 
 from sonoservo.diagrams.app.commands.results import (
     compare_command,
@@ -23,6 +25,7 @@ from sonoservo.diagrams.app.commands.studies import dataset_command, reproduce_c
 from sonoservo.diagrams.app.commands.volumes import (
     bridge_command,
     calibrate_command,
+    check_command,
     locate_command,
     track_command,
 )
@@ -279,6 +282,7 @@ _COMMANDS = (
     explain_command,
     replay_command,
     compare_command,
+    check_command,
     track_command,
     bridge_command,
     locate_command,
@@ -303,6 +307,25 @@ def run_arguments(arguments: Sequence[str]) -> int:
             traceback.print_exception(error)
         return _report(error)
     return code if isinstance(code, int) else 0
+
+
+def _with_own_options(line: str, called: str) -> str:
+    """Return a message in which an option that the called command lacks names one that has it."""
+    commands = get_command(app).commands  # type: ignore[attr-defined]
+    options = {
+        name: {option for each in command.params for option in each.opts}
+        for name, command in commands.items()
+    }
+    own = options.get(called.removesuffix("_command"))
+    if own is None:
+        return line
+
+    def named(match: re.Match[str]) -> str:
+        others = [name for name in options if match[0] in options[name]]
+        foreign = match[0] not in own and others and "sonoservo " not in line[: match.start()]
+        return f"`sonoservo {others[0]} {match[0]}`" if foreign else match[0]
+
+    return re.sub(r"(?<![\w`-])--[a-z][a-z-]+", named, line)
 
 
 def _report(error: BaseException) -> int:
@@ -331,5 +354,6 @@ def _report(error: BaseException) -> int:
             "report the traceback."
         )
         code = 70
-    print(f"sonoservo: {shorten(line)}", file=sys.stderr)
+    called = getattr(error, "command", "")
+    print(f"sonoservo: {shorten(_with_own_options(line, called))}", file=sys.stderr)
     return code

@@ -52,7 +52,7 @@ DepthOption = Annotated[
 ]
 WindowOption = Annotated[
     tuple[float, float] | None,
-    typer.Option(help="Numbers shown as black and white; by default, from the first volume."),
+    typer.Option(help="Numbers shown as black and white; by default, from the first volumes."),
 ]
 OrderOption = Annotated[
     int, typer.Option(min=2, max=3, help="Order of the curve: 2 straight, 3 bent.")
@@ -71,7 +71,32 @@ ExplainOption = Annotated[
 ]
 PosesOption = Annotated[
     str | None,
-    typer.Option(help="Transform to use as the probe's pose (ProbeToTracker), or none."),
+    typer.Option(
+        help="Transforms that lead from the image or probe to a fixed frame, with commas between "
+        "them, or the ends of such a chain (ImageToReference), or none; by default, it is found."
+    ),
+]
+PlusConfigOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--plus-config",
+        help="Configuration of PLUS (.xml) with the transforms and the images' orientation.",
+    ),
+]
+CalibrationOption = Annotated[
+    str | None,
+    typer.Option(
+        help="ImageToProbe in mm: 16 numbers, row by row, or a file with them; "
+        "NAME=... for another transform."
+    ),
+]
+VoidOption = Annotated[
+    float | None,
+    typer.Option(help="Number that stands for what was not seen, such as 0, -32768 or nan."),
+]
+LuminanceOption = Annotated[
+    bool,
+    typer.Option("--luminance", help="Take the luminance of colours as grey levels."),
 ]
 ClockOffsetOption = Annotated[
     float | None,
@@ -88,9 +113,7 @@ ServeOption = Annotated[
 WaitOption = Annotated[int, typer.Option(min=0, help="Live: number of peers to wait for.")]
 ReconstructOption = Annotated[
     bool,
-    typer.Option(
-        "--reconstruct", help="Reconstruct volumes from tracked 2D frames (PLUS .igs.mha)."
-    ),
+    typer.Option("--reconstruct", help="Reconstruct volumes from tracked 2D frames, as of PLUS."),
 ]
 MotorOption = Annotated[
     Path | None, typer.Option(help="Live 2D frames of a motorised probe: YAML file of its sweep.")
@@ -134,8 +157,8 @@ MemoryOption = Annotated[
 def with_common_options(command: Callable[..., None]) -> Callable[..., None]:
     """Return a command with the options that all have: ``--debug`` and ``--max-memory``.
 
-    An error carries the choice of ``--debug`` to `sonoservo.diagrams.app.cli.run_arguments` as its
-    attribute ``debug``.
+    An error carries the choice of ``--debug`` and the command's name to
+    `sonoservo.diagrams.app.cli.run_arguments` as its attributes ``debug`` and ``command``.
     """
 
     @wraps(command)
@@ -146,6 +169,7 @@ def with_common_options(command: Callable[..., None]) -> Callable[..., None]:
                 command(*args, **options)
         except BaseException as error:
             error.debug = debug  # type: ignore[attr-defined]
+            error.command = command.__name__  # type: ignore[attr-defined]
             raise
 
     common = {"debug": (DebugOption, False), "max_memory": (MemoryOption, None)}
@@ -159,6 +183,12 @@ def with_common_options(command: Callable[..., None]) -> Callable[..., None]:
     hints = {name: each for name, (each, _) in common.items()}
     run.__annotations__ = {**command.__annotations__, **hints}
     return run
+
+
+def say_notes(*notes: str) -> None:
+    """Print what a person should know about how a file was read."""
+    for note in notes:
+        console.print(f"{note[:1].upper()}{note[1:]}.", soft_wrap=True, highlight=False)
 
 
 def free_folder(name: str) -> Path:

@@ -1,6 +1,6 @@
 """Output in the terminal: progress during a run, and figures at its end."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from itertools import groupby
 from types import TracebackType
 from typing import Any, Self
@@ -19,6 +19,7 @@ from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.studies.study_report import Study, StudyRow, interval_text, target_text
 from sonoservo.diagrams.studies.verdicts import Verdict
 from sonoservo.systems.evaluation.labels import LABELS, look_up, recording_labels
+from sonoservo.systems.evaluation.source_checks import Finding, Grade, sort_findings
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 
 
@@ -238,6 +239,19 @@ def live_table(summary: Mapping[str, Any]) -> Table:
         table.add_row(f"left out: {reason}", str(count))
     for mode, count in summary["modes"].items():
         table.add_row(f"volumes after which the mode was {mode}", str(count))
+    return table
+
+
+def findings_table(findings: Sequence[Finding]) -> Table:
+    """Return what a source was found to be, and what to do, for a terminal."""
+    table = Table(show_lines=False)
+    table.add_column("check")
+    table.add_column("found")
+    table.add_column("what to do")
+    styles = {Grade.FINE: "", Grade.DOUBTFUL: "yellow", Grade.WRONG: "bold red"}
+    for each in sort_findings(findings):
+        cells = (each.check.value, each.text, each.advice)
+        table.add_row(*map(Text, cells), style=styles[each.grade])
     return table
 
 

@@ -51,7 +51,7 @@ MORE_LABELS = {
 
 _RECORDING = {
     "volumes": "volumes",
-    "skipped": "skipped, because the file marks them as invalid",
+    "skipped": "left out, as the file says or for want of a pose or time",
 }
 
 _SECTIONS = {

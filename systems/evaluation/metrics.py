@@ -74,6 +74,9 @@ class MetricsParameters:
         )
 
 
+_APPROACH_TIME, _APPROACH_SPEED = 0.2, 1e-3
+"""Time in s, and speed in m/s above which a probe without contact is on its way to the body."""
+
 _NO_CONTACT = (
     "Check that the arm reaches the body and that its joints move (max_speed, joint limits and "
     "home posture in the arm's file; the phantom's place), and let the run be long enough to land "
@@ -237,7 +240,8 @@ def force(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
 
     Returns
     -------
-    `touched`: whether there was contact at all; None if the log holds no force;
+    `touched`: whether there was contact at all; None if the log holds no force, or ends while the
+    probe is on its way to the body;
     `mean_n`, `rms_error_n`: mean force, and root mean square difference from `force_target` (None
     if that changes), from `settling_time` after the first contact on;
     `max_n`: largest sample of the whole run, which the force between samples may exceed;
@@ -247,7 +251,7 @@ def force(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     touching = value > parameters.contact_threshold
     if not touching.any():
         return {
-            "touched": False if np.isfinite(value).any() else None,
+            "touched": False if np.isfinite(value).any() and not _lands(log) else None,
             "mean_n": None, "rms_error_n": None, "max_n": _number(_max(value)),
             "contact_lost_s": None,
         }  # fmt: skip
@@ -262,6 +266,14 @@ def force(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
         "max_n": _number(_max(value)),
         "contact_lost_s": _seconds(~touching & (log.time >= first), log.time),
     }
+
+
+def _lands(log: RunLog) -> bool:
+    """Return True if the probe moves towards the body at the end of a log."""
+    last = log.time >= log.time[-1] - _APPROACH_TIME
+    p, time = log.X_WP[last][:, :3, 3], log.time[last]
+    moved = float((p[-1] - p[0]) @ log.X_WP[-1][:3, 1])
+    return moved > _APPROACH_SPEED * float(time[-1] - time[0])
 
 
 def guard(log: RunLog) -> dict[str, Any]:

@@ -1,22 +1,29 @@
-"""Reader of volumes from NRRD files, which 3D Slicer, ITK and others write."""
+"""Reader of volumes from NRRD files, which 3D Slicer, ITK, PLUS and others write."""
 
-import io
+import re
 import tempfile
-import warnings
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import nrrd
 import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.files.memory import require_memory
+from sonoservo.systems.files.plus_fields import unknown_fields
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.volume_file import (
+    MAX_FILES,
     MAX_HEADER,
     DataSection,
+    DataSections,
+    FieldUse,
+    HoldsFramesError,
     VolumeFile,
     check_layout,
+    decode_header,
+    existing_file,
+    listed_files,
 )
 
 SPACES = {
@@ -29,8 +36,55 @@ SPACES = {
 }
 """Signs that turn a space's axes into LPS; other spaces are not anatomical."""
 
-_MM = {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3, "": 1.0}
-_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
+_NAMELESS = ("scanner-xyz", "3d-right-handed")
+"""Right-handed spaces whose axes have no anatomical names. They are taken as LPS, with a note."""
+
+FIELDS = {
+    **dict.fromkeys(
+        (
+            "dimension", "type", "encoding", "endian", "sizes", "space", "space dimension",
+            "space units", "space origin", "space directions", "spacings", "axis mins", "axis maxs",
+            "centers", "units", "labels", "kinds", "data file", "line skip", "byte skip",
+        ),
+        FieldUse.USED,
+    ),
+    "block size": FieldUse.CHECKED,
+    **dict.fromkeys(
+        (
+            "content", "number", "old min", "old max", "thicknesses", "sample units",
+            "measurement frame",
+        ),
+        FieldUse.NO_EFFECT,
+    ),
+}  # fmt: skip
+"""Fields of the format, and what becomes of them."""
+
+KEYS = {
+    "index values": FieldUse.USED,
+    "index units": FieldUse.USED,
+    "index type": FieldUse.NO_EFFECT,
+    "decibels_per_level": FieldUse.USED,
+    "DataNodeClassName": FieldUse.NO_EFFECT,
+}
+"""Keys of 3D Slicer and this program, and what becomes of them; the first three follow ``axis N``.
+Those of PLUS are the `plus_fields`."""
+
+_SYNONYMS = {
+    "centerings": "centers",
+    "datafile": "data file",
+    "lineskip": "line skip",
+    "byteskip": "byte skip",
+    "blocksize": "block size",
+    "oldmin": "old min",
+    "oldmax": "old max",
+    "axismins": "axis mins",
+    "axismaxs": "axis maxs",
+    "sampleunits": "sample units",
+}
+
+_MM = {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3, "\N{MICRO SIGN}m": 1e-3, "": 1.0, "???": 1.0}
+_MM |= {"millimeter": 1.0, "millimetre": 1.0, "millimeters": 1.0, "micron": 1e-3, "meter": 1e3}
+_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "sec": 1.0, "second": 1.0, "seconds": 1.0}
 
 _TYPES = {
     "u1": ("uchar", "unsigned char", "uint8", "uint8_t"),
@@ -39,179 +93,419 @@ _TYPES = {
     "i2": ("short", "short int", "signed short", "signed short int", "int16", "int16_t"),
     "u4": ("uint", "unsigned int", "uint32", "uint32_t"),
     "i4": ("int", "signed int", "int32", "int32_t"),
+    "u8": (
+        "ulonglong", "unsigned long long", "unsigned long long int", "uint64", "uint64_t",
+    ),
+    "i8": (
+        "longlong", "long long", "long long int", "signed long long", "signed long long int",
+        "int64", "int64_t",
+    ),
     "f4": ("float",),
     "f8": ("double",),
-}
+}  # fmt: skip
 _CODES = {name: code for code, names in _TYPES.items() for name in names}
 
+_COLOURS = {
+    "rgb-color": 3, "rgba-color": 4, "3-color": 3, "4-color": 4, "vector": 3, "3-vector": 3,
+    "4-vector": 4,
+}  # fmt: skip
+"""Kinds of axes that may hold red, green, blue and perhaps opacity: ITK calls colours vectors."""
+
+_AXIS = re.compile(r"axis \d+ (?=index)")
+
 _BLOCK = 1 << 26
-"""Bytes transposed at a time if a file has the list axis first."""
+"""Bytes transposed at a time if a file has its list or colours first."""
+
+_SLOWEST = 20.0
+"""Largest time between volumes that is one in s rather than another unit, in s."""
 
 
-def open_nrrd(path: Path) -> VolumeFile:
+def open_nrrd(path: Path, *, frames: bool = False) -> VolumeFile:
     """Open an NRRD file with one volume, or with a sequence of them along a list axis.
 
     The list axis may come first, as older versions of 3D Slicer wrote it, or last, as it is written
     today. The first axis of a file varies fastest, so a file with the list axis first is transposed
-    once into a temporary file. Raw and gzip data are supported.
+    once into a temporary file. Raw and gzip data are supported, in one file or several.
+
+    Parameters
+    ----------
+    path
+        Path of the file.
+    frames
+        Whether to open 2D frames and refuse volumes, rather than the reverse.
 
     Raises
     ------
     ConfigurationError
         If the file is not valid or not supported; the message names the file and the fault.
     """
-    text, offset = _read_header(path)
-    # The parser warns of duplicate keys; the last one counts.
-    with refusing_failures(path, "its header is not valid NRRD"), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return _describe(path, nrrd.read_header(io.BytesIO(text)), offset)
+    with refusing_failures(path, "its header is not valid NRRD"):
+        header, names, offset = _read_header(path)
+        return _Reader(path, header, names, offset, frames).describe()
 
 
-def _read_header(path: Path) -> tuple[bytes, int]:
-    """Return the header's text, and the offset of the first byte after the header."""
-    lines, size = [], 0
+def _read_header(path: Path) -> tuple[dict[str, str], list[str], int]:
+    """Return the fields, the listed data files, and the offset of the first byte after them."""
+    fields: dict[str, str] = {}
+    names: list[str] = []
     with path.open("rb") as file:
-        if not file.read(8).startswith(b"NRRD000"):
+        if not re.fullmatch(rb"NRRD000\d\s*", file.readline(99)):
             raise ConfigurationError(f"{path}: not an NRRD file: it does not begin with NRRD000")
-        file.seek(0)
-        while line := file.readline(MAX_HEADER):
-            size += len(line)
-            if size > MAX_HEADER:
+        while raw := file.readline(MAX_HEADER):
+            if file.tell() > MAX_HEADER:
                 raise ConfigurationError(f"{path}: its header has no end")
-            lines.append(line)
-            if not line.strip():
+            line = decode_header(raw).rstrip("\r\n")
+            if fields.get("data file", "").startswith("LIST"):
+                if line.strip():
+                    names.append(line.strip())
+                if len(names) > MAX_FILES:
+                    raise ConfigurationError(f"{path}: data file: more than {MAX_FILES} files")
+                continue
+            if not line:
                 break
-        return b"".join(lines), file.tell()
+            if not line.startswith("#"):
+                _add_field(path, fields, line)
+        return fields, names, file.tell()
 
 
-def _describe(path: Path, header: dict[str, Any], offset: int) -> VolumeFile:
-    sizes = [int(n) for n in header["sizes"]]
-    if len(sizes) != int(header["dimension"]):
-        raise ConfigurationError(f"{path}: {len(sizes)} sizes for {header['dimension']} dimensions")
-    space = [_is_space(header, axis) for axis in range(len(sizes))]
-    lists = [axis for axis, spatial in enumerate(space) if not spatial]
-    if len(sizes) - len(lists) != 3 or len(lists) > 1 or (lists and lists[0] not in (0, 3)):
+def _add_field(path: Path, fields: dict[str, str], line: str) -> None:
+    field, colon, value = line.partition(": ")
+    key, equals, text = line.partition(":=")
+    if equals and len(key) < len(field):
+        fields[key] = text.strip()  # of keys, the last one counts
+        return
+    if not colon:
+        field, colon, value = line.partition(":")
+    name = field.strip().lower()
+    name = _SYNONYMS.get(name, name)
+    if not colon:
+        raise ConfigurationError(f"{path}: {line[:60]!r} is no field of an NRRD header")
+    value = value.strip()
+    if fields.setdefault(name, value) != value:
         raise ConfigurationError(
-            f"{path}: kinds: {header.get('kinds', len(sizes) * ['domain'])} is not allowed; a "
-            "volume has three in space, a sequence also has a list axis, first or last"
+            f"{path}: {name}: it stands twice, as {fields[name]!r} and as {value!r}"
         )
-    listed = lists[0] if lists else None
-    spatial = [axis for axis in range(len(sizes)) if axis != listed]
-    nx, ny, nz = (sizes[axis] for axis in spatial)
-    count = 1 if listed is None else sizes[listed]
-    directions, origin = _geometry(path, header, spatial)
-    check_layout(path, (nx, ny, nz), count, directions)
-    if header["type"] not in _CODES:
-        raise ConfigurationError(f"{path}: type: {header['type']!r} is not allowed")
-    big = str(header.get("endian", "little")).lower() == "big"
-    dtype = np.dtype((">" if big else "<") + _CODES[header["type"]])
-    encoding = str(header.get("encoding")).lower()
-    if encoding not in ("raw", "gzip", "gz"):
-        raise ConfigurationError(
-            f"{path}: encoding: {encoding!r} is not supported; use raw or gzip"
+
+
+class _Reader:
+    """What the header of a file says."""
+
+    def __init__(
+        self, path: Path, header: Mapping[str, str], names: list[str], offset: int, frames: bool
+    ) -> None:
+        self.path, self.header, self.names = path, header, names
+        self.offset, self.frames = offset, frames
+        self.sizes = [int(n) for n in header["sizes"].split()]
+        self.notes: list[str] = []
+
+    def refuse(self, field: str, text: str = "") -> ConfigurationError:
+        value = f"{self.header[field]!r} is not allowed; " if field in self.header else ""
+        return ConfigurationError(f"{self.path}: {field}: {value}{text}".removesuffix("; "))
+
+    def describe(self) -> VolumeFile:
+        header, sizes = self.header, self.sizes
+        if len(sizes) != int(header["dimension"]):
+            raise ConfigurationError(
+                f"{self.path}: {len(sizes)} sizes for {header['dimension']} dimensions"
+            )
+        spatial, listed, coloured = self._axes()
+        nx, ny, nz = (*(sizes[axis] for axis in spatial), 1)[:3]
+        shape = (nx, ny, nz)
+        count = 1 if listed is None else sizes[listed]
+        channels = 1 if coloured is None else sizes[coloured]
+        directions, origin = self._geometry(spatial)
+        check_layout(self.path, shape, count, directions, frames=self.frames)
+        if header["type"].lower() not in _CODES:
+            raise self.refuse("type", f"use one of {', '.join(n[0] for n in _TYPES.values())}")
+        endian = header.get("endian", "little").lower()
+        if endian not in ("little", "big"):
+            raise self.refuse("endian", "it is little or big")
+        dtype = np.dtype((">" if endian == "big" else "<") + _CODES[header["type"].lower()])
+        size = nx * ny * nz * count * channels * dtype.itemsize
+        data = self._data(size)
+        if listed == 0 and count > 1:
+            require_memory(size, str(self.path), f"{count} volumes with the list axis first")
+            data = _turned_round(data, nx * ny * nz, count, dtype.itemsize)
+
+        def read(number: int) -> NDArray[Any]:
+            step = nx * ny * nz * channels * dtype.itemsize
+            numbers = np.frombuffer(data.read(number * step, step), dtype)
+            if channels == 1:
+                return numbers.reshape((nx, ny, nz), order="F")
+            if coloured != 0:
+                return numbers.reshape((nx, ny, nz, channels), order="F")
+            return np.moveaxis(numbers.reshape((channels, nx, ny, nz), order="F"), 0, -1)
+
+        return VolumeFile(
+            self.path,
+            (nx, ny, nz),
+            count,
+            directions,
+            origin,
+            read,
+            None if listed is None else self._times(listed, count),
+            dict(header),
+            (
+                *self.notes,
+                *unknown_fields("NRRD", (_AXIS.sub("", name) for name in header), FIELDS | KEYS),
+            ),
+            channels,
         )
-    size = nx * ny * nz * count * dtype.itemsize
-    source = _data_file(path, header)
-    data = DataSection(
-        source or path,
-        0 if source else offset,
-        size,
-        compression="gzip" if encoding.startswith("gz") else "",
-    )
-    if listed == 0 and count > 1:
-        require_memory(size, str(path), f"{count} volumes with the list axis first")
-        data = _turned_round(data, nx * ny * nz, count, dtype.itemsize)
 
-    def read(number: int) -> NDArray[Any]:
-        volume = nx * ny * nz * dtype.itemsize
-        voxels = np.frombuffer(data.read(number * volume, volume), dtype)
-        return voxels.reshape((nx, ny, nz), order="F")
+    def entries(self, field: str) -> list[str]:
+        """Return the words of a field with one for each axis; quoted words may hold blanks."""
+        words = re.findall(r'"((?:[^"\\]|\\.)*)"|(\S+)', self.header.get(field, ""))
+        return [quoted or plain for quoted, plain in words]
 
-    return VolumeFile(
-        path,
-        (nx, ny, nz),
-        count,
-        directions,
-        origin,
-        read,
-        None if listed is None else _times(path, header, listed, count),
-        {str(key): str(value) for key, value in header.items()},
-    )
-
-
-def _is_space(header: dict[str, Any], axis: int) -> bool:
-    """Return True if an axis is spatial, judged by its kind or else by its direction."""
-    kinds = header.get("kinds")
-    if kinds is not None and str(kinds[axis]).lower() not in ("???", "none"):
-        return str(kinds[axis]).lower() in ("domain", "space")
-    directions = header.get("space directions")
-    return directions is None or bool(np.isfinite(np.asarray(directions[axis], float)).all())
-
-
-def _geometry(
-    path: Path, header: dict[str, Any], spatial: list[int]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the (3, 3) steps along the axes as columns, and the (3,) origin, in mm, in LPS."""
-    space = str(header.get("space", "")).lower().removesuffix("-time")
-    signs = np.array(SPACES.get(space, (1, 1, 1)))
-    units = header.get("space units", ["mm"] * 3)
-    scales = [_MM.get(str(unit).strip('"')) for unit in units]
-    if len(scales) < 3 or None in scales[:3]:
-        raise ConfigurationError(
-            f"{path}: space units: {units} are not allowed; use mm, cm, m or um"
+    def _axes(self) -> tuple[list[int], int | None, int | None]:
+        """Return the axes in space, the list axis and that of the colours."""
+        count = len(self.sizes)
+        kinds = [each.lower() for each in self.entries("kinds")] or ["???"] * count
+        if len(kinds) != count:
+            raise self.refuse("kinds", f"{count} axes have as many kinds")
+        vectors = self._vectors("space directions")
+        listed, coloured, spatial = [], [], []
+        for axis, kind in enumerate(kinds):
+            none = vectors is not None and not np.isfinite(vectors[axis]).all()
+            if kind in ("list", "time"):
+                listed.append(axis)
+            elif kind in _COLOURS or (kind in ("scalar", "stub") and self.sizes[axis] == 1):
+                coloured.append(axis)
+            elif kind in ("domain", "space") or (kind in ("???", "none") and not none):
+                spatial.append(axis)
+            elif kind in ("???", "none"):
+                listed.append(axis)
+            else:
+                raise self.refuse(
+                    "kinds", f"{kind}: vectors, and numbers that are no echoes, are not supported"
+                )
+        if len(spatial) == 4 and not listed:  # as ITK writes it: time is a fourth axis in space
+            listed.append(spatial.pop())
+        colours = [axis for axis in coloured if self.sizes[axis] > 1]
+        if any(self.sizes[axis] not in (3, 4) for axis in colours):
+            raise self.refuse("kinds", "several numbers a voxel are a vector; one is wanted")
+        letters = "".join(
+            "L" if axis in listed else "C" if axis in colours else "S" if axis in spatial else ""
+            for axis in range(count)
         )
-    scale = signs * np.array(scales[:3], float)
-    if "space directions" in header:
-        rows = np.array([np.asarray(header["space directions"][axis], float) for axis in spatial])
-        directions = rows.T.reshape(3, 3) * scale[:, np.newaxis]
-    else:
-        spacings = np.asarray(header.get("spacings", np.ones(len(spatial) + 1)), float)
-        directions = np.diag(spacings[spatial])
-    origin = np.asarray(header.get("space origin", np.zeros(3)), float).reshape(3) * scale
-    if not np.isfinite(origin).all():
-        raise ConfigurationError(f"{path}: space origin: it must be finite")
-    return directions, origin
+        if self.frames and re.fullmatch("C?SSL|SSCL", letters):
+            return spatial, listed[0], (colours or [None])[0]
+        if re.fullmatch("C?SSL|SSCL", letters):
+            raise HoldsFramesError(
+                f"{self.path}: {' x '.join(map(str, self.sizes))} numbers are 2D frames; make "
+                "volumes of them with --reconstruct"
+            )
+        if not re.fullmatch("C?SSSL?|SSSCL?|LSSS", letters):
+            raise ConfigurationError(
+                f"{self.path}: kinds: {self.header.get('kinds', count * ['domain'])} is not "
+                "allowed; a volume has three in space, a sequence also has a list axis, first or "
+                "last"
+            )
+        return spatial, (listed or [None])[0], (colours or [None])[0]
 
+    def _vectors(self, field: str) -> NDArray[np.float64] | None:
+        """Return (n, d) vectors of a field; rows of NaN stand for "none"."""
+        if field not in self.header:
+            return None
+        found = re.findall(r"\(([^)]*)\)|(none)", self.header[field], re.IGNORECASE)
+        rows = [[float(x) for x in inside.split(",")] if inside else [] for inside, _ in found]
+        width = max(map(len, rows), default=0)
+        if width == 0 or any(len(row) not in (0, width) for row in rows):
+            raise self.refuse(field, "it holds vectors (x,y,z)")
+        return np.array([row or [np.nan] * width for row in rows])
 
-def _data_file(path: Path, header: dict[str, Any]) -> Path | None:
-    """Return the path of the voxels' file; None if they follow the header."""
-    name = header.get("data file", header.get("datafile"))
-    if name is None:
-        return None
-    source = path.parent / str(name)
-    skip = [key for key in ("byte skip", "line skip", "byteskip", "lineskip") if header.get(key)]
-    if skip or str(name).startswith("LIST") or "%" in str(name):
-        raise ConfigurationError(
-            f"{path}: data file: only a single file without byte or line skip is supported"
+    def _scales(self) -> tuple[NDArray[np.float64], str]:
+        """Return (3,) factors that turn the space's coordinates into mm in LPS, and its name."""
+        name = self.header.get("space", "").strip().lower()
+        base = name.removesuffix("-time")
+        base = {"rast": "ras", "last": "las", "lpst": "lps"}.get(base, base)
+        if name and base not in (*SPACES, *_NAMELESS):
+            known = ", ".join(each for each in SPACES if "-" in each)
+            raise self.refuse("space", f"the axes must have anatomical names: {known}")
+        if base not in SPACES and "space directions" in self.header:
+            said = f"its space {name!r} has" if name else "it names no space and has"
+            self.notes.append(f"{said} no anatomical axes; they are taken as LPS")
+        units = [each.strip().lower() for each in self.entries("space units")] or ["mm"] * 3
+        scales = [_MM.get(unit) for unit in units[:3]]
+        if len(scales) < 2 or None in scales:
+            raise ConfigurationError(
+                f"{self.path}: space units: {units} are not allowed; use mm, cm, m or um"
+            )
+        scales = [*scales, 1.0][:3]
+        return np.array(SPACES.get(base, (1, 1, 1)), float) * scales, name
+
+    def _geometry(self, spatial: list[int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the (3, 3) steps along the axes as columns, and the (3,) origin, in mm, in LPS."""
+        scale, _ = self._scales()
+        n = len(spatial)
+        vectors = self._vectors("space directions")
+        origins = self._vectors("space origin")
+        directions, origin = np.eye(3), np.zeros(3)
+        if vectors is not None:
+            if len(vectors) != len(self.sizes):
+                raise self.refuse("space directions", "one vector for each axis")
+            width = min(vectors.shape[1], 3)
+            directions[:width, :n] = vectors[spatial, :width].T
+            directions *= scale[:, np.newaxis]
+            if n == 2:
+                directions[:, 2] = [0, 0, 1] if width == 2 else np.cross(*directions[:, :2].T)
+        else:
+            steps, first = self._plain_grid(spatial)
+            directions[:n, :n] = np.diag(steps * np.sign(scale[:n]))
+            origin[:n] = first * np.sign(scale[:n])
+        if origins is not None:
+            width = min(origins.shape[1], 3)
+            origin[:width] = origins[0, :width] * scale[:width]
+        elif vectors is not None and not self.frames:
+            self.notes.append("it has no space origin; its first voxel is taken to lie at 0")
+        if not np.isfinite(origin).all():
+            raise self.refuse("space origin", "it must be finite")
+        return directions, origin
+
+    def _plain_grid(self, spatial: list[int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return steps and first places along axes without directions, in mm."""
+        spacings, lows, highs = (
+            self._numbers(field) for field in ("spacings", "axis mins", "axis maxs")
         )
-    if not source.is_file():
-        raise ConfigurationError(f"{path}: data file: there is no file {source}")
-    return source
+        centers, units = self.entries("centers"), self.entries("units")
+        steps, first = np.ones(len(spatial)), np.zeros(len(spatial))
+        for k, axis in enumerate(spatial):
+            count = self.sizes[axis]
+            unit = units[axis].strip().lower() if len(units) > axis else "mm"
+            if unit not in _MM:
+                raise self.refuse("units", "lengths are in mm, cm, m or um")
+            cell = len(centers) > axis and centers[axis].lower() == "cell"
+            low, high, step = lows[axis], highs[axis], spacings[axis]
+            if not np.isfinite(step):
+                step = (high - low) / (count if cell else max(count - 1, 1))
+            if np.isfinite(step):
+                steps[k] = step * _MM[unit]
+            elif not self.frames:
+                self.notes.append(f"it states no spacing along axis {axis}; 1 mm is taken")
+            if np.isfinite(low):
+                first[k] = (low + (0.5 * step if cell and np.isfinite(step) else 0.0)) * _MM[unit]
+            elif np.isfinite(high) and np.isfinite(step):
+                first[k] = (high - step * (count - (0.5 if cell else 1))) * _MM[unit]
+        if np.isnan(lows[spatial]).all() and not self.frames and "space origin" not in self.header:
+            self.notes.append("it states no position; its first voxel is taken to lie at 0")
+        if (steps < 0).any():
+            raise self.refuse("axis maxs", "they are above the axis mins")
+        return steps, first
+
+    def _numbers(self, field: str) -> NDArray[np.float64]:
+        """Return the numbers of a field with one for each axis; NaN where there is none."""
+        words = self.entries(field) or ["nan"] * len(self.sizes)
+        if len(words) != len(self.sizes):
+            raise self.refuse(field, f"{len(self.sizes)} axes have as many numbers")
+        return np.array([np.nan if word in ("none", "???") else float(word) for word in words])
+
+    def _data(self, size: int) -> DataSection | DataSections:
+        encoding = self.header.get("encoding", "").lower()
+        if encoding not in ("raw", "gzip", "gz"):
+            raise ConfigurationError(
+                f"{self.path}: encoding: {encoding!r} is not supported; use raw or gzip"
+            )
+        compression = "gzip" if encoding.startswith("gz") else ""
+        lines, skip = (int(self.header.get(each, "0")) for each in ("line skip", "byte skip"))
+        if lines < 0 or skip < -1 or (skip == -1 and compression):
+            raise self.refuse(
+                "line skip" if lines < 0 else "byte skip", "-1 is for raw data, else from 0"
+            )
+        sources = self._data_files()
+        each = size // len(sources)
+        if each * len(sources) != size:
+            raise self.refuse("data file", f"{len(sources)} files do not share the voxels evenly")
+        sections = []
+        for source in sources:
+            offset = _after_lines(source, self.offset if source == self.path else 0, lines)
+            if skip == -1:  # the voxels are the last bytes
+                offset = max(source.stat().st_size - each, 0)
+            elif not compression:
+                offset += skip
+            inside = skip if compression else 0
+            sections.append(DataSection(source, offset, each, compression=compression, skip=inside))
+        return sections[0] if len(sections) == 1 else DataSections(sections, each)
+
+    def _data_files(self) -> Sequence[Path]:
+        name = self.header.get("data file")
+        if name is None:
+            return [self.path]
+        words = name.split()
+        if words[:1] == ["LIST"]:
+            if not self.names:
+                raise self.refuse("data file", "the names of the files follow in the next lines")
+            self._check_pieces(int(words[1]) if len(words) > 1 else None, len(self.names))
+            return [existing_file(self.path, "data file", each) for each in self.names]
+        if "%" in name and not (self.path.parent / name).is_file():
+            files = listed_files(self.path, "data file", words)
+            self._check_pieces(int(words[4]) if len(words) > 4 else None, len(files))
+            return files
+        return [existing_file(self.path, "data file", name)]
+
+    def _check_pieces(self, dimension: int | None, count: int) -> None:
+        """Refuse files that are not slices along the last axes."""
+        dimension = len(self.sizes) - 1 if dimension is None else dimension
+        if not 1 <= dimension <= len(self.sizes):
+            raise self.refuse("data file", "the number of axes of each file is out of range")
+        wanted = int(np.prod(self.sizes[dimension:], dtype=int))
+        if dimension < len(self.sizes) and count != wanted:
+            raise self.refuse("data file", f"{wanted} files are needed, {count} are named")
+
+    def _times(self, listed: int, count: int) -> NDArray[np.float64] | None:
+        """Return the volumes' times in s; None if the file does not state them."""
+        values = self.header.get(f"axis {listed} index values")
+        label, unit = (
+            (self.entries(field) + [""] * len(self.sizes))[listed].lower()
+            for field in ("labels", "units")
+        )
+        unit = self.header.get(f"axis {listed} index units", unit).lower()
+        scale = _SECONDS.get(unit)
+        if values is not None and (scale or label == "time"):
+            times = np.array(values.split(), float) * (scale or 1.0)
+            if len(times) != count:
+                raise ConfigurationError(
+                    f"{self.path}: {len(times)} index values for {count} volumes"
+                )
+            return times
+        return self._regular_times(listed, count)
+
+    def _regular_times(self, listed: int, count: int) -> NDArray[np.float64] | None:
+        """Return times from a step along a fourth axis in space, or from its spacing."""
+        vectors, origins = self._vectors("space directions"), self._vectors("space origin")
+        step = first = np.nan
+        units = self.entries("space units")
+        scale = _SECONDS.get((units + [""] * 4)[3].lower())
+        if vectors is not None and vectors.shape[1] == 4:
+            step = float(vectors[listed, 3])
+            first = float(origins[0, 3]) if origins is not None and origins.shape[1] == 4 else 0.0
+        elif vectors is None:
+            step, first = (float(self._numbers(each)[listed]) for each in ("spacings", "axis mins"))
+            units = self.entries("units")
+            scale = _SECONDS.get((units + [""] * len(self.sizes))[listed].lower())
+        if not (np.isfinite(step) and step > 0) or (scale is None and step == 1.0):
+            return None
+        step *= scale or 1.0
+        if step > _SLOWEST:
+            return None
+        self.notes.append(f"its volumes are {step:g} s apart, by the spacing along its list axis")
+        return (0.0 if np.isnan(first) else first * (scale or 1.0)) + step * np.arange(count)
 
 
-def _times(
-    path: Path, header: dict[str, Any], listed: int, count: int
-) -> NDArray[np.float64] | None:
-    """Return the volumes' times in s from 3D Slicer's index values; None if those are not times."""
-    values = header.get(f"axis {listed} index values")
-    label = str(_entry(header, "labels", listed)).strip('"').lower()
-    unit = str(_entry(header, "units", listed)).strip('"').lower()
-    unit = str(header.get(f"axis {listed} index units", unit)).lower()
-    scale = _SECONDS.get(unit)
-    if values is None or not (scale or label == "time"):
-        return None
-    times = np.array(str(values).split(), float) * (scale or 1.0)
-    if len(times) != count:
-        raise ConfigurationError(f"{path}: {len(times)} index values for {count} volumes")
-    return times
+def _after_lines(path: Path, offset: int, lines: int) -> int:
+    """Return the offset of the first byte after a number of lines."""
+    if lines == 0:
+        return offset
+    with path.open("rb") as file:
+        file.seek(offset)
+        for _ in range(lines):
+            if not file.readline(MAX_HEADER):
+                raise ConfigurationError(f"{path}: line skip: it has fewer than {lines} lines")
+        return file.tell()
 
 
-def _entry(header: dict[str, Any], name: str, axis: int) -> Any:
-    entries = header.get(name)
-    return entries[axis] if entries is not None and len(entries) > axis else ""
-
-
-def _turned_round(data: DataSection, voxels: int, count: int, itemsize: int) -> DataSection:
+def _turned_round(
+    data: DataSection | DataSections, voxels: int, count: int, itemsize: int
+) -> DataSection:
     """Copy data whose list axis varies fastest to a temporary file in which it varies slowest."""
     with tempfile.NamedTemporaryFile(prefix="sonoservo-") as file:
         step = max(1, _BLOCK // (count * itemsize))

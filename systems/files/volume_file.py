@@ -5,6 +5,7 @@ import re
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +42,18 @@ MAX_DEFLATED = 1032
 _PIECE = 1 << 20
 """Number of bytes read at a time."""
 
+_GZIP = b"\x1f\x8b"
+
+MAX_FILES = 10_000
+"""Largest number of data files that a header may name."""
+
+_PATTERN = re.compile(r"[^%]*%0?\d{0,2}[di][^%]*")
+
 _FRAME_FIELD = re.compile(r"Seq_Frame(\d{1,9})_(\w+)")
+
+
+class HoldsFramesError(ConfigurationError):
+    """A file was taken to hold volumes, but holds 2D frames."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +80,11 @@ class VolumeFile:
         (count,) times of the volumes in s; None if the file has none.
     fields
         Fields of the header, by name.
+    notes
+        What a person should know about how the file was read, each a sentence.
+    channels
+        Numbers of each voxel, along a last axis of what ``read`` returns: 1 for an echo, without
+        such an axis; 3 or 4 for colours.
 
     Raises
     ------
@@ -83,6 +100,8 @@ class VolumeFile:
     read: Callable[[int], NDArray[Any]]
     times: NDArray[np.float64] | None = None
     fields: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    channels: int = 1
 
     def __post_init__(self) -> None:
         require_voxels(self.path, self.shape)
@@ -131,7 +150,7 @@ def check_layout(
     if frames and (shape[2] != 1 or min(shape[:2]) < 2):
         raise ConfigurationError(f"{path}: {_times(shape)} voxels are not 2D frames")
     if not frames and min(shape) < 2:
-        raise ConfigurationError(
+        raise HoldsFramesError(
             f"{path}: {_times(shape)} voxels are 2D frames; make volumes of them with --reconstruct"
         )
     steps = np.linalg.norm(directions, axis=0)
@@ -144,6 +163,8 @@ def check_grid(
     shape: Sequence[int],
     directions: NDArray[np.float64],
     origin: NDArray[np.float64],
+    *,
+    square: bool = True,
 ) -> None:
     """Check that voxels or pixels have a plausible size, extent and position, and right angles.
 
@@ -157,6 +178,8 @@ def check_grid(
         (3, n) array whose columns are the steps along the axes, in mm.
     origin
         (3,) position of the first voxel in mm.
+    square
+        Whether the angles must be right ones; a calibration of pixels may be a little askew.
 
     Raises
     ------
@@ -180,12 +203,20 @@ def check_grid(
             f"{path}: the origin {origin.tolist()} mm is out of range (+-{MAX_POSITION:g} mm)"
         )
     unit = directions / steps
-    if np.abs(unit.T @ unit - np.eye(len(steps))).max() > 1e-3:
+    if np.abs(unit.T @ unit - np.eye(len(steps))).max() > (1e-3 if square else 0.2):
         raise ConfigurationError(f"{path}: the directions of its axes are not at right angles")
 
 
 def _times(numbers: Iterable[float]) -> str:
     return " x ".join(f"{n:g}" if isinstance(n, float) else str(n) for n in numbers)
+
+
+class FieldUse(StrEnum):
+    """What becomes of a field of a header."""
+
+    USED = "used"
+    CHECKED = "checked"
+    NO_EFFECT = "without effect"
 
 
 class DataSection:
@@ -201,6 +232,8 @@ class DataSection:
         Number of uncompressed bytes that the header announces.
     compression
         Compression of the data: "gzip", "zlib" or "" for none.
+    skip
+        Number of uncompressed bytes before those.
 
     Raises
     ------
@@ -208,13 +241,16 @@ class DataSection:
         If the file is too small for that many bytes.
     """
 
-    def __init__(self, path: Path, offset: int, size: int, *, compression: str = "") -> None:
+    def __init__(
+        self, path: Path, offset: int, size: int, *, compression: str = "", skip: int = 0
+    ) -> None:
         self._path = path
         self._offset = offset
         self._size = size
         self._compression = compression
+        self._skip = skip
         present = path.stat().st_size - offset
-        if size > present * (MAX_DEFLATED if compression else 1):
+        if size + skip > present * (MAX_DEFLATED if compression else 1):
             raise ConfigurationError(
                 f"{path}: truncated, or its header is wrong: the header announces {size} bytes of "
                 f"voxels, the file has {max(present, 0)}"
@@ -231,18 +267,19 @@ class DataSection:
         ConfigurationError
             If the data end earlier or are damaged.
         """
+        first = start + self._skip
         with refusing_failures(self._path, "damaged or truncated"):
             if not self._compression:
-                self._file.seek(self._offset + start)
+                self._file.seek(self._offset + first)
                 data = self._file.read(size)
             else:
-                if start < self._position:
+                if first < self._position:
                     self._rewind()
-                while self._position < start:
-                    if not self._inflate(min(start - self._position, _PIECE)):
+                while self._position < first:
+                    if not self._inflate(min(first - self._position, _PIECE)):
                         break
                 data = self._inflate(size)
-                if self._position == self._size:
+                if self._position == self._size + self._skip:
                     self._inflate(1)  # the checksum follows the last byte
         if len(data) < size:
             raise ConfigurationError(
@@ -252,15 +289,24 @@ class DataSection:
 
     def _rewind(self) -> None:
         self._file.seek(self._offset)
+        self._begin()
+        self._position = 0
+
+    def _begin(self) -> None:
         # 15 is the largest window; adding 32 accepts the headers of both gzip and zlib.
         self._inflater = zlib.decompressobj(15 + 32)
-        self._position = 0
 
     def _inflate(self, size: int) -> bytes:
         """Return the next ``size`` bytes; fewer only at the end of the data."""
-        pieces, missing = [], size
-        while missing > 0 and not self._inflater.eof:
-            packed = self._inflater.unconsumed_tail or self._file.read(_PIECE)
+        pieces, missing, waiting = [], size, b""
+        while missing > 0:
+            if self._inflater.eof:  # gzip data may consist of several members
+                waiting = self._inflater.unused_data or self._file.read(_PIECE)
+                if not waiting.startswith(_GZIP):
+                    break
+                self._begin()
+            packed = waiting or self._inflater.unconsumed_tail or self._file.read(_PIECE)
+            waiting = b""
             piece = self._inflater.decompress(packed, missing)
             if not packed and not piece:
                 break
@@ -268,3 +314,71 @@ class DataSection:
             missing -= len(piece)
         self._position += size - missing
         return b"".join(pieces)
+
+
+class DataSections:
+    """Data in several files, one after the other, each with the same number of bytes.
+
+    Parameters
+    ----------
+    sections
+        Data of each file.
+    size
+        Number of bytes of each.
+    """
+
+    def __init__(self, sections: Sequence[DataSection], size: int) -> None:
+        self._sections, self._size = sections, size
+
+    def read(self, start: int, size: int) -> bytes:
+        """Return ``size`` bytes from ``start`` on; see `DataSection.read`."""
+        pieces = []
+        while size > 0:
+            number, first = divmod(start, self._size)
+            part = min(size, self._size - first)
+            pieces.append(self._sections[number].read(first, part))
+            start, size = start + part, size - part
+        return b"".join(pieces)
+
+
+def decode_header(data: bytes) -> str:
+    """Return the text of a header's line, in UTF-8 or else in Latin-1."""
+    try:
+        return data.decode()
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def listed_files(path: Path, field_name: str, words: Sequence[str]) -> list[Path]:
+    """Return the files that a pattern names: its text, first number, last number and step.
+
+    Raises
+    ------
+    ConfigurationError
+        If it is not valid, or a file is missing.
+    """
+    pattern, numbers = words[0], [int(word) for word in words[1:4]]
+    first, last, step = (*numbers, 1)[:3] if len(numbers) >= 2 else (0, -1, 1)
+    if step == 0 or not _PATTERN.fullmatch(pattern) or (last - first) // step + 1 > MAX_FILES:
+        raise ConfigurationError(
+            f"{path}: {field_name}: {' '.join(words)!r} is not allowed; a pattern such as "
+            "slice%03d.raw is followed by its first and last number and perhaps the step"
+        )
+    stop = last + (1 if step > 0 else -1)
+    return [
+        existing_file(path, field_name, pattern % number) for number in range(first, stop, step)
+    ]
+
+
+def existing_file(path: Path, field_name: str, name: str) -> Path:
+    """Return the path of a data file that a header names, relative to the header's folder.
+
+    Raises
+    ------
+    ConfigurationError
+        If there is no such file.
+    """
+    beside = path.parent / name
+    if "\0" in name or not name or not beside.is_file():
+        raise ConfigurationError(f"{path}: {field_name}: there is no file {name!r}")
+    return beside

@@ -169,6 +169,17 @@ class ImageMatcher:
         """True if images have poses."""
         return bool(self._posed)
 
+    @property
+    def clock_offset(self) -> float:
+        """Time stamps of poses minus those of images, in s, as stated or last estimated."""
+        offsets = [sender.offset for sender in self._senders.values() if sender.offset]
+        return offsets[-1] if offsets else 0.0
+
+    @property
+    def counts_arrivals(self) -> bool:
+        """True if time stamps of images stand still."""
+        return any(sender.image_clock.stands for sender in self._senders.values())
+
     def feed(self, item: Item, now: float, peer: str = "") -> list[PosedImage]:
         """Take in an item that arrived ``now`` from a peer; return the images it completes.
 

@@ -1,5 +1,6 @@
 """From received images to volumes on one grid in the probe's frame."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from sonoservo.systems.files.volume_file import check_grid, require_voxels
 from sonoservo.systems.live.connection.items import ImageItem
 from sonoservo.systems.live.image_matcher import PosedImage
 from sonoservo.systems.recording.file_grid import FileGrid, make_file_grid
-from sonoservo.systems.recording.grey_levels import GreyLevels
+from sonoservo.systems.recording.grey_levels import GreyLevels, void_flags
 from sonoservo.systems.signals.immutable import NotFound, seal
 from sonoservo.systems.signals.requirements import require_positive
 from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL
@@ -104,9 +105,12 @@ class VolumeMaker:
                 f"a volume of {image.voxels.shape} numbers is left out; the first had {shape}"
             )
         voxels = grid.arrange(image.voxels)
-        if voxels.dtype.kind == "f" and not np.isfinite(voxels).all():
+        void = void_flags(voxels)
+        if void is not None and void.all():
             raise ValueError("a volume holds values that are not finite")
-        volume = self._volume(posed, seal(self.grey(voxels)), grid, X_LI)
+        volume = self._volume(posed, seal(self.grey(voxels, void)), grid, X_LI)
+        if void is not None:
+            volume = replace(volume, mask=~void)
         # Only an image that made a volume decides about those that follow.
         self._grid, self._shape, self._X_LI = chosen
         self._sender = posed.sender

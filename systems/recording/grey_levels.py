@@ -1,6 +1,7 @@
 """Conversion of a file's numbers to grey levels."""
 
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,34 +25,83 @@ _FAR = 1e4
 _ALMOST_ALL = 0.999
 """Quantile of the numbers in the field of view that replaces a maximum far above it."""
 
+
 _REMEMBERED = 8
 """Number of volumes that share in the choice of a window."""
 
 _OTHER = 1.25
 """Ratio of the widths of two windows from which they are not the same."""
 
+_LUMINANCE = np.array([0.299, 0.587, 0.114])
+"""Weights of red, green and blue (ITU-R BT.601)."""
 
-def read_numbers(file: VolumeFile, number: int) -> NDArray[Any]:
-    """Return the numbers of a volume or frame as the file has them.
+
+def luminance(colours: NDArray[Any]) -> NDArray[Any]:
+    """Return the grey levels of (..., 3) or (..., 4) colours, as numbers of the same type."""
+    grey = colours[..., :3] @ _LUMINANCE
+    return (grey if colours.dtype.kind == "f" else np.rint(grey)).astype(colours.dtype)
+
+
+def require_echoes(file: VolumeFile, colours: bool) -> None:
+    """Refuse a file of colours unless a person wants their luminance.
 
     Raises
     ------
     ConfigurationError
-        If the file ends earlier, or a number is not finite or implausibly large.
+        If it holds colours.
+    """
+    if file.channels > 1 and not colours:
+        raise ConfigurationError(
+            f"{file.path}: it holds colours ({file.channels} numbers a voxel, or channels), and "
+            "one number, the echo, is expected; --luminance takes the luminance of the colours"
+        )
+
+
+def read_numbers(file: VolumeFile, number: int) -> NDArray[Any]:
+    """Return the numbers of a volume or frame as the file has them; those of colours are grey.
+
+    Raises
+    ------
+    ConfigurationError
+        If the file ends earlier, or a number is implausibly large.
     """
     numbers = file.read(number)
+    if file.channels > 1:
+        numbers = luminance(numbers)
     if numbers.dtype.kind == "f":
-        largest = max(-float(numbers.min()), float(numbers.max()))  # NaN if one is NaN
-        if not np.isfinite(largest):
-            raise ConfigurationError(
-                f"{file.path}: volume {number} holds values that are not finite"
-            )
+        largest = float(np.nanmax(np.where(np.isfinite(numbers), np.abs(numbers), 0)))
         if largest > _MAX_NUMBER:
             raise ConfigurationError(
                 f"{file.path}: volume {number} holds values up to {largest:.3g}; at most "
                 f"{_MAX_NUMBER:g} is allowed, and log-compressed echoes are expected"
             )
     return numbers
+
+
+def void_flags(numbers: NDArray[Any], void: float | None = None) -> NDArray[np.bool_] | None:
+    """Return flags of the numbers that stand for "nothing was seen here"; None if there are none.
+
+    NaN and infinity do. So does the lowest number if it is negative and lies further from the
+    others than these do from one another, as -32768 does that fills the space around a sector.
+
+    Parameters
+    ----------
+    numbers
+        Numbers of a volume or frame.
+    void
+        Number that stands for it too, by a person's choice.
+    """
+    flags = ~np.isfinite(numbers) if numbers.dtype.kind == "f" else None
+    if void is not None:
+        stated = np.isnan(numbers) if np.isnan(void) else numbers == void
+        flags = stated if flags is None else flags | stated
+    elif numbers.dtype.kind != "u":
+        known = numbers if flags is None or not flags.any() else numbers[~flags]
+        low = known.min(initial=0)
+        others = known[known > low] if low < 0 else known[:0]
+        if others.size and float(others.min()) - float(low) > float(np.ptp(others)) > 0:
+            flags = (numbers == low) if flags is None else flags | (numbers == low)
+    return flags if flags is not None and flags.any() else None
 
 
 @dataclass(frozen=True)
@@ -76,30 +126,40 @@ class GreyWindow(Immutable):
             f"two rising ends within +-{_MAX_NUMBER:g}",
         )
 
-    def grey(self, voxels: NDArray[Any]) -> NDArray[Any]:
-        """Return grey levels in C order: unchanged uint8 for the window 0 to 255, else float32."""
+    def grey(self, voxels: NDArray[Any], void: NDArray[np.bool_] | None = None) -> NDArray[Any]:
+        """Return grey levels in C order: unchanged uint8 for the window 0 to 255, else float32.
+
+        They are 0 where ``void`` is set.
+        """
         if voxels.dtype == np.uint8 and (self.low, self.high) == (0, 255):
-            return np.ascontiguousarray(voxels)
+            levels = np.ascontiguousarray(voxels)
+            return levels if void is None else np.where(void, np.uint8(0), levels)
         # Single precision is too coarse for a window far from zero.
         far = max(abs(self.low), abs(self.high)) > _FAR * (self.high - self.low)
-        levels: NDArray[Any] = np.array(voxels, np.float64 if far else np.float32, order="C")
+        exact = np.float64 if far or voxels.dtype.itemsize > 4 else np.float32
+        levels = np.array(voxels, exact, order="C")
+        if void is not None:
+            levels[void] = self.low
         if (self.low, self.high) != (0, 255):
             levels -= levels.dtype.type(self.low)
             levels *= levels.dtype.type(255 / (self.high - self.low))
         return np.clip(levels, 0, 255, out=levels).astype(np.float32, copy=False)
 
 
-def choose_window(voxels: NDArray[Any]) -> GreyWindow:
-    """Choose a window for the volumes of a recording; all of them must share it.
+def choose_window(*volumes: NDArray[Any]) -> GreyWindow:
+    """Choose a window for the volumes of a recording, by some of them; all must share it.
 
     8-bit numbers are grey levels and stay as they are. So do other numbers that look like grey
     levels: they lie between 0 and 255 and their maximum is above half of that range. Floating-point
     numbers between 0 and 1 are treated likewise and multiplied by 255. Otherwise the lowest number,
     which also fills the space outside the field of view, becomes 0. The highest becomes 255, or the
     99.9 % quantile if the highest is an outlier. The numbers should be log-compressed: take the
-    logarithm of linear amplitudes first.
+    logarithm of linear amplitudes first. What is no number at all, or void, does not count.
     """
-    if voxels.dtype == np.uint8:
+    if volumes[0].dtype == np.uint8:
+        return GreyWindow(0, 255)
+    voxels = np.concatenate([_known(each) for each in volumes])
+    if voxels.size == 0:
         return GreyWindow(0, 255)
     low, high = float(voxels.min()), float(voxels.max())
     for full in (1, 255):
@@ -110,6 +170,46 @@ def choose_window(voxels: NDArray[Any]) -> GreyWindow:
         return GreyWindow(low, low + 1.0)
     most = float(np.quantile(above, _ALMOST_ALL, method="higher"))
     return GreyWindow(low, high if high - low < 2 * (most - low) else most)
+
+
+def _known(voxels: NDArray[Any]) -> NDArray[Any]:
+    """Return the numbers of a volume that are not void."""
+    void = void_flags(voxels)
+    return voxels.ravel() if void is None else voxels[~void]
+
+
+def shows_something(voxels: NDArray[Any]) -> bool:
+    """Return True if a volume's numbers, without those that are void, differ."""
+    known = _known(voxels)
+    return bool(known.size and known.min() != known.max())
+
+
+def window_of_first(volumes: Iterable[NDArray[Any]], enough: int) -> tuple[GreyWindow, int]:
+    """Choose the window of a recording from its first volumes or frames that show something.
+
+    Parameters
+    ----------
+    volumes
+        First volumes, read one after the other.
+    enough
+        Number of volumes that choose.
+
+    Returns
+    -------
+    The window, and the number of volumes before the last of these that show nothing.
+    """
+    chosen: list[NDArray[Any]] = []
+    blank = 0
+    for voxels in volumes:
+        if voxels.dtype == np.uint8:
+            return GreyWindow(0, 255), 0
+        if shows_something(voxels):
+            chosen.append(voxels)
+        else:
+            blank += 1
+        if len(chosen) == enough:
+            break
+    return (choose_window(*chosen) if chosen else GreyWindow(0, 255)), blank
 
 
 class GreyLevels:
@@ -138,18 +238,18 @@ class GreyLevels:
         self.held = False
         self._asked: deque[GreyWindow] = deque(maxlen=_REMEMBERED)
 
-    def __call__(self, voxels: NDArray[Any]) -> NDArray[Any]:
-        """Return the grey levels of a volume or frame, in C order."""
+    def __call__(self, voxels: NDArray[Any], void: NDArray[np.bool_] | None = None) -> NDArray[Any]:
+        """Return the grey levels of a volume or frame, in C order; 0 where ``void`` is set."""
         if not self._given and (self.window is None or not self.held):
             self._follow(voxels)
         if self.window is None:
             return np.zeros(voxels.shape, np.float32)
-        return self.window.grey(voxels)
+        return self.window.grey(voxels, void)
 
     def _follow(self, voxels: NDArray[Any]) -> None:
         if self.window is not None:  # to follow, a part of the numbers is enough
             voxels = voxels[(slice(None, None, 3),) * voxels.ndim]
-        if voxels.dtype != np.uint8 and voxels.min() == voxels.max():
+        if voxels.dtype != np.uint8 and not shows_something(voxels):
             return
         self._asked.append(choose_window(voxels))
         low, high = min(w.low for w in self._asked), max(w.high for w in self._asked)

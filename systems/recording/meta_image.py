@@ -4,18 +4,26 @@ The format is simple enough to read directly. SimpleITK 2.5 crashes with a segme
 header such as ``NDims = -1``; the tests use it as a reference.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sonoservo.systems.files.plus_fields import sequence_field, unknown_fields
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.volume_file import (
+    MAX_FILES,
     MAX_HEADER,
     DataSection,
+    DataSections,
+    FieldUse,
     VolumeFile,
     check_layout,
+    decode_header,
+    existing_file,
+    listed_files,
 )
 
 _TYPES = {
@@ -25,6 +33,8 @@ _TYPES = {
     "MET_SHORT": "i2",
     "MET_UINT": "u4",
     "MET_INT": "i4",
+    "MET_ULONG_LONG": "u8",
+    "MET_LONG_LONG": "i8",
     "MET_FLOAT": "f4",
     "MET_DOUBLE": "f8",
 }
@@ -32,7 +42,36 @@ _TYPES = {
 _ORIGIN = ("Offset", "Position", "Origin")
 _DIRECTIONS = ("TransformMatrix", "Rotation", "Orientation")
 _BIG_ENDIAN = ("BinaryDataByteOrderMSB", "ElementByteOrderMSB")
+_SPACING = ("ElementSpacing", "ElementSize")
 """Alternative names of each field; the first one present counts."""
+
+FIELDS = {
+    **dict.fromkeys(
+        (
+            "NDims", "DimSize", "ElementType", "ElementNumberOfChannels", "ElementDataFile",
+            "HeaderSize", "CompressedData", "DistanceUnits", "decibels_per_level",
+            "ElementToIntensityFunctionSlope", "ElementToIntensityFunctionOffset",
+            *_ORIGIN, *_DIRECTIONS, *_BIG_ENDIAN, *_SPACING,
+        ),
+        FieldUse.USED,
+    ),
+    **dict.fromkeys(("ObjectType", "BinaryData", "HeaderSizePerSlice"), FieldUse.CHECKED),
+    **dict.fromkeys(
+        (
+            "ObjectSubType", "Comment", "TransformType", "Name", "ID", "ParentID", "Color",
+            "CompressedDataSize", "CompressionLevel", "CenterOfRotation", "AnatomicalOrientation",
+            "Modality", "SequenceID", "ElementMin", "ElementMax", "ElementNBits", "Kinds",
+            "AcquisitionDate", "ITK_InputFilterName",
+        ),
+        FieldUse.NO_EFFECT,
+    ),
+}  # fmt: skip
+"""Fields of the format, and what becomes of them; those of PLUS are the `plus_fields`."""
+
+_MM = {"": 1.0, "?": 1.0, "mm": 1.0, "cm": 10.0, "um": 1e-3, "m": 1e3}
+
+_SLOWEST = 20.0
+"""Largest fourth spacing that is a time between volumes in s rather than in another unit."""
 
 
 def open_meta_image(path: Path, *, frames: bool = False) -> VolumeFile:
@@ -56,53 +95,113 @@ def open_meta_image(path: Path, *, frames: bool = False) -> VolumeFile:
         return _describe(path, *_read_header(path), frames)
 
 
-def _describe(path: Path, fields: dict[str, str], offset: int, frames: bool) -> VolumeFile:
+def _describe(
+    path: Path, fields: dict[str, str], names: list[str], offset: int, frames: bool
+) -> VolumeFile:
     sizes = [int(n) for n in _numbers(path, fields, ("DimSize",))]
     n = len(sizes)
-    if n not in (3, 4):
+    if n not in (3, 4) or fields.get("NDims", str(n)) != str(n):
         raise ConfigurationError(
             f"{path}: DimSize: {fields['DimSize']!r} is not allowed; a volume has 3 axes, "
-            "a sequence of volumes 4"
+            "a sequence of volumes 4, as many as NDims"
         )
+    if fields.get("ObjectType", "Image").lower() != "image":
+        raise ConfigurationError(f"{path}: ObjectType: {fields['ObjectType']!r} is no Image")
+    stated = n
     if n == 3 and sum(key.endswith("_Timestamp") for key in fields) > 1:
         sizes = [*sizes[:2], 1, sizes[2]]  # frames, one after the other
     nx, ny, nz, count = (*sizes, 1)[:4]
-    kind = fields.get("ElementType", "")
-    if kind not in _TYPES or fields.get("ElementNumberOfChannels", "1") != "1":
+    kind, channels = fields.get("ElementType", ""), _channels(path, fields)
+    if kind not in _TYPES:
         raise ConfigurationError(
             f"{path}: ElementType: {kind!r} is not allowed; a voxel is one number of the types "
             f"{', '.join(_TYPES)}"
         )
     if not _flag(fields, ("BinaryData",), True):
         raise ConfigurationError(f"{path}: BinaryData: voxels stored as text are not supported")
+    unit = _MM.get(fields.get("DistanceUnits", "").strip('"').lower())
+    if unit is None:
+        raise ConfigurationError(
+            f"{path}: DistanceUnits: {fields['DistanceUnits']!r} is not allowed; use mm, cm or um"
+        )
     # A row of the matrix is the direction of an axis.
     matrix = _numbers(path, fields, _DIRECTIONS, np.eye(n).ravel(), n * n).reshape(n, n)
-    steps = _numbers(path, fields, ("ElementSpacing", "ElementSize"), np.ones(n), n)
+    steps = _numbers(path, fields, _SPACING, np.ones(n), n)
     origin = _numbers(path, fields, _ORIGIN, np.zeros(n), n)
-    directions = matrix[:3, :3].T * steps[:3]
+    directions = matrix[:3, :3].T * steps[:3] * unit
     check_layout(path, (nx, ny, nz), count, directions, frames=frames)
     dtype = np.dtype((">" if _flag(fields, _BIG_ENDIAN, False) else "<") + _TYPES[kind])
     voxels = nx * ny * nz
-    data = _open_data(path, fields, offset, voxels * count * dtype.itemsize)
+    size = voxels * channels * dtype.itemsize
+    data = _open_data(path, fields, names, offset, size * count)
+    slope, shift = (
+        float(
+            _numbers(path, fields, (f"ElementToIntensityFunction{each}",), np.array([default]), 1)[
+                0
+            ]
+        )
+        for each, default in (("Slope", 1.0), ("Offset", 0.0))
+    )
 
     def read(number: int) -> NDArray[Any]:
-        size = voxels * dtype.itemsize
-        return np.frombuffer(data.read(number * size, size), dtype).reshape((nx, ny, nz), order="F")
+        numbers = np.frombuffer(data.read(number * size, size), dtype)
+        if (slope, shift) != (1.0, 0.0):
+            numbers = numbers * slope + shift
+        if channels == 1:
+            return numbers.reshape((nx, ny, nz), order="F")
+        return np.moveaxis(numbers.reshape((channels, nx, ny, nz), order="F"), 0, -1)
 
-    return VolumeFile(path, (nx, ny, nz), count, directions, origin[:3], read, None, fields)
+    notes = list(unknown_fields("MetaImage", fields, FIELDS))
+    if not frames:
+        if not any(name in fields for name in _SPACING):
+            notes.append("it states no spacing; 1 mm is taken")
+        if not any(name in fields for name in _ORIGIN):
+            notes.append("it states no position; its first voxel is taken to lie at 0")
+    times = None
+    if stated == 4 and not frames and 0 < steps[3] <= _SLOWEST and steps[3] != 1.0:
+        # PLUS states each volume's time instead, and leaves the spacing at 1.
+        times = origin[3] + steps[3] * np.arange(count)
+        if "Seq_Frame0000_Timestamp" not in fields:
+            notes.append(f"its volumes are {steps[3]:g} s apart, by the spacing of its fourth axis")
+    return VolumeFile(
+        path, (nx, ny, nz), count, directions, origin[:3] * unit, read, times, fields,
+        tuple(notes), channels,
+    )  # fmt: skip
 
 
-def _read_header(path: Path) -> tuple[dict[str, str], int]:
-    """Return the header's fields, and the offset of the first byte after the header."""
+def _channels(path: Path, fields: Mapping[str, str]) -> int:
+    text = fields.get("ElementNumberOfChannels", "1")
+    if text not in ("1", "3", "4"):
+        raise ConfigurationError(
+            f"{path}: ElementNumberOfChannels: {text!r} is not allowed; a voxel is one number, or "
+            "3 or 4 for colours"
+        )
+    return int(text)
+
+
+def _read_header(path: Path) -> tuple[dict[str, str], list[str], int]:
+    """Return the fields, the listed data files, and the offset of the first byte after them."""
     fields: dict[str, str] = {}
     with path.open("rb") as file:
         while "ElementDataFile" not in fields:
             line = file.readline(1 << 16)
-            key, equals, value = line.decode("latin-1").partition("=")
+            if fields and line.strip() == b"":
+                if not line:
+                    raise ConfigurationError(f"{path}: its header has no ElementDataFile")
+                continue
+            key, equals, value = decode_header(line).partition("=")
             if not equals or file.tell() > MAX_HEADER:
                 raise ConfigurationError(f"{path}: not a MetaImage file, or its header has no end")
             fields[key.strip()] = value.strip()
-        return fields, file.tell()
+        offset = file.tell()
+        names: list[str] = []
+        if fields["ElementDataFile"].split()[:1] == ["LIST"]:
+            for line in file:
+                if len(names) > MAX_FILES or file.tell() > MAX_HEADER:
+                    raise ConfigurationError(f"{path}: ElementDataFile: the list has no end")
+                if line.strip():
+                    names.append(decode_header(line).strip())
+        return fields, names, offset
 
 
 def _numbers(
@@ -133,19 +232,37 @@ def _flag(fields: dict[str, str], names: tuple[str, ...], default: bool) -> bool
     return default
 
 
-def _open_data(path: Path, fields: dict[str, str], offset: int, size: int) -> DataSection:
-    source = fields["ElementDataFile"]
-    if source.upper() != "LOCAL":
-        beside = path.parent / source
-        if "\0" in source or source.startswith("LIST") or not beside.is_file():
-            raise ConfigurationError(f"{path}: ElementDataFile: there is no file {source!r}")
-        path, offset = beside, 0
-    skip = fields.get("HeaderSize", "0")
-    if skip == "-1":  # the voxels are the last bytes
-        offset = max(path.stat().st_size - size, 0)
-    elif skip.isdecimal() and len(skip) < 18:
-        offset += int(skip)
-    else:
-        raise ConfigurationError(f"{path}: HeaderSize: {skip!r} is not allowed")
+def _open_data(
+    path: Path, fields: dict[str, str], names: list[str], offset: int, size: int
+) -> DataSection | DataSections:
     compressed = _flag(fields, ("CompressedData",), False)
-    return DataSection(path, offset, size, compression="zlib" if compressed else "")
+    source, words = fields["ElementDataFile"], fields["ElementDataFile"].split()
+    field = "ElementDataFile"
+    if words[:1] == ["LIST"]:
+        files = [existing_file(path, field, each) for each in names]
+    elif "%" in source and len(words) > 1 and not (path.parent / source).is_file():
+        files = listed_files(path, field, words)
+    elif source.upper() == "LOCAL":
+        files = [path]
+    else:
+        files, offset = [existing_file(path, field, source)], 0
+    if files != [path]:
+        offset = 0
+    skip = fields.get("HeaderSize", "0")
+    if skip != "-1" and not (skip.isdecimal() and len(skip) < 18):
+        raise ConfigurationError(f"{path}: HeaderSize: {skip!r} is not allowed")
+    if sequence_field(fields, "HeaderSizePerSlice") not in ("", "0"):
+        raise ConfigurationError(f"{path}: HeaderSizePerSlice: bytes between slices are not read")
+    if not files or size % len(files) or (compressed and len(files) > 1):
+        raise ConfigurationError(
+            f"{path}: {field}: {len(files)} files do not share the voxels evenly, or are "
+            "compressed, which is not supported"
+        )
+    each = size // len(files)
+    sections = []
+    for file in files:
+        # With -1, the voxels are the last bytes.
+        first = max(file.stat().st_size - each, 0) if skip == "-1" else offset + int(skip)
+        compression = "zlib" if compressed else ""
+        sections.append(DataSection(file, first, each, compression=compression))
+    return sections[0] if len(sections) == 1 else DataSections(sections, each)

@@ -8,39 +8,38 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 
-from sonoservo.systems.files.nrrd_reader import open_nrrd
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.volume_file import SCALE, VolumeFile, check_grid
 from sonoservo.systems.recording.file_grid import FileGrid, make_file_grid
-from sonoservo.systems.recording.grey_levels import GreyWindow, choose_window, read_numbers
-from sonoservo.systems.recording.meta_image import open_meta_image
+from sonoservo.systems.recording.formats import open_file
+from sonoservo.systems.recording.grey_levels import (
+    GreyWindow,
+    read_numbers,
+    require_echoes,
+    void_flags,
+    window_of_first,
+)
 from sonoservo.systems.recording.side_files import (
     ACQUISITION,
     Acquisition,
     read_acquisition,
     side_path,
 )
-from sonoservo.systems.recording.valid_frames import (
-    check_times,
-    choose_transform,
-    frame_times,
-    read_matrix,
-    valid_frames,
-)
+from sonoservo.systems.recording.transform_chain import find_chain
+from sonoservo.systems.recording.valid_frames import choose_items, frame_times
 from sonoservo.systems.signals.immutable import seal
 from sonoservo.systems.signals.requirements import require_within
 from sonoservo.systems.signals.sweep import DECIBELS_PER_LEVEL, DYNAMIC_RANGE_DB
 from sonoservo.systems.signals.volume import Volume
 
-_FORMATS = {
-    ".nrrd": open_nrrd,
-    ".nhdr": open_nrrd,
-    ".mha": open_meta_image,
-    ".mhd": open_meta_image,
-}
-
 _VOLUME_RATES = 1e-3, 1e4
 """Limits of the rate of volumes, in Hz."""
+
+_LOOKS, _ENOUGH = 16, 4
+"""Numbers of first volumes among which those are that choose the grey levels, and of these."""
+
+_ASKEW = 0.1
+"""Largest deviation of R^T R from the identity; 0.1 is a right angle that is 6 deg off."""
 
 
 class Recording:
@@ -56,22 +55,32 @@ class Recording:
         Direction of the sound in the file's space, as an anatomical letter (`make_file_grid`).
     window
         Numbers that become the grey levels 0 and 255. By default, a recording of this program has
-        the window 0 to 255, and other files the `choose_window` of their first volume.
+        the window 0 to 255, and other files the `choose_window` of their first volumes that show
+        something.
     dynamic_range_db
         Range of echo amplitudes that the grey levels 0 to 255 show, in dB; by default the value in
         the file, or else 60.
     volume_rate
         Volumes per second, in Hz, for a sequence without times.
     poses
-        Name of the transform that is the probe's pose (``ProbeToTracker``), if the file has
-        several; "none" ignores poses.
+        Transforms that give the pose, or ends of their chain (`find_chain`); "none" ignores poses.
+    transforms
+        Transforms that all volumes share, by name, in mm. They count before the file's own.
+    orientation
+        Orientation of the images, if the file does not state it (`as_plus_means`).
+    void
+        Number that stands for what was not seen, besides those that `void_flags` knows.
+    luminance
+        Whether to take the luminance of colours.
 
     Attributes
     ----------
     times
         (n,) times of the volumes, in s.
     skipped
-        Number of volumes skipped because the file marks them or their pose as invalid.
+        Number of volumes left out: marked as invalid, or without a pose or a time in order.
+    notes
+        What a person should know about how the file was read, each a sentence.
     posed
         Whether the file contains the probe's poses.
     settings
@@ -92,34 +101,56 @@ class Recording:
         dynamic_range_db: float | None = None,
         volume_rate: float | None = None,
         poses: str | None = None,
+        transforms: Mapping[str, NDArray[np.float64]] | None = None,
+        orientation: str = "",
+        void: float | None = None,
+        luminance: bool = False,
     ) -> None:
         self.path = Path(path)
         with refusing_failures(self.path):
-            self._file = file = _open(self.path)
-            check_grid(self.path, file.shape, file.directions, file.origin)
-            self._grid: FileGrid = make_file_grid(file.directions, file.origin, file.shape, depth)
-            self._window = GreyWindow(*window) if window else None
-            self._acquisition = self._read_acquisition()
-            if self._acquisition is not None and window is None:
-                self._window = GreyWindow(0, 255)  # this program's recorder writes grey levels
-            frames = file.frame_fields()
-            transform = None if self._acquisition else choose_transform(self.path, frames, poses)
-            self.posed = bool(self._acquisition) or transform is not None
+            self._file = file = open_file(self.path, orientation=orientation)
+            require_echoes(file, luminance)
+            self._acquisition = self._read_acquisition(depth)
+            self._void = void
+            frames, constants = file.frame_fields(), dict(transforms or {})
+            chain = None
+            if self._acquisition is None:
+                names = [name for name in frames if name.endswith("Transform")]
+                chain = find_chain(self.path, [*names, *constants] if names else [], poses)
+            self.posed = bool(self._acquisition) or chain is not None
             self.settings: dict[str, Any] = self._acquisition.settings if self._acquisition else {}
             self._decibels_per_level = self._scale(dynamic_range_db)
-            self._numbers = valid_frames(file, frames, transform)
+            items = choose_items(
+                self.path, file.count, frames, chain, constants,
+                self._file_times(frames, volume_rate),
+            )  # fmt: skip
+            directions, origin = _spacing_of_volumes(self.path, frames, file)
+            if chain is not None and chain.start.startswith("Image"):
+                directions, origin = _pixel_grid(directions, origin, items.matrices[0])
+            check_grid(self.path, file.shape, directions, origin)
+            self._grid: FileGrid = make_file_grid(directions, origin, file.shape, depth)
+            self._numbers, self.times = items.numbers, items.times
             self.skipped = file.count - len(self._numbers)
-            if not len(self._numbers):
-                raise ConfigurationError(
-                    f"{self.path}: all of its {file.count} volumes are invalid"
-                )
-            self.times = self._file_times(frames, volume_rate)[self._numbers]
-            check_times(self.path, self.times, self._numbers)
-            self._poses = (
-                {int(k): self._pose(transform, frames[transform][k]) for k in self._numbers}
-                if transform
-                else {}
-            )
+            self._poses = {}
+            if chain is not None:
+                pixels = np.eye(4)
+                if chain.start.startswith("Image"):  # its coordinates are voxels, not mm
+                    pixels[:3, :3], pixels[:3, 3] = directions, origin
+                self._poses = {
+                    int(k): _rigid(self.path, str(chain), matrix @ np.linalg.inv(pixels))
+                    for k, matrix in zip(items.numbers, items.matrices, strict=True)
+                }
+            self.notes = [
+                *file.notes,
+                *([f"poses: {chain}"] if chain else []),
+                *items.note("volume"),
+            ]
+            self._window = self._choose_window(GreyWindow(*window) if window else None)
+
+    @property
+    def file(self) -> VolumeFile:
+        """The file as its header describes it."""
+        return self._file
 
     def __len__(self) -> int:
         return len(self._numbers)
@@ -141,10 +172,8 @@ class Recording:
     def _read(self, number: int) -> Volume:
         k = int(self._numbers[number])
         voxels = self._voxels(k)
-        if self._window is None:
-            first = int(self._numbers[0])
-            self._window = choose_window(voxels if k == first else self._voxels(first))
-        grey = seal(self._window.grey(voxels))
+        void = void_flags(voxels, self._void)
+        grey = seal(self._window.grey(voxels, void))
         if self._acquisition is not None:
             exact = self._acquisition
             return Volume(
@@ -164,6 +193,7 @@ class Recording:
             self.X_WL(number) @ self._grid.X_LP,
             float(self.times[number]),
             decibels_per_level=self._decibels_per_level,
+            mask=None if void is None else ~void,
         )
 
     def X_WL(self, number: int) -> RigidTransform:
@@ -177,14 +207,37 @@ class Recording:
         """Return the file's numbers of a volume with the index [x, y, z] in P."""
         return self._grid.arrange(read_numbers(self._file, k))
 
-    def _read_acquisition(self) -> Acquisition | None:
+    def _choose_window(self, window: GreyWindow | None) -> GreyWindow:
+        """Return the window that all volumes share, and note how it was chosen."""
+        if window is not None:
+            return window
+        if self._acquisition is not None:
+            return GreyWindow(0, 255)  # this program's recorder writes grey levels
+        looks = [int(k) for k in self._numbers[:_LOOKS]]
+        chosen, blank = window_of_first(map(self._voxels, looks), _ENOUGH)
+        first = self._voxels(looks[0])
+        void = void_flags(first, self._void)
+        if void is not None and void.all() and blank == len(self._numbers):
+            raise ConfigurationError(
+                f"{self.path}: volume {looks[0]} holds values that are not finite, or stand for "
+                "what was not seen, and so do all others"
+            )
+        if first.dtype != np.uint8:
+            said = f"grey levels: {chosen.low:g} is black and {chosen.high:g} white (--window)"
+            self.notes.append(said + (f"; {blank} blank volumes did not choose" if blank else ""))
+        return chosen
+
+    def _read_acquisition(self, depth: str) -> Acquisition | None:
         path = side_path(self.path, ACQUISITION)
         if not path.is_file():
             return None
+        file = self._file
+        check_grid(self.path, file.shape, file.directions, file.origin)
+        grid = make_file_grid(file.directions, file.origin, file.shape, depth)
         exact = read_acquisition(path)
         if len(exact.times) < self._file.count or not (
-            np.allclose(exact.origin, self._grid.origin, atol=1e-9)
-            and np.allclose(exact.spacing, self._grid.spacing, atol=1e-9)
+            np.allclose(exact.origin, grid.origin, atol=1e-9)
+            and np.allclose(exact.spacing, grid.spacing, atol=1e-9)
         ):
             raise ConfigurationError(f"{path}: it does not belong to the recording {self.path}")
         return exact
@@ -209,10 +262,10 @@ class Recording:
         if volume_rate is not None:
             require_within("volume rate", volume_rate, *_VOLUME_RATES)
             return np.arange(count) / volume_rate
+        if "Timestamp" in frames:
+            return frame_times(count, frames["Timestamp"])
         if self._file.times is not None:
             return self._file.times
-        if "Timestamp" in frames:
-            return frame_times(self.path, count, frames["Timestamp"])
         if count > 1:
             raise ConfigurationError(
                 f"{self.path}: the times of its volumes are missing; give their rate "
@@ -220,35 +273,55 @@ class Recording:
             )
         return np.zeros(1)
 
-    def _pose(self, name: str, text: str) -> RigidTransform:
-        """Return the pose of L in W from a transform as PLUS writes it."""
-        matrix = read_matrix(self.path, name, text)
-        if name.startswith("Image"):  # its coordinates are voxels, not mm
-            header = np.eye(4)
-            header[:3, :3], header[:3, 3] = self._file.directions, self._file.origin
-            matrix = matrix @ np.linalg.inv(header)
-        R = matrix[:3, :3]
-        if np.abs(R.T @ R - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0:
-            raise ConfigurationError(f"{self.path}: {name}: {text!r} is not a rigid transform")
-        return RigidTransform(RotationMatrix.ProjectToRotationMatrix(R), 1e-3 * matrix[:3, 3])
 
-
-def _open(path: Path) -> VolumeFile:
-    """Open a file according to its suffix.
+def _spacing_of_volumes(
+    path: Path, frames: Mapping[str, Mapping[int, str]], file: VolumeFile
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return steps and origin of the header, or with the spacing that its volumes state.
 
     Raises
     ------
     ConfigurationError
-        If the file is not valid; the message names the file and the fault.
+        If they state several.
     """
-    if path.is_dir():
-        raise ConfigurationError(f"{path}: it is a folder; give a file with volumes")
-    if not path.is_file():
-        raise ConfigurationError(f"{path}: there is no such file")
-    if path.stat().st_size == 0:
-        raise ConfigurationError(f"{path}: it is empty")
-    if path.suffix.lower() not in _FORMATS:
+    stated = set(frames.get("ElementSpacing", {}).values())
+    if not stated:
+        return file.directions, file.origin
+    spacing = np.array(stated.pop().split(), float) if len(stated) == 1 else np.zeros(0)
+    if spacing.shape != (3,) or not (spacing > 0).all():
         raise ConfigurationError(
-            f"{path}: this file type is not supported; use {', '.join(_FORMATS)}"
+            f"{path}: ElementSpacing: its volumes differ in it, or it is not three lengths in mm"
         )
-    return _FORMATS[path.suffix.lower()](path)
+    unit = file.directions / np.linalg.norm(file.directions, axis=0)
+    return unit * spacing, file.origin
+
+
+def _pixel_grid(
+    directions: NDArray[np.float64], origin: NDArray[np.float64], matrix: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the header's steps and origin in mm, with the size of voxels that a transform states.
+
+    A transform that leads from voxels to mm holds their size, whatever the header's spacing is.
+    """
+    stated, said = (np.linalg.norm(each[:3, :3], axis=0) for each in (directions, matrix))
+    if np.allclose(stated, said, rtol=1e-3):
+        return directions, origin
+    unit = directions / stated
+    return unit * said, unit @ (unit.T @ origin / stated * said)
+
+
+def _rigid(path: Path, name: str, matrix: NDArray[np.float64]) -> RigidTransform:
+    """Return the pose of L in W, in m, from a transform in mm.
+
+    A calibration may be a little askew; the nearest rotation is taken.
+
+    Raises
+    ------
+    ConfigurationError
+        If it mirrors, or is no rotation.
+    """
+    R = matrix[:3, :3]
+    if np.abs(R.T @ R - np.eye(3)).max() > _ASKEW or np.linalg.det(R) < 0:
+        raise ConfigurationError(f"{path}: {name}: {R.round(4).tolist()} is not a rotation")
+    U, _, V = np.linalg.svd(R)
+    return RigidTransform(RotationMatrix(U @ V), 1e-3 * matrix[:3, 3])

@@ -1,24 +1,27 @@
-"""Reader of tracked 2D frames as PLUS records them: ``.mha``, ``.igs.mha``."""
+"""Reader of tracked 2D frames as PLUS and others record them."""
 
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
-from sonoservo.systems.files.volume_file import check_grid
-from sonoservo.systems.recording.grey_levels import GreyWindow, choose_window, read_numbers
-from sonoservo.systems.recording.meta_image import open_meta_image
-from sonoservo.systems.recording.valid_frames import (
-    check_times,
-    choose_transform,
-    frame_times,
-    read_matrix,
-    valid_frames,
+from sonoservo.systems.files.volume_file import VolumeFile, check_grid
+from sonoservo.systems.recording.formats import open_file
+from sonoservo.systems.recording.grey_levels import (
+    GreyWindow,
+    read_numbers,
+    require_echoes,
+    void_flags,
+    window_of_first,
 )
+from sonoservo.systems.recording.transform_chain import TransformChain, find_chain
+from sonoservo.systems.recording.valid_frames import choose_items, frame_times
 
-_SUFFIXES = (".mha", ".mhd")
-_PREFERRED = "ImageToReferenceTransform"
+_LOOKS, _ENOUGH = 128, 32
+"""Numbers of first frames among which those are that choose the grey levels, and of these."""
 
 
 class TrackedFrames:
@@ -29,12 +32,15 @@ class TrackedFrames:
     path
         Path of the file.
     poses
-        Name of the transform that is the frames' pose; by default ``ImageToReference``, or the only
-        transform in the file. A transform whose name begins with ``Image`` maps pixels; others map
-        mm in the frame.
+        Transforms that give the pose, or ends of their chain (`find_chain`). A chain that begins at
+        the image maps pixels; others map mm in the frame.
     window
         Numbers that become the grey levels 0 and 255; by default `choose_window` of the first
-        frame.
+        frames that show something.
+    frame_rate
+        Frames per second, in Hz, for a file without times.
+    transforms, orientation, void, luminance
+        See `Recording`.
 
     Attributes
     ----------
@@ -43,7 +49,13 @@ class TrackedFrames:
     X_WI
         (n, 4, 4) transforms from pixels (i, j, 0, 1) to W, in m; W is the reference frame.
     skipped
-        Number of frames skipped because the file marks them or their pose as invalid.
+        Number of frames left out: marked as invalid, or without a pose or a time in order.
+    void
+        Numbers of the frames read so far that hold nothing, such as NaN alone.
+    notes
+        What a person should know about how the file was read, each a sentence.
+    numbers
+        (n,) numbers of the frames in the file.
 
     Raises
     ------
@@ -57,39 +69,105 @@ class TrackedFrames:
         *,
         poses: str | None = None,
         window: tuple[float, float] | None = None,
+        frame_rate: float | None = None,
+        transforms: Mapping[str, NDArray[np.float64]] | None = None,
+        orientation: str = "",
+        void: float | None = None,
+        luminance: bool = False,
     ) -> None:
         self.path = Path(path)
-        if not self.path.is_file() or self.path.suffix.lower() not in _SUFFIXES:
-            raise ConfigurationError(
-                f"{self.path}: not a file of 2D frames; give a file of type {', '.join(_SUFFIXES)}"
-            )
+        self._void = void
+        self.void: set[int] = set()
         with refusing_failures(self.path):
-            self._open(poses, window)
+            self._file = open_file(self.path, frames=True, orientation=orientation)
+            require_echoes(self._file, luminance)
+            self._open(poses, dict(transforms or {}), frame_rate)
+            self._window = GreyWindow(*window) if window else self._choose_window()
 
-    def _open(self, poses: str | None, window: tuple[float, float] | None) -> None:
-        self._file = open_meta_image(self.path, frames=True)
-        fields = self._file.frame_fields()
-        wanted = _PREFERRED if poses is None and _PREFERRED in fields else poses
-        name = choose_transform(self.path, fields, wanted)
-        if name is None:
+    def _open(
+        self,
+        poses: str | None,
+        constants: dict[str, NDArray[np.float64]],
+        frame_rate: float | None,
+    ) -> None:
+        fields, count = self._file.frame_fields(), self._file.count
+        names = [name.removesuffix("Transform") for name in fields if name.endswith("Transform")]
+        chain = find_chain(self.path, [*names, *constants], poses) if names else None
+        if chain is None:
             raise ConfigurationError(
                 f"{self.path}: its frames have no poses, which reconstruction needs"
             )
-        self._numbers = valid_frames(self._file, fields, name)
-        self.skipped = self._file.count - len(self._numbers)
-        if len(self._numbers) < 2:
+        chain = self._from_the_image(chain, [*names, *constants])
+        if frame_rate is not None:
+            times = np.arange(count) / frame_rate
+        elif "Timestamp" in fields or self._file.times is None:
+            times = frame_times(count, fields.get("Timestamp", {}))
+        else:
+            times = self._file.times
+        if np.isnan(times).all():
             raise ConfigurationError(
-                f"{self.path}: {len(self._numbers)} frames have a valid pose; at least 2 are needed"
+                f"{self.path}: the times of its frames are missing; give their rate (--volume-rate)"
             )
-        self.X_WI = np.array([self._matrix(name, fields[name][int(k)]) for k in self._numbers])
-        times = frame_times(self.path, self._file.count, fields.get("Timestamp", {}))
-        self.times = times[self._numbers]
-        check_times(self.path, self.times, self._numbers, "frame")
-        first = read_numbers(self._file, int(self._numbers[0]))
-        self._window = GreyWindow(*window) if window else choose_window(first)
+        items = choose_items(self.path, count, fields, chain, constants, times, "frame")
+        self.numbers, self.times = items.numbers, items.times
+        self.skipped = count - len(self.numbers)
+        if len(self.numbers) < 2:
+            raise ConfigurationError(
+                f"{self.path}: {len(self.numbers)} frames have a valid pose; at least 2 are needed"
+            )
+        spacings = fields.get("ElementSpacing", {})
+        in_pixels = chain.start.startswith("Image")
+        self.X_WI = np.array(
+            [
+                self._in_metres(
+                    matrix if in_pixels else matrix @ self._pixels(spacings.get(int(k)))
+                )
+                for k, matrix in zip(items.numbers, items.matrices, strict=True)
+            ]
+        )
+        self.notes = [*self._file.notes, f"poses: {chain}", *items.note("frame")]
+
+    def _from_the_image(self, chain: TransformChain, names: list[str]) -> TransformChain:
+        """Return a chain that begins at the image, if only the calibration is missing in it.
+
+        Raises
+        ------
+        ConfigurationError
+            If it begins at the probe, and the size of the pixels is unknown.
+        """
+        if chain.start.startswith("Image"):
+            return chain
+        own = find_chain(self.path, names, f"ImageTo{chain.start}") if (
+            f"ImageTo{chain.start}" in names or f"{chain.start}ToImage" in names
+        ) else None  # fmt: skip
+        if own is not None:
+            return TransformChain("Image", chain.end, (*own.links, *chain.links))
+        spacing = np.linalg.norm(self._file.directions[:, :2], axis=0)
+        if np.allclose(spacing, 1.0) and "ElementSpacing" not in self._file.frame_fields():
+            raise ConfigurationError(
+                f"{self.path}: the calibration ImageTo{chain.start} is missing, which tells the "
+                f"size and place of the pixels; give it with --calibration or --plus-config"
+            )
+        return chain
+
+    def _choose_window(self) -> GreyWindow:
+        looks = (read_numbers(self._file, int(k)) for k in self.numbers[:_LOOKS])
+        chosen, blank = window_of_first(looks, _ENOUGH)
+        if read_numbers(self._file, int(self.numbers[0])).dtype != np.uint8:
+            said = f"grey levels: {chosen.low:g} is black and {chosen.high:g} white (--window)"
+            self.notes.append(said + (f"; {blank} blank frames did not choose" if blank else ""))
+        return chosen
+
+    @property
+    def file(self) -> VolumeFile:
+        """The file as its header describes it."""
+        return self._file
 
     def __len__(self) -> int:
-        return len(self._numbers)
+        return len(self.numbers)
+
+    def __iter__(self) -> Iterator[NDArray[Any]]:
+        return (self[k] for k in range(len(self)))
 
     def __getitem__(self, number: int) -> NDArray[np.uint8] | NDArray[np.float32]:
         """Read the (ni, nj) grey levels of a frame.
@@ -100,15 +178,23 @@ class TrackedFrames:
             If the file is damaged at that frame.
         """
         with refusing_failures(self.path, f"frame {number}"):
-            pixels = read_numbers(self._file, int(self._numbers[number]))
-            return self._window.grey(pixels[..., 0])
+            pixels = read_numbers(self._file, int(self.numbers[number]))[..., 0]
+            void = void_flags(pixels, self._void)
+            if void is not None and void.all():
+                self.void.add(int(self.numbers[number]))
+            return self._window.grey(pixels, void)
 
-    def _matrix(self, name: str, text: str) -> NDArray[np.float64]:
-        matrix = read_matrix(self.path, name, text)
-        if not name.startswith("Image"):
-            header = np.eye(4)
-            header[:3, :3], header[:3, 3] = self._file.directions, self._file.origin
-            matrix = matrix @ header
-        check_grid(self.path, self._file.shape[:2], matrix[:3, :2], matrix[:3, 3])
+    def _pixels(self, spacing: str | None) -> NDArray[np.float64]:
+        """Return the (4, 4) transform from pixels to mm, by a frame's own spacing or the header."""
+        header = np.eye(4)
+        header[:3, :3], header[:3, 3] = self._file.directions, self._file.origin
+        if spacing is not None:
+            own = np.array(spacing.split()[:2], float)
+            header[:3, :2] *= own / np.linalg.norm(header[:3, :2], axis=0)
+        return header
+
+    def _in_metres(self, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+        check_grid(self.path, self._file.shape[:2], matrix[:3, :2], matrix[:3, 3], square=False)
+        matrix = matrix.copy()
         matrix[:3] *= 1e-3
         return matrix

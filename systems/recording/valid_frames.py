@@ -1,14 +1,18 @@
 """Choice of the valid volumes or frames of a file, with their poses and times."""
 
+from bisect import bisect_right
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.files.typed_yaml import suggest
-from sonoservo.systems.files.volume_file import MAX_POSITION, VolumeFile
+from sonoservo.systems.files.volume_file import MAX_POSITION
+from sonoservo.systems.recording.transform_chain import TransformChain
+from sonoservo.systems.signals.immutable import Immutable
 
 MAX_TIME = 1e11
 """Largest time in s; the seconds since 1970 are a hundredth of it."""
@@ -17,76 +21,140 @@ _MIN_STEP = 1e-6
 """Smallest time between two volumes or frames, in s."""
 
 
-def choose_transform(
-    path: Path, frames: Mapping[str, Mapping[int, str]], poses: str | None
-) -> str | None:
-    """Return the name of the transform that is the probe's pose; None if there is none.
+@dataclass(frozen=True, eq=False)
+class ValidItems(Immutable):
+    """Volumes or frames of a file that can be used.
+
+    Parameters
+    ----------
+    numbers
+        (n,) their numbers in the file.
+    matrices
+        (n, 4, 4) product of the chain of their transforms, in mm; the identity without a chain.
+    times
+        (n,) times in s.
+    left_out
+        Numbers of those that were left out, by reason.
+    """
+
+    numbers: NDArray[np.int64]
+    matrices: NDArray[np.float64]
+    times: NDArray[np.float64]
+    left_out: Mapping[str, list[int]]
+
+    def note(self, what: str) -> tuple[str, ...]:
+        """Return a sentence about those that were left out, if there are any."""
+        if not self.left_out:
+            return ()
+        reasons = (
+            f"{len(numbers)} {reason} ({', '.join(map(str, numbers[:3]))}"
+            + (", ..." if len(numbers) > 3 else "")
+            + ")"
+            for reason, numbers in self.left_out.items()
+        )
+        total = sum(map(len, self.left_out.values()))
+        return (f"left out {total} {what}s: {'; '.join(reasons)}",)
+
+
+def choose_items(
+    path: Path,
+    count: int,
+    fields: Mapping[str, Mapping[int, str]],
+    chain: TransformChain | None,
+    constants: Mapping[str, NDArray[np.float64]],
+    times: NDArray[np.float64],
+    what: str = "volume",
+) -> ValidItems:
+    """Return the volumes or frames that are not marked as invalid, and have a pose and a time.
+
+    An odd item costs itself: one without a pose or time, or with a time that breaks the order, is
+    left out. Of times out of order, the fewest are left out.
 
     Parameters
     ----------
     path
         Path of the file, for errors.
-    frames
-        Fields of single volumes (`VolumeFile.frame_fields`).
-    poses
-        Name of the transform; "none" for no poses, None for the only one in the file.
+    count
+        Number of volumes or frames.
+    fields
+        Their fields (`VolumeFile.frame_fields`).
+    chain
+        Transforms that give their poses; None if poses do not matter.
+    constants
+        (4, 4) transforms that all of them share, by name, in mm.
+    times
+        (count,) times in s; NaN where there is none.
+    what
+        Word for one of them.
 
     Raises
     ------
     ConfigurationError
-        If there is no such transform, or a choice among several is missing.
+        If none is left; the message says why.
     """
-    names = sorted(name for name in frames if name.endswith("Transform"))
-    if poses == "none" or (poses is None and not names):
-        return None
-    if poses is not None:
-        wanted = poses if poses.endswith("Transform") else f"{poses}Transform"
-        if wanted not in names:
-            raise ConfigurationError(
-                f"{path}: it has no transform {poses!r}; {suggest(wanted, names)}"
-            )
-        return wanted
-    if len(names) > 1:
-        raise ConfigurationError(
-            f"{path}: it has several transforms. Choose one with --poses: "
-            f"{', '.join(name.removesuffix('Transform') for name in names)}, or none"
-        )
-    return names[0]
+    left_out: dict[str, list[int]] = {}
+    matrices, numbers = [], []
+    names = [link.name for link in chain.links] if chain else []
+    own = [name for name in names if name not in constants]
+    fault = ""
+    for k in range(count):
+        marks = ["ImageStatus", *(f"{name}TransformStatus" for name in own)]
+        if any(fields.get(mark, {}).get(k, "OK").upper() != "OK" for mark in marks):
+            left_out.setdefault("marked as invalid", []).append(k)
+        elif any(k not in fields.get(f"{name}Transform", {}) for name in own):
+            left_out.setdefault("without a pose", []).append(k)
+        else:
+            try:
+                found = {
+                    name: constants[name]
+                    if name in constants
+                    else read_matrix(path, f"{name}Transform", fields[f"{name}Transform"][k])
+                    for name in names
+                }
+                matrices.append(chain.matrix(found) if chain else np.eye(4))
+                numbers.append(k)
+            except (ConfigurationError, np.linalg.LinAlgError) as error:
+                fault = fault or str(error)
+                left_out.setdefault("whose pose is no transform", []).append(k)
+    if not numbers:
+        if fault:
+            raise ConfigurationError(fault)
+        raise ConfigurationError(f"{path}: all of its {count} {what}s are invalid")
+    chosen, kept = np.array(numbers), rising(times[numbers])
+    for k in chosen[~kept]:
+        reason = "without a time" if np.isnan(times[k]) else "whose time breaks the order"
+        left_out.setdefault(reason, []).append(int(k))
+    if not kept.any():
+        raise ConfigurationError(f"{path}: the times of its {what}s are missing or out of range")
+    return ValidItems(chosen[kept], np.array(matrices)[kept], times[chosen[kept]], left_out)
 
 
-def valid_frames(
-    file: VolumeFile, frames: Mapping[str, Mapping[int, str]], transform: str | None
-) -> NDArray[np.int64]:
-    """Return the numbers of the volumes or frames that have a pose and are not marked as invalid.
-
-    Parameters
-    ----------
-    file
-        File with the volumes or frames.
-    frames
-        Their fields (`VolumeFile.frame_fields`).
-    transform
-        Name of the transform that is their pose; None if poses do not matter.
-    """
-    valid = np.ones(file.count, bool)
-    if transform is not None:
-        valid[:] = False
-        valid[[k for k in frames[transform] if k < file.count]] = True
-    for name in ("ImageStatus", f"{transform}Status"):
-        marks = frames.get(name, {}).items()
-        valid[[k for k, mark in marks if k < file.count and mark.upper() != "OK"]] = False
-    return np.flatnonzero(valid)
+def rising(times: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return flags of as many plausible times as possible that rise, by at least 1 us."""
+    usable = np.flatnonzero(np.abs(times) <= MAX_TIME)
+    ends: list[float] = []  # smallest last time of a rising series of each length
+    last: list[int] = []
+    before = np.full(len(times), -1)
+    for k in usable:
+        length = bisect_right(ends, float(times[k]) - _MIN_STEP)
+        before[k] = last[length - 1] if length else -1
+        ends[length : length + 1] = [float(times[k])]
+        last[length : length + 1] = [int(k)]
+    kept = np.zeros(len(times), bool)
+    k = last[-1] if last else -1
+    while k >= 0:
+        kept[k] = True
+        k = int(before[k])
+    return kept
 
 
-def frame_times(path: Path, count: int, stamps: Mapping[int, str]) -> NDArray[np.float64]:
+def frame_times(count: int, stamps: Mapping[int, str]) -> NDArray[np.float64]:
     """Return the (count,) times in s from the fields ``Timestamp``; NaN where there is none."""
     times = np.full(count, np.nan)
     for k, stamp in stamps.items():
         if k < count:
-            try:
+            with suppress(ValueError):
                 times[k] = float(stamp)
-            except ValueError as error:
-                raise ConfigurationError(f"{path}: Timestamp: {error}") from error
     return times
 
 

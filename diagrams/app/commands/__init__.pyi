@@ -8,5 +8,6 @@ from .studies import dataset_command as dataset_command
 from .studies import reproduce_command as reproduce_command
 from .volumes import bridge_command as bridge_command
 from .volumes import calibrate_command as calibrate_command
+from .volumes import check_command as check_command
 from .volumes import locate_command as locate_command
 from .volumes import track_command as track_command

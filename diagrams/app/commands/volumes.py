@@ -1,15 +1,16 @@
-"""Commands on recorded and live volumes: track, bridge, locate and calibrate."""
+"""Commands on recorded and live volumes: check, track, bridge, locate and calibrate."""
 
 import shlex
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from sonoservo.diagrams.app.interruption import INTERRUPTED
 from sonoservo.diagrams.app.options import (
     BeamWidthOption,
+    CalibrationOption,
     ClockOffsetOption,
     DepthOption,
     DynamicRangeOption,
@@ -18,22 +19,30 @@ from sonoservo.diagrams.app.options import (
     FramesOption,
     HostOption,
     JsonOption,
+    LuminanceOption,
     MotorOption,
     OpenOption,
     OrderOption,
     OutOption,
     PatienceOption,
+    PlusConfigOption,
     PosesOption,
     RateOption,
     ReconstructOption,
     SpacingOption,
+    VoidOption,
     VolumesOption,
     WaitOption,
     WindowOption,
     console,
+    say_notes,
     write_printed,
 )
 from sonoservo.systems.files.refusals import ConfigurationError
+
+if TYPE_CHECKING:
+    from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
+    from sonoservo.systems.recording.recording import Recording
 
 
 def track_command(
@@ -57,6 +66,10 @@ def track_command(
     dynamic_range_db: DynamicRangeOption = None,
     volume_rate: RateOption = None,
     poses: PosesOption = None,
+    plus_config: PlusConfigOption = None,
+    calibration: CalibrationOption = None,
+    void: VoidOption = None,
+    luminance: LuminanceOption = False,
     beam_width: BeamWidthOption = None,
     echo_offset: EchoOffsetOption = None,
     seed: Annotated[
@@ -100,13 +113,17 @@ def track_command(
     json_path: JsonOption = None,
 ) -> None:
     """Track a needle through recorded or live volumes, and write a folder of results."""
-    from sonoservo.diagrams.app.live.commands import make_maker, needle_names, track_address
+    from sonoservo.diagrams.app.live.commands import (
+        make_maker,
+        needle_names,
+        only_for_files,
+        track_address,
+    )
     from sonoservo.diagrams.app.live.track_live import LiveLimits
     from sonoservo.diagrams.app.terminal import VolumeProgress, mode_table, mode_words
-    from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
+    from sonoservo.diagrams.app.volumes.opening import open_volumes
     from sonoservo.diagrams.app.volumes.track import track_recording, tracker_parameters
     from sonoservo.systems.live.connection.protocols import is_address
-    from sonoservo.systems.recording.recording import Recording
 
     parameters = tracker_parameters(
         tracker,
@@ -122,6 +139,9 @@ def track_command(
         title = source if is_address(source) else Path(source).name
         pages = open_pages(console, title, host=host, world=False, by_itself=open_page)
     if is_address(source):
+        only_for_files(
+            plus_config=plus_config, calibration=calibration, void=void, luminance=luminance
+        )
         if explain:
             raise ConfigurationError(
                 "explain: not possible with live volumes; record them (sonoservo bridge), "
@@ -156,25 +176,23 @@ def track_command(
             pages.end(console, mode_words(summary))
         return
     recording = Path(source)
-    opened: Recording | ReconstructedRecording
-    if reconstruct:
-        opened = ReconstructedRecording(
-            recording,
-            poses=poses,
-            window=window,
-            dynamic_range_db=dynamic_range_db,
-            frames=frames,
-            spacing=1e-3 * spacing,
-        )
-    else:
-        opened = Recording(
-            recording,
-            depth=depth,
-            window=window,
-            dynamic_range_db=dynamic_range_db,
-            volume_rate=volume_rate,
-            poses=poses,
-        )
+    opened = open_volumes(
+        recording,
+        reconstruct=reconstruct,
+        depth=depth,
+        window=window,
+        dynamic_range_db=dynamic_range_db,
+        volume_rate=volume_rate,
+        poses=poses,
+        frames=frames,
+        spacing=1e-3 * spacing,
+        plus_config=plus_config,
+        calibration=calibration,
+        void=void,
+        luminance=luminance,
+    )
+    say_notes(*opened.notes)
+    _say_gravest(opened)
     folder = out or Path("out") / f"{recording.name.partition('.')[0]}_track"
     with VolumeProgress(console, recording.name, len(opened)) as progress:
         result = track_recording(
@@ -209,6 +227,10 @@ def bridge_command(
     window: WindowOption = None,
     dynamic_range_db: DynamicRangeOption = None,
     poses: PosesOption = None,
+    plus_config: PlusConfigOption = None,
+    calibration: CalibrationOption = None,
+    void: VoidOption = None,
+    luminance: LuminanceOption = False,
     reconstruct: ReconstructOption = False,
     motor: MotorOption = None,
     frames: FramesOption = None,
@@ -261,14 +283,23 @@ def locate_command(
     dynamic_range_db: DynamicRangeOption = None,
     beam_width: BeamWidthOption = None,
     echo_offset: EchoOffsetOption = None,
+    reconstruct: ReconstructOption = False,
+    frames: FramesOption = None,
+    spacing: SpacingOption = 0.7,
+    volume_rate: RateOption = None,
+    poses: PosesOption = None,
+    plus_config: PlusConfigOption = None,
+    calibration: CalibrationOption = None,
+    void: VoidOption = None,
+    luminance: LuminanceOption = False,
     json_path: JsonOption = None,
 ) -> None:
     """Find the needle in one volume, in the file's coordinates; exit with 1 if there is none."""
     import numpy as np
 
     from sonoservo.diagrams.app.volumes.locate import locate_in_recording
+    from sonoservo.diagrams.app.volumes.opening import open_volumes
     from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
-    from sonoservo.systems.recording.recording import Recording
 
     try:
         parameters = NeedleLocalizerParameters().knowing(
@@ -276,21 +307,96 @@ def locate_command(
         )
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
-    # Times and poses do not matter for a single volume.
-    opened = Recording(
+    # Times and poses do not matter for a single volume, unless it is made of frames.
+    opened = open_volumes(
         volume,
+        reconstruct=reconstruct,
         depth=depth,
         window=window,
         dynamic_range_db=dynamic_range_db,
-        volume_rate=1.0,
-        poses="none",
+        volume_rate=volume_rate if reconstruct else 1.0,
+        poses=poses if reconstruct else "none",
+        frames=frames,
+        spacing=1e-3 * spacing,
+        plus_config=plus_config,
+        calibration=calibration,
+        void=void,
+        luminance=luminance,
     )
+    say_notes(*opened.notes)
+    _say_gravest(opened)
     found = locate_in_recording(opened, number, order=order, parameters=parameters)
     for name, value in found.items():
         shown = np.round(value, 3).tolist() if isinstance(value, list | float) else value
         console.print(f"{name}: {shown}", soft_wrap=True, highlight=False)
     write_printed(json_path, found)
     if not found["found"]:
+        raise typer.Exit(1)
+
+
+def check_command(
+    source: Annotated[
+        str,
+        typer.Argument(help="File of volumes or frames, or a stream: igtl://host:18944/DEVICE."),
+    ],
+    depth: DepthOption = "P",
+    window: WindowOption = None,
+    volume_rate: RateOption = None,
+    poses: PosesOption = None,
+    plus_config: PlusConfigOption = None,
+    calibration: CalibrationOption = None,
+    void: VoidOption = None,
+    luminance: LuminanceOption = False,
+    clock_offset: ClockOffsetOption = None,
+    seconds: Annotated[
+        float, typer.Option(min=0.5, help="Live: time to listen after the first message, in s.")
+    ] = 5.0,
+    patience: PatienceOption = 30.0,
+    out: OutOption = None,
+    json_path: JsonOption = None,
+) -> None:
+    """Say what is in a file or a stream, and what is wrong with it; exit with 1 if something is.
+
+    A picture marks where the probe is taken to be, and which way is up.
+    """
+    from sonoservo.diagrams.app.live.commands import only_for_files
+    from sonoservo.diagrams.app.terminal import findings_table
+    from sonoservo.diagrams.app.volumes.check import check_file, check_stream
+    from sonoservo.systems.evaluation.reports.plots import png
+    from sonoservo.systems.files.writing import write_atomically
+    from sonoservo.systems.live.connection.protocols import is_address, parse_address
+
+    options: dict[str, Any] = {"depth": depth, "window": window, "poses": poses}
+    reading: dict[str, Any] = {
+        "plus_config": plus_config,
+        "calibration": calibration,
+        "void": void,
+        "luminance": luminance,
+    }
+    if is_address(source):
+        only_for_files(**reading)
+        address = parse_address(source)
+        name = f"{address.host.replace(':', '_') or 'localhost'}_{address.port}"
+        checked = check_stream(
+            address,
+            **options,
+            clock_offset=clock_offset,
+            seconds=seconds,
+            patience=patience or 30.0,
+            say=lambda line: console.print(line, soft_wrap=True),
+        )
+    else:
+        name = Path(source).name.partition(".")[0]
+        with console.status("looking at the volumes"):
+            checked = check_file(Path(source), **options, volume_rate=volume_rate, **reading)
+    console.print(findings_table(checked.findings))
+    if checked.picture is not None:
+        path = (out or Path("out") / f"{name}_check") / "orientation.png"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, png(checked.picture))
+        console.print(f"Picture: {path}", soft_wrap=True)
+    write_printed(json_path, checked.figures())
+    if checked.gravest is not None:
         raise typer.Exit(1)
 
 
@@ -301,6 +407,10 @@ def calibrate_command(
     dynamic_range_db: DynamicRangeOption = None,
     volume_rate: RateOption = None,
     poses: PosesOption = None,
+    plus_config: PlusConfigOption = None,
+    calibration: CalibrationOption = None,
+    void: VoidOption = None,
+    luminance: LuminanceOption = False,
     json_path: JsonOption = None,
 ) -> None:
     """Report delay and calibration error of a recording's poses; exit with 1 if they are unknown.
@@ -309,22 +419,34 @@ def calibrate_command(
     """
     from sonoservo.diagrams.app.terminal import VolumeProgress, pose_error_table
     from sonoservo.diagrams.app.volumes.calibrate import calibrate_recording, pose_error_figures
-    from sonoservo.systems.recording.recording import Recording
+    from sonoservo.diagrams.app.volumes.opening import open_volumes
 
-    opened = Recording(
+    opened = open_volumes(
         recording,
         depth=depth,
         window=window,
         dynamic_range_db=dynamic_range_db,
         volume_rate=volume_rate,
         poses=poses,
+        plus_config=plus_config,
+        calibration=calibration,
+        void=void,
+        luminance=luminance,
     )
+    say_notes(*opened.notes)
     with VolumeProgress(console, recording.name, len(opened)) as progress:
         figures = pose_error_figures(calibrate_recording(opened, after_volume=progress))
     console.print(pose_error_table(figures) if figures["found"] else figures["reason"])
     write_printed(json_path, figures)
     if not figures["found"]:
         raise typer.Exit(1)
+
+
+def _say_gravest(opened: "Recording | ReconstructedRecording") -> None:
+    from sonoservo.diagrams.app.volumes.check import brief_finding
+
+    if line := brief_finding(opened):
+        console.print(line, style="yellow", soft_wrap=True)
 
 
 def _metres(millimetres: float | None) -> float | None:

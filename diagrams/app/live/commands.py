@@ -13,7 +13,8 @@ from sonoservo.diagrams.app.live.bridge import QUEUE, play_live, record_live
 from sonoservo.diagrams.app.live.serve import live_senders, opened
 from sonoservo.diagrams.app.live.track_live import LiveLimits, track_live
 from sonoservo.diagrams.app.terminal import live_table
-from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
+from sonoservo.diagrams.app.volumes.check import brief_finding
+from sonoservo.diagrams.app.volumes.opening import open_volumes
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -24,7 +25,6 @@ from sonoservo.systems.live.live_source import ImagesToVolumes, LiveSource
 from sonoservo.systems.live.motor_sweep import MotorSweepVolumes, load_motor_sweep
 from sonoservo.systems.live.needle_sender import NeedleNames
 from sonoservo.systems.live.volume_maker import VolumeMaker
-from sonoservo.systems.recording.recording import Recording
 
 if TYPE_CHECKING:
     from sonoservo.systems.display.console.console import Console as Page
@@ -190,8 +190,11 @@ def bridge_files(
     speed: float,
     wait_for: int,
     limits: LiveLimits,
+    **reading: Any,
 ) -> dict[str, Any]:
     """Record a live connection to a file, or play a file to one.
+
+    ``reading`` holds the arguments of `open_volumes` that only files have.
 
     Raises
     ------
@@ -205,28 +208,26 @@ def bridge_files(
     say = saying(console)
     try:
         if is_address(target):
-            recording: Recording | ReconstructedRecording
-            if reconstruct:
-                recording = ReconstructedRecording(
-                    Path(source),
-                    poses=poses,
-                    window=window,
-                    dynamic_range_db=dynamic_range_db,
-                    frames=frames,
-                    spacing=spacing,
-                )
-            else:
-                recording = Recording(
-                    source,
-                    depth=depth,
-                    window=window,
-                    dynamic_range_db=dynamic_range_db,
-                    poses=poses,
-                )
+            recording = open_volumes(
+                Path(source),
+                reconstruct=reconstruct,
+                depth=depth,
+                window=window,
+                dynamic_range_db=dynamic_range_db,
+                poses=poses,
+                frames=frames,
+                spacing=spacing,
+                **reading,
+            )
+            for note in recording.notes:
+                say(note)
+            if line := brief_finding(recording):
+                say(line)
             with opened(target, say, wait_for=wait_for) as link:
                 summary = play_live(recording, link, speed=speed)
             say(f"{summary['volumes']} volumes sent")
             return summary
+        only_for_files(**reading)
         place = parse_address(source)
         maker = make_maker(
             depth=depth,
@@ -254,3 +255,17 @@ def bridge_files(
 def _file_name(address: Address) -> str:
     host = address.host.replace(":", "_") or "localhost"
     return f"{host}_{address.port}"
+
+
+def only_for_files(**reading: Any) -> None:
+    """Refuse arguments of `open_volumes` that a live connection does not use.
+
+    Raises
+    ------
+    ConfigurationError
+        If one of them is given.
+    """
+    for name, value in reading.items():
+        if value is not None and value is not False:
+            option = name.replace("_", "-")
+            raise ConfigurationError(f"--{option}: it is for files, and the source is a connection")

@@ -1,3 +1,6 @@
+from .check import CheckedSource as CheckedSource
+from .check import check_file as check_file
+from .check import check_stream as check_stream
 from .estimates_table import estimates_csv as estimates_csv
 from .locate import LocatedNeedle as LocatedNeedle
 from .locate import locate_in as locate_in

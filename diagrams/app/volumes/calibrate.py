@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
 from sonoservo.systems.calibration.pose_calibration import PoseCalibration
 from sonoservo.systems.calibration.pose_errors import PoseErrors
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -13,7 +14,7 @@ from sonoservo.systems.signals.immutable import NotFound
 
 
 def calibrate_recording(
-    recording: Recording, after_volume: Callable[[int], None] | None = None
+    recording: Recording | ReconstructedRecording, after_volume: Callable[[int], None] | None = None
 ) -> PoseErrors | NotFound:
     """Estimate delay and hand-eye error of the poses of a recording.
 

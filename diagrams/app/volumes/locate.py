@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform
 
+from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.localization.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.localization.pipeline import explain_localization
@@ -113,7 +114,7 @@ def locate_in(
 
 
 def locate_in_recording(
-    recording: Recording,
+    recording: Recording | ReconstructedRecording,
     number: int = 0,
     *,
     order: int = 2,

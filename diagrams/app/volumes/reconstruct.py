@@ -6,9 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.volume_file import VolumeFile
 from sonoservo.systems.live.volume_maker import grey_scale
 from sonoservo.systems.recording.tracked_frames import TrackedFrames
 from sonoservo.systems.signals.reconstructed_volume import ReconstructedVolume
@@ -28,8 +30,8 @@ class ReconstructedRecording:
     ----------
     path
         Path of the file.
-    poses, window
-        See `TrackedFrames`.
+    poses, window, frame_rate, reading
+        See `TrackedFrames`; ``reading`` holds its other arguments by name.
     dynamic_range_db
         Range of echo amplitudes from black to white, in dB; 60 by default.
     frames
@@ -52,6 +54,8 @@ class ReconstructedRecording:
         dynamic_range_db: float | None = None,
         frames: int | None = None,
         spacing: float = 7e-4,
+        frame_rate: float | None = None,
+        **reading: Any,
     ) -> None:
         self.path = path
         self._spacing = spacing
@@ -59,13 +63,30 @@ class ReconstructedRecording:
             self._scale = grey_scale(dynamic_range_db)
         except ValueError as error:
             raise ConfigurationError(f"{path}: {error}") from error
-        self._frames = TrackedFrames(path, poses=poses, window=window)
+        self._frames = TrackedFrames(
+            path, poses=poses, window=window, frame_rate=frame_rate, **reading
+        )
         self._sweeps = self._split(frames)
         self.times = np.array([self._frames.times[s[len(s) // 2]] for s in self._sweeps])
-        self.skipped = self._frames.skipped
+        self.notes = list(self._frames.notes)
+        if len(self._sweeps) == 1:
+            self.notes.append(
+                "its frames make a single sweep, and so one volume: `sonoservo locate` finds a "
+                "needle in it, but tracking needs several sweeps"
+            )
         self.posed = False
         self.settings: dict[str, Any] = {}
         self._read = lru_cache(maxsize=1)(self._reconstruct)
+
+    @property
+    def frame_times(self) -> NDArray[np.float64]:
+        """(n,) times of the frames, in s."""
+        return self._frames.times
+
+    @property
+    def file(self) -> VolumeFile:
+        """The file as its header describes it."""
+        return self._frames.file
 
     def __len__(self) -> int:
         return len(self._sweeps)
@@ -80,6 +101,11 @@ class ReconstructedRecording:
     def X_WL(self, number: int) -> RigidTransform:
         """Return the pose of L in W, which is the identity."""
         return RigidTransform()
+
+    @property
+    def skipped(self) -> int:
+        """Number of frames left out, with those so far that hold nothing."""
+        return self._frames.skipped + len(self._frames.void)
 
     def _split(self, count: int | None) -> list[list[int]]:
         """Return the numbers of each sweep's frames."""
@@ -102,9 +128,14 @@ class ReconstructedRecording:
         return found
 
     def _reconstruct(self, number: int) -> ReconstructedVolume:
-        frames = [
+        every = [
             PosedFrame(self._frames[k], self._frames.X_WI[k], float(self._frames.times[k]))
             for k in self._sweeps[number]
+        ]
+        frames = [
+            frame
+            for frame, k in zip(every, self._sweeps[number], strict=True)
+            if int(self._frames.numbers[k]) not in self._frames.void
         ]
         try:
             return reconstruct(frames, spacing=self._spacing, decibels_per_level=self._scale)

@@ -85,6 +85,9 @@ class Frame:
     content: memoryview | None
     fault: str = ""
 
+    def __str__(self) -> str:
+        return self.header.type
+
 
 def parse_header(data: bytes | bytearray) -> Header:
     """Read a header. Its type may be any text: the size is all that is needed to skip a message.

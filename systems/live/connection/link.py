@@ -6,6 +6,7 @@ import re
 import socket
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Any, Self
@@ -30,7 +31,7 @@ _TICK = 0.25
 _REPORT_EVERY, _REPORTS = 10.0, 5
 """Time in s in which at most so many lines about one host are printed."""
 
-_LONGEST_LINE = 400
+_LONGEST_LINE, _SKIPPED = 400, 32
 
 
 def shown(text: str) -> str:
@@ -102,6 +103,15 @@ class Link:
         (`time.perf_counter`) and the peer's name; on the link's own thread, so it must be quick.
     report
         Function that is called with one printable line for a person, on any thread.
+
+    Attributes
+    ----------
+    dropped
+        Number of messages that were not sent, because newer ones took their place.
+    refused, skipped
+        Number of messages that were left out, and numbers of those of no use here, by type.
+    failure
+        Error that ended the link's thread, if any.
     """
 
     def __init__(
@@ -121,6 +131,7 @@ class Link:
         self._ending = asyncio.Event()
         self._thread = threading.Thread(target=self._run, name=str(address), daemon=True)
         self.dropped = self.refused = 0
+        self.skipped: Counter[str] = Counter()
         self.failure: Exception | None = None
 
     def __enter__(self) -> Self:
@@ -263,7 +274,10 @@ class Link:
     def _take(self, peer: _Peer, frame: Any, now: float) -> None:
         """Take in a message. Whatever it sets off is its own fault, and costs it alone."""
         try:
-            for item in self.protocol.decode(frame):
+            items = self.protocol.decode(frame)
+            if not items and (len(self.skipped) < _SKIPPED or str(frame) in self.skipped):
+                self.skipped[str(frame)] += 1
+            for item in items:
                 peer.has_proved(now)
                 if self._receive is not None:
                     self._receive(item, now, peer.name)

@@ -134,16 +134,35 @@ def test_numbers_become_grey_levels(tmp_path, array, window, wanted):
     np.testing.assert_allclose(volume.intensities, wanted, atol=1e-4)
 
 
-def test_the_window_is_the_first_volume_s_and_keeps_the_order(tmp_path):
-    first = np.linspace(-500, 3000, 240).reshape(SHAPE).astype(np.float32)
-    path = write_sequence_nrrd(tmp_path / "a.seq.nrrd", [first, 2 * first])
+@pytest.mark.parametrize("first", [0.0, 0.125])
+def test_the_window_is_that_of_the_first_volumes_that_show_something(tmp_path, first):
+    bright = np.linspace(-500, 3000, 240).reshape(SHAPE).astype(np.float32)
+    path = write_sequence_nrrd(tmp_path / "a.seq.nrrd", [first * bright, bright, bright, bright])
     recording = Recording(path)
-    late, early = recording[1].intensities, recording[0].intensities
-    assert (np.diff(early.ravel()) >= 0).all()
-    assert early.min() == 0
-    assert early.max() == 255
-    middle = late < 255
-    np.testing.assert_allclose(late[middle], np.clip(2 * early - 36.5, 0, None)[middle], atol=0.5)
+    grey = recording[1].intensities
+    assert (np.diff(grey.ravel()) >= 0).all()
+    assert (grey.min(), grey.max()) == (0, 255)
+    assert np.ptp(recording[0].intensities) == pytest.approx(255 * first)
+    said = [note for note in recording.notes if "black" in note]
+    assert ("1 blank volumes did not choose" in said[0]) == (first == 0)
+
+
+def test_numbers_for_nothing_were_not_seen(tmp_path):
+    outside = np.indices(SHAPE)[0] == 0
+    for name, marker, dtype, options in (
+        ("lowest", -32768, np.int16, {}),
+        ("nan", np.nan, np.float32, {}),
+        ("stated", 0, np.uint8, {"void": 0.0}),
+    ):
+        array = np.where(outside, marker, ARRAYS[0]).astype(dtype)
+        path = write_sequence_nrrd(tmp_path / f"{name}.seq.nrrd", [array], times=[0.0])
+        (volume,) = Recording(path, **options)
+        np.testing.assert_array_equal(volume.seen, ~outside)
+        assert not volume.intensities[outside].any()
+        np.testing.assert_allclose(volume.intensities[~outside], ARRAYS[0][~outside], atol=2)
+    # Neither dark speckle nor a type's own darkest number is a marker.
+    dark = Recording(write_sequence_nrrd(tmp_path / "a.seq.nrrd", [ARRAYS[0].astype("i2") - 128]))
+    assert dark[0].mask is None
 
 
 def test_tracked_volumes_of_plus_have_poses_and_invalid_ones_are_skipped(tmp_path):
@@ -210,11 +229,13 @@ FAULTS = {
         "truncated",
     ),
     "no_times.mha": (lambda p: write_meta_image(p, ARRAYS), "--volume-rate"),
-    "two_poses.mha": (
-        lambda p: write_meta_image(
-            p, ARRAYS, tracked(4) | tracked(4, transform="ProbeToReference")
-        ),
-        "Choose one with --poses: ProbeToReference, ProbeToTracker, or none",
+    "stylus.mha": (
+        lambda p: write_meta_image(p, ARRAYS, tracked(4, transform="StylusToReference")),
+        "its transforms (StylusToReference) give no pose of the image",
+    ),
+    "calibration.mha": (
+        lambda p: write_meta_image(p, ARRAYS, tracked(4, transform="ImageToProbe")),
+        "a transform from Probe to Reference or another frame that stands still is missing",
     ),
     "frames.mha": (
         lambda p: write_meta_image(p, ARRAYS[:1], tracked(5)),
@@ -225,9 +246,9 @@ FAULTS = {
         lambda p: write_meta_image(p, ARRAYS, tracked(4, invalid=range(4))),
         "all of its 4 volumes are invalid",
     ),
-    "backwards.seq.nrrd": (
-        lambda p: write_sequence_nrrd(p, ARRAYS, times=[0, 1, 0.5, 2]),
-        "the time of volume 2",
+    "timeless.seq.nrrd": (
+        lambda p: write_sequence_nrrd(p, ARRAYS, times=["nan"] * 4),
+        "the times of its volumes are missing",
     ),
     "spacing.seq.nrrd": (
         lambda p: change(write_sequence_nrrd(p, ARRAYS), b"(0.29999999999999999", b"(0.0"),

@@ -86,7 +86,7 @@ def test_ras_nrrd_is_turned(tmp_path):
 
 BAD = {
     "two axes": (np.zeros((4, 4), np.uint8), {}, "three in space"),
-    "colours": (np.zeros((3, 4, 4, 4), np.uint8), {}, "three in space"),
+    "colours": (np.zeros((3, 4, 4, 4), np.uint8), {}, "a single label map"),
     "no axes": (np.zeros(SHAPE, np.uint8), {}, "space directions.*three vectors"),
     "flat axes": (
         np.zeros(SHAPE, np.uint8),

@@ -1,0 +1,383 @@
+"""Checks of a file or a stream before anything is tracked in it; see `source_checks`."""
+
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from pydrake.math import RotationMatrix
+
+from sonoservo.diagrams.app.volumes.opening import open_volumes
+from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
+from sonoservo.systems.calibration.pose_calibration import PoseCalibration
+from sonoservo.systems.evaluation.reports.orientation_sheet import orientation_sheet
+from sonoservo.systems.evaluation.source_checks import (
+    Check,
+    Finding,
+    Grade,
+    check_errors,
+    check_matrices,
+    check_motion,
+    check_spacing,
+    check_times,
+    check_volume,
+    gravest,
+    rows_of_matrices,
+    sort_findings,
+)
+from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.volume_file import HoldsFramesError, VolumeFile
+from sonoservo.systems.live.connection.items import ImageItem, Item, PoseItem
+from sonoservo.systems.live.connection.link import Link, shown
+from sonoservo.systems.live.connection.protocols import Address
+from sonoservo.systems.live.image_matcher import ImageMatcher, PosedImage
+from sonoservo.systems.live.volume_maker import VolumeMaker
+from sonoservo.systems.recording.recording import Recording
+from sonoservo.systems.signals.volume import Volume
+
+_CALIBRATED = 30
+"""Most volumes from which errors of the poses are estimated."""
+
+_KEPT, _DEVICES = 24, 32
+"""Most images that are kept of a stream, and most devices that are told apart."""
+
+_LETTERS = ("LR", "PA", "SI")
+_SECONDS = 5.0
+
+
+@dataclass
+class CheckedSource:
+    """Findings about a source.
+
+    Parameters
+    ----------
+    source
+        Path or address.
+    findings
+        What was found.
+    picture
+        Picture that marks the probe's side and "up"; None if nothing could be shown.
+    """
+
+    source: str
+    findings: list[Finding] = field(default_factory=list)
+    picture: Figure | None = None
+
+    @property
+    def gravest(self) -> Finding | None:
+        """Gravest finding that needs something to be done; None if none does."""
+        return gravest(self.findings)
+
+    def figures(self) -> dict[str, Any]:
+        """Return the findings for JSON."""
+        worst = self.gravest
+        return {
+            "source": self.source,
+            "needs_something": worst is not None,
+            "gravest": None if worst is None else str(worst),
+            "findings": [
+                {
+                    "check": each.check.value,
+                    "grade": each.grade.name.lower(),
+                    "text": each.text,
+                    "advice": each.advice,
+                }
+                for each in sort_findings(self.findings)
+            ],
+        }
+
+    def note(self, check: Check, text: str, grade: Grade = Grade.FINE, advice: str = "") -> None:
+        """Add a finding."""
+        self.findings.append(Finding(check, grade, text, advice))
+
+    def show(self, volume: Volume, R_LP: RotationMatrix) -> None:
+        """Check a volume, and make the picture of it."""
+        self.findings += check_volume(volume)
+        caption = "top: where the probe is taken to be; arrows: directions of the body"
+        self.picture = orientation_sheet(volume, R_LP, caption=caption)
+
+
+def check_file(
+    path: Path,
+    *,
+    depth: str = "P",
+    **reading: Any,
+) -> CheckedSource:
+    """Check a file of volumes or frames. A refusal is a finding, too.
+
+    Parameters
+    ----------
+    path
+        Path of the file.
+    depth
+        See `Recording`.
+    **reading
+        Other arguments of `open_volumes`.
+
+    Raises
+    ------
+    ConfigurationError
+        If there is no such file.
+    """
+    if not path.is_file():
+        raise ConfigurationError(f"there is no file {path}")
+    checked = CheckedSource(str(path))
+    try:
+        try:
+            opened = open_volumes(path, depth=depth, **reading)
+        except HoldsFramesError:
+            opened = open_volumes(path, depth=depth, **reading, reconstruct=True)
+        for note in opened.notes:
+            checked.note(Check.READING, note)
+        if isinstance(opened, Recording):
+            _check_recording(checked, opened, depth)
+        else:
+            _check_frames(checked, opened)
+    except ConfigurationError as refusal:
+        advice = "the message says what to change"
+        checked.note(Check.READING, f"it cannot be read: {refusal}", Grade.WRONG, advice)
+    return checked
+
+
+def brief_finding(opened: Recording | ReconstructedRecording) -> str:
+    """Return the gravest of the findings that a header alone tells, on one line; may be empty."""
+    file = opened.file
+    findings = _check_header(file, opened.times, "volumes")
+    if isinstance(opened, Recording):
+        findings += check_spacing(np.linalg.norm(file.directions, axis=0))
+    worst = gravest(findings)
+    return "" if worst is None else f"{worst}. `sonoservo check {opened.path}` tells more."
+
+
+def _check_header(file: VolumeFile, times: Any, what: str) -> list[Finding]:
+    """Check the times and the transforms of all volumes or frames, whether they are used or not."""
+    fields = file.frame_fields()
+    stamps = fields.get("Timestamp")
+    if stamps is not None:
+        times = np.full(file.count, np.nan)
+        for number, text in stamps.items():
+            try:
+                times[number] = float(text)
+            except (ValueError, IndexError):
+                continue
+    findings = check_times(times, what)
+    if len(times) != file.count:
+        times = np.arange(file.count, dtype=float)
+    for name in sorted(fields):
+        if name.endswith("Transform"):
+            matrices = rows_of_matrices(fields[name], file.count)
+            marks = fields.get(f"{name}Status", {})
+            for number, mark in marks.items():
+                if number < file.count and mark.upper() != "OK":
+                    matrices[number] = np.nan
+            short = name.removesuffix("Transform")
+            findings += check_matrices(short, matrices)
+            findings += check_motion(short, matrices, times)
+    return findings
+
+
+def _check_recording(checked: CheckedSource, recording: Recording, depth: str) -> None:
+    file = recording.file
+    size = " x ".join(map(str, file.shape))
+    volumes = "1 volume" if file.count == 1 else f"{file.count} volumes"
+    checked.note(Check.KIND, f"{volumes} of {size} voxels")
+    if recording.skipped:
+        text = f"{recording.skipped} volumes are marked as invalid, or have no pose or time"
+        advice = "they are left out; look at the tracker and the clock"
+        checked.note(Check.LEFT_OUT, text, Grade.DOUBTFUL, advice)
+    axes = ", ".join(_letter(axis) for axis in file.directions.T)
+    checked.note(Check.GRID, f"axes run to {axes} (LPS); the sound is taken to run to {depth}")
+    checked.findings += check_spacing(np.linalg.norm(file.directions, axis=0))
+    checked.findings += _check_header(file, recording.times, "volumes")
+    posed = "the volumes have poses" if recording.posed else "no poses: the probe counts as at rest"
+    checked.note(Check.CHAIN, posed)
+    middle = len(recording) // 2
+    volume = recording[middle]
+    checked.show(volume, (recording.X_WL(middle).inverse() @ volume.X_WP).rotation())
+    if recording.posed and len(recording) > 1:
+        calibration = PoseCalibration()
+        for number in range(min(len(recording), _CALIBRATED)):
+            calibration = calibration.seen(recording[number])
+        checked.findings += check_errors(calibration.errors)
+
+
+def _check_frames(checked: CheckedSource, volumes: ReconstructedRecording) -> None:
+    file = volumes.file
+    checked.note(Check.KIND, f"{file.count} 2D frames of {file.shape[0]} x {file.shape[1]} pixels")
+    if volumes.skipped:
+        text = f"{volumes.skipped} frames are marked as invalid, or have no pose or time"
+        advice = "they are left out; keep the probe in the tracker's sight"
+        checked.note(Check.LEFT_OUT, text, Grade.DOUBTFUL, advice)
+    checked.findings += _check_header(file, volumes.frame_times, "frames")
+    volume = volumes[len(volumes) // 2]
+    checked.note(Check.GRID, f"{len(volumes)} sweeps make a volume each")
+    checked.show(volume, volume.X_WP.rotation())
+
+
+def _letter(axis: Any) -> str:
+    """Return the letter of the body to which an axis runs."""
+    largest = int(np.abs(axis).argmax())
+    return _LETTERS[largest][int(axis[largest] < 0)]
+
+
+class _StreamRecord:
+    """What comes over a connection for a while: stamps and arrivals by device, and some images."""
+
+    def __init__(self, address: Address, poses: str | None, clock_offset: float | None) -> None:
+        self.link = Link(address, self._receive, lambda line: None)
+        self.matcher = ImageMatcher(
+            device=address.device,
+            poses=poses,
+            clock_offset=clock_offset,
+            report=lambda line: None,
+        )
+        self.stamps: dict[tuple[str, str], deque[float]] = {}
+        self.poses: dict[str, deque[tuple[float, Any]]] = {}
+        self.images: deque[PosedImage] = deque(maxlen=_KEPT)
+        self.frames = 0
+
+    def _receive(self, item: Item, now: float, peer: str) -> None:
+        kind = type(item).__name__.removesuffix("Item").lower()
+        if len(self.stamps) < _DEVICES or (item.name, kind) in self.stamps:
+            self.stamps.setdefault((item.name, kind), deque(maxlen=2000)).append(item.time)
+        if isinstance(item, PoseItem) and (len(self.poses) < _DEVICES or item.name in self.poses):
+            poses = self.poses.setdefault(item.name, deque(maxlen=2000))
+            poses.append((item.time, item.X.GetAsMatrix4()))
+        if isinstance(item, ImageItem) and min(item.voxels.shape) == 1:
+            self.frames += 1
+        self.images.extend(self.matcher.feed(item, now, peer))
+
+    def listen(self, seconds: float, patience: float) -> None:
+        """Listen for so long after the first message, and wait so long for it."""
+        with self.link:
+            began, first = time.perf_counter(), None
+            while True:
+                now = time.perf_counter()
+                if first is None and self.stamps:
+                    first = now
+                if now - began > patience and first is None:
+                    return
+                if first is not None and now - first > seconds:
+                    return
+                if self.link.failure is not None:
+                    raise self.link.failure
+                time.sleep(0.02)
+
+
+def check_stream(
+    address: Address,
+    *,
+    depth: str = "P",
+    window: tuple[float, float] | None = None,
+    poses: str | None = None,
+    clock_offset: float | None = None,
+    seconds: float = _SECONDS,
+    patience: float = 30.0,
+    say: Callable[[str], None] = print,
+) -> CheckedSource:
+    """Check what comes over a live connection.
+
+    Parameters
+    ----------
+    address
+        Address to connect to, or to listen on.
+    depth, window
+        See `VolumeMaker`.
+    poses, clock_offset
+        See `ImageMatcher`.
+    seconds
+        Time to listen after the first message, in s.
+    patience
+        Time to wait for the first message, in s.
+    say
+        Function called with a line of text for the user.
+    """
+    checked = CheckedSource(str(address))
+    record = _StreamRecord(address, poses, clock_offset)
+    say(f"Listening to {address} for {seconds:g} s")
+    record.listen(seconds, patience)
+    if not record.stamps:
+        text = f"nothing has come for {patience:g} s"
+        advice = "start the scanner's program, and look at address, port and firewall"
+        checked.note(Check.READING, text, Grade.WRONG, advice)
+        return checked
+    devices = ", ".join(f"{shown(name)} ({kind})" for name, kind in sorted(record.stamps))
+    skipped = ", ".join(shown(each) for each in sorted(record.link.skipped))
+    checked.note(Check.KIND, f"it sends {devices}" + (f"; skipped: {skipped}" if skipped else ""))
+    _check_clocks(checked, record, poses)
+    left_out = Counter(record.matcher.left_out)
+    for why, count in left_out.items():
+        checked.note(
+            Check.LEFT_OUT, f"{count} images: {why.value}", Grade.DOUBTFUL,
+            "look at poses and clocks; --poses names another transform, --clock-offset states how "
+            "far the clocks are apart",
+        )  # fmt: skip
+    if record.link.refused:
+        text = f"{record.link.refused} messages are damaged, or make no sense"
+        checked.note(Check.LEFT_OUT, text, Grade.WRONG, "look at the program that sends them")
+    for (name, kind), stamps in sorted(record.stamps.items()):
+        if kind in ("image", "pose"):
+            for finding in check_times(np.array(stamps), f"messages of {shown(name)}"):
+                checked.findings.append(finding)
+    for name, poses_seen in record.poses.items():
+        times, matrices = zip(*poses_seen, strict=True)
+        mm = np.array(matrices)
+        mm[:, :3, 3] *= 1e3
+        checked.findings += check_motion(shown(name), mm, np.array(times))
+    _check_images(checked, record, VolumeMaker(depth=depth, window=window))
+    return checked
+
+
+def _check_clocks(checked: CheckedSource, record: "_StreamRecord", poses: str | None) -> None:
+    matcher, others = record.matcher, sorted(record.poses)
+    if matcher.counts_arrivals:
+        advice = "let the program that sends them stamp them; till then, times are those of arrival"
+        checked.note(Check.CLOCK, "time stamps of images stand still", Grade.DOUBTFUL, advice)
+    if offset := matcher.clock_offset:
+        text = f"the clock of the poses is {abs(offset):.2f} s "
+        text += "ahead of the images'" if offset > 0 else "behind the images'"
+        advice = (
+            f"set both clocks by one server, or state the difference (--clock-offset {offset:.2f})"
+        )
+        checked.note(Check.CLOCK, text, Grade.DOUBTFUL, advice)
+    if record.images and not matcher.posed and others and poses != "none":
+        text = f"none of the transforms is the probe's pose; there are {shown(', '.join(others))}"
+        checked.note(Check.CHAIN, text, Grade.DOUBTFUL, "name one with --poses, or give none")
+
+
+def _check_images(checked: CheckedSource, record: _StreamRecord, maker: VolumeMaker) -> None:
+    if not record.images:
+        if record.frames:
+            text = f"{record.frames} 2D frames and no volume"
+            advice = "`sonoservo track` makes volumes of them with --reconstruct or --motor"
+        else:
+            text, advice = "no image", "let the scanner's program send IMAGE messages"
+        checked.note(Check.CONTENT, text, Grade.DOUBTFUL, advice)
+        return
+    volumes, calibration = [], PoseCalibration()
+    for posed in record.images:
+        volume = maker(posed)
+        if isinstance(volume, Volume):
+            volumes.append((posed, volume))
+        else:
+            advice = "such images are left out"
+            checked.note(Check.CONTENT, shown(volume.reason), Grade.DOUBTFUL, advice)
+    if not record.matcher.posed:
+        checked.note(Check.CHAIN, "no poses: the probe counts as at rest")
+    if not volumes:
+        return
+    posed, volume = volumes[len(volumes) // 2]
+    image = posed.image
+    size = " x ".join(map(str, image.voxels.shape))
+    axes = ", ".join(_letter(axis) for axis in image.X_LI[:3, :3].T)
+    checked.note(Check.GRID, f"{size} voxels whose axes run to {axes} (LPS)")
+    checked.findings += check_spacing(1e3 * np.linalg.norm(image.X_LI[:3, :3], axis=0))
+    checked.show(volume, (maker.X_WL(posed).inverse() @ volume.X_WP).rotation())
+    if record.matcher.posed:
+        for _, each in volumes:
+            calibration = calibration.seen(each)
+        checked.findings += check_errors(calibration.errors)

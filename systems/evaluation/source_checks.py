@@ -1,0 +1,442 @@
+"""Checks of a source of volumes or frames: what a person asks before anything is tracked in it.
+
+Each check takes what a source tells (times, matrices, volumes) and returns findings. A finding that
+needs something to be done says what.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sonoservo.systems.calibration.pose_errors import PoseErrors
+from sonoservo.systems.localization.speckle_width import speckle_spread
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.reconstructed_volume import ReconstructedVolume
+from sonoservo.systems.signals.volume import Volume
+
+_GAP = 1.5
+"""Time between two volumes, in periods, from which one of them is missing."""
+
+_JITTER = 0.25
+"""Standard deviation of the time between two volumes, in periods, above which stamps are those of
+arrival rather than of acquisition."""
+
+_NOT_RIGID = 1e-2
+"""Deviation of a matrix from a rotation that rounding to two decimals explains."""
+
+_STILL_MM, _STILL_DEG = 0.02, 0.01
+"""Spread of poses of a tracker that measures: none is quieter."""
+
+_REPEATED = 0.2
+"""Share of poses that repeat the one before to the last digit, above which a tracker is slower."""
+
+_FASTEST = 1.0
+"""Highest speed in m/s at which a hand or a robot moves a probe."""
+
+_AXIAL_MM, _ACROSS_MM = (0.05, 3.0), (0.15, 12.0)
+"""Widths of speckle along and across the sound, of probes from 2 to 20 MHz."""
+
+_OTHER_AXIS = 1.4
+"""How much narrower speckle is along another axis, from which that one is the sound's."""
+
+_LATE = 15e-3
+"""Delay of poses in s that shows: a probe at 30 mm/s moves half a millimetre."""
+
+_DISPLACED, _TURNED_DEG = 2e-3, 2.0
+"""Error of a calibration, in m and deg, that shows in a needle's place."""
+
+
+class Check(Enum):
+    """What is checked; the values name it in a table."""
+
+    READING = "reading"
+    KIND = "kind"
+    GRID = "grid"
+    SPACING = "spacing"
+    SPECKLE = "speckle"
+    CONTENT = "content"
+    RATE = "rate"
+    CLOCK = "clock"
+    CHAIN = "transforms"
+    MATRIX = "matrices"
+    MOTION = "motion"
+    DELAY = "poses and images"
+    LEFT_OUT = "left out"
+
+
+class Grade(IntEnum):
+    """How grave a finding is; above FINE, something needs doing."""
+
+    FINE = 0
+    DOUBTFUL = 1
+    WRONG = 2
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Outcome of a check.
+
+    Parameters
+    ----------
+    check, grade
+        What was checked, and how grave it is.
+    text
+        What was found, with its figures.
+    advice
+        What to do; empty if nothing needs doing.
+    """
+
+    check: Check
+    grade: Grade
+    text: str
+    advice: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.check.value}: {self.text}" + (f"; {self.advice}" if self.advice else "")
+
+
+def _fine(check: Check, text: str) -> Finding:
+    return Finding(check, Grade.FINE, text)
+
+
+def _doubtful(check: Check, text: str, advice: str) -> Finding:
+    return Finding(check, Grade.DOUBTFUL, text, advice)
+
+
+def _wrong(check: Check, text: str, advice: str) -> Finding:
+    return Finding(check, Grade.WRONG, text, advice)
+
+
+def gravest(findings: Iterable[Finding]) -> Finding | None:
+    """Return the gravest finding that needs something to be done, the first of several."""
+    grave = [each for each in findings if each.grade > Grade.FINE]
+    return max(grave, key=lambda each: each.grade, default=None)
+
+
+def check_times(times: ArrayLike, what: str = "volumes") -> list[Finding]:
+    """Check the rate of volumes or frames, how steady it is, and what is missing.
+
+    Parameters
+    ----------
+    times
+        (n,) times in s as they stand in the source; they need not rise.
+    what
+        Word for volumes or frames.
+    """
+    known = np.asarray(times, float)
+    odd = int((~np.isfinite(known)).sum())
+    known = known[np.isfinite(known)]
+    steps = np.diff(known)
+    odd += int((steps <= 0).sum())
+    rising = steps[steps > 0]
+    if len(known) and not len(rising):
+        if len(known) == 1:
+            return [_fine(Check.RATE, "a single one, so there is no rate")]
+        return [
+            _wrong(
+                Check.RATE,
+                f"no time stamp of {len(known)} {what} advances",
+                "let the program that acquires them write the time of each",
+            )
+        ]
+    if not len(rising):
+        return []
+    period = float(np.median(rising))
+    jitter = float(np.sqrt(np.mean(np.clip(rising / period - 1, -_GAP, _GAP - 1) ** 2)))
+    rate = f"{1 / period:.3g} {what} a second over {known.max() - known.min():.3g} s"
+    findings = [_fine(Check.RATE, f"{rate}, jitter {1e3 * jitter * period:.3g} ms")]
+    if jitter > _JITTER:
+        findings.append(
+            _doubtful(
+                Check.RATE,
+                f"the time between two {what} varies by {100 * jitter:.0f} %",
+                "let time stamps be those of acquisition, not of arrival or of writing",
+            )
+        )
+    gaps = rising[rising > _GAP * period]
+    if len(gaps):
+        missing = int(np.round(gaps / period - 1).sum())
+        findings.append(
+            _doubtful(
+                Check.RATE,
+                f"{len(gaps)} gaps, the longest {gaps.max():.3g} s: about {missing} {what} are "
+                "missing",
+                "acquire at a rate that disk and network keep up with",
+            )
+        )
+    if odd:
+        findings.append(
+            _doubtful(
+                Check.CLOCK,
+                f"{odd} time stamps are missing, repeated or run back; these {what} are left out",
+                "look at the clock of the program that acquires them",
+            )
+        )
+    return findings
+
+
+def check_matrices(name: str, matrices: ArrayLike) -> list[Finding]:
+    """Check that the matrices of a transform are rigid motions, or pixel sizes for an image.
+
+    Parameters
+    ----------
+    name
+        Name of the transform, as ``ProbeToTracker``.
+    matrices
+        (n, 4, 4) matrices with positions in mm; those with NaN are left aside.
+    """
+    each = np.asarray(matrices, float).reshape(-1, 4, 4)
+    each = each[np.isfinite(each).all(axis=(1, 2))]
+    if not len(each):
+        return [_wrong(Check.MATRIX, f"{name}: no matrix is valid", _TRACKER)]
+    scales = np.linalg.norm(each[:, :3, :3], axis=1)
+    if not (scales > 0).all():
+        return [_wrong(Check.MATRIX, f"{name}: a matrix has an empty axis", _TRACKER)]
+    unit = each[:, :3, :3] / scales[:, np.newaxis]
+    skew = float(np.abs(np.swapaxes(unit, 1, 2) @ unit - np.eye(3)).max())
+    scale = np.median(scales, axis=0)
+    image = name.startswith("Image")
+    mirrored = bool((np.linalg.det(unit) < 0).any())
+    if skew > _NOT_RIGID:
+        return [
+            _wrong(
+                Check.MATRIX,
+                f"{name}: its axes are not at right angles ({np.degrees(skew):.2g} deg)",
+                "calibrate again, or take the matrix of the calibration that was accepted",
+            )
+        ]
+    if not image and np.abs(scale - 1).max() > _NOT_RIGID:
+        sizes = " x ".join(f"{each:.4g}" for each in scale)
+        return [
+            _wrong(
+                Check.MATRIX,
+                f"{name} is no rotation: it scales by {sizes}",
+                "a matrix with the size of a pixel belongs to ImageTo...; any other one must be a "
+                "rotation and a position in mm",
+            )
+        ]
+    if mirrored and not image:
+        return [
+            _wrong(
+                Check.MATRIX,
+                f"{name} is a reflection",
+                "let the tracker and the calibration both be right-handed",
+            )
+        ]
+    said = f"{name}: a rigid motion"
+    if image:
+        said = f"{name}: pixels of {scale[0]:.4g} x {scale[1]:.4g} mm"
+        if np.allclose(scale[:2], 1, atol=1e-6):
+            return [
+                _doubtful(
+                    Check.MATRIX,
+                    f"{said}, as if nobody had calibrated them",
+                    "calibrate ImageToProbe",
+                )
+            ]
+    return [_fine(Check.MATRIX, said)]
+
+
+_TRACKER = "look at the tracker: is the tool in its sight?"
+
+
+def check_motion(name: str, matrices: ArrayLike, times: ArrayLike) -> list[Finding]:
+    """Check that poses move as those of a probe do, and do not only repeat.
+
+    Parameters
+    ----------
+    name
+        Name of the transform.
+    matrices
+        (n, 4, 4) matrices with positions in mm; NaN where there is none.
+    times
+        (n,) times in s.
+    """
+    each = np.asarray(matrices, float).reshape(-1, 4, 4)
+    there = np.isfinite(each).all(axis=(1, 2))
+    findings = []
+    if (lost := int((~there).sum())) and there.any():
+        findings.append(
+            _doubtful(
+                Check.MOTION,
+                f"{name}: {lost} of {len(there)} poses are missing or marked invalid",
+                "keep the probe in the tracker's sight",
+            )
+        )
+    each, at = each[there], np.asarray(times, float)[there]
+    if len(each) < 3:
+        return findings
+    p = each[:, :3, 3]
+    R = each[:, :3, :3] / np.linalg.norm(each[:, :3, :3], axis=1)[:, np.newaxis]
+    turned = np.degrees(np.sqrt(np.square(R - R[0]).sum(axis=(1, 2)).max() / 2))
+    spread = float(np.ptp(p, axis=0).max())
+    if spread < _STILL_MM and turned < _STILL_DEG:
+        return [
+            *findings,
+            _doubtful(
+                Check.MOTION,
+                f"{name} never moves in {len(each)} poses",
+                "if the probe moved, its tracker sends the last pose again and again",
+            ),
+        ]
+    findings.append(_fine(Check.MOTION, f"{name} moves over {spread:.3g} mm and {turned:.3g} deg"))
+    same = (each[1:] == each[:-1]).all(axis=(1, 2))
+    if same.mean() > _REPEATED:
+        findings.append(
+            _doubtful(
+                Check.MOTION,
+                f"{name}: {100 * same.mean():.0f} % of the poses repeat the one before",
+                "let the tracker measure at least as often as images are taken",
+            )
+        )
+    steps, dt = 1e-3 * np.linalg.norm(np.diff(p, axis=0), axis=1), np.diff(at)
+    jumps = steps > _FASTEST * np.where(dt > 0, dt, np.inf)
+    if jumps.any():
+        findings.append(
+            _doubtful(
+                Check.MOTION,
+                f"{name} jumps {int(jumps.sum())} times, by up to {1e3 * steps[jumps].max():.3g} "
+                "mm, faster than 1 m/s",
+                _TRACKER,
+            )
+        )
+    return findings
+
+
+def check_spacing(spacing: ArrayLike) -> list[Finding]:
+    """Check the distances between voxels, (3,) in mm, for what is written by who knows none."""
+    steps = np.asarray(spacing, float)
+    shown = " x ".join(f"{each:.4g}" for each in steps)
+    if np.allclose(steps, 1.0, atol=1e-6):
+        return [
+            _doubtful(
+                Check.SPACING,
+                f"{shown} mm, which programs write that do not know it",
+                "look up the size of a voxel, and write it into the header",
+            )
+        ]
+    return [_fine(Check.SPACING, f"{shown} mm")]
+
+
+def check_volume(volume: Volume) -> list[Finding]:
+    """Check what a volume shows: its contrast, what of it is empty, and its speckle."""
+    grey = volume.intensities
+    if float(grey.max()) - float(grey.min()) <= 0:
+        return [
+            _wrong(
+                Check.CONTENT,
+                "the volume shows nothing: all of its numbers are one",
+                "look at the scanner's gain and whether it was frozen",
+            )
+        ]
+    return [*_check_empty(volume), *_check_speckle(volume)]
+
+
+def _check_empty(volume: Volume) -> list[Finding]:
+    seen = volume.seen
+    if isinstance(volume, ReconstructedVolume):
+        empty, what = 1 - float(seen.mean()), "of the box lies between no two frames"
+        limit = 0.75
+    else:
+        empty, what = float((volume.intensities[seen] == 0).mean()), "of what was seen is black"
+        limit = 0.4
+    text = f"{100 * seen.mean():.0f} % of the box was seen, {100 * empty:.0f} % {what}"
+    if empty <= limit:
+        return [_fine(Check.CONTENT, text)]
+    return [
+        _doubtful(
+            Check.CONTENT,
+            text,
+            "if it is a reconstruction, sweep more slowly or make its voxels larger; else look at "
+            "gain, threshold and window",
+        )
+    ]
+
+
+def _check_speckle(volume: Volume) -> list[Finding]:
+    spread = speckle_spread(volume)
+    if spread is None:
+        return [
+            _fine(
+                Check.SPECKLE,
+                "no speckle was found that could tell whether the spacing is right",
+            )
+        ]
+    widths = np.array(
+        [np.median(each) for each in (spread.lateral, spread.axial, spread.elevation)]
+    )
+    lateral, axial, elevation = 1e3 * widths
+    text = (
+        f"{axial:.2g} mm along the sound, {lateral:.2g} mm across it, {elevation:.2g} mm from "
+        "frame to frame"
+    )
+    if axial > _OTHER_AXIS * min(lateral, elevation):
+        finest = "across the sound" if lateral < elevation else "from frame to frame"
+        return [
+            _doubtful(
+                Check.SPECKLE,
+                f"{text}: it is finest {finest}, as if the sound ran there",
+                "try another direction of the sound (--depth), and check the spacing of that axis",
+            )
+        ]
+    for width, (least, most), where in (
+        (axial, _AXIAL_MM, "along the sound"),
+        (lateral, _ACROSS_MM, "across it"),
+        (elevation, _ACROSS_MM, "from frame to frame"),
+    ):
+        if not least <= width <= most:
+            return [
+                _doubtful(
+                    Check.SPECKLE,
+                    f"{text}: {where}, {least:g} to {most:g} mm are usual",
+                    "is the spacing in mm, and that of this axis?",
+                )
+            ]
+    return [_fine(Check.SPECKLE, text)]
+
+
+def check_errors(errors: PoseErrors | NotFound) -> list[Finding]:
+    """Check delay and calibration of the poses, as tissue that stands still tells them."""
+    if isinstance(errors, NotFound):
+        return [_fine(Check.DELAY, f"delay and calibration unknown: {errors.reason}")]
+    half = 2 * errors.std
+    shift, turn = np.linalg.norm(errors.translation), np.linalg.norm(errors.rotation)
+    text = (
+        f"poses are late by {1e3 * errors.delay:.0f} ms (95 %: {1e3 * (errors.delay - half[0]):.0f}"
+        f" to {1e3 * (errors.delay + half[0]):.0f}), and the image is displaced by "
+        f"{1e3 * shift:.1f} mm and {np.degrees(turn):.1f} deg"
+    )
+    late = abs(errors.delay) - half[0] > 0 and abs(errors.delay) > _LATE
+    displaced = shift > _DISPLACED + np.linalg.norm(half[1:4])
+    turned = np.degrees(turn) > _TURNED_DEG + np.degrees(np.linalg.norm(half[4:]))
+    if not (late or displaced or turned):
+        return [_fine(Check.DELAY, text)]
+    return [
+        _doubtful(
+            Check.DELAY,
+            text,
+            "let `sonoservo track --correct-poses` correct them, or calibrate again",
+        )
+    ]
+
+
+def sort_findings(findings: Sequence[Finding]) -> list[Finding]:
+    """Return findings in the order of their checks, as a table shows them."""
+    order = list(Check)
+    return sorted(findings, key=lambda each: order.index(each.check))
+
+
+def rows_of_matrices(texts: dict[int, str], count: int) -> NDArray[np.float64]:
+    """Return (count, 4, 4) matrices of texts of 16 numbers by number; NaN where there is none."""
+    matrices = np.full((count, 4, 4), np.nan)
+    for number, text in texts.items():
+        words = text.split()
+        if number < count and len(words) == 16:
+            try:
+                matrices[number] = np.array(words, float).reshape(4, 4)
+            except ValueError:
+                continue
+    return matrices

@@ -1,0 +1,140 @@
+"""Fields that PLUS writes into headers, and what they mean for the voxels."""
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.volume_file import FieldUse, VolumeFile
+
+SEQUENCE_FIELDS = {
+    "UltrasoundImageOrientation": FieldUse.USED,
+    "UltrasoundImageType": FieldUse.CHECKED,
+}
+"""Fields of a whole file. In NRRD they are spelt ``ultrasound image orientation``, too."""
+
+FRAME_FIELDS = {
+    "Transform": FieldUse.USED,
+    "TransformStatus": FieldUse.USED,
+    "Timestamp": FieldUse.USED,
+    "ImageStatus": FieldUse.USED,
+    "ElementSpacing": FieldUse.USED,
+    "FrameSize": FieldUse.CHECKED,
+    "UnfilteredTimestamp": FieldUse.NO_EFFECT,
+    "FrameNumber": FieldUse.NO_EFFECT,
+}
+"""Fields of a volume or frame, ``Seq_Frame0012_Name``; the first two end a transform's name."""
+
+_FRAME_FIELD = re.compile(r"Seq_Frame\d+_(\w+)")
+_LETTERS = {"M": (0, 1), "U": (0, -1), "F": (1, 1), "N": (1, -1), "A": (2, 1), "D": (2, -1)}
+"""Axis of the probe (lateral, axial, elevation) that a letter stands for, and its sign in MFA."""
+
+_RAW = {
+    "RF_REAL": "real radio-frequency samples",
+    "RF_IQ_LINE": "radio-frequency samples, I and Q",
+    "RF_I_LINE_Q_LINE": "radio-frequency samples, I and Q",
+    "RF_IQ": "radio-frequency samples, I and Q",
+}
+
+
+def unknown_fields(
+    format_name: str, fields: Iterable[str], known: Mapping[str, FieldUse]
+) -> tuple[str, ...]:
+    """Return a note that names the fields of a header that are in no table, if there are any."""
+    names = {_spelling(name) for name in (*known, *SEQUENCE_FIELDS)}
+    unknown: set[str] = set()
+    for name in fields:
+        if match := _FRAME_FIELD.fullmatch(name):
+            known_frame = match[1] in FRAME_FIELDS or match[1].endswith(
+                ("Transform", "TransformStatus")
+            )
+            if not known_frame:
+                unknown.add(f"Seq_Frame..._{match[1]}")
+        elif _spelling(name) not in names:
+            unknown.add(name)
+    if not unknown:
+        return ()
+    shown = sorted(unknown)[:5]
+    more = f" and {len(unknown) - 5} more" if len(unknown) > 5 else ""
+    return (f"these fields of the {format_name} header have no effect: {', '.join(shown)}{more}",)
+
+
+def sequence_field(fields: Mapping[str, str], name: str) -> str:
+    """Return a field of a whole file, however it is spelt; empty if it is missing."""
+    wanted = _spelling(name)
+    return next((v.strip() for key, v in fields.items() if _spelling(key) == wanted), "")
+
+
+def _spelling(name: str) -> str:
+    return name.replace(" ", "").lower()
+
+
+def as_plus_means(file: VolumeFile, orientation: str = "") -> VolumeFile:
+    """Return a file with the axes on which PLUS's transforms are defined: marked, far, ascending.
+
+    A file's ``UltrasoundImageOrientation`` names the directions in which its axes run. PLUS turns
+    the image before it uses it, so transforms, spacing and position are those of MF, or MFA.
+
+    Parameters
+    ----------
+    file
+        File as its format describes it.
+    orientation
+        Orientation for a file that does not state one.
+
+    Raises
+    ------
+    ConfigurationError
+        If the orientation is not one, or the image is no brightness.
+    """
+    kind = sequence_field(file.fields, "UltrasoundImageType").upper()
+    if kind in _RAW or kind.startswith("RF"):
+        samples = _RAW.get(kind, "radio-frequency samples")
+        raise ConfigurationError(
+            f"{file.path}: UltrasoundImageType: {kind}: {samples} are no grey levels; make "
+            "BRIGHTNESS of them first, as PLUS's RfProcessor does"
+        )
+    if kind not in ("", "BRIGHTNESS", "RGB_COLOR", "XX", "UNKNOWN"):
+        raise ConfigurationError(
+            f"{file.path}: UltrasoundImageType: {kind!r} is not allowed; BRIGHTNESS is expected"
+        )
+    letters = sequence_field(file.fields, "UltrasoundImageOrientation").upper() or orientation
+    if letters in ("", "XX", "XXX", "UNKNOWN", "MF", "MFA"):
+        return file
+    flat = file.shape[2] == 1
+    axes = [_LETTERS.get(letter, (-1, 0)) for letter in letters]
+    if sorted(axis for axis, _ in axes) not in ([0, 1], [0, 1, 2]):
+        raise ConfigurationError(
+            f"{file.path}: UltrasoundImageOrientation: {letters!r} is not allowed; it has a letter "
+            "of each of M or U, F or N and, for volumes, A or D, such as MF or UNA"
+        )
+    if len(axes) == 2:  # without a letter, the third axis makes the frame right-handed
+        turned = axes[0][0] == 1
+        mirrored = axes[0][1] * axes[1][1] < 0
+        axes.append((2, 1 if flat or mirrored == turned else -1))
+    order = [int(np.argsort([axis for axis, _ in axes])[k]) for k in range(3)]
+    signs = [axes[k][1] for k in order]
+    if flat and order[2] != 2:
+        raise ConfigurationError(
+            f"{file.path}: UltrasoundImageOrientation: {letters!r} is not allowed for 2D frames"
+        )
+    backwards = tuple(slice(None, None, sign) for sign in signs)
+    read = file.read
+
+    def turned_read(number: int) -> NDArray[Any]:
+        voxels = read(number)
+        rest = range(3, voxels.ndim)
+        return voxels.transpose(*order, *rest)[backwards]
+
+    steps = np.linalg.norm(file.directions, axis=0)
+    return replace(
+        file,
+        shape=tuple(file.shape[k] for k in order),
+        directions=file.directions / steps * steps[order],
+        read=turned_read,
+        notes=(*file.notes, f"its axes are stored as {letters} and read as MFA"),
+    )

@@ -1,0 +1,49 @@
+"""Formats of files with volumes or 2D frames, by suffix."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from sonoservo.systems.files.nrrd_reader import open_nrrd
+from sonoservo.systems.files.plus_fields import as_plus_means
+from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.volume_file import VolumeFile
+from sonoservo.systems.recording.meta_image import open_meta_image
+
+FORMATS: dict[str, Callable[..., VolumeFile]] = {
+    ".nrrd": open_nrrd,
+    ".nhdr": open_nrrd,
+    ".mha": open_meta_image,
+    ".mhd": open_meta_image,
+}
+"""Openers of files, called with a path and ``frames``."""
+
+
+def open_file(path: Path, *, frames: bool = False, orientation: str = "") -> VolumeFile:
+    """Open a file according to its suffix, with the axes that PLUS's fields give it.
+
+    Parameters
+    ----------
+    path
+        Path of the file.
+    frames
+        Whether 2D frames are wanted, rather than volumes.
+    orientation
+        Orientation of its images (`as_plus_means`) if the file does not state it.
+
+    Raises
+    ------
+    ConfigurationError
+        If the file is not valid; the message names the file and the fault.
+    """
+    what = "2D frames" if frames else "volumes"
+    if path.is_dir():
+        raise ConfigurationError(f"{path}: it is a folder; give a file with {what}")
+    if not path.is_file():
+        raise ConfigurationError(f"{path}: there is no such file")
+    if path.stat().st_size == 0:
+        raise ConfigurationError(f"{path}: it is empty")
+    if path.suffix.lower() not in FORMATS:
+        raise ConfigurationError(
+            f"{path}: this file type is not supported; use {', '.join(FORMATS)}"
+        )
+    return as_plus_means(FORMATS[path.suffix.lower()](path, frames=frames), orientation)

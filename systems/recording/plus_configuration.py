@@ -1,0 +1,184 @@
+"""Device-set configurations of PLUS, and calibrations given as a matrix."""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
+from sonoservo.systems.recording.valid_frames import read_matrix
+from sonoservo.systems.signals.immutable import Immutable
+
+_MOST_BYTES = 1 << 24
+
+
+@dataclass(frozen=True)
+class KnownTransform(Immutable):
+    """A transform of a configuration.
+
+    Parameters
+    ----------
+    matrix
+        (4, 4) matrix, in mm.
+    error
+        Error of its calibration, in mm; NaN if the configuration does not state it.
+    date
+        Date of its calibration; empty if the configuration does not state it.
+    """
+
+    matrix: NDArray[np.float64]
+    error: float = np.nan
+    date: str = ""
+
+
+@dataclass(frozen=True)
+class PlusConfiguration(Immutable):
+    """What a device-set configuration says about images and their poses.
+
+    Parameters
+    ----------
+    transforms
+        Transforms by name, such as ``ImageToProbe``.
+    orientation
+        Orientation of the images that the port delivers, such as ``MF``; empty if not stated.
+    time_offset
+        Time in s by which the images' devices are set back against those of the trackers
+        (``LocalTimeOffsetSec``); PLUS has applied it to the times that it records and sends.
+    """
+
+    transforms: dict[str, KnownTransform] = field(default_factory=dict)
+    orientation: str = ""
+    time_offset: float = 0.0
+
+    @property
+    def matrices(self) -> dict[str, NDArray[np.float64]]:
+        """(4, 4) matrices of the transforms by name, in mm."""
+        return {name: each.matrix for name, each in self.transforms.items()}
+
+    def notes(self) -> tuple[str, ...]:
+        """Sentences about its transforms, orientation and time offset."""
+        said = []
+        for name, each in self.transforms.items():
+            error = "" if np.isnan(each.error) else f", error {each.error:g} mm"
+            said.append(f"{name}{error}{f', of {each.date}' if each.date else ''}")
+        notes = [f"the configuration gives {'; '.join(said)}"] if said else []
+        if self.orientation:
+            notes.append(f"its images have the orientation {self.orientation}")
+        if self.time_offset:
+            notes.append(
+                f"its images are set back by {self.time_offset:g} s against the poses; PLUS has "
+                "applied that to what it recorded"
+            )
+        return tuple(notes)
+
+
+def read_plus_configuration(path: Path) -> PlusConfiguration:
+    """Read a device-set configuration of PLUS (``PlusConfiguration``).
+
+    Raises
+    ------
+    ConfigurationError
+        If it is none, or a transform is not valid; the message names the file and the fault.
+    """
+    if not path.is_file():
+        raise ConfigurationError(f"{path}: there is no such file")
+    with refusing_failures(path, "it is not XML"):
+        text = path.read_bytes()
+        if len(text) > _MOST_BYTES or b"<!DOCTYPE" in text or b"<!ENTITY" in text:
+            raise ConfigurationError(f"{path}: it is no configuration of PLUS")
+        root = ET.fromstring(text)
+    if root.tag != "PlusConfiguration":
+        raise ConfigurationError(
+            f"{path}: it is no configuration of PLUS: it begins with {root.tag}"
+        )
+    transforms = {}
+    for each in root.iter("Transform"):
+        start, end, matrix = (each.get(name, "") for name in ("From", "To", "Matrix"))
+        if not matrix:
+            continue
+        name = f"{start}To{end}"
+        transforms[name] = KnownTransform(
+            read_matrix(path, name, matrix),
+            _number(each.get("Error")),
+            each.get("Date", "").strip(),
+        )
+    return PlusConfiguration(transforms, _orientation(root), _time_offset(root))
+
+
+def _number(text: str | None) -> float:
+    try:
+        return float(text) if text else np.nan
+    except ValueError:
+        return np.nan
+
+
+def _orientation(root: ET.Element) -> str:
+    names = ("PortUsImageOrientation", "UsImageOrientation", "PortImageOrientation")
+    found = {
+        each.get(name, "").strip().upper()
+        for each in root.iter()
+        for name in names
+        if each.get(name)
+    }
+    return found.pop() if len(found) == 1 else ""
+
+
+def _time_offset(root: ET.Element) -> float:
+    """Return the offset of the devices with images less that of the devices with tools, in s."""
+    images, tools = [], []
+    for device in root.iter("Device"):
+        offset = _number(device.get("LocalTimeOffsetSec"))
+        if np.isnan(offset):
+            continue
+        kinds = {source.get("Type", "").lower() for source in device.iter("DataSource")}
+        (tools if "tool" in kinds else images if "video" in kinds else []).append(offset)
+    return _only(images) - _only(tools)
+
+
+def _only(offsets: Iterable[float]) -> float:
+    different = set(offsets)
+    return different.pop() if len(different) == 1 else 0.0
+
+
+def read_calibration(text: str) -> tuple[str, NDArray[np.float64]]:
+    """Read a calibration: 16 numbers row by row in mm, or a text file with them.
+
+    Parameters
+    ----------
+    text
+        The numbers or the path of the file, after ``NAME=`` if it is another transform than
+        ``ImageToProbe``. A file of eight rows holds two matrices, the first of which turns pixels
+        into mm, and their product is meant (``calib_matrix.csv`` of TUS-REC).
+
+    Returns
+    -------
+    Name and (4, 4) matrix.
+
+    Raises
+    ------
+    ConfigurationError
+        If it is none.
+    """
+    name, equals, rest = text.partition("=")
+    if not equals or "To" not in name or " " in name.strip():
+        name, rest = "ImageToProbe", text
+    path = Path(rest.strip())
+    try:
+        numbers = path.read_text(encoding="utf-8") if path.is_file() else rest
+    except (OSError, UnicodeDecodeError, ValueError):
+        numbers = rest
+    words = numbers.replace(",", " ").replace(";", " ").split()
+    source = path if path.is_file() else Path("calibration")
+    if len(words) == 32:
+        scale, turn = (
+            read_matrix(source, name, " ".join(part)) for part in (words[:16], words[16:])
+        )
+        return name.strip(), turn @ scale
+    if len(words) != 16:
+        raise ConfigurationError(
+            f"calibration: {rest[:60]!r} is neither 16 numbers, row by row, nor a file with them"
+        )
+    return name.strip(), read_matrix(source, name, " ".join(words))

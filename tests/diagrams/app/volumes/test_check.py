@@ -1,0 +1,145 @@
+"""`sonoservo check` on files and streams, and its gravest finding in other commands."""
+
+import json
+import threading
+
+import numpy as np
+import pytest
+from live_items import make_volume, wait_until
+from pydrake.math import RigidTransform
+from still_tissue import LyingProbe
+from tracked_frames import freehand, write_plus_file
+
+from sonoservo.diagrams.app.cli import run_arguments
+from sonoservo.diagrams.app.volumes.check import check_file, check_stream
+from sonoservo.systems.evaluation.source_checks import Check, Grade
+from sonoservo.systems.live.connection.items import ImageItem, PoseItem
+from sonoservo.systems.live.connection.link import Link
+from sonoservo.systems.live.connection.protocols import parse_address
+from sonoservo.systems.recording.nrrd import write_volume
+
+
+def found(checked, check):
+    return [each for each in checked.findings if each.check is check]
+
+
+def test_late_poses_are_told_with_their_interval(tmp_path):
+    late = LyingProbe(delay=0.08).record(tmp_path / "a.seq.nrrd", 14)
+    (finding,) = found(check_file(late.path), Check.DELAY)
+    assert finding.grade is Grade.DOUBTFUL
+    low, high = (
+        float(finding.text.split("95 %: ")[1].split(")")[0].split(" to ")[k]) for k in (0, 1)
+    )
+    assert low < 80 < high
+    assert high - low < 40
+    assert "--correct-poses" in finding.advice
+
+
+def test_frames_are_told_by_their_kind_chain_and_sweeps(tmp_path, capsys):
+    path = write_plus_file(tmp_path / "f.igs.mha", freehand(30, turns=2, dtype=np.uint8))
+    checked = check_file(path)
+    assert "90 2D frames of 40 x 50 pixels" in found(checked, Check.KIND)[0].text
+    assert "0.5 x 0.4 mm" in found(checked, Check.MATRIX)[0].text
+    assert "20 frames a second" in found(checked, Check.RATE)[0].text
+    assert checked.picture is not None
+    json_path, out = tmp_path / "c.json", tmp_path / "out"
+    code = run_arguments(["check", str(path), "--out", str(out), "--json", str(json_path)])
+    told = json.loads(json_path.read_text())
+    assert code == int(told["needs_something"])
+    assert (out / "orientation.png").is_file()
+    assert "matrices" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "text"),
+    [
+        (b"ImageToReferenceTransform =", b"Nothing =", "no poses"),
+        (b"DimSize = 40 50 30", b"DimSize = 40 50 900000", "truncated"),
+    ],
+)
+def test_file_that_cannot_be_read_is_a_finding(tmp_path, before, after, text):
+    path = write_plus_file(tmp_path / "f.mha", freehand(30, dtype=np.uint8))
+    path.write_bytes(path.read_bytes().replace(before, after))
+    (finding,) = check_file(path).findings
+    assert (finding.check, finding.grade) == (Check.READING, Grade.WRONG)
+    assert text in finding.text
+    assert run_arguments(["check", str(path)]) == 1
+    assert run_arguments(["check", str(tmp_path / "nowhere.mha")]) == 2
+
+
+def test_other_commands_say_the_gravest_finding_in_one_line(tmp_path, capsys):
+    volume = make_volume(shape=(20, 20, 20))
+    one = type(volume)(volume.intensities, [0, 0, 0], [1e-3] * 3, RigidTransform(), 1.0)
+    path = write_volume(tmp_path / "one.nrrd", one)
+    run_arguments(["locate", str(path)])
+    (line,) = [each for each in capsys.readouterr().out.splitlines() if "sonoservo check" in each]
+    assert "spacing: 1 x 1 x 1 mm" in line
+
+
+def test_messages_name_options_of_the_command_that_was_called(tmp_path, capsys):
+    path = write_plus_file(tmp_path / "f.igs.mha", freehand(30, dtype=np.uint8))
+    for command, advice in (
+        ("track", "volumes of them with --reconstruct"),
+        ("calibrate", "volumes of them with `sonoservo track --reconstruct`"),
+    ):
+        assert run_arguments([command, str(path)]) == 2
+        assert advice in capsys.readouterr().err
+
+
+@pytest.fixture
+def stream():
+    """A server, and a function that makes it send what one returns for each number."""
+    with Link(parse_address("igtl://:0"), report=lambda line: None) as server:
+
+        def start(make, count=8, pause=0.1):
+            def send():
+                wait_until(lambda: server.peers)
+                for number in range(count):
+                    server.send(make(number), topic=f"{number}")
+                    threading.Event().wait(pause)
+
+            threading.Thread(target=send, daemon=True).start()
+            return parse_address(f"igtl://localhost:{server.port}")
+
+        yield start
+
+
+def image(time):
+    voxels = make_volume(shape=(20, 20, 20)).intensities
+    return ImageItem("Image_Probe", time, voxels, np.diag([8e-4, 7e-4, 9e-4, 1.0]))
+
+
+def pose(number, name="ProbeToReference", apart=0.0):
+    X = RigidTransform([1e-3 * number, 0, 0])
+    return PoseItem(name, 1000 + 0.1 * number + apart, X)
+
+
+def listened(address, **options):
+    return check_stream(address, seconds=1.2, say=lambda line: None, **options)
+
+
+def test_stream_is_told_by_its_devices_and_rates(stream):
+    checked = listened(stream(lambda k: [pose(k), image(1000 + 0.1 * k)]))
+    assert "Image_Probe (image), ProbeToReference (pose)" in found(checked, Check.KIND)[0].text
+    assert any("10 messages of Image_Probe" in each.text for each in found(checked, Check.RATE))
+    assert "0.8 x 0.7 x 0.9 mm" in found(checked, Check.SPACING)[0].text
+    assert not found(checked, Check.CLOCK)
+
+
+def test_clocks_that_are_apart_and_other_transforms_need_something(stream):
+    checked = listened(stream(lambda k: [pose(k, apart=-500), image(1000 + 0.1 * k)]))
+    (finding,) = found(checked, Check.CLOCK)
+    assert "behind" in finding.text
+    assert float(finding.advice.rpartition(" ")[2].strip(")")) == pytest.approx(-500, abs=0.2)
+
+
+def test_stream_without_the_expected_transform_names_the_others(stream):
+    checked = listened(stream(lambda k: [pose(k, "ProbeToTracker"), image(0.0)]))
+    assert "ProbeToTracker" in found(checked, Check.CHAIN)[0].text
+    assert "stand still" in found(checked, Check.CLOCK)[0].text
+
+
+def test_silent_stream_is_wrong(stream):
+    address = stream(lambda k: [], count=0)
+    (finding,) = listened(address, patience=0.3).findings
+    assert finding.grade is Grade.WRONG

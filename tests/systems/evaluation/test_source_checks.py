@@ -1,0 +1,167 @@
+import numpy as np
+import pytest
+from pydrake.math import RigidTransform
+from scipy.ndimage import gaussian_filter
+from scipy.spatial.transform import Rotation
+
+from sonoservo.systems.calibration.pose_errors import PoseErrors
+from sonoservo.systems.evaluation.source_checks import (
+    Check,
+    Finding,
+    Grade,
+    check_errors,
+    check_matrices,
+    check_motion,
+    check_spacing,
+    check_times,
+    check_volume,
+    gravest,
+    rows_of_matrices,
+)
+from sonoservo.systems.signals.volume import Volume
+
+RNG = np.random.default_rng(100)
+
+
+def worst(findings):
+    found = gravest(findings)
+    return (found.check, found.text) if found else None
+
+
+def moving(count=50):
+    """Poses of a hand-held probe in mm: a slow sway."""
+    matrices = np.tile(np.eye(4), (count, 1, 1))
+    phase = np.linspace(0, 3, count)
+    matrices[:, :3, 3] = np.column_stack([20 * np.sin(phase), 5 * phase, 100 + phase])
+    matrices[:, :3, :3] = Rotation.from_rotvec(np.outer(0.1 * np.sin(phase), [1, 0, 0])).as_matrix()
+    return matrices
+
+
+def speckle(spacing, widths):
+    """Log-compressed fully developed speckle whose point echo has widths (FWHM) in m."""
+    shape = np.round([0.06, 0.05, 0.06] / np.array(spacing)).astype(int)
+    sigma = np.array(widths) / 2.355 / spacing
+    field = gaussian_filter(RNG.normal(size=shape), sigma) + 1j * gaussian_filter(
+        RNG.normal(size=shape), sigma
+    )
+    grey = 255 / 60 * (20 * np.log10(np.abs(field) / np.abs(field).max() + 1e-9) + 60)
+    return Volume(np.clip(grey, 1, 255).astype(np.uint8), np.zeros(3), spacing, RigidTransform(), 0)
+
+
+def test_steady_times_need_nothing_and_tell_the_rate():
+    findings = check_times(5.0 + 0.2 * np.arange(20))
+    assert worst(findings) is None
+    assert findings[0].text.startswith("5 volumes a second over 3.8 s")
+
+
+@pytest.mark.parametrize(
+    ("times", "check", "text"),
+    [
+        (
+            np.delete(0.1 * np.arange(30), [7, 8, 20]),
+            Check.RATE,
+            "2 gaps, the longest 0.3 s: about 3",
+        ),
+        (0.1 * np.arange(30) + 0.05 * (np.arange(30) % 2), Check.RATE, "varies by 46 %"),
+        (np.r_[0.1 * np.arange(9), 0.8, 0.9], Check.CLOCK, "1 time stamps are missing, repeated"),
+        (np.r_[0.1 * np.arange(9), np.nan, 0.9], Check.CLOCK, "1 time stamps"),
+        (np.zeros(5), Check.RATE, "no time stamp of 5 volumes advances"),
+    ],
+)
+def test_times_that_need_something(times, check, text):
+    findings = check_times(times)
+    assert any(f.check is check and text in f.text and f.advice for f in findings), findings
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "text"),
+    [
+        ("ProbeToTracker", np.diag([1.2, 1.2, 1.2, 1]), "is no rotation: it scales by 1.2"),
+        ("ProbeToTracker", np.diag([1, 1, -1, 1]), "is a reflection"),
+        ("ProbeToTracker", np.eye(4) + 0.1 * np.eye(4, k=1), "not at right angles"),
+        ("ImageToProbe", np.eye(4), "as if nobody had calibrated"),
+        ("ProbeToTracker", np.full((4, 4), np.nan), "no matrix is valid"),
+        ("ProbeToTracker", np.zeros((4, 4)), "empty axis"),
+    ],
+)
+def test_matrices_that_are_none(name, change, text):
+    check, found = worst(check_matrices(name, moving() @ change))
+    assert check is Check.MATRIX
+    assert text in found
+
+
+def test_right_matrices_need_nothing():
+    assert worst(check_matrices("ProbeToTracker", np.round(moving(), 4))) is None
+    pixels = check_matrices("ImageToProbe", np.diag([0.2, 0.15, 0.2, 1]))
+    assert worst(pixels) is None
+    assert "0.2 x 0.15 mm" in pixels[0].text
+
+
+def test_motion_of_a_probe_needs_nothing():
+    assert worst(check_motion("P", moving(), 0.05 * np.arange(50))) is None
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (lambda m: m[:1].repeat(50, axis=0), "never moves in 50 poses"),
+        (lambda m: m[::2].repeat(2, axis=0), "51 % of the poses repeat"),
+        (
+            lambda m: np.where(np.arange(50)[:, None, None] == 20, m + 300 * np.eye(4, k=3), m),
+            "jumps",
+        ),
+        (lambda m: np.where(np.arange(50)[:, None, None] % 5 == 0, np.nan, m), "10 of 50 poses"),
+    ],
+)
+def test_poses_that_do_not_move_as_a_probe(change, text):
+    check, found = worst(check_motion("P", change(moving()), 0.05 * np.arange(50)))
+    assert check is Check.MOTION
+    assert text in found
+
+
+def test_spacing_of_one_millimetre_is_suspicious():
+    assert worst(check_spacing([1, 1, 1]))[0] is Check.SPACING
+    assert worst(check_spacing([1, 0.5, 1])) is None
+
+
+def test_speckle_tells_right_spacing_unit_and_direction():
+    widths = [1.6e-3, 0.6e-3, 2.2e-3]
+    spacing = np.array([6e-4, 3e-4, 7e-4])
+    right = check_volume(speckle(spacing, widths))
+    assert worst(right) is None
+    text = next(each.text for each in right if each.check is Check.SPECKLE)
+    assert float(text.split()[0]) == pytest.approx(0.6, rel=0.15)
+    turned = check_volume(speckle(spacing[[1, 0, 2]], [widths[k] for k in (1, 0, 2)]))
+    assert "as if the sound ran there" in worst(turned)[1]
+    assert "finest across the sound" in worst(turned)[1]
+
+
+def test_blank_and_hollow_volumes_are_told():
+    volume = speckle(np.array([6e-4, 3e-4, 7e-4]), [1.6e-3, 0.6e-3, 2.2e-3])
+    blank = Volume(0 * volume.intensities, np.zeros(3), volume.spacing, volume.X_WP, 0.0)
+    assert "shows nothing" in worst(check_volume(blank))[1]
+    hollow = volume.intensities * (RNG.random(volume.intensities.shape) < 0.4)
+    hollow = Volume(hollow, np.zeros(3), volume.spacing, volume.X_WP, 0.0)
+    assert "of what was seen is black" in worst(check_volume(hollow))[1]
+
+
+@pytest.mark.parametrize(("delay", "std", "needed"), [(0.06, 0.005, True), (0.06, 0.05, False)])
+def test_delay_counts_where_its_interval_leaves_zero(delay, std, needed):
+    covariance = np.diag([std**2, *[1e-6] * 3, *[1e-6] * 3])
+    errors = PoseErrors(delay, np.zeros(3), np.zeros(3), covariance, 20, 200)
+    found = worst(check_errors(errors))
+    assert (found is not None) == needed
+    low, high = 1e3 * (delay - 2 * std), 1e3 * (delay + 2 * std)
+    assert f"95 %: {low:.0f} to {high:.0f}" in check_errors(errors)[0].text
+
+
+def test_gravest_is_the_first_of_the_worst():
+    fine, doubtful, wrong = (Finding(Check.KIND, grade, grade.name) for grade in Grade)
+    assert gravest([fine]) is None
+    assert gravest([fine, doubtful, wrong, wrong]) is wrong
+
+
+def test_texts_that_are_no_matrices_are_missing():
+    matrices = rows_of_matrices({0: "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1", 1: "x", 9: "0"}, 3)
+    np.testing.assert_array_equal(matrices[0], np.eye(4))
+    assert np.isnan(matrices[1:]).all()
