@@ -120,7 +120,12 @@ def track_command(
         track_address,
     )
     from sonoservo.diagrams.app.live.track_live import LiveLimits
-    from sonoservo.diagrams.app.terminal import VolumeProgress, mode_table, mode_words
+    from sonoservo.diagrams.app.terminal import (
+        VolumeProgress,
+        mode_table,
+        mode_words,
+        reasons_lines,
+    )
     from sonoservo.diagrams.app.volumes.opening import open_volumes
     from sonoservo.diagrams.app.volumes.track import track_recording, tracker_parameters
     from sonoservo.systems.live.connection.protocols import is_address
@@ -208,6 +213,8 @@ def track_command(
             after_volume=progress,
         )
     console.print(mode_table(result.summary))
+    for line in reasons_lines(result.summary):
+        console.print(line, soft_wrap=True)
     console.print(f"Report: {folder / 'report.html'}", soft_wrap=True)
     write_printed(json_path, result.summary)
     if result.failure is not None:
