@@ -344,7 +344,10 @@ def locate_command(
 def check_command(
     source: Annotated[
         str,
-        typer.Argument(help="File of volumes or frames, or a stream: igtl://host:18944/DEVICE."),
+        typer.Argument(
+            help="File of volumes or frames, PLUS's configuration (.xml), or a stream: "
+            "igtl://host:18944/DEVICE, or igtl://:18944 to wait for a scanner to connect."
+        ),
     ],
     depth: DepthOption = "P",
     window: WindowOption = None,
