@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.evaluation.missing_needle import missing_needle
+from sonoservo.systems.evaluation.missing_needle import missing_needle, volume_reasons
 from sonoservo.systems.evaluation.run_errors import (
     Floats,
     Mask,
@@ -22,6 +22,7 @@ from sonoservo.systems.evaluation.run_errors import (
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
+from sonoservo.systems.signals.search_reason import ReasonCount
 
 
 @dataclass(kw_only=True)
@@ -73,6 +74,9 @@ class MetricsParameters:
             settling_time=self.settling_time,
         )
 
+
+_APPROACH_TIME, _APPROACH_SPEED = 0.2, 1e-3
+"""Time in s, and speed in m/s above which a probe without contact is on its way to the body."""
 
 _NO_CONTACT = (
     "Check that the arm reaches the body and that its joints move (max_speed, joint limits and "
@@ -153,6 +157,8 @@ def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     `estimated`: number of these with an estimate, over which the errors are taken;
     `lost`: number of these not tracked although more than `min_length` of the needle was in view;
     `lost_events`: number of times that the needle became lost;
+    `reasons`: reasons of the volumes of the whole run without an estimate, the most frequent first,
+    each with their number;
     `absent_s`: time with an estimate, not a lost one, while no needle is in the tissue;
     `absent_travel_mm`: distance that the servo commands the probe to go while there is none;
     `consistency`: see `consistency`;
@@ -182,6 +188,13 @@ def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
         "estimated": int(np.sum(judged & np.isfinite(errors.tip))),
         "lost": int(np.sum(lost)),
         "lost_events": int(np.sum(_begins(lost))),
+        "reasons": ReasonCount(
+            reason
+            for reason, known in zip(
+                volume_reasons(log), is_known(log.volume_estimate_tip), strict=True
+            )
+            if not known
+        ).words,
         "absent_s": _seconds(followed & absent, log.time),
         "absent_travel_mm": 1e3 * _seconds(absent, log.time, np.nan_to_num(speed)),
         "tip_error_mm": spread(1e3 * errors.tip[judged]),
@@ -237,7 +250,8 @@ def force(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
 
     Returns
     -------
-    `touched`: whether there was contact at all; None if the log holds no force;
+    `touched`: whether there was contact at all; None if the log holds no force, or ends while the
+    probe is on its way to the body;
     `mean_n`, `rms_error_n`: mean force, and root mean square difference from `force_target` (None
     if that changes), from `settling_time` after the first contact on;
     `max_n`: largest sample of the whole run, which the force between samples may exceed;
@@ -247,7 +261,7 @@ def force(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     touching = value > parameters.contact_threshold
     if not touching.any():
         return {
-            "touched": False if np.isfinite(value).any() else None,
+            "touched": False if np.isfinite(value).any() and not _lands(log) else None,
             "mean_n": None, "rms_error_n": None, "max_n": _number(_max(value)),
             "contact_lost_s": None,
         }  # fmt: skip
@@ -262,6 +276,14 @@ def force(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
         "max_n": _number(_max(value)),
         "contact_lost_s": _seconds(~touching & (log.time >= first), log.time),
     }
+
+
+def _lands(log: RunLog) -> bool:
+    """Return True if the probe moves towards the body at the end of a log."""
+    last = log.time >= log.time[-1] - _APPROACH_TIME
+    p, time = log.X_WP[last][:, :3, 3], log.time[last]
+    moved = float((p[-1] - p[0]) @ log.X_WP[-1][:3, 1])
+    return moved > _APPROACH_SPEED * float(time[-1] - time[0])
 
 
 def guard(log: RunLog) -> dict[str, Any]:

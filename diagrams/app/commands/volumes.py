@@ -121,7 +121,12 @@ def track_command(
         track_address,
     )
     from sonoservo.diagrams.app.live.track_live import LiveLimits
-    from sonoservo.diagrams.app.terminal import VolumeProgress, mode_table, mode_words
+    from sonoservo.diagrams.app.terminal import (
+        VolumeProgress,
+        mode_table,
+        mode_words,
+        reasons_lines,
+    )
     from sonoservo.diagrams.app.volumes.opening import open_volumes
     from sonoservo.diagrams.app.volumes.track import track_recording, tracker_parameters
     from sonoservo.systems.live.connection.protocols import is_address
@@ -209,6 +214,8 @@ def track_command(
             after_volume=progress,
         )
     console.print(mode_table(result.summary))
+    for line in reasons_lines(result.summary):
+        console.print(line, soft_wrap=True)
     console.print(f"Report: {folder / 'report.html'}", soft_wrap=True)
     write_printed(json_path, result.summary)
     if result.failure is not None:
@@ -341,7 +348,10 @@ def locate_command(
 def check_command(
     source: Annotated[
         str,
-        typer.Argument(help="File of volumes or frames, or a stream: igtl://host:18944/DEVICE."),
+        typer.Argument(
+            help="File of volumes or frames, PLUS's configuration (.xml), or a stream: "
+            "igtl://host:18944/DEVICE, or igtl://:18944 to wait for a scanner to connect."
+        ),
     ],
     depth: DepthOption = "P",
     window: WindowOption = None,

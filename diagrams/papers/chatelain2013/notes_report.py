@@ -25,8 +25,9 @@ NOTES = (
     "Errors are those of the estimate after each volume, at the time for which it holds, over all "
     "volumes of all runs with at least 20 mm of the needle in the image. A volume without an "
     "estimate counts as an infinite error, and a failed run as one more run of such volumes. "
-    "At rest, all samples count whether or not the needle is tracked. Without an estimate, the "
-    "true error takes the place of the estimated one, and a failed run has the worst run's error. "
+    "At rest, all samples of a run count whether or not the needle is tracked, first of the runs "
+    "that converged, and then of all, as a median. Without an estimate, the true error takes the "
+    "place of the estimated one, and a failed run has the worst run's error. "
     "Lost: the tracker searches although more than 15 mm are in the image.",
     "Intervals are 95 % intervals over runs: Wilson's for shares, Poisson's for numbers of events, "
     "and bootstraps of whole runs for quantiles and means. Fewer than six runs give none.",

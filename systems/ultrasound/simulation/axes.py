@@ -9,8 +9,7 @@ def frame_along(direction: NDArray[np.float64]) -> NDArray[np.float64]:
 
     For a vertical direction, +X of T is the second axis.
     """
-    along = direction / np.linalg.norm(direction)
-    across = np.cross([0.0, 0.0, 1.0], along)
-    length = np.linalg.norm(across)
-    across = across / length if length > 1e-9 else np.array([1.0, 0.0, 0.0])
-    return np.array([along, across, np.cross(along, across)])
+    x, y, z = direction / np.sqrt(direction @ direction)
+    level = np.hypot(x, y)
+    c, s = (-y / level, x / level) if level > 1e-9 else (1.0, 0.0)
+    return np.array([[x, y, z], [c, s, 0.0], [-z * s, z * c, x * s - y * c]])

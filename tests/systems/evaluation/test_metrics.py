@@ -138,6 +138,17 @@ def test_a_needle_in_a_moving_phantom_is_not_at_rest(insertion_log):
     assert summarize(replace(insertion_log, needle_tip=tip))["servo"]["at_rest"]["x_mm"] is None
 
 
+@pytest.mark.parametrize(("speed", "touched"), [(0.0, False), (0.01, None)])
+def test_a_run_without_contact_is_told_unless_the_probe_is_on_its_way(make_log, speed, touched):
+    time = np.arange(0, 2, 0.01)
+    X_WP = np.tile(np.eye(4), (len(time), 1, 1))
+    X_WP[:, 1, 3] = speed * time
+    log = make_log(len(time), 0, time=time, X_WP=X_WP, contact_force=np.zeros(len(time)))
+    summary = summarize(log)
+    assert summary["force"]["touched"] is touched
+    assert ("max_speed" in (summary["detection"]["advice"] or "")) == (touched is False)
+
+
 def test_force(insertion_log):
     force = summarize(insertion_log)["force"]
     assert force["contact_lost_s"] == pytest.approx(0.5)

@@ -91,6 +91,14 @@ def add_point(  # type: ignore[no-untyped-def]
 
 
 @njit(**OPTIONS)
+def seen_within(samples, rays, tables):  # type: ignore[no-untyped-def]
+    """Return the distance in m from a frame's plane beyond which no point shows in any line."""
+    furthest = rays.array_radius + samples / rays.samples_per_metre
+    reach = np.sqrt(_FURTHEST / tables.elevation_precision.min())
+    return reach + abs(rays.twist) * rays.middle_line * furthest
+
+
+@njit(**OPTIONS)
 def render_points(  # type: ignore[no-untyped-def]
     iq, X_FT, points, amplitudes, rays, tables, pulse, view, fields
 ):
@@ -113,12 +121,8 @@ def render_points(  # type: ignore[no-untyped-def]
     """
     frames, lines, samples = iq.shape
     taps = pulse.shape[2]
-    # Most points are further from a frame's plane than its beam is wide anywhere.
-    furthest = rays.array_radius + samples / rays.samples_per_metre
-    slab = np.sqrt(_FURTHEST / tables.elevation_precision.min())
-    slab += abs(rays.twist) * rays.middle_line * furthest
     bends, deforms = len(view.table) > 0, len(fields.counts) > 0
-    slab += view.furthest + fields.deepest + fields.widest_push
+    slab = seen_within(samples, rays, tables) + view.furthest + fields.deepest + fields.widest_push
     for frame in range(frames):
         layer = np.zeros((2, lines, samples + 2 * taps), np.float32)
         no_shadow = np.empty((0, 0), np.float32)

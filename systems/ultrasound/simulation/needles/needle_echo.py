@@ -29,8 +29,8 @@ _LONGEST_NEEDLE = 0.3
 _NODE = 2e-3
 _WAVES = 12
 _GAUGE_18 = 0.635e-3
-_PIECES_PER_WAVELENGTH = 5
-"""Pieces of the tip's surface alias from half a wavelength, two ways, on."""
+_PIECES_PER_WAVELENGTH = 3
+"""Pieces of the tip's surface less than half a wavelength apart alias at no angle, two ways."""
 
 
 @dataclass(kw_only=True)
@@ -159,9 +159,9 @@ def needle_echo(
     return echo, tip
 
 
-def rough_phases(beam: Beam, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Draw the phases in rad due to the rough surface of a needle's points."""
-    return rng.uniform(0, 2 * np.pi, int(8 * _LONGEST_NEEDLE / beam.wavelength))
+def rough_phases(beam: Beam, rng: np.random.Generator) -> NDArray[np.complex128]:
+    """Draw the phase factors due to the rough surface of a needle's points."""
+    return np.exp(2j * np.pi * rng.random(int(8 * _LONGEST_NEEDLE / beam.wavelength)))
 
 
 def reverberations(
@@ -232,17 +232,20 @@ def needle_view(
     nodes = int(np.ceil(longest / _NODE)) + 2
     frames = len(needles)
     from_tip: NDArray[np.float64] = _NODE * np.arange(nodes, dtype=np.float64)
+    ends = _NODE * np.arange(nodes + 1.0)[:, np.newaxis]
     places, fade = np.zeros((frames, nodes + 1, 3)), np.ones((frames, nodes))
     axes_T = np.zeros((frames, 3, 3))
     for frame, (needle, time) in enumerate(zip(needles, times, strict=True)):
         if needle:
-            axis = needle.shaft[-1] - needle.shaft[-2]
-            beyond = np.append(from_tip, from_tip[-1] + _NODE) - needle.length
+            roll = needle.roll + np.deg2rad(parameters.tip_roll_deg)
+            axes_T[frame] = tip_axes(needle.shaft[-1] - needle.shaft[-2], roll)
             # The part outside continues the shaft straight on.
-            first = needle.shaft[1] - needle.shaft[0]
-            straight = np.outer(np.maximum(beyond, 0), first / np.linalg.norm(first))
-            places[frame] = needle.position(np.maximum(-beyond, 0)) - straight
-            axes_T[frame] = tip_axes(axis, needle.roll + np.deg2rad(parameters.tip_roll_deg))
+            first = needle.shaft[:1] - needle.shaft[1:2]
+            places[frame] = needle.shaft[0]
+            places[frame] += (ends - needle.length) * (first / np.sqrt((first**2).sum()))
+            if len(needle.shaft) > 2:
+                inside = ends[:, 0] < needle.length
+                places[frame, inside] = needle.position(needle.length - ends[inside, 0])
             if parameters.fading_db > 0:
                 fade[frame] = 10 ** (fading.level_db(from_tip, float(time)) / 20)
     R = np.swapaxes(X_FT[:, :, :3], 1, 2)

@@ -7,7 +7,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from sonoservo.systems.sampling.kernels import OPTIONS
-from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import add_layer, add_point
+from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import (
+    add_layer,
+    add_point,
+    seen_within,
+)
 from sonoservo.systems.ultrasound.simulation.kernels.projection import transformed
 
 
@@ -75,12 +79,13 @@ def render_needles(  # type: ignore[no-untyped-def]
     """
     frames, lines, samples = iq.shape
     taps = pulse.shape[2]
+    slab = seen_within(samples, rays, tables)
     for frame in range(frames):
         shaft = shafts[starts[frame] : starts[frame + 1]]
         if len(shaft) > 1:
             layer = np.zeros((2, lines, samples + 2 * taps), np.float32)
             shadow = np.zeros((lines, samples), np.float32)
-            beam = (rays, tables, pulse)
+            beam = (slab, rays, tables, pulse)
             seen = _add_tip(layer, shadow, X_FT[frame], shaft[-1], echo, tip, view, frame, *beam)
             seen |= _add_needle(
                 layer, shadow, X_FT[frame], shaft, radius, echo, phases, view, frame, *beam
@@ -94,7 +99,7 @@ def render_needles(  # type: ignore[no-untyped-def]
 
 @njit(**OPTIONS)
 def _add_needle(  # type: ignore[no-untyped-def]
-    layer, shadow, X_FT, shaft, radius, echo, phases, view, frame, rays, tables, pulse
+    layer, shadow, X_FT, shaft, radius, echo, phases, view, frame, slab, rays, tables, pulse
 ):
     """Add the echo of a needle, point by point from the tip; return True if any point shows.
 
@@ -112,9 +117,11 @@ def _add_needle(  # type: ignore[no-untyped-def]
     echo
         Amplitudes of the needle's points.
     phases
-        (n,) phases of the diffuse points in rad, tip first; used periodically.
+        (n,) phase factors of the diffuse points, tip first; used periodically.
     view, frame
         Factors on the echo, and the frame's number.
+    slab
+        Distance in m from the frame's plane beyond which nothing shows.
     rays, tables, pulse
         See `add_point`.
     """
@@ -129,38 +136,41 @@ def _add_needle(  # type: ignore[no-untyped-def]
         length = np.sqrt(dx * dx + dy * dy + dz * dz)
         while along <= length and length > 0:
             share = along / length
+            along += echo.spacing
+            number += 1
             x, y, z = transformed(
                 X_FT,
                 shaft[segment, 0] + share * dx,
                 shaft[segment, 1] + share * dy,
                 shaft[segment, 2] + share * dz,
             )
-            at = number / view.points_per_node
+            if abs(z) > slab:
+                continue
+            i = number - 1
+            at = i / view.points_per_node
             node = min(np.int64(at), last)
             at = min(at - node, 1.0)
-            specular = echo.specular if number >= echo.tip else 0.0
+            specular = echo.specular if i >= echo.tip else 0.0
             specular *= view.specular[frame, node] * (1 - at) + view.specular[frame, node + 1] * at
-            diffuse = echo.diffuse * (echo.taper[number] if number < echo.tip else 1.0)
+            diffuse = echo.diffuse * (echo.taper[i] if i < echo.tip else 1.0)
             diffuse *= view.diffuse[frame, node] * (1 - at) + view.diffuse[frame, node + 1] * at
             closer = view.cosine[frame, node] * (1 - at) + view.cosine[frame, node + 1] * at
             closer *= radius
-            if echo.tip <= number < view.dimpled and number % view.dimple_step == 0:
+            if echo.tip <= i < view.dimpled and i % view.dimple_step == 0:
                 diffuse += view.dimple
-            phase = phases[number % len(phases)]
-            real = specular + diffuse * np.cos(phase)
-            imaginary = diffuse * np.sin(phase)
+            phase = phases[i % len(phases)]
+            real = specular + diffuse * phase.real
+            imaginary = diffuse * phase.imag
             seen |= add_point(
                 layer, shadow, x, y, z, closer, real, imaginary, echo.shadow, rays, tables, pulse
             )
-            number += 1
-            along += echo.spacing
         along -= length
     return seen
 
 
 @njit(**OPTIONS)
 def _add_tip(  # type: ignore[no-untyped-def]
-    layer, shadow, X_FT, p_TTip, echo, tip, view, frame, rays, tables, pulse
+    layer, shadow, X_FT, p_TTip, echo, tip, view, frame, slab, rays, tables, pulse
 ):
     """Add the echo of a tip's surface, piece by piece; return True if any piece shows.
 
@@ -174,12 +184,18 @@ def _add_tip(  # type: ignore[no-untyped-def]
         (3,) end of the needle's axis in T, in m.
     echo, tip
         Amplitudes of the needle's points, and the pieces of its tip.
-    view, frame
-        Direction of the needle and of the sound, and the frame's number.
+    view, frame, slab
+        Direction of the needle and of the sound, the frame's number, and the distance in m from its
+        plane beyond which nothing shows.
     """
     x, y, z = transformed(X_FT, p_TTip[0], p_TTip[1], p_TTip[2])
+    if abs(z) > slab + 2 * echo.tip * echo.spacing:
+        return False
     axes = view.axes[frame]
-    t0, t1, t2 = axes @ view.towards[frame]
+    p, q, r = view.towards[frame]
+    t0 = axes[0, 0] * p + axes[0, 1] * q + axes[0, 2] * r
+    t1 = axes[1, 0] * p + axes[1, 1] * q + axes[1, 2] * r
+    t2 = axes[2, 0] * p + axes[2, 1] * q + axes[2, 2] * r
     seen = False
     for i in range(len(tip.areas)):
         normal = tip.normals[i]

@@ -82,7 +82,7 @@ def test_a_departure_has_no_measured_tip_and_no_figure_of_the_paper(rows):
     assert (name, "needles followed to the end") not in rows
     assert rows[name, "tip error, bound of the root mean square"].true > 0
     stated = rows[name, "tip within its 95 %, wander learnt from earlier needles"]
-    assert stated.target is not None
+    assert stated.target is None  # so few needles cannot meet it
 
 
 def test_a_needle_without_prediction_counts_with_the_worst_error(study):
@@ -154,8 +154,8 @@ def test_ten_needles_meet_the_papers_errors_and_their_own_doubt(tmp_path, monkey
     study = reproduce(StudyOptions(folder=tmp_path, seeds=10, first_seed=100))
     rows = {(row.experiment, row.quantity): row for row in study.rows}
     for name in ("d60", "d80"):
-        assert rows[name, "tip error, mean"].met
-        assert rows[name, "shape error, mean"].met
+        assert rows[name, "tip error, mean"].verdict == "yes"
+        assert rows[name, "shape error, mean"].verdict == "yes"
     for name in names:
         learnt = rows[name, "tip within its 95 %, wander learnt from earlier needles"]
         assert learnt.true >= 80
