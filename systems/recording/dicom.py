@@ -120,7 +120,7 @@ def _region(
 def _times(data: Any, count: int) -> NDArray[np.float64] | None:
     if "FrameTimeVector" in data:
         steps = np.atleast_1d(np.array(data.FrameTimeVector, float))
-        return 1e-3 * np.cumsum(steps) if len(steps) == count else None
+        return np.asarray(1e-3 * np.cumsum(steps)) if len(steps) == count else None
     if "FrameTime" in data:
         return 1e-3 * float(data.FrameTime) * np.arange(count)
     rate = float(data.get("CineRate", 0) or data.get("RecommendedDisplayFrameRate", 0) or 0)

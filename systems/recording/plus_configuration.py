@@ -128,7 +128,8 @@ def _orientation(root: ET.Element) -> str:
 
 def _time_offset(root: ET.Element) -> float:
     """Return the offset of the devices with images less that of the devices with tools, in s."""
-    images, tools = [], []
+    images: list[float] = []
+    tools: list[float] = []
     for device in root.iter("Device"):
         offset = _number(device.get("LocalTimeOffsetSec"))
         if np.isnan(offset):

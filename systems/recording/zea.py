@@ -185,7 +185,7 @@ class ZeaWriter:
         low, high = volume.origin, volume.upper
         extent = np.array([low[0], high[0], low[2], high[2], high[1], low[1]], np.float32)
         shape = volume.intensities.shape
-        maps = {"image_sc": (np.uint8, shape)}
+        maps: dict[str, tuple[Any, tuple[int, ...]]] = {"image_sc": (np.uint8, shape)}
         if mask is not None:
             maps["segmentation"] = (np.bool_, (*shape, 1))
         for name, (dtype, size) in maps.items():

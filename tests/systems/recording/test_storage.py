@@ -1,7 +1,9 @@
 """A volume comes back with the same voxel at the same place, however it is stored."""
 
 import gzip
+import re
 import zlib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +12,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydrake.math import RollPitchYaw
 
+from sonoservo.systems.files import nrrd_reader
+from sonoservo.systems.files.nrrd_reader import KEYS
+from sonoservo.systems.files.plus_fields import FRAME_FIELDS, SEQUENCE_FIELDS
 from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.volume_file import FieldUse
+from sonoservo.systems.recording import meta_image
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.recording.tracked_frames import TrackedFrames
 
@@ -421,3 +428,22 @@ def test_unknown_fields_and_missing_geometry_are_said(tmp_path):
     notes = " ".join(Recording(tmp_path / "a.nrrd").notes)
     for text in ("have no effect: mood", "1 mm is taken", "no position"):
         assert text in notes
+
+
+def test_the_documentation_lists_what_becomes_of_each_field():
+    text = (Path(__file__).parents[3] / "notebooks" / "docs" / "your_data.md").read_text()
+    rows = re.findall(r"^\| (used|checked|without effect) \| (.*) \|$", text, re.MULTILINE)
+    said = [(use, set(re.findall("`(.*?)`", names))) for use, names in rows]
+    keys = {f"axis N {key}" if key.startswith("index") else key: use for key, use in KEYS.items()}
+    plus = {
+        f"Seq_Frame0012_{'Name' * name.startswith('Transform')}{name}": use
+        for name, use in FRAME_FIELDS.items()
+    }
+    tables = [meta_image.FIELDS, nrrd_reader.FIELDS | keys, SEQUENCE_FIELDS | plus]
+    wanted = [
+        (use.value, names)
+        for table in tables
+        for use in FieldUse
+        if (names := {name for name, of in table.items() if of is use})
+    ]
+    assert said == wanted
