@@ -42,6 +42,17 @@ def luminance(colours: NDArray[Any]) -> NDArray[Any]:
     return (grey if colours.dtype.kind == "f" else np.rint(grey)).astype(colours.dtype)
 
 
+def grey_or_colours(pixels: NDArray[Any]) -> int:
+    """Return the number of channels of an image: 1 for grey levels, also if saved as equal colours.
+
+    Images of screens are often saved in colour although they show grey alone.
+    """
+    if pixels.ndim == 2:
+        return 1
+    grey = (pixels[..., :3] == pixels[..., :1]).all()
+    return 1 if grey or pixels.shape[-1] <= 2 else int(pixels.shape[-1])
+
+
 def require_echoes(file: VolumeFile, colours: bool) -> None:
     """Refuse a file of colours unless a person wants their luminance.
 

@@ -128,7 +128,8 @@ def _orientation(root: ET.Element) -> str:
 
 def _time_offset(root: ET.Element) -> float:
     """Return the offset of the devices with images less that of the devices with tools, in s."""
-    images, tools = [], []
+    images: list[float] = []
+    tools: list[float] = []
     for device in root.iter("Device"):
         offset = _number(device.get("LocalTimeOffsetSec"))
         if np.isnan(offset):
@@ -143,6 +144,12 @@ def _only(offsets: Iterable[float]) -> float:
     return different.pop() if len(different) == 1 else 0.0
 
 
+def _numbers_of(line: str) -> list[str]:
+    """Return the words of a line; none if it holds names alone."""
+    words = line.replace(",", " ").replace(";", " ").split()
+    return [] if words and all(np.isnan(_number(each)) for each in words) else words
+
+
 def read_calibration(text: str) -> tuple[str, NDArray[np.float64]]:
     """Read a calibration: 16 numbers row by row in mm, or a text file with them.
 
@@ -150,8 +157,9 @@ def read_calibration(text: str) -> tuple[str, NDArray[np.float64]]:
     ----------
     text
         The numbers or the path of the file, after ``NAME=`` if it is another transform than
-        ``ImageToProbe``. A file of eight rows holds two matrices, the first of which turns pixels
-        into mm, and their product is meant (``calib_matrix.csv`` of TUS-REC).
+        ``ImageToProbe``. Lines of names are passed over. A file of eight rows holds two matrices,
+        the first of which turns pixels into mm, and their product is meant (``calib_matrix.csv`` of
+        TUS-REC).
 
     Returns
     -------
@@ -170,7 +178,7 @@ def read_calibration(text: str) -> tuple[str, NDArray[np.float64]]:
         numbers = path.read_text(encoding="utf-8") if path.is_file() else rest
     except (OSError, UnicodeDecodeError, ValueError):
         numbers = rest
-    words = numbers.replace(",", " ").replace(";", " ").split()
+    words = [each for line in numbers.splitlines() for each in _numbers_of(line)]
     source = path if path.is_file() else Path("calibration")
     if len(words) == 32:
         scale, turn = (

@@ -76,11 +76,11 @@ class TrackedFrames:
         luminance: bool = False,
     ) -> None:
         self.path = Path(path)
-        self._void = void
         self.void: set[int] = set()
         with refusing_failures(self.path):
             self._file = open_file(self.path, frames=True, orientation=orientation)
             require_echoes(self._file, luminance)
+            self._void = self._file.void if void is None else void
             self._open(poses, dict(transforms or {}), frame_rate)
             self._window = GreyWindow(*window) if window else self._choose_window()
 

@@ -12,7 +12,7 @@ from rich.console import Console
 from sonoservo.diagrams.app.live.bridge import QUEUE, play_live, record_live
 from sonoservo.diagrams.app.live.serve import live_senders, opened
 from sonoservo.diagrams.app.live.track_live import LiveLimits, track_live
-from sonoservo.diagrams.app.terminal import live_table
+from sonoservo.diagrams.app.terminal import live_table, reasons_lines
 from sonoservo.diagrams.app.volumes.check import brief_finding
 from sonoservo.diagrams.app.volumes.opening import open_volumes
 from sonoservo.diagrams.scenario import Scenario
@@ -169,6 +169,8 @@ def track_address(
                 say=say,
             )
     console.print(live_table(summary))
+    for line in reasons_lines(summary):
+        say(line)
     console.print(f"Results: {folder / 'estimates.csv'}", soft_wrap=True)
     return summary
 
