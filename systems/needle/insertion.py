@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 
+from sonoservo.systems.needle.beam_path import BeamPath
 from sonoservo.systems.needle.insertion_parameters import (
     DEFAULT_ENTRY,
     OUTER_DIAMETER,
@@ -80,10 +81,13 @@ class Insertion(Immutable):
             path = replace(path, wander=wander)
         if path is not None:
             path = self._with_errors(path, rng)
-        self.path = path
-        if parameters.feed is not None and path is not None:
+        self.path: SteeredPath | BeamPath | None = path
+        if path is not None and parameters.mechanics == "beam":
+            end = self._motion.depth(self._motion.end)
+            self.path = BeamPath(path.radius, path.roll, path.angle, path.rotations, end)
+        if parameters.feed is not None and self.path is not None:
             deepest = self._motion.depth(self._motion.end)
-            reached = np.isfinite(path.length_at(deepest))
+            reached = np.isfinite(self.path.length_at(deepest))
             allowed = "a depth that the path reaches"
             require(bool(reached), "feed.depth", parameters.feed.depth, allowed)
 

@@ -330,6 +330,7 @@ class Link:
             task.result()
 
     async def _listen(self) -> None:
+        assert self._listener is not None
         server = await self._loop.create_server(lambda: _Peer(self), sock=self._listener)
         async with server:
             await server.serve_forever()

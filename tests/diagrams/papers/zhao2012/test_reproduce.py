@@ -63,7 +63,7 @@ def test_the_published_density_leaves_the_speckle_undeveloped(phantom):
 
 
 def test_the_tracker_follows_a_needle_in_the_dynamic_run():
-    settings = {"phantom": 100, "speeds_mm_s": 6 * [1.0]}
+    settings = {"phantom": 100, "speeds_mm_s": 6 * [1.0], "interval_s": 0.3}
     result = run_case(Case("dynamic, fresh speckle", 100, settings))
     errors = np.array(result["errors"], dtype=float)
     assert errors.shape == (7, len(ESTIMATORS), len(QUANTITIES))
@@ -113,7 +113,7 @@ def outcomes(scales):
             errors = np.broadcast_to(one, (*shape, *one.shape)).tolist()
             settings = {"lengths_mm": [5, 20], "phantom": seed}
             speeds = [[None] * 5, *[[1.1] * 5] * 15]
-            settings["speeds_mm_s"] = 15 * [1.0]
+            settings |= {"speeds_mm_s": 15 * [1.0], "interval_s": 1.0}
             result = {"errors": errors, "speeds_mm_s": speeds, "seconds": [0.02]}
             made.append(Outcome(Case(name, seed, settings), result))
     return made
