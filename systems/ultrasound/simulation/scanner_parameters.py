@@ -24,8 +24,8 @@ class ScannerParameters:
         Air pockets under the face, behind which nothing is seen.
     noise_db
         Electronic noise at the face, relative to the tissue's root mean square. It grows with depth
-        by the attenuation that the time-gain compensation undoes. At -45 dB and 0.5 dB/(cm MHz), it
-        reaches the tissue's level 14 cm deep at 3.3 MHz and 6 cm deep at 7.5 MHz.
+        by the attenuation that the time-gain compensation undoes. At -50 dB and 0.5 dB/(cm MHz), it
+        reaches the tissue's level 15 cm deep at 3.3 MHz and 7 cm deep at 7.5 MHz.
     gain_error_db
         Standard deviation of the gain compensation's error at each of eight sliders, in dB.
     clutter_db, clutter_length
@@ -46,7 +46,7 @@ class ScannerParameters:
     needle: NeedleEchoParameters = field(default_factory=NeedleEchoParameters)
     gel_thickness: float = 3e-3
     air_pockets: AirPocketParameters = field(default_factory=AirPocketParameters)
-    noise_db: float = -45.0
+    noise_db: float = -50.0
     gain_error_db: float = 1.5
     clutter_db: float = -20.0
     clutter_length: float = 0.04

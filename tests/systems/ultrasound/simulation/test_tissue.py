@@ -72,7 +72,7 @@ def test_random_balls_have_the_stated_density_radii_and_levels():
     balls = random.draw(size, np.random.default_rng(0))
     assert len(balls) == pytest.approx(1000, rel=0.1)
     centres = np.array([ball.centre for ball in balls])
-    assert (np.abs(centres + [0, 0, 0.05]) <= np.array(size) / 2).all()
+    assert (np.abs(np.add(centres, [0, 0, 0.05])) <= np.array(size) / 2).all()
     assert centres.std(axis=0) == pytest.approx(np.array(size) / np.sqrt(12), rel=0.1)
     for name, low, high in (("radius", 1e-3, 2e-3), ("level_db", 20, 30)):
         values = [getattr(ball, name) for ball in balls]
