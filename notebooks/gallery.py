@@ -3,9 +3,9 @@
 # %% [markdown]
 # # Images of the simulated scanner
 #
-# A needle under the probe at five angles to the beam's normal: a smooth one in agar, the same without
-# reverberation and in tissue, and one with dimples. Then the same needle across the frames of a probe
-# that moves during the sweep, and how much kinds of needles stand out by angle.
+# A needle under the probe at five angles to the beam's normal: a smooth one in agar, the same
+# without reverberation and in tissue, and one with dimples. Then the same needle across the frames
+# of a probe that moves during the sweep, and how much kinds of needles stand out by angle.
 
 # %%
 from dataclasses import replace
@@ -158,9 +158,9 @@ plt.close(figure)
 print(f"written: {Path('gallery.png').resolve()}")
 
 # %% [markdown]
-# Mean level over the tissue of the middle of a needle 50 mm below its middle, five kinds, against the
-# angle to the beam's normal. Crosses: grey above the background as Nichols et al. (2003) measured it
-# at 15 deg between needle and beam, as a share of that across the beam, read as dB.
+# Mean level of five kinds of needles over the tissue, 50 mm deep, against the angle to the beam's
+# normal. Crosses: grey above the background as Nichols et al. (2003) measured it at 15 deg between
+# needle and beam, as a share of that across the beam, read as dB.
 
 # %%
 KINDS = ["biopsy", "spinal", "brachytherapy", "coated", "echogenic"]
