@@ -221,7 +221,7 @@ def add_published_parts(
     return _connect_parts(
         builder,
         gate=VolumeGate(parameters=parameters.plausibility, **events),
-        memory=VolumeMemory(period=period, offset=offset),
+        memory=VolumeMemory(same_direction=True, **events),
         detector=InsertionDetector(parameters=detection, method=detect_as_published),
         localizer=localizer,
         manager=TrackManager(lifecycle=lifecycle, **events),

@@ -32,8 +32,8 @@ class PublishedDetectionParameters:
         Largest distance delta from the geometric median to the candidate entry point, in m.
     """
 
-    candidate_volume: float = 2e-9
-    max_std: float = 18e-3
+    candidate_volume: float = 30e-9
+    max_std: float = 27e-3
     max_depth: float = 10e-3
 
     def __post_init__(self) -> None:
