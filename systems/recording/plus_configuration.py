@@ -47,11 +47,16 @@ class PlusConfiguration(Immutable):
     time_offset
         Time in s by which the images' devices are set back against those of the trackers
         (``LocalTimeOffsetSec``); PLUS has applied it to the times that it records and sends.
+    clip
+        First pixel and size, (i, j, ni, nj), of the part of a frame that shows tissue
+        (``ClipRectangleOrigin`` and ``ClipRectangleSize`` of the volume reconstruction); None if
+        not stated.
     """
 
     transforms: dict[str, KnownTransform] = field(default_factory=dict)
     orientation: str = ""
     time_offset: float = 0.0
+    clip: tuple[int, int, int, int] | None = None
 
     @property
     def matrices(self) -> dict[str, NDArray[np.float64]]:
@@ -72,6 +77,8 @@ class PlusConfiguration(Immutable):
                 f"its images are set back by {self.time_offset:g} s against the poses; PLUS has "
                 "applied that to what it recorded"
             )
+        if self.clip is not None:
+            notes.append("frames are cut to {2} x {3} pixels from {0}, {1} on".format(*self.clip))
         return tuple(notes)
 
 
@@ -105,7 +112,7 @@ def read_plus_configuration(path: Path) -> PlusConfiguration:
             _number(each.get("Error")),
             each.get("Date", "").strip(),
         )
-    return PlusConfiguration(transforms, _orientation(root), _time_offset(root))
+    return PlusConfiguration(transforms, _orientation(root), _time_offset(root), _clip(root))
 
 
 def _number(text: str | None) -> float:
@@ -124,6 +131,19 @@ def _orientation(root: ET.Element) -> str:
         if each.get(name)
     }
     return found.pop() if len(found) == 1 else ""
+
+
+def _clip(root: ET.Element) -> tuple[int, int, int, int] | None:
+    """Return the rectangle to which frames are cut; None if there is none, or several."""
+    found = {
+        (each.get("ClipRectangleOrigin", ""), each.get("ClipRectangleSize", ""))
+        for each in root.iter("VolumeReconstruction")
+    }
+    words = " ".join(found.pop()).split() if len(found) == 1 else []
+    numbers = [int(word) for word in words if word.lstrip("-").isdecimal()]
+    if len(numbers) != 4 or min(numbers[:2]) < 0 or min(numbers[2:]) < 2:
+        return None
+    return numbers[0], numbers[1], numbers[2], numbers[3]
 
 
 def _time_offset(root: ET.Element) -> float:

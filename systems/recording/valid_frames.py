@@ -124,8 +124,11 @@ def choose_items(
     for k in chosen[~kept]:
         reason = "without a time" if np.isnan(times[k]) else "whose time breaks the order"
         left_out.setdefault(reason, []).append(int(k))
-    if not kept.any():
-        raise ConfigurationError(f"{path}: the times of its {what}s are missing or out of range")
+    if not kept.any() or 2 * np.count_nonzero(kept) < len(kept):
+        raise ConfigurationError(
+            f"{path}: the times of its {what}s are missing, out of range or do not rise; give "
+            "their rate (--volume-rate)"
+        )
     return ValidItems(chosen[kept], np.array(matrices)[kept], times[chosen[kept]], left_out)
 
 

@@ -165,10 +165,10 @@ class SearchReason(Enum):
         return Reason(self, f"{self.value.begins}{rest}")
 
     @classmethod
-    def of(cls, text: str) -> Self | None:
+    def of(cls, text: str) -> "SearchReason | None":
         """Return the kind of a reason: its own, or that of a sentence from a log; None if none."""
         if isinstance(text, Reason):
-            return text.kind  # type: ignore[return-value]
+            return text.kind
         return next((each for each in cls if text.startswith(each.value.begins)), None)
 
 

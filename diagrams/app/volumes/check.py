@@ -35,6 +35,7 @@ from sonoservo.systems.live.connection.items import ImageItem, Item, PoseItem
 from sonoservo.systems.live.connection.link import Link, shown
 from sonoservo.systems.live.connection.protocols import Address
 from sonoservo.systems.live.image_matcher import ImageMatcher, PosedImage
+from sonoservo.systems.live.live_source import LiveSource
 from sonoservo.systems.live.volume_maker import VolumeMaker
 from sonoservo.systems.recording.plus_configuration import read_plus_configuration
 from sonoservo.systems.recording.recording import Recording
@@ -191,6 +192,12 @@ def brief_finding(opened: Recording | ReconstructedRecording) -> str:
         findings += check_spacing(np.linalg.norm(file.directions, axis=0))
     worst = gravest(findings)
     return "" if worst is None else f"{worst}. `sonoservo check {opened.path}` tells more."
+
+
+def brief_stream_finding(source: LiveSource) -> str:
+    """Return the gravest finding about the times of a stream, on one line; may be empty."""
+    worst = gravest(check_times(list(source.times), "images"))
+    return "" if worst is None else f"{worst}. `sonoservo check {source.address}` tells more."
 
 
 def _check_header(file: VolumeFile, times: Any, what: str) -> list[Finding]:
@@ -384,6 +391,8 @@ def _check_clocks(checked: CheckedSource, record: "_StreamRecord", poses: str | 
             f"set both clocks by one server, or state the difference (--clock-offset {offset:.2f})"
         )
         checked.note(Check.CLOCK, text, Grade.DOUBTFUL, advice)
+    if matcher.chain is not None:
+        checked.note(Check.CHAIN, str(matcher.chain))
     if record.images and not matcher.posed and others and poses != "none":
         text = f"none of the transforms is the probe's pose; there are {shown(', '.join(others))}"
         checked.note(Check.CHAIN, text, Grade.DOUBTFUL, "name one with --poses, or give none")

@@ -124,6 +124,7 @@ def nrrd_files(draw):
     lines += [f"kinds: {' '.join(kinds)}", f"endian: {'big' if order == '>' else 'little'}"]
     if draw(st.booleans()):
         lines += [
+            lines[0],  # a field may stand twice
             "# a comment",
             "thicknesses: " + " ".join(["nan"] * len(sizes)),
             "note:=made by hand",

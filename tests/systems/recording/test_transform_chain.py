@@ -114,6 +114,7 @@ CONFIGURATION = """<PlusConfiguration version="2.9">
       <DataSources><DataSource Type="Tool" Id="Probe" PortName="0" /></DataSources>
     </Device>
   </DataCollection>
+  <VolumeReconstruction ClipRectangleOrigin="4 3" ClipRectangleSize="30 40" />
   <CoordinateDefinitions>
     <Transform From="Image" To="Probe" Error="0.7" Date="2024-03-01"
       Matrix="MATRIX" />
@@ -159,15 +160,20 @@ def test_a_configuration_of_plus_completes_a_file(tmp_path, tracked):
     known = read_plus_configuration(config)
     assert (known.orientation, round(known.time_offset, 6)) == ("UF", -0.3)
     opened = open_volumes(path, reconstruct=True, plus_config=config)
-    np.testing.assert_allclose(opened._frames.X_WI[3], frames[3].X_WI, atol=1e-9)
+    shift = np.eye(4)
+    shift[:2, 3] = 4, 3
+    np.testing.assert_allclose(opened._frames.X_WI[3], frames[3].X_WI @ shift, atol=1e-9)
     notes = " ".join(opened.notes)
     for said in ("ImageToProbe, error 0.7 mm, of 2024-03-01", "UF", "-0.3 s", "ProbeToReference"):
         assert said in notes
     # The file states its own orientation; one that does not has that of the configuration.
-    np.testing.assert_array_equal(opened._frames[0], frames[0].pixels)
+    np.testing.assert_array_equal(opened._frames[0], frames[0].pixels[4:34, 3:43])
     path.write_bytes(path.read_bytes().replace(b"UltrasoundImageOrientation = MF\n", b""))
     turned = open_volumes(path, reconstruct=True, plus_config=config)
-    np.testing.assert_array_equal(turned._frames[0], frames[0].pixels[::-1])
+    np.testing.assert_array_equal(turned._frames[0], frames[0].pixels[::-1][4:34, 3:43])
+    config.write_text(config.read_text().replace('"30 40"', '"300 40"'))
+    with pytest.raises(ConfigurationError, match="reaches beyond the frames of 40 x 50"):
+        open_volumes(path, reconstruct=True, plus_config=config)
 
 
 @pytest.mark.parametrize(

@@ -4,13 +4,13 @@ import dataclasses
 
 import numpy as np
 import pytest
+from renderers import CLEAN
 
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import load_typed
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
-from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 from sonoservo.systems.ultrasound.simulation.structures import (
     BesideNeedle,
     Bone,
@@ -67,7 +67,7 @@ def test_placement_needs_a_needle():
             transducer=Transducer(),
             imaging=ImagingParameters(),
             tissue=Tissue(structures=[Gas(beside_needle=BesideNeedle())]),
-            parameters=ScannerParameters(),
+            parameters=CLEAN,
             seed=0,
         )
 
@@ -130,7 +130,7 @@ def test_resting_needle_echoes_as_one_in_the_hand():
             transducer=Transducer(),
             imaging=ImagingParameters(sector=0.3, frames=3, volume_rate=10),
             tissue=Tissue(structures=structures),
-            parameters=ScannerParameters(),
+            parameters=CLEAN,
             seed=0,
         )
         for structures in ([resting], [])
