@@ -14,6 +14,9 @@ from sonoservo.systems.evaluation.labels import look_up
 from sonoservo.systems.evaluation.reports.report import Story, report_body
 from sonoservo.systems.evaluation.reports.verdict import Verdict
 
+_REASONS = 3
+"""Number of reasons of lost volumes that are shown."""
+
 
 @dataclass(frozen=True)
 class RunResult:
@@ -120,7 +123,7 @@ def end_words(result: RunResult) -> str:
 
 
 def stops_text(summary: Mapping[str, Any]) -> str:
-    """Return the reasons for which a run was stopped and volumes were refused; may be empty."""
+    """Return why a run was stopped, volumes were refused or gave no needle; may be empty."""
     lines = []
     reasons, at_end = (look_up(summary, f"guard.{key}") for key in ("reasons", "stopped_at_end"))
     if reasons:
@@ -128,7 +131,16 @@ def stops_text(summary: Mapping[str, Any]) -> str:
     if at_end:
         lines.append(f"still stopped at the end because {at_end}")
     lines += filter(None, (look_up(summary, f"guard.{key}") for key in ("noticed", "refusal")))
+    if reasons := look_up(summary, "tracking.reasons"):
+        lines.append(f"volumes without a needle: {reasons_text(reasons)}")
     return "\n".join(lines)
+
+
+def reasons_text(reasons: Mapping[str, int]) -> str:
+    """Return the most frequent reasons with the numbers of their volumes, on one line."""
+    shown = [f"{count} x {reason}" for reason, count in list(reasons.items())[:_REASONS]]
+    rest = sum(reasons.values()) - sum(list(reasons.values())[:_REASONS])
+    return "; ".join(shown) + (f"; {rest} x others" if rest else "")
 
 
 def format_figure(value: Any) -> str:

@@ -13,10 +13,11 @@ from rich.progress import Progress as RichProgress
 from rich.table import Table
 from rich.text import Text
 
-from sonoservo.diagrams.app.run_result import RunResult, format_figure
+from sonoservo.diagrams.app.run_result import RunResult, format_figure, reasons_text
 from sonoservo.diagrams.experiments.experiment import Experiment
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.studies.study_report import Study, StudyRow, interval_text, target_text
+from sonoservo.diagrams.studies.verdicts import Verdict
 from sonoservo.systems.evaluation.labels import LABELS, look_up, recording_labels
 from sonoservo.systems.evaluation.source_checks import Finding, Grade, sort_findings
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
@@ -38,10 +39,11 @@ def end_run(result: RunResult) -> None:
         raise typer.Exit(3)
 
 
-_MET: Mapping[bool | None, Text] = {
+_MET: Mapping[Verdict | None, Text] = {
     None: Text(""),
-    True: Text("yes"),
-    False: Text("no", style="bold red"),
+    Verdict.MET: Text("yes"),
+    Verdict.UNDECIDED: Text("undecided", style="yellow"),
+    Verdict.NOT_MET: Text("no", style="bold red"),
 }
 
 
@@ -60,7 +62,7 @@ _CELLS: Mapping[str, Callable[[StudyRow], Text]] = {
         interval_text(row.published_low, row.published_high, format_figure)
     ),
     "target": lambda row: Text(target_text(row)),
-    "met": lambda row: _MET[row.met],
+    "met": lambda row: _MET[row.verdict],
 }
 """Cells of a study's table after the quantity, by column."""
 
@@ -195,6 +197,16 @@ class VolumeProgress:
         """Move the bar."""
         state = f"volume {number + 1} of {self._count}  {'' if estimate is None else estimate.mode}"
         self._bar.update(self._task, completed=number + 1, state=state)
+
+
+def reasons_lines(summary: Mapping[str, Any]) -> list[str]:
+    """Return why volumes gave no needle, and what to change; empty if all gave one."""
+    lines = []
+    if reasons := summary.get("reasons"):
+        lines.append(f"Volumes without a needle: {reasons_text(reasons)}.")
+    if advice := summary.get("advice"):
+        lines.append(f"What to change: {advice}.".replace("?.", "?"))
+    return lines
 
 
 def mode_words(summary: Mapping[str, Any]) -> str:

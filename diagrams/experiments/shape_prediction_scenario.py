@@ -144,8 +144,8 @@ class ShapePredictionScenario(Scenario):
     def as_published(cls, data: Mapping[str, Any]) -> dict[str, Any]:
         """Return data with the printed tracker, guided by the printed particle filter.
 
-        The paper is silent on some points. The position is a whole pixel, because the paper
-        mentions no interpolation. No match is refused, so the tracker never loses the needle. The
+        The paper is silent on some points. The best match is interpolated between pixels, whose
+        size it does not give. No match is refused, so the tracker never loses the needle. The
         size of the template and gamma are those of the data, or else our defaults.
         """
         tracker = {**_PUBLISHED_TRACKER, **data.get("tracker", {})}

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from sonoservo.diagrams.studies.fingerprint import study_fingerprint, study_room
+from sonoservo.diagrams.studies.verdicts import Verdict, summary_of, verdict
 from sonoservo.systems.evaluation.reports.web_page import cell_text
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.writing import write_atomically, write_json
@@ -115,13 +116,15 @@ def results_table(kept: Mapping[str, Any], rows: str) -> str:
         "thresholds" for the strengths at which success ends, and "experiments" for a line with the
         main figures of each experiment.
     """
-    source = f"Commit {kept['commit'][:10]}, `{kept['command']}`"
+    numbers = sorted({len(seeds) for seeds in kept["seeds"].values()})
+    seeds = " to ".join(map(str, dict.fromkeys((numbers[0], numbers[-1]))))
+    source = f"Commit {kept['commit'][:10]}, `{kept['command']}`, {seeds} seeds an experiment"
     changed = CHANGED if is_outdated(kept) else ""
     if rows == "thresholds":
         return f"{source}.{changed}\n\n{_thresholds_table(kept['thresholds'])}"
     if rows == "experiments":
         return f"{source}.{changed}\n\n{_experiments_table(kept)}"
-    judged = [row["met"] for row in kept["rows"] if row["met"] is not None]
+    verdicts = [each for row in kept["rows"] if (each := _verdict(row)) is not None]
     lines = []
     before = ""
     for row in kept["rows"]:
@@ -129,8 +132,7 @@ def results_table(kept: Mapping[str, Any], rows: str) -> str:
             continue
         lines.append(_cells(row, before))
         before = row["experiment"]
-    met = f"{sum(judged)} of {len(judged)} targets met"
-    return f"{source}: {met}.{changed}\n\n{_markdown_table(_HEADS, lines)}"
+    return f"{source}: {summary_of(verdicts)}.{changed}\n\n{_markdown_table(_HEADS, lines)}"
 
 
 def write_tables() -> None:
@@ -199,8 +201,16 @@ def _cells(row: Mapping[str, Any], before: str) -> list[str]:
         *(_figure(row[key]) for key in ("published_estimated", "published_true")),
         _interval(row["published_low"], row["published_high"]),
         target,
-        {None: "", True: "yes", False: "**no**"}[row["met"]],
+        "**no**" if _verdict(row) is Verdict.NOT_MET else _verdict(row) or "",
     ]
+
+
+def _verdict(row: Mapping[str, Any]) -> Verdict | None:
+    """Return the verdict on a row's target by today's definition; None if it has none."""
+    if row["target"] is None:
+        return None
+    value = row["estimated"] if row["true"] is None else row["true"]
+    return verdict(value, row["low"], row["high"], row["target"], row["wanted"])
 
 
 _SIDES = {"at most": "≤", "at least": "≥"}

@@ -6,13 +6,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from matplotlib.figure import Figure
 
 from sonoservo.diagrams.studies.commit import present_commit
 from sonoservo.diagrams.studies.fingerprint import made_with, study_fingerprint
 from sonoservo.diagrams.studies.study import Outcome
+from sonoservo.diagrams.studies.verdicts import Side, Verdict, summary_of, verdict
 from sonoservo.systems.evaluation.reports.plots import png
 from sonoservo.systems.evaluation.reports.web_page import cell_text, table, web_page
 from sonoservo.systems.files.writing import write_atomically, write_json
@@ -57,17 +58,15 @@ class StudyRow:
     published_low: float | None = None
     published_high: float | None = None
     target: float | None = None
-    wanted: Literal["at most", "at least"] = "at most"
+    wanted: Side = "at most"
 
     @property
-    def met(self) -> bool | None:
-        """True if the target is met, False if it is missed or there is no value, else None."""
+    def verdict(self) -> Verdict | None:
+        """Verdict on the target; None if there is none."""
         if self.target is None:
             return None
         value = self.estimated if self.true is None else self.true
-        if value is None:
-            return False
-        return value <= self.target if self.wanted == "at most" else value >= self.target
+        return verdict(value, self.low, self.high, self.target, self.wanted)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,7 +136,7 @@ class Study:
             "seeds": {name: each["seeds"] for name, each in self.experiments.items()},
             "rows": [
                 {key: value for key, value in asdict(row).items() if key != "wanted"}
-                | {"met": row.met, "wanted": row.wanted}
+                | {"verdict": row.verdict, "wanted": row.wanted}
                 for row in self.rows
             ],
             "cases": {
@@ -225,8 +224,8 @@ def write_studies(folder: Path, studies: Sequence[Study], command: str) -> dict[
 
 
 def _met(studies: Sequence[Study]) -> str:
-    judged = [row.met for each in studies for row in each.rows if row.met is not None]
-    return f"{sum(judged)} of {len(judged)} targets met" if judged else "no targets"
+    verdicts = (row.verdict for each in studies for row in each.rows)
+    return summary_of([each for each in verdicts if each is not None])
 
 
 def _body(study: Study, command: str) -> str:
@@ -288,7 +287,7 @@ def _rows_table(rows: Sequence[StudyRow]) -> str:
                 *map(_cell, (row.published_estimated, row.published_true)),
                 interval_text(row.published_low, row.published_high, cell_text),
                 target_text(row),
-                {None: "", True: "yes", False: "<b>no</b>"}[row.met],
+                f"<b>{row.verdict}</b>" if row.verdict is Verdict.NOT_MET else row.verdict or "",
             ]
         )
         before = row.experiment

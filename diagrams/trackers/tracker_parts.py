@@ -176,8 +176,8 @@ def add_published_parts(
 ) -> TrackManager:
     """Add and connect the parts of a tracker as published, and export its ports.
 
-    Detection and the life of a track are those of Chatelain 2013: consecutive volumes are compared,
-    and a lost needle is not looked for.
+    Detection and the life of a track are those of Chatelain 2013: consecutive sweeps of one
+    direction are compared, and a lost needle is not looked for.
 
     Parameters
     ----------
@@ -210,10 +210,8 @@ def add_published_parts(
         localizer=localizer,
         manager=TrackManager(lifecycle=lifecycle, **events),
     )
-    memory = builder.AddNamedSystem("volume_memory", VolumeMemory(period=period, offset=offset))
-    detector = builder.AddNamedSystem(
-        "insertion_detector", InsertionDetector(parameters=detection)
-    )
+    memory = builder.AddNamedSystem("volume_memory", VolumeMemory(same_direction=True, **events))
+    detector = builder.AddNamedSystem("insertion_detector", InsertionDetector(parameters=detection))
     gate = builder.GetSubsystemByName(VOLUME_GATE)
     for each in (memory, detector):
         builder.Connect(gate.GetOutputPort("volume"), each.GetInputPort("volume"))

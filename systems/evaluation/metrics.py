@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.evaluation.missing_needle import missing_needle
+from sonoservo.systems.evaluation.missing_needle import missing_needle, volume_reasons
 from sonoservo.systems.evaluation.run_errors import (
     Floats,
     Mask,
@@ -22,6 +22,7 @@ from sonoservo.systems.evaluation.run_errors import (
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
+from sonoservo.systems.signals.search_reason import ReasonCount
 
 
 @dataclass(kw_only=True)
@@ -156,6 +157,8 @@ def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     `estimated`: number of these with an estimate, over which the errors are taken;
     `lost`: number of these not tracked although more than `min_length` of the needle was in view;
     `lost_events`: number of times that the needle became lost;
+    `reasons`: reasons of the volumes of the whole run without an estimate, the most frequent first,
+    each with their number;
     `absent_s`: time with an estimate, not a lost one, while no needle is in the tissue;
     `absent_travel_mm`: distance that the servo commands the probe to go while there is none;
     `consistency`: see `consistency`;
@@ -185,6 +188,13 @@ def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
         "estimated": int(np.sum(judged & np.isfinite(errors.tip))),
         "lost": int(np.sum(lost)),
         "lost_events": int(np.sum(_begins(lost))),
+        "reasons": ReasonCount(
+            reason
+            for reason, known in zip(
+                volume_reasons(log), is_known(log.volume_estimate_tip), strict=True
+            )
+            if not known
+        ).words,
         "absent_s": _seconds(followed & absent, log.time),
         "absent_travel_mm": 1e3 * _seconds(absent, log.time, np.nan_to_num(speed)),
         "tip_error_mm": spread(1e3 * errors.tip[judged]),

@@ -6,7 +6,7 @@ import numpy as np
 
 from sonoservo.systems.evaluation.run_errors import at_times
 from sonoservo.systems.evaluation.run_log import RunLog
-from sonoservo.systems.signals.search_advice import search_advice, search_words
+from sonoservo.systems.signals.search_reason import SearchReason
 
 _IN_VIEW = 5e-3
 """Length of the needle in the swept sector, in m, from which the tracker could find it."""
@@ -23,17 +23,9 @@ def missing_needle(log: RunLog) -> tuple[str, str]:
     log
         Log of a run in which no needle was found.
     """
-    reasons = [
-        _reason(*each)
-        for each in zip(
-            log.volume_detected.tolist(),
-            log.volume_detection_reason.tolist(),
-            log.volume_measurement_reason.tolist(),
-            strict=True,
-        )
-    ]
+    reasons = volume_reasons(log)
     if not reasons:
-        return "No volume was acquired.", _sentence(search_advice("no volume"))
+        return "No volume was acquired.", _sentence(SearchReason.NO_VOLUME.run_advice)
     last = f" {_sentence(reasons[-1])}" if reasons[-1] else ""
     if np.nanmax(log.inserted_length, initial=-1) == 0:
         return (
@@ -49,19 +41,38 @@ def missing_needle(log: RunLog) -> tuple[str, str]:
         )
     shown = [reason for reason, each in zip(reasons, seen, strict=True) if each] or reasons
     # The first volumes have nothing to be compared with, whatever else is wrong.
-    shown = [each for each in shown if not each.startswith("there is no earlier")] or shown
-    counts = Counter(search_words(reason) or reason for reason in shown)
+    kinds = [SearchReason.of(each) for each in shown]
+    shown = [
+        each
+        for each, kind in zip(shown, kinds, strict=True)
+        if kind is not SearchReason.NOTHING_EARLIER
+    ] or shown
+    counts = Counter(SearchReason.of(each) or each for each in shown)
     usual, _ = counts.most_common(1)[0]
-    last = next(each for each in reversed(shown) if (search_words(each) or each) == usual)
-    return _sentence(last), _sentence(search_advice(last))
+    last = next(each for each in reversed(shown) if (SearchReason.of(each) or each) == usual)
+    return _sentence(last), _sentence(usual.run_advice if isinstance(usual, SearchReason) else "")
+
+
+def volume_reasons(log: RunLog) -> list[str]:
+    """Return for each volume of a log why it gave no needle; empty if nothing was said."""
+    return [
+        _reason(*each)
+        for each in zip(
+            log.volume_detected.tolist(),
+            log.volume_detection_reason.tolist(),
+            log.volume_measurement_reason.tolist(),
+            strict=True,
+        )
+    ]
 
 
 def _reason(is_detected: bool, detection: str, measurement: str) -> str:
     """Return the reason of one volume, from those of the detector and the localizer."""
-    if is_detected and measurement == "no needle has been detected":
-        return "something moved; the needle is not confirmed yet"
-    tells_more = detection in ("", "a needle is being tracked")
-    return measurement if tells_more else detection
+    measured, detected = SearchReason.of(measurement), SearchReason.of(detection)
+    if is_detected and measured is SearchReason.NOT_DETECTED:
+        return SearchReason.MOTION_UNCONFIRMED("; the needle is not confirmed yet")
+    nothing_said = not detection or detected is SearchReason.TRACKED
+    return measurement if nothing_said else detection
 
 
 def _sentence(text: str) -> str:

@@ -156,7 +156,8 @@ def consistency(log: RunLog, judged: Mask) -> dict[str, dict[str, float | None]]
     -------
     `tip`, `axis`, `velocity`: each with `nees`, the median of the normalised estimation error
     squared over that of the chi-squared distribution (1 if the uncertainty is right, more if it is
-    stated too small), and `within_95`, the share of truths inside the stated 95 %.
+    stated too small), and `within_95`, the share of truths inside the stated 95 %. No uncertainty
+    holds an axis that points backwards.
     """
     time = log.volume_estimate_time
     tip, before, after = (
@@ -164,9 +165,10 @@ def consistency(log: RunLog, judged: Mask) -> dict[str, dict[str, float | None]]
     )
     estimated = unit(log.volume_estimate_tip - log.volume_estimate_entry)
     velocity = (after - before) / _WINDOW
+    direction = _true_direction(log)
     compared = {
         "tip": (log.volume_estimate_tip - tip, log.volume_estimate_tip_covariance, 3),
-        "axis": (estimated - _true_direction(log), log.volume_estimate_direction_covariance, 2),
+        "axis": (estimated - direction, log.volume_estimate_direction_covariance, 2),
         "velocity": (
             log.volume_estimate_velocity - velocity, log.volume_estimate_velocity_covariance, 3
         ),
@@ -174,7 +176,11 @@ def consistency(log: RunLog, judged: Mask) -> dict[str, dict[str, float | None]]
     figures: dict[str, dict[str, float | None]] = {}
     for name, (errors, covariances, freedom) in compared.items():
         squared = normalized_squared_errors(errors[judged], covariances[judged])
-        squared = squared[np.isfinite(squared)]
+        if name == "axis":
+            # The covariance of a direction has no part along it, where turning round leads.
+            backwards = np.sum(estimated * direction, axis=1)[judged] < 0
+            squared[backwards & ~np.isnan(squared)] = np.inf
+        squared = squared[~np.isnan(squared)]
         figures[name] = {"nees": None, "within_95": None}
         if len(squared):
             within = squared <= chi2.ppf(0.95, freedom)

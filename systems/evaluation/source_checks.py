@@ -162,7 +162,7 @@ def check_times(times: ArrayLike, what: str = "volumes") -> list[Finding]:
         findings.append(
             _doubtful(
                 Check.RATE,
-                f"{len(gaps)} gaps, the longest {gaps.max():.3g} s: about {missing} {what} are "
+                f"gaps: {len(gaps)}, the longest {gaps.max():.3g} s; about {missing} {what} are "
                 "missing",
                 "acquire at a rate that disk and network keep up with",
             )

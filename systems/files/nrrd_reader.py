@@ -42,16 +42,16 @@ _NAMELESS = ("scanner-xyz", "3d-right-handed")
 FIELDS = {
     **dict.fromkeys(
         (
-            "dimension", "type", "encoding", "endian", "sizes", "space", "space dimension",
-            "space units", "space origin", "space directions", "spacings", "axis mins", "axis maxs",
-            "centers", "units", "labels", "kinds", "data file", "line skip", "byte skip",
+            "dimension", "type", "encoding", "endian", "sizes", "space", "space units",
+            "space origin", "space directions", "spacings", "axis mins", "axis maxs", "centers",
+            "units", "labels", "kinds", "data file", "line skip", "byte skip",
         ),
         FieldUse.USED,
     ),
-    "block size": FieldUse.CHECKED,
+    "space dimension": FieldUse.CHECKED,
     **dict.fromkeys(
         (
-            "content", "number", "old min", "old max", "thicknesses", "sample units",
+            "content", "number", "block size", "old min", "old max", "thicknesses", "sample units",
             "measurement frame",
         ),
         FieldUse.NO_EFFECT,
@@ -289,7 +289,7 @@ class _Reader:
             for axis in range(count)
         )
         if self.frames and re.fullmatch("C?SSL|SSCL", letters):
-            return spatial, listed[0], (colours or [None])[0]
+            return spatial, listed[0], next(iter(colours), None)
         if re.fullmatch("C?SSL|SSCL", letters):
             raise HoldsFramesError(
                 f"{self.path}: {' x '.join(map(str, self.sizes))} numbers are 2D frames; make "
@@ -301,7 +301,7 @@ class _Reader:
                 "allowed; a volume has three in space, a sequence also has a list axis, first or "
                 "last"
             )
-        return spatial, (listed or [None])[0], (colours or [None])[0]
+        return spatial, next(iter(listed), None), next(iter(colours), None)
 
     def _vectors(self, field: str) -> NDArray[np.float64] | None:
         """Return (n, d) vectors of a field; rows of NaN stand for "none"."""
@@ -344,7 +344,10 @@ class _Reader:
         if vectors is not None:
             if len(vectors) != len(self.sizes):
                 raise self.refuse("space directions", "one vector for each axis")
-            width = min(vectors.shape[1], 3)
+            said = int(self.header.get("space dimension", vectors.shape[1]))
+            if said != vectors.shape[1] or not 2 <= said <= 4:
+                raise self.refuse("space dimension", "vectors have 2, 3 or 4 numbers, as it says")
+            width = min(said, 3)
             directions[:width, :n] = vectors[spatial, :width].T
             directions *= scale[:, np.newaxis]
             if n == 2:
@@ -488,7 +491,8 @@ class _Reader:
         if step > _SLOWEST:
             return None
         self.notes.append(f"its volumes are {step:g} s apart, by the spacing along its list axis")
-        return (0.0 if np.isnan(first) else first * (scale or 1.0)) + step * np.arange(count)
+        begin = 0.0 if np.isnan(first) else first * (scale or 1.0)
+        return np.asarray(begin + step * np.arange(count), np.float64)
 
 
 def _after_lines(path: Path, offset: int, lines: int) -> int:

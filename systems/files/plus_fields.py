@@ -102,6 +102,12 @@ def as_plus_means(file: VolumeFile, orientation: str = "") -> VolumeFile:
         raise ConfigurationError(
             f"{file.path}: UltrasoundImageType: {kind!r} is not allowed; BRIGHTNESS is expected"
         )
+    for number, size in file.frame_fields().get("FrameSize", {}).items():
+        if [int(n) for n in size.split()[:2]] != list(file.shape[:2]):
+            raise ConfigurationError(
+                f"{file.path}: FrameSize: that of image {number} is {size!r}, and the file's is "
+                f"{file.shape[0]} x {file.shape[1]}"
+            )
     letters = sequence_field(file.fields, "UltrasoundImageOrientation").upper() or orientation
     if letters in ("", "XX", "XXX", "UNKNOWN", "MF", "MFA"):
         return file
@@ -116,7 +122,8 @@ def as_plus_means(file: VolumeFile, orientation: str = "") -> VolumeFile:
         turned = axes[0][0] == 1
         mirrored = axes[0][1] * axes[1][1] < 0
         axes.append((2, 1 if flat or mirrored == turned else -1))
-    order = [int(np.argsort([axis for axis, _ in axes])[k]) for k in range(3)]
+    x, y, z = (int(k) for k in np.argsort([axis for axis, _ in axes]))
+    order = [x, y, z]
     signs = [axes[k][1] for k in order]
     if flat and order[2] != 2:
         raise ConfigurationError(
@@ -133,7 +140,7 @@ def as_plus_means(file: VolumeFile, orientation: str = "") -> VolumeFile:
     steps = np.linalg.norm(file.directions, axis=0)
     return replace(
         file,
-        shape=tuple(file.shape[k] for k in order),
+        shape=(file.shape[x], file.shape[y], file.shape[z]),
         directions=file.directions / steps * steps[order],
         read=turned_read,
         notes=(*file.notes, f"its axes are stored as {letters} and read as MFA"),

@@ -85,6 +85,8 @@ class VolumeFile:
     channels
         Numbers of each voxel, along a last axis of what ``read`` returns: 1 for an echo, without
         such an axis; 3 or 4 for colours.
+    void
+        Number that stands for what was not seen, if the header states one.
 
     Raises
     ------
@@ -102,6 +104,7 @@ class VolumeFile:
     fields: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     channels: int = 1
+    void: float | None = None
 
     def __post_init__(self) -> None:
         require_voxels(self.path, self.shape)

@@ -16,7 +16,7 @@ from sonoservo.systems.recording.grey_levels import GreyLevels
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.volume import Volume
 
-_FRAMES_KEPT, _FIRST_KEPT = 1024, 64
+_FRAMES_KEPT, _FIRST_KEPT, _TIMES = 1024, 64, 2000
 
 
 class ImagesToVolumes(Protocol):
@@ -54,12 +54,21 @@ class LiveSource:
     poses
         Name of the device that is the probe's pose; see `ImageMatcher`.
     keep
-        Number of volumes that wait while one is worked on; older ones are dropped. While the first
-        is worked on, which may compile what it needs, up to 64 wait, and are caught up on.
+        Number of volumes that wait while one is worked on; older ones are dropped. Until the first
+        has been worked on, which may compile what it needs, up to 64 wait, and are caught up on.
     clock_offset
         Difference between the clocks of poses and images; see `ImageMatcher`.
     report
         Function that is called with one line for a person.
+
+    Attributes
+    ----------
+    dropped
+        Number of images that were dropped because newer ones had come.
+    times
+        Times of the last images that came, in s, with those that were dropped.
+    newest
+        Image of the last volume that was taken.
     """
 
     def __init__(
@@ -88,6 +97,7 @@ class LiveSource:
         self._no_volume = self._taken = 0
         self.link = Link(address, self._receive, report)
         self.dropped = 0
+        self.times: deque[float] = deque(maxlen=_TIMES)
         self.newest: PosedImage | None = None
 
     def __enter__(self) -> Self:
@@ -177,7 +187,8 @@ class LiveSource:
     def _keep_images(self, images: list[PosedImage]) -> None:
         for image in images:
             self._images.append(image)
-            keep = max(self._keep, _FIRST_KEPT) if self._taken == 1 else self._keep
+            self.times.append(image.time)
+            keep = max(self._keep, _FIRST_KEPT) if self._taken < 2 else self._keep
             if len(self._images) > keep or (
                 len(self._images) > 1
                 and sum(each.image.voxels.nbytes for each in self._images) > MAX_WAITING

@@ -1,3 +1,4 @@
+from .beam_path import BeamPath as BeamPath
 from .bicycle_model import BicyclePath as BicyclePath
 from .hand import Hand as Hand
 from .insertion import Insertion as Insertion

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 
+from sonoservo.systems.needle.beam_path import BeamPath
 from sonoservo.systems.needle.insertion_parameters import (
     DEFAULT_ENTRY,
     OUTER_DIAMETER,
@@ -80,10 +81,15 @@ class Insertion(Immutable):
             path = replace(path, wander=wander)
         if path is not None:
             path = self._with_errors(path, rng)
-        self.path = path
-        if parameters.feed is not None and path is not None:
+        self.path: SteeredPath | BeamPath | None = path
+        if path is not None and parameters.mechanics == "beam":
+            end = self._motion.depth(self._motion.end)
+            self.path = BeamPath(path.radius, path.roll, path.angle, path.rotations, end)
+        # Drawn last, so that everything else stays as it is.
+        self._first_roll = np.deg2rad(parameters.roll_spread_deg) * float(rng.uniform(-1, 1))
+        if parameters.feed is not None and self.path is not None:
             deepest = self._motion.depth(self._motion.end)
-            reached = np.isfinite(path.length_at(deepest))
+            reached = np.isfinite(self.path.length_at(deepest))
             allowed = "a depth that the path reaches"
             require(bool(reached), "feed.depth", parameters.feed.depth, allowed)
 
@@ -176,7 +182,7 @@ class Insertion(Immutable):
         """
         turn = self._motion.turn(time)
         if self.path is None:
-            return 0.0 - turn
+            return self._first_roll - turn
         rotations = sum(each < depth for each in self.path.rotations)
         return float(np.pi * (1 + rotations) - self.path.roll - turn)
 

@@ -144,11 +144,17 @@ class InsertionParameters:
     bend_radius, bend_radius_spread
         Radius of the arc that a bevelled tip cuts, and its spread, in m. A radius of None gives a
         straight needle.
+    mechanics
+        How a bent needle moves: "bicycle", along the path that its tip cuts (`SteeredPath`), or
+        "beam", as an elastic beam in tissue that yields to it, behind a template (`BeamPath`).
     bend_roll_deg, bend_roll_spread_deg
         Direction of the bend about the needle's axis at the start, and its spread, in deg; 0 bends
         upwards.
     bend_angle_spread_deg
         Spread of the first direction about the aimed one, within the plane of the bend, in deg.
+    roll_spread_deg
+        Spread of the roll of a straight needle's bevel, in deg; 180 for any. At 0, its face looks
+        up.
     rotations
         Depths along the aimed direction at which the bevel is turned by 180 deg, in m.
     rotation_depth_spread, rotation_angle_spread_deg
@@ -184,9 +190,11 @@ class InsertionParameters:
     azimuth_spread_deg: float = 0.0
     bend_radius: float | None = None
     bend_radius_spread: float = 0.0
+    mechanics: str = "bicycle"
     bend_roll_deg: float = 0.0
     bend_roll_spread_deg: float = 0.0
     bend_angle_spread_deg: float = 0.0
+    roll_spread_deg: float = 0.0
     rotations: list[float] = field(default_factory=list)
     rotation_depth_spread: float = 0.0
     rotation_angle_spread_deg: float = 0.0
@@ -224,6 +232,7 @@ class InsertionParameters:
             azimuth_spread_deg=self.azimuth_spread_deg,
             bend_radius_spread=self.bend_radius_spread,
             bend_roll_spread_deg=self.bend_roll_spread_deg,
+            roll_spread_deg=self.roll_spread_deg,
             rotation_depth_spread=self.rotation_depth_spread,
             rotation_angle_spread_deg=self.rotation_angle_spread_deg,
             bend_drift_spread_deg=self.bend_drift_spread_deg,
@@ -261,6 +270,15 @@ class InsertionParameters:
                 self.bend_radius,
                 f"at least {MIN_BEND_RADIUS:g} m after bend_radius_spread is subtracted",
             )
+        kinds = ("bicycle", "beam")
+        require(self.mechanics in kinds, "mechanics", self.mechanics, f"one of {', '.join(kinds)}")
+        if self.mechanics == "beam":
+            bent = self.bend_radius is not None and self.feed is not None
+            require(bent, "mechanics", "beam", '"bicycle" without a bend_radius or without a feed')
+            self._require_none(
+                "a beam",
+                "curvature_wander", "rotation_angle_spread_deg", "bend_drift_spread_deg",
+            )  # fmt: skip
         if self.feed is not None:
             self._require_none(
                 "a template (feed)",

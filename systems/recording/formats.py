@@ -5,17 +5,46 @@ from pathlib import Path
 
 from sonoservo.systems.files.nrrd_reader import open_nrrd
 from sonoservo.systems.files.plus_fields import as_plus_means
-from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.volume_file import VolumeFile
+from sonoservo.systems.recording.dicom import open_dicom
+from sonoservo.systems.recording.extras import require_extra
 from sonoservo.systems.recording.meta_image import open_meta_image
+from sonoservo.systems.recording.png_folder import open_png_folder
+from sonoservo.systems.recording.tus_rec import open_tus_rec
+from sonoservo.systems.recording.zea import open_zea
+
+
+def open_hdf5(path: Path, *, frames: bool = False) -> VolumeFile:
+    """Open an HDF5 file of TUS-REC or of zea.
+
+    Raises
+    ------
+    ConfigurationError
+        If it is neither; the message names the file and the fault.
+    """
+    h5py = require_extra("h5py", "hdf5", path)
+    with refusing_failures(path, "it is no HDF5 file"), h5py.File(path, "r") as file:
+        names = set(file)
+    if "frames" in names:
+        return open_tus_rec(path, frames=frames)
+    if "data" in names:
+        return open_zea(path, frames=frames)
+    raise ConfigurationError(
+        f"{path}: it is no scan of TUS-REC (frames, tforms), nor a file of zea (data)"
+    )
+
 
 FORMATS: dict[str, Callable[..., VolumeFile]] = {
     ".nrrd": open_nrrd,
     ".nhdr": open_nrrd,
     ".mha": open_meta_image,
     ".mhd": open_meta_image,
+    ".h5": open_hdf5,
+    ".hdf5": open_hdf5,
+    ".dcm": open_dicom,
 }
-"""Openers of files, called with a path and ``frames``."""
+"""Openers of files, called with a path and ``frames``; a folder holds PNG images."""
 
 
 def open_file(path: Path, *, frames: bool = False, orientation: str = "") -> VolumeFile:
@@ -36,6 +65,8 @@ def open_file(path: Path, *, frames: bool = False, orientation: str = "") -> Vol
         If the file is not valid; the message names the file and the fault.
     """
     what = "2D frames" if frames else "volumes"
+    if path.is_dir() and any(path.glob("*.[pP][nN][gG]")):
+        return as_plus_means(open_png_folder(path, frames=frames), orientation)
     if path.is_dir():
         raise ConfigurationError(f"{path}: it is a folder; give a file with {what}")
     if not path.is_file():

@@ -42,6 +42,17 @@ def luminance(colours: NDArray[Any]) -> NDArray[Any]:
     return (grey if colours.dtype.kind == "f" else np.rint(grey)).astype(colours.dtype)
 
 
+def grey_or_colours(pixels: NDArray[Any]) -> int:
+    """Return the number of channels of an image: 1 for grey levels, also if saved as equal colours.
+
+    Images of screens are often saved in colour although they show grey alone.
+    """
+    if pixels.ndim == 2:
+        return 1
+    grey = (pixels[..., :3] == pixels[..., :1]).all()
+    return 1 if grey or pixels.shape[-1] <= 2 else int(pixels.shape[-1])
+
+
 def require_echoes(file: VolumeFile, colours: bool) -> None:
     """Refuse a file of colours unless a person wants their luminance.
 
@@ -63,26 +74,18 @@ def read_numbers(file: VolumeFile, number: int) -> NDArray[Any]:
     Raises
     ------
     ConfigurationError
-        If the file ends earlier, or a number is implausibly large.
+        If the file ends earlier.
     """
     numbers = file.read(number)
-    if file.channels > 1:
-        numbers = luminance(numbers)
-    if numbers.dtype.kind == "f":
-        largest = float(np.nanmax(np.where(np.isfinite(numbers), np.abs(numbers), 0)))
-        if largest > _MAX_NUMBER:
-            raise ConfigurationError(
-                f"{file.path}: volume {number} holds values up to {largest:.3g}; at most "
-                f"{_MAX_NUMBER:g} is allowed, and log-compressed echoes are expected"
-            )
-    return numbers
+    return luminance(numbers) if file.channels > 1 else numbers
 
 
 def void_flags(numbers: NDArray[Any], void: float | None = None) -> NDArray[np.bool_] | None:
     """Return flags of the numbers that stand for "nothing was seen here"; None if there are none.
 
-    NaN and infinity do. So does the lowest number if it is negative and lies further from the
-    others than these do from one another, as -32768 does that fills the space around a sector.
+    NaN, infinity and numbers beyond 1e30 do. So does a number that lies further from the others
+    than these do from one another: a negative lowest one, as -32768 that fills the space around a
+    sector, or the largest of an integer type of 16 bits or more.
 
     Parameters
     ----------
@@ -91,17 +94,37 @@ def void_flags(numbers: NDArray[Any], void: float | None = None) -> NDArray[np.b
     void
         Number that stands for it too, by a person's choice.
     """
-    flags = ~np.isfinite(numbers) if numbers.dtype.kind == "f" else None
+    flags = np.zeros(numbers.shape, bool)
+    if numbers.dtype.kind == "f":
+        flags = ~(np.abs(numbers) <= _MAX_NUMBER)
     if void is not None:
-        stated = np.isnan(numbers) if np.isnan(void) else numbers == void
-        flags = stated if flags is None else flags | stated
-    elif numbers.dtype.kind != "u":
-        known = numbers if flags is None or not flags.any() else numbers[~flags]
-        low = known.min(initial=0)
-        others = known[known > low] if low < 0 else known[:0]
+        flags |= np.isnan(numbers) if np.isnan(void) else numbers == void
+    elif numbers.dtype != np.uint8:
+        known = numbers[~flags] if flags.any() else numbers
+        for mark in _marks(known):
+            flags |= numbers == mark
+    return flags if flags.any() else None
+
+
+def _marks(numbers: NDArray[Any]) -> list[Any]:
+    """Return the lowest and the highest number, if it can only be a marker of what is void."""
+    if numbers.size == 0:
+        return []
+    low, high = numbers.min(), numbers.max()
+    marks = []
+    if low < 0:
+        others = numbers[numbers > low]
         if others.size and float(others.min()) - float(low) > float(np.ptp(others)) > 0:
-            flags = (numbers == low) if flags is None else flags | (numbers == low)
-    return flags if flags is not None and flags.any() else None
+            marks.append(low)
+    if (
+        numbers.dtype.kind in "iu"
+        and numbers.dtype.itemsize > 1
+        and high == np.iinfo(numbers.dtype).max
+    ):
+        others = numbers[(numbers < high) & (numbers > low if marks else True)]
+        if others.size and float(high) - float(others.max()) > float(np.ptp(others)) > 0:
+            marks.append(high)
+    return marks
 
 
 @dataclass(frozen=True)

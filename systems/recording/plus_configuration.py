@@ -47,11 +47,16 @@ class PlusConfiguration(Immutable):
     time_offset
         Time in s by which the images' devices are set back against those of the trackers
         (``LocalTimeOffsetSec``); PLUS has applied it to the times that it records and sends.
+    clip
+        First pixel and size, (i, j, ni, nj), of the part of a frame that shows tissue
+        (``ClipRectangleOrigin`` and ``ClipRectangleSize`` of the volume reconstruction); None if
+        not stated.
     """
 
     transforms: dict[str, KnownTransform] = field(default_factory=dict)
     orientation: str = ""
     time_offset: float = 0.0
+    clip: tuple[int, int, int, int] | None = None
 
     @property
     def matrices(self) -> dict[str, NDArray[np.float64]]:
@@ -72,6 +77,8 @@ class PlusConfiguration(Immutable):
                 f"its images are set back by {self.time_offset:g} s against the poses; PLUS has "
                 "applied that to what it recorded"
             )
+        if self.clip is not None:
+            notes.append("frames are cut to {2} x {3} pixels from {0}, {1} on".format(*self.clip))
         return tuple(notes)
 
 
@@ -105,7 +112,7 @@ def read_plus_configuration(path: Path) -> PlusConfiguration:
             _number(each.get("Error")),
             each.get("Date", "").strip(),
         )
-    return PlusConfiguration(transforms, _orientation(root), _time_offset(root))
+    return PlusConfiguration(transforms, _orientation(root), _time_offset(root), _clip(root))
 
 
 def _number(text: str | None) -> float:
@@ -126,9 +133,23 @@ def _orientation(root: ET.Element) -> str:
     return found.pop() if len(found) == 1 else ""
 
 
+def _clip(root: ET.Element) -> tuple[int, int, int, int] | None:
+    """Return the rectangle to which frames are cut; None if there is none, or several."""
+    found = {
+        (each.get("ClipRectangleOrigin", ""), each.get("ClipRectangleSize", ""))
+        for each in root.iter("VolumeReconstruction")
+    }
+    words = " ".join(found.pop()).split() if len(found) == 1 else []
+    numbers = [int(word) for word in words if word.lstrip("-").isdecimal()]
+    if len(numbers) != 4 or min(numbers[:2]) < 0 or min(numbers[2:]) < 2:
+        return None
+    return numbers[0], numbers[1], numbers[2], numbers[3]
+
+
 def _time_offset(root: ET.Element) -> float:
     """Return the offset of the devices with images less that of the devices with tools, in s."""
-    images, tools = [], []
+    images: list[float] = []
+    tools: list[float] = []
     for device in root.iter("Device"):
         offset = _number(device.get("LocalTimeOffsetSec"))
         if np.isnan(offset):
@@ -143,6 +164,12 @@ def _only(offsets: Iterable[float]) -> float:
     return different.pop() if len(different) == 1 else 0.0
 
 
+def _numbers_of(line: str) -> list[str]:
+    """Return the words of a line; none if it holds names alone."""
+    words = line.replace(",", " ").replace(";", " ").split()
+    return [] if words and all(np.isnan(_number(each)) for each in words) else words
+
+
 def read_calibration(text: str) -> tuple[str, NDArray[np.float64]]:
     """Read a calibration: 16 numbers row by row in mm, or a text file with them.
 
@@ -150,8 +177,9 @@ def read_calibration(text: str) -> tuple[str, NDArray[np.float64]]:
     ----------
     text
         The numbers or the path of the file, after ``NAME=`` if it is another transform than
-        ``ImageToProbe``. A file of eight rows holds two matrices, the first of which turns pixels
-        into mm, and their product is meant (``calib_matrix.csv`` of TUS-REC).
+        ``ImageToProbe``. Lines of names are passed over. A file of eight rows holds two matrices,
+        the first of which turns pixels into mm, and their product is meant (``calib_matrix.csv`` of
+        TUS-REC).
 
     Returns
     -------
@@ -170,7 +198,7 @@ def read_calibration(text: str) -> tuple[str, NDArray[np.float64]]:
         numbers = path.read_text(encoding="utf-8") if path.is_file() else rest
     except (OSError, UnicodeDecodeError, ValueError):
         numbers = rest
-    words = numbers.replace(",", " ").replace(";", " ").split()
+    words = [each for line in numbers.splitlines() for each in _numbers_of(line)]
     source = path if path.is_file() else Path("calibration")
     if len(words) == 32:
         scale, turn = (

@@ -111,7 +111,7 @@ class Recording:
             self._file = file = open_file(self.path, orientation=orientation)
             require_echoes(file, luminance)
             self._acquisition = self._read_acquisition(depth)
-            self._void = void
+            self._void = file.void if void is None else void
             frames, constants = file.frame_fields(), dict(transforms or {})
             chain = None
             if self._acquisition is None:

@@ -41,6 +41,9 @@ class TrackedFrames:
         Frames per second, in Hz, for a file without times.
     transforms, orientation, void, luminance
         See `Recording`.
+    clip
+        First pixel and size, (i, j, ni, nj), of the part of a frame that shows tissue; None takes
+        all of it.
 
     Attributes
     ----------
@@ -74,14 +77,16 @@ class TrackedFrames:
         orientation: str = "",
         void: float | None = None,
         luminance: bool = False,
+        clip: tuple[int, int, int, int] | None = None,
     ) -> None:
         self.path = Path(path)
-        self._void = void
         self.void: set[int] = set()
         with refusing_failures(self.path):
             self._file = open_file(self.path, frames=True, orientation=orientation)
             require_echoes(self._file, luminance)
+            self._void = self._file.void if void is None else void
             self._open(poses, dict(transforms or {}), frame_rate)
+            self._clip = self._cut(clip)
             self._window = GreyWindow(*window) if window else self._choose_window()
 
     def _open(
@@ -178,11 +183,25 @@ class TrackedFrames:
             If the file is damaged at that frame.
         """
         with refusing_failures(self.path, f"frame {number}"):
-            pixels = read_numbers(self._file, int(self.numbers[number]))[..., 0]
+            pixels = read_numbers(self._file, int(self.numbers[number]))[..., 0][self._clip]
             void = void_flags(pixels, self._void)
             if void is not None and void.all():
                 self.void.add(int(self.numbers[number]))
             return self._window.grey(pixels, void)
+
+    def _cut(self, clip: tuple[int, int, int, int] | None) -> tuple[slice, slice]:
+        """Return the part of a frame that is read, to which the poses are moved."""
+        if clip is None:
+            return slice(None), slice(None)
+        i, j, ni, nj = clip
+        if i + ni > self._file.shape[0] or j + nj > self._file.shape[1]:
+            size = f"{self._file.shape[0]} x {self._file.shape[1]}"
+            raise ConfigurationError(
+                f"{self.path}: a rectangle of {ni} x {nj} pixels from {i}, {j} on (ClipRectangle) "
+                f"reaches beyond the frames of {size}"
+            )
+        self.X_WI[:, :3, 3] += self.X_WI[:, :3, 0] * i + self.X_WI[:, :3, 1] * j
+        return slice(i, i + ni), slice(j, j + nj)
 
     def _pixels(self, spacing: str | None) -> NDArray[np.float64]:
         """Return the (4, 4) transform from pixels to mm, by a frame's own spacing or the header."""

@@ -185,7 +185,8 @@ def _edges(known: Sequence[str]) -> dict[str, list[tuple[str, Link]]]:
 
 def _reachable(known: Sequence[str], start: str) -> dict[str, tuple[Link, ...]]:
     """Return the shortest chains from a frame to all others, none of which passes a tool."""
-    edges, found = _edges(known), {start: ()}
+    edges = _edges(known)
+    found: dict[str, tuple[Link, ...]] = {start: ()}
     waiting = [start]
     while waiting:
         here = waiting.pop(0)

@@ -124,8 +124,11 @@ def choose_items(
     for k in chosen[~kept]:
         reason = "without a time" if np.isnan(times[k]) else "whose time breaks the order"
         left_out.setdefault(reason, []).append(int(k))
-    if not kept.any():
-        raise ConfigurationError(f"{path}: the times of its {what}s are missing or out of range")
+    if not kept.any() or 2 * np.count_nonzero(kept) < len(kept):
+        raise ConfigurationError(
+            f"{path}: the times of its {what}s are missing, out of range or do not rise; give "
+            "their rate (--volume-rate)"
+        )
     return ValidItems(chosen[kept], np.array(matrices)[kept], times[chosen[kept]], left_out)
 
 
@@ -135,16 +138,16 @@ def rising(times: NDArray[np.float64]) -> NDArray[np.bool_]:
     ends: list[float] = []  # smallest last time of a rising series of each length
     last: list[int] = []
     before = np.full(len(times), -1)
-    for k in usable:
+    for k in usable.tolist():
         length = bisect_right(ends, float(times[k]) - _MIN_STEP)
         before[k] = last[length - 1] if length else -1
         ends[length : length + 1] = [float(times[k])]
-        last[length : length + 1] = [int(k)]
+        last[length : length + 1] = [k]
     kept = np.zeros(len(times), bool)
-    k = last[-1] if last else -1
-    while k >= 0:
-        kept[k] = True
-        k = int(before[k])
+    here = last[-1] if last else -1
+    while here >= 0:
+        kept[here] = True
+        here = int(before[here])
     return kept
 
 

@@ -48,10 +48,9 @@ class CrossSectionParameters:
         printed. Shadows and the dark grains of speckle are then as bright as echoes. "signed" keeps
         their sign, and "brighter" shows only those above the mean.
     position
-        Position of the cross-section. "match" takes the best match with the template, to a whole
-        pixel, as printed, and the person's point in the first slice. The errors of the successive
-        templates then add up to a drift. "front" takes the axis behind the front of the echo near
-        that place.
+        Position of the cross-section. "match" takes the best match with the template, as printed,
+        and the person's point in the first slice. The errors of the successive templates then add
+        up to a drift. "front" takes the axis behind the front of the echo near that place.
     min_correlation
         Correlation with the last template below which the needle counts as lost.
     min_contrast_db
@@ -250,8 +249,12 @@ def find_again(
             f"the correlation {match.correlation:.2f} with the template is below "
             f"{parameters.min_correlation:g}"
         )
-    place = match.position if parameters.position == "front" else np.rint(match.position)
-    centre = image.position(low + place + 0.5 * (size - 1))
+    place = low + match.position + 0.5 * (size - 1)
+    if parameters.position == "match":
+        # The last template was cut at whole pixels.
+        cut = image.index(last.centre) - 0.5 * (size - 1)
+        place += cut - np.rint(cut)
+    centre = image.position(place)
     return _at(image, centre, match.correlation, mean, parameters)
 
 

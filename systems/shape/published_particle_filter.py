@@ -8,8 +8,9 @@ The paper leaves some points open. They are decided as follows:
 * Principal components do not determine the sense of u. The mark on a needle's hub does, as it shows
   the side to which the bevel bends. It is the parameter `bevel_direction_deg`. Without it, u points
   to the needle's position at 10 mm.
-* phi is found once, at 10 mm, because section III requires it to be constant. The needle is then a
-  few hundredths of a millimetre off a straight line, so phi is mostly noise.
+* phi is found from all points so far. Section III has it constant, and a constant is the better
+  known the more points there are: at 10 mm, the needle is a few hundredths of a millimetre off a
+  straight line, and phi would be mostly noise.
 
 The uncertainty is the spread of the particles, as in the paper. It says little about the error.
 """
@@ -58,7 +59,7 @@ class PublishedParticleFilterParameters(ShapeEstimatorParameters):
     particles: int = 500
     points: int = 5
     replaced: int = 3
-    gain: float = 0.3
+    gain: float = 0.05
     start_depth: float = 10e-3
     bevel_direction_deg: float | None = None
 
@@ -87,7 +88,7 @@ class PublishedBelief(Immutable):
     points
         (m, 3) measured x, y and depth in I, in m.
     plane
-        Angle phi in rad; None before the start depth.
+        Angle phi in rad from all points so far; None before the start depth.
     """
 
     particles: Floats
@@ -123,9 +124,7 @@ class PublishedParticleFilter:
         apart = points - points[0]
         if len(points) < parameters.points or apart[-1, 2] < parameters.start_depth:
             return PublishedBelief(belief.particles, points)
-        plane = belief.plane
-        if plane is None:
-            plane = _plane_of_deflection(apart[:, :2], parameters.bevel_direction_deg)
+        plane = _plane_of_deflection(apart[:, :2], parameters.bevel_direction_deg)
         # Step 2: the measured points nearest to p points at equal distances.
         depths = apart[-1, 2] * np.arange(1, parameters.points + 1) / parameters.points
         chosen = np.abs(apart[:, 2] - depths[:, np.newaxis]).argmin(axis=1)

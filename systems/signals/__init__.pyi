@@ -42,6 +42,9 @@ from .reconstructed_volume import ReconstructedVolume as ReconstructedVolume
 from .requirements import require as require
 from .requirements import require_not_negative as require_not_negative
 from .requirements import require_positive as require_positive
+from .search_reason import Reason as Reason
+from .search_reason import ReasonCount as ReasonCount
+from .search_reason import SearchReason as SearchReason
 from .sweep import Sweep as Sweep
 from .sweep import SweepGeometry as SweepGeometry
 from .sweep import SweepMotion as SweepMotion

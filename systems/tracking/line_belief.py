@@ -1,9 +1,9 @@
 """One belief about all lines: each is followed, and the needle is the most probable of them.
 
 A needle's far end advances along its own axis; what rests in the tissue does not, and what rides
-along keeps its place in the image. The same contrasts along a line have a likelihood under each of
-these classes (Musicki and Evans 2004; Ristic et al. 2013), so nothing else has to tell a needle from
-a guide wire, and a probe that moves needs no other rule than one that rests.
+along keeps its place in the image. The contrasts along a line have a likelihood under each of these
+classes (Musicki and Evans 2004; Ristic et al. 2013). No rule has to tell a needle from a guide
+wire, and a probe that moves needs none but that of one that rests.
 """
 
 from collections.abc import Sequence
@@ -62,12 +62,12 @@ _APPEARS, _APPEARS_BY_MOTION = 0.002, 0.05
 specular surface comes into view, or a shadow goes."""
 
 _LOOKS, _NEUTRAL, _MOST_LOOKS = 0.7, -3.0, (-8.0, 2.0)
-"""Share of the evidence of a line's looks that its motion does not give as well, log odds that speak
-neither for nor against a needle, and limits of the log odds."""
+"""Share of the evidence of a line's looks that its motion does not give as well, log odds that
+speak neither for nor against a needle, and limits of the log odds."""
 
 _SAME, _OVERLAP, _BETTER = 3e-3, 10e-3, 4.0
-"""Distance in m up to which the ends of two fits belong to one line, length in m by which its parts
-may be apart, and sum of contrasts in dB, of one bin, by which a fit must be better to replace it."""
+"""Distance in m up to which the ends of two fits belong to one line, length in m by which its
+parts may be apart, and sum of contrasts in dB, of one bin, by which a better fit replaces it."""
 
 _KEPT, _LEAST_PROMINENCE = 0.8, 3.0
 """Share of a line's prominence that lasts from volume to volume, and the least one."""
@@ -370,7 +370,7 @@ def _shown_at(
 
 
 def _add(lines: Lines, memory: Sequence[Remembered], begun: int) -> None:
-    """Add the newest of some volumes to what is known of lines, for the arrivals that have begun."""
+    """Add the newest of some volumes to what is known of lines, for the arrivals so far."""
     motion = _motion(memory)
     renewed = min(_RENEWED + _RENEWED_BY_MOTION * motion, 0.3)
     new = _NEW_IN_MOTION if motion > 0.5 else _NEW_AT_REST

@@ -78,8 +78,9 @@ def _line_contrasts(  # pragma: no cover - compiled
                 x = starts[n, 0] + a * steps[n, 0]
                 y = starts[n, 1] + a * steps[n, 1]
                 z = starts[n, 2] + a * steps[n, 2]
-                if not (1 <= x <= nx - 2 and 1 <= y <= ny - 2 and 1 <= z <= nz - 2) or not (
-                    volume_seen[int(x + 0.5), int(y + 0.5), int(z + 0.5)]
+                if (
+                    not (1 <= x <= nx - 2 and 1 <= y <= ny - 2 and 1 <= z <= nz - 2)
+                    or not (volume_seen[int(x + 0.5), int(y + 0.5), int(z + 0.5)])
                 ):
                     seen[n, b] = False
                     break

@@ -25,9 +25,9 @@ class LineFollower(LeafSystem):
         - belief
 
     ``estimate`` is the `NeedleEstimate` before the volume. While a needle is followed, nobody needs
-    the other lines, and volumes are only kept. ``lines`` are the `LineHypotheses` after the volume at the input, and ``belief`` the `LineBelief`
-    from which they follow; they are a `NotFound` if there are none. They depend on the state, on
-    the estimate and on that volume.
+    the other lines, and volumes are only kept. ``lines`` are the `LineHypotheses` after the volume
+    at the input, and ``belief`` the `LineBelief` from which they follow; they are a `NotFound` if
+    there are none. They depend on the state, on the estimate and on that volume.
 
     Parameters
     ----------

@@ -19,15 +19,13 @@ from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
+from sonoservo.systems.signals.search_reason import SearchReason
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 from sonoservo.systems.tracking.innovation_gate import gate_distance, innovation_distance
 from sonoservo.systems.tracking.needle_filter import NeedleFilter, NeedleState, require_order
 from sonoservo.systems.tracking.search_region import found_again
 from sonoservo.systems.tracking.track import Track
 from sonoservo.systems.tracking.track_parameters import TrackParameters
-
-_WITHDRAWN = "the needle was withdrawn"
-"""Reason why the track of a needle that came out ends."""
 
 _DETECTED, _CLUTTER = 0.6, 0.2
 """Probabilities that a volume confirms a needle which is there, and that it confirms one which is
@@ -36,12 +34,12 @@ not: what looked like a needle once does so again."""
 _SUREST = 0.999
 """Largest probability of a needle: something that nobody modelled may look like one."""
 
-_KNOWN_BY = {
-    "needle": "no line is a needle with enough certainty yet",
-    "resting": "the lines that look like a needle were there before",
-    "riding": "the lines that look like a needle move along with the probe",
-    "appeared": "the lines that look like a needle appeared at once",
-    "nothing": "no line stands out as a needle does",
+_REASONS = {
+    "needle": SearchReason.UNCERTAIN(" yet"),
+    "resting": SearchReason.THERE_BEFORE(" before"),
+    "riding": SearchReason.RIDES(" with the probe"),
+    "appeared": SearchReason.APPEARED(" at once"),
+    "nothing": SearchReason.NO_LINE(" stands out as a needle does"),
 }
 """Reason why there is no needle, by the class of the line that is most like one."""
 
@@ -149,7 +147,7 @@ class TrackLifecycle:
         if isinstance(lines, NotFound):
             return lines
         if not lines:
-            return NotFound("no bright line is seen")
+            return NotFound(SearchReason.NO_BRIGHT_LINE(" is seen"))
         best = int(lines.probabilities.argmax())
         choice = lines.ends[best], float(lines.probabilities[best])
         last = None if track.state is None else track.state.curve
@@ -163,7 +161,7 @@ class TrackLifecycle:
                     choice = ends, float(expit(odds))
         if choice[1] >= self.parameters.act:
             return choice
-        return NotFound(_KNOWN_BY[LINE_CLASSES[int(lines.classes[best].argmax())]])
+        return NotFound(_REASONS[LINE_CLASSES[int(lines.classes[best].argmax())]])
 
     def next(
         self,
@@ -193,7 +191,7 @@ class TrackLifecycle:
             return self._confirmed(state, measurement, probability, track.entry)
         if measurement.curve.direction @ track.state.curve.direction < 0:
             # Its tip has come out past its entry.
-            return self.without_needle(time, _WITHDRAWN)
+            return self.without_needle(time, SearchReason.WITHDRAWN())
         state = self.needle_filter.predict(track.state, measurement.time)
         distance = innovation_distance(state, measurement)
         if distance <= self.gate:
@@ -241,14 +239,15 @@ class TrackLifecycle:
             probability=_bayes(track.probability, (1 - _DETECTED) / (1 - _CLUTTER)),
         )
         if time - track.since > p.seconds_to_give_up:
-            return self.without_needle(time, _WITHDRAWN if self._is_leaving(track.state) else reason)
+            leaving = self._is_leaving(track.state)
+            return self.without_needle(time, SearchReason.WITHDRAWN() if leaving else reason)
         if track.mode == TrackingMode.LOST:
             return replace(track, reason=reason)
         state = self.needle_filter.predict(track.state, time)
         state = self.needle_filter.update(state, None, velocity)
         length = (state.curve.tip - state.curve.entry) @ track.state.curve.direction
         if length < p.withdrawn_length:
-            return self.without_needle(time, _WITHDRAWN)
+            return self.without_needle(time, SearchReason.WITHDRAWN())
         # No robot goes after a needle that was last seen to come out.
         lost = self._is_leaving(state) or missed >= p.volumes_to_lose
         mode = TrackingMode.LOST if lost else TrackingMode.COASTING

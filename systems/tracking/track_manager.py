@@ -152,7 +152,7 @@ class TrackManager(LeafSystem):
         if isinstance(prediction, NeedlePrediction):
             measurement = evaluate(self, context, "measurement", (NeedleMeasurement, NotFound))
         elif self.GetInputPort("lines").HasValue(context):
-            measurement = prediction
+            detection = measurement = prediction
         if track.mode in (TrackingMode.TRACKING, TrackingMode.COASTING):
             velocity = self._optional(context, "velocity", VelocityMeasurement)
         track = self._lifecycle.next(

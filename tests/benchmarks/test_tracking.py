@@ -10,7 +10,7 @@ from skimage.measure import LineModelND, ransac
 from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.diagrams import load_scenario, run
-from sonoservo.diagrams.papers.zhao2012.phantom import DIRECTION, Phantom, StraightNeedle
+from sonoservo.diagrams.papers.zhao2012.phantom import DIRECTION, TOWARDS, Phantom, StraightNeedle
 from sonoservo.diagrams.papers.zhao2012.tracking import BMode, Tracking
 from sonoservo.systems.sampling.normalized_cross_correlation import normalized_cross_correlation
 from sonoservo.systems.signals.needle_curve import NeedleCurve
@@ -135,7 +135,7 @@ def test_zhao_s_tracker_on_a_whole_radio_frequency_volume(benchmark):
     """53 x 71 x 2608 samples: envelope, scan conversion, RANSAC, tip, velocimeter, filter."""
     phantom = Phantom(StraightNeedle(np.array([-7e-3, 0, -12e-3]), DIRECTION), seed=100)
     b_mode = BMode(phantom.renderer.geometry)
-    tracker = Tracking(DIRECTION, seed=100)
+    tracker = Tracking(TOWARDS, seed=100)
     sweep = phantom.sweep(15e-3, 0.0)
     number = 0
 

@@ -56,7 +56,7 @@ def dataset_command(
         typer.Option("--randomize", help="Also draw the dials that `sonoservo list` names."),
     ] = False,
     layout: Annotated[
-        str, typer.Option(help="Layout of the files: sequences, or nnunet.")
+        str, typer.Option(help="Layout of the files: sequences, nnunet or zea.")
     ] = "sequences",
     store: Annotated[
         str | None,

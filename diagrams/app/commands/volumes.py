@@ -49,7 +49,8 @@ def track_command(
     source: Annotated[
         str,
         typer.Argument(
-            help="Recorded volumes: .seq.nrrd, .nrrd, .nhdr, .mha or .mhd; or live ones: "
+            help="Recorded volumes: .seq.nrrd, .nrrd, .nhdr, .mha, .mhd or .hdf5, or frames (also "
+            ".dcm, .h5, a folder of PNG) with --reconstruct; or live ones: "
             "igtl://host:18944/DEVICE, or igtl://:18944 to wait for a scanner to connect."
         ),
     ],
@@ -120,7 +121,12 @@ def track_command(
         track_address,
     )
     from sonoservo.diagrams.app.live.track_live import LiveLimits
-    from sonoservo.diagrams.app.terminal import VolumeProgress, mode_table, mode_words
+    from sonoservo.diagrams.app.terminal import (
+        VolumeProgress,
+        mode_table,
+        mode_words,
+        reasons_lines,
+    )
     from sonoservo.diagrams.app.volumes.opening import open_volumes
     from sonoservo.diagrams.app.volumes.track import track_recording, tracker_parameters
     from sonoservo.systems.live.connection.protocols import is_address
@@ -208,6 +214,8 @@ def track_command(
             after_volume=progress,
         )
     console.print(mode_table(result.summary))
+    for line in reasons_lines(result.summary):
+        console.print(line, soft_wrap=True)
     console.print(f"Report: {folder / 'report.html'}", soft_wrap=True)
     write_printed(json_path, result.summary)
     if result.failure is not None:
@@ -221,7 +229,7 @@ def track_command(
 def bridge_command(
     source: Annotated[str, typer.Argument(help="Address to record from, or a recording to play.")],
     target: Annotated[
-        str, typer.Argument(help="NAME.seq.nrrd to record to, or address to play to.")
+        str, typer.Argument(help="NAME.seq.nrrd or NAME.hdf5 to record to, or address to play to.")
     ],
     depth: DepthOption = "P",
     window: WindowOption = None,
@@ -272,7 +280,10 @@ def bridge_command(
 
 def locate_command(
     volume: Annotated[
-        Path, typer.Argument(help="File with the volume: .nrrd, .nhdr, .mha or .mhd.")
+        Path,
+        typer.Argument(
+            help="File with the volume: .nrrd, .nhdr, .mha, .mhd or .hdf5; see --reconstruct."
+        ),
     ],
     number: Annotated[
         int, typer.Option(help="Number of the volume, from 0, if the file has several.")
@@ -337,7 +348,10 @@ def locate_command(
 def check_command(
     source: Annotated[
         str,
-        typer.Argument(help="File of volumes or frames, or a stream: igtl://host:18944/DEVICE."),
+        typer.Argument(
+            help="File of volumes or frames, PLUS's configuration (.xml), or a stream: "
+            "igtl://host:18944/DEVICE, or igtl://:18944 to wait for a scanner to connect."
+        ),
     ],
     depth: DepthOption = "P",
     window: WindowOption = None,

@@ -12,6 +12,7 @@ from sonoservo.systems.live.live_source import LiveSource
 from sonoservo.systems.live.volume_sender import IMAGE, volume_items
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.recording.recording_writer import RecordingWriter
+from sonoservo.systems.recording.zea import SUFFIXES, ZeaWriter
 from sonoservo.systems.signals.requirements import require_not_negative
 
 QUEUE = 64
@@ -35,7 +36,8 @@ def record_live(
     source
         Source of the volumes; it should keep `QUEUE` of them.
     path
-        Path of the recording, ``NAME.seq.nrrd``; it is valid even after an interruption.
+        Path of the recording, ``NAME.seq.nrrd``, which is valid even after an interruption, or
+        ``NAME.hdf5`` for a file of zea.
     limits
         Conditions under which the recording ends by itself.
     after_volume
@@ -53,14 +55,17 @@ def record_live(
     ValueError
         If the path has another suffix.
     """
-    writer: RecordingWriter | None = None
+    writer: RecordingWriter | ZeaWriter | None = None
     count, interrupted = 0, False
     try:
         for volume in live_volumes(source, limits or LiveLimits(), say):
             if writer is None:
                 assert source.newest is not None
                 said = source.newest.acquisition
-                writer = RecordingWriter(path, said.settings if said else {})
+                if path.suffix.lower() in SUFFIXES:
+                    writer = ZeaWriter(path)
+                else:
+                    writer = RecordingWriter(path, said.settings if said else {})
             writer.append(volume)
             count += 1
             if after_volume is not None:

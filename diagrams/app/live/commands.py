@@ -12,8 +12,8 @@ from rich.console import Console
 from sonoservo.diagrams.app.live.bridge import QUEUE, play_live, record_live
 from sonoservo.diagrams.app.live.serve import live_senders, opened
 from sonoservo.diagrams.app.live.track_live import LiveLimits, track_live
-from sonoservo.diagrams.app.terminal import live_table
-from sonoservo.diagrams.app.volumes.check import brief_finding
+from sonoservo.diagrams.app.terminal import live_table, reasons_lines
+from sonoservo.diagrams.app.volumes.check import brief_finding, brief_stream_finding
 from sonoservo.diagrams.app.volumes.opening import open_volumes
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
@@ -169,6 +169,8 @@ def track_address(
                 say=say,
             )
     console.print(live_table(summary))
+    for line in filter(None, [*reasons_lines(summary), brief_stream_finding(source)]):
+        say(line)
     console.print(f"Results: {folder / 'estimates.csv'}", soft_wrap=True)
     return summary
 
@@ -244,6 +246,8 @@ def bridge_files(
             if place.listens:
                 say(f"Waiting for a scanner on port {live.link.port}; Ctrl-C ends")
             summary = record_live(live, Path(target), limits=limits, say=say)
+            if line := brief_stream_finding(live):
+                say(line)
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
     reasons = summary["left_out_reasons"].items()

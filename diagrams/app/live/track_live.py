@@ -21,6 +21,7 @@ from sonoservo.systems.live.live_source import LiveSource
 from sonoservo.systems.live.needle_sender import NeedleNames, needle_items
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.requirements import require
+from sonoservo.systems.signals.search_reason import ReasonCount
 from sonoservo.systems.signals.volume import Volume
 
 if TYPE_CHECKING:
@@ -121,6 +122,7 @@ def track_live(
     names = names or NeedleNames()
     started = time.perf_counter()
     modes: Counter[str] = Counter()
+    lost = ReasonCount()
     # Time in s to track a volume, and total time from its last byte to the sending of its estimate.
     track_s: deque[float] = deque(maxlen=_TIMED)
     total_s: deque[float] = deque(maxlen=_TIMED)
@@ -156,6 +158,8 @@ def track_live(
             total_s.append(time.perf_counter() - newest.arrived)
             track_s.append(ended - began)
             modes[str(estimate.mode)] += 1
+            if not estimate:
+                lost.add(estimate.reason)
             if table is not None:
                 X_WL = source.X_WL()
                 if correct_poses:
@@ -183,6 +187,8 @@ def track_live(
         "left_out_reasons": dict(source.left_out.most_common()),
         "poses": source.posed,
         "modes": dict(sorted(modes.items())),
+        "reasons": lost.words,
+        "advice": "" if modes["tracking"] else lost.advice,
         "compute_ms": {"track": _spread(track_s)},
         "latency_ms": {
             "total": _spread(total_s),

@@ -35,7 +35,9 @@ from sonoservo.systems.live.connection.items import ImageItem, Item, PoseItem
 from sonoservo.systems.live.connection.link import Link, shown
 from sonoservo.systems.live.connection.protocols import Address
 from sonoservo.systems.live.image_matcher import ImageMatcher, PosedImage
+from sonoservo.systems.live.live_source import LiveSource
 from sonoservo.systems.live.volume_maker import VolumeMaker
+from sonoservo.systems.recording.plus_configuration import read_plus_configuration
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.signals.volume import Volume
 
@@ -44,6 +46,9 @@ _CALIBRATED = 30
 
 _KEPT, _DEVICES = 24, 32
 """Most images that are kept of a stream, and most devices that are told apart."""
+
+_ERROR_MM = 2.0
+"""Error of a calibration in mm that shows in a needle's place."""
 
 _LETTERS = ("LR", "PA", "SI")
 _SECONDS = 5.0
@@ -123,8 +128,10 @@ def check_file(
     ConfigurationError
         If there is no such file.
     """
-    if not path.is_file():
+    if not path.exists():
         raise ConfigurationError(f"there is no file {path}")
+    if path.suffix.lower() == ".xml":
+        return check_configuration(path)
     checked = CheckedSource(str(path))
     try:
         try:
@@ -143,6 +150,40 @@ def check_file(
     return checked
 
 
+def check_configuration(path: Path) -> CheckedSource:
+    """Check a device-set configuration of PLUS: its transforms, orientation and time offset."""
+    checked = CheckedSource(str(path))
+    try:
+        known = read_plus_configuration(path)
+    except ConfigurationError as refusal:
+        advice = "the message says what to change"
+        checked.note(Check.READING, f"it cannot be read: {refusal}", Grade.WRONG, advice)
+        return checked
+    checked.note(Check.KIND, f"a configuration of PLUS with {len(known.transforms)} transforms")
+    for name, each in known.transforms.items():
+        checked.findings += check_matrices(name, each.matrix)
+        dated = f"{name}: calibrated {each.date or 'at a time that is not stated'}"
+        if np.isnan(each.error):
+            checked.note(Check.MATRIX, f"{dated}, with an error that is not stated")
+            continue
+        grade = Grade.DOUBTFUL if each.error > _ERROR_MM else Grade.FINE
+        advice = "calibrate again: a tip is no better known than that" if grade else ""
+        checked.note(Check.MATRIX, f"{dated}, with an error of {each.error:g} mm", grade, advice)
+    if not any(name.startswith("Image") for name in known.transforms):
+        advice = "calibrate the probe; without it, nobody knows where a pixel lies"
+        checked.note(Check.CHAIN, "ImageTo... is missing", Grade.DOUBTFUL, advice)
+    if known.orientation:
+        checked.note(Check.GRID, f"images have the orientation {known.orientation}")
+    else:
+        advice = "write PortUsImageOrientation (MF: marked side first, then away from the probe)"
+        checked.note(
+            Check.GRID, "the orientation of the images is not stated", Grade.DOUBTFUL, advice
+        )
+    offset = f"images are set back by {1e3 * known.time_offset:g} ms against the poses"
+    checked.note(Check.DELAY, offset if known.time_offset else "no time offset is stated")
+    return checked
+
+
 def brief_finding(opened: Recording | ReconstructedRecording) -> str:
     """Return the gravest of the findings that a header alone tells, on one line; may be empty."""
     file = opened.file
@@ -151,6 +192,12 @@ def brief_finding(opened: Recording | ReconstructedRecording) -> str:
         findings += check_spacing(np.linalg.norm(file.directions, axis=0))
     worst = gravest(findings)
     return "" if worst is None else f"{worst}. `sonoservo check {opened.path}` tells more."
+
+
+def brief_stream_finding(source: LiveSource) -> str:
+    """Return the gravest finding about the times of a stream, on one line; may be empty."""
+    worst = gravest(check_times(list(source.times), "images"))
+    return "" if worst is None else f"{worst}. `sonoservo check {source.address}` tells more."
 
 
 def _check_header(file: VolumeFile, times: Any, what: str) -> list[Finding]:
@@ -344,6 +391,8 @@ def _check_clocks(checked: CheckedSource, record: "_StreamRecord", poses: str | 
             f"set both clocks by one server, or state the difference (--clock-offset {offset:.2f})"
         )
         checked.note(Check.CLOCK, text, Grade.DOUBTFUL, advice)
+    if matcher.chain is not None:
+        checked.note(Check.CHAIN, str(matcher.chain))
     if record.images and not matcher.posed and others and poses != "none":
         text = f"none of the transforms is the probe's pose; there are {shown(', '.join(others))}"
         checked.note(Check.CHAIN, text, Grade.DOUBTFUL, "name one with --poses, or give none")

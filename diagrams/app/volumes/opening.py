@@ -57,7 +57,7 @@ def open_volumes(
     opened: Recording | ReconstructedRecording
     if reconstruct:
         opened = ReconstructedRecording(
-            path, frames=frames, spacing=spacing, frame_rate=volume_rate, **reading
+            path, frames=frames, spacing=spacing, frame_rate=volume_rate, clip=known.clip, **reading
         )
     else:
         opened = Recording(path, depth=depth, volume_rate=volume_rate, **reading)

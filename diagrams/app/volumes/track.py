@@ -35,6 +35,7 @@ from sonoservo.systems.files.writing import Unwritten
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.recording.side_files import TRUTH, Truth, read_truth, side_path
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
+from sonoservo.systems.signals.search_reason import ReasonCount
 from sonoservo.systems.signals.volume import Volume
 
 if TYPE_CHECKING:
@@ -281,6 +282,7 @@ def _summarize(
     wall: float,
 ) -> dict[str, Any]:
     modes = [str(each.mode) for each in done.estimates]
+    lost = ReasonCount(each.reason for each in done.estimates if not each)
     summary: dict[str, Any] = {
         "scenario": recording.path.name,
         "version": version("sonoservo"),
@@ -291,6 +293,8 @@ def _summarize(
         "poses": recording.posed,
         "truth": truth is not None,
         "modes": {mode: modes.count(mode) for mode in sorted(set(modes))},
+        "reasons": lost.words,
+        "advice": lost.advice if "tracking" not in modes else "",
     }
     figures = summarize(log)
     kept = ("detection", "tracking", "compute_ms") if truth is not None else ("compute_ms",)

@@ -39,6 +39,9 @@ def _departure(*changes: str, seeds: int = 20, learnt: str = "even") -> Protocol
 
 _WANDERS = (5, 10, 20, 30)
 
+_ELASTIC = ("hand.mechanics=beam", "hand.bend_radius=1.35", "hand.bend_radius_spread=1.05")
+"""Needles of another mechanics than the estimators', which are all derived from the bicycle."""
+
 LESSONS: Mapping[str, Sequence[str]] = {
     "even": [],
     **{f"{each} %": [f"hand.curvature_wander={each / 100}"] for each in _WANDERS},
@@ -63,6 +66,10 @@ PROTOCOLS: Mapping[str, Protocol] = {
     "rotation off by up to 10 deg": _departure("hand.rotation_angle_spread_deg=10"),
     "breathing of 0.5 mm": _departure("breathing=0.5e-3"),
     "3 in 10 slices dropped": _departure("scanner.connection.lost_sweeps=0.3"),
+    **{
+        f"{name}, elastic needle": Protocol(f"carriere2016_{name}", 20, 1, _ELASTIC, learnt="even")
+        for name in SETS
+    },
     "second needle beside": _departure("phantom=beef_two_needles"),
 }
 """Protocol of each experiment, by name."""

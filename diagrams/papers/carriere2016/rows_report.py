@@ -10,6 +10,7 @@ from sonoservo.diagrams.papers.carriere2016.protocols import SETS, SWEEP_SEEDS
 from sonoservo.diagrams.papers.carriere2016.runs import AS_PUBLISHED, TAUGHT
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.study_report import StudyRow
+from sonoservo.diagrams.studies.verdicts import can_be_judged
 from sonoservo.systems.evaluation.statistics.intervals import proportion_interval
 from sonoservo.systems.evaluation.statistics.run_intervals import mean_interval
 
@@ -79,14 +80,22 @@ class _Set:
     def share_row(
         self, quantity: str, ours: Floats | None, published: Floats | None = None, **more: Any
     ) -> StudyRow:
-        """Return the row of a share of needles in %, given 1, 0 or NaN for each."""
+        """Return the row of a share of needles in %, given 1, 0 or NaN for each.
+
+        Its target is left out if so few needles can never meet it, or never miss it.
+        """
         values: dict[str, Any] = {}
+        known = 0 if ours is None else int(np.isfinite(ours).sum())
+        if "target" in more and not can_be_judged(
+            known, more["target"], more.get("wanted", "at most")
+        ):
+            del more["target"]
         for prefix, each in (("", ours), ("published_", published)):
             if each is not None and np.isfinite(each).any():
-                known = each[np.isfinite(each)]
-                low, high = proportion_interval(int(known.sum()), len(known))
+                judged = each[np.isfinite(each)]
+                low, high = proportion_interval(int(judged.sum()), len(judged))
                 values |= {
-                    f"{prefix}true": 100 * float(known.mean()),
+                    f"{prefix}true": 100 * float(judged.mean()),
                     f"{prefix}low": 100 * low,
                     f"{prefix}high": 100 * high,
                 }

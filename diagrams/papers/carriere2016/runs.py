@@ -21,6 +21,7 @@ from sonoservo.diagrams.studies.study import Case
 from sonoservo.systems.evaluation.shape.shape_bound import TrueBend, deflection_bound
 from sonoservo.systems.evaluation.shape.shape_log import ShapeLog
 from sonoservo.systems.evaluation.shape.shape_metrics import prediction, summarize_shape
+from sonoservo.systems.needle.steered_path import SteeredPath
 from sonoservo.systems.shape.shape_particle_filter import ShapeParticleFilter
 from sonoservo.systems.shape.shape_posterior import WanderParameters
 from sonoservo.systems.signals.confidence import RADIUS_95
@@ -189,7 +190,8 @@ def _with(
 def _bound(experiment: ShapePredictionExperiment, log: ShapeLog) -> dict[str, float]:
     """Return the least root mean square error of tip in mm, with the scatter of this needle."""
     scenario, path = experiment.scenario, experiment.insertion.path
-    assert path is not None
+    if not isinstance(path, SteeredPath):
+        return {}  # the bound is that of the bicycle
     parameters = scenario.particle_filter
     bend = TrueBend(
         radius=path.radius,

@@ -122,11 +122,7 @@ _AT_REST = ((1.10, 0.6), (0.23, 0.2), (0.97, 0.6))
 
 
 def _fig5(group: Comparison, eq_25: Comparison | None) -> None:
-    add_rest_rows(group, _AT_REST)
-    group.row(
-        "runs that converged", "%", lambda m: m.share(lambda run: converged(run.log)),
-        target=100, wanted="at least",
-    )  # fmt: skip
+    add_rest_rows(group, _AT_REST, share=100)
 
     def lagging(method: MethodRuns) -> Value:
         return method.mean(lambda run: _MM * lag(run.log, run.scenario))
@@ -181,6 +177,7 @@ def _fig6(group: Comparison) -> None:
 
 def _recovery(group: Comparison, share: float, median: float) -> None:
     """Add the rows of recovery after moves; targets: share of runs in %, and median time in s."""
+    group.row("back after a move, all moves of all runs", "%", _returned)
     group.row(
         "runs back after every move",
         "%",
@@ -199,15 +196,21 @@ def _recovery(group: Comparison, share: float, median: float) -> None:
 
 def _recovered(method: MethodRuns, q: float) -> Value:
     """Return a quantile of the times of recovery after all moves of all runs."""
+    return _over_moves(method, lambda times: float(np.quantile(times, q, method="inverted_cdf")))
+
+
+def _returned(method: MethodRuns) -> Value:
+    """Return the share of all moves of all runs after which the needle is centred again, in %."""
+    return _over_moves(method, lambda times: 100 * float(np.isfinite(times).mean()))
+
+
+def _over_moves(method: MethodRuns, figure: Callable[[Any], float]) -> Value:
+    """Return a figure of the times of recovery; in a failed run they are infinite."""
     runs = [np.array(run.recovery_times) for run in method.runs]
     moves = max(map(len, runs), default=0)
     runs = [each for each in [*runs, *(method.failed * [np.full(moves, np.inf)])] if len(each)]
     if not runs:
         return Value()
-
-    def figure(values: Any) -> float:
-        return float(np.quantile(values, q, method="inverted_cdf"))
-
     low, high = run_interval(runs, figure)
     return Value(figure(np.concatenate(runs)), low=low, high=high)
 

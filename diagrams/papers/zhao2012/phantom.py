@@ -26,8 +26,8 @@ IMAGING = ImagingParameters(
     frames=53,
     sample_pitch=2.8519e-5,
 )
-"""Settings of the scanner in Table 1: 53 x 71 x 2608 samples. The rate of 1 volume/s follows from
-16 volumes in which a needle at 1 mm/s grows from 5 to 20 mm."""
+"""Settings of the scanner in Table 1: 53 x 71 x 2608 samples. The rate is not published and not
+used: all lines of a volume are acquired at once."""
 
 SIZE = (0.05, 0.05, 0.03)
 """Extents of the phantom in m."""
@@ -37,6 +37,10 @@ FACE_HEIGHT = 0.035
 
 DIRECTION = np.array([0.94, 0.0, -0.34]) / np.hypot(0.94, 0.34)
 """Published direction of the needle, in T: its third component points into the phantom."""
+
+TOWARDS = np.array([1.0, 0.0, 0.0])
+"""Rough direction of every needle, in T: it enters from the left, as whoever pushes it knows. It
+tells which end is the tip."""
 
 _NEEDLE_RADIUS = 0.5e-3
 _NEEDLE_DENSITY = 125e9
@@ -97,7 +101,9 @@ class Phantom:
             transducer=load_transducer("zhao2012"),
             imaging=IMAGING,
             tissue=tissue,
-            parameters=ScannerParameters(),
+            parameters=ScannerParameters(
+                noise_db=-55, gain_error_db=0, clutter_db=-300, decorrelation=0
+            ),
             seed=seed,
         )
         self.X_WP = RigidTransform(RotationMatrix.MakeXRotation(-np.pi / 2), [0, 0, FACE_HEIGHT])

@@ -32,7 +32,7 @@ _VELOCIMETER = replace(VELOCIMETER, min_correlation=1e-6)
 """The published windows. The best match counts, however badly it correlates."""
 
 
-def with_input(state: AxisTipState, change: Floats, dt: float) -> AxisTipState:
+def with_input(state: AxisTipState, change: float, dt: float) -> AxisTipState:
     """Return a predicted state with the control input of eq. 1, B u.
 
     Parameters
@@ -40,13 +40,16 @@ def with_input(state: AxisTipState, change: Floats, dt: float) -> AxisTipState:
     state
         State predicted without input.
     change
-        (3,) change u of the commanded velocity at the beginning of the step, in m/s.
+        Change of the commanded speed along the needle at the beginning of the step, in m/s; u is
+        that along the estimated direction.
     dt
         Duration of the step, in s. B maps u to (0, dt u, u).
     """
-    tip = state.tip + dt * change
-    length = state.length + dt * float(change @ state.direction)
-    return replace(state, tip=tip, tip_velocity=state.tip_velocity + change, length=length)
+    u = change * state.direction
+    length = state.length + dt * change
+    return replace(
+        state, tip=state.tip + dt * u, tip_velocity=state.tip_velocity + u, length=length
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +82,7 @@ class PublishedTracking:
         self._sweep: RadioFrequencySweep | None = None
 
     def __call__(
-        self, sweep: RadioFrequencySweep, volume: Volume, change: Floats | None = None
+        self, sweep: RadioFrequencySweep, volume: Volume, change: float | None = None
     ) -> PublishedResult:
         """Track the needle in the next sweep and the volume made from it.
 
@@ -88,7 +91,7 @@ class PublishedTracking:
         sweep, volume
             Next sweep and its volume.
         change
-            (3,) change of the commanded velocity since the last volume, in m/s; None for a hand.
+            Change of the commanded speed since the last volume, in m/s; None for a hand.
         """
         found = localize_as_published(volume, self._towards, 1, self._rng)
         measured = None

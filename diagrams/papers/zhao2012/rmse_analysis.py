@@ -54,8 +54,9 @@ def tracking_errors(outcomes: Sequence[Outcome], experiment: str) -> Errors | No
         return None
     errors = np.array([each.result["errors"] for each in finished], dtype=float)
     if experiment.startswith("dynamic"):
-        speeds = finished[0].case.settings["speeds_mm_s"]
-        lengths = 5 + np.cumsum([0.0, *speeds])[_ACTIVE:]
+        settings = finished[0].case.settings
+        steps = settings["interval_s"] * np.array([0.0, *settings["speeds_mm_s"]])
+        lengths = 5 + np.cumsum(steps)[_ACTIVE:]
         errors = errors[:, np.newaxis, _ACTIVE:]
     else:
         lengths = np.array(finished[0].case.settings["lengths_mm"], dtype=float)

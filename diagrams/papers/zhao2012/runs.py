@@ -9,7 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.diagrams.papers.zhao2012.phantom import DIRECTION, Phantom, StraightNeedle
+from sonoservo.diagrams.papers.zhao2012.phantom import (
+    DIRECTION,
+    TOWARDS,
+    Phantom,
+    StraightNeedle,
+)
 from sonoservo.diagrams.papers.zhao2012.published_tracking import PublishedTracking
 from sonoservo.diagrams.papers.zhao2012.tracking import BMode, Tracking, localize_as_published
 from sonoservo.diagrams.studies.following.cases import run_case as run_loop
@@ -83,7 +88,7 @@ class _Estimators:
     Parameters
     ----------
     needle
-        True needle; its rough direction tells which end is the tip, all else serves the errors.
+        True needle, for the errors only.
     seed
         Seed of the random samples.
     """
@@ -91,9 +96,9 @@ class _Estimators:
     def __init__(self, needle: StraightNeedle, seed: int) -> None:
         self._needle = needle
         self._rng = np.random.default_rng([seed, 5])
-        self._without = Tracking(needle.direction, seed, with_velocity=False)
-        self._tracker = Tracking(needle.direction, seed)
-        self._published = PublishedTracking(needle.direction, seed)
+        self._without = Tracking(TOWARDS, seed, with_velocity=False)
+        self._tracker = Tracking(TOWARDS, seed)
+        self._published = PublishedTracking(TOWARDS, seed)
         self._tip: tuple[float, Floats] | None = None
         self.errors: list[list[list[float | None]]] = []
         self.speeds: list[list[float | None]] = []
@@ -104,14 +109,14 @@ class _Estimators:
         sweep: RadioFrequencySweep,
         volume: Volume,
         length: float,
-        change: Floats | None = None,
+        change: float | None = None,
     ) -> None:
         began = time.perf_counter()
         tracked = self._tracker(sweep, volume)
         self.seconds.append(time.perf_counter() - began)
         curves: list[NeedleCurve | None] = []
         for refits in (0, 1):
-            found = localize_as_published(volume, self._needle.direction, refits, self._rng)
+            found = localize_as_published(volume, TOWARDS, refits, self._rng)
             curves.append(None if isinstance(found, NotFound) else found.curve)
         published = self._published(sweep, volume, change)
         without = self._without(sweep, volume).estimate
@@ -140,27 +145,27 @@ class _Estimators:
 
 
 def run_dynamic(case: Case) -> Mapping[str, Any]:
-    """Track a needle that is pushed from 5 mm on, with one volume per second.
+    """Track a needle that is pushed from 5 mm on.
 
-    The settings give the mean speeds between the volumes, `speeds_mm_s`, and whether the published
-    filter is told how they change (`commanded`).
+    The settings give the mean speeds between the volumes, `speeds_mm_s`, the time between them,
+    `interval_s`, and whether the published filter is told how the speeds change (`commanded`).
     """
     settings = case.settings
     phantom = _phantom(settings)
     b_mode = _b_mode(phantom.renderer.geometry)
     estimators = _Estimators(phantom.needle, case.seed)
-    speeds = [0.0, *settings["speeds_mm_s"]]
+    speeds, interval = [0.0, *settings["speeds_mm_s"]], settings["interval_s"]
     b_mode_seconds = []
     length = 5e-3
     for number, speed in enumerate(speeds):
-        length += 1e-3 * speed
-        sweep = phantom.sweep(length, float(number))
+        length += 1e-3 * speed * interval
+        sweep = phantom.sweep(length, number * interval)
         began = time.perf_counter()
         volume = b_mode(sweep)
         b_mode_seconds.append(time.perf_counter() - began)
         change = None
         if settings.get("commanded", False):
-            change = 1e-3 * (speed - speeds[max(number - 1, 0)]) * phantom.needle.direction
+            change = 1e-3 * (speed - speeds[max(number - 1, 0)])
         estimators(sweep, volume, length, change)
     return {
         "errors": estimators.errors,
@@ -195,7 +200,7 @@ def run_kept_voxels(case: Case) -> Mapping[str, Any]:
     volume = _b_mode(phantom.renderer.geometry)(phantom.sweep(length, 0.0))
     tips = []
     for kept_mm3 in case.settings["kept_mm3"]:
-        found = localize_as_published(volume, phantom.needle.direction, 1, rng, 1e-9 * kept_mm3)
+        found = localize_as_published(volume, TOWARDS, 1, rng, 1e-9 * kept_mm3)
         curve = None if isinstance(found, NotFound) else found.curve
         tips.append(_errors(curve, phantom.needle, length)[-1])
     return {"tip_mm": tips}

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from sonoservo.systems.files.writing import to_json
 from sonoservo.systems.recording.nrrd import write_mask, write_volume
 from sonoservo.systems.recording.recording_writer import RecordingWriter
+from sonoservo.systems.recording.zea import ZeaWriter
 from sonoservo.systems.signals.volume import Volume
 
 Labelled = tuple[Volume, NDArray[np.bool_]]
@@ -36,9 +37,17 @@ def _as_nnunet(name: str, volumes: Iterable[Labelled], folder: Path) -> None:
         write_mask(folder / "labelsTr" / f"{one}.nrrd", volume, mask, "needle")
 
 
+def _as_zea(name: str, volumes: Iterable[Labelled], folder: Path) -> None:
+    """Write a file of zea with the volumes and the segmentation of each."""
+    with ZeaWriter(folder / name / "volumes.hdf5") as writer:
+        for volume, mask in volumes:
+            writer.append(volume, mask)
+
+
 LAYOUTS: Mapping[str, tuple[Callable[[str, Iterable[Labelled], Path], None], str]] = {
     "sequences": (_as_sequence, "{}/labels.json"),
     "nnunet": (_as_nnunet, "labels/{}.json"),
+    "zea": (_as_zea, "{}/labels.json"),
 }
 """Writer of each layout, and the path of a sequence's labels in it."""
 

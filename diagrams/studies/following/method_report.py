@@ -1,6 +1,7 @@
 """Figures of the runs of one method, with their intervals, and rows that compare two methods."""
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -9,10 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.diagrams.studies.following.analysis import Run, Volumes, pooled_runs
+from sonoservo.diagrams.studies.following.analysis import Run, Volumes, converged, pooled_runs
 from sonoservo.diagrams.studies.following.cases import AS_PUBLISHED
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.study_report import StudyRow
+from sonoservo.diagrams.studies.verdicts import can_be_judged
 from sonoservo.systems.evaluation.statistics.intervals import proportion_interval
 from sonoservo.systems.evaluation.statistics.run_intervals import (
     count_interval,
@@ -27,12 +29,16 @@ _MM, _DEG = 1e3, float(np.rad2deg(1))
 
 @dataclass(frozen=True)
 class Value:
-    """A figure of one method: true, estimated, and the 95 % interval; None if there is none."""
+    """A figure of one method: true, estimated, and the 95 % interval; None if there is none.
+
+    A share in % also has its number of runs.
+    """
 
     true: float | None = None
     estimated: float | None = None
     low: float | None = None
     high: float | None = None
+    share_of: int | None = None
 
 
 class MethodRuns:
@@ -85,6 +91,23 @@ class MethodRuns:
         mean = float(np.mean(known)) if len(known) else None
         return Value(float(np.mean(values)), mean, low, high)
 
+    def median(
+        self, true: Callable[[Run], float | None], estimated: Callable[[Run], float | None]
+    ) -> Value:
+        """Return the median over runs; a failed run has the worst value of the others."""
+        values = self._with_failed(true)
+        if len(values) == 0:
+            return Value()
+        low, high = run_interval(list(values[:, np.newaxis]), _median)
+        return Value(_median(values), _median(self._with_failed(estimated)), low, high)
+
+    def those(self, good: Callable[[Run], bool]) -> "MethodRuns":
+        """Return the finished runs for which something holds."""
+        chosen = copy(self)
+        chosen.runs = [run for run in self.runs if good(run)]
+        chosen.failed, chosen.total = 0, len(chosen.runs)
+        return chosen
+
     def largest(self, true: Callable[[Run], float | None]) -> Value:
         """Return the largest value of all runs; infinite if one is unknown or a run failed."""
         values = [true(run) for run in self.runs]
@@ -99,7 +122,7 @@ class MethodRuns:
             return Value()
         number = sum(bool(good(run)) for run in self.runs)
         low, high = proportion_interval(number, self.total)
-        return Value(100 * number / self.total, low=100 * low, high=100 * high)
+        return Value(100 * number / self.total, None, 100 * low, 100 * high, self.total)
 
     def count(self, number: Callable[[Run], int]) -> Value:
         """Return the number of events in all runs; a failed run has as many as the worst."""
@@ -148,9 +171,14 @@ class Comparison:
         figure
             Function that returns the figure of a method's runs.
         more
-            Paper's figure, target, and its side; see `StudyRow`.
+            Paper's figure, target, and its side; see `StudyRow`. The target of a share is left
+            out if so few runs can never meet it, or never miss it.
         """
         ours, published = figure(self.ours), figure(self.published)
+        target = more.get("target")
+        if target is not None and ours.share_of is not None:
+            judged = can_be_judged(ours.share_of, target, more.get("wanted", "at most"))
+            more["target"] = target if judged else None
         self.rows.append(
             StudyRow(
                 experiment=self.name,
@@ -184,9 +212,13 @@ class Comparison:
 
 
 def add_rest_rows(
-    group: Comparison, known: Sequence[tuple[float | None, float | None]] = 3 * ((None, None),)
+    group: Comparison,
+    known: Sequence[tuple[float | None, float | None]] = 3 * ((None, None),),
+    share: float | None = None,
 ) -> None:
-    """Add the rows of the features at rest.
+    """Add the rows of the features at rest: where a run converged, and its median over all.
+
+    A mean over all runs would tell how far the runs that failed happened to go.
 
     Parameters
     ----------
@@ -194,22 +226,40 @@ def add_rest_rows(
         Runs with both methods, to which the rows are added.
     known
         Paper's figure and target of each feature.
+    share
+        Target of the share of runs that converge, in %.
     """
+    group.row(
+        "runs that converged", "%", lambda m: m.share(lambda run: converged(run.log)),
+        target=share, wanted="at least",
+    )  # fmt: skip
     for k, (name, (paper, target)) in enumerate(zip(("X", "Z", "Theta"), known, strict=True)):
         unit, factor = ("deg", _DEG) if name == "Theta" else ("mm", _MM)
         group.row(
-            f"at rest, lost or not, mean |{name}|",
+            f"at rest where it converged, mean |{name}|",
             unit,
             partial(_at_rest, feature=k, factor=factor),
             paper=paper,
             target=target,
         )
+        group.row(
+            f"at rest, all runs, median |{name}|",
+            unit,
+            partial(_at_rest, feature=k, factor=factor, every=True),
+        )
 
 
-def _at_rest(method: MethodRuns, feature: int, factor: float) -> Value:
-    """Return the mean error of a feature at rest, over all samples of all runs."""
+def _at_rest(method: MethodRuns, feature: int, factor: float, every: bool = False) -> Value:
+    """Return the error of a feature at rest: of runs that converged, or the median of all."""
 
     def error(run: Run, estimated: bool) -> float:
         return factor * float(run.rest[int(estimated)][feature])
 
-    return method.mean(partial(error, estimated=False), partial(error, estimated=True))
+    figures = partial(error, estimated=False), partial(error, estimated=True)
+    if every:
+        return method.median(*figures)
+    return method.those(lambda run: converged(run.log)).mean(*figures)
+
+
+def _median(values: Floats) -> float:
+    return float(np.median(values))

@@ -11,7 +11,7 @@ from pydrake.math import RigidTransform
 
 from sonoservo.systems.control.visual_features import needle_features
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
-from sonoservo.systems.signals.search_advice import search_advice, search_words
+from sonoservo.systems.signals.search_reason import SearchReason
 
 Floats = NDArray[np.float64]
 
@@ -135,6 +135,7 @@ def describe_state(sample: Sample | None) -> dict[str, str]:
     kind, detail = sample.mode, sample.reason
     advice = ""
     if kind == "searching" and detail != _WAITING:
-        words = search_words(detail)
-        detail, advice = words or detail, search_advice(detail)
+        reason = SearchReason.of(detail)
+        if reason is not None:
+            detail, advice = reason.words, reason.run_advice
     return {"kind": kind, "word": kind, "detail": detail, "advice": advice}

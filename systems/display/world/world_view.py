@@ -31,7 +31,7 @@ from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.planes import sample_sector, slice_planes
 from sonoservo.systems.signals.ports import evaluate
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
-from sonoservo.systems.signals.search_advice import search_words
+from sonoservo.systems.signals.search_reason import SearchReason
 from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.signals.volume import Volume
 
@@ -221,7 +221,8 @@ class WorldView(LeafSystem):
         self._drawn = estimate
         self._estimate.draw(estimate, time)
         none, seen = estimate.curve is None, estimate.volume_time > -np.inf
-        self._reason.show(search_words(estimate.reason) if none and seen else "", time)
+        reason = SearchReason.of(estimate.reason) if none and seen else None
+        self._reason.show(reason.words if reason else "", time)
         if estimate.curve is None:
             self._uncertainty.hide(time)
         else:

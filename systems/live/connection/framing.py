@@ -216,7 +216,7 @@ class Framer:
             yield Frame(header, None)
 
     def _grow(self, size: int) -> None:
-        larger = memoryview(np.empty(size, np.uint8))
+        larger = memoryview(np.empty(size, np.uint8).data)
         larger[: self._filled] = self._target
         self._target = larger
 

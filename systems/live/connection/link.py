@@ -269,6 +269,7 @@ class Link:
             with self._lock:
                 self._peers.remove(peer)
             peer.transport.abort()
+            peer.framer = self.protocol.make_framer()  # its memory is free at once
             self._tell(peer.name, reason)
 
     def _take(self, peer: _Peer, frame: Any, now: float) -> None:
@@ -330,6 +331,7 @@ class Link:
             task.result()
 
     async def _listen(self) -> None:
+        assert self._listener is not None
         server = await self._loop.create_server(lambda: _Peer(self), sock=self._listener)
         async with server:
             await server.serve_forever()

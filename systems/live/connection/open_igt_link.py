@@ -31,6 +31,7 @@ from sonoservo.systems.live.connection.items import (
     StatusItem,
     TextItem,
 )
+from sonoservo.systems.recording.grey_levels import luminance
 
 DEFAULT_PORT = 18944
 
@@ -46,8 +47,6 @@ _UTF8 = 106
 _LITTLE, _RAS = 2, 1
 _TYPES = {2: "i1", 3: "u1", 4: "i2", 5: "u2", 6: "i4", 7: "u4", 10: "f4", 11: "f8"}
 _CODES = {np.dtype(each): code for code, each in _TYPES.items()}
-_LUMINANCE = np.array([0.299, 0.587, 0.114])
-"""Weights of red, green and blue (ITU-R BT.601)."""
 
 _IMAGE = struct.Struct("> H 4B 3H 12f 6H")
 _POINT = struct.Struct("> 64s 32s 4B 4f 20s")
@@ -158,7 +157,10 @@ def _decode_image(name: str, time: float, content: memoryview) -> list[Item]:
     if voxels.size != components * np.prod(size, dtype=object) or voxels.size == 0:
         raise ValueError(f"{voxels.size} numbers for {size} voxels of {components}")
     if components != 1:
-        voxels = _luminance(voxels.reshape(-1, components))
+        if components not in (3, 4):
+            wanted = "one, or red, green and blue, wanted"
+            raise ValueError(f"{components} numbers a voxel; {wanted}")
+        voxels = luminance(voxels.reshape(-1, components))
     if voxels.dtype.kind == "f" and not np.isfinite(voxels).any():
         raise ValueError("none of its numbers is finite")
     matrix = np.eye(4)
@@ -172,14 +174,6 @@ def _decode_image(name: str, time: float, content: memoryview) -> list[Item]:
     if space == _RAS:
         matrix[:3] = _FLIP @ matrix[:3]
     return [ImageItem(name, time, voxels.reshape(size, order="F"), matrix)]
-
-
-def _luminance(colours: NDArray[np.generic]) -> NDArray[np.generic]:
-    """Return the grey levels of (n, 3) or (n, 4) colours, as numbers of the same type."""
-    if colours.shape[1] not in (3, 4):
-        raise ValueError(f"{colours.shape[1]} numbers a voxel; one, or red, green and blue, wanted")
-    grey = colours[:, :3] @ _LUMINANCE
-    return (grey if colours.dtype.kind == "f" else np.rint(grey)).astype(colours.dtype)
 
 
 def _decode_transform(name: str, time: float, content: memoryview) -> list[Item]:
@@ -253,16 +247,16 @@ def _decode_array(name: str, time: float, content: memoryview) -> list[Item]:
     return [CovarianceItem(name, time, _FLIP @ array @ _FLIP / _MM**2)]
 
 
-_SMALL = 1 << 22
-"""Most bytes of a message that is no image."""
+_SMALL, _POSES = 1 << 20, 1 << 16
+"""Most bytes of a message that is no image, and of one with poses: some hundred tools."""
 
 _DECODERS: dict[str, tuple[Callable[[str, float, memoryview], list[Item]], int]] = {
     "IMAGE": (_decode_image, MAX_BODY),
-    "TRANSFORM": (_decode_transform, _SMALL),
-    "TDATA": (_decode_tracking_data, _SMALL),
-    "QTDATA": (_decode_quaternion_tools, _SMALL),
-    "QTRANS": (_decode_position, _SMALL),
-    "POSITION": (_decode_position, _SMALL),
+    "TRANSFORM": (_decode_transform, _POSES),
+    "TDATA": (_decode_tracking_data, _POSES),
+    "QTDATA": (_decode_quaternion_tools, _POSES),
+    "QTRANS": (_decode_position, _POSES),
+    "POSITION": (_decode_position, _POSES),
     "STRING": (_decode_string, _SMALL),
     "STATUS": (_decode_status, _SMALL),
     "POINT": (_decode_points, _SMALL),

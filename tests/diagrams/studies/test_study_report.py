@@ -4,6 +4,7 @@ import json
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from rich.console import Console
@@ -11,6 +12,7 @@ from rich.console import Console
 from sonoservo.diagrams.app.terminal import study_table
 from sonoservo.diagrams.studies.study import Case, Outcome
 from sonoservo.diagrams.studies.study_report import Study, StudyFigure, StudyRow, write_study
+from sonoservo.diagrams.studies.verdicts import can_be_judged
 
 
 @pytest.fixture
@@ -42,20 +44,41 @@ def study():
 
 
 @pytest.mark.parametrize(
-    ("values", "met"),
+    ("values", "expected"),
     [
         ({}, None),
         ({"true": 1.0}, None),
-        ({"target": 1.0}, False),
-        ({"target": 1.0, "true": 1.0}, True),
-        ({"target": 1.0, "true": 1.1, "estimated": 0.1}, False),
-        ({"target": 1.0, "estimated": 0.9}, True),
-        ({"target": 1.0, "true": 1.1, "wanted": "at least"}, True),
-        ({"target": 1.0, "true": 0.9, "wanted": "at least"}, False),
+        ({"target": 1.0}, "no"),
+        ({"target": 1.0, "true": 1.0}, "yes"),
+        ({"target": 1.0, "true": 1.1, "estimated": 0.1}, "no"),
+        ({"target": 1.0, "estimated": 0.9}, "yes"),
+        ({"target": 1.0, "true": 1.1, "wanted": "at least"}, "yes"),
+        ({"target": 1.0, "true": 0.9, "wanted": "at least"}, "no"),
+        ({"target": 1.0, "true": 0.9, "low": 0.8, "high": 1.0}, "yes"),
+        ({"target": 1.0, "true": 0.9, "low": 0.8, "high": 1.1}, "undecided"),
+        ({"target": 1.0, "true": 0.9, "low": -np.inf, "high": np.inf}, "undecided"),
+        ({"target": 1.0, "true": 1.2, "low": 1.0, "high": 1.3}, "no"),
+        ({"target": 0, "true": 0, "low": 0.0, "high": 3.7}, "yes"),
     ],
 )
-def test_a_target_is_judged_by_the_truth_and_missed_by_nothing(values, met):
-    assert StudyRow(experiment="e", quantity="q", **values).met is met
+def test_a_target_is_judged_by_the_truth_and_missed_by_nothing(values, expected):
+    assert StudyRow(experiment="e", quantity="q", **values).verdict == expected
+
+
+@pytest.mark.parametrize(
+    ("total", "target", "wanted", "judged"),
+    [
+        (0, 50, "at least", False),
+        (6, 100, "at least", True),
+        (6, 90, "at least", False),
+        (100, 96, "at least", True),
+        (30, 96, "at least", False),
+        (100, 99, "at most", False),  # 96.4 to 100 % of 100
+        (400, 99, "at most", True),
+    ],
+)
+def test_a_target_of_a_share_needs_runs_that_can_meet_and_miss_it(total, target, wanted, judged):
+    assert can_be_judged(total, target, wanted) is judged
 
 
 def test_json(study, tmp_path):
@@ -66,9 +89,9 @@ def test_json(study, tmp_path):
     assert data["command"] == "sonoservo reproduce someone2013"
     assert data["version"]
     assert data["seeds"] == {"fig4": [0, 1, 3]}
-    wanted = {"experiment", "quantity", "unit", "paper", "estimated", "true", "target", "met"}
+    wanted = {"experiment", "quantity", "unit", "paper", "estimated", "true", "target", "verdict"}
     assert all(wanted <= row.keys() for row in data["rows"])
-    assert [row["met"] for row in data["rows"]] == [True, False, None, False]
+    assert [row["verdict"] for row in data["rows"]] == ["undecided", "no", None, "no"]
     assert data["rows"][-1]["true"] is None
     assert data["cases"] == {"fig4": {"cases": 3, "failed": 1}}
     (failure,) = data["failures"]
@@ -85,14 +108,14 @@ def test_page_needs_no_other_file(study, tmp_path):
     cells = [re.findall(r"<t[hd]>(.*?)</t[hd]>", row) for row in re.findall(r"<tr>.*?</tr>", text)]
     assert [
         "fig4", "tip error (mm)", "1.50", "0.400", "0.610", "0.500 to 0.750", "0.900", "1.20",
-        "too few runs", "≤ 0.7", "yes",
+        "too few runs", "≤ 0.7", "undecided",
     ] in cells  # fmt: skip
 
     assert ["", "found", "", "", "18", *4 * [""], "≥ 20", "<b>no</b>"] in cells
     assert ["", "error", "", "", "∞", *4 * [""], "≤ 1", "<b>no</b>"] in cells
     assert ["fig4", "0-1, 3", "3", "1"] in cells
     assert "ValueError: &lt;no&gt; luck" in text
-    assert "1 of 3 targets met" in text
+    assert "0 of 3 targets met, 1 undecided" in text
     assert "20 seeds &lt; 100." in text
 
 
@@ -105,7 +128,7 @@ def _shown(study, width):
 
 def test_a_wide_terminal_shows_every_column(study):
     text = _shown(study, 120)
-    assert "tip error, mm 1.5 0.4 0.61 0.5 to 0.9 1.2 too few ≤ 0.7 yes" in text
+    assert "tip error, mm 1.5 0.4 0.61 0.5 to 0.9 1.2 too few ≤ 0.7 undecided" in text
     assert "0.75 runs" in text
     assert text.count("fig4") == 1
     assert "3 runs, 1 failed" in text
@@ -113,7 +136,7 @@ def test_a_wide_terminal_shows_every_column(study):
 
 def test_a_narrow_terminal_shows_what_is_true_and_cuts_nothing_off(study):
     text = _shown(study, 80)
-    assert "tip error, mm 1.5 0.61 0.5 to 1.2 ≤ 0.7 yes 0.75" in text
+    assert "tip error, mm 1.5 0.61 0.5 to 1.2 ≤ 0.7 undecided 0.75" in text
     assert "estimated" not in text
     assert "…" not in text
 

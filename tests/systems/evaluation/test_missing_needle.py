@@ -9,7 +9,7 @@ from synthetic_logs import build_log
 from sonoservo.systems.evaluation.missing_needle import missing_needle
 from sonoservo.systems.evaluation.reports.report import Story, report_page
 from sonoservo.systems.evaluation.reports.verdict import following_verdict
-from sonoservo.systems.signals.search_advice import search_advice, search_words
+from sonoservo.systems.signals.search_reason import ReasonCount, SearchReason
 
 NONE = "there is no earlier volume to compare with"
 MOVED, STILL = "the probe moved 1.20 mm between the volumes", "nothing changed by more than 2.1 dB"
@@ -82,6 +82,18 @@ def test_the_report_tells_why():
     assert "<strong>No needle was found.</strong> Nothing &lt;moved&gt;. Push." in page
 
 
-def test_an_unknown_reason_has_no_advice():
-    assert search_advice("it rains") == search_words("it rains") == ""
-    assert search_words(MOVED) == "the probe moves"
+def test_reasons_are_counted_by_kind_the_most_frequent_first():
+    count = ReasonCount([MOVED, STILL, "it rains", "", STILL, "the probe moved 3 mm", STILL])
+    assert count.words == {"nothing changes": 3, "the probe moves": 2, "it rains": 1}
+    assert "--start anywhere" in count.advice
+    assert ReasonCount(["it rains"]).advice == ""
+
+
+@pytest.mark.parametrize("kind", SearchReason)
+def test_a_reason_keeps_its_kind_on_the_wire_and_in_a_log(kind):
+    reason = kind(" by 3 mm")
+    assert SearchReason.of(reason) is kind
+    stored = np.array([reason])[0]
+    assert SearchReason.of(str(stored)) is kind
+    assert "hand." not in kind.track_advice
+    assert SearchReason.of("it rains") is None

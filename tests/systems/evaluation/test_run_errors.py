@@ -170,6 +170,22 @@ def test_share_of_truth_inside_the_stated_doubt(insertion_log, factor):
         assert axis_share == pytest.approx(0.53, abs=0.03)
 
 
+def test_no_stated_uncertainty_holds_an_axis_that_points_backwards(insertion_log):
+    volumes = len(insertion_log.volume_time)
+    shaft = insertion_log.volume_estimate_tip - insertion_log.volume_estimate_entry
+    shares = []
+    for sense in (1, -1):
+        log = replace(
+            insertion_log,
+            volume_estimate_entry=insertion_log.volume_estimate_tip - sense * shaft,
+            volume_estimate_direction_covariance=np.tile(
+                1e-2 * np.diag([0.0, 1.0, 1.0]), (volumes, 1, 1)
+            ),
+        )
+        shares.append(consistency(log, np.ones(volumes, bool))["axis"]["within_95"])
+    assert shares == [1, 0]
+
+
 def test_a_log_without_covariances_states_nothing(insertion_log):
     known = np.ones(len(insertion_log.volume_time), bool)
     nothing = {"nees": None, "within_95": None}

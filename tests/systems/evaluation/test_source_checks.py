@@ -60,7 +60,7 @@ def test_steady_times_need_nothing_and_tell_the_rate():
         (
             np.delete(0.1 * np.arange(30), [7, 8, 20]),
             Check.RATE,
-            "2 gaps, the longest 0.3 s: about 3",
+            "gaps: 2, the longest 0.3 s; about 3",
         ),
         (0.1 * np.arange(30) + 0.05 * (np.arange(30) % 2), Check.RATE, "varies by 46 %"),
         (np.r_[0.1 * np.arange(9), 0.8, 0.9], Check.CLOCK, "1 time stamps are missing, repeated"),

@@ -151,10 +151,12 @@ def test_numbers_for_nothing_were_not_seen(tmp_path):
     outside = np.indices(SHAPE)[0] == 0
     for name, marker, dtype, options in (
         ("lowest", -32768, np.int16, {}),
+        ("highest", 65535, np.uint16, {}),
         ("nan", np.nan, np.float32, {}),
+        ("huge", -3e38, np.float32, {}),
         ("stated", 0, np.uint8, {"void": 0.0}),
     ):
-        array = np.where(outside, marker, ARRAYS[0]).astype(dtype)
+        array = np.where(outside, dtype(marker), ARRAYS[0].astype(dtype))
         path = write_sequence_nrrd(tmp_path / f"{name}.seq.nrrd", [array], times=[0.0])
         (volume,) = Recording(path, **options)
         np.testing.assert_array_equal(volume.seen, ~outside)
@@ -249,6 +251,10 @@ FAULTS = {
     "timeless.seq.nrrd": (
         lambda p: write_sequence_nrrd(p, ARRAYS, times=["nan"] * 4),
         "the times of its volumes are missing",
+    ),
+    "standing.seq.nrrd": (
+        lambda p: write_sequence_nrrd(p, ARRAYS, times=[0] * 4),
+        "do not rise; give their rate (--volume-rate)",
     ),
     "spacing.seq.nrrd": (
         lambda p: change(write_sequence_nrrd(p, ARRAYS), b"(0.29999999999999999", b"(0.0"),

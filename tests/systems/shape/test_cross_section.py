@@ -211,11 +211,8 @@ def test_the_printed_position_is_the_match_s_and_the_click_is_taken_as_it_is():
     np.testing.assert_array_equal(first.centre, click)
     aside = np.array([0.6e-3, 0.4e-3])
     moved = find_again(picture(axis + aside, seed=1), first, click + np.array([0.2e-3, 0]), printed)
-    np.testing.assert_allclose(moved.centre - click, aside, atol=SPACING)
-    # Whole pixels from the click's own place, at which the template was cut.
-    size = np.array(first.template.shape)
-    places = (moved.centre - ORIGIN) / SPACING - 0.5 * (size - 1)
-    np.testing.assert_allclose(places, np.rint(places), atol=1e-6)
+    # Between pixels, from the click's own place and not from that at which the template was cut.
+    np.testing.assert_allclose(moved.centre - click, aside, atol=0.35 * SPACING)
     # It follows whatever resembles the template most, even where there is no needle.
     assert find_again(picture(seed=2), first, click, printed)
 

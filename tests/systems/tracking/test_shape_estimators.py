@@ -197,7 +197,7 @@ def test_frame_may_be_given_before_the_needle_is_seen():
 def test_the_printed_filter_waits_for_10_mm_and_loses_its_spread():
     path = BicyclePath(radius=1.5, angle=0.03)
     points = measured(path, np.arange(0, 0.0601, 0.5e-3), 0.1e-3)
-    shapes = estimate("published", points, depth=0.14, bevel_direction_deg=0.0)
+    shapes = estimate("published", points, depth=0.14, bevel_direction_deg=0.0, gain=0.3)
     assert all(isinstance(shape, NotFound) for shape in shapes[:20])
     assert "10 mm" in shapes[10].reason
     first, last = shapes[20], shapes[-1]

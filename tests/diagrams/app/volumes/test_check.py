@@ -67,6 +67,35 @@ def test_file_that_cannot_be_read_is_a_finding(tmp_path, before, after, text):
     assert run_arguments(["check", str(tmp_path / "nowhere.mha")]) == 2
 
 
+@pytest.mark.parametrize(
+    ("error", "matrix", "orientation", "needed"),
+    [
+        ("0.4", "0.2 0 0 1  0 0.2 0 2  0 0 0.2 3  0 0 0 1", 'PortUsImageOrientation="MF"', ""),
+        ("3.4", "0.2 0 0 1  0 0.2 0 2  0 0 0.2 3  0 0 0 1", 'PortUsImageOrientation="MF"', "3.4"),
+        (
+            "0.4",
+            "0.2 0.1 0 1  0 0.2 0 2  0 0 0.2 3  0 0 0 1",
+            'PortUsImageOrientation="MF"',
+            "angle",
+        ),
+        ("0.4", "0.2 0 0 1  0 0.2 0 2  0 0 0.2 3  0 0 0 1", "", "orientation"),
+    ],
+)
+def test_configuration_of_plus(tmp_path, error, matrix, orientation, needed):
+    path = tmp_path / "c.xml"
+    path.write_text(
+        f"""<PlusConfiguration version="2.3"><DataCollection><Device Id="V" {orientation}/>
+        </DataCollection><CoordinateDefinitions><Transform From="Image" To="Probe" Error="{error}"
+        Date="2026" Matrix="{matrix}"/></CoordinateDefinitions></PlusConfiguration>"""
+    )
+    checked = check_file(path)
+    assert any("ImageToProbe" in each.text for each in found(checked, Check.MATRIX))
+    assert (checked.gravest is None) == (needed == "")
+    assert needed in str(checked.gravest or "")
+    path.write_text("<x/>")
+    assert check_file(path).gravest.check is Check.READING
+
+
 def test_other_commands_say_the_gravest_finding_in_one_line(tmp_path, capsys):
     volume = make_volume(shape=(20, 20, 20))
     one = type(volume)(volume.intensities, [0, 0, 0], [1e-3] * 3, RigidTransform(), 1.0)
@@ -134,8 +163,8 @@ def test_clocks_that_are_apart_and_other_transforms_need_something(stream):
 
 
 def test_stream_without_the_expected_transform_names_the_others(stream):
-    checked = listened(stream(lambda k: [pose(k, "ProbeToTracker"), image(0.0)]))
-    assert "ProbeToTracker" in found(checked, Check.CHAIN)[0].text
+    checked = listened(stream(lambda k: [pose(k, "StylusToTracker"), image(0.0)]))
+    assert "StylusToTracker" in found(checked, Check.CHAIN)[0].text
     assert "stand still" in found(checked, Check.CLOCK)[0].text
 
 

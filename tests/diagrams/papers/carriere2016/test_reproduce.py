@@ -21,6 +21,8 @@ from sonoservo.diagrams.studies.study_report import write_study
 
 SHORT = ["depth=0.03", "rotations=[0.02]", "observe_until=0.02", "step=1.5e-3"]
 SHORT += ["imaging.sector=0.4", "particle_filter.particles=150", "published.particles=150"]
+# A needle that shows at every angle.
+ROUGH = ["scanner.needle.diffuse_db=-20", "scanner.needle.diffuse_lobe_deg=null"]
 FEW = {"gamma": {"0.1": ["published.gain=0.1"]}, "h": {"4 mm": ["tracker.template=[6e-3, 4e-3]"]}}
 
 
@@ -30,7 +32,7 @@ def study(tmp_path_factory):
     folder = tmp_path_factory.mktemp("study")
     protocols = {
         "d60": Protocol("carriere2016_d60", 2, 2, SHORT, whole=True, learnt="even"),
-        "patient": PROTOCOLS["patient"],
+        "patient": replace(PROTOCOLS["patient"], changes=ROUGH),
         "curvature wanders by 10 %": Protocol(
             "carriere2016_d60", 2, 2, [*SHORT, "hand.curvature_wander=0.1"], learnt="even"
         ),
@@ -82,7 +84,7 @@ def test_a_departure_has_no_measured_tip_and_no_figure_of_the_paper(rows):
     assert (name, "needles followed to the end") not in rows
     assert rows[name, "tip error, bound of the root mean square"].true > 0
     stated = rows[name, "tip within its 95 %, wander learnt from earlier needles"]
-    assert stated.target is not None
+    assert stated.target is None  # so few needles cannot meet it
 
 
 def test_a_needle_without_prediction_counts_with_the_worst_error(study):
@@ -154,8 +156,8 @@ def test_ten_needles_meet_the_papers_errors_and_their_own_doubt(tmp_path, monkey
     study = reproduce(StudyOptions(folder=tmp_path, seeds=10, first_seed=100))
     rows = {(row.experiment, row.quantity): row for row in study.rows}
     for name in ("d60", "d80"):
-        assert rows[name, "tip error, mean"].met
-        assert rows[name, "shape error, mean"].met
+        assert rows[name, "tip error, mean"].verdict == "yes"
+        assert rows[name, "shape error, mean"].verdict == "yes"
     for name in names:
         learnt = rows[name, "tip within its 95 %, wander learnt from earlier needles"]
         assert learnt.true >= 80

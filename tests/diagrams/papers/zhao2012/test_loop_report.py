@@ -56,13 +56,13 @@ def test_speeds_are_judged_by_true_speed_and_method(rows):
     assert baseline.true == pytest.approx(0.0, abs=1e-6)
     assert baseline.published_true is None
     size = rows[SPEED, f"speed along the needle, size of the bias {when}"]
-    assert (size.target, size.met) == (0.5, True)
+    assert (size.target, size.verdict) == (0.5, "yes")
     missing = rows[SPEED, "volumes not tracked at 5 mm/s, from 1 s after a change on"]
     assert missing.true == missing.published_true == 0
 
 
 def test_the_loop_has_rows_of_both_methods(rows):
-    rest = rows[CLOSED_LOOP, "at rest, lost or not, mean |X|"]
+    rest = rows[CLOSED_LOOP, "at rest, all runs, median |X|"]
     assert None not in (rest.true, rest.estimated, rest.published_true, rest.published_estimated)
     assert rest.paper is None
     lost = rows[CLOSED_LOOP, "times lost, all runs"]

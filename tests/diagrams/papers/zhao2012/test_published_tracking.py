@@ -14,7 +14,7 @@ def test_a_commanded_change_of_speed_moves_the_prediction():
     needle_filter = AxisTipFilter()
     state = needle_filter.start(NeedleMeasurement(curve, 1e-6 * np.eye(6), 0.0, 0, 0.0))
     without = needle_filter.predict(state, 1.0)
-    moved = with_input(without, np.array([2e-3, 0, 0]), 1.0)
+    moved = with_input(without, 2e-3, 1.0)
     np.testing.assert_allclose(moved.tip, without.tip + np.array([2e-3, 0, 0]))
     np.testing.assert_allclose(moved.tip_velocity, [2e-3, 0, 0])
     np.testing.assert_allclose(moved.curve.entry, without.curve.entry, atol=1e-12)

@@ -288,10 +288,14 @@ def test_outbox_drops_the_oldest_of_a_topic_and_never_what_is_under_way():
 
 
 def test_source_gives_the_newest_and_counts_what_it_drops(server):
+    """Up to 64 wait for the first to be worked on, since that may take long."""
     address = parse_address(f"igtl://localhost:{server.port}")
     with LiveSource(address, report=lambda line: None) as source:
         assert "no volume has come from igtl://localhost" in source.take().reason
         wait_until(lambda: server.peers == 1)
+        for k in range(2):
+            server.send(volume_items(make_volume(0.1 + 0.1 * k)), topic=f"{k}")
+        assert [source.take(5.0).time for _ in range(2)] == [0.1, 0.2]
         for k in range(5):
             server.send(volume_items(make_volume(1.0 + k)), topic=f"{k}")
         wait_until(lambda: source.dropped == 4)

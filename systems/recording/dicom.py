@@ -1,0 +1,127 @@
+"""Reader of DICOM multi-frame ultrasound: 2D frames, with a table of their poses beside them."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.files.memory import require_memory
+from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
+from sonoservo.systems.files.volume_file import HoldsFramesError, VolumeFile, check_layout
+from sonoservo.systems.recording.extras import require_extra
+from sonoservo.systems.recording.grey_levels import grey_or_colours
+from sonoservo.systems.recording.pose_table import read_pose_table
+
+_TISSUE = 1
+_CENTIMETRES = 3
+"""Codes of a region of 2D tissue, and of centimetres as its unit."""
+
+_GREY = ("MONOCHROME1", "MONOCHROME2")
+
+
+def open_dicom(path: Path, *, frames: bool = False) -> VolumeFile:
+    """Open a DICOM file of 2D ultrasound frames.
+
+    DICOM holds no pose of such frames: a table ``NAME.csv`` beside the file does
+    (`read_pose_table`). The frames are cut to the region of 2D tissue, whose scale is the size of
+    the pixels. Times follow from the frame times or the cine rate.
+
+    Parameters
+    ----------
+    path
+        Path of the file.
+    frames
+        Whether 2D frames are wanted; they are refused otherwise.
+
+    Raises
+    ------
+    ConfigurationError
+        If it is not valid, or there is no table; the message names the file and the fault.
+    """
+    pydicom = require_extra("pydicom", "dicom", path)
+    pixels = require_extra("pydicom.pixels", "dicom", path)
+    with refusing_failures(path, "it is no DICOM file"):
+        data = pydicom.dcmread(path, stop_before_pixels=True)
+        count, rows, columns = (
+            int(data.get(name, default))
+            for name, default in (("NumberOfFrames", 1), ("Rows", 0), ("Columns", 0))
+        )
+    size = rows * columns * int(data.get("SamplesPerPixel", 1)) * int(data.get("BitsAllocated", 8))
+    require_memory(size // 8, str(path), f"{rows} x {columns} pixels")
+    if data.get("PhotometricInterpretation", "") == "PALETTE COLOR":
+        raise ConfigurationError(f"{path}: PhotometricInterpretation: palettes are not supported")
+    if not frames:
+        raise HoldsFramesError(
+            f"{path}: {count} frames of DICOM are 2D frames; make volumes of them with "
+            "--reconstruct"
+        )
+    fields = read_pose_table(path.with_suffix(".csv"), [str(k) for k in range(count)])
+    left, top, right, bottom, spacing, note = _region(data, columns, rows)
+    slope, shift = (
+        float(data.get(f"Rescale{name}", default))
+        for name, default in (("Slope", 1), ("Intercept", 0))
+    )
+    inverted = data.get("PhotometricInterpretation", "") == "MONOCHROME1"
+    most = 2 ** int(data.get("BitsStored", 8)) - 1
+
+    def numbers(number: int) -> NDArray[Any]:
+        with refusing_failures(path, f"frame {number}"):
+            frame = pixels.pixel_array(path, index=number)
+        frame = np.swapaxes(frame, 0, 1)[left:right, top:bottom]
+        if inverted:
+            frame = (most - frame.astype(np.int64)).astype(frame.dtype)
+        return frame if (slope, shift) == (1.0, 0.0) else frame * slope + shift
+
+    first = numbers(0)
+    shape, channels = (right - left, bottom - top, 1), grey_or_colours(first)
+    check_layout(path, shape, count, np.eye(3), frames=True)
+
+    def read(number: int) -> NDArray[Any]:
+        frame = numbers(number)
+        if frame.ndim == 3 and channels == 1:
+            frame = frame[..., 0]
+        return frame.reshape(*shape, *(() if channels == 1 else (channels,)))
+
+    padding = data.get("PixelPaddingValue", None)
+    directions = np.diag([*spacing, 1.0])
+    return VolumeFile(
+        path, shape, count, directions, np.zeros(3), read, _times(data, count), fields,
+        (note,) if note else (), channels, None if padding is None else float(padding),
+    )  # fmt: skip
+
+
+def _region(
+    data: Any, columns: int, rows: int
+) -> tuple[int, int, int, int, tuple[float, float], str]:
+    """Return the ends of the region of tissue in pixels, their size in mm, and a note."""
+    for region in data.get("SequenceOfUltrasoundRegions", []):
+        tissue = int(region.get("RegionSpatialFormat", 0)) == _TISSUE
+        units = {int(region.get(f"PhysicalUnits{axis}Direction", 0)) for axis in "XY"}
+        if tissue and units == {_CENTIMETRES}:
+            corners = [
+                int(region.get(f"RegionLocation{name}", default))
+                for name, default in (
+                    ("MinX0", 0), ("MinY0", 0), ("MaxX1", columns - 1), ("MaxY1", rows - 1)
+                )
+            ]  # fmt: skip
+            left, top, right, bottom = corners
+            right, bottom = min(right + 1, columns), min(bottom + 1, rows)
+            spacing = tuple(10 * abs(float(region[f"PhysicalDelta{axis}"].value)) for axis in "XY")
+            size = f"{right - left} x {bottom - top}"
+            note = f"its frames are cut to the region of tissue, {size} pixels"
+            return left, top, right, bottom, (spacing[0], spacing[1]), note
+    if "PixelSpacing" in data:  # between rows, and between columns
+        down, across = (float(each) for each in data.PixelSpacing)
+        return 0, 0, columns, rows, (across, down), ""
+    return 0, 0, columns, rows, (1.0, 1.0), "it does not state the size of its pixels"
+
+
+def _times(data: Any, count: int) -> NDArray[np.float64] | None:
+    if "FrameTimeVector" in data:
+        steps = np.atleast_1d(np.array(data.FrameTimeVector, float))
+        return np.asarray(1e-3 * np.cumsum(steps)) if len(steps) == count else None
+    if "FrameTime" in data:
+        return 1e-3 * float(data.FrameTime) * np.arange(count)
+    rate = float(data.get("CineRate", 0) or data.get("RecommendedDisplayFrameRate", 0) or 0)
+    return np.arange(count) / rate if rate > 0 else None

@@ -1,0 +1,73 @@
+"""Reader of a folder of PNG images with a table of their poses."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.files.volume_file import HoldsFramesError, VolumeFile, check_layout
+from sonoservo.systems.recording.extras import require_extra
+from sonoservo.systems.recording.grey_levels import grey_or_colours
+from sonoservo.systems.recording.pose_table import read_pose_table
+
+TABLE = "poses.csv"
+"""Name of the table, if a folder holds several."""
+
+
+def open_png_folder(path: Path, *, frames: bool = False) -> VolumeFile:
+    """Open a folder of PNG images, in the order of their names, with a table (`read_pose_table`).
+
+    Columns of pixels run across, rows away from the probe. The size of the pixels is that of the
+    calibration.
+
+    Parameters
+    ----------
+    path
+        Path of the folder.
+    frames
+        Whether 2D frames are wanted; they are refused otherwise.
+
+    Raises
+    ------
+    ConfigurationError
+        If there are no images or no table, or it is not valid.
+    """
+    image = require_extra("PIL.Image", "images", path)
+    files = sorted(each for each in path.iterdir() if each.suffix.lower() == ".png")
+    if not files:
+        raise ConfigurationError(f"{path}: it is a folder without PNG images")
+    if not frames:
+        raise HoldsFramesError(
+            f"{path}: {len(files)} PNG images are 2D frames; make volumes of them with "
+            "--reconstruct"
+        )
+    tables = sorted(path.glob("*.csv"))
+    table = path / TABLE if path / TABLE in tables or len(tables) != 1 else tables[0]
+    fields = read_pose_table(table, [each.name for each in files])
+
+    def pixels(number: int) -> NDArray[Any]:
+        with image.open(files[number]) as opened:
+            if opened.mode == "P":
+                opened = opened.convert("RGB")
+            return np.swapaxes(np.asarray(opened), 0, 1)
+
+    first = pixels(0)
+    shape, channels = first.shape, grey_or_colours(first)
+    size = (shape[0], shape[1], 1)
+    check_layout(path, size, len(files), np.eye(3), frames=True)
+
+    def read(number: int) -> NDArray[Any]:
+        here = pixels(number)
+        if here.shape != shape:
+            raise ConfigurationError(
+                f"{files[number]}: {here.shape} pixels; the first image has {shape}"
+            )
+        if here.ndim == 3 and channels == 1:
+            here = here[..., 0]
+        return here.reshape(*size, *(() if channels == 1 else (channels,)))
+
+    return VolumeFile(
+        path, size, len(files), np.eye(3), np.zeros(3), read, None, fields, (), channels
+    )

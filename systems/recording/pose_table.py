@@ -1,0 +1,107 @@
+"""Tables of poses (CSV) beside images of formats that hold none, such as PNG and DICOM."""
+
+import csv
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RigidTransform
+
+from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
+from sonoservo.systems.recording.transform_chain import ends_of
+
+_MOST_BYTES = 1 << 26
+_ELEMENT = re.compile(r"(?:(\w+To\w+?)_)?m?([0-3])([0-3])")
+_VECTOR = re.compile(r"(?:(\w+To\w+?)_)?(x|y|z|qw|qx|qy|qz)")
+_DEFAULT = "ProbeToReference"
+_TIMES = {"time": 1.0, "timestamp": 1.0, "time_s": 1.0, "time_ms": 1e-3}
+_NAMES = ("file", "filename", "image", "name")
+
+
+def read_pose_table(path: Path, files: Sequence[str]) -> dict[str, str]:
+    """Read a table with a row for each frame, as the fields that PLUS would write.
+
+    The first row names the columns. ``file`` or ``frame`` (from 0) tells which frame a row belongs
+    to; without either, rows are in order. ``time`` is in s, ``time_ms`` in ms. A pose is
+    ``x, y, z`` in mm with the unit quaternion ``qw, qx, qy, qz``, or the elements ``m00`` to
+    ``m23`` of a matrix in mm. The pose is that of the probe in the reference
+    (``ProbeToReference``), unless the columns begin with another name, as ``ImageToReference_m00``.
+
+    Parameters
+    ----------
+    path
+        Path of the table.
+    files
+        Names of the frames' files, in order.
+
+    Raises
+    ------
+    ConfigurationError
+        If it is not valid; the message names the file and the fault.
+    """
+    if not path.is_file():
+        raise ConfigurationError(f"{path}: there is no such table of poses")
+    if path.stat().st_size > _MOST_BYTES:
+        raise ConfigurationError(f"{path}: it is too large for a table of poses")
+    with refusing_failures(path, "it is no table of poses"):
+        rows = list(csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines()))
+        if not rows:
+            raise ConfigurationError(f"{path}: it has no rows below that of the names")
+        fields: dict[str, str] = {}
+        numbers = {name: number for number, name in enumerate(files)}
+        for place, raw in enumerate(rows):
+            row = {str(key).strip(): str(value).strip() for key, value in raw.items() if key}
+            number = _number(path, row, place, numbers)
+            if number is None:
+                continue
+            frame = f"Seq_Frame{number:04d}"
+            for name, scale in _TIMES.items():
+                if name in row:
+                    fields[f"{frame}_Timestamp"] = repr(scale * float(row[name] or "nan"))
+            for name, text in _matrices(path, row).items():
+                fields[f"{frame}_{name}Transform"] = text
+        return fields
+
+
+def _number(
+    path: Path, row: Mapping[str, str], place: int, numbers: Mapping[str, int]
+) -> int | None:
+    for name in _NAMES:
+        if name in row:
+            return numbers.get(Path(row[name]).name)
+    return int(row["frame"]) if "frame" in row else place
+
+
+def _matrices(path: Path, row: Mapping[str, str]) -> dict[str, str]:
+    """Return the matrices of a row by name, as text; those with a missing number are left out."""
+    found: dict[str, np.ndarray] = {}
+    vectors: dict[str, dict[str, float]] = {}
+    for key, text in row.items():
+        element, vector = _ELEMENT.fullmatch(key), _VECTOR.fullmatch(key)
+        match = element or vector
+        if match is None:
+            continue
+        name = match[1] or _DEFAULT
+        if ends_of(name) is None:
+            raise ConfigurationError(f"{path}: column {key!r}: {name!r} names no transform")
+        number = float(text) if text else np.nan
+        if element:
+            matrix = found.setdefault(name, np.vstack([np.full((3, 4), np.nan), [0, 0, 0, 1]]))
+            matrix[int(element[2]), int(element[3])] = number
+        else:
+            vectors.setdefault(name, {})[match[2]] = number
+    for name, each in vectors.items():
+        if len(each) != 7:
+            raise ConfigurationError(f"{path}: a pose is x, y, z, qw, qx, qy and qz, or a matrix")
+        q = np.array([each[key] for key in ("qw", "qx", "qy", "qz")])
+        place = [each[key] for key in "xyz"]
+        if np.isfinite(q).all() and np.isfinite(place).all() and np.linalg.norm(q) > 0:
+            pose = RigidTransform(Quaternion(q / np.linalg.norm(q)), place)
+            found[name] = pose.GetAsMatrix4()
+    return {
+        name: " ".join(map(repr, matrix.ravel().tolist()))
+        for name, matrix in found.items()
+        if np.isfinite(matrix).all()
+    }

@@ -1,0 +1,223 @@
+"""Reasons for which a tracker finds no needle: their kinds, words for a person, and what to change.
+
+What a run changes are fields of its scenario; what a person with volumes changes are the volumes,
+and options of `sonoservo track`.
+"""
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Self
+
+
+@dataclass(frozen=True)
+class _Search:
+    """What is said about a kind of reason.
+
+    Parameters
+    ----------
+    begins
+        Beginning of the sentences of this kind, which may go on with figures.
+    words
+        The same in a few words.
+    run, track
+        What to change in a scenario, and with volumes of one's own; may be empty.
+    """
+
+    begins: str
+    words: str
+    run: str
+    track: str
+
+
+_FAINT = (
+    "push the needle further into view (hand.pushes), or make it brighter (scanner.needle) or less "
+    "steep (hand.dip_deg)"
+)
+_UNSEEN = (
+    "look at the volumes (--show): does the sound run as --depth says, is the needle brighter than "
+    "the rest (--window), are the voxels as large as the file says (sonoservo check)?"
+)
+_LONGER = "let the run be longer (duration)"
+_ANYWHERE = "look for it in whole volumes (--start anywhere)"
+
+
+class SearchReason(Enum):
+    """Kinds of reasons for which there is no needle in a volume."""
+
+    NO_VOLUME = _Search("no volume", "there is no volume", _LONGER, "record volumes")
+    NO_SWEEP = _Search("no sweep", "there is no volume", _LONGER, "record volumes")
+    NOTHING_EARLIER = _Search(
+        "there is no earlier volume",
+        "there is nothing to compare with yet",
+        "let the run be longer (duration) or the hand start later (hand.start)",
+        f"record some seconds before the needle is pushed in, or {_ANYWHERE}",
+    )
+    PROBE_MOVES = _Search(
+        "the probe moved",
+        "the probe moves",
+        "let the hand wait until the probe rests: leave hand.start out, or set it later",
+        f"hold the probe still while the needle is pushed in, or {_ANYWHERE}",
+    )
+    OTHER_SETTINGS = _Search(
+        "the previous volume",
+        "the scanner's settings have changed",
+        "keep the scanner's settings (imaging) while the tracker searches",
+        "keep the scanner's settings while the tracker searches",
+    )
+    NOTHING_CHANGES = _Search(
+        "nothing changed",
+        "nothing changes",
+        "push the needle into view (hand.pushes, hand.aim), or make its echo brighter "
+        "(scanner.needle)",
+        f"push the needle in while volumes are recorded, or {_ANYWHERE}",
+    )
+    SPREAD = _Search(
+        "the change is spread",
+        "too much changes at once",
+        "push the needle more slowly (hand.pushes), or look for it in whole volumes: "
+        "tracker.start=anywhere",
+        f"push the needle more slowly, keep tissue and probe still, or {_ANYWHERE}",
+    )
+    INSIDE = _Search(
+        "the change lies",
+        "the change is far inside the image",
+        "let the needle come in from the side of the image, or look for it in whole volumes: "
+        "tracker.start=anywhere",
+        f"let the needle come in from the side of the image, or {_ANYWHERE}",
+    )
+    MOTION_UNCONFIRMED = _Search(
+        "something moved",
+        "something moved, and is not confirmed yet",
+        "push the needle further in or more slowly (hand.pushes), or raise imaging.volume_rate",
+        "push the needle further in or more slowly, or record more volumes a second",
+    )
+    UNCERTAIN = _Search(
+        "no line is a needle with certainty",
+        "no line is a needle with certainty yet",
+        "let the run be longer (duration), or push the needle further into view (hand.pushes)",
+        "record more volumes; one sweep over the needle is not enough, three are",
+    )
+    NONE_IN_VOLUME = _Search(
+        "no needle in the whole", "no needle in the whole volume", _FAINT, _UNSEEN
+    )
+    NOT_DETECTED = _Search(
+        "no needle has been", "no needle has been detected", _FAINT, f"{_UNSEEN} Or {_ANYWHERE}"
+    )
+    THERE_BEFORE = _Search(
+        "the line most like a needle was there",
+        "the line most like a needle was there before",
+        "push the needle into view while the probe looks on, or take any line that looks like one: "
+        "tracker.start=anywhere",
+        "record from before the needle comes in, or take any line that looks like one "
+        "(--start anywhere)",
+    )
+    RIDES = _Search(
+        "the line most like a needle moves along",
+        "the line most like a needle moves along with the probe",
+        _FAINT,
+        _UNSEEN,
+    )
+    APPEARED = _Search(
+        "the line most like a needle appeared",
+        "the line most like a needle appeared at once",
+        "push the needle more slowly (hand.pushes), or raise imaging.volume_rate",
+        "push the needle more slowly, or record more volumes a second",
+    )
+    NO_BRIGHT_LINE = _Search(
+        "no bright line", "no bright line comes in from the side", _FAINT, _UNSEEN
+    )
+    NO_LINE = _Search("no line", "no line stands out as a needle does", _FAINT, _UNSEEN)
+    END_ONLY = _Search(
+        "only the end",
+        "only the end of a needle is seen",
+        "push the needle further in",
+        "let more of the needle come into view",
+    )
+    NOT_AS_EXPECTED = _Search(
+        "none of", "nothing lies where the needle is expected", _FAINT, _UNSEEN
+    )
+    NOTHING_ALONG = _Search("nothing along", "no needle stands out along its line", _FAINT, _UNSEEN)
+    WITHDRAWN = _Search("the needle was withdrawn", "the needle was withdrawn", "", "")
+    TRACKED = _Search("a needle is being tracked", "a needle is being tracked", "", "")
+
+    @property
+    def words(self) -> str:
+        """The reason in a few words without figures."""
+        return self.value.words
+
+    @property
+    def run_advice(self) -> str:
+        """What to change in a scenario so that the needle is found; may be empty."""
+        return self.value.run
+
+    @property
+    def track_advice(self) -> str:
+        """What to change with volumes of one's own; may be empty."""
+        return self.value.track
+
+    def __call__(self, rest: str = "") -> "Reason":
+        """Return the reason as a sentence that goes on with its figures."""
+        return Reason(self, f"{self.value.begins}{rest}")
+
+    @classmethod
+    def of(cls, text: str) -> "SearchReason | None":
+        """Return the kind of a reason: its own, or that of a sentence from a log; None if none."""
+        if isinstance(text, Reason):
+            return text.kind
+        return next((each for each in cls if text.startswith(each.value.begins)), None)
+
+
+class Reason(str):
+    """A reason as a sentence, which knows its kind.
+
+    Parameters
+    ----------
+    kind
+        Its kind.
+    text
+        The sentence, with figures.
+    """
+
+    kind: SearchReason
+
+    def __new__(cls, kind: SearchReason, text: str) -> Self:
+        """Return the sentence."""
+        reason = super().__new__(cls, text)
+        reason.kind = kind
+        return reason
+
+
+class ReasonCount:
+    """Counts how often each kind of reason was given.
+
+    Parameters
+    ----------
+    reasons
+        First reasons; see `add`.
+    """
+
+    def __init__(self, reasons: Iterable[str] = ()) -> None:
+        self._counts: Counter[SearchReason | str] = Counter()
+        for reason in reasons:
+            self.add(reason)
+
+    def add(self, reason: str) -> None:
+        """Count a reason; one of no known kind is a kind of its own, an empty one is none."""
+        if reason:
+            self._counts[SearchReason.of(reason) or str(reason)] += 1
+
+    @property
+    def words(self) -> dict[str, int]:
+        """Numbers by the reasons in a few words, the most frequent first."""
+        return {
+            each.words if isinstance(each, SearchReason) else each: count
+            for each, count in self._counts.most_common()
+        }
+
+    @property
+    def advice(self) -> str:
+        """What a person with volumes can change about the most frequent kind; may be empty."""
+        kinds = (each for each, _ in self._counts.most_common() if isinstance(each, SearchReason))
+        return next((each.track_advice for each in kinds if each.track_advice), "")

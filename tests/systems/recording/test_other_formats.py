@@ -1,0 +1,249 @@
+"""Formats that laboratories have: HDF5 of TUS-REC and zea, DICOM, and PNG with a table of poses."""
+
+import csv
+import sys
+
+import h5py
+import numpy as np
+import pydicom
+import pytest
+from PIL import Image
+from pydicom.dataset import FileMetaDataset
+from pydicom.uid import ExplicitVRLittleEndian, UltrasoundMultiFrameImageStorage, generate_uid
+from pydrake.math import RigidTransform, RollPitchYaw
+from synthetic_volumes import Scene
+from tracked_frames import freehand
+
+from sonoservo.diagrams.app.volumes.check import check_file
+from sonoservo.diagrams.app.volumes.opening import open_volumes
+from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.recording.recording import Recording
+from sonoservo.systems.recording.tracked_frames import TrackedFrames
+from sonoservo.systems.recording.zea import ZeaWriter
+
+PIXEL = np.diag([0.5, 0.4, 1, 1])
+CALIBRATION = RigidTransform(RollPitchYaw(0.1, 0.2, 0.3), [10, 5, -3]).GetAsMatrix4() @ PIXEL
+
+
+@pytest.fixture(scope="module")
+def frames():
+    return freehand(8, dtype=np.uint8)
+
+
+def sensor_poses(frames):
+    """The poses of the sensor on the probe, in mm."""
+    mm = np.diag([1e3, 1e3, 1e3, 1.0])
+    return [mm @ frame.X_WI @ np.linalg.inv(CALIBRATION) for frame in frames]
+
+
+def assert_same_frames(read, frames, shift=0.0):
+    assert len(read) == len(frames)
+    for number, frame in enumerate(frames):
+        np.testing.assert_array_equal(read[number], frame.pixels)
+        np.testing.assert_allclose(read.X_WI[number], frame.X_WI, atol=1e-7)
+    np.testing.assert_allclose(read.times - read.times[0], 0.05 * np.arange(len(frames)))
+
+
+@pytest.mark.parametrize("apart", [False, True])
+def test_scans_of_tus_rec(tmp_path, frames, apart):
+    folder = tmp_path / "frames" / "050" if apart else tmp_path / "050"
+    folder.mkdir(parents=True)
+    path = folder / "RH_rotation.h5"
+    poses = np.array(sensor_poses(frames))
+    with h5py.File(path, "w") as file:
+        file["frames"] = np.array([frame.pixels.T for frame in frames])
+        if not apart:
+            file["tforms"] = poses
+    if apart:
+        with pytest.raises(ConfigurationError, match="no transforms"):
+            TrackedFrames(path)
+        (tmp_path / "transfs" / "050").mkdir(parents=True)
+        with h5py.File(tmp_path / "transfs" / "050" / path.name, "w") as file:
+            file["tforms"] = poses
+    with pytest.raises(ConfigurationError, match="calibration ImageToProbe is missing"):
+        TrackedFrames(path)
+    rows = np.concatenate([PIXEL, CALIBRATION @ np.linalg.inv(PIXEL)])
+    lines = [",".join(map(repr, row)) for row in rows.tolist()]
+    text = ["scaling_from_pixel_to_mm", *lines[:4], "spatial_calibration", *lines[4:]]
+    (tmp_path / "calib_matrix.csv").write_text("\n".join(text))
+    assert_same_frames(TrackedFrames(path), frames)
+    with pytest.raises(ConfigurationError, match="--reconstruct"):
+        Recording(path)
+
+
+def write_pngs(folder, frames, *, mode="L", quaternions=False):
+    folder.mkdir()
+    names = [f"frame_{k:03d}.png" for k in range(len(frames))]
+    with (folder / "poses.csv").open("w", newline="") as file:
+        columns = ["file", "time_ms"]
+        columns += [*"xyz", "qw", "qx", "qy", "qz"] if quaternions else [
+            f"m{i}{j}" for i in range(3) for j in range(4)
+        ]  # fmt: skip
+        table = csv.writer(file)
+        table.writerow(columns)
+        for name, frame, pose in reversed(
+            list(zip(names, frames, sensor_poses(frames), strict=True))
+        ):
+            values = pose[:3].ravel().tolist()
+            if quaternions:
+                X = RigidTransform(pose)
+                values = [*X.translation(), *X.rotation().ToQuaternion().wxyz()]
+            table.writerow([name, 1e3 * frame.time, *values])
+    for name, frame in zip(names, frames, strict=True):
+        Image.fromarray(frame.pixels.T).convert(mode).save(folder / name)
+
+
+@pytest.mark.parametrize("mode", ["L", "RGB", "I;16"])
+def test_a_folder_of_png_with_a_table_of_poses(tmp_path, frames, mode):
+    folder = tmp_path / "pictures"
+    write_pngs(folder, frames, mode="L" if mode == "I;16" else mode, quaternions=mode == "RGB")
+    if mode == "I;16":
+        for path in folder.glob("*.png"):
+            Image.fromarray(np.asarray(Image.open(path)).astype(np.uint16)).save(path)
+    read = TrackedFrames(folder, transforms={"ImageToProbe": CALIBRATION})
+    assert_same_frames(read, frames)
+    assert not [f for f in check_file(folder, calibration=" ".join(map(str, CALIBRATION.ravel()))
+                                      ).findings if "cannot be read" in f.text]  # fmt: skip
+
+
+def test_a_row_that_is_missing_costs_its_frame(tmp_path, frames):
+    folder = tmp_path / "pictures"
+    write_pngs(folder, frames)
+    rows = (folder / "poses.csv").read_text().splitlines()
+    (folder / "poses.csv").write_text("\n".join([*rows[:3], *rows[4:]]))
+    read = TrackedFrames(folder, transforms={"ImageToProbe": CALIBRATION})
+    assert (len(read), read.notes[-1]) == (7, "left out 1 frames: 1 without a pose (5)")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("file,time,x\na.png,1,2", "x, y, z, qw"),
+        ("time,AngleToo_m00\n1,2", "names no transform"),
+        ("frame,m00\nx,2", "no table of poses"),
+        ("", "no rows"),
+    ],
+)
+def test_a_table_that_is_none_is_refused(tmp_path, text, message):
+    Image.new("L", (4, 4)).save(tmp_path / "a.png")
+    (tmp_path / "poses.csv").write_text(text)
+    with pytest.raises(ConfigurationError, match=message):
+        TrackedFrames(tmp_path)
+
+
+def write_dicom(path, pixels, *, photometric="MONOCHROME2", region=True, **more):
+    """Pixels (n, rows, columns) or with colours at the end."""
+    data = pydicom.Dataset()
+    data.file_meta = FileMetaDataset()
+    data.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
+    data.SOPClassUID = data.file_meta.MediaStorageSOPClassUID = UltrasoundMultiFrameImageStorage
+    data.SOPInstanceUID = data.file_meta.MediaStorageSOPInstanceUID = generate_uid()
+    data.NumberOfFrames, data.Rows, data.Columns = pixels.shape[:3]
+    data.SamplesPerPixel = 1 if pixels.ndim == 3 else 3
+    data.PhotometricInterpretation = photometric
+    data.BitsAllocated = data.BitsStored = 8 * pixels.itemsize
+    data.HighBit, data.PixelRepresentation = data.BitsStored - 1, 0
+    if pixels.ndim == 4:
+        data.PlanarConfiguration = 0
+    data.FrameTime = "50"
+    if region:
+        each = pydicom.Dataset()
+        each.RegionSpatialFormat = each.RegionDataType = 1
+        each.PhysicalUnitsXDirection = each.PhysicalUnitsYDirection = 3
+        each.PhysicalDeltaX, each.PhysicalDeltaY = 0.05, 0.04  # cm
+        each.RegionLocationMinX0, each.RegionLocationMinY0 = 3, 7
+        each.RegionLocationMaxX1 = int(data.Columns) - 3
+        each.RegionLocationMaxY1 = int(data.Rows) - 2
+        data.SequenceOfUltrasoundRegions = [each]
+    for name, value in more.items():
+        setattr(data, name, value)
+    data.PixelData = pixels.tobytes()
+    data.save_as(path, enforce_file_format=True)
+
+
+@pytest.mark.parametrize("photometric", ["MONOCHROME2", "MONOCHROME1", "RGB"])
+def test_multi_frame_ultrasound_of_dicom(tmp_path, frames, photometric):
+    pixels = np.array([np.pad(frame.pixels.T, ((7, 1), (3, 2))) for frame in frames])
+    if photometric == "MONOCHROME1":
+        pixels = 255 - pixels
+    if photometric == "RGB":
+        pixels = np.repeat(pixels[..., np.newaxis], 3, axis=-1)
+    path = tmp_path / "cine.dcm"
+    write_dicom(path, pixels, photometric=photometric)
+    with pytest.raises(ConfigurationError, match="table of poses"):
+        TrackedFrames(path)
+    # The region's scale is the size of the pixels, so the pose is that of the first one.
+    mm = np.diag([1e3, 1e3, 1e3, 1.0])
+    poses = [mm @ frame.X_WI @ np.linalg.inv(PIXEL) for frame in frames]
+    names = [f"ProbeToTracker_{i}{j}" for i in range(3) for j in range(4)]
+    lines = [",".join(map(repr, pose[:3].ravel().tolist())) for pose in poses]
+    path.with_suffix(".csv").write_text("\n".join([",".join(names), *lines]))
+    read = TrackedFrames(path)
+    assert_same_frames(read, frames)
+    assert "cut to the region of tissue, 40 x 50 pixels" in " ".join(read.notes)
+
+
+def test_colours_of_dicom_and_palettes_are_refused(tmp_path, frames):
+    pixels = np.array([frame.pixels.T for frame in frames])
+    colours = np.stack([pixels, pixels, 255 - pixels], axis=-1)
+    path = tmp_path / "cine.dcm"
+    path.with_suffix(".csv").write_text("x,y,z,qw,qx,qy,qz\n" + "0,0,0,1,0,0,0\n" * len(frames))
+    write_dicom(path, colours, photometric="RGB")
+    with pytest.raises(ConfigurationError, match="colours"):
+        TrackedFrames(path)
+    write_dicom(path, pixels, photometric="PALETTE COLOR")
+    with pytest.raises(ConfigurationError, match="palettes"):
+        TrackedFrames(path)
+    path.write_bytes(b"nothing of the kind")
+    with pytest.raises(ConfigurationError, match="no DICOM file"):
+        TrackedFrames(path)
+
+
+def test_volumes_go_to_zea_and_come_back(tmp_path):
+    made = [Scene(spacing=1.5e-3).volume(k, None, RigidTransform([0, 0, 1e-3 * k])) for k in (0, 1)]
+    path = tmp_path / "a.hdf5"
+    with ZeaWriter(path) as writer:
+        for volume in made:
+            writer.append(volume, volume.intensities > 200)
+    with h5py.File(path) as file:
+        pixels = file["data/image_sc/pixels"]
+        assert pixels.shape == (2, *made[0].intensities.shape)  # frames, x, z (depth), y
+        assert file["data/segmentation/pixels"].shape == (*pixels.shape, 1)
+        low, high = made[0].origin, made[0].upper
+        extent = [low[0], high[0], low[2], high[2], high[1], low[1]]
+        np.testing.assert_allclose(file["data/image_sc/extent"], extent, atol=1e-8)
+    recording = open_volumes(path)
+    np.testing.assert_allclose(recording.times, [each.time for each in made], atol=1e-6)
+    for volume, wanted in zip(recording, made, strict=True):
+        np.testing.assert_array_equal(volume.intensities, wanted.intensities)
+        here = volume.to_world(volume.position([[3, 4, 5]]))[0]
+        np.testing.assert_allclose(
+            here, wanted.X_WP.multiply(wanted.position([[3, 4, 5]]).T).T, atol=1e-6
+        )
+    with ZeaWriter(tmp_path / "b.hdf5") as writer:
+        writer.append(made[0])
+        with pytest.raises(ValueError, match="grid"):
+            writer.append(Scene(spacing=2e-3).volume(0))
+
+
+def test_files_of_zea_without_images_are_refused(tmp_path):
+    path = tmp_path / "a.hdf5"
+    with h5py.File(path, "w") as file:
+        file["data/raw_data"] = np.zeros((2, 3, 4, 5, 1), np.int16)
+    with pytest.raises(ConfigurationError, match=r"log-compressed images are needed.*raw_data"):
+        Recording(path)
+    with h5py.File(path, "w") as file:
+        file["data/image"] = np.zeros((2, 8, 6), np.float32)
+    with pytest.raises(ConfigurationError, match="2D frames"):
+        Recording(path)
+    with h5py.File(path, "w") as file:
+        file["other"] = 1
+    with pytest.raises(ConfigurationError, match=r"TUS-REC.*zea"):
+        Recording(path)
+
+
+def test_a_missing_package_is_named_with_its_extra(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    (tmp_path / "a.h5").write_bytes(b"x")
+    with pytest.raises(ConfigurationError, match=r"h5py.*sonoservo\[hdf5\]"):
+        Recording(tmp_path / "a.h5")
