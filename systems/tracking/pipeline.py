@@ -101,7 +101,7 @@ def _localize_everywhere(
     parameters: NeedleLocalizerParameters,
     rng: np.random.Generator,
 ) -> tuple[Attempts, NeedleMeasurement | NotFound, float]:
-    """Localize the line that looks most like a needle, and return the probability that it is one."""
+    """Localize the line that looks most like a needle; return the probability that it is one."""
     lines = needle_lines(volume)
     if not lines:
         return [], NotFound("no bright line comes from outside the field of view"), 0.0

@@ -48,9 +48,10 @@ class TrackManager(LeafSystem):
     `TrackLifecycle`, or `PublishedLifecycle` for other rules.
 
     ``prediction`` is the `NeedlePrediction` for the volume at the input, or a `NotFound`. It
-    depends on the state, on the lines, and on that volume's time and pose, never on a measurement in
-    it. It is the same before and after the update with that volume. The output ``explanation`` is the
-    localizer's explanation with the innovation added. All other outputs depend on the state only.
+    depends on the state, on the lines, and on that volume's time and pose, never on a measurement
+    in it. It is the same before and after the update with that volume. The output ``explanation``
+    is the localizer's explanation with the innovation added. All other outputs depend on the state
+    only.
     ``last_detection`` and ``last_measurement`` are those of the last update, for a log. An event
     does nothing unless its volume is newer than the last one.
 
