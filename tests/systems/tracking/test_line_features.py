@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.localization import line_features as module
 from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.tracking import line_features as module
 from sonoservo.systems.tracking.line_features import line_features
 
 PITCH = 0.5e-3

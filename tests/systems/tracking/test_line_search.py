@@ -6,8 +6,9 @@ from hypothesis import strategies as st
 from pydrake.math import RigidTransform
 from synthetic_volumes import Scene, entry_on_side
 
-from sonoservo.systems.localization.line_search import bright_lines
 from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.tracking.cells import cells_of
+from sonoservo.systems.tracking.line_search import bright_lines
 
 BALLS = [([0.005, 0.06, 0.008], 2e-3), ([-0.01, 0.035, -0.004], 1.5e-3)]
 RODS = [([-0.015, 0.07, 0.0], [-0.003, 0.072, 0.008])]
@@ -16,16 +17,10 @@ K = np.array([0.92, 0.25, 0.3]) / np.linalg.norm([0.92, 0.25, 0.3])
 NEEDLE = (ENTRY, ENTRY + 0.035 * K)
 
 
-def tilt(line):
-    """Cosine of the angle between a line found and the needle."""
-    k = (line[1] - line[0]) / np.linalg.norm(line[1] - line[0])
-    return abs(k @ K)
-
-
 def test_the_needle_is_the_most_prominent_line():
     scene = Scene(seed=5, spacing=1e-3, balls=BALLS, rods=RODS)
-    lines = bright_lines(scene.volume(1, lambda time: NEEDLE))
-    assert tilt(lines[0]) > np.cos(np.radians(10))
+    _, directions = bright_lines(cells_of(scene.volume(1, lambda time: NEEDLE)), 10)
+    assert abs(directions[0] @ K) > np.cos(np.radians(10))
 
 
 def test_the_bottom_of_the_tissue_is_no_line():
@@ -33,19 +28,17 @@ def test_the_bottom_of_the_tissue_is_no_line():
     depth = volume.origin[1] + volume.spacing[1] * np.arange(volume.intensities.shape[1])
     beneath = (depth > 0.07)[np.newaxis, :, np.newaxis] & (volume.intensities > 0)
     volume = replace(volume, intensities=np.where(beneath, np.uint8(1), volume.intensities))
-    lines = bright_lines(volume)
-    assert tilt(lines[0]) > np.cos(np.radians(10))
-    assert np.abs(lines[0][:, 1].mean() - 0.5 * (NEEDLE[0] + NEEDLE[1])[1]) < 5e-3
+    middles, directions = bright_lines(cells_of(volume), 10)
+    assert abs(directions[0] @ K) > np.cos(np.radians(10))
+    assert np.abs(middles[0, 1] - 0.5 * (NEEDLE[0] + NEEDLE[1])[1]) < 5e-3
 
 
-def test_no_more_lines_than_asked_for():
+def test_no_more_lines_than_asked_for_and_none_where_there_is_nothing():
     volume = Scene(seed=5, spacing=1e-3).volume(1, lambda time: NEEDLE)
-    assert len(bright_lines(volume, count=2)) == 2
-
-
-def test_a_volume_without_content_holds_no_line():
-    volume = Scene(seed=5, spacing=1e-3).volume(1)
-    assert bright_lines(replace(volume, intensities=np.zeros_like(volume.intensities))) == []
+    dark = replace(volume, intensities=np.zeros_like(volume.intensities))
+    for each, count in ((volume, 2), (dark, 0)):
+        middles, directions = bright_lines(cells_of(each), 2)
+        assert middles.shape == directions.shape == (count, 3)
 
 
 @settings(max_examples=25, deadline=None, derandomize=True)
@@ -71,8 +64,8 @@ def test_a_line_is_found_wherever_it_lies_and_on_any_grid(seed, azimuth, dip, sp
         origin=np.zeros(3), spacing=np.array(spacing), X_WP=RigidTransform(), time=0.0,
         decibels_per_level=0.25,
     )  # fmt: skip
-    first = bright_lines(volume, count=1)[0]
-    d = first.mean(axis=0) - centre
+    middles, directions = bright_lines(cells_of(volume), 1)
+    d = middles[0] - centre
     assert np.linalg.norm(d - (d @ k) * k) < 2e-3
     assert abs(d @ k) < 8e-3
-    assert abs((first[1] - first[0]) @ k) / np.linalg.norm(first[1] - first[0]) > 0.97
+    assert abs(directions[0] @ k) > 0.97

@@ -12,7 +12,6 @@ from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.tracking.axis import axis_through
 from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
-from sonoservo.systems.tracking.novelty import THERE_BEFORE
 from sonoservo.systems.tracking.pipeline import explain_localization, localize
 from sonoservo.systems.tracking.ransac import RansacParameters
 from sonoservo.systems.tracking.search_region import fades_before_tip, predicted_region
@@ -310,47 +309,6 @@ def test_an_end_short_of_the_prediction_may_not_be_the_tip(short, unseen, ends, 
     tip = float(axis.abscissa(guess.curve.tip)) - short
     extent = NeedleExtent(0.0, tip, 0.0, False, 0.05, **ends)
     assert fades_before_tip(region, axis, extent, PARAMETERS) == hidden
-
-
-def test_a_needle_lost_where_it_was_is_found_whatever_was_there_before():
-    volume = SCENE.volume(1, lambda time: needle(0.05))
-    lost = expected(needle(0.05), everywhere=True, earlier=(volume,))
-    assert np.linalg.norm(run(volume, lost).curve.tip - needle(0.05)[1]) < 2e-3
-    never = NeedlePrediction(2, 0.0, everywhere=True, earlier=(volume,))
-    assert run(volume, never).reason == THERE_BEFORE
-
-
-def test_what_moved_was_not_there_before():
-    """What changed may be a bright line at rest. A needle's end is new, if not the rest of it."""
-    volume, shorter, without = (
-        SCENE.volume(seed, lambda time, length=length: needle(length) if length else None)
-        for seed, length in ((1, 0.04), (2, 0.025), (3, 0.0))
-    )
-    moved = needle(0.04)
-    for earlier, new in (((volume,) * 3, False), ((shorter,) * 3, True), ((without,) * 3, True)):
-        found = run(volume, expected(moved, entry=None, earlier=earlier))
-        assert bool(found) == new
-        if not new:
-            assert found.reason == THERE_BEFORE
-
-
-def test_what_moved_must_be_seen_to_come():
-    """Until a needle was followed: structures come into view as the probe moves."""
-    volume, without = SCENE.volume(1, lambda time: needle(0.03)), SCENE.volume(2)
-    for lacking, came in ((0, False), (2, False), (3, True)):
-        guess = expected(needle(0.03), entry=None, earlier=(without,) * lacking, must_come=True)
-        found = run(volume, guess)
-        assert bool(found) is came
-        if not came:
-            assert found.reason == THERE_BEFORE
-
-
-def test_what_moved_does_not_ride_along_with_the_probe():
-    step = np.array([0.0, 0.0, 0.012])
-    volume = SCENE.volume(1, lambda time: needle(0.03))
-    riding = SCENE.volume(2, lambda time: needle(0.03) + step, RigidTransform(step))
-    found = run(volume, expected(needle(0.03), entry=None, earlier=(riding,) * 3))
-    assert found.reason == THERE_BEFORE
 
 
 @pytest.mark.parametrize("unseen", [0.0, 2.0])

@@ -6,7 +6,7 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform, RotationMatrix
 
 from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.insertion_detection import InsertionDetection
+from sonoservo.systems.signals.line_hypotheses import LineHypotheses
 from sonoservo.systems.signals.localization_explanation import LocalizationExplanation
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
@@ -27,9 +27,11 @@ def measurement(tip=0.03, time=0.0, y=0.0, entry=0.0):
     return NeedleMeasurement(curve, R, time, 100, 0.8)
 
 
-def detection(x, time):
-    at = np.array([x, 0, 0])
-    return InsertionDetection(np.zeros(3), at, at, 1e-3, 6.0, time)
+def lines(needle=0.99):
+    """A line that is a needle with a probability, or only speckle."""
+    ends = np.array([[[0, 0, 0], [0.03, 0, 0]]])
+    classes = [[needle, 0.0, 0.0, 0.0, 1 - needle]]
+    return LineHypotheses(0.0, ends, [needle], classes, [3.0], [5.0], [0.0])
 
 
 def volume(time, X_WP=None):
@@ -48,7 +50,7 @@ class Bench:
         )
         self.manager = TrackManager(lifecycle=lifecycle, period=0.1)
         self.context = self.manager.CreateDefaultContext()
-        self.fix("detection", NotFound("nothing moved"))
+        self.fix("lines", NotFound("no lines"))
         self.fix("measurement", NotFound("nothing seen"))
 
     def fix(self, port, value):
@@ -56,7 +58,7 @@ class Bench:
 
     def step(self, time, X_WP=None, **values):
         self.fix("volume", volume(time, X_WP))
-        for port in ("detection", "measurement", *values):
+        for port in ("lines", "measurement", *values):
             self.fix(port, values.get(port, NotFound(f"no {port}")))
         self.manager.ExecuteForcedEvents(self.context)
         return self.estimate
@@ -69,14 +71,13 @@ class Bench:
         return self.output("estimate")
 
     def track_from(self, time=0.0):
-        """Detect and confirm a needle whose tip is at 30 mm."""
-        self.step(time, detection=detection(3e-3, time))
-        self.step(time + 0.3, detection=detection(6e-3, time + 0.3))
-        return self.step(time + 0.6, measurement=measurement(time=time + 0.6))
+        """Find a needle whose tip is at 30 mm, in the volume after 0.6 s."""
+        self.step(time, lines=lines(0.5))
+        return self.step(time + 0.6, lines=lines(), measurement=measurement(time=time + 0.6))
 
 
 def test_a_prediction_does_not_depend_on_the_measurement_it_serves():
-    """Of the inputs only the volume reaches the prediction, so there is no algebraic loop."""
+    """Only the volume and other lines reach the prediction, so there is no algebraic loop."""
     lifecycle = TrackLifecycle(
         order=2, parameters=TrackParameters(), needle_filter=ControlPointFilter()
     )
@@ -87,7 +88,11 @@ def test_a_prediction_does_not_depend_on_the_measurement_it_serves():
         for o in range(manager.num_output_ports())
         if manager.HasDirectFeedthrough(i, o)
     }
-    assert through == {("volume", "prediction"), ("explanation", "explanation")}
+    assert through == {
+        ("volume", "prediction"),
+        ("lines", "prediction"),
+        ("explanation", "explanation"),
+    }
 
 
 def test_prediction_is_the_same_before_and_after_the_update_it_serves():
@@ -123,26 +128,18 @@ def test_explanation_tells_how_far_the_measurement_lies_from_the_prediction():
     assert f"{explained.innovation:.1f} standard deviations" in estimate.reason
 
 
-def test_detection_then_confirmation():
+def test_a_line_found_is_measured_and_tracked():
     bench = Bench()
-    assert bench.estimate.mode == TrackingMode.SEARCHING
-    estimate = bench.step(0.0, detection=detection(3e-3, 0.0))
-    estimate = bench.step(0.3, detection=detection(6e-3, 0.3))
-    assert (estimate.mode, bool(estimate)) == (TrackingMode.SEARCHING, False)
-    estimate = bench.step(0.6, measurement=measurement(time=0.58))
+    estimate = bench.step(0.3, lines=lines(0.5), measurement=measurement(time=0.3))
+    assert (estimate.mode, estimate.reason) == (
+        TrackingMode.SEARCHING,
+        "no line is a needle with certainty yet",
+    )
+    estimate = bench.step(0.6, lines=lines(), measurement=measurement(time=0.58))
     assert estimate.mode == TrackingMode.TRACKING
     assert (estimate.time, estimate.volume_time) == (0.58, 0.6)
+    assert estimate.probability == pytest.approx(0.99)
     np.testing.assert_allclose(estimate.curve.tip, [0.03, 0, 0], atol=1e-3)
-
-
-def test_unconfirmed_detection_is_forgotten():
-    bench = Bench(volumes_to_confirm=2, seconds_between_searches=10.0)
-    bench.step(0.0, detection=detection(3e-3, 0.0))
-    bench.step(0.3, detection=detection(6e-3, 0.3))
-    for k in range(3):
-        bench.step(0.6 + 0.3 * k)
-    assert not bench.output("prediction")
-    assert not bench.step(1.3, measurement=measurement(time=1.3))
 
 
 def test_loss_ladder():
@@ -150,16 +147,14 @@ def test_loss_ladder():
     bench.track_from()
     modes = [bench.step(0.9 + 0.3 * k).mode for k in range(8)]
     assert modes == ["coasting"] * 2 + ["lost"] * 4 + ["searching"] * 2
-    assert bench.estimate.reason == "no detection"
+    assert bench.estimate.reason == "no lines"
 
 
-def test_lost_needle_found_elsewhere_is_tracked_once_confirmed():
-    bench = Bench(volumes_to_lose=1, volumes_to_follow=2)
+def test_a_lost_needle_is_found_again():
+    bench = Bench(volumes_to_lose=1)
     bench.track_from()
     assert bench.step(0.9).mode == TrackingMode.LOST
-    estimate = bench.step(1.2, measurement=measurement(0.08, 1.2, y=0.04, entry=0.05))
-    assert estimate.mode == TrackingMode.LOST
-    estimate = bench.step(1.5, measurement=measurement(0.08, 1.5, y=0.04, entry=0.05))
+    estimate = bench.step(1.2, lines=lines(), measurement=measurement(0.08, 1.2, y=0.04))
     assert estimate.mode == TrackingMode.TRACKING
     np.testing.assert_allclose(estimate.curve.tip, [0.08, 0.04, 0])
 
