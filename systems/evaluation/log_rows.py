@@ -64,7 +64,7 @@ class LogRows:
         """Pack the loose rows into arrays; texts into arrays of references."""
         for name, column in self._columns.items():
             if column.dtype == "U":
-                texts = [sys.intern(row.get(name, "")) for row in self._loose]
+                texts = [sys.intern(str(row.get(name, ""))) for row in self._loose]
                 self._packed[name].append(np.array(texts, dtype=object))
             else:
                 self._packed[name].append(stack_rows(column, name, self._loose, self._extents))

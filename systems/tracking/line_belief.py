@@ -45,7 +45,7 @@ _RENEWED, _RENEWED_BY_MOTION = 0.03, 0.06
 """Share of what shows itself that is drawn anew from one volume to the next, while the probe rests,
 and per unit of its motion."""
 
-_NEW_AT_REST, _NEW_IN_MOTION = 0.6, 0.5
+_NEW_AT_REST, _NEW_IN_MOTION = 0.6, 0.35
 """Share of a volume's evidence that is new: at rest its speckle repeats itself, and in motion the
 error with which a line is followed does."""
 
@@ -53,7 +53,7 @@ _PLACE, _DEPTH, _TURN = 2e-3, 6e-3, np.deg2rad(2.0)
 """Unit of the probe's motion between two volumes: across its axis and along it in m, and turn in
 rad, after which half of the speckle is new."""
 
-_PRIORS = np.array([0.02, 0.02, 0.7, 0.08, 0.2])
+_PRIORS = np.array([0.01, 0.01, 0.7, 0.08, 0.2])
 """Prior probabilities of a line: needle from either end, resting, riding, and nothing but speckle.
 """
 
@@ -61,7 +61,7 @@ _APPEARS, _APPEARS_BY_MOTION = 0.002, 0.05
 """Probabilities that a line appears at once with a volume, at rest and per unit of motion: a
 specular surface comes into view, or a shadow goes."""
 
-_LOOKS, _NEUTRAL, _MOST_LOOKS = 0.7, -3.0, (-8.0, 2.0)
+_LOOKS, _NEUTRAL, _MOST_LOOKS = 0.7, -3.0, (-20.0, 2.0)
 """Share of the evidence of a line's looks that its motion does not give as well, log odds that
 speak neither for nor against a needle, and limits of the log odds."""
 
@@ -71,6 +71,8 @@ parts may be apart, and sum of contrasts in dB, of one bin, by which a better fi
 
 _KEPT, _LEAST_PROMINENCE = 0.8, 3.0
 """Share of a line's prominence that lasts from volume to volume, and the least one."""
+
+_LAGS, _USED = (1, 4, 12), 1
 
 _SHIFTS = np.array([0.0, -3e-3, 3e-3])
 """Displacements in W along Z, in m, from which the tissue's is searched: breath is faster than its
@@ -342,14 +344,14 @@ def _remember(volume: Volume, memory: Sequence[Remembered]) -> Remembered:
     before = memory[-2].displacement if len(memory) > 1 else last
     guesses = [2 * last - before, *(last + np.outer(_SHIFTS, [0.0, 0.0, 1.0]))]
     found: list[Floats] = []
-    for lag in (1, 2, 4, 8):
-        if lag <= len(memory):
+    for lag in range(1, len(memory) + 1):
+        if lag in _LAGS:
             each = memory[-lag]
             R = each.volume.X_WP.rotation().matrix()
             X = each.volume.X_WP.inverse().multiply(volume.X_WP).GetAsMatrix4()
             starts = [R.T @ (each.displacement - guess) for guess in found[:1] or guesses]
             found.append(each.displacement - R @ tissue_shift(cells, each.cells, X, starts))
-    displacement = np.median(found, axis=0)
+    displacement = np.mean(found[-_USED:], axis=0)
     return Remembered(
         volume, cells, displacement, (displacement - last) / (volume.time - memory[-1].volume.time)
     )
