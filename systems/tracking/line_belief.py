@@ -72,7 +72,7 @@ parts may be apart, and sum of contrasts in dB, of one bin, by which a better fi
 _KEPT, _LEAST_PROMINENCE = 0.8, 3.0
 """Share of a line's prominence that lasts from volume to volume, and the least one."""
 
-_LAGS, _USED = (1, 4, 12), 1
+_LAGS = (1, 4, 12)
 
 _SHIFTS = np.array([0.0, -3e-3, 3e-3])
 """Displacements in W along Z, in m, from which the tissue's is searched: breath is faster than its
@@ -351,7 +351,7 @@ def _remember(volume: Volume, memory: Sequence[Remembered]) -> Remembered:
             X = each.volume.X_WP.inverse().multiply(volume.X_WP).GetAsMatrix4()
             starts = [R.T @ (each.displacement - guess) for guess in found[:1] or guesses]
             found.append(each.displacement - R @ tissue_shift(cells, each.cells, X, starts))
-    displacement = np.mean(found[-_USED:], axis=0)
+    displacement = np.mean(found, axis=0)
     return Remembered(
         volume, cells, displacement, (displacement - last) / (volume.time - memory[-1].volume.time)
     )

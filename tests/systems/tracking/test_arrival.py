@@ -1,0 +1,154 @@
+"""When a line arrived, against sums over all histories, and what kymographs make of a line."""
+
+from itertools import pairwise, product
+
+import numpy as np
+import pytest
+from scipy.special import logsumexp
+
+from sonoservo.systems.tracking import arrival
+from sonoservo.systems.tracking.arrival import add_volume, advances, class_logs
+
+SHOWS, RENEWED, PRIOR = 0.7, 0.03, 0.002
+
+
+def bernoulli_chain(factors):
+    """Log of the sum over all 2^b patterns of there and not there, by their prior."""
+    logs = []
+    for pattern in product((0, 1), repeat=len(factors)):
+        p = arrival._BEGIN if pattern[0] else 1 - arrival._BEGIN
+        for a, b in pairwise(pattern):
+            change = arrival._END if a else arrival._BEGIN
+            p *= change if a != b else 1 - change
+        logs.append(np.log(p) + np.log(factors)[np.array(pattern, bool)].sum())
+    return logsumexp(logs) if logs else 0.0
+
+
+def advancing(factors, moves, seen):
+    """Log of the sum over all paths of a tip, mode and place at each time, by their prior."""
+    times, bins = factors.shape
+    modes = len(moves)
+
+    def before(a):
+        return bernoulli_chain(factors[0, :a]) if a else 0.0
+
+    def beyond(a):
+        return bernoulli_chain(factors[0, a:][::-1]) if a < bins else 0.0
+
+    def switch(m, n):
+        if m == n:
+            return arrival._KEEPS
+        leaves = 1 - arrival._KEEPS
+        if m == 0:
+            return leaves / (modes - 1)
+        return 0.6 * leaves if n == 0 else 0.4 * leaves / max(modes - 2, 1)
+
+    logs = []
+    for places in product(range(bins + 1), repeat=times):
+        steps = np.diff(places)
+        if (steps < 0).any() or (steps >= moves.shape[1]).any():
+            continue
+        first = (1 - arrival._ENTERING) / (bins + 1) + arrival._ENTERING * (places[0] == seen)
+        came = sum(np.log(factors[t, places[t - 1] : places[t]]).sum() for t in range(1, times))
+        for path in product(range(modes), repeat=times):
+            p = first * (0.5 if path[0] == 0 else 0.5 / (modes - 1))
+            for t in range(1, times):
+                p *= switch(path[t - 1], path[t]) * moves[path[t], steps[t - 1]]
+            logs.append(np.log(p) + came + before(places[0]) + beyond(places[-1]))
+    return logsumexp(logs)
+
+
+def test_classes_are_the_sums_over_all_histories(monkeypatch):
+    bins, times = 4, 4
+    rng = np.random.default_rng(3)
+    moves = rng.uniform(0.1, 1.0, (3, 3))
+    moves /= moves.sum(axis=1, keepdims=True)
+    appearing = np.log([1e-20, 0.01, 0.02, 0.03])
+    logs, riding = rng.normal(0.5, 2.0, (2, times, bins)), rng.normal(0.0, 2.0, (2, bins))
+    logs[1, 0, 0] = 0.0  # not seen
+    found = class_logs(logs, riding, appearing, moves)
+    for n in range(2):
+        factors = np.exp(arrival._SHARE * logs[n])
+        seen = [int(np.flatnonzero(each != 1)[0]) for each in (factors[0], factors[0, ::-1])]
+        at_once = [bernoulli_chain(factors[t]) + appearing[t] for t in range(1, times)]
+        expected = [
+            advancing(factors, moves, seen[0]),
+            advancing(factors[:, ::-1], moves, seen[1]),
+            bernoulli_chain(factors[0]),
+            bernoulli_chain(np.exp(arrival._SHARE * riding[n])),
+            logsumexp(at_once),
+        ]
+        np.testing.assert_allclose(found[n], expected, rtol=1e-9, atol=1e-9)
+
+
+def test_a_bin_shows_itself_as_a_hidden_chain_of_two_states():
+    rng = np.random.default_rng(0)
+    ratios = rng.normal(0.0, 1.5, 6)
+    shown, logs = np.full((1, 1, 1), SHOWS), np.zeros((1, 1, 1))
+    for ratio in ratios:
+        add_volume(shown, logs, np.array([[ratio]]), np.ones((1, 1), bool), 0.1, 0.6, SHOWS)
+    # Each state stays, or is drawn anew.
+    total = 0.0
+    for pattern in product((0, 1), repeat=len(ratios)):
+        p = np.prod(np.exp(0.6 * ratios)[np.array(pattern, bool)])
+        last = None
+        for state in pattern:
+            drawn = SHOWS if state else 1 - SHOWS
+            p *= drawn if last is None else 0.9 * (state == last) + 0.1 * drawn
+            last = state
+        total += p
+    assert logs.item() == pytest.approx(np.log(total))
+    before = logs.copy()
+    add_volume(shown, logs, np.array([[9.0]]), np.zeros((1, 1), bool), 0.1, 0.6, SHOWS)
+    np.testing.assert_array_equal(logs, before)
+
+
+def test_a_tip_advances_by_what_its_speed_says():
+    for seconds in (0.1, 0.3):
+        rows = advances(seconds)
+        np.testing.assert_allclose(rows.sum(axis=1), 1)
+        means = rows @ np.arange(rows.shape[1])
+        for speed, mean in zip(arrival.SPEEDS, means, strict=True):
+            assert mean == pytest.approx(speed * seconds / arrival.BIN, abs=0.35)
+
+
+def kymograph(kind, times=16, bins=40):
+    """(t, b) log ratios of contrasts that a line of a kind gives along itself, and those riding."""
+    rng = np.random.default_rng(5)
+    there = np.zeros((2, times, bins), bool)
+    for t in range(times):
+        if kind == "needle":
+            there[0, t, : max(0, 2 * (t - 5))] = True
+        elif kind == "needle the other way":
+            there[0, t, bins - max(0, 2 * (t - 5)) :] = True
+        elif kind == "resting":
+            there[0, t, 8:26] = True
+        elif kind == "riding":  # it passes along the line in the tissue, and rests in the image
+            there[0, t, 8 if t > 3 else 26 : 26] = t % 4 == 0
+            there[1, t, 8:26] = True
+        elif kind == "appeared":
+            there[0, t, 8:26] = t > 5
+    return np.where(there, 2.0, -1.5) + rng.normal(0.0, 0.7, there.shape)
+
+
+KINDS = ("needle", "needle the other way", "resting", "riding", "appeared", "nothing")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_kymograph_shows_what_a_line_is(kind):
+    here, riding = kymograph(kind)
+    times, bins = here.shape
+    shown, logs = np.full((1, times + 1, bins), SHOWS), np.zeros((1, times + 1, bins))
+    image_shown, image_logs = np.full((1, 1, bins), SHOWS), np.zeros((1, 1, bins))
+    seen = np.ones((1, bins), bool)
+    for t in range(times):
+        # Row 0 stands for always, and row t for what came with the volume t.
+        rows = slice(0, t + 1)
+        add_volume(shown[:, rows], logs[:, rows], here[[t]], seen, RENEWED, 0.6, SHOWS)
+        add_volume(image_shown, image_logs, riding[[t]], seen, RENEWED, 0.6, SHOWS)
+    appearing = np.log(np.full(times, PRIOR))
+    appearing[0] = -50.0
+    classes = class_logs(logs[:, :times], image_logs[:, 0], appearing, advances(0.3))[0]
+    classes = np.append(classes, 0.0)
+    assert KINDS[int(classes.argmax())] == kind
+    assert classes.max() > np.sort(classes)[-2] + 0.5

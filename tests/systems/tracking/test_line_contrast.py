@@ -1,0 +1,121 @@
+"""Contrast and fit of lines, in volumes whose lines are known exactly."""
+
+import numpy as np
+import pytest
+from pydrake.math import RigidTransform
+from scipy.stats import norm
+
+from sonoservo.systems.signals.volume import Volume
+from sonoservo.systems.tracking.cells import cells_of
+from sonoservo.systems.tracking.line_contrast import (
+    BIN,
+    BINS,
+    MIDDLES,
+    across,
+    best_stretches,
+    line_contrasts,
+    log_ratio,
+    stretches,
+)
+from sonoservo.systems.tracking.line_fit import fitted_lines
+
+SPACING = np.array([0.8e-3, 0.6e-3, 1.0e-3])
+SIZE = np.array([80e-3, 50e-3, 50e-3])
+MIDDLE = SIZE / 2
+K = np.array([0.9, 0.3, -0.25]) / np.linalg.norm([0.9, 0.3, -0.25])
+SIGMA, HEIGHT, HALF = 1.0e-3, 10.0, 15e-3
+
+
+def volume(kind, seed=None, k=K, at=MIDDLE):
+    """A blurred line or sheet, 10 dB above even tissue or speckle."""
+    p = np.moveaxis(np.indices(np.round(SIZE / SPACING).astype(int)), 0, -1) * SPACING
+    along = (p - at) @ k
+    if kind == "sheet":
+        away = (p - at) @ across(k[np.newaxis])[0, 1]
+    else:
+        away = np.linalg.norm(p - at - along[..., np.newaxis] * k, axis=-1)
+    shape = np.exp(-0.5 * (away / SIGMA) ** 2) * (np.abs(along) < HALF)
+    levels = 100 + 4 * HEIGHT * shape * (kind != "nothing")
+    if seed is not None:
+        levels += np.random.default_rng(seed).normal(0.0, 12.0, levels.shape)
+    return Volume(
+        np.clip(levels, 1, 255).astype(np.float32), np.zeros(3), SPACING, RigidTransform(), 0.0,
+        decibels_per_level=0.25,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("kind", "inside"),
+    [("line", HEIGHT * (0.2 + 0.8 * np.exp(-0.5 * 0.6**2))), ("sheet", 0.0), ("nothing", 0.0)],
+)
+def test_a_line_is_brighter_than_what_lies_beside_it(kind, inside):
+    """A fifth of the core lies on the line, and the rest 0.6 mm beside it."""
+    contrasts, seen = line_contrasts(volume(kind), MIDDLE[np.newaxis], K[np.newaxis])
+    assert contrasts.shape == seen.shape == (1, BINS)
+    on_line = np.abs(MIDDLES) < HALF - 2 * BIN
+    assert seen[0, on_line].all()
+    np.testing.assert_allclose(contrasts[0, on_line], inside, atol=1.2)
+    beyond = seen[0] & (np.abs(MIDDLES) > HALF + 3 * BIN)
+    np.testing.assert_allclose(contrasts[0, beyond], 0, atol=0.3)
+    points = MIDDLE + np.outer(MIDDLES, K)
+    assert np.mean(seen[0] == np.all((points > 0) & (points < SIZE), axis=1)) > 0.9
+
+
+def test_directions_across_a_line_are_perpendicular_and_the_first_is_level():
+    directions = np.vstack([K, -K, [0, 1, 0], [0, 0, 1], [1, 0, 0]])
+    for k, sides in zip(directions, across(directions), strict=True):
+        np.testing.assert_allclose(sides @ k, 0, atol=1e-12)
+        np.testing.assert_allclose(sides @ sides.T, np.eye(2), atol=1e-12)
+        assert sides[0, 1] == 0
+
+
+def test_a_contrast_is_evidence_by_the_ratio_of_its_densities():
+    contrasts = np.linspace(-1, 4, 11)
+    line = 0.94 * norm.pdf(contrasts, 4.6, 3.0) + 0.06 * norm.pdf(contrasts, 8.0, 8.0)
+    nothing = 0.94 * norm.pdf(contrasts, -1.2, 1.8) + 0.06 * norm.pdf(contrasts, 1.0, 6.0)
+    np.testing.assert_allclose(log_ratio(contrasts), np.log(line / nothing), rtol=1e-9)
+    assert np.abs(log_ratio(np.linspace(-15, 30, 90))).max() == pytest.approx(3.3)
+    assert np.all(np.diff(log_ratio(contrasts)) > 0)
+
+
+def test_the_best_stretch_has_the_largest_sum():
+    evidence = np.random.default_rng(0).normal(-0.2, 1.0, (20, 15))
+    evidence[0] = -1.0
+    for row, first, last, total in zip(evidence, *best_stretches(evidence), strict=True):
+        sums = {(a, b): row[a : b + 1].sum() for a in range(15) for b in range(a, 15)} | {
+            (0, -1): 0.0
+        }
+        assert total == pytest.approx(max(sums.values()))
+        assert sums[first, last] == pytest.approx(total)
+
+
+def test_what_is_not_seen_is_weak_evidence_against_a_line():
+    contrasts = np.full((1, 12), 6.0, np.float32)
+    seen = np.ones((1, 12), bool)
+    seen[0, 5:7] = False
+    firsts, lasts, sums = stretches(contrasts, seen)
+    assert (firsts[0], lasts[0]) == (0, 11)
+    assert sums[0] == pytest.approx(10 * log_ratio(6.0) - 1.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_displaced_and_turned_line_is_fitted(seed):
+    """The line lies wherever it lies between the cells and directions that are searched."""
+    rng = np.random.default_rng(seed)
+    k = K + rng.uniform(-0.1, 0.1, 3)
+    k /= np.linalg.norm(k)
+    at = MIDDLE + rng.uniform(-3e-3, 3e-3, 3)
+    image = volume("line", seed, k, at)
+    ends = fitted_lines(image, cells_of(image), 10)[0].ends
+    direction = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+    assert abs(direction @ k) > np.cos(np.radians(2))
+    away = ends.mean(axis=0) - at
+    assert np.linalg.norm(away - away @ k * k) < 0.5e-3
+    np.testing.assert_allclose(np.sort((ends - at) @ k), [-HALF, HALF], atol=2.5e-3)
+
+
+def test_speckle_holds_no_lines_like_these():
+    image = volume("nothing", 4)
+    brightest = [fit.brightness for fit in fitted_lines(image, cells_of(image), 30)]
+    line = volume("line", 4)
+    assert fitted_lines(line, cells_of(line), 30)[0].brightness > 3 * max(brightest, default=0.0)
