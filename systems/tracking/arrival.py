@@ -156,7 +156,7 @@ def _advancing(  # pragma: no cover - compiled
                 reached[d] = reached[d - 1] * factors[t, a + d - 1] if a + d <= bins else 0.0
             for m in range(modes):
                 weight = mixed[m, a]
-                if weight > 1e-100:
+                if weight > 0:
                     for d in range(most):
                         if a + d <= bins:
                             one = weight * moves[m, d] * reached[d]
@@ -166,11 +166,17 @@ def _advancing(  # pragma: no cover - compiled
             return -1e3
         tip /= total
         result += math.log(total)
-    last = beyond.max()
+    best = -np.inf
+    for a in range(bins + 1):
+        here = tip[:, a].sum()
+        if here > 0:
+            best = max(best, math.log(here) + beyond[a])
     total = 0.0
     for a in range(bins + 1):
-        total += tip[:, a].sum() * math.exp(beyond[a] - last)
-    return result + last + math.log(max(total, 1e-300))
+        here = tip[:, a].sum()
+        if here > 0:
+            total += math.exp(math.log(here) + beyond[a] - best)
+    return result + best + math.log(total)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
