@@ -244,6 +244,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
             },
             event="track",
             optional=(
+                "confirmation",
                 "deformation",
                 "measurement",
                 "detection",
