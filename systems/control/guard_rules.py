@@ -297,19 +297,13 @@ def reason(m: GuardMemory, g: GuardParameters, r: Region, *, alone: bool) -> str
     """Return the reason for the last intervention as a sentence without its full stop."""
     if m.cause < 0:
         return ""
-    other = f"the arm's torques say {m.arm_then:.1f} N"
-    if alone:
-        other = "nothing can press or pull there"
+    arm = f"the arm's torques say {m.arm_then:.1f} N"
+    other = "nothing can press or pull there" if alone else arm
     most = max((each for each in (m.wrist_then, m.arm_then) if each == each), default=math.nan)
     text = _TEMPLATES[RULES[int(m.cause)].name].format(
-        g=g,
-        wrist=m.wrist_then,
-        other=other,
-        most=most,
-        error=1e3 * g.max_pose_error,
-        depth=1e3 * r.max_depth,
-        half=g.max_force / 2,
-    )
+        g=g, wrist=m.wrist_then, other=other, most=most, error=1e3 * g.max_pose_error,
+        depth=1e3 * r.max_depth, half=g.max_force / 2,
+    )  # fmt: skip
     if m.blocked:
         text += "; it is held, because a retreat would leave the workspace or the arm's reach"
     if m.mode and m.doubts >= MAX_DOUBTS:
@@ -319,11 +313,9 @@ def reason(m: GuardMemory, g: GuardParameters, r: Region, *, alone: bool) -> str
 
 def remark(noticed: Sequence[float]) -> str:
     """Return what was noticed without a need to intervene, with its number of steps."""
-    counted = zip(RULES, noticed, strict=True)
-    return "; ".join(f"{_noted(rule)}: {count:g}" for rule, count in counted if count)
-
-
-def _noted(rule: Rule) -> str:
-    if rule.reaction is Reaction.NOTE:
-        return _TEMPLATES[rule.name]
-    return f"too short for a stop ({rule.name.replace('_', ' ')})"
+    texts = []
+    for rule, count in zip(RULES, noticed, strict=True):
+        short = f"too short for a stop ({rule.name.replace('_', ' ')})"
+        text = _TEMPLATES[rule.name] if rule.reaction is Reaction.NOTE else short
+        texts += [f"{text}: {count:g}"] * bool(count)
+    return "; ".join(texts)

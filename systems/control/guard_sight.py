@@ -34,20 +34,16 @@ class Sight(NamedTuple):
     ----------
     time, step
         Time, and time since the step before, in s.
-    p, axis
-        (3,) position and axis of the probe, as commanded.
-    p_measured
-        (3,) measured position.
+    p, axis, p_measured
+        (3,) position and axis of the probe, as commanded, and its measured position.
     p_ahead, axis_ahead
         Pose to which the controller's command leads in `AHEAD`; None if the pose is inside the
         region and the controller commands.
     accepted
         Whether the controller's command keeps the limits of the joints.
-    sample, plausible
-        (6,) sample of the wrist sensor: torque, then force, in N m and N; and whether its numbers
-        are within the sensor's range.
-    force, wrist
-        Force on the probe by that sample, and the part with which the probe presses, in N.
+    sample, plausible, force, wrist
+        (6,) sample of the wrist sensor: torque, then force, in N m and N; whether its numbers are
+        within the sensor's range; the force on the probe by it, and the part that presses, in N.
     arm, arm_then, arm_error
         Force with which the probe presses by the arm's torques, now and when the wrist's sample was
         taken, and its standard deviation, in N. The force is NaN if a torque is no number, and None
@@ -210,8 +206,8 @@ def region(
     cosine = math.cos(math.radians(limits.max_tilt_deg))
     depth = limits.max_depth / 2 if alone else limits.max_depth
     if not len(surface):
-        low, high = 3 * (-math.inf,), 3 * (math.inf,)
-        return Region(low, high, -math.inf, math.inf, along, cosine, depth)
+        endless = 3 * (math.inf,)
+        return Region(3 * (-math.inf,), endless, -math.inf, math.inf, along, cosine, depth)
     low, high = (
         tuple(s + d for s, d in zip(surface, corner, strict=True))
         for corner in (limits.workspace_min, limits.workspace_max)
