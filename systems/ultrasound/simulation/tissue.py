@@ -260,17 +260,22 @@ class Tissue:
             self._require_within(f"fibres[{number}].start", fibre.start)
             self._require_within(f"fibres[{number}].end", fibre.end)
 
-    def placed(self, entry: ArrayLike, direction: ArrayLike) -> "Tissue":
+    def placed(self, entry: ArrayLike, direction: ArrayLike, layout: int | None = None) -> "Tissue":
         """Return the tissue with its structures moved to their positions beside the needle's path.
 
         Parameters
         ----------
         entry, direction
             (3,) entry of the needle, in m, and (3,) direction of its axis, both in T.
+        layout
+            Seed of a run, which draws how the positions differ from those stated; see
+            `BesideNeedle.drawn`. None leaves them as stated.
         """
-        if all(each.beside_needle is None for each in self.structures):
-            return self
-        return replace(self, structures=[e.placed(entry, direction) for e in self.structures])
+        structures = self.structures
+        if layout is not None:
+            rng = np.random.default_rng([layout, 7])
+            structures = [each.drawn(layout, rng) for each in structures]
+        return replace(self, structures=[each.placed(entry, direction) for each in structures])
 
     @property
     def surface(self) -> BodySurface:
