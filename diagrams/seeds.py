@@ -1,10 +1,12 @@
-"""Random seeds of the parts of a run."""
+"""Random seeds of the parts of a run, and the tissue that they draw."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sonoservo.diagrams.scenario import Scenario
+from sonoservo.systems.needle.insertion import Insertion
+from sonoservo.systems.ultrasound.simulation.tissue import Tissue, load_tissue
 
 
 @dataclass(frozen=True)
@@ -33,3 +35,19 @@ class Seeds:
 def draw_seeds(scenario: Scenario) -> Seeds:
     """Return the seeds that follow from a scenario's own."""
     return Seeds(*(int(each) for each in np.random.SeedSequence(scenario.seed).generate_state(5)))
+
+
+def make_tissue(scenario: Scenario, phantom: str, insertion: Insertion) -> Tissue:
+    """Return a phantom's tissue with the layout and the speckle that a scenario's seed draws.
+
+    Parameters
+    ----------
+    scenario
+        Scenario with the seed.
+    phantom
+        Name of a file in models/phantoms, or a path.
+    insertion
+        Insertion of the needle beside which structures lie.
+    """
+    tissue = load_tissue(phantom).placed(insertion.entry, insertion.direction, scenario.seed)
+    return replace(tissue, seed=draw_seeds(scenario).tissue)

@@ -27,6 +27,7 @@ from sonoservo.systems.ultrasound.simulation import (
     SweepRenderer,
     Tissue,
     acquire_sweep,
+    load_needle,
     load_tissue,
 )
 from sonoservo.systems.ultrasound.simulation.errors import ConnectionParameters, MotorParameters
@@ -47,6 +48,7 @@ ON_TOP = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, -0.004], [0, 0, 0, 1.0
 ACROSS = np.array([[0, 0, 1, 0], [1, 0, 0, 0], [0, -1, 0, -0.004], [0, 0, 0, 1.0]])
 IMAGING = ImagingParameters(frames=3, volume_rate=20, gain=0.36)
 PLAIN, ECHO = Tissue(seed=1), NeedleEchoParameters()
+BARE = {"noise_db": -70, "gain_error_db": 0, "clutter_db": -300, "decorrelation": 0}
 NONE = Needle(np.zeros((0, 3)), 0.635e-3)
 
 
@@ -67,6 +69,7 @@ def frame(
     pressed=0.0,
     deformation=None,
     times=(0.0,),
+    **scanner,
 ):
     """The mean of the middle frames of sweeps, and where its samples lie in mm."""
     renderer = SweepRenderer(
@@ -74,7 +77,7 @@ def frame(
         imaging=IMAGING,
         tissue=tissue,
         parameters=ScannerParameters(
-            needle=echo, air_pockets=AirPocketParameters(share=air, size=6e-3)
+            needle=echo, air_pockets=AirPocketParameters(share=air, size=6e-3), **scanner
         ),
         seed=0,
     )
@@ -203,6 +206,23 @@ ROWS = {
         frame(PLAIN, held(40), replace(ECHO, diffuse_lobe_deg=15.0, dimples_db=d))
         for d in (16.0, 22.0, 28.0)
     ],
+    "kinds at 40 deg: coated, dimpled, spinal": [
+        frame(PLAIN, held(40), load_needle(kind).echo) for kind in ("coated", "echogenic", "spinal")
+    ],
+    "noise at -50, -40, -30 dB": [
+        frame(PLAIN, held(8), **BARE | {"noise_db": n}) for n in (-50, -40, -30)
+    ],
+    "clutter at -20, -10, 0 dB": [
+        frame(PLAIN, held(8), **BARE | {"clutter_db": c}) for c in (-20, -10, 0)
+    ],
+    "gain errs by 1.5, 3, 6 dB": [
+        frame(PLAIN, held(8), **BARE | {"gain_error_db": g}) for g in (1.5, 3, 6)
+    ],
+    "agar: 12 dB darker, with imperfections, a console's": [
+        frame(replace(PLAIN, level_db=-12.0, scatterers_per_cell=1), held(8), **BARE),
+        frame(load_tissue("agar"), held(8), **BARE),
+        frame(load_tissue("agar"), held(8)),
+    ],
     "tip: bevel up, bevel down, blunt": [
         frame(PLAIN, held(8), replace(ECHO, tip=tip, tip_roll_deg=roll))
         for tip, roll in (("bevel", 0.0), ("bevel", 180.0), ("blunt", 0.0))
@@ -233,6 +253,10 @@ clean["blood at 3, 10, 100 mm/s, mean of 8"] = flowing(0.0)
 for name in ROWS:
     if name.startswith(("backlash", "motor", "frames")):
         clean[name] = across()
+for name in ROWS:
+    if name.startswith(("noise", "clutter", "gain errs", "agar")):
+        clean[name] = frame(PLAIN, held(8), **BARE)
+clean["kinds at 40 deg: coated, dimpled, spinal"] = frame(PLAIN, held(40))
 for name in ("polished to 40, 20, 10 deg", "dimples at 16, 22, 28 dB"):
     clean[name] = frame(PLAIN, held(40))
 figure, axes = plt.subplots(

@@ -31,7 +31,7 @@ from sonoservo.diagrams.experiments.scenario_words import following_words
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, require_tracker
 from sonoservo.diagrams.probe_controller import MakeProbeController
 from sonoservo.diagrams.scenario import Scenario, require_scenario
-from sonoservo.diagrams.seeds import draw_seeds
+from sonoservo.diagrams.seeds import draw_seeds, make_tissue
 from sonoservo.diagrams.station import MakeStation
 from sonoservo.systems.control.operator_settings import OperatorSettings
 from sonoservo.systems.display.console.console_feed import ConsoleFeed
@@ -61,7 +61,6 @@ from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.ultrasound.imaging import sweep_geometry
 from sonoservo.systems.ultrasound.scan_converter import ScanConverter
 from sonoservo.systems.ultrasound.simulation.scanner import Scanner
-from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
 if TYPE_CHECKING:
@@ -145,8 +144,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         seeds = draw_seeds(scenario)
         transducer = load_transducer(scenario.probe)
         insertion = make_insertion(scenario)
-        tissue = load_tissue(scenario.phantom).placed(insertion.entry, insertion.direction)
-        tissue = replace(tissue, seed=seeds.tissue)
+        tissue = make_tissue(scenario, scenario.phantom, insertion)
         geometry = sweep_geometry(transducer, scenario.imaging)
         check_entry(scenario, tissue.surface)
         check_beside_probe(scenario, insertion, tissue.surface)
@@ -244,6 +242,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
             },
             event="track",
             optional=(
+                "confirmation",
                 "deformation",
                 "measurement",
                 "detection",

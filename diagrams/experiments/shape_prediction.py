@@ -16,7 +16,7 @@ from sonoservo.diagrams.experiments.experiment import INSTANT, Experiment
 from sonoservo.diagrams.experiments.scenario_words import shape_words
 from sonoservo.diagrams.experiments.shape_prediction_scenario import ShapePredictionScenario
 from sonoservo.diagrams.scenario import Scenario, require_scenario
-from sonoservo.diagrams.seeds import draw_seeds
+from sonoservo.diagrams.seeds import draw_seeds, make_tissue
 from sonoservo.diagrams.shape_predictor import MakeShapePredictor
 from sonoservo.systems.display.world.shape_view import ShapeView
 from sonoservo.systems.estimation.shape.shape_estimator import ShapeEstimator
@@ -49,7 +49,6 @@ from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_shape import NeedleShape
 from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.ultrasound.simulation.scanner import Scanner
-from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
 from sonoservo.systems.ultrasound.slice_converter import SliceConverter
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
@@ -98,9 +97,7 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
         feed = replace(scenario.feed, depth=scenario.depth)
         hand = replace(scenario.hand, feed=feed, rotations=scenario.rotations)
         self.insertion = Insertion(hand, np.random.default_rng(seeds.insertion))
-        tissue = load_tissue(scenario.phantom)
-        tissue = tissue.placed(self.insertion.entry, self.insertion.direction)
-        tissue = replace(tissue, seed=seeds.tissue)
+        tissue = make_tissue(scenario, scenario.phantom, self.insertion)
         half = np.array(tissue.size) / 2
         X_TI = self.insertion.X_TI
         x, y, _ = X_TI.translation()

@@ -24,9 +24,10 @@ def _published_filter() -> ControlPointFilter:
 class Chatelain2013AsPublishedParameters(TrackerParameters):
     """Parameters of the tracker of Chatelain 2013 as published; see `TrackerParameters`.
 
-    Consecutive volumes are compared, one admissible entry point starts the track, the filter works
-    in the probe's frame, and nothing checks a measurement or finds a lost needle again. The paper
-    publishes no values. Where it is silent, the choice is named with the parameter or the function.
+    Consecutive sweeps of one direction are compared, one admissible entry point starts the track,
+    the filter works in the probe's frame, and nothing checks a measurement or finds a lost needle
+    again. The paper publishes no values. Where it is silent, the choice is named with the parameter
+    or the function.
 
     Parameters
     ----------

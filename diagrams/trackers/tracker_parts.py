@@ -190,8 +190,8 @@ def add_published_parts(
 ) -> TrackManager:
     """Add and connect the parts of a tracker as published, and export its ports.
 
-    Detection and the life of a track are those of Chatelain 2013: consecutive volumes are compared,
-    and a lost needle is not looked for.
+    Detection and the life of a track are those of Chatelain 2013: consecutive sweeps of one
+    direction are compared, and a lost needle is not looked for.
 
     Parameters
     ----------
@@ -221,7 +221,7 @@ def add_published_parts(
     return _connect_parts(
         builder,
         gate=VolumeGate(parameters=parameters.plausibility, **events),
-        memory=VolumeMemory(period=period, offset=offset),
+        memory=VolumeMemory(same_direction=True, **events),
         detector=InsertionDetector(parameters=detection, method=detect_as_published),
         localizer=localizer,
         manager=TrackManager(lifecycle=lifecycle, **events),

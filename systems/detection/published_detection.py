@@ -26,14 +26,15 @@ class PublishedDetectionParameters:
         volume with a moving needle. That was done here with fig. 5 on seeds from 100 on.
     max_std
         Square root of the variance threshold tau, in m. The variance is the trace of the
-        candidates' covariance. The value is a little less than the 19.5 mm and more of motionless
-        volumes, chosen in the same way.
+        candidates' covariance. The value lies between the 24 mm and less of a moving needle and the
+        32 mm and more of motionless volumes, chosen in the same way between sweeps of one
+        direction.
     max_depth
         Largest distance delta from the geometric median to the candidate entry point, in m.
     """
 
-    candidate_volume: float = 2e-9
-    max_std: float = 18e-3
+    candidate_volume: float = 30e-9
+    max_std: float = 27e-3
     max_depth: float = 10e-3
 
     def __post_init__(self) -> None:

@@ -4,15 +4,18 @@ from collections import Counter, OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
+from pathlib import Path
 
 import numpy as np
 from pydrake.math import RigidTransform
 
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.live import acquisition
 from sonoservo.systems.live.acquisition import VolumeAcquisition, read_acquisition_item
 from sonoservo.systems.live.connection.items import ImageItem, Item, PoseItem, TextItem
 from sonoservo.systems.live.pose_history import PoseHistory
 from sonoservo.systems.live.stream_clock import StreamClock
+from sonoservo.systems.recording.transform_chain import TransformChain, find_chain
 from sonoservo.systems.signals.immutable import Immutable, NotFound
 
 DEFAULT_POSES = "ProbeToReference"
@@ -35,7 +38,7 @@ _SILENT = 2.0
 _ESTABLISHED = 10
 """Number of images in a row after which the images of other peers are left aside."""
 
-_REMEMBERED, _WAITING, _NAMES, _SENDERS = 8, 32, 8, 512
+_REMEMBERED, _WAITING, _NAMES, _SENDERS = 8, 32, 32, 512
 
 MAX_WAITING = 1 << 29
 """Bytes of the images that wait at most; at least one may wait."""
@@ -87,6 +90,8 @@ class _Sender:
     ----------
     device
         Device whose images are taken; empty until the first has come.
+    links, uncomposed
+        Other transforms of the peer by name, and times at which a chain of them is not known yet.
     offset
         Time stamps of the poses minus those of this peer's images, in s.
     images
@@ -105,6 +110,8 @@ class _Sender:
     pose_clock: StreamClock = field(default_factory=StreamClock)
     poses: PoseHistory = field(default_factory=PoseHistory)
     poses_by_arrival: PoseHistory = field(default_factory=PoseHistory)
+    links: dict[str, PoseHistory] = field(default_factory=dict)
+    uncomposed: list[float] = field(default_factory=list)
     said: OrderedDict[float, VolumeAcquisition] = field(default_factory=OrderedDict)
     stamp: float | None = None
     shift: float = 0.0
@@ -132,8 +139,9 @@ class ImageMatcher:
     device
         Device whose images are taken; empty for the one whose image arrives first.
     poses
-        Device whose transforms are the pose of L; "none" for a probe at rest. By default
-        ``ProbeToReference``, if there is such a device.
+        Device whose transforms are the pose of L, or a chain of transforms (`find_chain`); "none"
+        for a probe at rest. By default ``ProbeToReference``, if there is such a device, or the
+        chain that leads from Probe to a frame that stands still.
     layers
         True to take volumes, False to take 2D frames.
     clock_offset
@@ -160,6 +168,8 @@ class ImageMatcher:
         self._scanner = ""
         self._waiting: list[tuple[ImageItem, str, float]] = []
         self._others: set[str] = set()
+        self._asked = poses
+        self._chain: TransformChain | None = None
         self._last: float | None = None
         self._step = 0.1
         self.left_out: Counter[LeftOut] = Counter()
@@ -174,6 +184,11 @@ class ImageMatcher:
         """Time stamps of poses minus those of images, in s, as stated or last estimated."""
         offsets = [sender.offset for sender in self._senders.values() if sender.offset]
         return offsets[-1] if offsets else 0.0
+
+    @property
+    def chain(self) -> TransformChain | None:
+        """Transforms that give the pose together; None if one device does, or none."""
+        return self._chain
 
     @property
     def counts_arrivals(self) -> bool:
@@ -239,8 +254,50 @@ class ImageMatcher:
             sender.pose_clock.note(item.time, now)
             sender.poses.add(item.time, item.X)
             sender.poses_by_arrival.add(now, item.X)
-        elif len(self._others) < _NAMES:
+        elif len(self._others) < _NAMES or item.name in self._others:
             self._others.add(item.name)
+            sender.links.setdefault(item.name, PoseHistory()).add(item.time, item.X)
+            if self._chain is not None and item.name == self._chain.links[0].name:
+                sender.uncomposed = [*sender.uncomposed[1 - _WAITING :], item.time]
+                sender.pose_clock.note(item.time, now)
+            self._compose(sender, now)
+
+    def _find_chain(self, now: float) -> bool:
+        """Look for transforms that give the probe's pose together; return whether there are."""
+        try:
+            chain = find_chain(Path("stream"), self._others, self._asked, starts=("Probe",))
+        except ConfigurationError:
+            return False
+        if chain is None or self._chain is not None:
+            return False
+        self._chain = chain
+        self._report(f"poses: {chain}")
+        for sender in self._senders.values():
+            if chain.links[0].name in sender.links:
+                sender.uncomposed = list(sender.links[chain.links[0].name].times)
+                sender.pose_clock.note(sender.uncomposed[-1], now)
+                self._compose(sender, now)
+        return True
+
+    def _compose(self, sender: _Sender, now: float) -> None:
+        """Make poses of the transforms in the chain, at the times that all of them have reached."""
+        if self._chain is None or not {link.name for link in self._chain.links} <= set(
+            sender.links
+        ):
+            return
+        histories = {link.name: sender.links[link.name] for link in self._chain.links}
+        waiting = []
+        for time in sender.uncomposed:
+            if not all(history.reaches(time) for history in histories.values()):
+                waiting.append(time)
+                continue
+            found = {name: history.at(time) for name, history in histories.items()}
+            known = {n: X.GetAsMatrix4() for n, X in found.items() if isinstance(X, RigidTransform)}
+            if len(known) == len(found):
+                X = RigidTransform(self._chain.matrix(known))
+                sender.poses.add(time, X)
+                sender.poses_by_arrival.add(now, X)
+        sender.uncomposed = waiting
 
     def _is_wanted(self, image: ImageItem, sender: _Sender, peer: str, now: float) -> bool:
         if (min(image.voxels.shape) > 1) != self._layers:
@@ -273,9 +330,11 @@ class ImageMatcher:
             stamp, X_WL = said.time, said.X_WP
         elif self._posed is False:
             X_WL = RigidTransform()
-        elif (tracker := self._tracker(sender)) is None and self._posed is None:
-            if now - arrived < _FIRST_WAIT:
-                return None
+        elif (tracker := self._tracker(sender)) is None and now - arrived < _FIRST_WAIT:
+            return None
+        elif tracker is None and self._find_chain(now):
+            return self._complete(image, peer, arrived, now)
+        elif tracker is None and self._posed is None:
             self._posed = False
             there = f" (there are: {', '.join(sorted(self._others))})" if self._others else ""
             self._report(
@@ -310,7 +369,11 @@ class ImageMatcher:
         """Return the pose at an image's time, by the clocks or by the times of arrival."""
         if tracker is None:
             return None if wait else NotFound("there is no pose yet")
-        if sender.image_clock.stands or tracker.pose_clock.stands:
+        if (
+            sender.image_clock.stands
+            or tracker.pose_clock.stands
+            or 0 in (stamp, tracker.pose_clock.last)
+        ):
             poses, at = tracker.poses_by_arrival, arrived
         else:
             poses, at = tracker.poses, stamp + sender.offset
@@ -355,7 +418,7 @@ class ImageMatcher:
         jumped = own is not None and not -_BACKWARDS < own < _FORWARDS
         if jumped:
             self._report(f"the sender's clock jumped by {own:+.3f} s; the stream goes on")
-        elif own is not None and own <= 0:
+        elif own is not None and own < _SAME:
             return None
         time = stamp + sender.shift
         if self._last is not None and (jumped or not 0 < time - self._last < _FORWARDS):

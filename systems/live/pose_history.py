@@ -31,6 +31,11 @@ class PoseHistory:
     def __len__(self) -> int:
         return len(self._times)
 
+    @property
+    def times(self) -> tuple[float, ...]:
+        """Times of the poses that are known, in s."""
+        return tuple(self._times)
+
     def add(self, time: float, X: RigidTransform) -> None:
         """Add a pose; one that is far older than the newest begins a new history."""
         if self._times and time < self._times[-1] - _JUMP:

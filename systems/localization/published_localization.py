@@ -69,7 +69,7 @@ class PublishedLocalizationParameters:
     candidate_volume: float = 120e-9
     margin: float = 10e-3
     first_margin: float = 20e-3
-    max_angle_deg: float = 20.0
+    max_angle_deg: float = 35.0
     min_length: float = 10e-3
     max_gap: float = 3e-3
     std: float = 1e-3

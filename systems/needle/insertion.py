@@ -85,6 +85,8 @@ class Insertion(Immutable):
         if path is not None and parameters.mechanics == "beam":
             end = self._motion.depth(self._motion.end)
             self.path = BeamPath(path.radius, path.roll, path.angle, path.rotations, end)
+        # Drawn last, so that everything else stays as it is.
+        self._first_roll = np.deg2rad(parameters.roll_spread_deg) * float(rng.uniform(-1, 1))
         if parameters.feed is not None and self.path is not None:
             deepest = self._motion.depth(self._motion.end)
             reached = np.isfinite(self.path.length_at(deepest))
@@ -180,7 +182,7 @@ class Insertion(Immutable):
         """
         turn = self._motion.turn(time)
         if self.path is None:
-            return 0.0 - turn
+            return self._first_roll - turn
         rotations = sum(each < depth for each in self.path.rotations)
         return float(np.pi * (1 + rotations) - self.path.roll - turn)
 

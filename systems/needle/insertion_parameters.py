@@ -152,6 +152,9 @@ class InsertionParameters:
         upwards.
     bend_angle_spread_deg
         Spread of the first direction about the aimed one, within the plane of the bend, in deg.
+    roll_spread_deg
+        Spread of the roll of a straight needle's bevel, in deg; 180 for any. At 0, its face looks
+        up.
     rotations
         Depths along the aimed direction at which the bevel is turned by 180 deg, in m.
     rotation_depth_spread, rotation_angle_spread_deg
@@ -191,6 +194,7 @@ class InsertionParameters:
     bend_roll_deg: float = 0.0
     bend_roll_spread_deg: float = 0.0
     bend_angle_spread_deg: float = 0.0
+    roll_spread_deg: float = 0.0
     rotations: list[float] = field(default_factory=list)
     rotation_depth_spread: float = 0.0
     rotation_angle_spread_deg: float = 0.0
@@ -228,6 +232,7 @@ class InsertionParameters:
             azimuth_spread_deg=self.azimuth_spread_deg,
             bend_radius_spread=self.bend_radius_spread,
             bend_roll_spread_deg=self.bend_roll_spread_deg,
+            roll_spread_deg=self.roll_spread_deg,
             rotation_depth_spread=self.rotation_depth_spread,
             rotation_angle_spread_deg=self.rotation_angle_spread_deg,
             bend_drift_spread_deg=self.bend_drift_spread_deg,

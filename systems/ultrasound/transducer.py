@@ -53,8 +53,9 @@ class Transducer:
         a Hann window; its focus follows the depth.
     side_lobe_level
         Amplitude of a needle's echo through the beam's side lobes, relative to that through the
-        main lobe (0.0316 is -30 dB); 0 for none. Side lobes are rendered for bright objects only:
-        they would change the tissue's speckle by 0.01 dB.
+        main lobe (0.0316 is -30 dB); 0 for none, also in elevation, where the level is that of one
+        row of elements. Side lobes are rendered for bright objects only: those of the tissue would
+        fill what is black up to -20 dB.
 
     Raises
     ------

@@ -1,5 +1,7 @@
 """A renderer in a tissue large enough for its whole sweep, and poses of its frames."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from sonoservo.systems.signals.needle import Needle
@@ -10,6 +12,8 @@ from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerPa
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 from sonoservo.systems.ultrasound.transducer import Transducer
 
+CLEAN = ScannerParameters(noise_db=-55, gain_error_db=0, clutter_db=-300, decorrelation=0)
+"""A scanner whose image shows nothing but the tissue and what is in it."""
 NOWHERE = Needle(np.zeros((0, 3)), 0.635e-3)
 DEEP = Tissue(size=[0.6, 0.6, 0.4])
 """Large enough to hold the whole sweep wherever the probe is."""
@@ -21,7 +25,7 @@ def make_renderer(tissue=DEEP, needle=None, transducer=None, **imaging):
         transducer=transducer or Transducer(),
         imaging=ImagingParameters(**settings | imaging),
         tissue=tissue,
-        parameters=ScannerParameters(needle=needle or NeedleEchoParameters()),
+        parameters=replace(CLEAN, needle=needle or NeedleEchoParameters()),
         seed=0,
     )
 

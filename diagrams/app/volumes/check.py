@@ -391,6 +391,8 @@ def _check_clocks(checked: CheckedSource, record: "_StreamRecord", poses: str | 
             f"set both clocks by one server, or state the difference (--clock-offset {offset:.2f})"
         )
         checked.note(Check.CLOCK, text, Grade.DOUBTFUL, advice)
+    if matcher.chain is not None:
+        checked.note(Check.CHAIN, str(matcher.chain))
     if record.images and not matcher.posed and others and poses != "none":
         text = f"none of the transforms is the probe's pose; there are {shown(', '.join(others))}"
         checked.note(Check.CHAIN, text, Grade.DOUBTFUL, "name one with --poses, or give none")

@@ -101,7 +101,9 @@ class Phantom:
             transducer=load_transducer("zhao2012"),
             imaging=IMAGING,
             tissue=tissue,
-            parameters=ScannerParameters(),
+            parameters=ScannerParameters(
+                noise_db=-55, gain_error_db=0, clutter_db=-300, decorrelation=0
+            ),
             seed=seed,
         )
         self.X_WP = RigidTransform(RotationMatrix.MakeXRotation(-np.pi / 2), [0, 0, FACE_HEIGHT])

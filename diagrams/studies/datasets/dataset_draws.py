@@ -68,7 +68,7 @@ class DrawnScanner:
         return SweepRenderer(
             transducer=self.transducer,
             imaging=self.imaging,
-            tissue=self.tissue.placed(insertion.entry, insertion.direction),
+            tissue=self.tissue.placed(insertion.entry, insertion.direction, self.seed),
             parameters=self.parameters,
             seed=self.seed,
         )

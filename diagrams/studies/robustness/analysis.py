@@ -232,12 +232,17 @@ class Threshold:
         First strength studied at which less than 95 % of the runs succeed; None if there is none.
     before
         Last strength studied before it, or the last one of all; None if there is none.
+    plain
+        Whether 95 % of the runs succeed with every dial off. If not, no strength is a threshold.
     """
 
     value: float | None
     before: float | None
+    plain: bool = True
 
     def __str__(self) -> str:
+        if not self.plain:
+            return "no threshold"
         if self.value is None:
             return "not studied" if self.before is None else f"beyond {self.before:.3g}"
         return "below the first strength" if self.before is None else f"{self.value:.3g}"

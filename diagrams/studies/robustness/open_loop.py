@@ -1,7 +1,6 @@
 """A scene in which the probe moves as planned, and several trackers see the same volumes."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram, DiagramBuilder, System
@@ -14,7 +13,7 @@ from sonoservo.diagrams.experiments.following_insertion import (
 )
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.experiments.following_tissue import with_tissue_reaction
-from sonoservo.diagrams.seeds import draw_seeds
+from sonoservo.diagrams.seeds import draw_seeds, make_tissue
 from sonoservo.diagrams.studies.robustness.logged_tracker import MakeLoggedTracker, log_of
 from sonoservo.diagrams.studies.robustness.planned_motion import MotionPlan, PlannedMotion
 from sonoservo.diagrams.wiring import connect_by_name
@@ -28,7 +27,6 @@ from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.ultrasound.imaging import sweep_geometry
 from sonoservo.systems.ultrasound.scan_converter import ScanConverter
 from sonoservo.systems.ultrasound.simulation.scanner import Scanner
-from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
 
@@ -72,7 +70,7 @@ def _make_scene(scenario: FollowingScenario, observers: dict[str, System]) -> Di
     """Return the diagram of planned motion, needle, scanner and observers."""
     seeds, transducer = draw_seeds(scenario), load_transducer(scenario.probe)
     insertion = make_insertion(scenario)
-    tissue = load_tissue(scenario.phantom).placed(insertion.entry, insertion.direction)
+    tissue = make_tissue(scenario, scenario.phantom, insertion)
     check_entry(scenario, tissue.surface)
     check_beside_probe(scenario, insertion, tissue.surface)
     geometry = sweep_geometry(transducer, scenario.imaging)
@@ -83,7 +81,7 @@ def _make_scene(scenario: FollowingScenario, observers: dict[str, System]) -> Di
         "scanner": Scanner(
             transducer=transducer,
             imaging=scenario.imaging,
-            tissue=replace(tissue, seed=seeds.tissue),
+            tissue=tissue,
             parameters=scenario.scanner,
             seed=seeds.noise,
             processing_time=scenario.processing_time if is_irregular(scenario, geometry) else 0.0,

@@ -155,24 +155,29 @@ def dial_curves(outcomes: Sequence[Outcome]) -> dict[str, Curve]:
 
 def dial_thresholds(curves: Mapping[str, Curve]) -> dict[str, dict[str, Threshold]]:
     """Return the threshold of each dial and tracker, in the dial's own unit."""
-    found = {}
-    for name, curve in curves.items():
-        if name in GRADED:
-            found[name] = {
-                kind: threshold(
-                    [
-                        (GRADED[name].value(strength), groups[kind].share(lambda run: run.success))
-                        for strength, groups in curve
-                    ]
-                )
-                for kind in TRACKERS
-            }
-    return found
+
+    def success(group: Group) -> Figure:
+        return group.share(lambda run: run.success)
+
+    def found(name: str, kind: str) -> Threshold:
+        plain = [(0.0, success(groups[kind])) for _, groups in curves.get("plain", [])]
+        if threshold(plain).value is not None:
+            return Threshold(None, None, plain=False)
+        return threshold(
+            [
+                (GRADED[name].value(strength), success(groups[kind]))
+                for strength, groups in curves[name]
+            ]
+        )
+
+    return {
+        name: {kind: found(name, kind) for kind in TRACKERS} for name in curves if name in GRADED
+    }
 
 
 def _threshold_words(name: str, threshold: Threshold) -> str:
     """Return a threshold in words; a switch has no strength."""
-    if GRADED[name].unit:
+    if GRADED[name].unit or not threshold.plain:
         return str(threshold)
     return "on" if threshold.value is not None else "not reached"
 

@@ -269,6 +269,7 @@ class Link:
             with self._lock:
                 self._peers.remove(peer)
             peer.transport.abort()
+            peer.framer = self.protocol.make_framer()  # its memory is free at once
             self._tell(peer.name, reason)
 
     def _take(self, peer: _Peer, frame: Any, now: float) -> None:

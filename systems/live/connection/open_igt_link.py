@@ -247,16 +247,16 @@ def _decode_array(name: str, time: float, content: memoryview) -> list[Item]:
     return [CovarianceItem(name, time, _FLIP @ array @ _FLIP / _MM**2)]
 
 
-_SMALL = 1 << 22
-"""Most bytes of a message that is no image."""
+_SMALL, _POSES = 1 << 20, 1 << 16
+"""Most bytes of a message that is no image, and of one with poses: some hundred tools."""
 
 _DECODERS: dict[str, tuple[Callable[[str, float, memoryview], list[Item]], int]] = {
     "IMAGE": (_decode_image, MAX_BODY),
-    "TRANSFORM": (_decode_transform, _SMALL),
-    "TDATA": (_decode_tracking_data, _SMALL),
-    "QTDATA": (_decode_quaternion_tools, _SMALL),
-    "QTRANS": (_decode_position, _SMALL),
-    "POSITION": (_decode_position, _SMALL),
+    "TRANSFORM": (_decode_transform, _POSES),
+    "TDATA": (_decode_tracking_data, _POSES),
+    "QTDATA": (_decode_quaternion_tools, _POSES),
+    "QTRANS": (_decode_position, _POSES),
+    "POSITION": (_decode_position, _POSES),
     "STRING": (_decode_string, _SMALL),
     "STATUS": (_decode_status, _SMALL),
     "POINT": (_decode_points, _SMALL),

@@ -16,6 +16,7 @@ from .scanner import Scanner as Scanner
 from .scanner_parameters import ScannerParameters as ScannerParameters
 from .tissue import Ball as Ball
 from .tissue import Fibre as Fibre
+from .tissue import RandomBalls as RandomBalls
 from .tissue import RandomFibres as RandomFibres
 from .tissue import Tissue as Tissue
 from .tissue import load_tissue as load_tissue

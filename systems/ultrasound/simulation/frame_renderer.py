@@ -12,6 +12,7 @@ from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.ultrasound.beam import Beam, beam_profile
 from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
 from sonoservo.systems.ultrasound.simulation.air_pockets import AirPockets
+from sonoservo.systems.ultrasound.simulation.haze import gain_errors, speckle_field
 from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import render_points
 from sonoservo.systems.ultrasound.simulation.kernels.displacement import Displacements
 from sonoservo.systems.ultrasound.simulation.kernels.echo import FADE, render_tissue
@@ -156,8 +157,9 @@ class FrameRenderer:
             for number, each in enumerate(tissue.structures)
             if isinstance(each, RestingNeedle)
         ]
-        # With this amplitude the tissue's mean intensity is 1 (0 dB) at every depth.
+        # With this amplitude, mean intensity 1 (0 dB) is that of the tissue at every depth.
         amplitude = np.sqrt(2**1.5 / (tissue.scatterers_per_cell * (1 - FADE / 3)))
+        amplitude *= 10 ** (tissue.level_db / 20)
         self._tissue_pulse = np.repeat(pulses.tabulate([amplitude], [0.0])[0], 2, axis=1)
         self._point_pulse = pulses.tabulate([1.0], [0.0])
         self._scene = Scene(
@@ -172,6 +174,15 @@ class FrameRenderer:
         )
         loss_db = 2 * tissue.attenuation * 1e-6 * imaging.transmit_frequency * 1e2 * depths
         self._noise = (10 ** ((parameters.noise_db + loss_db) / 20)).astype(np.float32)
+        rng = np.random.default_rng([seed, 6])
+        errors_db = gain_errors(parameters.gain_error_db, geometry.samples, rng)
+        self._offsets = (imaging.tissue_grey + imaging.grey_per_db * errors_db).astype(np.float32)
+        clutter = 10 ** (parameters.clutter_db / 20) * np.exp(-depths / parameters.clutter_length)
+        self._clutter = clutter.astype(np.float32)
+        self._changing = np.sqrt(parameters.decorrelation) * 10 ** (tissue.level_db / 20)
+        self._field = np.zeros((self.geometry.frames, 0, 0), np.complex64)
+        if parameters.clutter_db > -200 or parameters.decorrelation > 0:
+            self._field = speckle_field(geometry, self.beam, rng)
         rng = np.random.default_rng([seed, 4])
         air = parameters.air_pockets
         self._air = AirPockets(air, transducer, imaging, self.geometry, rng)
@@ -271,6 +282,10 @@ class FrameRenderer:
             self._noise,
             keys.generate_state(self.geometry.frames, np.uint64)[frames.part],
             self._imaging.grey_per_db,
-            self._imaging.tissue_grey,
+            self._offsets,
+            self._field[frames.part],
+            self._clutter,
+            self._changing * np.exp(1j * frames.times / self._parameters.decorrelation_time),
+            np.sqrt(1 - self._parameters.decorrelation),
         )
         return grey

@@ -5,7 +5,10 @@ from numpy.typing import NDArray
 
 from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.ultrasound.beam import Beam
-from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import SIDE_LOBE_WIDTH
+from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import (
+    ELEVATION_LOBES,
+    SIDE_LOBE_WIDTH,
+)
 from sonoservo.systems.ultrasound.simulation.kernels.echo import FADE
 from sonoservo.systems.ultrasound.simulation.kernels.projection import DepthTables, Rays
 
@@ -32,6 +35,7 @@ def projection_rays(geometry: SweepGeometry, beam: Beam, direction: int, lead: i
         samples_per_metre=np.float32(1 / geometry.sample_pitch),
         turns_per_metre=np.float32(2 / beam.wavelength),
         lead=lead,
+        elevation_lobes=np.float32(ELEVATION_LOBES[0] * (beam.side_lobes > 0)),
         side_lobes=np.float32(beam.side_lobes / SIDE_LOBE_WIDTH),
     )
 

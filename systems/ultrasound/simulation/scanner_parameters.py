@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from sonoservo.systems.signals.requirements import require_not_negative
+from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 from sonoservo.systems.ultrasound.simulation.air_pockets import AirPocketParameters
 from sonoservo.systems.ultrasound.simulation.errors.clock import ClockParameters
 from sonoservo.systems.ultrasound.simulation.errors.connection import ConnectionParameters
@@ -12,7 +12,7 @@ from sonoservo.systems.ultrasound.simulation.needles.needle_echo import NeedleEc
 
 @dataclass(kw_only=True)
 class ScannerParameters:
-    """Parameters of the needle's echo, the gel, the air in it, the electronic noise and errors.
+    """Parameters of the needle's echo, gel and air, noise, clutter, slow change and errors.
 
     Parameters
     ----------
@@ -24,7 +24,17 @@ class ScannerParameters:
         Air pockets under the face, behind which nothing is seen.
     noise_db
         Electronic noise at the face, relative to the tissue's root mean square. It grows with depth
-        by the attenuation that the time-gain compensation undoes.
+        by the attenuation that the time-gain compensation undoes. At -50 dB and 0.5 dB/(cm MHz), it
+        reaches the tissue's level 15 cm deep at 3.3 MHz and 7 cm deep at 7.5 MHz.
+    gain_error_db
+        Standard deviation of the gain compensation's error at each of eight sliders, in dB.
+    clutter_db, clutter_length
+        Level at the face of the haze that reverberation near the probe leaves, relative to the
+        tissue's root mean square, and depth in m over which its amplitude falls to 1/e. It moves
+        with the probe.
+    decorrelation, decorrelation_time
+        Share e of the tissue's intensity that changes while nothing moves, and its time tau in s.
+        Echoes at times that differ by t have the correlation 1 - e (1 - cos(t / tau)).
     motor
         Errors of the motor that sweeps the array.
     clock
@@ -36,10 +46,24 @@ class ScannerParameters:
     needle: NeedleEchoParameters = field(default_factory=NeedleEchoParameters)
     gel_thickness: float = 3e-3
     air_pockets: AirPocketParameters = field(default_factory=AirPocketParameters)
-    noise_db: float = -55.0
+    noise_db: float = -50.0
+    gain_error_db: float = 1.5
+    clutter_db: float = -20.0
+    clutter_length: float = 0.04
+    decorrelation: float = 0.02
+    decorrelation_time: float = 5.0
     motor: MotorParameters = field(default_factory=MotorParameters)
     clock: ClockParameters = field(default_factory=ClockParameters)
     connection: ConnectionParameters = field(default_factory=ConnectionParameters)
 
     def __post_init__(self) -> None:
-        require_not_negative(gel_thickness=self.gel_thickness)
+        require_not_negative(gel_thickness=self.gel_thickness, gain_error_db=self.gain_error_db)
+        require_positive(
+            clutter_length=self.clutter_length, decorrelation_time=self.decorrelation_time
+        )
+        require(self.gain_error_db <= 20, "gain_error_db", self.gain_error_db, "at most 20 dB")
+        for name in ("noise_db", "clutter_db"):
+            value = getattr(self, name)
+            require(-300 <= value <= 20, name, value, "from -300 to 20 dB")
+        allowed = 0 <= self.decorrelation < 1
+        require(allowed, "decorrelation", self.decorrelation, "from 0, below 1")

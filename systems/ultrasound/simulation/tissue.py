@@ -140,6 +140,45 @@ class RandomFibres:
 
 
 @dataclass(kw_only=True)
+class RandomBalls:
+    """Balls at random places in the tissue, drawn with its seed: bubbles and grains.
+
+    Parameters
+    ----------
+    per_cubic_centimetre
+        Mean number of centres per cubic centimetre.
+    smallest, largest
+        Limits of their uniformly distributed radii, in m.
+    dimmest_db, brightest_db
+        Limits of their uniformly distributed levels, in dB; see `Ball`.
+    """
+
+    per_cubic_centimetre: float = 0.0
+    smallest: float = 1.0e-3
+    largest: float = 1.5e-3
+    dimmest_db: float = 28.0
+    brightest_db: float = 30.0
+
+    def __post_init__(self) -> None:
+        require_not_negative(per_cubic_centimetre=self.per_cubic_centimetre)
+        require_positive(smallest=self.smallest)
+        for low, high in (("smallest", "largest"), ("dimmest_db", "brightest_db")):
+            value = getattr(self, high)
+            require(value >= getattr(self, low), high, value, f"at least {low}")
+
+    def draw(self, size: Sequence[float], rng: np.random.Generator) -> list[Ball]:
+        """Draw the balls in a box of (3,) extents in m."""
+        count = rng.poisson(self.per_cubic_centimetre * 1e6 * float(np.prod(size)))
+        centres = (rng.random((count, 3)) - [0.5, 0.5, 1.0]) * size
+        radii = rng.uniform(self.smallest, self.largest, count)
+        levels = rng.uniform(self.dimmest_db, self.brightest_db, count)
+        return [
+            Ball(centre=centre.tolist(), radius=float(radius), level_db=float(level))
+            for centre, radius, level in zip(centres, radii, levels, strict=True)
+        ]
+
+
+@dataclass(kw_only=True)
 class Tissue:
     """A body of scattering tissue. Frame T: origin at the middle of the top, +Z up.
 
@@ -153,13 +192,16 @@ class Tissue:
     scatterers_per_cell
         Effective number N of scatterers in a resolution cell, at every depth: the intensity's
         moments are <I^2> / <I>^2 = 2 + 1/N, those of a K distribution with nu = 2 N.
+    level_db
+        Mean echo intensity in dB, relative to the tissue to which all levels are related and for
+        which the scanner's gain is set. It is below 0 dB for what scatters less, such as agar.
     attenuation
         One-way attenuation, in dB/(cm MHz). The scanner's time-gain compensation undoes it, so it
         shows as noise that grows with depth.
     balls, fibres
         Bright inclusions.
-    random_fibres
-        Further fibres at random places.
+    random_balls, random_fibres
+        Further inclusions at random places.
     structures
         Bone, vessels, fascia, calcifications, gas, N-wires and needles at rest.
     anatomy
@@ -170,7 +212,7 @@ class Tissue:
     fat
         Layer of fat on top, with a lower speed of sound.
     seed
-        Seed of the scatterers and the random fibres.
+        Seed of the scatterers and of the random inclusions.
 
     Raises
     ------
@@ -181,9 +223,11 @@ class Tissue:
     size: list[float] = field(default_factory=lambda: [0.24, 0.16, 0.08])
     shape: str = "box"
     scatterers_per_cell: float = 4.0
+    level_db: float = 0.0
     attenuation: float = 0.5
     balls: list[Ball] = field(default_factory=list)
     fibres: list[Fibre] = field(default_factory=list)
+    random_balls: RandomBalls = field(default_factory=RandomBalls)
     random_fibres: RandomFibres = field(default_factory=RandomFibres)
     structures: list[AnyStructure] = field(default_factory=list)
     anatomy: LabelMapAnatomy | LiverAnatomy | None = None
@@ -201,6 +245,7 @@ class Tissue:
             self.scatterers_per_cell,
             "from 0.5 to 64",
         )
+        require(-60 <= self.level_db <= 20, "level_db", self.level_db, "from -60 to 20 dB")
         require_not_negative(attenuation=self.attenuation, seed=self.seed)
         require(max(self.size) <= 2, "size", self.size, "at most 2 m each; lengths are in m")
         if self.sound_speed is not None:
@@ -215,17 +260,22 @@ class Tissue:
             self._require_within(f"fibres[{number}].start", fibre.start)
             self._require_within(f"fibres[{number}].end", fibre.end)
 
-    def placed(self, entry: ArrayLike, direction: ArrayLike) -> "Tissue":
+    def placed(self, entry: ArrayLike, direction: ArrayLike, layout: int | None = None) -> "Tissue":
         """Return the tissue with its structures moved to their positions beside the needle's path.
 
         Parameters
         ----------
         entry, direction
             (3,) entry of the needle, in m, and (3,) direction of its axis, both in T.
+        layout
+            Seed of a run, which draws how the positions differ from those stated; see
+            `BesideNeedle.drawn`. None leaves them as stated.
         """
-        if all(each.beside_needle is None for each in self.structures):
-            return self
-        return replace(self, structures=[e.placed(entry, direction) for e in self.structures])
+        structures = self.structures
+        if layout is not None:
+            rng = np.random.default_rng([layout, 7])
+            structures = [each.drawn(layout, rng) for each in structures]
+        return replace(self, structures=[each.placed(entry, direction) for each in structures])
 
     @property
     def surface(self) -> BodySurface:

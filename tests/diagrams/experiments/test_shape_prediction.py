@@ -18,6 +18,8 @@ from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.needle_shape import NeedleShape
 
 SHORT = ["depth=0.04", "rotations=[0.025]", "observe_until=0.025", "step=1e-3"]
+# A needle that shows at every angle.
+SHORT += ["scanner.needle.diffuse_db=-20", "scanner.needle.diffuse_lobe_deg=null"]
 
 
 @pytest.fixture(scope="module")

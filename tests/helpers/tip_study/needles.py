@@ -1,10 +1,11 @@
 """Needles at rest in homogeneous tissue, and the same needles in the terms of the bound."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 from pydrake.math import RigidTransform
+from renderers import CLEAN
 
 from sonoservo.systems.evaluation.needle_end import NeedleEnd
 from sonoservo.systems.signals.blur import blur_covariance
@@ -18,7 +19,6 @@ from sonoservo.systems.ultrasound.simulation.needles.needle_echo import (
 )
 from sonoservo.systems.ultrasound.simulation.rays import depth_tables
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
-from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
@@ -114,7 +114,7 @@ def sweep_with(end, using, seed):
         transducer=using.transducer,
         imaging=using.imaging,
         tissue=Tissue(size=[0.6, 0.6, 0.4], seed=seed),
-        parameters=ScannerParameters(needle=_levels(end, using, p, k)[0]),
+        parameters=replace(CLEAN, needle=_levels(end, using, p, k)[0]),
         seed=seed,
     )
     frames = using.geometry.frames

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from live_items import X, make_volume
-from pydrake.math import RigidTransform
+from pydrake.math import RigidTransform, RotationMatrix
 
 from sonoservo.systems.live.connection.items import ImageItem, PoseItem, TextItem
 from sonoservo.systems.live.image_matcher import ImageMatcher, LeftOut
@@ -179,12 +179,32 @@ def test_pose_of_the_images_own_peer_is_preferred():
     assert matcher.feed(image(2.0), 1.0, "scanner")[0].X_WL.translation()[0] == 4.0
 
 
+@pytest.mark.parametrize("asked", [None, "ProbeToTracker,TrackerToReference", "ProbeToReference"])
+def test_transforms_are_composed_to_the_pose_of_the_probe(asked, lines):
+    """A tracker tells probe and reference, one after the other, and the second is inverted."""
+    matcher, out = ImageMatcher(poses=asked, report=lines.append), []
+    turn = RotationMatrix.MakeZRotation(0.5)
+    for k in range(8):
+        now = 0.2 * k
+        reference = RigidTransform(turn, [0.1, 0.01 * k, 0.0])
+        probe = reference @ RigidTransform([0.01 * k, 0.0, 0.2])
+        out += matcher.feed(PoseItem("ProbeToTracker", 5 + now, probe), now)
+        out += matcher.feed(PoseItem("ReferenceToTracker", 5 + now, reference), now + 0.001)
+        out += matcher.feed(image(5 + now), now + 0.002)
+    out += matcher.release(5.0)
+    assert len(out) == 8
+    assert matcher.posed
+    for k, each in enumerate(out):
+        np.testing.assert_allclose(each.X_WL.translation(), [0.01 * k, 0, 0.2], atol=1e-9)
+    assert any("inverse of ReferenceToTracker" in line for line in lines)
+
+
 def test_other_poses_are_named_where_the_expected_one_is_missing(lines):
     matcher = ImageMatcher(report=lines.append)
-    matcher.feed(pose(1.0, name="ProbeToTracker"), 0.0)
+    matcher.feed(pose(1.0, name="StylusToTracker"), 0.0)
     matcher.feed(image(1.0), 0.0)
     assert len(matcher.release(1.0)) == 1
-    assert "there are: ProbeToTracker" in lines[-1]
+    assert "there are: StylusToTracker" in lines[-1]
 
 
 @pytest.mark.parametrize("restart", [5.0, 90000.0])

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from renderers import CLEAN
 from scipy.signal import hilbert
 
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
-from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 from sonoservo.systems.ultrasound.transducer import load_transducer
 
@@ -31,7 +31,7 @@ def renderer():
         transducer=load_transducer("zhao2012"),
         imaging=ZHAO,
         tissue=tissue,
-        parameters=ScannerParameters(),
+        parameters=CLEAN,
         seed=0,
     )
 
@@ -65,7 +65,7 @@ def test_samples_too_far_apart_for_the_carrier_are_refused():
         transducer=load_transducer("4dc7_3_40"),
         imaging=ImagingParameters(),
         tissue=Tissue(),
-        parameters=ScannerParameters(),
+        parameters=CLEAN,
         seed=0,
     )
     poses = np.repeat(np.eye(4)[np.newaxis], renderer.geometry.frames, axis=0)

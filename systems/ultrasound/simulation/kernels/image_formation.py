@@ -28,7 +28,11 @@ def form_image(  # type: ignore[no-untyped-def]
     noise,
     keys,
     grey_per_db,
-    offset,
+    offsets,
+    field,
+    clutter,
+    changing,
+    lasting,
 ):
     """Convert every frame's echoes to grey levels.
 
@@ -42,13 +46,36 @@ def form_image(  # type: ignore[no-untyped-def]
         See `coupling`.
     open_shares
         (frames, lines) float32 factors on the echoes of lines under which air lies.
-    noise, keys, grey_per_db, offset
+    noise, keys, grey_per_db, offsets
         See `compress`; keys is (frames,).
+    field
+        (frames, lines, samples) complex64 speckle of the probe; empty for none.
+    clutter
+        (samples,) float32 amplitude of the part of it that stays.
+    changing, lasting
+        (frames,) amplitudes of the part that changes, whose real and imaginary part weigh two
+        independent fields, and the factor on what lasts of the tissue's echo.
     """
     for frame in range(len(grey)):
         share = coupling(X_TP[frame], origins[frame], directions[frame], box, gel_thickness)
         share *= open_shares[frame]
-        compress(grey[frame], iq[frame], share, noise, keys[frame], grey_per_db, offset)
+        if field.size > 0:
+            add_haze(iq[frame], field[frame], clutter, changing[frame], lasting)
+        compress(grey[frame], iq[frame], share, noise, keys[frame], grey_per_db, offsets)
+
+
+@njit(**OPTIONS)
+def add_haze(iq, field, clutter, changing, lasting):  # type: ignore[no-untyped-def]
+    """Add clutter and a slowly changing part to the (lines, samples) echoes of a frame."""
+    lines, samples = iq.shape
+    first, second = np.float32(changing.real), np.float32(changing.imag)
+    keep = np.float32(lasting)
+    for j in range(lines):
+        one = field[(j + lines // 3) % lines]
+        other = field[(j + 2 * lines // 3) % lines]
+        for i in range(samples):
+            part = first * one[i] + second * other[i]
+            iq[j, i] = keep * iq[j, i] + clutter[i] * field[j, i] + part
 
 
 @njit(**OPTIONS)
@@ -91,7 +118,7 @@ def coupling(X_TP, origins, directions, box, gel_thickness):  # type: ignore[no-
 
 
 @njit(**OPTIONS)
-def compress(grey, iq, share, noise, key, grey_per_db, offset):  # type: ignore[no-untyped-def]
+def compress(grey, iq, share, noise, key, grey_per_db, offsets):  # type: ignore[no-untyped-def]
     """Add noise and compress a frame's echoes to grey levels, rounded to nearest.
 
     Parameters
@@ -104,8 +131,8 @@ def compress(grey, iq, share, noise, key, grey_per_db, offset):  # type: ignore[
         (samples,) float32 root mean square of the noise.
     key
         uint64 that selects the noise; equal keys give equal noise.
-    grey_per_db, offset
-        Coefficients of the grey level: grey_per_db x level in dB + offset.
+    grey_per_db, offsets
+        Coefficients of the grey level: grey_per_db x level in dB + the sample's offset, float32.
     """
     lines, samples = iq.shape
     power = np.empty(samples, np.float32)
@@ -113,7 +140,7 @@ def compress(grey, iq, share, noise, key, grey_per_db, offset):  # type: ignore[
     # Sum of four uniform bytes, with unit variance for real and imaginary part together.
     scale = np.float32(np.sqrt(0.5 / ((256.0**2 - 1) / 3)))
     slope = np.float32(grey_per_db * 10 / _LOG2_10)
-    half = np.float32(offset + 0.5)
+    half = np.float32(0.5)
     byte = np.uint64(255)
     for j in range(lines):
         counter = key + np.uint64(j * samples) * np.uint64(0x9E3779B97F4A7C15)
@@ -142,7 +169,7 @@ def compress(grey, iq, share, noise, key, grey_per_db, offset):  # type: ignore[
             bits[i] = (bits[i] & np.int32(0x007FFFFF)) | np.int32(0x3F800000)
             m = power[i] - np.float32(1)
             log2 = exponent + m * (_L1 + m * (_L2 + m * (_L3 + m * (_L4 + m * (_L5 + m * _L6)))))
-            level = slope * log2 + half
+            level = slope * log2 + offsets[i] + half
             grey[j, i] = np.uint8(min(max(level, np.float32(0)), np.float32(255.5)))
 
 

@@ -42,6 +42,8 @@ class Rays(NamedTuple):
     turns_per_metre: np.float32
     lead: int
     """Number of samples from the beginning of a pulse to the one before its middle."""
+    elevation_lobes: np.float32
+    """Amplitude of its side lobes in elevation."""
     side_lobes: np.float32
     """Amplitude of a bright point's side lobes, relative to its main lobe."""
 

@@ -61,15 +61,13 @@ def add_to_rows(  # type: ignore[no-untyped-def]
                 result = builder.insert_element(result, values[lane % len(values)], position)
             return result
 
-        def multiply(a: Any, b: Any) -> Any:
-            return builder.fmul(a, b, flags=("fast",))
-
+        # No "fast" arithmetic, which some processors would fuse.
         pulse = builder.load(piece(table, start), align=4)
-        echo = multiply(pulse, spread(real, imaginary))
+        echo = builder.fmul(pulse, spread(real, imaginary))
         for weight in weights:
             row = piece(rows, at)
-            product = multiply(echo, spread(weight))
-            total = builder.fadd(builder.load(row, align=4), product, flags=("fast",))
+            product = builder.fmul(echo, spread(weight))
+            total = builder.fadd(builder.load(row, align=4), product)
             builder.store(total, row, align=4)
             at = builder.add(at, width)
         return context.get_dummy_value()

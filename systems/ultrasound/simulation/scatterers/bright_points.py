@@ -1,7 +1,7 @@
 """Bright points that represent the tissue's inclusions and wires."""
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from sonoservo.systems.ultrasound.beam import Beam
 from sonoservo.systems.ultrasound.simulation.needles.needle_echo import rod_amplitudes
@@ -16,9 +16,14 @@ def inclusion_points(
     """Return the (n, 3) positions in T, in m, and (n,) complex amplitudes of all inclusions."""
     rng = np.random.default_rng([tissue.seed, 1])
     parts = [(np.zeros((0, 3)), np.zeros(0, complex))]
-    parts += [_ball_points(ball, beam.resolution_cell[reference], rng) for ball in tissue.balls]
+    # From a generator of its own, so that other inclusions stay as they are.
+    drawn_balls = tissue.random_balls.draw(tissue.size, np.random.default_rng([tissue.seed, 5]))
+    balls = tissue.balls + [ball for ball in drawn_balls if _is_inside(ball.centre, tissue)]
+    parts += [_ball_points(ball, beam.resolution_cell[reference], rng) for ball in balls]
     drawn = tissue.random_fibres.draw(tissue.size, rng)
-    fibres = tissue.fibres + [fibre for fibre in drawn if _is_inside(fibre, tissue)]
+    middles = [np.add(fibre.start, fibre.end) / 2 for fibre in drawn]
+    inside = [_is_inside(middle, tissue) for middle in middles]
+    fibres = tissue.fibres + [each for each, there in zip(drawn, inside, strict=True) if there]
     parts += [_fibre_points(fibre, beam, reference, rng) for fibre in fibres]
     # Points a third of a wavelength apart reflect sound like a line at every angle.
     parts += [
@@ -38,9 +43,8 @@ def inclusion_points(
     return np.concatenate(points), np.concatenate(amplitudes)
 
 
-def _is_inside(fibre: Fibre, tissue: Tissue) -> bool:
-    """Return True if a random fibre's middle lies in the tissue, as it always does in a box."""
-    middle = np.add(fibre.start, fibre.end) / 2
+def _is_inside(middle: ArrayLike, tissue: Tissue) -> bool:
+    """Return True if a random inclusion lies in the tissue, as it always does in a box."""
     return not tissue.surface.is_curved or bool(tissue.surface.contains(middle))
 
 

@@ -43,6 +43,14 @@ class Tube(NamedTuple):
     """Speed of the flow, in m/s."""
 
 
+HELD_OUT = range(100)
+"""Seeds whose layouts are mirror images of the others', which methods are tuned on."""
+
+_TURNED, _ALONG, _LEVEL, _DEPTH = 20.0, 0.01, 0.01, 0.003
+"""Greatest differences between layouts: angle in deg about the needle, distance in m along it, and,
+of structures that do not lie beside it, in m along X and Y, and along Z, of T."""
+
+
 @dataclass(kw_only=True)
 class BesideNeedle:
     """A position beside the path of the needle.
@@ -66,6 +74,13 @@ class BesideNeedle:
         require_not_negative(distance=self.distance, along=self.along)
         require(self.distance <= 0.2, "distance", self.distance, "at most 0.2 m")
         require(self.along <= 0.5, "along", self.along, "at most 0.5 m")
+
+    def drawn(self, seed: int, rng: np.random.Generator) -> "BesideNeedle":
+        """Return the position in the layout of a seed; the distance stays."""
+        angle = self.angle_deg + rng.uniform(-_TURNED, _TURNED)
+        along = max(self.along + rng.uniform(-_ALONG, _ALONG), 0.0)
+        mirrored = seed in HELD_OUT
+        return replace(self, angle_deg=180 - angle if mirrored else angle, along=along)
 
     def resolve(
         self, entry: ArrayLike, direction: ArrayLike, reach: float = 0.0
@@ -124,6 +139,12 @@ class Structure:
             for name in self.POINTS
         }
         return replace(self, beside_needle=None, **changes)
+
+    def drawn(self, seed: int, rng: np.random.Generator) -> Self:
+        """Return the structure at its place in the layout of a seed."""
+        if self.beside_needle is not None:
+            return replace(self, beside_needle=self.beside_needle.drawn(seed, rng))
+        return self.moved(rng.uniform(-1, 1, 3) * (_LEVEL, _LEVEL, _DEPTH))
 
     def placed(self, entry: ArrayLike, direction: ArrayLike) -> Self:
         """Return the structure at the position of `beside_needle`; see `BesideNeedle.resolve`."""

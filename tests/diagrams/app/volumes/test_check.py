@@ -163,8 +163,8 @@ def test_clocks_that_are_apart_and_other_transforms_need_something(stream):
 
 
 def test_stream_without_the_expected_transform_names_the_others(stream):
-    checked = listened(stream(lambda k: [pose(k, "ProbeToTracker"), image(0.0)]))
-    assert "ProbeToTracker" in found(checked, Check.CHAIN)[0].text
+    checked = listened(stream(lambda k: [pose(k, "StylusToTracker"), image(0.0)]))
+    assert "StylusToTracker" in found(checked, Check.CHAIN)[0].text
     assert "stand still" in found(checked, Check.CLOCK)[0].text
 
 

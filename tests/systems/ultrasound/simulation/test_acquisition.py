@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from pydrake.math import RigidTransform, RotationMatrix
+from renderers import CLEAN
 
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.sweep import SweepMotion
@@ -8,7 +9,6 @@ from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
 from sonoservo.systems.ultrasound.simulation.acquisition import acquire_sweep
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
-from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 from sonoservo.systems.ultrasound.transducer import Transducer
 
@@ -24,7 +24,7 @@ def renderer():
             sector=0.1, depth=0.05, frames=5, volume_rate=8, dynamic_range_db=48.0
         ),
         tissue=Tissue(),
-        parameters=ScannerParameters(),
+        parameters=CLEAN,
         seed=7,
     )
 

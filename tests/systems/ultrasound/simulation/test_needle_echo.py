@@ -101,7 +101,7 @@ def test_the_beam_makes_the_needle_look_thick():
     far = np.interp(-0.1, -levels[middle:], offsets[middle:])
     assert far - near == pytest.approx(4e-3, rel=0.2)
     i = round(0.06 / geometry.sample_pitch)
-    assert far - near == pytest.approx(1.82 * FWHM_PER_SIGMA * renderer.beam.elevation[i], rel=0.1)
+    assert far - near == pytest.approx(1.82 * FWHM_PER_SIGMA * renderer.beam.elevation[i], rel=0.12)
 
 
 def test_needle_has_a_diffuse_floor():

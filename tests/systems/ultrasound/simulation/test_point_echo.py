@@ -4,8 +4,10 @@ import dataclasses
 
 import numpy as np
 import pytest
+from pymust_referee import middle_line
 from renderers import DEEP, DOWN, about, correlation, make_renderer, shift, still
 
+from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation import frame_renderer
 from sonoservo.systems.ultrasound.simulation.scatterer_tile import BLOCKS, ScattererTile
 from sonoservo.systems.ultrasound.simulation.tissue import Ball, Tissue
@@ -100,3 +102,30 @@ def test_bright_points_have_side_lobes(level):
     expected = shape[np.abs(lines) == 3.5].mean() / shape.max()
     assert side == pytest.approx(expected, rel=0.1, abs=1e-5)
     assert (side > 0.0012) == (level > 0)
+
+
+def test_the_arc_of_a_point_across_the_frames_is_that_of_the_beam():
+    """Level of the side lobes in elevation and their fall, against PyMUST."""
+    renderer = make_renderer(sector=0.1, sample_pitch=0.1e-3)
+    geometry, imaging = renderer.geometry, ImagingParameters(focus_depth=0.06)
+    middle, sigma = geometry.frames // 2, renderer.beam.elevation[round(0.06 / 0.1e-3)]
+    offsets = sigma * np.arange(0, 8.1, 0.4)
+
+    def ours(offset):
+        echo = np.zeros(geometry.shape, np.complex64)
+        point = np.array([[0.0, offset, -0.16]])
+        renderer.add_scatterers(echo, still(renderer), point, np.ones(1, complex), 1)
+        return np.abs(echo[middle]).max()
+
+    def theirs(offset):
+        return middle_line(Transducer(), imaging, [[0.0, 0.06, offset]], [1.0], 0.06).max()
+
+    def bands(level):
+        power = np.array([level(offset) for offset in offsets]) ** 2 / level(0.0) ** 2
+        x = offsets / sigma
+        return [
+            10 * np.log10(power[(x >= low) & (x < high)].mean())
+            for low, high in ((3, 5), (5, 7), (7, 8.1))
+        ]
+
+    assert bands(ours) == pytest.approx(bands(theirs), abs=2.5)

@@ -1,13 +1,14 @@
 """Contact, the phantom's bounds and grey levels of a rendered sweep."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from renderers import DOWN, NOWHERE, make_renderer, needle_through, still
+from renderers import CLEAN, DOWN, NOWHERE, make_renderer, needle_through, still
 
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation.frame_renderer import FrameRenderer, Frames
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
-from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 from sonoservo.systems.ultrasound.transducer import Transducer
 
@@ -65,7 +66,7 @@ def test_noise_grows_with_depth_as_sound_is_attenuated():
         transducer=Transducer(),
         imaging=ImagingParameters(gain=1.0),
         tissue=tissue,
-        parameters=ScannerParameters(noise_db=-40.0, gel_thickness=1.0),
+        parameters=replace(CLEAN, noise_db=-40.0, gel_thickness=1.0),
         seed=0,
     )
     grey = renderer.render(still(renderer), [NOWHERE] * 27, 1, 0).astype(float)

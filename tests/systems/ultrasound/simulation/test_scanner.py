@@ -1,9 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from renderers import CLEAN
 
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle import Needle
@@ -28,7 +31,7 @@ def make_scanner(**changes):
         "transducer": Transducer(),
         "imaging": IMAGING,
         "tissue": Tissue(),
-        "parameters": ScannerParameters(),
+        "parameters": CLEAN,
         "seed": 7,
     }
     return Scanner(**arguments | changes)
@@ -140,7 +143,7 @@ def test_speckle_moves_with_the_phantom():
 
 def test_runs_repeat_and_seeds_change_the_noise_only():
     def quiet_and_noisy(seed):
-        scanner = make_scanner(seed=seed, parameters=ScannerParameters(noise_db=-30))
+        scanner = make_scanner(seed=seed, parameters=replace(CLEAN, noise_db=-30))
         simulator, sweep = run(scanner)
         simulator.AdvanceTo(0.13)
         return sweep().samples

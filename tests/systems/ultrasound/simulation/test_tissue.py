@@ -1,5 +1,8 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from renderers import DEEP, make_renderer, still
 
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.ultrasound.simulation.scatterer_tile import BLOCKS
@@ -7,6 +10,7 @@ from sonoservo.systems.ultrasound.simulation.scatterer_tile import scatterer_til
 from sonoservo.systems.ultrasound.simulation.tissue import (
     Ball,
     Fibre,
+    RandomBalls,
     RandomFibres,
     Tissue,
     load_tissue,
@@ -43,30 +47,46 @@ def test_blocks_stay_small(density):
     assert len(tile.ranks) <= 170 * BLOCKS**3
 
 
-def test_agar_phantom_loads():
+def test_agar_is_dark_and_has_bright_things_anywhere_also_in_a_needles_way():
+    """The way of `chatelain2013_fig5`: from 42 mm below the top, dipping by 5 deg, +-10 mm."""
     agar = load_tissue("agar")
     assert agar.size == Tissue().size
-    assert agar.balls
-    assert agar.fibres
-    half = np.array(agar.size) / 2
-    middle = np.array([0, 0, -half[2]])
-    for point in [ball.centre for ball in agar.balls] + [fibre.start for fibre in agar.fibres]:
-        assert (np.abs(np.array(point) - middle) < half).all()
+    assert agar.level_db < -6
+    assert agar.scatterers_per_cell <= 1
+    near = []
+    for seed in range(100, 140):
+        balls = agar.random_balls.draw(agar.size, np.random.default_rng([seed, 5]))
+        x, y, z = np.array([ball.centre for ball in balls]).T
+        level = -0.042 - (x + 0.12) * np.tan(np.deg2rad(5))
+        aside = np.hypot(np.maximum(np.abs(y) - 0.01, 0), z - level)
+        near.append(np.sum((x > -0.12) & (x < 0) & (aside < 4e-3)))
+    # As many as lie in a slab 0.12 m x 20 mm x 8 mm with rounded edges.
+    volume = 120 * (20 * 8 + np.pi * 16) / 1e3
+    assert np.mean(near) == pytest.approx(agar.random_balls.per_cubic_centimetre * volume, rel=0.4)
+    assert max(near) > min(near) == 0
 
 
-def test_agar_phantom_has_bright_things_beside_a_needles_way_but_not_on_it():
-    """The way of `chatelain2013_fig5`: from 42 mm below the top, dipping by 5 deg."""
-    agar = load_tissue("agar")
-    along, aside = np.meshgrid(np.linspace(-0.12, -0.02, 101), np.linspace(-0.01, 0.01, 21))
-    way = np.stack([along, aside, -0.042 - (along + 0.12) * np.tan(np.deg2rad(5))], axis=-1)
-    points = [np.array(ball.centre) for ball in agar.balls]
-    for fibre in agar.fibres:
-        points += list(np.linspace(fibre.start, fibre.end, 20))
-    distance = np.array([np.linalg.norm(way - point, axis=-1).min() for point in points])
-    assert distance.min() > 6e-3
-    assert (distance < 15e-3).sum() >= 6
-    for x in np.arange(-0.09, -0.01, 0.01):  # of the probe
-        assert sum(abs(point[0] - x) < 0.03 for point in points) >= 3
+def test_random_balls_have_the_stated_density_radii_and_levels():
+    random = RandomBalls(per_cubic_centimetre=0.5, smallest=1e-3, largest=2e-3, dimmest_db=20)
+    size = [0.2, 0.1, 0.1]
+    balls = random.draw(size, np.random.default_rng(0))
+    assert len(balls) == pytest.approx(1000, rel=0.1)
+    centres = np.array([ball.centre for ball in balls])
+    assert (np.abs(np.add(centres, [0, 0, 0.05])) <= np.array(size) / 2).all()
+    assert centres.std(axis=0) == pytest.approx(np.array(size) / np.sqrt(12), rel=0.1)
+    for name, low, high in (("radius", 1e-3, 2e-3), ("level_db", 20, 30)):
+        values = [getattr(ball, name) for ball in balls]
+        assert low <= min(values) < max(values) <= high
+    assert Tissue().random_balls.draw(size, np.random.default_rng(0)) == []
+    with pytest.raises(ValueError, match="largest"):
+        RandomBalls(largest=0.5e-3)
+
+
+def test_the_level_of_a_tissue_is_that_of_its_echoes():
+    for level in (0.0, -12.0):
+        renderer = make_renderer(replace(DEEP, level_db=level), sector=0.4)
+        power = np.abs(renderer.tissue_echo(still(renderer), 1)) ** 2
+        assert 10 * np.log10(power.mean()) == pytest.approx(level, abs=0.6)
 
 
 def test_errors_name_the_field(tmp_path):

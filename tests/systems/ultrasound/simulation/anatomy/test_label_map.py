@@ -7,6 +7,7 @@ import nrrd
 import numpy as np
 import pytest
 import yaml
+from renderers import CLEAN
 
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation.anatomy import (
@@ -23,7 +24,6 @@ from sonoservo.systems.ultrasound.simulation.anatomy.anatomy_grid import (
 )
 from sonoservo.systems.ultrasound.simulation.anatomy.level_surface import level_surface
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
-from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
 from sonoservo.systems.ultrasound.transducer import Transducer
 
@@ -200,7 +200,7 @@ def render(tissue, x=0.0):
         transducer=Transducer(),
         imaging=ImagingParameters(sector=0.4, frames=9, volume_rate=3),
         tissue=tissue,
-        parameters=ScannerParameters(),
+        parameters=CLEAN,
         seed=0,
     )
     X = np.array([[1, 0, 0, x], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])

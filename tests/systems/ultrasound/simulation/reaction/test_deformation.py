@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
+from renderers import CLEAN
 from speckle_motion import speckle_motion
 
 from sonoservo.systems.signals.needle import Needle
@@ -16,7 +17,6 @@ from sonoservo.systems.ultrasound.simulation.reaction.deformation import (
     indentation,
 )
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
-from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 from sonoservo.systems.ultrasound.simulation.structures.calcification import Calcification
 from sonoservo.systems.ultrasound.simulation.structures.fascia import Fascia
 from sonoservo.systems.ultrasound.simulation.structures.fat_layer import FatLayer
@@ -38,7 +38,7 @@ def make_renderer(tissue=None, **changes):
         transducer=Transducer(),
         imaging=replace(IMAGING, **changes),
         tissue=tissue or Tissue(seed=1),
-        parameters=ScannerParameters(),
+        parameters=CLEAN,
         seed=0,
     )
 

@@ -6,6 +6,7 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from renderers import CLEAN
 from speckle_motion import speckle_motion
 
 from sonoservo.systems.robot.phantom_motion import Breathing
@@ -22,7 +23,6 @@ from sonoservo.systems.ultrasound.simulation.reaction.tissue_reaction import (
     tissue_deformation,
 )
 from sonoservo.systems.ultrasound.simulation.scanner import Scanner
-from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 from sonoservo.systems.ultrasound.transducer import Transducer
 
@@ -119,7 +119,7 @@ def make_scanner():
         transducer=Transducer(),
         imaging=IMAGING,
         tissue=Tissue(seed=1),
-        parameters=ScannerParameters(),
+        parameters=CLEAN,
         seed=7,
     )
 

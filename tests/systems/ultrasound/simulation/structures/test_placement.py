@@ -4,13 +4,13 @@ import dataclasses
 
 import numpy as np
 import pytest
+from renderers import CLEAN
 
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import load_typed
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
-from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 from sonoservo.systems.ultrasound.simulation.structures import (
     BesideNeedle,
     Bone,
@@ -21,7 +21,7 @@ from sonoservo.systems.ultrasound.simulation.structures import (
     RestingNeedle,
     Vessel,
 )
-from sonoservo.systems.ultrasound.simulation.tissue import Tissue
+from sonoservo.systems.ultrasound.simulation.tissue import Tissue, load_tissue
 from sonoservo.systems.ultrasound.transducer import Transducer
 
 KINDS = [Bone, Vessel, Fascia, Calcification, Gas, NWires, RestingNeedle]
@@ -67,7 +67,7 @@ def test_placement_needs_a_needle():
             transducer=Transducer(),
             imaging=ImagingParameters(),
             tissue=Tissue(structures=[Gas(beside_needle=BesideNeedle())]),
-            parameters=ScannerParameters(),
+            parameters=CLEAN,
             seed=0,
         )
 
@@ -123,6 +123,36 @@ def test_n_wires_tell_the_frame_where_it_is():
         assert ratio == pytest.approx(share)
 
 
+def test_a_seed_draws_the_layout_and_those_held_out_are_mirrored():
+    """Distances stay; angles and depths differ by at most 20 deg and 10 mm from those stated."""
+    tissue = load_tissue("clinic")
+    stated = tissue.placed(ENTRY, DIRECTION).structures
+    axis = np.asarray(DIRECTION) / np.linalg.norm(DIRECTION)
+
+    def where(structure):
+        away = structure.middle - ENTRY
+        along = away @ axis
+        across = np.cross([0, 0, 1], axis)
+        across /= np.linalg.norm(across)
+        aside = away - along * axis
+        up = np.cross(axis, across)
+        return along, np.linalg.norm(aside), np.rad2deg(np.arctan2(aside @ up, aside @ across))
+
+    for seed, mirrored in ((7, True), (99, True), (100, False), (101, False)):
+        drawn = tissue.placed(ENTRY, DIRECTION, seed).structures
+        again = tissue.placed(ENTRY, DIRECTION, seed).structures
+        assert [each.middle.tolist() for each in drawn] == [each.middle.tolist() for each in again]
+        for before, here, there in zip(tissue.structures, stated, drawn, strict=True):
+            if before.beside_needle is None:
+                assert 0 < np.abs(there.middle - here.middle).max() <= 0.01
+                continue
+            (s, distance, angle), (t, same, turned) = where(here), where(there)
+            assert same == pytest.approx(distance, abs=1e-6)
+            assert abs(t - s) <= 0.01
+            wanted = 180 - angle if mirrored else angle
+            assert abs((turned - wanted + 180) % 360 - 180) <= 20 + 1e-6
+
+
 def test_resting_needle_echoes_as_one_in_the_hand():
     resting = RestingNeedle(start=[-0.03, 0, -0.045], end=[0.01, 0, -0.045])
     renderers = [
@@ -130,7 +160,7 @@ def test_resting_needle_echoes_as_one_in_the_hand():
             transducer=Transducer(),
             imaging=ImagingParameters(sector=0.3, frames=3, volume_rate=10),
             tissue=Tissue(structures=structures),
-            parameters=ScannerParameters(),
+            parameters=CLEAN,
             seed=0,
         )
         for structures in ([resting], [])
