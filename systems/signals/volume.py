@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -117,7 +118,8 @@ class Volume(Immutable):
         if cut == 0:
             return self
         dark = self.seen & (self.intensities == 0)
-        grey = np.where(dark, cut, self.intensities).astype(self.intensities.dtype)
+        grey: NDArray[Any] = np.where(dark, cut, self.intensities)
+        grey = grey.astype(self.intensities.dtype)
         return replace(self, intensities=seal(grey), mask=self.seen)
 
     @property
