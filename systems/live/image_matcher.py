@@ -369,7 +369,11 @@ class ImageMatcher:
         """Return the pose at an image's time, by the clocks or by the times of arrival."""
         if tracker is None:
             return None if wait else NotFound("there is no pose yet")
-        if sender.image_clock.stands or tracker.pose_clock.stands:
+        if (
+            sender.image_clock.stands
+            or tracker.pose_clock.stands
+            or 0 in (stamp, tracker.pose_clock.last)
+        ):
             poses, at = tracker.poses_by_arrival, arrived
         else:
             poses, at = tracker.poses, stamp + sender.offset
@@ -414,7 +418,7 @@ class ImageMatcher:
         jumped = own is not None and not -_BACKWARDS < own < _FORWARDS
         if jumped:
             self._report(f"the sender's clock jumped by {own:+.3f} s; the stream goes on")
-        elif own is not None and own <= 0:
+        elif own is not None and own < _SAME:
             return None
         time = stamp + sender.shift
         if self._last is not None and (jumped or not 0 < time - self._last < _FORWARDS):
