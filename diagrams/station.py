@@ -1,7 +1,10 @@
 """Station: arm with probe, phantom, contact, joint servo and wrist force sensor."""
 
+import copyreg
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +38,14 @@ _ALLOWED = {
     "discrete_contact_approximation": ("lagged", "similar", "sap", "tamsi"),
     "contact_surface_representation": ("polygon", "triangle"),
 }
+
+
+def _reduced(config: MultibodyPlantConfig) -> tuple[Any, ...]:
+    values = {each.name: getattr(config, each.name) for each in config.__fields__}
+    return partial(MultibodyPlantConfig, **values), ()
+
+
+copyreg.pickle(MultibodyPlantConfig, _reduced)  # which Drake cannot do
 
 
 @dataclass(kw_only=True)

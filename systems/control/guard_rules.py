@@ -172,9 +172,9 @@ def _force_rises(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> boo
     # What was felt when the retreat ended may be an error; the body adds to it.
     if m.mode != Mode.HOLDING:
         return False
-    wrist, least = s.wrist - m.inertia, g.max_force / 2
-    felt = s.plausible and wrist > least and wrist - m.wrist_rest > least
-    return felt or _arm_at_least(s) - max(m.arm_rest, 0.0) > least
+    wrist = s.wrist - max(m.rate * s.step, 0.0) - m.inertia  # of two samples the lesser one
+    felt = s.plausible and wrist - max(m.wrist_rest, 0.0) > g.max_force / 2
+    return felt or _arm_at_least(s) - max(m.arm_rest, 0.0) > g.max_force / 2
 
 
 def _arm_at_least(s: Sight) -> float:
