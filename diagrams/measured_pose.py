@@ -1,4 +1,4 @@
-"""Parts of a station that give the pose of its probe and its joints the errors of calibration."""
+"""Parts of a station that measure: the pose of its probe, its joints, and the torques on them."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,8 +6,10 @@ from pydrake.systems.framework import DiagramBuilder, OutputPort
 from pydrake.systems.primitives import Adder, ConstantVectorSource
 
 from sonoservo.diagrams.assembly import assemble_arm
+from sonoservo.systems.robot.arm import load_arm
 from sonoservo.systems.robot.errors.calibration import CalibrationParameters, hand_eye_error
 from sonoservo.systems.robot.errors.pose_delay import PoseDelay, PoseDelayParameters
+from sonoservo.systems.robot.external_torque import ExternalTorque
 from sonoservo.systems.robot.forward_kinematics import ForwardKinematics
 
 
@@ -66,3 +68,32 @@ def add_measured_pose(
         builder.Connect(measured, delayed.get_input_port())
         measured = delayed.get_output_port()
     return measured
+
+
+def add_external_torque(
+    builder: DiagramBuilder,
+    joint_state: OutputPort,
+    motor_torque: OutputPort,
+    *,
+    arm: str,
+    probe: str,
+    period: float,
+    seed: int,
+) -> None:
+    """Export what estimates the external torques on the joints, if the arm reports them.
+
+    The arguments are those of `add_measured_pose`, and the port of the motors' torques.
+    """
+    error = load_arm(arm).torque_error
+    if not error:
+        return
+    drives = ExternalTorque(
+        plant=assemble_arm(arm, probe).plant,
+        error=np.array(error),
+        period=period,
+        seed=seed,
+    )
+    builder.AddNamedSystem("external_torque", drives)
+    builder.Connect(joint_state, drives.GetInputPort("joint_state"))
+    builder.Connect(motor_torque, drives.GetInputPort("motor_torque"))
+    builder.ExportOutput(drives.get_output_port(), "external_torque")

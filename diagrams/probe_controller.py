@@ -18,10 +18,14 @@ from sonoservo.systems.control.force_law import ForceControllerParameters
 from sonoservo.systems.control.guard import Guard
 from sonoservo.systems.control.guard_parameters import GuardParameters
 from sonoservo.systems.control.visual_servo import VisualServo, VisualServoParameters
+from sonoservo.systems.robot.arm import load_arm
 from sonoservo.systems.signals.requirements import require, require_within
 
 MAX_FORCE = 8.0
 """Highest force that the controller may be asked to hold, in N."""
+
+MAX_FORCE_ALONE = 3.0
+"""The same for an arm that reports no torques, whose wrist sensor is the only witness, in N."""
 
 _CEILINGS = {
     "visual_servo.gain": (10.0, "1/s"),
@@ -115,8 +119,10 @@ def MakeProbeController(
         - X_WP
         - wrist_force
         - joint_state
+        - external_torque (optional; only if the arm reports it)
         - gain (optional)
         - force_target (optional)
+        - confirmation (optional)
         output_ports:
         - joint_command
         - planar_velocity
@@ -129,7 +135,9 @@ def MakeProbeController(
     and the output `joint_command` match the station's ports of the same names. `gain` (lambda in
     1/s) and `force_target` (in N) override the parameters. The next three outputs are for logs: the
     commands of the servo and of the force law, and the filtered force on which that law acts.
-    `guard` is the `GuardStatus` of the guard, through which all commands go to the arm.
+    `guard` is the `GuardStatus` of the guard, through which all commands go to the arm. It compares
+    the wrist's force with `external_torque`, in N m; without that port only half the depth is
+    allowed. A change of `confirmation`, one number, lets the robot go on where a person must.
 
     Parameters
     ----------
@@ -146,7 +154,15 @@ def MakeProbeController(
     mass_error
         Relative error of the probe's mass as the controller knows it.
     """
-    held = assemble_arm(arm, probe, X_PC)
+    held, torque_error = assemble_arm(arm, probe, X_PC), load_arm(arm).torque_error
+    if not torque_error:
+        require(
+            parameters.force.force <= MAX_FORCE_ALONE,
+            "force.force",
+            parameters.force.force,
+            f"at most {MAX_FORCE_ALONE:g} N, because the arm {arm} reports no torques "
+            "(torque_error), and so nothing but the wrist's sensor tells the force",
+        )
     mass = (1 + mass_error) * held.probe.default_mass()
     builder = DiagramBuilder()
     servo = builder.AddNamedSystem("visual_servo", VisualServo(parameters=parameters.visual_servo))
@@ -156,6 +172,7 @@ def MakeProbeController(
             parameters=parameters.force,
             mass=mass,
             time_step=parameters.time_step,
+            max_force=MAX_FORCE if torque_error else MAX_FORCE_ALONE,
         ),
     )
     kinematics = builder.AddNamedSystem(
@@ -188,6 +205,7 @@ def MakeProbeController(
                 axis=parameters.kinematics.axis,
                 surface=parameters.guards.surface or surface,
                 time_step=parameters.time_step,
+                torque_error=torque_error,
             ),
         )
         builder.Connect(arm_command, guard.GetInputPort("wanted_command"))
@@ -198,6 +216,9 @@ def MakeProbeController(
         for output, port in (("approach_scale", "approach_scale"), ("acting", "held")):
             builder.Connect(guard.GetOutputPort(output), force.GetInputPort(port))
         builder.ExportOutput(guard.GetOutputPort("guard"), "guard")
+        if torque_error:
+            builder.ExportInput(guard.GetInputPort("external_torque"), "external_torque")
+        builder.ExportInput(guard.GetInputPort("confirmation"), "confirmation")
     builder.ExportOutput(arm_command, "joint_command")
     for name in ("planar_velocity", "hold_reason"):
         builder.ExportOutput(servo.GetOutputPort(name), name)

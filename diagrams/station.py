@@ -1,7 +1,10 @@
 """Station: arm with probe, phantom, contact, joint servo and wrist force sensor."""
 
+import copyreg
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +16,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import Gain
 
 from sonoservo.diagrams.assembly import ARM, PHANTOM, PROBE, assemble_arm, load_probe_body
-from sonoservo.diagrams.measured_pose import add_measured_pose, add_offset
+from sonoservo.diagrams.measured_pose import add_external_torque, add_measured_pose, add_offset
 from sonoservo.models import model_path
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import dump_typed
@@ -35,6 +38,14 @@ _ALLOWED = {
     "discrete_contact_approximation": ("lagged", "similar", "sap", "tamsi"),
     "contact_surface_representation": ("polygon", "triangle"),
 }
+
+
+def _reduced(config: MultibodyPlantConfig) -> tuple[Any, ...]:
+    values = {each.name: getattr(config, each.name) for each in config.__fields__}
+    return partial(MultibodyPlantConfig, **values), ()
+
+
+copyreg.pickle(MultibodyPlantConfig, _reduced)  # which Drake cannot do
 
 
 @dataclass(kw_only=True)
@@ -227,6 +238,7 @@ def MakeStation(
         - X_WP
         - joint_state
         - wrist_force
+        - external_torque (if the arm reports it)
         - true_X_WP
         - X_WT
         - contact_force
@@ -236,10 +248,11 @@ def MakeStation(
     rad/s. `phantom_command` holds x, y, z, roll, pitch, yaw of X_WT and their 6 rates (see
     `PhantomMotion`). Both must be connected.
 
-    The first three outputs are what the instruments say. `X_WP` is the probe's pose, a
+    The first outputs are what the instruments say. `X_WP` is the probe's pose, a
     RigidTransform, with the errors of calibration and delay. `joint_state` holds n positions and n
     velocities; the zeros of the positions may be calibrated wrongly, as those of `joint_command`
-    then are. `wrist_force` is the reading of the sensor (see `WristForceSensor`). The others are
+    then are. `wrist_force` is the reading of the sensor (see `WristForceSensor`), and
+    `external_torque` what the arm's drives say of the world (see `ExternalTorque`). The others are
     the truth, for scanner, logs and displays only: the poses `true_X_WP` and `X_WT`, and
     `contact_force`, the normal force in N.
 
@@ -294,16 +307,10 @@ def MakeStation(
     joint_state = add_offset(builder, plant.get_state_output_port(arm.model_instance), offsets)
     builder.ExportOutput(joint_state, "joint_state")
     measured = add_measured_pose(
-        builder,
-        poses["true_X_WP"].get_output_port(),
-        joint_state,
-        arm=parameters.arm,
-        probe=probe,
-        calibration=parameters.calibration,
-        delay=parameters.pose_delay,
-        period=parameters.plant.time_step,
-        seed=seed,
-    )
+        builder, poses["true_X_WP"].get_output_port(), joint_state, arm=parameters.arm,
+        probe=probe, calibration=parameters.calibration, delay=parameters.pose_delay,
+        period=parameters.plant.time_step, seed=seed,
+    )  # fmt: skip
     builder.ExportOutput(measured, "X_WP")
 
     sensor = builder.AddNamedSystem(
@@ -324,6 +331,11 @@ def MakeStation(
         noise=parameters.wrist_sensor.force_noise,
     )
     builder.ExportOutput(reading, "wrist_force")
+
+    add_external_torque(
+        builder, joint_state, plant.get_net_actuation_output_port(arm.model_instance),
+        arm=parameters.arm, probe=probe, period=parameters.plant.time_step, seed=seed,
+    )  # fmt: skip
 
     pressed = builder.AddNamedSystem("contact_force", ContactForce(surface=surface))
     builder.Connect(

@@ -43,6 +43,7 @@ from sonoservo.diagrams.app.options import (
     WaitOption,
     console,
     free_folder,
+    say_report,
     with_common_options,
     write_printed,
 )
@@ -161,7 +162,7 @@ def run_command(
             progress=False,
         )
     console.print(summary_table(result))
-    console.print(f"Report: {folder / 'report.html'}", soft_wrap=True)
+    say_report(folder)
     write_printed(json_path, result.summary)
     if pages:
         pages.end(console, end_words(result), folder / "report.html")
@@ -219,7 +220,7 @@ def drive_command(
             show=progress.show,
         )
     console.print(summary_table(result))
-    console.print(f"Report: {folder / 'report.html'}", soft_wrap=True)
+    say_report(folder)
     again = f"sonoservo run {folder / 'scenario.yaml'}"
     console.print(f"To repeat this run: {again}", soft_wrap=True)
     write_printed(json_path, result.summary)

@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 
 from sonoservo.systems.files.memory import DEFAULT_MEMORY_GB, set_memory_budget
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.writing import to_json, write_json
 
 console = Console(markup=False, emoji=False)
@@ -164,6 +165,8 @@ def with_common_options(command: Callable[..., None]) -> Callable[..., None]:
     @wraps(command)
     def run(*args: Any, debug: bool, max_memory: float | None, **options: Any) -> None:
         try:
+            for name, value in options.items():
+                _require_text(name, value)
             with set_memory_budget(max_memory, "--max-memory"):
                 console.stderr = options.get("json_path") == _STANDARD_OUTPUT
                 command(*args, **options)
@@ -185,10 +188,28 @@ def with_common_options(command: Callable[..., None]) -> Callable[..., None]:
     return run
 
 
+def _require_text(name: str, value: object) -> None:
+    """Raise ConfigurationError for text that no file of results could hold."""
+    for each in value if isinstance(value, list | tuple) else [value]:
+        if isinstance(each, str | Path):
+            try:
+                str(each).encode()
+            except UnicodeEncodeError as error:
+                raise ConfigurationError(
+                    f"{name}: {str(each)!a} is not UTF-8; rename the file or folder"
+                ) from error
+
+
 def say_notes(*notes: str) -> None:
     """Print what a person should know about how a file was read."""
     for note in notes:
         console.print(f"{note[:1].upper()}{note[1:]}.", soft_wrap=True, highlight=False)
+
+
+def say_report(folder: Path) -> None:
+    """Print where the report is, if it could be written."""
+    if (folder / "report.html").is_file():
+        console.print(f"Report: {folder / 'report.html'}", soft_wrap=True)
 
 
 def free_folder(name: str) -> Path:

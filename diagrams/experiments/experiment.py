@@ -1,5 +1,6 @@
 """Base class of the experiments: a scenario as a diagram, its simulation, and its results."""
 
+import os
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
@@ -17,10 +18,25 @@ from sonoservo.systems.evaluation.compile_free_clock import CompileFreeClock
 from sonoservo.systems.evaluation.log import Log
 from sonoservo.systems.evaluation.reports.track_plots import VolumePictures
 from sonoservo.systems.evaluation.reports.verdict import Verdict
+from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.immutable import NotFound
 
 INSTANT = 1e-6
 """Time in s between an event and an observation just before or after it."""
+
+_started_in: list[int] = []
+"""Number of the process that has run a simulation, and therefore threads."""
+
+
+def _refuse_after_fork() -> None:
+    """Raise ConfigurationError in a child that was forked after a run, and would wait for ever."""
+    if not _started_in:
+        _started_in.append(os.getpid())
+    elif _started_in[0] != os.getpid():
+        raise ConfigurationError(
+            "this process was forked from one that has run a simulation, and its threads did not "
+            "come along; start it by 'spawn' or 'forkserver' (multiprocessing.get_context)"
+        )
 
 
 class Experiment(ABC, Generic[ScenarioT]):
@@ -190,6 +206,7 @@ class Experiment(ABC, Generic[ScenarioT]):
         real_time
             Whether to limit the speed to real time.
         """
+        _refuse_after_fork()
         # A new context, because a plant keeps its last contact forces in one that is only reset.
         self._simulator.reset_context(self.diagram.CreateDefaultContext())
         self._begin()

@@ -242,6 +242,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
             },
             event="track",
             optional=(
+                "confirmation",
                 "deformation",
                 "measurement",
                 "detection",

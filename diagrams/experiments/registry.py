@@ -19,6 +19,7 @@ from sonoservo.systems.files.typed_yaml import (
     merged,
     read_yaml,
     suggest,
+    without_numpy,
 )
 from sonoservo.systems.ultrasound.simulation.needles.needle_kind import load_needle
 
@@ -158,7 +159,7 @@ def _load(
         data = merged(data, _of_needle(data))
         apply_changes(data, changes)
     if seed is not None:
-        data["seed"] = seed
+        data["seed"] = without_numpy(seed)
     return load_typed(_schema(data, source), data, source)
 
 

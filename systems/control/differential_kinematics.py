@@ -51,6 +51,10 @@ class DifferentialKinematicsParameters:
         require_not_negative(axis_gain=self.axis_gain, posture_gain=self.posture_gain)
 
 
+_MAX_TILT_SPEED = math.radians(20.0)
+"""Highest speed in rad/s at which the axis is corrected, that of the visual servo's rotation."""
+
+
 def probe_twist(
     planar_velocity: ArrayLike, approach_velocity: float, tilt: Sequence[float]
 ) -> NDArray[np.float64]:
@@ -184,7 +188,8 @@ class DifferentialKinematics(LeafSystem):
         R_WP = frame.CalcPoseInWorld(plant_context).GetAsMatrix34()[:, :3]
         x, _, z = (R_WP.T @ self._axis).tolist()
         # The shortest rotation from Y_P to the axis.
-        tilt = (self._axis_gain * z, 0.0, -self._axis_gain * x)
+        gain = min(self._axis_gain, _MAX_TILT_SPEED / max(math.hypot(x, z), 1e-9))
+        tilt = (gain * z, 0.0, -gain * x)
         V_WP_P = probe_twist(
             self._planar_velocity.Eval(context), self._approach_velocity.Eval(context).item(), tilt
         )

@@ -1,5 +1,6 @@
 """Leaf system that moves the probe along its axis to press with a constant force."""
 
+import math
 from dataclasses import replace
 
 from pydrake.common.value import Value
@@ -36,8 +37,9 @@ class ForceController(LeafSystem):
     v_y = K_p (F* - F) + K_i int (F* - F) dt, with F the filtered force of the probe along its Y
     axis, compensated for the probe's weight. `wrist_force` is the SpatialForce of the arm on the
     probe in P, and `X_WP` is a RigidTransform. `force_target` is F* in N and replaces the
-    parameter's value. `approach_scale` is a factor on the highest speed towards the phantom. While
-    `held` is not zero, the arm does not follow the law, and the integral is zero.
+    parameter's value, unless it is no number above the force of touch. `approach_scale` is a factor
+    on the highest speed towards the phantom. While `held` is not zero, the arm does not follow the
+    law, and the integral is zero.
     `approach_velocity` is v_y of P in P, in m/s, and `pressing_force` is F in N.
 
     Parameters
@@ -48,12 +50,21 @@ class ForceController(LeafSystem):
         Mass carried by the sensor, in kg.
     time_step
         Period of the updates, in s.
+    max_force
+        Highest force in N to which `force_target` is cut.
     """
 
-    def __init__(self, *, parameters: ForceControllerParameters, mass: float, time_step: float):
+    def __init__(
+        self,
+        *,
+        parameters: ForceControllerParameters,
+        mass: float,
+        time_step: float,
+        max_force: float = math.inf,
+    ):
         require_positive(mass=mass, time_step=time_step)
         super().__init__()
-        self._parameters = parameters
+        self._parameters, self._max_force = parameters, max_force
         self._mass = mass
         self._time_step = time_step
         self._wrist_force = self.DeclareAbstractInputPort("wrist_force", Value(SpatialForce()))
@@ -80,6 +91,9 @@ class ForceController(LeafSystem):
         start = self._parameters
         target, scale = self._target, self._scale
         force = target.Eval(context).item() if target.HasValue(context) else start.force
+        if not start.touch_force < force < math.inf:
+            force = start.force
+        force = min(force, self._max_force)
         factor = scale.Eval(context).item() if scale.HasValue(context) else 1.0
         if force == start.force and factor == 1.0:
             return start  # because replacing them costs another validation

@@ -1,5 +1,6 @@
 """Leaf system between controller and arm that stops the robot when something is wrong."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -17,43 +18,32 @@ from pydrake.systems.framework import (
     LeafSystem,
 )
 
-from sonoservo.systems.control.guard_memory import (
-    GuardMemory,
-    Observation,
-    next_memory,
-    unpack,
-)
+from sonoservo.systems.control.force_latency import lags, next_correlation
+from sonoservo.systems.control.guard_decision import EMPTY, next_memory
 from sonoservo.systems.control.guard_parameters import GuardParameters
-from sonoservo.systems.control.guard_rules import (
-    NO_BREACH,
-    NOTED_STEP,
-    WINDOW,
+from sonoservo.systems.control.guard_rules import WINDOW, beyond, reason, remark
+from sonoservo.systems.control.guard_sight import (
+    AHEAD,
+    GuardMemory,
     Mode,
+    Sight,
     Vector,
-    contact_force,
-    outside,
-    reason,
+    along,
     region,
-    remark,
 )
 from sonoservo.systems.control.joint_limits import keeps_limits
 from sonoservo.systems.signals.guard_status import GuardState, GuardStatus
 from sonoservo.systems.signals.requirements import require_positive
 from sonoservo.systems.signals.scratch_context import declare_scratch_context, scratch_context
 
-_QUIET = 0.75
-"""Change of a component of the wrist force in N at which everything is checked at once."""
-
-_NEAR = 0.5
-"""Share of the largest pose error by which the position may change in a step before it is."""
-
-_AHEAD = 0.05
-"""Time in s for which the guard looks ahead at the edge of the region."""
-
 _TOLERANCE = 1e-9
 """Rounding error of joint positions and speeds, in rad and rad/s."""
 
-_NOTHING_SEEN = np.append(np.full(9, np.nan), [0.0, 0.0])
+_SAME_POSTURE = 0.02
+"""Difference of postures in rad between which the levers of the torques differ by less than 2 %."""
+
+_SERVO_STEPS = 2
+"""Steps from a command to the force that it takes: the command's own and the arm's."""
 
 _STATES = dict(zip(Mode, GuardState, strict=True))
 
@@ -69,6 +59,8 @@ class Guard(LeafSystem):
         - wrist_force
         - X_WP
         - joint_state
+        - external_torque (optional)
+        - confirmation (optional)
         output_ports:
         - joint_command
         - guard
@@ -76,18 +68,22 @@ class Guard(LeafSystem):
         - acting
 
     As long as nothing is wrong, `joint_command` is `wanted_command`, bit for bit. A command that
-    breaks a limit of the joints is not sent. With too much force, or a wrist sensor that cannot be
-    believed, the probe retreats along its axis and then holds. With anything else, it holds at
-    once. The controller commands again when there has been no cause to stop for a while (see
-    `GuardParameters`).
+    breaks a limit of the joints is not sent. What stops the probe stands in `guard_rules.RULES`. A
+    probe that touches the body, or may touch it, then retreats along its axis until it is free. The
+    controller commands again when there has been no cause to stop for a while.
+
+    Two witnesses tell the force: the wrist's sensor, and the arm's `external_torque`, n numbers in
+    N m. A force f at the face causes torques J^T f, so f is fitted to them with the weights of
+    their errors. If that port is not connected, only half the depth is allowed. An instrument that
+    was wrong must agree with the other one before the next landing, and in contact; after the third
+    time, a person must change `confirmation`, one number.
 
     `wanted_command` and `joint_command` hold n positions and n velocities, in rad and rad/s.
     `wrist_force` is the SpatialForce of the arm on the probe in P, and `X_WP` the measured pose of
     the probe. `joint_state` is read only at the start. `guard` is a `GuardStatus`. A controller
-    that integrates its commands must continue from `joint_command`, so it starts from where the
-    guard left the arm. `approach_scale` is the factor by which it should approach more slowly: each
-    landing with too much force halves it, and a calm contact doubles it again, up to one. `acting`
-    is 1 while the guard, and not the controller, commands the arm, and 0 otherwise.
+    that integrates its commands must continue from `joint_command`. `approach_scale` is the factor
+    by which it should approach more slowly: each landing with too much force halves it, and a calm
+    contact doubles it again. `acting` is 1 while the guard commands the arm, and 0 otherwise.
 
     Parameters
     ----------
@@ -106,6 +102,8 @@ class Guard(LeafSystem):
         not guarded.
     time_step
         Period of the checks, in s.
+    torque_error
+        (n,) standard deviations of the errors of the external torques, in N m.
     """
 
     def __init__(
@@ -118,14 +116,17 @@ class Guard(LeafSystem):
         axis: Sequence[float],
         surface: Sequence[float] = (),
         time_step: float,
+        torque_error: Sequence[float] = (),
     ):
         require_positive(mass=mass, time_step=time_step)
         super().__init__()
         self._limits, self._time_step = parameters, time_step
-        self._plant, self._frame = plant, probe
+        self._plant, self._frame, self._mass = plant, probe, mass
         self._weight = mass * UniformGravityFieldElement.kDefaultStrength
-        self._region = region(parameters, surface, np.divide(axis, np.linalg.norm(axis)).tolist())
+        self._regions = [region(parameters, surface, axis, alone=alone) for alone in (False, True)]
         n = self._joints = plant.num_positions()
+        self._torque_weights = np.divide(1.0, np.square(torque_error))
+        self._posture, self._levers = np.full(n, np.nan), (np.zeros(n), 0.0)
         speed = plant.GetVelocityUpperLimits()
         lowest = np.concatenate([plant.GetPositionLowerLimits(), -speed]) - _TOLERANCE
         highest = np.concatenate([plant.GetPositionUpperLimits(), speed]) + _TOLERANCE
@@ -137,16 +138,18 @@ class Guard(LeafSystem):
         self._wrist_force = self.DeclareAbstractInputPort("wrist_force", Value(SpatialForce()))
         self._X_WP = self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
         self._joint_state = self.DeclareVectorInputPort("joint_state", 2 * n)
+        self._torque = self.DeclareVectorInputPort("external_torque", n)
+        self._confirmation = self.DeclareVectorInputPort("confirmation", 1)
         self._scratch = declare_scratch_context(self, plant)
-        # The command sent at the last check, its time, the mode since then, and the quiet force.
-        nothing = np.full(2 * n + 5, np.nan)
-        nothing[2 * n + 1] = Mode.MONITORING
-        self._command = self.DeclareDiscreteState(nothing)
-        self._memory = self.DeclareDiscreteState(np.array(GuardMemory().pack()))
+        # The command sent at the last check, its time, and the mode since then.
+        self._command = self.DeclareDiscreteState(2 * n + 2)
+        self._memory = self.DeclareDiscreteState(np.array(EMPTY.pack()))
         self._approach_scale = self.DeclareDiscreteState([1.0])
         self._acting = self.DeclareDiscreteState(1)
-        # The last step's wrist sample and measured position, and how often each was repeated.
-        self._last = self.DeclareDiscreteState(_NOTHING_SEEN)
+        # Latency, expected force and confirmation at the last check, the last forces by the arm's
+        # torques, and the correlation.
+        self._lags = lags(time_step)
+        self._latency = self.DeclareDiscreteState(3 + 5 * self._lags)
         self._sent = self.DeclareVectorOutputPort(
             "joint_command",
             2 * n,
@@ -166,17 +169,20 @@ class Guard(LeafSystem):
 
     def _initialize(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
         q = self._joint_state.Eval(context)[: self._joints]
-        memory, time = GuardMemory(), context.get_time()
-        command = [*q, *np.zeros_like(q), time, memory.mode, *memory.quiet_force]
+        command = [*q, *np.zeros_like(q), context.get_time(), Mode.MONITORING]
         discrete_state.set_value(self._command, command)
-        discrete_state.set_value(self._memory, memory.pack())
+        discrete_state.set_value(self._memory, EMPTY.pack())
         discrete_state.set_value(self._approach_scale, [1.0])
         discrete_state.set_value(self._acting, [0.0])
-        discrete_state.set_value(self._last, _NOTHING_SEEN)
+        discrete_state.set_value(self._latency, np.zeros(3 + 5 * self._lags))
         return EventStatus.Succeeded()
 
     def _memory_in(self, context: Context) -> GuardMemory:
-        return unpack(context.get_discrete_state(self._memory).value().tolist())
+        return EMPTY.unpack(context.get_discrete_state(self._memory).value().tolist())
+
+    def _alone(self, context: Context) -> bool:
+        """Return True if nothing but the wrist's sensor tells the force."""
+        return not (len(self._torque_weights) and self._torque.HasValue(context))
 
     def _calc_joint_command(self, context: Context, output: BasicVector) -> None:
         last, n = context.get_discrete_state(self._command).value(), self._joints
@@ -191,14 +197,13 @@ class Guard(LeafSystem):
             output.SetFromVector(np.concatenate([q + (context.get_time() - time) * v, v]))
 
     def _calc_guard(self, context: Context, output: Value) -> None:
-        memory = self._memory_in(context)
-        repeated = context.get_discrete_state(self._last).value()[9:]
+        memory, alone = self._memory_in(context), self._alone(context)
         status = GuardStatus(
             _STATES[Mode(memory.mode)],
-            reason(memory.cause, memory.value, self._limits),
+            reason(memory, self._limits, self._regions[alone], alone=alone),
             memory.since,
             int(memory.interventions),
-            remark(memory.sensor.ignored, memory.sensor.ignored_as, memory.steps, *repeated),
+            remark(memory.noticed),
         )
         output.set_value(status)
 
@@ -207,73 +212,108 @@ class Guard(LeafSystem):
         return bool(keeps_limits(wanted, sent, self._joint_limits))
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
-        state = context.get_discrete_state(self._command).value().tolist()
-        *last, same_sample, same_pose = context.get_discrete_state(self._last).value().tolist()
-        sample = self._wrist_force.Eval(context).get_coeffs().tolist()
-        p = self._X_WP.Eval(context).translation().tolist()
-        if sample == last[:6] and self._limits.wrist_sensor.frozen_after:
-            same_sample += 1
-        if p == last[6:] and state[-4] == Mode.MONITORING and self._limits.pose_frozen_after:
-            same_pose += 1
-        discrete_state.set_value(self._last, [*sample, *p, same_sample, same_pose])
-        elapsed = context.get_time() - state[-5]
-        # Everything is checked at least every `WINDOW`; this saves half of the time.
-        soon = elapsed < WINDOW - 0.5 * self._time_step
-        near = _NEAR * self._limits.max_pose_error
-        stepped = abs(sample[4] - last[4]) > NOTED_STEP
-        calm = _close(sample[3:], state[-3:], _QUIET) and _close(p, last[6:], near)
-        if soon and calm and not stepped:
-            return EventStatus.Succeeded()
-        before = self._memory_in(context)
+        before, n = self._memory_in(context), self._joints
+        allowed = self._regions[self._alone(context)]
         sent = self._sent.Eval(context)
-        seen = self._observe(context, before, sent)._replace(stepped=stepped)
-        memory = next_memory(
-            before, seen, self._limits, self._region, self._time_step, max(elapsed, self._time_step)
-        )
-        v = sent[self._joints :].copy()
+        seen = self._look(context, before, sent)
+        memory = next_memory(before, seen, self._limits, allowed, self._mass)
+        latency = self._measured_latency(context, before, memory, seen)
+        v = sent[n:].copy()
         if memory.mode != Mode.MONITORING:
             if memory.mode == Mode.RETREATING:
-                v = self._retreat(context, sent[: self._joints], memory.speed)
+                v = self._retreat(context, sent[:n], memory.speed)
                 if not v.any():  # the arm cannot retreat further
-                    memory = memory._replace(mode=Mode.HOLDING, speed=0.0)
+                    memory = memory._replace(mode=Mode.HOLDING, speed=0.0, blocked=True)
             else:
                 v *= self._slowed(memory, v)
-        q, quiet = sent[: self._joints], memory.quiet_force
-        command = np.concatenate([q, v, [seen.time, memory.mode, *quiet]])
-        discrete_state.set_value(self._command, command)
+        discrete_state.set_value(
+            self._command, np.concatenate([sent[:n], v, [seen.time, memory.mode]])
+        )
         discrete_state.set_value(self._memory, np.array(memory.pack()))
+        discrete_state.set_value(self._latency, latency)
         discrete_state.set_value(self._acting, [float(memory.mode != Mode.MONITORING)])
         if memory.caution != before.caution:
             discrete_state.set_value(self._approach_scale, [memory.approach_scale])
         return EventStatus.Succeeded()
 
-    def _observe(
-        self, context: Context, memory: GuardMemory, sent: NDArray[np.float64]
-    ) -> Observation:
-        """Return what the guard sees; leaves the command sent in the scratch context."""
+    def _look(self, context: Context, memory: GuardMemory, sent: NDArray[np.float64]) -> Sight:
+        """Return what the guard sees."""
         n, wanted = self._joints, self._wanted.Eval(context)
+        allowed, limits = self._regions[self._alone(context)], self._limits.wrist_sensor
         p, axis, down_P = self._pose(context, sent[:n])
-        wrist_force = tuple(self._wrist_force.Eval(context).get_coeffs().tolist())
+        sample = tuple(self._wrist_force.Eval(context).get_coeffs().tolist())
+        bounds = 3 * (limits.max_torque,) + 3 * (limits.max_force,)
+        contact = [-f - self._weight * d for f, d in zip(sample[3:], down_P, strict=True)]
         watching = memory.mode == Mode.MONITORING
-        ahead: Vector | None = None
-        axis_ahead: Vector | None = None
         # While the guard watches, a command that was not sent broke a limit.
         same = watching and sent.tobytes() == wanted.tobytes()
         accepted = same or (not watching and self._accepts(wanted, sent))
-        if accepted and not (watching and outside(p, axis, self._region) is NO_BREACH):
-            ahead, axis_ahead, _ = self._pose(context, sent[:n] + _AHEAD * wanted[n:])
-        return Observation(
-            context.get_time(),
-            p,
-            axis,
-            tuple(self._X_WP.Eval(context).translation().tolist()),
-            ahead,
-            axis_ahead,
-            _AHEAD,
-            accepted,
-            wrist_force,
-            contact_force(wrist_force[3:], down_P, self._weight),
+        ahead = axis_ahead = None
+        if accepted and not (watching and max(beyond(p, axis, memory, allowed)) <= 0):
+            ahead, axis_ahead, _ = self._pose(context, sent[:n] + AHEAD * wanted[n:])
+        arm, error, total = None, math.nan, 0.0
+        if not self._alone(context):
+            torque = self._torque.Eval(context)
+            levers, error = self._levers_at(context, sent[:n])
+            arm, total = float(levers @ torque), float(torque.sum())
+        state = context.get_discrete_state(self._latency).value()
+        latency, confirmation = float(state[0]), state[2]
+        late = round(latency / self._time_step)
+        arm_then = arm if late == 0 or arm is None else float(state[2 + late])
+        given = self._confirmation.HasValue(context)
+        confirmed = given and self._confirmation.Eval(context)[0] != confirmation
+        return Sight(
+            context.get_time(), self._time_step, p, axis,
+            p_measured=tuple(self._X_WP.Eval(context).translation().tolist()),
+            p_ahead=ahead, axis_ahead=axis_ahead, accepted=accepted, sample=sample,
+            plausible=all(-b < each < b for each, b in zip(sample, bounds, strict=True)),
+            force=math.hypot(*contact), wrist=-contact[1], arm=arm, arm_then=arm_then,
+            arm_error=error, torque=total, latency=latency, confirmed=confirmed,
+        )  # fmt: skip
+
+    def _levers_at(
+        self, context: Context, q: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], float]:
+        """Return what turns torques into the pressing force, in 1/m, and that force's error in N.
+
+        They are those of a posture near ``q``, and kept as long as that one is the nearest.
+        """
+        posture = np.round(q / _SAME_POSTURE)
+        if (posture != self._posture).any():
+            J = self._jacobian(context, _SAME_POSTURE * posture)[3:]
+            weighted = J * self._torque_weights
+            covariance = np.linalg.pinv(weighted @ J.T)
+            self._levers = -(covariance @ weighted)[1], math.sqrt(covariance[1, 1])
+            self._posture = posture
+        return self._levers
+
+    def _jacobian(self, context: Context, q: NDArray[np.float64]) -> NDArray[np.float64]:
+        plant, frame, scratch = self._plant, self._frame, scratch_context(self._scratch, context)
+        plant.SetPositions(scratch, q)
+        J = plant.CalcJacobianSpatialVelocity(
+            scratch, JacobianWrtVariable.kV, frame, np.zeros(3), plant.world_frame(), frame
         )
+        return np.asarray(J)
+
+    def _measured_latency(
+        self, context: Context, before: GuardMemory, after: GuardMemory, seen: Sight
+    ) -> NDArray[np.float64]:
+        """Return the state of the measurement of the latency after a step."""
+        state = context.get_discrete_state(self._latency).value()
+        (latency, expected_before, confirmation), rest = state[:3], state[3:].reshape(5, -1)
+        if self._confirmation.HasValue(context):
+            confirmation = self._confirmation.Eval(context)[0]
+        changes = [a - b for a, b in zip(after.velocity, before.velocity, strict=True)]
+        expected = self._mass * along(tuple(changes), seen.axis) / seen.step
+        correlation, found = next_correlation(
+            rest[1:], expected - expected_before, after.rate * seen.step, seen.step
+        )
+        if found == found:
+            latency = max(found - _SERVO_STEPS * seen.step, 0.0)
+        if not seen.plausible or seen.latency > self._limits.wrist_sensor.max_latency:
+            latency, correlation = 0.0, np.zeros_like(correlation)  # to be measured anew
+        arms = np.concatenate([[seen.arm or 0.0], rest[0, :-1]])
+        return np.concatenate([[latency, expected, confirmation], arms, correlation.ravel()])
 
     def _pose(self, context: Context, q: NDArray[np.float64]) -> tuple[Vector, Vector, Vector]:
         """Return the position and the axis of the probe in W, and the direction down in P."""
@@ -286,13 +326,8 @@ class Guard(LeafSystem):
         self, context: Context, q: NDArray[np.float64], speed: float
     ) -> NDArray[np.float64]:
         """Return joint velocities that move P backwards along its axis, or zeros."""
-        plant, plant_context = self._plant, scratch_context(self._scratch, context)
-        plant.SetPositions(plant_context, q)
-        J = plant.CalcJacobianSpatialVelocity(
-            plant_context, JacobianWrtVariable.kV, self._frame, np.zeros(3),
-            plant.world_frame(), self._frame,
-        )  # fmt: skip
-        v = np.linalg.pinv(J, rcond=1e-2) @ np.array([0.0, 0.0, 0.0, 0.0, -speed, 0.0])
+        backwards = np.array([0.0, 0.0, 0.0, 0.0, -speed, 0.0])
+        v = np.linalg.pinv(self._jacobian(context, q), rcond=1e-2) @ backwards
         v /= max(1.0, float((np.abs(v) / self._max_speed).max()))
         reached = np.concatenate([q + self._time_step * v, v])
         lowest, highest, _ = self._joint_limits
@@ -304,8 +339,3 @@ class Guard(LeafSystem):
         speed = max(float(np.linalg.norm(memory.velocity)), 0.1 * float(np.abs(v).max()), 1e-9)
         factor = 1 - self._limits.retreat_acceleration * self._time_step / speed
         return factor if factor > 0 else 0.0
-
-
-def _close(a: list[float], b: list[float], by: float) -> bool:
-    """Return True if (3,) vectors differ by less than that in each component."""
-    return abs(a[0] - b[0]) < by and abs(a[1] - b[1]) < by and abs(a[2] - b[2]) < by

@@ -1,10 +1,30 @@
-"""Parameters of the guard between controller and arm."""
+"""Parameters of the guard between controller and arm, with the limits that keep 15 N."""
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
+from sonoservo.systems.signals.requirements import (
+    require,
+    require_not_negative,
+    require_positive,
+    require_within,
+)
+
+PEAK, LONGEST = 15.0, 0.05
+"""Force in N that the body may feel for no longer than this time in s."""
+
+BODY_SPEED = 0.1
+"""Highest speed in m/s at which the body comes towards the probe."""
+
+CURVATURE = 1.25e5
+"""Force of the stiffest built-in contact over the square of the indentation, in N/m^2: agar presses
+with 12.5 N on a 4DC7 that is 10 mm deep."""
+
+REACTION = 0.03
+"""Time in s from the force that is too much to the arm's motion: three steps of 10 ms, for the
+sample, for the next one that confirms it, and for the command."""
 
 
 @dataclass(kw_only=True)
@@ -16,57 +36,28 @@ class WristSensorLimits:
     max_force, max_torque
         Largest component that the sensor can measure, in N and N m. A sample that reaches it is out
         of range or saturated.
-    max_jump
-        Largest change of a component of the force between two samples, in N.
-    max_step
-        Largest such change of a steady force, in N. The force of a contact that grows faster goes
-        on growing; after a step of the sensor, it does not.
-    max_pull
-        Largest force away from the body, in N. Contact can only push, so more pull is a bias. After
-        a jump, a larger force either way is not believed until the probe is free.
     frozen_after
-        Time after which an unchanged sample counts as frozen, in s, because every real sensor has
-        noise. It must be longer than the sensor's period. Zero switches the check off, as a sensor
-        without noise requires.
-    dead_below
-        Force in N and torque in N m below which all components of a sample are noise.
-    dead_after
-        Time for which all samples must be so small, and their mean a fifth of it, until the sensor
-        counts as dead, in s. Zero switches the check off, which a force of just the probe's weight
-        requires: the sensor then bears nothing.
+        Time after which an unchanged sample, or an unchanged torque of the arm, counts as frozen,
+        in s, because every real sensor has noise. It must be longer than the sensor's period. Zero
+        switches the check off, as a sensor without noise requires.
     confirmed_after
         Time for which samples must be implausible until the sensor counts as faulty, in s. Shorter
         glitches are ignored.
-    settling_time
-        Time for which samples must be plausible until the sensor is believed again, in s.
+    max_latency
+        Longest time in s by which the samples may lag behind the arm's motion.
     """
 
     max_force: float = 60.0
     max_torque: float = 20.0
-    max_jump: float = 8.0
-    max_step: float = 2.0
-    max_pull: float = 1.5
     frozen_after: float = 0.05
-    dead_below: float = 0.1
-    dead_after: float = 0.15
-    confirmed_after: float = 0.02
-    settling_time: float = 0.1
+    confirmed_after: float = 0.025
+    max_latency: float = 0.1
 
     def __post_init__(self) -> None:
-        require_positive(
-            max_force=self.max_force,
-            max_torque=self.max_torque,
-            max_jump=self.max_jump,
-            max_step=self.max_step,
-            max_pull=self.max_pull,
-            dead_below=self.dead_below,
-        )
-        require_not_negative(
-            frozen_after=self.frozen_after,
-            dead_after=self.dead_after,
-            confirmed_after=self.confirmed_after,
-            settling_time=self.settling_time,
-        )
+        require_positive(max_force=self.max_force, max_torque=self.max_torque)
+        require_within("frozen_after", self.frozen_after, 0.0, 0.2)
+        require_within("confirmed_after", self.confirmed_after, 0.0, 0.05)
+        require_within("max_latency", self.max_latency, 0.0, 0.1)
 
 
 @dataclass(kw_only=True)
@@ -79,15 +70,18 @@ class GuardParameters:
         Whether the guard acts. Without it, every command reaches the arm.
     max_force
         Contact force at which the probe retreats, in N.
+    disagreement
+        Difference in N of two witnesses of the force that is to be found. Half of it is laid to
+        their zeros and to the weight of the probe; a force below that half counts as none.
     surface
         (3,) point on the surface of the body at rest, in W, in m. If empty, it is that of the
         station's phantom as configured; the guard never knows the phantom's true pose. Without a
-        station, an empty list leaves workspace and depth unguarded.
+        station, an empty list leaves the workspace and the depth below that point unguarded.
     max_depth
-        Largest depth of the probe's face below the height of that point, in m.
+        Largest depth of the probe's face below that point, and below the place at which contact
+        began, in m. It is halved where the wrist sensor is the only witness of the force.
     max_rise
-        Largest height above that point at which the body can be felt, in m. A force that is felt
-        higher up counts as a bias of the sensor.
+        Largest height above that point at which the body can be felt, in m.
     workspace_min, workspace_max
         (3,) corners of the box in which the probe's face may be, along the axes of W and relative
         to that point, in m.
@@ -108,18 +102,24 @@ class GuardParameters:
     retreat_speed, retreat_acceleration
         Speed and acceleration of a retreat along the probe's axis, in m/s and m/s^2.
     clearance
-        Shortest distance of a retreat, in m. A retreat from too much force continues until the
-        contact is lost.
+        Shortest distance of a retreat, in m. It continues until no force is left.
     max_retreat
         Longest distance of a retreat, in m.
     resume_after
         Time without a cause to stop after which the controller commands again, in s.
     wrist_sensor
         Limits of plausible samples.
+
+    Raises
+    ------
+    ValueError
+        If a body that rises at 10 cm/s would press with more than 15 N for more than 50 ms, or a
+        parameter is out of its range.
     """
 
     enabled: bool = True
     max_force: float = 10.0
+    disagreement: float = 3.0
     surface: list[float] = field(default_factory=list)
     max_depth: float = 0.02
     max_rise: float = 0.06
@@ -127,19 +127,18 @@ class GuardParameters:
     workspace_max: list[float] = field(default_factory=lambda: [0.25, 0.25, 0.12])
     max_tilt_deg: float = 30.0
     max_speed: float = 0.15
-    max_acceleration: float = 6.0
+    max_acceleration: float = 10.0
     max_joint_acceleration: float = 40.0
     max_pose_error: float = 0.01
     pose_frozen_after: float = 0.1
     retreat_speed: float = 0.3
-    retreat_acceleration: float = 5.0
+    retreat_acceleration: float = 10.0
     clearance: float = 0.02
     max_retreat: float = 0.15
     resume_after: float = 0.25
     wrist_sensor: WristSensorLimits = field(default_factory=WristSensorLimits)
 
     def __post_init__(self) -> None:
-        require(0 < self.max_force <= 20, "max_force", self.max_force, "above 0 and at most 20 N")
         finite = bool(np.isfinite(self.surface).all())
         require(
             len(self.surface) in (0, 3) and finite,
@@ -153,19 +152,57 @@ class GuardParameters:
             require(good, name, corner, "three coordinates in m")
         below = bool(np.less(self.workspace_min, self.workspace_max).all())
         require(below, "workspace_min", self.workspace_min, "below workspace_max along each axis")
-        require(0 < self.max_tilt_deg <= 90, "max_tilt_deg", self.max_tilt_deg, "from 0 to 90 deg")
-        require_positive(
-            max_depth=self.max_depth,
-            max_rise=self.max_rise,
-            max_speed=self.max_speed,
-            max_acceleration=self.max_acceleration,
-            max_joint_acceleration=self.max_joint_acceleration,
-            max_pose_error=self.max_pose_error,
-            retreat_speed=self.retreat_speed,
-            retreat_acceleration=self.retreat_acceleration,
-            clearance=self.clearance,
-            max_retreat=self.max_retreat,
+        deepest = math.sqrt(PEAK / CURVATURE)
+        for name, low, high in (
+            ("max_force", 1.0, PEAK),
+            ("disagreement", 1.0, 4.0),
+            ("max_depth", 0.001, 0.03),
+            ("max_rise", 0.001, 0.1),
+            ("max_tilt_deg", 1.0, 60.0),
+            ("max_speed", 0.01, 0.3),
+            ("max_acceleration", 0.1, 20.0),
+            ("max_joint_acceleration", 1.0, 200.0),
+            ("max_pose_error", 1e-3, 0.03),
+            ("retreat_speed", BODY_SPEED, 0.5),
+            ("retreat_acceleration", 1.0, 20.0),
+            ("clearance", deepest, 0.1),
+            ("max_retreat", self.max_rise + self.clearance, 0.3),
+            ("resume_after", 0.1, 60.0),
+        ):
+            require_within(name, getattr(self, name), low, high)
+        require_not_negative(pose_frozen_after=self.pose_frozen_after)
+        time = time_above(self.max_force, self.retreat_speed, self.retreat_acceleration)
+        require(
+            time <= LONGEST,
+            "max_force",
+            self.max_force,
+            f"less, or the retreat faster than {self.retreat_speed:g} m/s at "
+            f"{self.retreat_acceleration:g} m/s^2: a body that rises at {BODY_SPEED:g} m/s would "
+            f"press with more than {PEAK:g} N for {1e3 * time:.0f} ms, more than "
+            f"{1e3 * LONGEST:g} ms",
         )
-        require_not_negative(
-            resume_after=self.resume_after, pose_frozen_after=self.pose_frozen_after
-        )
+
+
+def time_above(max_force: float, speed: float, acceleration: float) -> float:
+    """Return for how long a body that rises at `BODY_SPEED` presses with more than `PEAK`, in s.
+
+    The force is `CURVATURE` times the square of the indentation. `REACTION` after it has exceeded
+    ``max_force`` in N, the probe retreats with an acceleration in m/s^2 up to a speed in m/s.
+    """
+    left = (math.sqrt(PEAK) - math.sqrt(min(max_force, PEAK))) / math.sqrt(CURVATURE)
+    late = BODY_SPEED * REACTION  # what the probe sinks in before it moves
+    reach = BODY_SPEED**2 + 2 * acceleration * (late - left)
+    if reach <= 0:
+        return 0.0
+    if speed <= BODY_SPEED:
+        return math.inf
+    began = (
+        -(late - left) / BODY_SPEED
+        if late >= left
+        else (BODY_SPEED - math.sqrt(reach)) / acceleration
+    )
+    ended, fastest = (BODY_SPEED + math.sqrt(reach)) / acceleration, speed / acceleration
+    if ended > fastest:
+        deep = late - left + BODY_SPEED * fastest - acceleration * fastest**2 / 2
+        ended = fastest + deep / (speed - BODY_SPEED)
+    return ended - began

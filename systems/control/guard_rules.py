@@ -1,286 +1,321 @@
-"""Rules by which the guard stops the robot and lets it go on, as pure functions.
+"""The guard's table of causes, conditions, times and reactions, and its one debounce.
 
-Positions are of the probe's face in W, in m; an axis is the direction in W in which the probe
-looks. Both are tuples of numbers, because the rules run at every step of the controller.
+A condition is a function of what is seen, of what is remembered with it, of the parameters and of
+the region. It returns True or False; a likelihood returns a number from -`_FORGET` to 1 instead.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from enum import IntEnum
 from typing import NamedTuple
 
 from sonoservo.systems.control.guard_parameters import GuardParameters
-from sonoservo.systems.control.wrist_sensor_check import SensorFault
-
-Vector = tuple[float, ...]
+from sonoservo.systems.control.guard_sight import (
+    AHEAD,
+    GuardMemory,
+    Mode,
+    Region,
+    Sight,
+    Vector,
+    along,
+)
 
 WINDOW = 0.02
-"""Time in s over which accelerations are averaged, and longest time between two checks."""
+"""Time in s over which accelerations are averaged."""
 
-NOTED_STEP = 0.5
+MAX_DOUBTS = 3
+"""Number of times that an instrument is found wrong after which a person must confirm."""
+
+_PULSE = 0.015
+"""Time in s for which the force must be too much: the probe's inertia pushes for less."""
+
+_NOTED_STEP = 0.5
 """Change of the pressing force between two samples in N that is noted: in 10 ms, a body that comes
 at 5 cm/s or slower changes it less."""
 
+_AT_REST = 2e-4
+"""Distance in m below which the probe counts as not commanded to move."""
 
-class Mode(IntEnum):
-    """States of the guard, as numbers."""
+_NATS = 40.0
+"""Log-likelihood ratio at which witnesses disagree: by chance once in e^40 steps, or in e^27 if
+their zeros differ by a sixth of the disagreement to be found."""
 
-    MONITORING = 0
-    RETREATING = 1
-    HOLDING = 2
+_FORGET = 1 / 3
+"""Rate at which a condition is forgotten, as a share of that at which it is believed. A sensor that
+is wrong in every other sample is found."""
 
+_ZERO_ERROR = 0.5
+"""Error in N of the wrist's force where there is no arm to compare it with."""
 
-class Cause(IntEnum):
-    """Causes of an intervention. From `FORCE` on, the probe retreats; before, it stops."""
-
-    NONE = 0
-    COMMAND = 1
-    SPEED = 2
-    ACCELERATION = 3
-    DEPTH = 4
-    WORKSPACE = 5
-    TILT = 6
-    POSE_LOST = 7
-    POSE_ERROR = 8
-    POSE_FROZEN = 9
-    FORCE = 10
-    SENSOR_NOT_FINITE = 10 + SensorFault.NOT_FINITE
-    SENSOR_OUT_OF_RANGE = 10 + SensorFault.OUT_OF_RANGE
-    SENSOR_FROZEN = 10 + SensorFault.FROZEN
-    SENSOR_JUMPED = 10 + SensorFault.JUMPED
-    SENSOR_PULLING = 10 + SensorFault.PULLING
-    SENSOR_DEAD = 10 + SensorFault.DEAD
-    SENSOR_IN_AIR = 17
-
-
-_IGNORED = {
-    SensorFault.NOT_FINITE: "was not a number",
-    SensorFault.OUT_OF_RANGE: "was out of range",
-    SensorFault.FROZEN: "was frozen",
-    SensorFault.JUMPED: "jumped",
-    SensorFault.PULLING: "read a pull",
-    SensorFault.DEAD: "read nothing",
+_TEMPLATES = {
+    "wrist_not_finite": "the wrist sensor's samples are not numbers",
+    "wrist_out_of_range": "the wrist sensor is saturated or out of its range of "
+    "{g.wrist_sensor.max_force:g} N and {g.wrist_sensor.max_torque:g} N m",
+    "wrist_frozen": "the wrist sensor is frozen",
+    "arm_not_finite": "the external torques of the arm are not numbers",
+    "arm_frozen": "the external torques of the arm are frozen",
+    "disagree": "the wrist sensor reads {wrist:.1f} N, but {other}",
+    "late": "the wrist sensor's samples lag behind the arm's motion by more than "
+    "{g.wrist_sensor.max_latency:g} s",
+    "pose_not_finite": "the measured pose of the probe is not a number",
+    "pose_error": "the probe is more than {error:g} mm from where it was commanded to be",
+    "pose_frozen": "the measured pose of the probe is frozen",
+    "command": "the controller's command breaks a limit of the joints' positions, speeds or "
+    "accelerations, or is not a number",
+    "speed": "the probe was commanded to move faster than {g.max_speed:g} m/s",
+    "acceleration": "the probe was commanded to accelerate at more than "
+    "{g.max_acceleration:g} m/s^2",
+    "force": "the contact force of {most:.1f} N exceeded {g.max_force:g} N",
+    "force_rises": "the force on the probe rose by more than {half:g} N while it was held",
+    "depth": "the probe would go deeper than {depth:g} mm below the configured surface, or below "
+    "the place where contact began; does the wrist sensor feel the body?",
+    "workspace": "the probe would leave the configured workspace",
+    "tilt": "the probe would tilt by more than {g.max_tilt_deg:g} deg",
+    "sample_repeats": "samples of the wrist sensor that repeated the one before",
+    "pose_repeats": "measured poses that repeated the one before",
+    "force_steps": f"steps of the force by more than {_NOTED_STEP:g} N between samples",
 }
 
 
-class Breach(NamedTuple):
-    """A cause to stop, and the value that breaks the limit."""
+class Reaction(IntEnum):
+    """What the guard does about a condition that has held for its time."""
 
-    cause: Cause
-    value: float = math.nan
+    NOTE = 0  # counts it
+    STOP = 1  # stops, and retreats if the probe touches the body
+    AWAY = 2  # retreats until no force is left
+    PROVE = 3  # the same, and the witnesses must agree before the next landing and during it
 
 
-NO_BREACH = Breach(Cause.NONE)
+def _wrist_not_finite(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
+    return not math.isfinite(sum(s.sample))
 
 
-def reason(cause: int, value: float, limits: GuardParameters) -> str:
-    """Return the reason for an intervention as a sentence without its full stop."""
-    if cause == Cause.NONE:
+def _wrist_out_of_range(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
+    return not s.plausible and math.isfinite(sum(s.sample))
+
+
+def _wrist_frozen(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
+    return s.time - m.sample_changed > g.wrist_sensor.frozen_after > 0
+
+
+def _arm_not_finite(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
+    return s.arm is not None and not math.isfinite(s.arm)
+
+
+def _arm_frozen(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
+    return s.arm is not None and s.time - m.torque_changed > g.wrist_sensor.frozen_after > 0
+
+
+def _disagree(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> float:
+    # Evidence that two witnesses differ by the least that matters, as a share of what convicts: a
+    # cumulative sum (Page 1954) of the logarithm of the likelihood ratio of that difference and
+    # none. The probe's inertia is felt by the wrist alone.
+    if m.mode == Mode.RETREATING or not s.plausible:
+        return -_FORGET
+    arm, error = s.arm_then, s.arm_error
+    if arm is None:  # what a body can do to the probe where it is
+        free = m.mode == Mode.HOLDING or s.p[2] > r.top
+        arm, error = 0.0 if free else max(s.wrist, 0.0), _ZERO_ERROR
+    elif not math.isfinite(arm):
+        return -_FORGET
+    difference = abs(s.wrist - arm) - m.inertia
+    nats = g.disagreement * (difference - g.disagreement / 2) / error**2
+    share = nats / _NATS * g.wrist_sensor.confirmed_after / s.step
+    return min(max(share, -_FORGET), 1.0)
+
+
+def _late(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
+    return s.latency > g.wrist_sensor.max_latency
+
+
+def _pose_not_finite(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
+    return not math.isfinite(sum(s.p_measured))
+
+
+def _pose_error(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
+    return math.dist(s.p_measured, s.p) > g.max_pose_error
+
+
+def _pose_frozen(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
+    frozen = s.time - m.pose_changed > g.pose_frozen_after > 0
+    return frozen and math.dist(s.p, m.p_then) > _AT_REST
+
+
+def _command(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
+    return not s.accepted
+
+
+def _speed(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
+    return _wanted_speed(s, m) > g.max_speed
+
+
+def _acceleration(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
+    if m.mode == Mode.HOLDING:
+        return _wanted_speed(s, m) / max(s.step, WINDOW) > g.max_acceleration
+    return m.mode == Mode.MONITORING and m.acceleration > g.max_acceleration
+
+
+def _wanted_speed(s: Sight, m: GuardMemory) -> float:
+    if m.mode == Mode.MONITORING:
+        return math.hypot(*m.velocity)
+    return math.dist(s.p, s.p_ahead) / AHEAD if s.p_ahead else 0.0
+
+
+def _force(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
+    if m.mode == Mode.HOLDING:
+        return False
+    coming = max(m.rate, 0.0) * s.latency
+    return (s.plausible and s.force + coming > g.max_force) or _arm_at_least(s) > g.max_force
+
+
+def _force_rises(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
+    # What was felt when the retreat ended may be an error; the body adds to it.
+    if m.mode != Mode.HOLDING:
+        return False
+    wrist = s.wrist - max(m.rate * s.step, 0.0) - m.inertia  # of two samples the lesser one
+    felt = s.plausible and wrist - max(m.wrist_rest, 0.0) > g.max_force / 2
+    return felt or _arm_at_least(s) - max(m.arm_rest, 0.0) > g.max_force / 2
+
+
+def _arm_at_least(s: Sight) -> float:
+    return -math.inf if s.arm is None else s.arm - 2 * s.arm_error
+
+
+def _depth(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
+    return _leaves(s, m, r, 0)
+
+
+def _workspace(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
+    return _leaves(s, m, r, 1)
+
+
+def _tilt(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
+    return _leaves(s, m, r, 2)
+
+
+def _leaves(s: Sight, m: GuardMemory, r: Region, way: int) -> bool:
+    # The way back is free, so the controller can correct what it is blamed for.
+    if s.p_ahead is None or s.axis_ahead is None:
+        return False
+    soon = beyond(s.p_ahead, s.axis_ahead, m, r)[way]
+    return soon > 0 and soon >= beyond(s.p, s.axis, m, r)[way]
+
+
+def beyond(p: Vector, axis: Vector, m: GuardMemory, r: Region) -> tuple[float, float, float]:
+    """Return by how much a pose is too deep and outside the workspace, in m, and tilted too far."""
+    further = m.depth + along(p, axis) - along(m.p, axis)
+    touching = m.touched == m.touched
+    deep = max(r.floor - p[2], further - r.max_depth if touching else -math.inf)
+    beside = max(max(a - b, b - c) for a, b, c in zip(r.low, p, r.high, strict=True))
+    return deep, beside, r.min_cosine - along(axis, r.axis)
+
+
+def _sample_repeats(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
+    return m.sample_changed < s.time and g.wrist_sensor.frozen_after > 0
+
+
+def _pose_repeats(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
+    return m.pose_changed < s.time and g.pose_frozen_after > 0
+
+
+def _force_steps(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> bool:
+    return s.plausible and abs(m.rate) * s.step - m.inertia > _NOTED_STEP
+
+
+class Rule(NamedTuple):
+    """A condition, the time in s for which it must hold, and what the guard then does."""
+
+    holds: Callable[[Sight, GuardMemory, GuardParameters, Region], float]
+    time: float | None
+    reaction: Reaction
+
+    @property
+    def name(self) -> str:
+        """Name of the cause."""
+        return self.holds.__name__.removeprefix("_")
+
+
+_CONFIRMED = None  # the time is `wrist_sensor.confirmed_after`
+
+RULES = (
+    Rule(_force_rises, _PULSE, Reaction.AWAY),
+    Rule(_wrist_not_finite, _CONFIRMED, Reaction.PROVE),
+    Rule(_wrist_out_of_range, _CONFIRMED, Reaction.PROVE),
+    Rule(_wrist_frozen, 0.0, Reaction.PROVE),
+    Rule(_arm_not_finite, _CONFIRMED, Reaction.PROVE),
+    Rule(_arm_frozen, 0.0, Reaction.PROVE),
+    Rule(_disagree, _CONFIRMED, Reaction.PROVE),
+    Rule(_late, 0.0, Reaction.PROVE),
+    Rule(_force, _PULSE, Reaction.AWAY),
+    Rule(_depth, 0.0, Reaction.AWAY),
+    Rule(_pose_not_finite, 0.0, Reaction.STOP),
+    Rule(_pose_error, 0.0, Reaction.STOP),
+    Rule(_pose_frozen, 0.0, Reaction.STOP),
+    Rule(_command, 0.0, Reaction.STOP),
+    Rule(_speed, 0.0, Reaction.STOP),
+    Rule(_acceleration, 0.0, Reaction.STOP),
+    Rule(_workspace, 0.0, Reaction.STOP),
+    Rule(_tilt, 0.0, Reaction.STOP),
+    Rule(_sample_repeats, math.inf, Reaction.NOTE),
+    Rule(_pose_repeats, math.inf, Reaction.NOTE),
+    Rule(_force_steps, math.inf, Reaction.NOTE),
+)
+"""All causes, the gravest first."""
+
+CAUSES = {rule.name: number for number, rule in enumerate(RULES)}
+"""Numbers of the causes by name."""
+
+
+def judge(s: Sight, m: GuardMemory, g: GuardParameters, r: Region) -> tuple[GuardMemory, int, bool]:
+    """Return the memory with new charges, the gravest confirmed cause or -1, and if all is quiet.
+
+    A condition charges its rule with the time for which it holds, and discharges it at `_FORGET` of
+    that rate when it does not. At the rule's time it is confirmed; up to half of it is quiet.
+    """
+    shares = [float(rule.holds(s, m, g, r)) for rule in RULES]
+    if not any(share > 0 for share in shares) and not any(m.charges):
+        return m, -1, True
+    found, quiet, charges, noticed = -1, True, [], list(m.noticed)
+    for number, (rule, share) in enumerate(zip(RULES, shares, strict=True)):
+        time = g.wrist_sensor.confirmed_after if rule.time is None else rule.time
+        gain = share if share > 0 else -_FORGET
+        charge = min(max(m.charges[number] + gain * s.step, 0.0), max(time, s.step))
+        confirmed = share > 0 and charge >= time - 1e-9
+        if rule.reaction is Reaction.NOTE:
+            charge = 0.0
+            noticed[number] += share > 0 and m.mode == Mode.MONITORING
+        elif confirmed and found < 0:
+            found = number
+        elif share >= 1 and not confirmed and rule.holds is not _disagree:
+            noticed[number] += 1
+        quiet = quiet and not charge > time / 2
+        charges.append(charge)
+    return m._replace(charges=tuple(charges), noticed=tuple(noticed)), found, quiet
+
+
+def reason(m: GuardMemory, g: GuardParameters, r: Region, *, alone: bool) -> str:
+    """Return the reason for the last intervention as a sentence without its full stop."""
+    if m.cause < 0:
         return ""
-    sensor = limits.wrist_sensor
-    texts = {
-        Cause.COMMAND: "the controller's command breaks a limit of the joints' positions, speeds "
-        "or accelerations, or is not a number",
-        Cause.SPEED: f"the probe was commanded to move at {value:.2f} m/s, above "
-        f"{limits.max_speed:g} m/s",
-        Cause.ACCELERATION: f"the probe was commanded to accelerate at {value:.0f} m/s^2, above "
-        f"{limits.max_acceleration:g} m/s^2",
-        Cause.DEPTH: f"the probe would go deeper than {1e3 * limits.max_depth:g} mm below the "
-        "configured surface; does the wrist sensor feel the body?",
-        Cause.WORKSPACE: "the probe would leave the configured workspace",
-        Cause.TILT: f"the probe would tilt by more than {limits.max_tilt_deg:g} deg",
-        Cause.POSE_LOST: "the measured pose of the probe is not a number",
-        Cause.POSE_ERROR: f"the probe is {1e3 * value:.0f} mm from where it was commanded to be, "
-        f"more than {1e3 * limits.max_pose_error:g} mm",
-        Cause.POSE_FROZEN: "the measured pose of the probe is frozen",
-        Cause.FORCE: f"the contact force of {value:.1f} N exceeded {limits.max_force:g} N",
-        Cause.SENSOR_NOT_FINITE: "the wrist sensor's samples are not numbers",
-        Cause.SENSOR_OUT_OF_RANGE: "the wrist sensor is saturated or out of its range of "
-        f"{sensor.max_force:g} N and {sensor.max_torque:g} N m",
-        Cause.SENSOR_FROZEN: "the wrist sensor is frozen",
-        Cause.SENSOR_JUMPED: f"the wrist sensor jumped by more than {sensor.max_step:g} N, "
-        "faster than a contact changes",
-        Cause.SENSOR_PULLING: f"the wrist sensor reads a pull of {-value:.1f} N, but contact can "
-        "only push; is it biased?",
-        Cause.SENSOR_DEAD: "the wrist sensor reads nothing; is it dead, or does the contact carry "
-        "the probe's weight?",
-        Cause.SENSOR_IN_AIR: f"the wrist sensor reads {value:.1f} N more than "
-        f"{1e3 * limits.max_rise:g} mm above the configured surface; is it biased?",
-    }
-    return texts[Cause(cause)]
+    arm = f"the arm's torques say {m.arm_then:.1f} N"
+    other = "nothing can press or pull there" if alone else arm
+    most = max((each for each in (m.wrist_then, m.arm_then) if each == each), default=math.nan)
+    text = _TEMPLATES[RULES[int(m.cause)].name].format(
+        g=g, wrist=m.wrist_then, other=other, most=most, error=1e3 * g.max_pose_error,
+        depth=1e3 * r.max_depth, half=g.max_force / 2,
+    )  # fmt: skip
+    if m.blocked:
+        text += "; it is held, because a retreat would leave the workspace or the arm's reach"
+    if m.mode and m.doubts >= MAX_DOUBTS:
+        text += f"; {MAX_DOUBTS} such stops, so a person must confirm"
+    return text
 
 
-def remark(
-    ignored: int, ignored_as: int, steps: int = 0, same_samples: int = 0, same_poses: int = 0
-) -> str:
-    """Return what was noticed without a need to intervene; empty if nothing was.
-
-    Parameters
-    ----------
-    ignored, ignored_as
-        Number of implausible samples that were ignored, and the fault that the last suggested.
-    steps
-        Number of steps of the force by more than `NOTED_STEP`.
-    same_samples, same_poses
-        Numbers of samples, and of measured poses, that repeated the one before to the last bit.
-    """
+def remark(noticed: Sequence[float]) -> str:
+    """Return what was noticed without a need to intervene, with its number of steps."""
     texts = []
-    if ignored:
-        texts.append(
-            f"samples of the wrist sensor that were ignored: {ignored:g}, the last because it "
-            + _IGNORED[SensorFault(ignored_as)]
-        )
-    if steps:
-        texts.append(f"steps of the force by more than {NOTED_STEP:g} N between samples: {steps:g}")
-    if same_samples:
-        texts.append(f"samples of the wrist sensor that repeated the one before: {same_samples:g}")
-    if same_poses:
-        texts.append(f"measured poses that repeated the one before: {same_poses:g}")
+    for rule, count in zip(RULES, noticed, strict=True):
+        short = f"too short for a stop ({rule.name.replace('_', ' ')})"
+        text = _TEMPLATES[rule.name] if rule.reaction is Reaction.NOTE else short
+        texts += [f"{text}: {count:g}"] * bool(count)
     return "; ".join(texts)
-
-
-class Region(NamedTuple):
-    """Box in W and largest tilt from a direction.
-
-    Parameters
-    ----------
-    low, high
-        (3,) corners of the workspace in W, in m.
-    floor
-        Lowest height of the probe's face, in m.
-    contact_top
-        Highest height at which it can touch the body, in m.
-    axis
-        (3,) direction from which the tilt counts, in W.
-    min_cosine
-        Cosine of the largest tilt.
-    """
-
-    low: Vector
-    high: Vector
-    floor: float
-    contact_top: float
-    axis: Vector
-    min_cosine: float
-
-
-def region(limits: GuardParameters, surface: Sequence[float], axis: Sequence[float]) -> Region:
-    """Return the region in which the probe may be.
-
-    Parameters
-    ----------
-    limits
-        Limits of the guard.
-    surface
-        (3,) point on the surface of the body at rest, in W, in m; if empty, only the tilt counts.
-    axis
-        (3,) unit vector along which the probe should look, in W.
-    """
-    cosine = math.cos(math.radians(limits.max_tilt_deg))
-    if not len(surface):
-        nowhere = 3 * (math.inf,)
-        return Region(3 * (-math.inf,), nowhere, -math.inf, math.inf, tuple(axis), cosine)
-    low, high = (
-        tuple(s + d for s, d in zip(surface, corner, strict=True))
-        for corner in (limits.workspace_min, limits.workspace_max)
-    )
-    floor, top = surface[2] - limits.max_depth, surface[2] + limits.max_rise
-    return Region(low, high, floor, top, tuple(axis), cosine)
-
-
-def outside(p: Vector, axis: Vector, allowed: Region) -> Breach:
-    """Return the way in which a pose is outside a region, and by how much, in m or as a cosine."""
-    x, y, z = p
-    low, high = allowed.low, allowed.high
-    if z < allowed.floor:
-        return Breach(Cause.DEPTH, allowed.floor - z)
-    if not (low[0] <= x <= high[0] and low[1] <= y <= high[1] and low[2] <= z <= high[2]):
-        beyond = (max(a - b, b - c, 0.0) for a, b, c in zip(low, p, high, strict=True))
-        return Breach(Cause.WORKSPACE, math.hypot(*beyond))
-    cosine = sum(a * b for a, b in zip(axis, allowed.axis, strict=True))
-    if cosine < allowed.min_cosine:
-        return Breach(Cause.TILT, allowed.min_cosine - cosine)
-    return NO_BREACH
-
-
-def leaving(now: Breach, soon: Breach) -> Breach:
-    """Return the breach of a motion that starts outside a region or ends there.
-
-    A motion back into the region is none, so the controller can correct what it is blamed for.
-
-    Parameters
-    ----------
-    now, soon
-        Results of `outside` for the present pose and for the pose to which the motion leads.
-    """
-    if soon.cause is Cause.NONE or (now.cause is soon.cause and soon.value < now.value):
-        return NO_BREACH
-    return soon
-
-
-def moving_too_fast(
-    step: Vector, velocity: Vector, time_step: float, limits: GuardParameters
-) -> Breach:
-    """Return the breach of the limits on the speed and the acceleration of the probe.
-
-    Parameters
-    ----------
-    step
-        (3,) displacement in the last step, in m.
-    velocity
-        (3,) velocity before it, in m/s.
-    time_step
-        Duration of the step, in s.
-    limits
-        Limits of the guard.
-    """
-    speed = math.hypot(*step) / time_step
-    if speed > limits.max_speed:
-        return Breach(Cause.SPEED, speed)
-    change = math.dist(step, [v * time_step for v in velocity]) / time_step
-    acceleration = change / max(time_step, WINDOW)
-    if acceleration > limits.max_acceleration:
-        return Breach(Cause.ACCELERATION, acceleration)
-    return NO_BREACH
-
-
-def contact_force(wrist_force: Vector, down_P: Vector, weight: float) -> Vector:
-    """Return the (3,) force of the body on the probe, in P, in N.
-
-    In motion, it also contains the probe's inertial force.
-
-    Parameters
-    ----------
-    wrist_force
-        (3,) force of the arm on the probe, in P, in N.
-    down_P
-        (3,) direction of gravity in P.
-    weight
-        Weight of the probe, in N.
-    """
-    return tuple(-f - weight * d for f, d in zip(wrist_force, down_P, strict=True))
-
-
-def retreat_speed(
-    speed: float, travelled: float, free: bool, time_step: float, limits: GuardParameters
-) -> float:
-    """Return the speed of a retreat one step later, in m/s; it ends at zero.
-
-    Parameters
-    ----------
-    speed
-        Present speed, in m/s.
-    travelled
-        Distance from the start of the retreat, in m.
-    free
-        Whether the contact is lost, as far as the sensor can be believed.
-    time_step
-        Duration of the step, in s.
-    limits
-        Limits of the guard.
-    """
-    change = limits.retreat_acceleration * time_step
-    braking = travelled + speed**2 / (2 * limits.retreat_acceleration)
-    if braking >= (limits.clearance if free else limits.max_retreat):
-        return max(speed - change, 0.0)
-    return min(speed + change, limits.retreat_speed)

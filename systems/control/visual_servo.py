@@ -169,7 +169,8 @@ class VisualServo(LeafSystem):
         - hold_reason
 
     v_c = -L_s^+ (lambda s + rates), with s = (X_tip, Z_tip, Theta). `estimate` is a NeedleEstimate
-    and `X_WP` a RigidTransform. `gain` is lambda in 1/s and replaces the parameter's value.
+    and `X_WP` a RigidTransform. `gain` is lambda in 1/s and replaces the parameter's value;
+    nothing is followed while it is no number of at least 0.
     `planar_velocity` is (v_x, v_z, omega_y) of P, in P, in m/s and rad/s. `hold_reason` tells why a
     tracked needle is not followed; it is an empty text otherwise. The system has no state. Between
     two estimates the features still follow the probe's own motion, and with feed-forward the
@@ -194,19 +195,32 @@ class VisualServo(LeafSystem):
             self._calc_hold_reason,
             prerequisites_of_calc={
                 self._estimate.ticket(),
+                self._gain.ticket(),
                 self.time_ticket(),
             },
         )
 
+    def _gain_now(self, context: Context) -> float:
+        """Return the gain in 1/s, or NaN if what the port says is none."""
+        if not self._gain.HasValue(context):
+            return self._parameters.gain
+        gain = float(self._gain.Eval(context)[0])
+        return gain if 0 <= gain < math.inf else math.nan
+
     def _calc_planar_velocity(self, context: Context, output: BasicVector) -> None:
         estimate = evaluate_port(self._estimate, context, NeedleEstimate)
-        parameters, gain = self._parameters, self._gain
-        value = gain.Eval(context).item() if gain.HasValue(context) else parameters.gain
-        if value != parameters.gain:  # because replacing them costs another validation
-            parameters = replace(parameters, gain=value)
+        parameters, gain = self._parameters, self._gain_now(context)
+        if gain != gain:
+            output.SetFromVector(np.zeros(3))
+            return
+        if gain != parameters.gain:  # because replacing them costs another validation
+            parameters = replace(parameters, gain=gain)
         X_WP = self._X_WP.Eval(context)
         output.SetFromVector(planar_velocity(estimate, X_WP, context.get_time(), parameters))
 
     def _calc_hold_reason(self, context: Context, output: Value) -> None:
         estimate = evaluate_port(self._estimate, context, NeedleEstimate)
+        if math.isnan(self._gain_now(context)):
+            output.set_value("the gain is not a number of at least 0")
+            return
         output.set_value(hold_reason(estimate, context.get_time(), self._parameters))

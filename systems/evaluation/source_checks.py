@@ -423,6 +423,21 @@ def check_errors(errors: PoseErrors | NotFound) -> list[Finding]:
     ]
 
 
+def check_delay(found: tuple[float, float] | NotFound) -> list[Finding]:
+    """Check the delay of poses, and its standard deviation, in s (`sweep_delay`)."""
+    if isinstance(found, NotFound):
+        return [_fine(Check.DELAY, f"delay unknown: {found.reason}")]
+    delay, half = found[0], 2 * found[1]
+    text = (
+        f"poses are late by {1e3 * delay:.0f} ms (95 %: {1e3 * (delay - half):.0f} to "
+        f"{1e3 * (delay + half):.0f}), by sweeps to and fro"
+    )
+    if abs(delay) <= max(half, _LATE):
+        return [_fine(Check.DELAY, text)]
+    advice = "calibrate the delay (in PLUS, the temporal offset of the devices), and record again"
+    return [_doubtful(Check.DELAY, text, advice)]
+
+
 def sort_findings(findings: Sequence[Finding]) -> list[Finding]:
     """Return findings in the order of their checks, as a table shows them."""
     order = list(Check)

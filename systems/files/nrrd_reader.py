@@ -377,7 +377,8 @@ class _Reader:
             unit = units[axis].strip().lower() if len(units) > axis else "mm"
             if unit not in _MM:
                 raise self.refuse("units", "lengths are in mm, cm, m or um")
-            cell = len(centers) > axis and centers[axis].lower() == "cell"
+            # Like Teem and ITK, samples of unknown kind are taken to fill cells.
+            cell = not (len(centers) > axis and centers[axis].lower() == "node")
             low, high, step = lows[axis], highs[axis], spacings[axis]
             if not np.isfinite(step):
                 step = (high - low) / (count if cell else max(count - 1, 1))

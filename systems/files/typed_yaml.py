@@ -13,6 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
 import yaml
 
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
@@ -107,6 +108,17 @@ def _fields(schema: Any) -> dict[str, Any]:
     return {field.name: field.type for field in getattr(schema, "__fields__", ())}
 
 
+def without_numpy(value: Any) -> Any:
+    """Return a value with NumPy's numbers and arrays, also in mappings and lists, as Python's."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return {key: without_numpy(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [without_numpy(item) for item in value]
+    return value
+
+
 def apply_changes(data: dict[str, Any], changes: Mapping[str, Any] | Sequence[str] | None) -> None:
     """Change fields of a nested mapping, in the given order.
 
@@ -124,7 +136,7 @@ def apply_changes(data: dict[str, Any], changes: Mapping[str, Any] | Sequence[st
     """
     if isinstance(changes, Mapping):
         for path, value in changes.items():
-            _assign(data, str(path), value)
+            _assign(data, str(path), without_numpy(value))
         return
     if changes is None:
         return

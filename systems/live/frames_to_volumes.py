@@ -2,13 +2,12 @@
 
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.live.image_matcher import PosedImage
 from sonoservo.systems.live.volume_maker import grey_scale
-from sonoservo.systems.recording.grey_levels import GreyLevels
+from sonoservo.systems.recording.grey_levels import GreyLevels, void_flags
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.ultrasound.frame_reconstruction import (
@@ -18,18 +17,19 @@ from sonoservo.systems.ultrasound.frame_reconstruction import (
 )
 
 
-def frame_pixels(posed: PosedImage) -> NDArray[Any]:
-    """Return the (ni, nj) numbers of a frame.
+def frame_levels(posed: PosedImage, grey: GreyLevels) -> NDArray[Any]:
+    """Return the (ni, nj) grey levels of a frame; what was not seen is black.
 
     Raises
     ------
     ValueError
-        If a number is not finite.
+        If nothing was seen in it.
     """
     pixels = posed.image.voxels[..., 0]
-    if pixels.dtype.kind == "f" and not np.isfinite(pixels).all():
-        raise ValueError("a frame holds values that are not finite")
-    return pixels
+    void = void_flags(pixels)
+    if void is not None and void.all():
+        raise ValueError("a frame holds nothing but values that stand for what was not seen")
+    return grey(pixels, void)
 
 
 class FramesToVolumes:
@@ -73,7 +73,7 @@ class FramesToVolumes:
         """Take a frame; return the volume that it completes, or a reason, empty if it does not."""
         try:
             X_WI = posed.X_WL.GetAsMatrix4() @ posed.image.X_LI
-            sweep = self._splitter.add(PosedFrame(self.grey(frame_pixels(posed)), X_WI, posed.time))
+            sweep = self._splitter.add(PosedFrame(frame_levels(posed, self.grey), X_WI, posed.time))
             if not sweep:
                 return NotFound("")
             return reconstruct(sweep, spacing=self._spacing, decibels_per_level=self._scale)

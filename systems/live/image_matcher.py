@@ -1,7 +1,7 @@
 """Matching of images and poses as their messages arrive."""
 
 from collections import Counter, OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
@@ -80,6 +80,12 @@ class PosedImage(Immutable):
     time: float
     arrived: float
     sender: tuple[str, str] = ("", "")
+
+
+def least(numbers: Iterable[int]) -> int:
+    """Return the place of the smallest number, of the first one if there are several."""
+    every = list(numbers)
+    return every.index(min(every))
 
 
 @dataclass(eq=False)
@@ -218,9 +224,13 @@ class ImageMatcher:
                 len(self._waiting) > 1
                 and sum(image.voxels.nbytes for image, _, _ in self._waiting) > MAX_WAITING
             ):
-                del self._waiting[0]
+                del self._waiting[least(self.standing(each) for _, each, _ in self._waiting)]
                 self.left_out[LeftOut.TOO_MANY] += 1
         return self.release(now)
+
+    def standing(self, peer: str) -> int:
+        """Number of images in a row that a peer has sent; who has sent few makes way for others."""
+        return self._senders[peer].images if peer in self._senders else 0
 
     def refuse(self, sender: tuple[str, str]) -> None:
         """Let another device of a peer take the place of one whose images make no volumes."""
@@ -245,8 +255,8 @@ class ImageMatcher:
         sender = self._senders.pop(peer, None) or _Sender(self._wanted, self._clock_offset or 0.0)
         sender.heard = now
         self._senders[peer] = sender  # the one that was heard last is the last
-        if len(self._senders) > _SENDERS:
-            del self._senders[next(iter(self._senders))]
+        if len(self._senders) > _SENDERS:  # the least useful one of those heard longest ago
+            del self._senders[min(self._senders, key=lambda each: self._senders[each].images)]
         return sender
 
     def _note_pose(self, item: PoseItem, sender: _Sender, now: float) -> None:
@@ -369,7 +379,11 @@ class ImageMatcher:
         """Return the pose at an image's time, by the clocks or by the times of arrival."""
         if tracker is None:
             return None if wait else NotFound("there is no pose yet")
-        if sender.image_clock.stands or tracker.pose_clock.stands:
+        if (
+            sender.image_clock.stands
+            or tracker.pose_clock.stands
+            or 0 in (stamp, tracker.pose_clock.last)
+        ):
             poses, at = tracker.poses_by_arrival, arrived
         else:
             poses, at = tracker.poses, stamp + sender.offset
@@ -414,7 +428,7 @@ class ImageMatcher:
         jumped = own is not None and not -_BACKWARDS < own < _FORWARDS
         if jumped:
             self._report(f"the sender's clock jumped by {own:+.3f} s; the stream goes on")
-        elif own is not None and own <= 0:
+        elif own is not None and own < _SAME:
             return None
         time = stamp + sender.shift
         if self._last is not None and (jumped or not 0 < time - self._last < _FORWARDS):

@@ -10,7 +10,13 @@ from typing import Any, Protocol, Self
 from sonoservo.systems.live.connection.items import Item
 from sonoservo.systems.live.connection.link import Link
 from sonoservo.systems.live.connection.protocols import Address
-from sonoservo.systems.live.image_matcher import MAX_WAITING, ImageMatcher, LeftOut, PosedImage
+from sonoservo.systems.live.image_matcher import (
+    MAX_WAITING,
+    ImageMatcher,
+    LeftOut,
+    PosedImage,
+    least,
+)
 from sonoservo.systems.live.volume_maker import VolumeMaker
 from sonoservo.systems.recording.grey_levels import GreyLevels
 from sonoservo.systems.signals.immutable import NotFound
@@ -193,7 +199,9 @@ class LiveSource:
                 len(self._images) > 1
                 and sum(each.image.voxels.nbytes for each in self._images) > MAX_WAITING
             ):
-                self._images.popleft()
+                del self._images[
+                    least(self._matcher.standing(each.sender[0]) for each in self._images)
+                ]
                 self.dropped += 1
         if images:
             self._news.notify_all()

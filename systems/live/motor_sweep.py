@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.files.typed_yaml import load_typed, read_yaml
-from sonoservo.systems.live.frames_to_volumes import frame_pixels
+from sonoservo.systems.live.frames_to_volumes import frame_levels
 from sonoservo.systems.live.image_matcher import PosedImage
 from sonoservo.systems.recording.grey_levels import GreyLevels
 from sonoservo.systems.signals.immutable import NotFound, seal
@@ -130,7 +130,7 @@ class MotorSweepVolumes:
 
     def _make(self, frames: list[PosedImage], direction: int) -> Volume:
         geometry = self.geometry
-        pixels = [self.grey(frame_pixels(frame)) for frame in frames]
+        pixels = [frame_levels(frame, self.grey) for frame in frames]
         if {each.shape for each in pixels} == {(geometry.samples, geometry.lines)}:
             samples = np.array([np.rint(each).astype(np.uint8).T for each in pixels])
             poses = np.array([frame.X_WL.GetAsMatrix4() for frame in frames])

@@ -13,7 +13,7 @@ _SET_ANEW = 1.0
 
 
 class StreamClock:
-    """The stamps of one device's messages, as they arrive.
+    """The stamps of one device's messages, as they arrive; `last` is the last one.
 
     A stamp of 0 is that of a program without a clock. The delay is how much later than its stamp a
     message arrives; its smallest value is that of the two clocks, and of the fastest way.
@@ -21,13 +21,13 @@ class StreamClock:
 
     def __init__(self) -> None:
         self.stands = False
-        self._last: float | None = None
+        self.last: float | None = None
         self._since, self._repeats, self._advances = 0.0, 0, 0
         self._delays: deque[float] = deque(maxlen=64)
 
     def note(self, stamp: float, arrived: float) -> None:
         """Take in the stamp of a message that has just arrived."""
-        if stamp != self._last:
+        if stamp != self.last:
             self._since, self._repeats = arrived, 0
             self._advances += 1
             if self._advances > _RUNS and stamp != 0:
@@ -37,7 +37,7 @@ class StreamClock:
             self._advances = 0
             if stamp == 0 or (self._repeats >= 2 and arrived - self._since > _STANDS):
                 self.stands = True
-        self._last = stamp
+        self.last = stamp
         delay = arrived - stamp
         if self._delays and abs(delay - self._delays[-1]) > _SET_ANEW:
             self._delays.clear()

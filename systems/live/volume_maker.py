@@ -111,6 +111,7 @@ class VolumeMaker:
         volume = self._volume(posed, seal(self.grey(voxels, void)), grid, X_LI)
         if void is not None:
             volume = replace(volume, mask=~void)
+        volume = volume.without_cut()
         # Only an image that made a volume decides about those that follow.
         self._grid, self._shape, self._X_LI = chosen
         self._sender = posed.sender

@@ -22,6 +22,9 @@ from sonoservo.systems.signals.requirements import require
 
 Floats = NDArray[np.float64]
 
+_TRACK_STEP, _SHORTEST_TRACK = 0.05, 1e-3
+"""Step in s of the search for the deepest point, and length in m below which no track shows."""
+
 _SPACING = 2e-3
 """Largest distance in m between points on a bent shaft; 3 um off an arc of 150 mm radius."""
 
@@ -73,6 +76,8 @@ class Insertion(Immutable):
             self._motion = Feed(parameters.feed, start)
         self._offset = np.array(parameters.entry_spread) * play
         self._aims: list[_Stage] = []
+        self._times = np.arange(start, self._motion.end + _TRACK_STEP, _TRACK_STEP)
+        self._depths = self._motion.steady_depth(self._times)
         self._add_aims()
         if path is not None and parameters.curvature_wander:
             times = np.linspace(start, self._motion.end, 200)
@@ -163,8 +168,11 @@ class Insertion(Immutable):
             length = self.path.length_at(length)
         if length <= 0 and feed is None:
             tip = entry + min(float(self._motion.steady_depth(time)), 0.0) * axes[0]
-            return Needle(np.zeros((0, 3)), radius, np.array([tip, tip + axes[0]]))
+            track = self._track(time, 0.0, entry, axes[0])
+            return Needle(np.zeros((0, 3)), radius, np.array([tip, tip + axes[0]]), track=track)
+        track = None
         if self.path is None:
+            track = self._track(time, length, entry, axes[0])
             along, first = np.array([[0, 0, 0], [length, 0, 0]]), np.eye(3)[0]
         else:
             along = self.path.positions(self._points(length), self._motion.cut(time, length))
@@ -172,7 +180,18 @@ class Insertion(Immutable):
         roll = self._roll(time, float(along[-1, 0]))
         if feed is not None:
             along = np.vstack([-feed.template * first, along])
-        return Needle(entry + along @ axes, radius, roll=roll)
+        return Needle(entry + along @ axes, radius, roll=roll, track=track)
+
+    def _track(self, time: float, length: float, entry: Floats, along: Floats) -> Floats | None:
+        """Return the channel of a straight needle beyond its tip, since it was last aimed."""
+        if self.path is not None or self.parameters.feed is not None:
+            return None
+        aimed = next(each.start for each in reversed(self._aims) if each.start <= time)
+        before = (self._times >= aimed) & (self._times <= time)
+        deepest = float(self._depths[before].max(initial=0.0))
+        if deepest < length + _SHORTEST_TRACK:
+            return None
+        return entry + np.outer([length, deepest], along)
 
     def _roll(self, time: float, depth: float) -> float:
         """Return the roll of the bevel's face in rad, with the tip at a depth along the aim in m.

@@ -122,6 +122,6 @@ def _times(data: Any, count: int) -> NDArray[np.float64] | None:
         steps = np.atleast_1d(np.array(data.FrameTimeVector, float))
         return np.asarray(1e-3 * np.cumsum(steps)) if len(steps) == count else None
     if "FrameTime" in data:
-        return 1e-3 * float(data.FrameTime) * np.arange(count)
+        return np.asarray(1e-3 * float(data.FrameTime) * np.arange(count), np.float64)
     rate = float(data.get("CineRate", 0) or data.get("RecommendedDisplayFrameRate", 0) or 0)
-    return np.arange(count) / rate if rate > 0 else None
+    return np.asarray(np.arange(count) / rate, np.float64) if rate > 0 else None

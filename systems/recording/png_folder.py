@@ -53,13 +53,24 @@ def open_png_folder(path: Path, *, frames: bool = False) -> VolumeFile:
                 opened = opened.convert("RGB")
             return np.swapaxes(np.asarray(opened), 0, 1)
 
-    first = pixels(0)
+    def readable(number: int) -> NDArray[Any] | None:
+        """Return the pixels of an image; None if it cannot be read."""
+        try:
+            return pixels(number)
+        except (OSError, ValueError, SyntaxError):
+            return None
+
+    first = next((each for n in range(len(files)) if (each := readable(n)) is not None), None)
+    if first is None:
+        raise ConfigurationError(f"{path}: none of its {len(files)} PNG images can be read")
     shape, channels = first.shape, grey_or_colours(first)
     size = (shape[0], shape[1], 1)
     check_layout(path, size, len(files), np.eye(3), frames=True)
 
     def read(number: int) -> NDArray[Any]:
-        here = pixels(number)
+        here = readable(number)
+        if here is None:  # it costs itself, as a frame that holds nothing
+            return np.full((*size, *(() if channels == 1 else (channels,))), np.nan, np.float32)
         if here.shape != shape:
             raise ConfigurationError(
                 f"{files[number]}: {here.shape} pixels; the first image has {shape}"

@@ -26,8 +26,9 @@ def read_pose_table(path: Path, files: Sequence[str]) -> dict[str, str]:
     The first row names the columns. ``file`` or ``frame`` (from 0) tells which frame a row belongs
     to; without either, rows are in order. ``time`` is in s, ``time_ms`` in ms. A pose is
     ``x, y, z`` in mm with the unit quaternion ``qw, qx, qy, qz``, or the elements ``m00`` to
-    ``m23`` of a matrix in mm. The pose is that of the probe in the reference
-    (``ProbeToReference``), unless the columns begin with another name, as ``ImageToReference_m00``.
+    ``m23`` of a matrix in mm. It is that of the probe in the reference (``ProbeToReference``),
+    unless the columns begin with another name, as ``ImageToReference_m00``. A row that is not
+    understood costs its frame.
 
     Parameters
     ----------
@@ -46,7 +47,8 @@ def read_pose_table(path: Path, files: Sequence[str]) -> dict[str, str]:
     if path.stat().st_size > _MOST_BYTES:
         raise ConfigurationError(f"{path}: it is too large for a table of poses")
     with refusing_failures(path, "it is no table of poses"):
-        rows = list(csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines()))
+        text = path.read_text(encoding="utf-8-sig", errors="replace")
+        rows = list(csv.DictReader(text.splitlines()))
         if not rows:
             raise ConfigurationError(f"{path}: it has no rows below that of the names")
         fields: dict[str, str] = {}
@@ -59,7 +61,7 @@ def read_pose_table(path: Path, files: Sequence[str]) -> dict[str, str]:
             frame = f"Seq_Frame{number:04d}"
             for name, scale in _TIMES.items():
                 if name in row:
-                    fields[f"{frame}_Timestamp"] = repr(scale * float(row[name] or "nan"))
+                    fields[f"{frame}_Timestamp"] = repr(scale * _float(row[name]))
             for name, text in _matrices(path, row).items():
                 fields[f"{frame}_{name}Transform"] = text
         return fields
@@ -71,7 +73,17 @@ def _number(
     for name in _NAMES:
         if name in row:
             return numbers.get(Path(row[name]).name)
-    return int(row["frame"]) if "frame" in row else place
+    if "frame" not in row:
+        return place
+    return int(row["frame"]) if row["frame"].isdecimal() else None
+
+
+def _float(text: str) -> float:
+    """Return a number; NaN if it is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return np.nan
 
 
 def _matrices(path: Path, row: Mapping[str, str]) -> dict[str, str]:
@@ -86,7 +98,7 @@ def _matrices(path: Path, row: Mapping[str, str]) -> dict[str, str]:
         name = match[1] or _DEFAULT
         if ends_of(name) is None:
             raise ConfigurationError(f"{path}: column {key!r}: {name!r} names no transform")
-        number = float(text) if text else np.nan
+        number = _float(text)
         if element:
             matrix = found.setdefault(name, np.vstack([np.full((3, 4), np.nan), [0, 0, 0, 1]]))
             matrix[int(element[2]), int(element[3])] = number

@@ -194,7 +194,7 @@ class Recording:
             float(self.times[number]),
             decibels_per_level=self._decibels_per_level,
             mask=None if void is None else ~void,
-        )
+        ).without_cut()
 
     def X_WL(self, number: int) -> RigidTransform:
         """Return the pose in W of the file's frame L (LPS, in m) when a volume was acquired."""

@@ -8,6 +8,7 @@ from .arm import load_arm as load_arm
 from .body_pose import BodyPose as BodyPose
 from .contact_force import ContactForce as ContactForce
 from .contact_force import normal_force as normal_force
+from .external_torque import ExternalTorque as ExternalTorque
 from .forward_kinematics import ForwardKinematics as ForwardKinematics
 from .operator_phantom_motion import OperatorMoves as OperatorMoves
 from .operator_phantom_motion import OperatorPhantomMotion as OperatorPhantomMotion

@@ -63,12 +63,21 @@ class Arm:
         Gains of the joint servos.
     max_speed
         Highest speeds of the joints in rad/s; if empty, those in the model's file are used.
+    torque_error
+        Standard deviations of the errors of the external torques that the arm reports for its
+        joints, in N m. If empty, it reports none: nothing but the wrist's sensor then tells how
+        hard the probe presses, which limits force and depth.
     """
 
     directives: list[ModelDirective] = field(default_factory=list)
     flange: str = "flange"
     servo: JointServo = field(default_factory=JointServo)
     max_speed: list[float] = field(default_factory=list)
+    torque_error: list[float] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        for number, error in enumerate(self.torque_error):
+            require_positive(**{f"torque_error.{number}": error})
 
 
 @dataclass(frozen=True)
@@ -155,6 +164,7 @@ def _check(plant: MultibodyPlant, instance: ModelInstanceIndex, arm: Arm) -> Non
         ("servo.p", arm.servo.p),
         ("servo.d", arm.servo.d),
         ("max_speed", arm.max_speed or count * [1.0]),
+        ("torque_error", arm.torque_error or count * [1.0]),
     ):
         require(len(values) == count, field_name, values, f"{count} numbers, one for each joint")
     order = [motor.joint().position_start() for motor in motors(plant, instance)]

@@ -6,6 +6,25 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
+_FAINTEST_CUT = 1.0
+"""Level in dB up to which a cut makes no difference."""
+
+
+def darkest(intensities: NDArray[Any]) -> float:
+    """Return the darkest level of an image that is not black; infinity if all of it is."""
+    shown = intensities[intensities > 0]
+    return float(shown.min()) if shown.size else np.inf
+
+
+def cut_level(darkest_level: float, decibels_per_level: float) -> float:
+    """Return the level below which an image shows nothing; 0 if it shows all.
+
+    From an image whose darkest level that is not black is far above black, dark levels were
+    removed. Black then tells only that something is darker than that.
+    """
+    cut = np.isfinite(darkest_level) and darkest_level * decibels_per_level > _FAINTEST_CUT
+    return darkest_level if cut else 0.0
+
 
 def seen_hull(intensities: NDArray[Any]) -> NDArray[np.bool_]:
     """Return (nx, ny, nz) flags of what an image of unknown field of view seems to have seen.

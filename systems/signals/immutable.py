@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from math import isfinite
-from typing import Any, Self, TypeVar
+from typing import Any, Literal, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -87,7 +87,9 @@ def read_only(
     ValueError
         If the shape differs or a floating-point element is not finite.
     """
-    values = own(np.asarray(array, dtype=dtype))
+    # Compiled code takes volumes and sweeps in C's order; for another it would be compiled anew.
+    order: Literal["K", "C"] = "C" if len(shape) > 2 else "K"
+    values = own(np.asarray(array, dtype=dtype, order=order))
     if values.shape != shape and not _fits(values.shape, shape):
         wanted = ", ".join("any" if want is None else str(want) for want in shape)
         raise ValueError(f"{name} has shape {values.shape}; expected ({wanted})")

@@ -28,12 +28,16 @@ class Needle(Immutable):
     roll
         Angle of the bevel's face about the axis in rad: at 0 it looks up, at pi/2 across the
         needle, to the left as seen along it. It matters to how the tip echoes.
+    track
+        (2, 3) ends of the channel that the needle left beyond its tip as it was withdrawn, deepest
+        last, in m; None if there is none.
     """
 
     shaft: NDArray[np.float64]
     radius: float
     aim: NDArray[np.float64] | None = None
     roll: float = 0.0
+    track: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         shaft = read_only(self.shaft, "shaft", (None, 3))
@@ -42,6 +46,8 @@ class Needle(Immutable):
         if self.aim is not None:
             require(not len(shaft), "aim", self.aim, "None while the needle is inside")
             object.__setattr__(self, "aim", read_only(self.aim, "aim", (2, 3)))
+        if self.track is not None:
+            object.__setattr__(self, "track", read_only(self.track, "track", (2, 3)))
         require_positive(radius=self.radius)
 
     def __bool__(self) -> bool:
@@ -70,8 +76,9 @@ class Needle(Immutable):
 
     def transformed(self, X: RigidTransform) -> "Needle":
         """Return the needle expressed in another frame."""
-        if self:
-            return Needle(X.multiply(self.shaft.T).T, self.radius, roll=self.roll)
-        if self.aim is not None:
-            return Needle(self.shaft, self.radius, X.multiply(self.aim.T).T)
-        return self
+        shaft, aim, track = (
+            None if points is None else X.multiply(points.T).T
+            for points in (self.shaft if self else None, self.aim, self.track)
+        )
+        shaft = self.shaft if shaft is None else shaft
+        return Needle(shaft, self.radius, aim, self.roll, track)

@@ -2,13 +2,14 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.sampling.interpolation import sample_flags, sample_grid
-from sonoservo.systems.sampling.seen_hull import seen_hull
+from sonoservo.systems.sampling.seen_hull import cut_level, darkest, seen_hull
 from sonoservo.systems.signals.immutable import Immutable, read_only, seal
 from sonoservo.systems.signals.point_spread import PointSpread
 from sonoservo.systems.signals.requirements import require, require_positive
@@ -104,6 +105,22 @@ class Volume(Immutable):
         One seen element of the eight around a position suffices.
         """
         return sample_flags(self.seen, p_P, self.origin, self.spacing)
+
+    def without_cut(self) -> "Volume":
+        """Return the volume with what was cut off at a grey level raised to that level.
+
+        Against black, any speckle that remains would stand out (`cut_level`). A volume that knows
+        its motion is as the scanner made it.
+        """
+        if self.motion is not None or self.intensities.all():
+            return self
+        cut = cut_level(darkest(self.intensities), self.decibels_per_level)
+        if cut == 0:
+            return self
+        dark = self.seen & (self.intensities == 0)
+        grey: NDArray[Any] = np.where(dark, cut, self.intensities)
+        grey = grey.astype(self.intensities.dtype)
+        return replace(self, intensities=seal(grey), mask=self.seen)
 
     @property
     def upper(self) -> NDArray[np.float64]:

@@ -111,7 +111,7 @@ def speckle_spread(volume: Volume) -> PointSpread | None:
     lags = np.linspace(1, np.maximum(size // 2, 1), _LAGS, axis=1).round().astype(int)
     limits = np.divide(_DEVIATIONS, volume.decibels_per_level)
     depths, widths = [], []
-    for row in np.linspace(0, shape[1] - size[1], _MOST_DEPTHS).astype(int):
+    for row in np.unique(np.linspace(0, shape[1] - size[1], _MOST_DEPTHS).astype(int)):
         starts = _seen_blocks(volume.seen, int(row), size)
         here = _correlations(volume.intensities, volume.seen, starts, size, lags, _SEEN, *limits)
         here = here[np.isfinite(here).all(axis=(1, 2))]

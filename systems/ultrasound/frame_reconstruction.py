@@ -9,7 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 
-from sonoservo.systems.sampling.seen_hull import seen_hull
+from sonoservo.systems.sampling.seen_hull import cut_level, darkest, seen_hull
 from sonoservo.systems.signals.immutable import Immutable, seal
 from sonoservo.systems.signals.reconstructed_volume import ReconstructedVolume
 from sonoservo.systems.signals.requirements import require, require_positive
@@ -168,6 +168,8 @@ def reconstruct(
     inverse = np.linalg.inv(X_PI)  # third row: signed distance from the frame's plane
     total, seen, number = (np.zeros(shape, np.float32) for _ in range(3))
     shown = _sector([frame.pixels for frame in frames])
+    # Where dark levels were removed, black is no darker than the darkest that is shown.
+    cut = np.float32(cut_level(min(darkest(frame.pixels) for frame in frames), decibels_per_level))
     boxes = (p_P - low) / spacing
     for k in range(len(frames) - 1):
         pair = boxes[k : k + 2].reshape(-1, 3)
@@ -175,7 +177,7 @@ def reconstruct(
         stop = np.minimum(np.ceil(pair.max(axis=0) + _SLACK).astype(int) + 1, shape)
         _fill_between(
             total, seen, number, first, stop, low, spacing, max_gap,
-            frames[k].pixels, frames[k + 1].pixels, shown, inverse[k], inverse[k + 1], k,
+            frames[k].pixels, frames[k + 1].pixels, shown, cut, inverse[k], inverse[k + 1], k,
         )  # fmt: skip
     holes = seen == 0
     np.divide(total, seen, out=total, where=~holes)
@@ -205,7 +207,21 @@ def _sector(pixels: Sequence[NDArray[Any]]) -> NDArray[np.bool_]:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _fill_between(  # type: ignore[no-untyped-def]
-    total, seen, number, first, stop, low, spacing, max_gap, near, far, shown, to_near, to_far, k
+    total,
+    seen,
+    number,
+    first,
+    stop,
+    low,
+    spacing,
+    max_gap,
+    near,
+    far,
+    shown,
+    cut,
+    to_near,
+    to_far,
+    k,
 ):
     """Add the interpolated grey levels of two frames to the voxels between them."""
     for a in range(first[0], stop[0]):
@@ -217,8 +233,8 @@ def _fill_between(  # type: ignore[no-untyped-def]
                 if d0 * d1 > 0 or abs(d0) + abs(d1) > max_gap:
                     continue
                 part = abs(d0) / max(abs(d0) + abs(d1), 1e-30)
-                here = _look_up(near, shown, to_near, x, y, z)
-                there = _look_up(far, shown, to_far, x, y, z)
+                here = _look_up(near, shown, cut, to_near, x, y, z)
+                there = _look_up(far, shown, cut, to_far, x, y, z)
                 if here < 0 or there < 0:
                     continue
                 total[a, b, c] += (1 - part) * here + part * there
@@ -227,7 +243,7 @@ def _fill_between(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _look_up(pixels, shown, to_frame, x, y, z):  # type: ignore[no-untyped-def]
+def _look_up(pixels, shown, cut, to_frame, x, y, z):  # type: ignore[no-untyped-def]
     """Return the bilinear grey level at a point's projection onto a frame; -1 if unseen."""
     i = to_frame[0, 0] * x + to_frame[0, 1] * y + to_frame[0, 2] * z + to_frame[0, 3]
     j = to_frame[1, 0] * x + to_frame[1, 1] * y + to_frame[1, 2] * z + to_frame[1, 3]
@@ -238,6 +254,6 @@ def _look_up(pixels, shown, to_frame, x, y, z):  # type: ignore[no-untyped-def]
         return -1.0
     i0, j0 = min(max(int(i), 0), ni - 2), min(max(int(j), 0), nj - 2)
     u, v = i - i0, j - j0
-    return (1 - u) * ((1 - v) * pixels[i0, j0] + v * pixels[i0, j0 + 1]) + u * (
-        (1 - v) * pixels[i0 + 1, j0] + v * pixels[i0 + 1, j0 + 1]
-    )
+    a, b = max(pixels[i0, j0], cut), max(pixels[i0, j0 + 1], cut)
+    c, d = max(pixels[i0 + 1, j0], cut), max(pixels[i0 + 1, j0 + 1], cut)
+    return (1 - u) * ((1 - v) * a + v * b) + u * ((1 - v) * c + v * d)

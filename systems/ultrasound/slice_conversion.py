@@ -23,7 +23,7 @@ class SliceConversion:
     Raises
     ------
     ValueError
-        If a sweep has more than one frame.
+        If a sweep has more than one frame, or the slice fewer than 3 pixels along an axis.
     """
 
     def __init__(self, geometry: SweepGeometry, spacing: float) -> None:
@@ -34,6 +34,10 @@ class SliceConversion:
         corners = geometry.position(0, j, i, 1)[..., :2].reshape(-1, 2)
         low, high = corners.min(axis=0), corners.max(axis=0)
         shape = np.floor((high - low) / spacing + 1e-9).astype(int) + 1
+        most = float((high - low).min()) / 2
+        require(
+            min(shape) >= 3, "pixel", spacing, f"at most {most:.4g} m, so that 3 fit in a slice"
+        )
         # Centred across the beam, and aligned with the shallowest sample in depth.
         self._origin = np.array([-0.5 * spacing * (shape[0] - 1), low[1]])
         self._spacing = np.full(2, spacing)

@@ -34,7 +34,7 @@ def test_one_second_of_station_and_controller(benchmark, contact_model):
     builder.Connect(
         controller.GetOutputPort("joint_command"), station.GetInputPort("joint_command")
     )
-    for port in ("X_WP", "wrist_force", "joint_state"):
+    for port in ("X_WP", "wrist_force", "joint_state", "external_torque"):
         builder.Connect(station.GetOutputPort(port), controller.GetInputPort(port))
     simulator = Simulator(builder.Build())
     simulator.AdvanceTo(3)

@@ -75,7 +75,7 @@ class Loop:
             (self.controller, "joint_command", self.station, "joint_command"),
             *(
                 (self.station, port, self.controller, port)
-                for port in ("X_WP", "wrist_force", "joint_state")
+                for port in ("X_WP", "wrist_force", "joint_state", "external_torque")
             ),
         ]
         for source, output, sink, port in wires:

@@ -1,7 +1,13 @@
+import multiprocessing
+import pickle
+from concurrent.futures import ProcessPoolExecutor
+
+import numpy as np
 import pytest
 import yaml
 from pydrake.multibody.plant import MultibodyPlantConfig
 
+from sonoservo.diagrams import run
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.experiments.registry import list_scenarios, load_scenario
 from sonoservo.diagrams.station import StationParameters
@@ -194,3 +200,36 @@ def test_mistakes_are_one_clear_line(name, changes, message):
         load_scenario(name, changes=changes)
     assert message in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_numbers_of_numpy_are_numbers():
+    changes = {
+        "duration": np.float64(2.0), "hand.rotations": [],
+        "station": {"phantom_position": np.array([0.5, 0.1, 0.2])},
+    }  # fmt: skip
+    scenario = load_scenario("chatelain2013_fig5", seed=np.int64(3), changes=changes)
+    assert scenario.seed == 3
+    assert type(scenario.seed) is int
+    assert scenario.duration == 2.0
+    assert scenario.station.phantom_position == [0.5, 0.1, 0.2]
+
+
+@pytest.mark.parametrize("name", ["clinic", "carriere2016_d80"])
+def test_a_scenario_can_be_pickled(name):
+    scenario = load_scenario(name, seed=4)
+    assert pickle.loads(pickle.dumps(scenario)) == scenario
+
+
+def test_a_child_that_was_forked_after_a_run_says_so():
+    scenario = load_scenario("chatelain2013_fig5", changes=["duration=0.05"])
+    run(scenario)
+    with (
+        ProcessPoolExecutor(1, multiprocessing.get_context("fork")) as pool,
+        pytest.raises(ConfigurationError, match="forked .* 'spawn' or 'forkserver'"),
+    ):
+        pool.submit(run, scenario).result(timeout=60)
+
+
+def test_a_pixel_larger_than_a_slice_is_refused_before_the_run():
+    with pytest.raises(ConfigurationError, match="pixel: 0.03 .* at most 0.01568 m"):
+        run(load_scenario("carriere2016_d80", changes=["pixel=0.03"]))

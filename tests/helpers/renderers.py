@@ -19,13 +19,13 @@ DEEP = Tissue(size=[0.6, 0.6, 0.4])
 """Large enough to hold the whole sweep wherever the probe is."""
 
 
-def make_renderer(tissue=DEEP, needle=None, transducer=None, **imaging):
+def make_renderer(tissue=DEEP, needle=None, transducer=None, track_db=-300.0, **imaging):
     settings = {"depth": 0.09, "focus_depth": 0.06, "volume_rate": 2.0, "frames": 27}
     return SweepRenderer(
         transducer=transducer or Transducer(),
         imaging=ImagingParameters(**settings | imaging),
         tissue=tissue,
-        parameters=replace(CLEAN, needle=needle or NeedleEchoParameters()),
+        parameters=replace(CLEAN, needle=needle or NeedleEchoParameters(), track_db=track_db),
         seed=0,
     )
 

@@ -13,6 +13,7 @@ from sonoservo.diagrams.app.options import (
     OutOption,
     console,
     free_folder,
+    say_report,
     write_printed,
 )
 
@@ -47,7 +48,7 @@ def compare_command(
     folder = out or free_folder("comparison")
     comparison = compare(folders, folder)
     console.print(comparison.table())
-    console.print(f"Report: {folder / 'report.html'}", soft_wrap=True)
+    say_report(folder)
     write_printed(json_path, comparison.as_json())
 
 

@@ -18,6 +18,7 @@ from sonoservo.diagrams.app.options import (
     OutOption,
     ScenarioArgument,
     console,
+    say_report,
     write_printed,
 )
 from sonoservo.diagrams.papers.registry import ALL, PAPERS, STUDIES, reproduce, require_paper
@@ -171,7 +172,7 @@ def reproduce_command(
         data = write_studies(folder, studies, shlex.join(command))
     else:
         data = write_study(folder, studies[0], shlex.join(command))
-    console.print(f"Report: {folder / 'report.html'}", soft_wrap=True)
+    say_report(folder)
     if keep:
         keep_results(data if paper == ALL else {paper: data})
     write_printed(json_path, data)

@@ -36,6 +36,7 @@ from sonoservo.diagrams.app.options import (
     WindowOption,
     console,
     say_notes,
+    say_report,
     write_printed,
 )
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -216,7 +217,7 @@ def track_command(
     console.print(mode_table(result.summary))
     for line in reasons_lines(result.summary):
         console.print(line, soft_wrap=True)
-    console.print(f"Report: {folder / 'report.html'}", soft_wrap=True)
+    say_report(folder)
     write_printed(json_path, result.summary)
     if result.failure is not None:
         raise result.failure

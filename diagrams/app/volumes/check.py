@@ -19,6 +19,7 @@ from sonoservo.systems.evaluation.source_checks import (
     Check,
     Finding,
     Grade,
+    check_delay,
     check_errors,
     check_matrices,
     check_motion,
@@ -29,6 +30,7 @@ from sonoservo.systems.evaluation.source_checks import (
     rows_of_matrices,
     sort_findings,
 )
+from sonoservo.systems.evaluation.sweep_delay import sweep_delay
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.volume_file import HoldsFramesError, VolumeFile
 from sonoservo.systems.live.connection.items import ImageItem, Item, PoseItem
@@ -41,8 +43,8 @@ from sonoservo.systems.recording.plus_configuration import read_plus_configurati
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.signals.volume import Volume
 
-_CALIBRATED = 30
-"""Most volumes from which errors of the poses are estimated."""
+_CALIBRATED, _SWEEPS = 30, 4
+"""Most volumes, and sweeps of frames, from which errors of the poses are estimated."""
 
 _KEPT, _DEVICES = 24, 32
 """Most images that are kept of a stream, and most devices that are told apart."""
@@ -263,6 +265,8 @@ def _check_frames(checked: CheckedSource, volumes: ReconstructedRecording) -> No
     volume = volumes[len(volumes) // 2]
     checked.note(Check.GRID, f"{len(volumes)} sweeps make a volume each")
     checked.show(volume, volume.X_WP.rotation())
+    few = range(min(len(volumes), _SWEEPS))
+    checked.findings += check_delay(sweep_delay([volumes.sweep(number) for number in few]))
 
 
 def _letter(axis: Any) -> str:

@@ -127,17 +127,22 @@ class ReconstructedRecording:
             )
         return found
 
-    def _reconstruct(self, number: int) -> ReconstructedVolume:
+    def sweep(self, number: int) -> list[PosedFrame]:
+        """Return the frames of a sweep, without those that hold nothing."""
         every = [
             PosedFrame(self._frames[k], self._frames.X_WI[k], float(self._frames.times[k]))
             for k in self._sweeps[number]
         ]
-        frames = [
+        return [
             frame
             for frame, k in zip(every, self._sweeps[number], strict=True)
             if int(self._frames.numbers[k]) not in self._frames.void
         ]
+
+    def _reconstruct(self, number: int) -> ReconstructedVolume:
         try:
-            return reconstruct(frames, spacing=self._spacing, decibels_per_level=self._scale)
+            return reconstruct(
+                self.sweep(number), spacing=self._spacing, decibels_per_level=self._scale
+            )
         except ValueError as error:
             raise ConfigurationError(f"{self.path}: {error}") from error

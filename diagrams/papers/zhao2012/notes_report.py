@@ -44,9 +44,10 @@ NOTES = (
     "The paper does not publish the noise of the filter, the thresholds, the definition of the "
     "angles or the position of the needle. Here, alpha is the azimuth from the array towards "
     "elevation, and beta the angle from the depth. Thresholding keeps 60 mm3 of voxels; the sweep "
-    "shows what that decides. The published filter's R is (0.5 mm)^2 for the tip and the rear end, "
-    "its Q the same in every direction (published_tracking). The velocimeters compare envelopes "
-    "of whole lines in the published windows; a match at the border of a search does not count.",
+    "shows what that decides. The published filter's R is (0.5 mm)^2 for the tip and the rear end "
+    "and (2 mm/s)^2 for the velocity, its Q the same in every direction (published_tracking). The "
+    "velocimeters compare envelopes of whole lines in the published windows; a match at the border "
+    "of a search does not count.",
     "Loop: fig. 5 of Chatelain 2013 with its steel needle, at 3.3 MHz; this paper has no figures "
     "for it. Rows count as in the study of that paper: runs that lost the needle, or never found "
     "it, enter with their true error. As published in the loop: RANSAC in every whole volume among "

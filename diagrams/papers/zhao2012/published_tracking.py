@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 
 _FILTER = AxisTipFilter(
     motion=NeedleMotionParameters(insertion=0, body=1e-9),
-    turning=2e-5,
+    turning=2e-6,
     velocity_gate=1 - 1e-12,
 )
 """The published filter: the same noise Q in every direction, and no gate on the velocity."""
@@ -28,8 +28,9 @@ _FILTER = AxisTipFilter(
 _STD = 0.5e-3
 """Standard deviation of tip and rear end in every direction, which gives R, in m; not published."""
 
-_VELOCIMETER = replace(VELOCIMETER, min_correlation=1e-6)
-"""The published windows. The best match counts, however badly it correlates."""
+_VELOCIMETER = replace(VELOCIMETER, min_correlation=1e-6, min_speed_std=2e-3)
+"""The published windows. The best match counts, however badly it correlates, with an R of
+(2 mm/s)^2. The velocity is some per cent too small, and a filter that trusts it more lags."""
 
 
 def with_input(state: AxisTipState, change: float, dt: float) -> AxisTipState:

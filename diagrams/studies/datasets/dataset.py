@@ -74,8 +74,9 @@ def make_dataset(
         Whether to also draw the dials of the harder world; see `draw_dials`.
     layout
         One of the `LAYOUTS`: "sequences", a folder for each sequence with volumes.seq.nrrd,
-        volumes.acquisition.jsonl, mask_000.seg.nrrd and so on, and labels.json; or "nnunet", the
-        folders imagesTr and labelsTr with dataset.json and splits_final.json, and labels.
+        volumes.acquisition.jsonl, mask_000.seg.nrrd and so on, and labels.json; "nnunet", the
+        folders imagesTr and labelsTr with dataset.json and splits_final.json, and labels; or "zea",
+        a folder for each sequence with volumes.hdf5, which holds the masks, too, and labels.json.
     store
         Folder or URL of fsspec for manifest.json and the sequences; by default, ``out``. The
         workers of a cluster write into a given store themselves; without one, everything comes back

@@ -152,6 +152,12 @@ class FrameRenderer:
             return NeedleRenderer(echo, self.beam, geometry, reference, pulses, seeds)
 
         self._needle = needle_renderer(parameters.needle, [seed, 1])
+        # A channel of bubbles and torn tissue scatters in all directions and lets sound through.
+        track = NeedleEchoParameters(
+            specular_db=-300.0, diffuse_db=300 + parameters.track_db, diffuse_lobe_deg=None,
+            tip="blunt", reverberation_db=-300.0, shadow=0.0,
+        )  # fmt: skip
+        self._track = needle_renderer(track, [seed, 7])
         self._resting = [
             (each.needle(), needle_renderer(each.echo, [tissue.seed, 3, number]))
             for number, each in enumerate(tissue.structures)
@@ -234,8 +240,16 @@ class FrameRenderer:
         return views
 
     def add_needle(self, iq: NDArray[np.complex64], frames: Frames, views: FrameViews) -> None:
-        """Add the moving needle and its shadow to the echoes of the tissue, in place."""
-        self._needle.add(iq, frames.needles, views._replace(times=frames.times))
+        """Add the moving needle with its shadow, and its track, to the tissue's echoes."""
+        views = views._replace(times=frames.times)
+        needles = frames.needles
+        if any(needle.track is not None for needle in needles):
+            none = np.zeros((0, 3))
+            shafts = [none if needle.track is None else needle.track for needle in needles]
+            tracks = [Needle(shaft, needles[0].radius) for shaft in shafts]
+            self._track.add(iq, tracks, views)
+        if any(needles):
+            self._needle.add(iq, needles, views)
 
     def add_points(
         self,

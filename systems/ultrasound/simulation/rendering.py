@@ -332,8 +332,7 @@ class _Tissue:
                 self._key = key
             iq = self._iq.copy()
             views = self._views
-        if any(frames.needles):
-            renderer.add_needle(iq, frames, views)
+        renderer.add_needle(iq, frames, views)
         return iq
 
 

@@ -18,6 +18,9 @@ class ScannerParameters:
     ----------
     needle
         Parameters of the needle's echo.
+    track_db
+        Level of the track that a withdrawn straight needle of gauge 18 leaves, relative to the
+        tissue's root mean square.
     gel_thickness
         Widest gap between face and tissue that the gel bridges, along a line, in m.
     air_pockets
@@ -44,6 +47,7 @@ class ScannerParameters:
     """
 
     needle: NeedleEchoParameters = field(default_factory=NeedleEchoParameters)
+    track_db: float = -6.0
     gel_thickness: float = 3e-3
     air_pockets: AirPocketParameters = field(default_factory=AirPocketParameters)
     noise_db: float = -50.0
@@ -62,7 +66,7 @@ class ScannerParameters:
             clutter_length=self.clutter_length, decorrelation_time=self.decorrelation_time
         )
         require(self.gain_error_db <= 20, "gain_error_db", self.gain_error_db, "at most 20 dB")
-        for name in ("noise_db", "clutter_db"):
+        for name in ("noise_db", "clutter_db", "track_db"):
             value = getattr(self, name)
             require(-300 <= value <= 20, name, value, "from -300 to 20 dB")
         allowed = 0 <= self.decorrelation < 1

@@ -1,11 +1,13 @@
 """Labelled sequences: labels lie where the image shows the needle, and nothing is made twice."""
 
 import hashlib
+import io
 import json
 import os
 import subprocess
 import sys
 
+import h5py
 import numpy as np
 import pytest
 import SimpleITK
@@ -14,6 +16,7 @@ from pydrake.math import RigidTransform
 from sonoservo.diagrams import load_scenario
 from sonoservo.diagrams.studies.datasets.dataset import make_dataset
 from sonoservo.diagrams.studies.datasets.dataset_labels import needle_mask
+from sonoservo.diagrams.studies.datasets.dataset_layouts import write_layout
 from sonoservo.diagrams.studies.store import Store
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.recording.recording import Recording
@@ -117,6 +120,18 @@ def test_calls_with_one_store_are_merged_in_its_manifest(tmp_path):
     drawn = [json.loads(place.read(f"labels/sequence_00{n}.json"))["dials"] for n in (100, 101)]
     assert drawn[0] != drawn[1]
     assert all(drawn)
+
+
+def test_files_of_zea_hold_volumes_and_masks_and_repeat_bit_for_bit(tmp_path):
+    grey = np.random.default_rng(0).integers(1, 255, (6, 5, 4)).astype(np.uint8)
+    volumes = [Volume(grey, [0, 0, 0], [1e-3] * 3, RigidTransform(), 0.3 * k) for k in range(2)]
+    labelled = [(volume, grey > 200) for volume in volumes]
+    files, again = (write_layout("zea", "s", labelled, lambda: {"a": 1}) for _ in range(2))
+    assert files == again
+    assert sorted(files) == ["s/labels.json", "s/volumes.hdf5"]
+    with h5py.File(io.BytesIO(files["s/volumes.hdf5"])) as file:
+        np.testing.assert_array_equal(file["data/image_sc/pixels"][1], grey)
+        np.testing.assert_array_equal(file["data/segmentation/pixels"][0, ..., 0], grey > 200)
 
 
 @pytest.mark.slow

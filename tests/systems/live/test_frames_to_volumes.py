@@ -43,7 +43,7 @@ def test_freehand_frames_become_a_volume_at_every_turn():
 
 def test_frame_that_makes_no_sense_is_left_out():
     pixels = np.full(SIZE, np.nan, np.float32)
-    assert "not finite" in FramesToVolumes()(posed(pixels, RigidTransform(), 0.0)).reason
+    assert "not seen" in FramesToVolumes()(posed(pixels, RigidTransform(), 0.0)).reason
     with pytest.raises(ValueError, match="frames"):
         FramesToVolumes(frames=1)
 

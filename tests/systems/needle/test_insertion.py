@@ -25,6 +25,18 @@ def test_depth_follows_pushes_pauses_and_withdrawal():
     assert insertion.end == pytest.approx(10.5)
 
 
+@pytest.mark.parametrize(("out", "length"), [(3, 8e-3), (9, 0.0)])
+def test_a_withdrawn_needle_leaves_a_track_to_its_deepest_point(out, length):
+    pushes = [Push(duration=4, speed=5e-3), Push(duration=out, speed=-4e-3)]
+    insertion = make(start=1.0, dip_deg=20.0, pushes=pushes, ramp=0.5)
+    assert insertion.needle(4.0).track is None
+    track = insertion.needle(100.0).track - insertion.entry
+    np.testing.assert_allclose(
+        track @ insertion.direction, [length, 20e-3], atol=1e-3
+    )  # rounded by the ramp
+    np.testing.assert_allclose(np.cross(track, insertion.direction), 0, atol=1e-12)
+
+
 def test_speed_changes_within_the_ramp_and_never_jumps():
     insertion = make(start=1.0, pushes=[Push(duration=2, speed=10e-3)], ramp=0.4)
     times = np.arange(0.5, 4, 1e-3)

@@ -110,9 +110,13 @@ def test_a_row_that_is_missing_costs_its_frame(tmp_path, frames):
     folder = tmp_path / "pictures"
     write_pngs(folder, frames)
     rows = (folder / "poses.csv").read_text().splitlines()
-    (folder / "poses.csv").write_text("\n".join([*rows[:3], *rows[4:]]))
+    odd = rows[5].replace(".", "x", 9)
+    (folder / "poses.csv").write_text("\n".join([*rows[:3], *rows[4:5], odd, *rows[6:]]))
+    (folder / "frame_001.png").write_bytes(b"damaged")
     read = TrackedFrames(folder, transforms={"ImageToProbe": CALIBRATION})
-    assert (len(read), read.notes[-1]) == (7, "left out 1 frames: 1 without a pose (5)")
+    assert (len(read), read.notes[-1]) == (6, "left out 2 frames: 2 without a pose (3, 5)")
+    assert [frame.any() for frame in read] == [True, False, True, True, True, True]
+    assert read.void == {1}
 
 
 @pytest.mark.parametrize(
@@ -120,7 +124,7 @@ def test_a_row_that_is_missing_costs_its_frame(tmp_path, frames):
     [
         ("file,time,x\na.png,1,2", "x, y, z, qw"),
         ("time,AngleToo_m00\n1,2", "names no transform"),
-        ("frame,m00\nx,2", "no table of poses"),
+        ("frame,m00\nx,2", "its frames have no poses"),
         ("", "no rows"),
     ],
 )

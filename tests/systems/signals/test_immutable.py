@@ -97,3 +97,9 @@ def test_a_wrong_value_on_a_wire_is_caught_where_it_enters():
         TypeError, match="'curve' of 'reader' received a value of type int; expected NeedleCurve"
     ):
         evaluate(reader, context, "curve", (NeedleCurve, NotFound))
+
+
+def test_volumes_are_kept_in_the_order_that_compiled_code_takes():
+    turned = np.zeros((4, 5, 6), order="F")
+    assert read_only(turned, "turned", (None, None, None)).flags.c_contiguous
+    assert read_only(turned[0].T, "flat", (None, None)).shape == (6, 5)

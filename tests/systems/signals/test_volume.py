@@ -107,6 +107,23 @@ def test_a_position_is_seen_beside_an_element_that_was():
     np.testing.assert_array_equal(volume.sees(at), [True, True, False, False, False])
 
 
+def test_black_is_below_what_was_cut_off():
+    """Where dark levels were removed; outside, nothing was seen."""
+    volume = Scene().volume(1)
+    cut = np.where(volume.intensities < 100, 0, volume.intensities)
+    known = replace(volume, intensities=cut)
+    assert known.without_cut() is known
+    foreign = replace(volume, intensities=cut, motion=None)
+    raised = foreign.without_cut()
+    np.testing.assert_array_equal(raised.seen, foreign.seen)
+    least = cut[cut > 0].min()
+    wanted = np.where(foreign.seen, np.maximum(cut, least), 0)
+    np.testing.assert_array_equal(raised.intensities, wanted)
+    plain = replace(volume, motion=None)
+    assert plain.without_cut() is plain
+    assert make().without_cut().intensities.max() == 0
+
+
 @pytest.mark.parametrize("level", ["speckle", "sparse"])
 def test_dark_cysts_shadows_and_water_are_seen(level):
     volume = Scene().volume(1)

@@ -80,3 +80,14 @@ def test_depths_have_their_own_widths():
 @pytest.mark.parametrize("level", [0.0, 1.0])
 def test_without_speckle_there_are_no_widths(level):
     assert speckle_spread(volume(np.full(SHAPE, 1e-9 + level))) is None
+
+
+@pytest.mark.parametrize("depth", [2, 6, 12])
+def test_a_shallow_volume_has_few_depths_and_no_error(depth):
+    levels = np.random.default_rng(0).rayleigh(40, (60, depth, 50)).clip(1, 255).astype(np.uint8)
+    shallow = Volume(
+        intensities=levels, origin=np.zeros(3), spacing=np.full(3, 2e-3), X_WP=RigidTransform(),
+        time=0.0,
+    )  # fmt: skip
+    spread = speckle_spread(shallow)
+    assert spread is None or len(spread.depth) <= depth

@@ -132,7 +132,7 @@ def moved_needle(
     count = max(int(np.ceil(needle.length / _SPACING)) + 1, len(needle.shaft), 2)
     points = needle.position(np.linspace(0, needle.length, count))
     shaft = displace_points(points, field, frame, pushed)
-    return Needle(shaft, needle.radius, roll=needle.roll)
+    return Needle(shaft, needle.radius, roll=needle.roll, track=needle.track)
 
 
 def displacements(deformations: Sequence[Deformation] | None) -> Displacements:

@@ -53,14 +53,14 @@ def made():
     return random_scan(104)
 
 
-def write(path, array, steps, origin):
+def write(path, array, steps, origin, window=None):
     header = {
         "space": "left-posterior-superior",
         "space directions": np.asarray(steps).T,
         "space origin": origin,
     }
     nrrd.write(str(path), array, header, compression_level=1)
-    return Recording(path)
+    return Recording(path, window=window)
 
 
 def assert_same_needle(found, wanted, R=None, tip_mm=0.3, angle_deg=0.3):
@@ -94,7 +94,8 @@ def test_the_same_volume_stored_otherwise_has_the_same_needle(tmp_path, made):
         "int16": (array.astype(np.int16) * 100 - 1000, steps, origin, None),
     }
     for name, (voxels, directions, first, turned) in others.items():
-        recording = write(tmp_path / f"{name}.nrrd", voxels, directions, first)
+        window = (-1000, 24500) if name == "int16" else None
+        recording = write(tmp_path / f"{name}.nrrd", voxels, directions, first, window)
         # But for rounding, which decides which of the draws is the middlemost, they are equal.
         assert_same_needle(locate_in_recording(recording), wanted, turned, 0.15, 0.15)
 

@@ -138,6 +138,19 @@ def test_faded_needle_changes_in_time_and_an_unfaded_one_does_not():
         assert np.array_equal(*echoes) == same
 
 
+def test_a_withdrawn_needle_leaves_a_track_of_its_level():
+    """Rough, so the same at any angle, and without a shadow; 20 dB here, to stand out."""
+    powers = []
+    for dip in (0, 30):
+        renderer = make_renderer(DEEP, NeedleEchoParameters(**SILENT), sector=0.3, track_db=20.0)
+        ends = needle(dip).shaft
+        out = Needle(np.zeros((0, 3)), 0.635e-3, track=ends - ends.mean(axis=0) + TIP)
+        X, middle = still(renderer), renderer.geometry.lines // 2
+        left = renderer.echo(X, [out] * 27, 1)[13] - renderer.tissue_echo(X, 1)[13]
+        powers.append((np.abs(left[middle - 8 : middle + 9]).max(axis=1) ** 2).mean())
+    assert 10 * np.log10(powers) == pytest.approx(20, abs=5)
+
+
 @pytest.mark.parametrize(
     ("field", "value"),
     [
