@@ -58,9 +58,10 @@ def test_cells_are_the_means_of_what_was_seen_above_their_surroundings():
     seen[:, :20] = False
     levels = np.where(seen, 80.0, 0.0)
     levels[32:34, 39:42, 30:32] += 40.0
+    spacing = np.array([0.75e-3, 0.5e-3, 0.75e-3])
     image = Volume(
-        levels.astype(np.float32), np.array([-0.03, 0, -0.03]), np.array([0.75e-3, 0.5e-3, 0.75e-3]),
-        RigidTransform(), 0.0, decibels_per_level=0.25, mask=seen,
+        levels.astype(np.float32), np.array([-0.03, 0, -0.03]), spacing, RigidTransform(), 0.0,
+        decibels_per_level=0.25, mask=seen,
     )  # fmt: skip
     found = cells_of(image)
     np.testing.assert_allclose(found.edges, 1.5e-3)
