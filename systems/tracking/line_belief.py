@@ -45,7 +45,7 @@ _RENEWED, _RENEWED_BY_MOTION = 0.03, 0.06
 """Share of what shows itself that is drawn anew from one volume to the next, while the probe rests,
 and per unit of its motion."""
 
-_NEW_AT_REST, _NEW_IN_MOTION = 0.6, 0.35
+_NEW_AT_REST, _NEW_IN_MOTION = 0.4, 0.3
 """Share of a volume's evidence that is new: at rest its speckle repeats itself, and in motion the
 error with which a line is followed does."""
 
@@ -61,7 +61,7 @@ _APPEARS, _APPEARS_BY_MOTION = 0.002, 0.05
 """Probabilities that a line appears at once with a volume, at rest and per unit of motion: a
 specular surface comes into view, or a shadow goes."""
 
-_LOOKS, _NEUTRAL, _MOST_LOOKS = 0.7, -3.0, (-20.0, 2.0)
+_LOOKS, _NEUTRAL, _MOST_LOOKS = 1.0, -3.0, (-20.0, 2.0)
 """Share of the evidence of a line's looks that its motion does not give as well, log odds that
 speak neither for nor against a needle, and limits of the log odds."""
 

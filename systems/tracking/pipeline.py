@@ -105,23 +105,30 @@ def _localize_everywhere(
     lines = needle_lines(volume)
     if not lines:
         return [], NotFound("no bright line comes from outside the field of view"), 0.0
-    best = lines[0]
-    if best.probability < parameters.min_probability:
+    if lines[0].probability < parameters.min_probability:
         reason = "no line stands out from its surroundings as a needle does"
-        return [], NotFound(reason), best.probability
-    ends = volume.to_world(best.ends)[0]
-    line = NeedleCurve(np.linspace(ends[0], ends[1], order))
-    attempts, measurement = _localize_along(volume, line, parameters, rng)
-    if isinstance(measurement, NotFound):
-        return attempts, measurement, 0.0
-    # What was measured must look like a needle, too, over all its length.
-    measured = line_between(
-        volume, acquired_from(volume, measurement.curve.control_points[[0, -1]])
-    )
-    if measured is None or measured.log_odds < 0:
+        return [], NotFound(reason), lines[0].probability
+    attempts: Attempts = []
+    first: tuple[NotFound, float] | None = None
+    for each in lines:
+        if each.probability < parameters.min_probability:
+            break
+        ends = volume.to_world(each.ends)[0]
+        line = NeedleCurve(np.linspace(ends[0], ends[1], order))
+        more, measurement = _localize_along(volume, line, parameters, rng)
+        attempts += more
+        if isinstance(measurement, NotFound):
+            first = first or (measurement, 0.0)
+            continue
+        # What was measured must look like a needle, too, over all its length.
+        seen = acquired_from(volume, measurement.curve.control_points[[0, -1]])
+        measured = line_between(volume, seen)
+        if measured is not None and measured.log_odds >= 0:
+            return attempts, measurement, each.probability
         reason = "the line found does not look like a needle over all its length"
-        return attempts, NotFound(reason), best.probability
-    return attempts, measurement, best.probability
+        first = first or (NotFound(reason), each.probability)
+    assert first is not None
+    return attempts, *first
 
 
 def _localize_along(
