@@ -15,10 +15,7 @@ from sonoservo.diagrams.papers.zhao2012.tracking import BMode, Tracking
 from sonoservo.systems.sampling.normalized_cross_correlation import normalized_cross_correlation
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
-from sonoservo.systems.tracking.insertion_detector import (
-    InsertionDetectorParameters,
-    detect_insertion,
-)
+from sonoservo.systems.tracking.line_belief import BeliefParameters, LineBelief, follow
 from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.tracking.pipeline import localize
 from sonoservo.systems.tracking.ransac import ransac_axis
@@ -48,17 +45,12 @@ def volumes():
     return scene.volume(0), scene.volume(2, lambda time: (ENTRY, TIP))
 
 
-def test_detect_insertion(benchmark, volumes):
+def test_follow(benchmark, volumes):
     before, volume = volumes
-    parameters = InsertionDetectorParameters(max_std=1.0, max_depth=1.0)
-    assert benchmark(lambda: detect_insertion(volume, before, parameters))
-
-    def plain():
-        difference = np.abs(volume.intensities.astype(np.int16) - before.intensities)
-        threshold = np.partition(difference, difference.size - 200, axis=None)[-200]
-        return np.argwhere(difference >= threshold)
-
-    compare(benchmark, "NumPy: difference and partition", median_time(plain))
+    belief = follow(LineBelief(), before, BeliefParameters())
+    after = benchmark(lambda: follow(belief, volume, BeliefParameters()))
+    assert after.hypotheses
+    compare(benchmark, "the paper's acquisition, 175 ms a volume", 0.175)
 
 
 @pytest.mark.parametrize("order", [2, 3])
@@ -90,7 +82,7 @@ def candidate_sets(request):
         return ransac_axis(points, weights, **options)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sonoservo.systems.tracking.pipeline.ransac_axis", record)
+        patch.setattr("sonoservo.systems.tracking.region_localization.ransac_axis", record)
         run(load_scenario(request.param, seed=100))
     return calls
 

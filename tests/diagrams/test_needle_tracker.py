@@ -56,7 +56,7 @@ def estimates(volumes):
 
 def test_finds_the_needle_soon_and_not_before(volumes, estimates):
     first = next(k for k, estimate in enumerate(estimates) if estimate)
-    assert 3e-3 < depth(volumes[first].time) < 13e-3
+    assert 3e-3 < depth(volumes[first].time) < 18e-3
 
 
 def test_implausible_volumes_are_refused_and_tracking_goes_on(volumes, estimates):
@@ -93,6 +93,15 @@ def test_follows_the_tip_and_the_axis(estimates):
 
 def test_awaits_the_next_insertion_once_withdrawn(estimates):
     assert estimates[-1].mode == TrackingMode.SEARCHING
+
+
+def test_a_needle_that_is_withdrawn_and_pushed_in_again_is_found_again(volumes):
+    second = 46 * PERIOD
+    again = [SCENE.volume(46 + k, lambda time: needle(time - second)) for k in range(24)]
+    found = list(track([*volumes, *again]))[46:]
+    assert not found[0]
+    assert found[-1].mode == TrackingMode.TRACKING
+    assert np.linalg.norm(found[-1].curve.tip - needle(found[-1].time - second)[1]) < 3e-3
 
 
 def test_simulation_gives_the_same_as_plain_python(volumes, estimates):
@@ -137,20 +146,10 @@ def test_parameters_survive_yaml():
     assert yaml_load_typed(schema=Chatelain2013TrackerParameters, data=text).order == 3
 
 
-@pytest.mark.parametrize(("field", "value"), [("kind", "x"), ("order", 5), ("look_back", -1.0)])
+@pytest.mark.parametrize(("field", "value"), [("kind", "x"), ("order", 5), ("start", "soon")])
 def test_parameters_are_checked(field, value):
     with pytest.raises(ValueError, match=field):
         Chatelain2013TrackerParameters(**{field: value})
-
-
-def test_the_volumes_scale_reaches_detector_and_localizer():
-    """Half the range over the same grey levels: every change counts half as many dB."""
-    scene = Scene(seed=3)
-    volumes = [scene.volume(k) for k in range(12)]
-    compressed = [replace(volume, decibels_per_level=30 / 255) for volume in volumes]
-    reasons = [list(track(each))[-1].reason for each in (volumes, compressed)]
-    full, half = (float(reason.split(" more than ")[1].split()[0]) for reason in reasons)
-    assert half == pytest.approx(full / 2, abs=0.1)
 
 
 @pytest.fixture(scope="module")
@@ -160,7 +159,7 @@ def zhao(volumes):
 
 def test_zhao_s_tracker_has_the_same_face(volumes, zhao):
     first = next(k for k, estimate in enumerate(zhao) if estimate)
-    assert 3e-3 < depth(volumes[first].time) < 13e-3
+    assert 3e-3 < depth(volumes[first].time) < 18e-3
     inserted = [e for e in zhao if e and e.time < 9 and depth(e.time) > 12e-3]
     assert len(inserted) > 10
     assert all(e.mode == TrackingMode.TRACKING for e in inserted)
@@ -215,7 +214,7 @@ def test_the_prediction_does_not_depend_on_what_it_serves(parameters):
 def test_explanation_tells_why_an_estimate_is_what_it_is(volumes):
     tracker = MakeNeedleTracker(period=1.0)
     context = tracker.CreateDefaultContext()
-    for volume in volumes[:16]:
+    for volume in volumes[:20]:
         tracker.GetInputPort("volume").FixValue(context, Value[object](volume))
         tracker.ExecuteForcedEvents(context)
         explained, measured = (
@@ -242,7 +241,7 @@ def test_a_tracker_may_take_another_s_filter(volumes):
         Chatelain2013TrackerParameters(order=3, filter=AxisTipFilter())
 
 
-@pytest.mark.parametrize(("field", "value"), [("kind", "x"), ("look_back", -1.0), ("order", 3)])
+@pytest.mark.parametrize(("field", "value"), [("kind", "x"), ("start", "soon"), ("order", 3)])
 def test_zhao_s_parameters_are_checked(field, value):
     with pytest.raises(ValueError, match=field):
         Zhao2012TrackerParameters(**{field: value})

@@ -105,18 +105,6 @@ def test_withdrawn_needle():
     assert not run(SCENE.volume(1, lambda time: needle(1.5e-3)), expected(needle(0.01)))
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_needle_of_which_only_the_end_moved_is_followed_to_where_it_enters(seed):
-    ends = needle(0.05)
-    end = np.array([ends[1] - 0.012 * K, ends[1]])
-    guess = expected(end, entry=None)
-    found = run(SCENE.volume(1, lambda time: ends), guess, seed)
-    assert np.linalg.norm(found.curve.entry - ENTRY) < PARAMETERS.max_entry_gap
-    assert np.linalg.norm(found.curve.tip - ends[1]) < 2e-3
-    # The same the wrong way round comes from inside.
-    assert not run(SCENE.volume(1, lambda time: ends), expected(end[::-1], entry=None), seed)
-
-
 def test_prediction_outside_the_volume():
     found = run(SCENE.volume(1), expected(needle(0.03) + 1.0))
     assert found.reason == "the predicted needle lies outside the field of view"
@@ -258,21 +246,6 @@ def test_explanation_of_a_failure_ends_where_it_failed():
     assert len(empty.candidates) > 100
 
 
-def test_explanation_shows_each_attempt_to_follow_a_needle_outwards():
-    ends = needle(0.05)
-    end = np.array([ends[1] - 0.012 * K, ends[1]])
-    volume = SCENE.volume(1, lambda time: ends)
-    explained = explain_localization(
-        volume, expected(end, entry=None), PARAMETERS, np.random.default_rng(0)
-    )
-    assert len(explained.attempts) > 1
-    assert [each.region.followed for each in explained.attempts] == [
-        *range(len(explained.attempts))
-    ]
-    assert explained.attempts[0].measurement.reason == "only the end of a needle was found"
-    assert explained.attempts[-1].measurement is explained.measurement
-
-
 def faded(length, beyond):
     """A needle that fades out over its last centimetre, and the volume that shows it."""
     shown, none = (SCENE.volume(1, ends) for ends in (lambda time: needle(length), None))
@@ -330,24 +303,6 @@ def test_too_little_of_a_needle_does_not_show_that_it_turned():
     assert run(SCENE.volume(1, lambda time: needle(0.05)), guess)
     short = run(SCENE.volume(1, lambda time: needle(0.012)), guess)
     assert isinstance(short, NotFound)
-
-
-def test_a_needle_that_enters_the_tissue_in_view_comes_from_outside():
-    wall = ENTRY + 0.03 * K
-    ends = np.array([wall, wall + 0.025 * K])
-    volume = SCENE.volume(1, lambda time: ends)
-    index = np.indices(volume.intensities.shape).reshape(3, -1).T
-    air = ((volume.position(index) - wall) @ K < -1e-3).reshape(volume.intensities.shape)
-    sector = volume.intensities > 0
-    dark = dataclasses.replace(
-        volume, intensities=np.where(air & sector, 1, volume.intensities).astype(np.uint8)
-    )
-    end = np.array([ends[1] - 0.012 * K, ends[1]])
-    found = run(dark, expected(end, entry=None))
-    assert np.linalg.norm(found.curve.entry - ends[0]) < 4e-3
-    assert np.linalg.norm(found.curve.tip - ends[1]) < 1.5e-3
-    inside = run(volume, expected(end, entry=None))
-    assert "outside the field of view" in inside.reason
 
 
 def test_a_needle_on_its_way_out_is_followed_past_the_entry_once_known():
