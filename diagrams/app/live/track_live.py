@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sonoservo.diagrams.app.interruption import is_interrupted
 from sonoservo.diagrams.app.volumes.calibrate import pose_error_figures
 from sonoservo.diagrams.app.volumes.estimates_table import EstimatesTable, estimate_row
 from sonoservo.diagrams.calibrated_tracker import MakeCalibratedTracker, corrected_frame
@@ -172,6 +173,10 @@ def track_live(
             if after_volume is not None:
                 after_volume(number, estimate)
     except KeyboardInterrupt:
+        interrupted = True
+    except Exception:  # compiled code may turn the interruption into an error of its own
+        if not is_interrupted():
+            raise
         interrupted = True
     finally:
         if stream is not None:

@@ -236,7 +236,9 @@ def meta_files(draw):
     where = draw(st.sampled_from(["local", "beside", "list", "pattern", "last bytes", "header"]))
     compressed = where in ("local", "beside") and draw(st.booleans())
     lines.append(f"CompressedData = {compressed}")
-    data = zlib.compress(data) if compressed else data
+    if compressed:
+        data = zlib.compress(data)
+        lines.append(f"CompressedDataSize = {len(data)}")  # which ITK needs
     files, source = {"": data}, "LOCAL"
     if where in ("list", "pattern"):
         pieces = int(np.prod(stack.shape[2:]))
