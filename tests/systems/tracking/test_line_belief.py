@@ -83,7 +83,7 @@ def test_a_needle_that_is_pushed_in_is_found_and_a_wire_at_rest_is_not(moving):
     assert np.linalg.norm(lines.ends[best, 1] - b) < 5e-3
     wire = along(lines, *WIRE)
     assert wire.any()
-    assert lines.probabilities[wire].max() < 0.05
+    assert lines.probabilities[wire].max() < 0.5
     np.testing.assert_allclose(lines.classes.sum(axis=1), 1)
 
 
