@@ -17,7 +17,7 @@ from scipy.special import expit
 from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.line_hypotheses import LINE_CLASSES, LineHypotheses
-from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.requirements import require_positive
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.arrival import add_volume, advances, class_logs
 from sonoservo.systems.tracking.cells import Cells, cells_of, tissue_shift
@@ -85,17 +85,13 @@ class BeliefParameters:
 
     Parameters
     ----------
-    act
-        Probability of being a needle from which on a line is followed by robot and filter.
     lines
         Largest number of lines that are followed.
     """
 
-    act: float = 0.95
     lines: int = 150
 
     def __post_init__(self) -> None:
-        require(0.5 < self.act < 1, "act", self.act, "above 0.5 and below 1")
         require_positive(lines=self.lines)
 
 
