@@ -154,7 +154,6 @@ def test_leaf_follows_only_while_nothing_is_tracked():
     assert len(belief.lines) == 0
 
 
-@pytest.mark.parametrize(("field", "value"), [("act", 0.5), ("act", 1.0), ("lines", 0)])
-def test_parameters_are_checked(field, value):
-    with pytest.raises(ValueError, match=field):
-        BeliefParameters(**{field: value})
+def test_parameters_are_checked():
+    with pytest.raises(ValueError, match="lines"):
+        BeliefParameters(lines=0)
