@@ -21,7 +21,6 @@ from sonoservo.systems.files.typed_yaml import (
     suggest,
     without_numpy,
 )
-from sonoservo.systems.ultrasound.simulation.needles.needle_kind import load_needle
 
 if TYPE_CHECKING:
     from sonoservo.diagrams.experiments.experiment import Experiment
@@ -167,6 +166,9 @@ def _of_needle(data: Mapping[str, Any]) -> dict[str, Any]:
     """Return the fields of a scenario that its kind of needle sets."""
     if not isinstance(data.get("needle"), str):
         return {}
+    # Loaded here, so that a list of scenarios needs no renderer.
+    from sonoservo.systems.ultrasound.simulation.needles.needle_kind import load_needle
+
     kind = load_needle(data["needle"])
     return {"hand": {"gauge": kind.gauge}, "scanner": {"needle": asdict(kind.echo)}}
 

@@ -7,13 +7,13 @@ field, the nearest known name, and the dataclasses' own validation.
 import dataclasses
 import difflib
 import math
+import sys
 import types
 import typing
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
 import yaml
 
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
@@ -110,7 +110,9 @@ def _fields(schema: Any) -> dict[str, Any]:
 
 def without_numpy(value: Any) -> Any:
     """Return a value with NumPy's numbers and arrays, also in mappings and lists, as Python's."""
-    if isinstance(value, np.generic | np.ndarray):
+    # Values of NumPy are there only if somebody has loaded it.
+    np = sys.modules.get("numpy")
+    if np is not None and isinstance(value, np.generic | np.ndarray):
         return value.tolist()
     if isinstance(value, Mapping):
         return {key: without_numpy(item) for key, item in value.items()}

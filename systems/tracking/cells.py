@@ -156,7 +156,7 @@ def tissue_shift(now: Cells, before: Cells, X_BN: Floats, starts: list[Floats]) 
             H, g, unlike, count = _shift_equations(
                 now.levels, now.seen, before.levels, before.seen, M, offset + shift
             )
-            if count < 200:
+            if count < 200 or not np.trace(H) > 0:
                 break
             if unlike / count < least:
                 best, least = shift * before.edges, unlike / count

@@ -61,9 +61,9 @@ _APPEARS, _APPEARS_BY_MOTION = 0.002, 0.05
 """Probabilities that a line appears at once with a volume, at rest and per unit of motion: a
 specular surface comes into view, or a shadow goes."""
 
-_LOOKS, _NEUTRAL, _MOST_LOOKS = 1.0, -3.0, (-20.0, 2.0)
-"""Share of the evidence of a line's looks that its motion does not give as well, log odds that
-speak neither for nor against a needle, and limits of the log odds."""
+_NEUTRAL, _BEST_LOOKS, _MOST_LOOKS = -3.0, 2.0, (-20.0, 4.0)
+"""Log odds of a line's looks that speak neither for nor against a needle that moves like one, the
+largest that count then, and limits of the log odds in one volume."""
 
 _SAME, _OVERLAP, _BETTER = 3e-3, 10e-3, 4.0
 """Distance in m up to which the ends of two fits belong to one line, length in m by which its
@@ -249,7 +249,8 @@ class LineBelief(Immutable):
     def unread_after(self, volume: Volume) -> "LineBelief":
         """Return the belief after a volume that is not searched for lines, as nobody needs them.
 
-        The lines are forgotten; those of a later volume are looked for in this one, too.
+        The lines are forgotten; those of a later volume are looked for in this one, too. What
+        arrived in the meantime counts as having been there always.
         """
         volumes = self.unread or tuple(each.volume for each in self.memory)
         return LineBelief(born=self.born, unread=(*volumes[1 - _REMEMBERED :], volume))
@@ -261,7 +262,8 @@ class LineBelief(Immutable):
         needle = np.logaddexp(lines.classes[:, 0], lines.classes[:, 1])
         looks = lines.looks / np.maximum(lines.looked, 1)
         odds = needle - np.log(-np.expm1(np.minimum(needle, -1e-12)))
-        odds = odds + _LOOKS * (np.where(lines.looked > 0, looks, 0.0) - _NEUTRAL)
+        likes = np.minimum(np.where(lines.looked > 0, looks, 0.0), _BEST_LOOKS)
+        odds = odds + likes - _NEUTRAL
         ends = _seen_ends(lines)
         if len(lines):
             ends = self.memory[-1].in_world(ends.reshape(-1, 3)).reshape(-1, 2, 3)

@@ -34,6 +34,9 @@ and of nothing. Fitted to volumes of the harder world along true needles and bey
 _RARE = 0.06
 """Share of the second Gaussian."""
 
+_DARKEST = -8.0
+"""Contrast in dB below which a bin tells no more: something bright lies beside the line."""
+
 _SUREST = 3.3
 """Largest logarithm of the ratio: what one bin can tell, given structures that nobody modelled."""
 
@@ -169,6 +172,7 @@ def _density(contrast: float, parts: Any) -> float:  # pragma: no cover - compil
 @vectorize(["float64(float32)", "float64(float64)"], cache=True)
 def log_ratio(contrast: Any) -> Any:  # pragma: no cover - compiled
     """Return the logarithm of the likelihood ratio of a contrast in dB: a line against nothing."""
+    contrast = max(contrast, _DARKEST)
     ratio = _density(contrast, _LINE) / _density(contrast, _NOTHING)
     return min(max(math.log(max(ratio, 1e-30)), -_SUREST), _SUREST)
 

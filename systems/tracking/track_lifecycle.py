@@ -181,14 +181,12 @@ class TrackLifecycle:
             found = self.most_probable(track, lines)
             probability = _SUREST if isinstance(found, NotFound) else min(found[1], _SUREST)
             state = self.needle_filter.start(measurement)
-            return replace(
-                self._confirmed(state, measurement, probability), entry=state.curve.entry
-            )
+            return self._confirmed(state, measurement, probability)
         assert track.state is not None
         probability = _bayes(track.probability, _DETECTED / _CLUTTER)
         if not self.parameters.filtering:
             state = self.needle_filter.start(measurement)
-            return self._confirmed(state, measurement, probability, track.entry)
+            return self._confirmed(state, measurement, probability, track)
         if measurement.curve.direction @ track.state.curve.direction < 0:
             # Its tip has come out past its entry.
             return self.without_needle(time, SearchReason.WITHDRAWN())
@@ -196,7 +194,7 @@ class TrackLifecycle:
         distance = innovation_distance(state, measurement)
         if distance <= self.gate:
             state = self.needle_filter.update(state, measurement, speed)
-            return self._confirmed(state, measurement, probability, track.entry, distance)
+            return self._confirmed(state, measurement, probability, track, distance)
         jumps = measurement.curve.control_points - state.curve.control_points
         agrees = np.linalg.norm(jumps, axis=1).max() <= self.parameters.max_jump
         if not agrees and track.rejected is not None:
@@ -206,8 +204,8 @@ class TrackLifecycle:
             agrees = innovation_distance(before, measurement) <= self.gate
         if agrees:
             state = self.needle_filter.start(measurement)
-            entry = state.curve.entry
-            return self._confirmed(state, measurement, probability, entry, distance)
+            moved = replace(track, entry=None)
+            return self._confirmed(state, measurement, probability, moved, distance)
         missed = replace(track, rejected=measurement, innovation=distance)
         reason = f"the measurement is {distance:.1f} standard deviations from the prediction"
         return self._miss(missed, time, speed, reason)
@@ -217,13 +215,18 @@ class TrackLifecycle:
         state: NeedleState,
         measurement: NeedleMeasurement,
         probability: float,
-        entry: NDArray[np.float64] | None = None,
+        before: Track | None = None,
         innovation: float | None = None,
     ) -> Track:
-        """Return a track that is confirmed by a measurement, whose tip may not have been seen."""
+        """Return a track that a measurement confirms, which continues an earlier one or begins."""
         track = self.confirm(state, measurement.time, innovation)
-        seen = measurement.time if measurement.tip_seen else -np.inf
-        return replace(track, probability=probability, entry=entry, tip_seen=seen)
+        entry, seen = (before.entry, before.tip_seen) if before else (None, -np.inf)
+        return replace(
+            track,
+            probability=probability,
+            entry=state.curve.entry if entry is None else entry,
+            tip_seen=measurement.time if measurement.tip_seen else seen,
+        )
 
     def _miss(
         self, track: Track, time: float, velocity: VelocityMeasurement | None, reason: str

@@ -78,6 +78,6 @@ class VolumeMemory(LeafSystem):
         held: tuple[Remembered, ...] = context.get_abstract_state(self._volumes).get_value()
         if not isinstance(volume, Remembered) or (held and volume.time <= held[-1].time):
             return EventStatus.DidNothing()
-        # Later volumes need only the newest volume of either direction.
-        state.get_mutable_abstract_state(self._volumes).set_value((*held[-1:], volume))
+        # The present volume and later ones need only the newest volume of either direction.
+        state.get_mutable_abstract_state(self._volumes).set_value((*held[-2:], volume))
         return EventStatus.Succeeded()
