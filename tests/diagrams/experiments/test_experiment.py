@@ -81,7 +81,7 @@ def test_trackers_and_controllers_never_see_the_truth(scenario):
     }
     assert ports <= {
         "volume", "estimate", "X_WP", "wrist_force", "joint_state", "gain", "force_target",
-        "slice", "shape", "cross_section",
+        "slice", "shape", "cross_section", "external_torque", "confirmation",
     }  # fmt: skip
 
 

@@ -104,7 +104,7 @@ NARROW = "imaging: {sector: 0.55, frames: 11, volume_rate: 4.0, depth: 0.08}\n"
 
 def test_a_stranger_s_scenario_is_found(tmp_path):
     """Only the duration, the dip and the pushes are given."""
-    text = "duration: 8.5\nhand: {dip_deg: 35, pushes: [{duration: 6, speed: 0.012}]}\n"
+    text = "duration: 9.5\nhand: {dip_deg: 35, pushes: [{duration: 6, speed: 0.012}]}\n"
     result = run(load_scenario(write(tmp_path, NARROW + text), seed=100))
     detection = result.summary["detection"]
     assert detection["volume"] is not None
@@ -140,7 +140,7 @@ def test_a_needle_that_is_in_view_from_the_start_is_found_anywhere(tmp_path):
     found = run(load_scenario(path, seed=100, changes=["tracker.start=anywhere"]))
     modes = found.log.volume_estimate_mode.tolist()
     first = modes.index(TrackingMode.TRACKING)
-    assert set(modes[:first]) == {TrackingMode.LOST}
+    assert set(modes[:first]) == {TrackingMode.SEARCHING}
     assert set(modes[first:]) == {TrackingMode.TRACKING}
     assert len(modes) - first > 4
     assert found.summary["detection"]["false_starts"] == 0
