@@ -79,7 +79,7 @@ def compare(benchmark, with_what, seconds):
 def test_render(benchmark, size, speed):
     renderer = make_renderer(size)
     grey = benchmark(sweep_after_sweep(renderer, speed))
-    assert grey.mean() > 30
+    assert grey.mean() > 15
     compare(benchmark, "the time the sweep takes to acquire", renderer.geometry.period)
 
 
@@ -87,7 +87,7 @@ def test_render(benchmark, size, speed):
 def test_render_denser_tissue(benchmark, scatterers_per_cell):
     renderer = make_renderer("31 x 128 x 480", scatterers_per_cell)
     grey = benchmark(sweep_after_sweep(renderer, 1e-6))
-    assert grey.mean() > 30
+    assert grey.mean() > 15
     compare(benchmark, "the time the sweep takes to acquire", renderer.geometry.period)
 
 
@@ -115,7 +115,7 @@ def test_render_instead_of_pymust(benchmark):
     cells = (cross_section / (2**1.5 * beam.resolution_cell)).sum() * geometry.sample_pitch
     per_sweep = seconds_per_point_by_pymust() * 4 * cells * geometry.lines * geometry.frames
     grey = benchmark(sweep_after_sweep(renderer, 1e-6))
-    assert grey.mean() > 30
+    assert grey.mean() > 15
     compare(benchmark, "PyMUST, extrapolated from 200 points on one line", per_sweep)
 
 
