@@ -154,7 +154,7 @@ def add_tracker_parts(
         manager=TrackManager(lifecycle=lifecycle, **events),
     )
     follower = builder.AddNamedSystem(
-        "line_follower", LineFollower(parameters=parameters.belief, **events)
+        "line_follower", LineFollower(parameters=parameters.belief, period=period, offset=offset)
     )
     gate = builder.GetSubsystemByName(VOLUME_GATE)
     builder.Connect(gate.GetOutputPort("volume"), follower.GetInputPort("volume"))

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.sampling.normalized_cross_correlation import Match, best_match
+from sonoservo.systems.shape.normalized_cross_correlation import Match, best_match
 from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.immutable import Immutable, read_only
 from sonoservo.systems.signals.volume import Volume

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from sonoservo.systems.sampling.normalized_cross_correlation import Match, best_match
 from sonoservo.systems.shape.echo_vertex import echo_vertex
+from sonoservo.systems.shape.normalized_cross_correlation import Match, best_match
 from sonoservo.systems.signals.cross_section import CrossSection
 from sonoservo.systems.signals.image_slice import ImageSlice
 from sonoservo.systems.signals.immutable import NotFound

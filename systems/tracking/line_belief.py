@@ -416,7 +416,7 @@ def _add_fits(
     newest, times = memory[-1], lines.logs.shape[1]
     ends_P = np.array([fit.ends for fit in fits])
     ends = newest.in_tissue(ends_P.reshape(-1, 3)).reshape(-1, 2, 3)
-    fresh = _new_lines(ends, ends_P, np.arange(len(fits)) + born, times)
+    fresh = _new_lines(ends, ends_P, born + np.arange(len(fits), dtype=np.float64), times)
     now = brightness(lines.contrasts, lines.seen)
     better: dict[int, int] = {}
     taken, new = set[int](), list[int]()

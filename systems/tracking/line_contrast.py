@@ -18,7 +18,7 @@ BIN = 2e-3
 BINS = 70
 """Number of bins along a line: as far as a needle can be seen in either direction."""
 
-MIDDLES: Floats = BIN * (np.arange(BINS) - 0.5 * (BINS - 1))
+MIDDLES: Floats = BIN * (np.arange(BINS, dtype=np.float64) - 0.5 * (BINS - 1))
 """(BINS,) abscissae of the bins' middles, in m."""
 
 _CORE, _RING = 0.6e-3, 4.5e-3

@@ -10,7 +10,7 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem
 from scipy.signal import hilbert
 
-from sonoservo.systems.sampling.normalized_cross_correlation import best_match
+from sonoservo.systems.shape.normalized_cross_correlation import best_match
 from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction

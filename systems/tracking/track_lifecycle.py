@@ -233,8 +233,9 @@ class TrackLifecycle:
     ) -> Track:
         """Return the track after a volume that did not confirm it."""
         p = self.parameters
-        if track.state is None:
-            return replace(self.without_needle(time, reason), tip_seen=track.tip_seen)
+        last = track.state
+        if last is None:
+            return self.without_needle(time, reason)
         missed = track.missed + 1
         track = replace(
             track,
@@ -242,13 +243,13 @@ class TrackLifecycle:
             probability=_bayes(track.probability, (1 - _DETECTED) / (1 - _CLUTTER)),
         )
         if time - track.since > p.seconds_to_give_up:
-            leaving = self._is_leaving(track.state)
+            leaving = self._is_leaving(last)
             return self.without_needle(time, SearchReason.WITHDRAWN() if leaving else reason)
         if track.mode == TrackingMode.LOST:
             return replace(track, reason=reason)
-        state = self.needle_filter.predict(track.state, time)
+        state = self.needle_filter.predict(last, time)
         state = self.needle_filter.update(state, None, velocity)
-        length = (state.curve.tip - state.curve.entry) @ track.state.curve.direction
+        length = (state.curve.tip - state.curve.entry) @ last.curve.direction
         if length < p.withdrawn_length:
             return self.without_needle(time, SearchReason.WITHDRAWN())
         # No robot goes after a needle that was last seen to come out.

@@ -9,8 +9,8 @@ from skimage.feature import match_template
 
 from sonoservo.diagrams import load_scenario, make_experiment
 from sonoservo.diagrams.shape_predictor import estimate_shape
-from sonoservo.systems.sampling.normalized_cross_correlation import normalized_cross_correlation
 from sonoservo.systems.shape.cross_section import CrossSectionParameters, find_again
+from sonoservo.systems.shape.normalized_cross_correlation import normalized_cross_correlation
 
 PAPER_MS = {"image": 3.1, "particle filter": 2.8}
 

@@ -12,7 +12,7 @@ from synthetic_volumes import Scene, entry_on_side
 from sonoservo.diagrams import load_scenario, run
 from sonoservo.diagrams.papers.zhao2012.phantom import DIRECTION, TOWARDS, Phantom, StraightNeedle
 from sonoservo.diagrams.papers.zhao2012.tracking import BMode, Tracking
-from sonoservo.systems.sampling.normalized_cross_correlation import normalized_cross_correlation
+from sonoservo.systems.shape.normalized_cross_correlation import normalized_cross_correlation
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.tracking.line_belief import BeliefParameters, LineBelief, follow

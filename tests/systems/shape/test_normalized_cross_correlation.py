@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from skimage.feature import match_template
 
-from sonoservo.systems.sampling.normalized_cross_correlation import (
+from sonoservo.systems.shape.normalized_cross_correlation import (
     Match,
     best_match,
     normalized_cross_correlation,
