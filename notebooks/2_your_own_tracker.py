@@ -106,6 +106,6 @@ for name, result in runs.items():
     )
 
 # %% [markdown]
-# The first tracker has three more parts: a belief about all lines that finds a needle by its motion, a
-# Kalman filter that predicts where to look, and a velocity that the servo feeds forward. To build
-# such a tracker, reuse the blocks in `diagrams/trackers`; each is a system of its own.
+# The first tracker has three more parts: a belief about all lines that finds a needle by its
+# motion, a Kalman filter that predicts where to look, and a velocity that the servo feeds forward.
+# To build such a tracker, reuse the blocks in `diagrams/trackers`; each is a system of its own.
