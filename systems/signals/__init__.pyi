@@ -15,7 +15,6 @@ from .immutable import NotFound as NotFound
 from .immutable import read_only as read_only
 from .immutable import seal as seal
 from .insertion_detection import InsertionDetection as InsertionDetection
-from .line_hypotheses import LINE_CLASSES as LINE_CLASSES
 from .line_hypotheses import LineHypotheses as LineHypotheses
 from .localization_explanation import AxisProfile as AxisProfile
 from .localization_explanation import LocalizationAttempt as LocalizationAttempt
