@@ -8,12 +8,6 @@ from numpy.typing import NDArray
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.requirements import require_not_negative
 
-_FASTEST = 60e-3
-"""Largest speed of a hand that pushes a needle, in m/s."""
-
-_MOST_TURNED = np.deg2rad(25)
-"""Largest angle in rad between two directions of one needle; that of a short one is uncertain."""
-
 
 @dataclass(kw_only=True)
 class NeedleMotionParameters:
@@ -79,26 +73,3 @@ def constant_velocity(
     Q[:d, :d], Q[d:, d:] = dt**3 / 3 * density, dt * density
     Q[:d, d:] = Q[d:, :d] = dt**2 / 2 * density
     return A, Q
-
-
-def was_pushed(before: NeedleCurve, after: NeedleCurve, seconds: float, max_aside: float) -> bool:
-    """Return True if a needle may have been pushed on along itself, by no more than a hand can.
-
-    Parameters
-    ----------
-    before, after
-        The needle's curve at two times.
-    seconds
-        Time between them, in s.
-    max_aside
-        Largest motion of its ends across it, in m.
-    """
-    steps = after.control_points[[0, -1]] - before.control_points[[0, -1]]
-    along = steps @ before.direction
-    aside = np.linalg.norm(steps - np.outer(along, before.direction), axis=1).max()
-    return bool(0 <= along[1] <= _FASTEST * seconds and aside <= max_aside)
-
-
-def has_turned(before: NeedleCurve, after: NeedleCurve) -> bool:
-    """Return True if the directions of two curves differ by more than those of one needle."""
-    return bool(before.direction @ after.direction < np.cos(_MOST_TURNED))

@@ -162,7 +162,6 @@ class PublishedLifecycle:
             TrackingMode.SEARCHING,
             time,
             self.needle_filter.start(guess),
-            detections=(detection, detection),
             reason="an entry was detected; the needle is not long enough yet",
         )
 

@@ -19,6 +19,7 @@ from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.axis import Axis
 from sonoservo.systems.tracking.faint_end import FAINT_STD, faint_part
 from sonoservo.systems.tracking.hidden_length import hidden_length
+from sonoservo.systems.tracking.line_contrast import best_stretches
 from sonoservo.systems.tracking.needle_blur import needle_blur
 
 _END_SHARE = 0.45
@@ -173,20 +174,6 @@ def axis_profile(
     )
 
 
-@njit(cache=True, nogil=True)
-def best_stretch(evidence: Any) -> Any:  # pragma: no cover - compiled
-    """Return the first and last index of the stretch with the largest sum (Kadane), or 0 and -1."""
-    first, last, best = 0, -1, 0.0
-    start, total = 0, 0.0
-    for i in range(len(evidence)):
-        if total <= 0:
-            start, total = i, 0.0
-        total += evidence[i]
-        if total > best:
-            first, last, best = start, i, total
-    return first, last
-
-
 def most_evident_stretch(
     contrast: NDArray[np.float64],
     seen: NDArray[np.bool_],
@@ -220,7 +207,7 @@ def most_evident_stretch(
     last index is below the first if there is no evidence for a needle.
     """
     evidence = np.where(seen, np.clip(contrast - neutral, -neutral, max_evidence), -neutral)
-    first, last = best_stretch(evidence)
+    (first,), (last,), _ = best_stretches(evidence[np.newaxis])
     return first, last, float(evidence[first : last + 1].sum()) * step
 
 

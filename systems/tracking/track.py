@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.signals.immutable import Immutable
-from sonoservo.systems.signals.insertion_detection import InsertionDetection
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.tracking.needle_filter import NeedleState
@@ -33,8 +32,6 @@ class Track(Immutable):
         Number of successive volumes that did not confirm the needle.
     since
         Time of the last confirmation, in s.
-    detections
-        First and last of successive detections; None if there is none.
     rejected
         Last measurement that failed the gate since the last confirmation.
     entry
@@ -58,7 +55,6 @@ class Track(Immutable):
     X_WP: RigidTransform | None = None
     missed: int = 0
     since: float = -np.inf
-    detections: tuple[InsertionDetection, InsertionDetection] | None = None
     rejected: NeedleMeasurement | None = None
     entry: NDArray[np.float64] | None = None
     innovation: float | None = None
