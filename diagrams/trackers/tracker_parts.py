@@ -7,7 +7,6 @@ from pydrake.systems.framework import DiagramBuilder
 
 from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.tracking.insertion_detector import InsertionDetector
-from sonoservo.systems.tracking.line_belief import BeliefParameters
 from sonoservo.systems.tracking.line_follower import LineFollower
 from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.tracking.needle_filter import NeedleFilter
@@ -85,8 +84,6 @@ class CommonTrackerParameters(TrackerParameters):
     start
         "search" to find a needle when it is pushed in; "anywhere" to look for one in the whole
         volume from the first volume on, so that the insertion need not be seen.
-    belief
-        What a user may choose about the belief that tells a needle from other lines.
     localizer
         Parameters of the localizer.
     track
@@ -94,7 +91,6 @@ class CommonTrackerParameters(TrackerParameters):
     """
 
     start: str = "search"
-    belief: BeliefParameters = field(default_factory=BeliefParameters)
     localizer: NeedleLocalizerParameters = field(default_factory=NeedleLocalizerParameters)
     track: TrackParameters = field(default_factory=TrackParameters)
 
@@ -154,7 +150,7 @@ def add_tracker_parts(
         manager=TrackManager(lifecycle=lifecycle, **events),
     )
     follower = builder.AddNamedSystem(
-        "line_follower", LineFollower(parameters=parameters.belief, period=period, offset=offset)
+        "line_follower", LineFollower(anywhere=lifecycle.anywhere, **events)
     )
     gate = builder.GetSubsystemByName(VOLUME_GATE)
     builder.Connect(gate.GetOutputPort("volume"), follower.GetInputPort("volume"))

@@ -31,8 +31,6 @@ class SearchRegion(Immutable):
         (3,) position of the entry in W, in m; None if it is unknown.
     tip_unseen
         Time since the tip was last seen, in s.
-    followed
-        Number of times that a newly found needle was followed towards the outside.
     """
 
     curve: NeedleCurve
@@ -43,7 +41,6 @@ class SearchRegion(Immutable):
     max_angle: float
     entry: NDArray[np.float64] | None = None
     tip_unseen: float = 0.0
-    followed: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,9 +177,8 @@ class LocalizationExplanation(Immutable):
     prediction
         Expected needle, or the reason why none was expected.
     attempts
-        Searches in the order in which they were made. There is one around a prediction, and one for
-        each time that a newly found needle was followed to the outside. There are several for a
-        needle that was lost or never seen.
+        Searches in the order in which they were made: one around a prediction, and another in a
+        narrow region if that failed; several for a needle that was lost or never seen.
     measurement
         Best result among the attempts, or the reason why there is none.
     probability

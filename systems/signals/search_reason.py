@@ -129,12 +129,6 @@ class SearchReason(Enum):
         "no bright line", "no bright line comes in from the side", _FAINT, _UNSEEN
     )
     NO_LINE = _Search("no line", "no line stands out as a needle does", _FAINT, _UNSEEN)
-    END_ONLY = _Search(
-        "only the end",
-        "only the end of a needle is seen",
-        "push the needle further in",
-        "let more of the needle come into view",
-    )
     NOT_AS_EXPECTED = _Search(
         "none of", "nothing lies where the needle is expected", _FAINT, _UNSEEN
     )

@@ -12,12 +12,10 @@ from .control_point_filter import ControlPointState as ControlPointState
 from .edge_velocimeter import EdgeVelocimeterParameters as EdgeVelocimeterParameters
 from .edge_velocimeter import measure_edge_velocity as measure_edge_velocity
 from .field_of_view import closest_face as closest_face
-from .field_of_view import closest_side as closest_side
 from .innovation_gate import innovation_distance as innovation_distance
 from .insertion_detector import InsertionDetector as InsertionDetector
 from .intensity_drop import intensity_drops as intensity_drops
 from .lifecycle import Lifecycle as Lifecycle
-from .line_belief import BeliefParameters as BeliefParameters
 from .line_belief import LineBelief as LineBelief
 from .line_belief import follow as follow
 from .line_follower import LineFollower as LineFollower

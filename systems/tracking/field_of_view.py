@@ -1,4 +1,4 @@
-"""Faces of the field of view, through which a needle may enter."""
+"""Faces of the field of view, through which a needle may enter (Chatelain 2013, section II-B)."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,37 +6,12 @@ from numpy.typing import NDArray
 from sonoservo.systems.signals.volume import Volume
 
 
-def closest_side(volume: Volume, p_P: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Project a position on the closest lateral or elevation side of the field of view.
-
-    A needle enters beside the probe, so the probe's face and the far end of the depth are no
-    candidates. If the volume knows its sweep, the sides are those of the swept sector. Otherwise
-    they are those of the voxels that were seen.
-
-    Parameters
-    ----------
-    volume
-        Volume whose field of view is used.
-    p_P
-        (3,) position in the probe frame, in m.
-
-    Returns
-    -------
-    (3,) projected position in the probe frame, in m.
-    """
-    return _closest(_faces(volume, p_P)[:4], p_P)
-
-
 def closest_face(volume: Volume, p_P: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Project a position on the closest of all six faces of the field of view.
+    """Project a position, (3,) in P, in m, on the closest of the six faces of the field of view.
 
-    This is the form of Chatelain 2013, section II-B. The probe's face and the far end of the depth
-    are candidates, too; see `closest_side` for the other four and for the arguments.
+    If the volume knows its sweep, they are those of the swept sector; if not, of what was seen.
     """
-    return _closest(_faces(volume, p_P), p_P)
-
-
-def _closest(faces: NDArray[np.float64], p_P: NDArray[np.float64]) -> NDArray[np.float64]:
+    faces = _faces(volume, p_P)
     return np.asarray(faces[np.argmin(np.linalg.norm(faces - p_P, axis=1))])
 
 

@@ -17,7 +17,6 @@ from scipy.special import expit
 from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.immutable import Immutable
 from sonoservo.systems.signals.line_hypotheses import LINE_CLASSES, LineHypotheses
-from sonoservo.systems.signals.requirements import require_positive
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.arrival import add_volume, advances, class_logs
 from sonoservo.systems.tracking.cells import Cells, cells_of, tissue_shift
@@ -69,30 +68,15 @@ _SAME, _OVERLAP, _BETTER = 3e-3, 10e-3, 4.0
 """Distance in m up to which the ends of two fits belong to one line, length in m by which its
 parts may be apart, and sum of contrasts in dB, of one bin, by which a better fit replaces it."""
 
-_KEPT, _LEAST_PROMINENCE = 0.8, 3.0
-"""Share of a line's prominence that lasts from volume to volume, and the least one."""
+_KEPT, _LEAST_PROMINENCE, _LINES, _JUDGED = 0.8, 3.0, 150, 40
+"""Share of a line's prominence that lasts from volume to volume, the least one, and the numbers of
+the most prominent lines that are followed, and that are judged by their looks."""
 
 _LAGS = (1, 4, 12)
 
 _SHIFTS = np.array([0.0, -3e-3, 3e-3])
 """Displacements in W along Z, in m, from which the tissue's is searched: breath is faster than its
 cells are large."""
-
-
-@dataclass(kw_only=True)
-class BeliefParameters:
-    """What a user may choose about the belief.
-
-    Parameters
-    ----------
-    lines
-        Largest number of lines that are followed.
-    """
-
-    lines: int = 150
-
-    def __post_init__(self) -> None:
-        require_positive(lines=self.lines)
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,9 +263,7 @@ class LineBelief(Immutable):
         )
 
 
-def follow(
-    belief: LineBelief, volume: Volume, parameters: BeliefParameters, *, look: bool = False
-) -> LineBelief:
+def follow(belief: LineBelief, volume: Volume, *, look: bool = False) -> LineBelief:
     """Return the belief after another volume.
 
     Parameters
@@ -290,8 +272,6 @@ def follow(
         Belief before it.
     volume
         Volume, later than the ones before.
-    parameters
-        What a user may choose.
     look
         Whether all prominent lines are judged by their looks, not only those that move like a
         needle.
@@ -307,7 +287,7 @@ def follow(
     lines = _look_on(belief.lines, memory, len(appearing))
     born = belief.born
     lines, born = _add_fits(lines, fitted_lines(volume, memory[-1].cells), memory, born)
-    order = np.argsort(-lines.prominence, kind="stable")[: parameters.lines]
+    order = np.argsort(-lines.prominence, kind="stable")[:_LINES]
     lines = lines.take(order[lines.prominence[order] >= _LEAST_PROMINENCE])
     if len(lines):
         seconds = (memory[-1].volume.time - memory[0].volume.time) / max(len(memory) - 1, 1)
@@ -487,11 +467,11 @@ def _backwards(lines: Lines) -> NDArray[np.bool_]:
 def _judged(lines: Lines, newest: Remembered, look: bool) -> Lines:
     """Return lines with the looks of those that move like a needle, or of all prominent ones."""
     needle = np.logaddexp(lines.classes[:, 0], lines.classes[:, 1])
-    judged = np.flatnonzero(needle > np.log(0.1)) if not look else np.arange(min(len(lines), 40))
+    judged = np.arange(len(lines)) < _JUDGED if look else needle > np.log(0.1)
     looks, looked = lines.looks.copy(), lines.looked.copy()
     ends = newest.in_image(_seen_ends(lines).reshape(-1, 3)).reshape(-1, 2, 3)
     backwards = _backwards(lines)
-    for n in judged:
+    for n in np.flatnonzero(judged):
         odds = log_odds(newest.volume, ends[n, ::-1] if backwards[n] else ends[n])
         if odds is not None:
             looks[n] += np.clip(odds, *_MOST_LOOKS)

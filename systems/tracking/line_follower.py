@@ -7,8 +7,9 @@ from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.ports import evaluate
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
+from sonoservo.systems.signals.search_reason import SearchReason
 from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.tracking.line_belief import BeliefParameters, LineBelief, follow
+from sonoservo.systems.tracking.line_belief import LineBelief, follow
 
 
 class LineFollower(LeafSystem):
@@ -31,10 +32,9 @@ class LineFollower(LeafSystem):
 
     Parameters
     ----------
-    parameters
-        What a user may choose about the belief.
-    looks
-        Whether lines at rest are judged by their looks, too.
+    anywhere
+        Whether lines at rest are judged by their looks from the first volume on. If not, they are
+        while a needle is lost.
     period, offset
         Period and offset of the event, in s.
     """
@@ -42,15 +42,14 @@ class LineFollower(LeafSystem):
     def __init__(
         self,
         *,
-        parameters: BeliefParameters | None = None,
-        looks: bool = True,
+        anywhere: bool = False,
         period: float,
         offset: float = 0.0,
     ) -> None:
         super().__init__()
         require_positive(period=period)
         require_not_negative(offset=offset)
-        self._parameters, self._looks = parameters or BeliefParameters(), looks
+        self._anywhere = anywhere
         for name in ("volume", "estimate"):
             self.DeclareAbstractInputPort(name, Value[object]())
         self._belief = self.DeclareAbstractState(Value[object](LineBelief()))
@@ -71,21 +70,21 @@ class LineFollower(LeafSystem):
             output.set_value(volume)
         elif volume.time <= belief.time:
             output.set_value(belief)
-        elif self._is_followed(context):
-            output.set_value(belief.unread_after(volume))
         else:
-            output.set_value(follow(belief, volume, self._parameters, look=self._looks))
+            output.set_value(self._followed(context, belief, volume))
 
-    def _is_followed(self, context: Context) -> bool:
-        if not self.GetInputPort("estimate").HasValue(context):
-            return False
-        estimate = evaluate(self, context, "estimate", NeedleEstimate)
-        return estimate.mode in (TrackingMode.TRACKING, TrackingMode.COASTING)
+    def _followed(self, context: Context, belief: LineBelief, volume: Volume) -> LineBelief:
+        mode = TrackingMode.SEARCHING
+        if self.GetInputPort("estimate").HasValue(context):
+            mode = evaluate(self, context, "estimate", NeedleEstimate).mode
+        if mode in (TrackingMode.TRACKING, TrackingMode.COASTING):
+            return belief.unread_after(volume)
+        return follow(belief, volume, look=self._anywhere or mode == TrackingMode.LOST)
 
     def _calc_lines(self, context: Context, output: Value) -> None:
         belief = self._after.Eval(context)
         if isinstance(belief, LineBelief):
-            followed = NotFound("a needle is being tracked")
+            followed = NotFound(SearchReason.TRACKED())
             belief = followed if belief.unread else belief.hypotheses
         output.set_value(belief)
 

@@ -32,7 +32,7 @@ class NeedleLocalizerParameters:
     min_shaft
         Visible length that suffices whatever its share, in m.
     search_reach
-        Distance to search outwards for the rest of a needle of which only the end was found, in m.
+        Distance to search outwards along a line for its entry, in m.
     min_probability
         Smallest probability at which a line in the whole volume counts as a needle.
     min_inlier_ratio

@@ -24,21 +24,15 @@ from sonoservo.systems.tracking.ransac import ransac_axis
 from sonoservo.systems.tracking.search_region import (
     EVERYWHERE,
     fades_before_tip,
-    outer_region,
     turns_too_far,
 )
 from sonoservo.systems.tracking.tip import axis_profile, find_extent
 
 T = TypeVar("T")
-Attempts = list[LocalizationAttempt]
 
 
 class _AbsentError(Exception):
     """Ends an attempt without a needle, for the reason given."""
-
-
-class _LongerError(Exception):
-    """Ends an attempt because the needle continues towards the outside, in the region given."""
 
 
 def _expect(value: T | NotFound) -> T:
@@ -53,37 +47,14 @@ def localize_in_region(
     region: SearchRegion,
     parameters: NeedleLocalizerParameters,
     rng: np.random.Generator,
-) -> Attempts:
-    """Localize the needle in a region of a volume, and follow it outwards.
-
-    Parameters
-    ----------
-    volume
-        Volume to search.
-    region
-        Region of it, in W.
-    parameters
-        Thresholds.
-    rng
-        Generator that draws the samples.
-
-    Returns
-    -------
-    Attempts in order; the last one has the result.
-    """
-    attempts: Attempts = []
-    following: SearchRegion | None = region
-    while following is not None:
-        looked: dict[str, Any] = {}
-        region, following = following, None
-        try:
-            result: NeedleMeasurement | NotFound = _attempt(volume, region, parameters, rng, looked)
-        except _AbsentError as absent:
-            result = NotFound(str(absent))
-        except _LongerError as longer:
-            result, following = NotFound("only the end of a needle was found"), longer.args[0]
-        attempts.append(LocalizationAttempt(region, result, **looked))
-    return attempts
+) -> LocalizationAttempt:
+    """Localize the needle in a region of a volume; ``rng`` draws the samples."""
+    looked: dict[str, Any] = {}
+    try:
+        result: NeedleMeasurement | NotFound = _attempt(volume, region, parameters, rng, looked)
+    except _AbsentError as absent:
+        result = NotFound(absent.args[0])
+    return LocalizationAttempt(region, result, **looked)
 
 
 def _attempt(
@@ -112,15 +83,6 @@ def _attempt(
     extent = _extent(volume, region, parameters, rough, looked)
     fit = _refit(points, weights, parameters, rough, extent)
     extent = _extent(volume, region, parameters, fit, looked)
-    longer = False
-    if region.entry is not None:
-        # A probe that follows a needle on its way out sees more of it than its known entry.
-        known = float(fit.axis.abscissa(region.entry))
-        longer = (
-            extent.tip - known < parameters.min_length and known - extent.start > region.before / 2
-        )
-    if longer:
-        raise _LongerError(_expect(outer_region(region, fit.axis, extent, parameters)))
     if turns_too_far(region, fit.axis, extent, parameters):
         raise _AbsentError("too little of a needle is visible to show that it turned")
     inliers, between = _inliers(points, parameters, fit, extent)
@@ -220,7 +182,12 @@ def _judge(
         raise _AbsentError(f"only {100 * ratio:.0f} % of the candidates lie on the axis")
     if extent.evidence < parameters.min_evidence:
         raise _AbsentError("the axis stands out too little from the background")
-    start = extent.start if region.entry is None else float(fit.axis.abscissa(region.entry))
+    start = extent.start
+    if region.entry is not None:
+        known = float(fit.axis.abscissa(region.entry))
+        # A probe that follows a needle on its way out sees more of it than its known entry.
+        outside = extent.tip - known < parameters.min_length and known - start > region.before / 2
+        start = start if outside else known
     fades = fades_before_tip(region, fit.axis, extent, parameters)
     tip = float(fit.axis.abscissa(region.curve.tip)) if fades else extent.tip
     if extent.tip - start < parameters.min_length:

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.localization_explanation import NeedleExtent, SearchRegion
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
@@ -164,26 +163,3 @@ def fades_before_tip(
     else:
         doubtful |= extent.end_std > parameters.faded_std
     return short > parameters.margin and doubtful
-
-
-def outer_region(
-    region: SearchRegion, axis: Axis, extent: NeedleExtent, parameters: NeedleLocalizerParameters
-) -> SearchRegion | NotFound:
-    """Return the region for the rest of a needle if only its end was found.
-
-    If a needle moves fast, only its new part stands out at first. It is followed towards the
-    outside as long as it continues.
-    """
-    before = axis.abscissa(region.curve.entry) - extent.start
-    if region.followed > 0 and before < parameters.min_length:
-        return NotFound("the line found does not come from outside the field of view")
-    ends = np.linspace(extent.start, extent.tip, region.curve.order)
-    return SearchRegion(
-        curve=NeedleCurve(axis.position(ends)),
-        radius=2 * parameters.margin,
-        before=parameters.search_reach,
-        beyond=parameters.margin,
-        shaft_beyond=0.0,
-        max_angle=math.radians(2 * parameters.max_angle_deg),
-        followed=region.followed + 1,
-    )

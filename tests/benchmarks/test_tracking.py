@@ -15,7 +15,7 @@ from sonoservo.diagrams.papers.zhao2012.tracking import BMode, Tracking
 from sonoservo.systems.shape.normalized_cross_correlation import normalized_cross_correlation
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
-from sonoservo.systems.tracking.line_belief import BeliefParameters, LineBelief, follow
+from sonoservo.systems.tracking.line_belief import LineBelief, follow
 from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.tracking.pipeline import localize
 from sonoservo.systems.tracking.ransac import ransac_axis
@@ -47,8 +47,8 @@ def volumes():
 
 def test_follow(benchmark, volumes):
     before, volume = volumes
-    belief = follow(LineBelief(), before, BeliefParameters())
-    after = benchmark(lambda: follow(belief, volume, BeliefParameters()))
+    belief = follow(LineBelief(), before)
+    after = benchmark(lambda: follow(belief, volume))
     assert after.hypotheses
     compare(benchmark, "the paper's acquisition, 175 ms a volume", 0.175)
 

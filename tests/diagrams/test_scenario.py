@@ -102,8 +102,8 @@ def test_as_published_keeps_the_tracker_of_the_file(tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_text("tracker: {kind: chatelain2013_as_published, order: 3}\n")
     assert load_scenario(path, as_published=True).tracker.order == 3
-    path.write_text("tracker: {belief: {lines: 9}}\n")
-    with pytest.raises(ConfigurationError, match=r"tracker.belief: unknown field"):
+    path.write_text("tracker: {track: {act: 0.9}}\n")
+    with pytest.raises(ConfigurationError, match=r"tracker.track: unknown field"):
         load_scenario(path, as_published=True)
 
 

@@ -14,7 +14,7 @@ from sonoservo.systems.signals.line_hypotheses import LINE_CLASSES
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.tracking.line_belief import BeliefParameters, LineBelief, follow
+from sonoservo.systems.tracking.line_belief import LineBelief, follow
 from sonoservo.systems.tracking.line_follower import LineFollower
 
 START = np.array([-0.025, 0.03, 0.02])
@@ -22,7 +22,6 @@ K = np.array([0.92, 0.25, 0.3]) / np.linalg.norm([0.92, 0.25, 0.3])
 WIRE = np.array([[0.0, 0.05, 0.045], [0.055, 0.053, 0.03]])
 COUNT, PERIOD, SPEED = 18, 0.3, 9e-3
 SPACING, SHAPE = 1.2e-3, (56, 50, 50)
-PARAMETERS = BeliefParameters(lines=30)
 
 
 def pushed(time):
@@ -59,7 +58,7 @@ def volumes(needle, moving):
 def followed(images):
     belief = LineBelief()
     for each in images:
-        belief = follow(belief, each, PARAMETERS)
+        belief = follow(belief, each)
     return belief
 
 
@@ -113,7 +112,7 @@ def test_what_was_not_read_is_looked_up_later():
     assert not belief.hypotheses
     sure = []
     for start in (belief, LineBelief()):
-        lines = follow(start, images[-1], PARAMETERS).hypotheses
+        lines = follow(start, images[-1]).hypotheses
         wire = along(lines, *WIRE)
         sure.append(lines.classes[wire, LINE_CLASSES.index("resting")].max())
     assert sure[0] > sure[1]
@@ -125,7 +124,7 @@ def test_before_any_volume_there_are_no_lines():
 
 
 def test_leaf_follows_only_while_nothing_is_tracked():
-    leaf = LineFollower(parameters=PARAMETERS, period=1.0)
+    leaf = LineFollower(period=1.0)
     context = leaf.CreateDefaultContext()
     fix = lambda port, value: leaf.GetInputPort(port).FixValue(context, Value[object](value))  # noqa: E731
     lines = lambda: leaf.GetOutputPort("lines").Eval(context)  # noqa: E731
@@ -152,8 +151,3 @@ def test_leaf_follows_only_while_nothing_is_tracked():
     belief = leaf.GetOutputPort("belief").Eval(context)
     assert [each.time for each in belief.unread] == [v.time for v in volumes(False, False)[:3]]
     assert len(belief.lines) == 0
-
-
-def test_parameters_are_checked():
-    with pytest.raises(ValueError, match="lines"):
-        BeliefParameters(lines=0)

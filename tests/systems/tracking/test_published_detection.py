@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from synthetic_volumes import GEOMETRY, Scene, entry_on_side
 
-from sonoservo.systems.tracking.field_of_view import closest_face, closest_side
+from sonoservo.systems.tracking.field_of_view import closest_face
 from sonoservo.systems.tracking.published_detection import (
     PublishedDetectionParameters,
     detect_as_published,
@@ -57,8 +57,7 @@ def test_nothing_moved(before):
 
 
 @pytest.mark.parametrize("motion", [True, False])
-def test_probe_and_far_end_are_faces_too(before, motion):
-    """Where our detector looks aside, the published one takes the face for the entry."""
+def test_probe_and_far_end_are_faces(before, motion):
     volume = before if motion else dataclasses.replace(before, motion=None)
     middle = GEOMETRY.position(12, 48, 8, 1)
     face = closest_face(volume, middle)
@@ -74,14 +73,14 @@ def test_side_of_the_sector(line, direction):
     volume = SCENE.volume(direction)
     on_side = GEOMETRY.position(12, line, 150, volume.motion.direction)
     inside = GEOMETRY.position(12, abs(line - 5), 150, volume.motion.direction)
-    np.testing.assert_allclose(closest_side(volume, inside), on_side, atol=1e-9)
+    np.testing.assert_allclose(closest_face(volume, inside), on_side, atol=1e-9)
 
 
 def test_side_of_a_sector_of_unknown_motion_is_where_its_voxels_end(before):
     volume = dataclasses.replace(before, motion=None)
     on_side = GEOMETRY.position(12, 0, 150, 1)
     inside = GEOMETRY.position(12, 5, 150, 1)
-    side = closest_side(volume, inside)
+    side = closest_face(volume, inside)
     # Along X, not along the arc: from 5 lines within, that is nearly the same.
     assert np.linalg.norm(side - on_side) < 3e-3
     np.testing.assert_allclose(side[1:], inside[1:])
@@ -92,4 +91,4 @@ def test_side_of_a_volume_of_unknown_origin(before):
     volume = dataclasses.replace(before, motion=None, intensities=filled)
     p = volume.position(np.array(volume.intensities.shape) / 2)
     p[2] = volume.upper[2] - 1e-3
-    np.testing.assert_allclose(closest_side(volume, p), [p[0], p[1], volume.upper[2]])
+    np.testing.assert_allclose(closest_face(volume, p), [p[0], p[1], volume.upper[2]])
