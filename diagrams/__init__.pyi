@@ -19,9 +19,9 @@ from .assembly import load_probe_body as load_probe_body
 from .calibrated_tracker import MakeCalibratedTracker as MakeCalibratedTracker
 from .experiments.experiment import Experiment as Experiment
 from .experiments.following import FollowingExperiment as FollowingExperiment
-from .experiments.following_events import tracker_events as tracker_events
 from .experiments.following_insertion import make_insertion as make_insertion
 from .experiments.following_scenario import FollowingScenario as FollowingScenario
+from .experiments.following_scene import tracker_events as tracker_events
 from .experiments.registry import list_scenarios as list_scenarios
 from .experiments.registry import load_scenario as load_scenario
 from .experiments.registry import make_experiment as make_experiment
@@ -30,7 +30,6 @@ from .experiments.shape_prediction_scenario import (
     ShapePredictionScenario as ShapePredictionScenario,
 )
 from .needle_tracker import MakeNeedleTracker as MakeNeedleTracker
-from .needle_tracker import track as track
 from .probe_controller import MakeProbeController as MakeProbeController
 from .probe_controller import ProbeControllerParameters as ProbeControllerParameters
 from .scenario import Scenario as Scenario
@@ -44,6 +43,7 @@ from .station import ProbePlacement as ProbePlacement
 from .station import StationParameters as StationParameters
 from .station import check_reach as check_reach
 from .station import start_posture as start_posture
+from .tracker_bench import track as track
 from .trackers.chatelain2013 import Chatelain2013TrackerParameters as Chatelain2013TrackerParameters
 from .trackers.zhao2012 import Zhao2012TrackerParameters as Zhao2012TrackerParameters
 from .wiring import connect_by_name as connect_by_name

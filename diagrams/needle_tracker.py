@@ -1,18 +1,12 @@
 """Needle trackers: diagrams that turn volumes into an estimate of the needle."""
 
-from collections.abc import Iterable, Iterator
-from pathlib import Path
-from typing import cast
-
-from pydrake.common.value import Value
-from pydrake.systems.framework import Context, Diagram, System
+from pydrake.systems.framework import Diagram, DiagramBuilder, System
 
 from sonoservo.diagrams.trackers.chatelain2013 import Chatelain2013TrackerParameters
 from sonoservo.diagrams.trackers.registry import TRACKERS
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
+from sonoservo.systems.calibration.pose_corrector import PoseCorrector
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate
-from sonoservo.systems.signals.volume import Volume
 
 
 def MakeNeedleTracker(
@@ -21,6 +15,7 @@ def MakeNeedleTracker(
     period: float,
     offset: float = 0.0,
     seed: int = 0,
+    correct_poses: bool = False,
 ) -> Diagram:
     """Make a needle tracker.
 
@@ -35,11 +30,15 @@ def MakeNeedleTracker(
         - detection
         - explanation
         - volume_check
+        - corrected_volume (if it corrects poses)
+        - pose_errors (if it corrects poses)
 
     ``volume`` is a `Volume`, or a `NotFound` while there is none; ``estimate`` a `NeedleEstimate`.
     ``measurement`` and ``detection`` are those of the last update, for a log. ``explanation`` is
     the `LocalizationExplanation` of the volume at the input, computed on demand.
     ``volume_check`` is the `VolumeCheck` of all volumes so far; refused volumes are not tracked.
+    ``corrected_volume`` and ``pose_errors`` are those of a `PoseCorrector`; estimates then hold in
+    W for the poses of the corrected volume.
 
     Parameters
     ----------
@@ -49,6 +48,8 @@ def MakeNeedleTracker(
         Period and offset of the events at which it looks for a new volume, in s.
     seed
         Seed of every random choice.
+    correct_poses
+        Whether a `PoseCorrector` first corrects the poses of the volumes.
     """
     parameters = parameters or Chatelain2013TrackerParameters()
     diagram = TRACKERS[type(parameters)](
@@ -57,8 +58,25 @@ def MakeNeedleTracker(
         offset=offset,
         seed=seed,
     )
+    if correct_poses:
+        diagram = _calibrated(diagram, PoseCorrector(period=period, offset=offset))
     diagram.set_name("needle_tracker")
     return diagram
+
+
+def _calibrated(tracker: Diagram, corrector: PoseCorrector) -> Diagram:
+    """Return a tracker behind a corrector of poses, with the output ports of both."""
+    builder = DiagramBuilder()
+    builder.AddNamedSystem("pose_corrector", corrector)
+    builder.AddNamedSystem("needle_tracker", tracker)
+    builder.Connect(corrector.GetOutputPort("volume"), tracker.GetInputPort("volume"))
+    builder.ExportInput(corrector.GetInputPort("volume"), "volume")
+    for i in range(tracker.num_output_ports()):
+        port = tracker.get_output_port(i)
+        builder.ExportOutput(port, port.get_name())
+    builder.ExportOutput(corrector.GetOutputPort("volume"), "corrected_volume")
+    builder.ExportOutput(corrector.GetOutputPort("pose_errors"), "pose_errors")
+    return builder.Build()
 
 
 def require_tracker(tracker: object) -> System | None:
@@ -86,72 +104,3 @@ def require_tracker(tracker: object) -> System | None:
                 "and the output 'estimate'"
             )
     return tracker
-
-
-def track(
-    volumes: Iterable[Volume],
-    *,
-    parameters: TrackerParameters | None = None,
-    seed: int = 0,
-) -> Iterator[NeedleEstimate]:
-    """Track a needle through volumes in order of time, without a simulation.
-
-    Each estimate is available as soon as its volume is, so the volumes may come from a live
-    scanner.
-
-    Parameters
-    ----------
-    volumes
-        Volumes from any source.
-    parameters
-        Parameters of the tracker.
-    seed
-        Seed of every random choice.
-
-    Returns
-    -------
-    An iterator over the estimates, one after each volume.
-
-    Raises
-    ------
-    ConfigurationError
-        If an argument is of another type.
-    """
-    if isinstance(volumes, str | Path):
-        raise ConfigurationError(
-            f"volumes: {str(volumes)!r} is one path; expected Volume objects. "
-            "track_recording(Recording(path)) tracks the volumes of a file"
-        )
-    if not isinstance(parameters, TrackerParameters | None):
-        raise ConfigurationError(
-            f"parameters: a value of type {type(parameters).__name__}; expected those of a "
-            'tracker, such as tracker_parameters(start="anywhere")'
-        )
-    return _track(volumes, parameters, seed)
-
-
-def _track(
-    volumes: Iterable[Volume], parameters: TrackerParameters | None, seed: int
-) -> Iterator[NeedleEstimate]:
-    tracker = MakeNeedleTracker(parameters=parameters, period=1.0, seed=seed)
-    context = tracker.CreateDefaultContext()
-    for volume in volumes:
-        yield track_volume(tracker, context, volume)
-
-
-def track_volume(tracker: System, context: Context, volume: Volume) -> NeedleEstimate:
-    """Give a tracker its next volume, outside a simulation, and return the estimate.
-
-    Parameters
-    ----------
-    tracker
-        System with the input volume and the output estimate.
-    context
-        Context of the tracker, which this changes.
-    volume
-        Next volume.
-    """
-    # Time does not advance, so an event is forced.
-    tracker.GetInputPort("volume").FixValue(context, Value[object](volume))
-    tracker.ExecuteForcedEvents(context)
-    return cast(NeedleEstimate, tracker.GetOutputPort("estimate").Eval(context))

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.framework import Diagram, DiagramBuilder, System
 
 from sonoservo.diagrams.assembly import ARM, PROBE, assemble_arm
 from sonoservo.systems.control.controller_schedule import ControllerSettings
@@ -108,6 +108,7 @@ def MakeProbeController(
     surface: Sequence[float] = (),
     X_PC: RigidTransform | None = None,
     mass_error: float = 0.0,
+    search: System | None = None,
 ) -> Diagram:
     """Make the controller of the probe.
 
@@ -153,6 +154,9 @@ def MakeProbeController(
         default they are the same.
     mass_error
         Relative error of the probe's mass as the controller knows it.
+    search
+        System between servo and kinematics that moves the probe while no needle is followed, with
+        the inputs planar_velocity, estimate and X_WP and the output moving_velocity.
     """
     held, torque_error = assemble_arm(arm, probe, X_PC), load_arm(arm).torque_error
     if not torque_error:
@@ -184,10 +188,19 @@ def MakeProbeController(
             time_step=parameters.time_step,
         ),
     )
-    for output, block in (("planar_velocity", servo), ("approach_velocity", force)):
-        builder.Connect(block.GetOutputPort(output), kinematics.GetInputPort(output))
     builder.ExportInput(servo.GetInputPort("estimate"), "estimate")
     builder.ExportInput(servo.GetInputPort("X_WP"), "X_WP")
+    planar_velocity = servo.GetOutputPort("planar_velocity")
+    if search is not None:
+        builder.AddNamedSystem("search", search)
+        builder.Connect(planar_velocity, search.GetInputPort("planar_velocity"))
+        for name in ("estimate", "X_WP"):
+            builder.ConnectInput(name, search.GetInputPort(name))
+        planar_velocity = search.GetOutputPort("moving_velocity")
+    builder.Connect(planar_velocity, kinematics.GetInputPort("planar_velocity"))
+    builder.Connect(
+        force.GetOutputPort("approach_velocity"), kinematics.GetInputPort("approach_velocity")
+    )
     builder.ConnectInput("X_WP", force.GetInputPort("X_WP"))
     builder.ExportInput(force.GetInputPort("wrist_force"), "wrist_force")
     builder.ExportInput(kinematics.GetInputPort("joint_state"), "joint_state")

@@ -33,7 +33,7 @@ def compile_scanner() -> None:
 
 def compile_tracker() -> None:
     """Compile detection and localization: track a line that grows in noise, straight and bent."""
-    from sonoservo.diagrams.needle_tracker import track
+    from sonoservo.diagrams.tracker_bench import track
     from sonoservo.diagrams.trackers.chatelain2013 import Chatelain2013TrackerParameters
 
     volumes = list(_volumes())

@@ -2,7 +2,7 @@
 
 import base64
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -13,10 +13,9 @@ from pydrake.math import RigidTransform
 
 from sonoservo.diagrams.experiments.following_insertion import make_insertion
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
-from sonoservo.diagrams.experiments.following_tissue import scanned_deformations
 from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.diagrams.scenario import Scenario, require_scenario
-from sonoservo.diagrams.seeds import draw_seeds
+from sonoservo.diagrams.scene import Scene
 from sonoservo.systems.evaluation.reports.plots import png
 from sonoservo.systems.evaluation.reports.scan_sheet import scan_sheet
 from sonoservo.systems.files.refusals import ConfigurationError
@@ -27,10 +26,6 @@ from sonoservo.systems.signals.requirements import require_not_negative
 from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
-from sonoservo.systems.ultrasound.simulation.acquisition import acquire_sweep
-from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
-from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
-from sonoservo.systems.ultrasound.transducer import load_transducer
 
 _INDENTATION = 4e-3
 """Indentation of the phantom by a dome of 40 mm radius at 2 N, in m."""
@@ -113,29 +108,20 @@ def _scan(
     X_TP: RigidTransform | None,
     velocity: Sequence[float],
 ) -> Scan:
-    seeds = draw_seeds(scenario)
     insertion = make_insertion(scenario)
+    scene = Scene.of(scenario, insertion, reaction=scenario.tissue_reaction)
     if time is None:
         time = float(max(np.linspace(0, scenario.duration, 200), key=insertion.depth))
     require_not_negative(time=time)
-    tissue = load_tissue(scenario.phantom).placed(insertion.entry, insertion.direction)
-    renderer = SweepRenderer(
-        transducer=load_transducer(scenario.probe),
-        imaging=scenario.imaging,
-        tissue=replace(tissue, seed=seeds.tissue),
-        parameters=scenario.scanner,
-        seed=seeds.noise,
-    )
-    geometry, station = renderer.geometry, scenario.station
+    geometry, station = scene.geometry, scenario.station
     middle = geometry.frames // 2
     times = geometry.frame_times(time, since=middle)
-    needles = [insertion.needle(float(each)) for each in times]
-    needle = needles[middle]
     breathing = scenario.phantom_motion.breathing
     X_WT = RigidTransform(breathing.displacement(time)) @ station.X_WT
     if X_TP is None:
+        needle = insertion.needle(time)
         x, y = needle.tip[:2] if needle else (None, None)
-        pose = station.probe_pose(x=x, y=y, height=-_INDENTATION, surface=tissue.surface)
+        pose = station.probe_pose(x=x, y=y, height=-_INDENTATION, surface=scene.tissue.surface)
         X_TP = station.X_WT.InvertAndCompose(pose)
     poses = np.tile(np.eye(4), (geometry.frames, 1, 1))
     poses[:, :3, 3] = (times - time)[:, np.newaxis] * np.array(velocity)
@@ -143,11 +129,7 @@ def _scan(
     motion = SweepMotion(geometry, 1, times, X_WT.GetAsMatrix4() @ poses)
     away = [breathing.displacement(float(each)) for each in times]
     poses[:, :3, 3] += breathing.displacement(time) - np.array(away)
-    deformations = scanned_deformations(scenario, insertion, times, poses)
-    if deformations is not None:
-        pairs = zip(deformations, needles, strict=True)
-        needles = [each.moved_needle(needle) for each, needle in pairs]
-    sweep = acquire_sweep(renderer, motion, needles, X_TP=poses, deformations=deformations)
+    acquired = scene.acquire(motion, poses)
     parameters = scenario.scan_conversion
     conversion = ScanConversion(
         geometry,
@@ -155,9 +137,9 @@ def _scan(
         compensate_motion=parameters.compensate_motion,
     )
     return Scan(
-        sweep,
-        conversion(sweep),
-        needles[middle].transformed(X_WT),
+        acquired.sweep,
+        conversion(acquired.sweep),
+        acquired.needles[middle].transformed(X_WT),
         caption=_caption(geometry, scenario),
     )
 

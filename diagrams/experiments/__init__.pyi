@@ -1,9 +1,8 @@
 from .experiment import Experiment as Experiment
 from .following import FollowingExperiment as FollowingExperiment
-from .following_events import tracker_events as tracker_events
 from .following_insertion import make_insertion as make_insertion
 from .following_scenario import FollowingScenario as FollowingScenario
-from .following_tissue import MakeReactingTissue as MakeReactingTissue
+from .following_scene import tracker_events as tracker_events
 from .registry import describe_scenarios as describe_scenarios
 from .registry import experiment_class as experiment_class
 from .registry import list_scenarios as list_scenarios

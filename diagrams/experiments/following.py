@@ -12,26 +12,21 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.framework import System
 
 from sonoservo.diagrams.experiments.experiment import Experiment
-from sonoservo.diagrams.experiments.following_events import (
-    is_irregular,
+from sonoservo.diagrams.experiments.following_insertion import check_followed
+from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams.experiments.following_scene import (
+    imaging_systems,
+    make_scene,
     observer_events,
+    planned_sources,
     recording_settings,
     tracker_events,
 )
-from sonoservo.diagrams.experiments.following_insertion import (
-    check_beside_probe,
-    check_entry,
-    check_followed,
-    make_insertion,
-)
-from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
-from sonoservo.diagrams.experiments.following_sources import planned_sources
-from sonoservo.diagrams.experiments.following_tissue import with_tissue_reaction
 from sonoservo.diagrams.experiments.scenario_words import following_words
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, require_tracker
 from sonoservo.diagrams.probe_controller import MakeProbeController
 from sonoservo.diagrams.scenario import Scenario, require_scenario
-from sonoservo.diagrams.seeds import draw_seeds, make_tissue
+from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.diagrams.station import MakeStation
 from sonoservo.systems.control.operator_settings import OperatorSettings
 from sonoservo.systems.display.console.console_feed import ConsoleFeed
@@ -58,10 +53,6 @@ from sonoservo.systems.robot.errors.calibration import hand_eye_error
 from sonoservo.systems.signals.guard_status import GuardState, GuardStatus
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.requirements import require
-from sonoservo.systems.ultrasound.imaging import sweep_geometry
-from sonoservo.systems.ultrasound.scan_converter import ScanConverter
-from sonoservo.systems.ultrasound.simulation.scanner import Scanner
-from sonoservo.systems.ultrasound.transducer import load_transducer
 
 if TYPE_CHECKING:
     from sonoservo.systems.display.console.console import Console
@@ -109,6 +100,8 @@ class FollowingExperiment(Experiment[FollowingScenario]):
     observers
         Observing systems without outputs, by name, such as senders of a live connection.
         `observer_events` returns the times at which they should look for a volume.
+    search
+        System that moves the probe while no needle is followed; see `MakeProbeController`.
 
     Raises
     ------
@@ -139,17 +132,14 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         explain: Path | None = None,
         pictures: bool = False,
         observers: Mapping[str, System] | None = None,
+        search: System | None = None,
     ) -> None:
         scenario = require_scenario(scenario, FollowingScenario)
         seeds = draw_seeds(scenario)
-        transducer = load_transducer(scenario.probe)
-        insertion = make_insertion(scenario)
-        tissue = make_tissue(scenario, scenario.phantom, insertion)
-        geometry = sweep_geometry(transducer, scenario.imaging)
-        check_entry(scenario, tissue.surface)
-        check_beside_probe(scenario, insertion, tissue.surface)
+        scene = make_scene(scenario)
+        geometry = scene.geometry
         if scenario.controller.visual_servo.gain > 0:
-            check_followed(scenario, insertion, tissue.surface)
+            check_followed(scenario, scene.insertion, scene.tissue.surface)
         events = tracker_events(scenario)
         period, offset = events["period"], events["offset"]
         a_moment_later = observer_events(scenario)
@@ -165,15 +155,8 @@ class FollowingExperiment(Experiment[FollowingScenario]):
             seed=seeds.station,
             meshcat=meshcat,
         )
-        self.scanner = Scanner(
-            transducer=transducer,
-            imaging=scenario.imaging,
-            tissue=tissue,
-            parameters=scenario.scanner,
-            seed=seeds.noise,
-            processing_time=scenario.processing_time if is_irregular(scenario, geometry) else 0.0,
-        )
-        self.scan_converter = ScanConverter(geometry=geometry, parameters=scenario.scan_conversion)
+        imaging = imaging_systems(scenario, scene)
+        self.scanner, self.scan_converter = imaging["scanner"], imaging["scan_converter"]
         self.needle_tracker = require_tracker(tracker) or MakeNeedleTracker(
             parameters=scenario.tracker,
             period=period,
@@ -187,6 +170,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
             surface=scenario.station.phantom_position,
             X_PC=hand_eye_error(scenario.station.calibration, seeds.station),
             mass_error=scenario.station.calibration.probe_mass,
+            search=search,
         )
         self.run_logger = RunLogger(
             volume_period=period,
@@ -195,14 +179,13 @@ class FollowingExperiment(Experiment[FollowingScenario]):
             geometry=geometry,
         )
         if sources is None:
-            sources = planned_sources(scenario, insertion, console)
+            sources = planned_sources(scenario, scene.insertion, console)
         self._settings = sources["controller_settings"]
-        sources = with_tissue_reaction(scenario, sources)
+        sources = scene.reacting(sources)
         systems: dict[str, System] = {
             "station": self.station,
             **sources,
-            "scanner": self.scanner,
-            "scan_converter": self.scan_converter,
+            **imaging,
             "needle_tracker": self.needle_tracker,
             "probe_controller": self.probe_controller,
             "run_logger": self.run_logger,

@@ -16,7 +16,8 @@ from sonoservo.diagrams.experiments.experiment import INSTANT, Experiment
 from sonoservo.diagrams.experiments.scenario_words import shape_words
 from sonoservo.diagrams.experiments.shape_prediction_scenario import ShapePredictionScenario
 from sonoservo.diagrams.scenario import Scenario, require_scenario
-from sonoservo.diagrams.seeds import draw_seeds, make_tissue
+from sonoservo.diagrams.scene import Scene
+from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.diagrams.shape_predictor import MakeShapePredictor
 from sonoservo.systems.display.world.shape_view import ShapeView
 from sonoservo.systems.evaluation.log import Row
@@ -48,9 +49,7 @@ from sonoservo.systems.signals.image_slice import ImageSlice
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_shape import NeedleShape
 from sonoservo.systems.signals.requirements import require
-from sonoservo.systems.ultrasound.simulation.scanner import Scanner
 from sonoservo.systems.ultrasound.slice_converter import SliceConverter
-from sonoservo.systems.ultrasound.transducer import load_transducer
 
 Floats = NDArray[np.float64]
 
@@ -97,7 +96,9 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
         feed = replace(scenario.feed, depth=scenario.depth)
         hand = replace(scenario.hand, feed=feed, rotations=scenario.rotations)
         self.insertion = Insertion(hand, np.random.default_rng(seeds.insertion))
-        tissue = make_tissue(scenario, scenario.phantom, self.insertion)
+        imaging = replace(scenario.imaging, volume_rate=1 / scenario.period, frames=1)
+        scene = Scene.of(scenario, self.insertion, imaging=imaging)
+        tissue, geometry = scene.tissue, scene.geometry
         half = np.array(tissue.size) / 2
         X_TI = self.insertion.X_TI
         x, y, _ = X_TI.translation()
@@ -110,15 +111,7 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
             f"phantom, {-half[0]:g} to {half[0]:g} m",
         )
         self.X_WP = RigidTransform(X_TI.rotation(), [x, y, scenario.face])
-        imaging = replace(scenario.imaging, volume_rate=1 / scenario.period, frames=1)
-        self.scanner = Scanner(
-            transducer=load_transducer(scenario.probe),
-            imaging=imaging,
-            tissue=tissue,
-            parameters=scenario.scanner,
-            seed=seeds.noise,
-        )
-        geometry = self.scanner.geometry
+        self.scanner = scene.scanner()
         events = {"period": scenario.period, "offset": scenario.period + scenario.processing_time}
         self.slice_converter = SliceConverter(geometry=geometry, spacing=scenario.pixel)
         # A person points at the needle; neither tracker nor estimator see where it truly is.

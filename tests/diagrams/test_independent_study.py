@@ -6,7 +6,7 @@ from independent_images import Truth, sequence_case, volume_case
 from independent_study import SEEN, compare, quantiles, study_sequences, study_volumes
 
 from sonoservo.diagrams.app.volumes.locate import locate_in
-from sonoservo.diagrams.needle_tracker import track
+from sonoservo.diagrams.tracker_bench import track
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 
 SHAPE = 84, 68, 52

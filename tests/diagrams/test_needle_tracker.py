@@ -8,7 +8,8 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem
 from synthetic_volumes import Scene, entry_on_side
 
-from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, require_tracker, track
+from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, require_tracker
+from sonoservo.diagrams.tracker_bench import track
 from sonoservo.diagrams.trackers import (
     Chatelain2013AsPublishedParameters,
     Chatelain2013TrackerParameters,

@@ -6,8 +6,8 @@ from contextlib import contextmanager
 
 from pydrake.systems.framework import System
 
-from sonoservo.diagrams.experiments.following_events import observer_events, recording_settings
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams.experiments.following_scene import observer_events, recording_settings
 from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.systems.live.connection.link import Link
 from sonoservo.systems.live.connection.protocols import parse_address

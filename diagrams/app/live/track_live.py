@@ -13,8 +13,12 @@ import numpy as np
 from sonoservo.diagrams.app.interruption import is_interrupted
 from sonoservo.diagrams.app.volumes.calibrate import pose_error_figures
 from sonoservo.diagrams.app.volumes.estimates_table import EstimatesTable, estimate_row
-from sonoservo.diagrams.calibrated_tracker import MakeCalibratedTracker, corrected_frame
-from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, track_volume
+from sonoservo.diagrams.calibrated_tracker import (
+    MakeCalibratedTracker,
+    corrected_frame,
+    track_volume,
+)
+from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
 from sonoservo.systems.files.writing import write_json
 from sonoservo.systems.live.connection.link import Link

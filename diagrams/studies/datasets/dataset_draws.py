@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
+from sonoservo.diagrams.assembly import load_dome_radius
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams.scene import Scene
 from sonoservo.diagrams.studies.datasets.dataset_dials import DrawnDials
 from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.needle.insertion_parameters import InsertionParameters, Push
 from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
-from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
 from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 from sonoservo.systems.ultrasound.simulation.tissue import Ball, Fibre, Tissue, load_tissue
 from sonoservo.systems.ultrasound.transducer import Transducer, load_transducer
@@ -63,14 +64,18 @@ class DrawnScanner:
         pitch = self.geometry.sample_pitch * (speed / self.imaging.sound_speed)
         return replace(self.geometry, sample_pitch=pitch, sound_speed=speed)
 
-    def renderer(self, insertion: Insertion) -> SweepRenderer:
-        """Return the renderer of the sweeps, with the structures beside a needle's path."""
-        return SweepRenderer(
+    def scene(self, insertion: Insertion, scenario: FollowingScenario) -> Scene:
+        """Return the scene, with the structures beside a needle's path and the reaction."""
+        reaction = scenario.tissue_reaction
+        return Scene(
             transducer=self.transducer,
             imaging=self.imaging,
             tissue=self.tissue.placed(insertion.entry, insertion.direction, self.seed),
             parameters=self.parameters,
+            insertion=insertion,
             seed=self.seed,
+            reaction=reaction,
+            dome_radius=load_dome_radius(scenario.probe) if reaction.acts else 0.0,
         )
 
     def labels(self) -> dict[str, Any]:

@@ -13,7 +13,6 @@ from numba.core import config
 from pydrake.math import RigidTransform
 
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
-from sonoservo.diagrams.experiments.following_tissue import scanned_deformations
 from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.diagrams.scenario import require_scenario
 from sonoservo.diagrams.studies.datasets.dataset_dials import DrawnDials, draw_dials
@@ -35,7 +34,6 @@ from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.sweep import SweepMotion
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
-from sonoservo.systems.ultrasound.simulation.acquisition import acquire_sweep
 
 FORMAT = 2
 """Format version of manifest.json and of the labels."""
@@ -116,14 +114,14 @@ class _Scene:
         X_TP: RigidTransform,
     ) -> None:
         self._scenario, self._insertion, self._X_TP = scenario, insertion, X_TP
-        self._renderer = scanner.renderer(insertion)
+        self._scene = scanner.scene(insertion, scenario)
         self._acoustic = scanner.acoustic_geometry
         spacing = scenario.scan_conversion.spacing
         self._conversion = ScanConversion(scanner.geometry, make_grid(scanner.geometry, spacing))
 
     def acquire(self, number: int) -> tuple[Volume, Needle]:
         """Return a volume, and the needle in P as the volume shows it."""
-        geometry, direction = self._renderer.geometry, 1 - 2 * (number % 2)
+        geometry, direction = self._scene.geometry, 1 - 2 * (number % 2)
         begin = _FIRST_VOLUME + number * geometry.period
         times = geometry.frame_times(begin, direction)
         motion = SweepMotion.at_rest(geometry, self._X_TP, times, direction)
@@ -131,27 +129,15 @@ class _Scene:
         poses = motion.X_WP.copy()
         away = np.array([breathing.displacement(float(time)) for time in times])
         poses[:, :3, 3] -= away - breathing.displacement(motion.time)
-        deformations = scanned_deformations(self._scenario, self._insertion, times, poses)
-        needles = [self._insertion.needle(float(time)) for time in times]
-        if deformations is not None:
-            pairs = zip(deformations, needles, strict=True)
-            needles = [each.moved_needle(needle) for each, needle in pairs]
-        sweep = acquire_sweep(
-            self._renderer,
-            motion,
-            needles,
-            X_TP=poses,
-            number=number,
-            deformations=deformations,
-        )
-        volume = self._conversion(sweep)
+        acquired = self._scene.acquire(motion, poses, number=number)
+        volume = self._conversion(acquired.sweep)
         needle = needle_as_acquired(volume, self._insertion)
         slowed = self._acoustic.sample_pitch != geometry.sample_pitch
-        if deformations is not None or away.any() or slowed:
+        if acquired.deformations is not None or away.any() or slowed:
             needle = needle_as_imaged(
                 needle.transformed(self._X_TP),
                 poses,
-                deformations,
+                acquired.deformations,
                 self._acoustic,
                 geometry,
                 direction,

@@ -5,17 +5,18 @@ from collections.abc import Sequence
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram, DiagramBuilder, System
 
-from sonoservo.diagrams.experiments.following_events import is_irregular, observer_events
-from sonoservo.diagrams.experiments.following_insertion import (
-    check_beside_probe,
-    check_entry,
-    make_insertion,
-)
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
-from sonoservo.diagrams.experiments.following_tissue import with_tissue_reaction
-from sonoservo.diagrams.seeds import draw_seeds, make_tissue
-from sonoservo.diagrams.studies.robustness.logged_tracker import MakeLoggedTracker, log_of
+from sonoservo.diagrams.experiments.following_scene import (
+    imaging_systems,
+    make_scene,
+    observer_events,
+    tracker_events,
+)
+from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
+from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.diagrams.studies.robustness.planned_motion import MotionPlan, PlannedMotion
+from sonoservo.diagrams.tracker_bench import MakeTrackerBench, log_of
+from sonoservo.diagrams.trackers.registry import TRACKERS
 from sonoservo.diagrams.wiring import connect_by_name
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.needle.hand import Hand
@@ -23,11 +24,35 @@ from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.recording.volume_collector import VolumeCollector
 from sonoservo.systems.robot.errors.calibration import hand_eye_error
 from sonoservo.systems.robot.errors.pose_delay import PoseDelay
+from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.ultrasound.imaging import sweep_geometry
-from sonoservo.systems.ultrasound.scan_converter import ScanConverter
-from sonoservo.systems.ultrasound.simulation.scanner import Scanner
-from sonoservo.systems.ultrasound.transducer import load_transducer
+
+_OBSERVED = ("X_WP", "true_X_WP", "X_WT", "needle", "motion_record")
+
+
+def make_bench(
+    scenario: FollowingScenario,
+    geometry: SweepGeometry,
+    tracker: str,
+    *,
+    correct_poses: bool = False,
+) -> Diagram:
+    """Make a bench that observes the volumes of a scenario with a tracker, by its kind.
+
+    The tracker has its default parameters; only its log reads the truth.
+    """
+    kind = next(each for each in TRACKERS if each.kind == tracker)
+    return MakeTrackerBench(
+        tracker=MakeNeedleTracker(
+            parameters=kind(),
+            seed=draw_seeds(scenario).tracker,
+            correct_poses=correct_poses,
+            **tracker_events(scenario),
+        ),
+        observed=_OBSERVED,
+        geometry=geometry,
+        **observer_events(scenario),
+    )
 
 
 def run_open_loop(
@@ -50,43 +75,17 @@ def run_open_loop(
     -------
     Log of each tracker, by its kind, and the volumes.
     """
-    observers = {
-        each: MakeLoggedTracker(scenario=scenario, tracker=each, correct_poses=correct_poses)
+    scene = make_scene(scenario)
+    benches = {
+        each: make_bench(scenario, scene.geometry, each, correct_poses=correct_poses)
         for each in trackers
     }
     collector = VolumeCollector(**observer_events(scenario))
-    diagram = _make_scene(scenario, {**observers, "volume_collector": collector})
-    simulator = Simulator(diagram)
-    simulator.Initialize()
-    simulator.AdvanceTo(scenario.duration)
-    context = simulator.get_context()
-    logs = {
-        name: log_of(each, each.GetMyContextFromRoot(context)) for name, each in observers.items()
-    }
-    return logs, collector.volumes(collector.GetMyContextFromRoot(context))
-
-
-def _make_scene(scenario: FollowingScenario, observers: dict[str, System]) -> Diagram:
-    """Return the diagram of planned motion, needle, scanner and observers."""
-    seeds, transducer = draw_seeds(scenario), load_transducer(scenario.probe)
-    insertion = make_insertion(scenario)
-    tissue = make_tissue(scenario, scenario.phantom, insertion)
-    check_entry(scenario, tissue.surface)
-    check_beside_probe(scenario, insertion, tissue.surface)
-    geometry = sweep_geometry(transducer, scenario.imaging)
-    sources: dict[str, System] = {"hand": Hand(insertion=insertion)}
+    observers: dict[str, System] = {**benches, "volume_collector": collector}
     systems: dict[str, System] = {
-        "measured_motion": _make_measured_motion(scenario, insertion),
-        **with_tissue_reaction(scenario, sources),
-        "scanner": Scanner(
-            transducer=transducer,
-            imaging=scenario.imaging,
-            tissue=tissue,
-            parameters=scenario.scanner,
-            seed=seeds.noise,
-            processing_time=scenario.processing_time if is_irregular(scenario, geometry) else 0.0,
-        ),
-        "scan_converter": ScanConverter(geometry=geometry, parameters=scenario.scan_conversion),
+        "measured_motion": _make_measured_motion(scenario, scene.insertion),
+        **scene.reacting({"hand": Hand(insertion=scene.insertion)}),
+        **imaging_systems(scenario, scene),
         **observers,
     }
     builder = DiagramBuilder()
@@ -98,7 +97,14 @@ def _make_scene(scenario: FollowingScenario, observers: dict[str, System]) -> Di
         optional=("deformation",),
         sees_truth={"hand", "scanner", *observers},
     )
-    return builder.Build()
+    simulator = Simulator(builder.Build())
+    simulator.Initialize()
+    simulator.AdvanceTo(scenario.duration)
+    context = simulator.get_context()
+    logs = {
+        name: log_of(each, each.GetMyContextFromRoot(context)) for name, each in benches.items()
+    }
+    return logs, collector.volumes(collector.GetMyContextFromRoot(context))
 
 
 def _make_measured_motion(scenario: FollowingScenario, insertion: Insertion) -> Diagram:

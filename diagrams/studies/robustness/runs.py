@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.diagrams.experiments.following import FollowingExperiment
-from sonoservo.diagrams.experiments.following_events import observer_events
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams.experiments.following_scene import make_scene, observer_events
 from sonoservo.diagrams.studies.robustness.graded_dials import scenario_of
-from sonoservo.diagrams.studies.robustness.logged_tracker import MakeLoggedTracker, log_of
-from sonoservo.diagrams.studies.robustness.open_loop import run_open_loop
-from sonoservo.diagrams.studies.robustness.search_path import MakeSearchingTracker
+from sonoservo.diagrams.studies.robustness.open_loop import make_bench, run_open_loop
+from sonoservo.diagrams.studies.robustness.search_path import SearchPath
 from sonoservo.diagrams.studies.robustness.stated_doubt import inside_stated
 from sonoservo.diagrams.studies.study import Case
+from sonoservo.diagrams.tracker_bench import log_of
 from sonoservo.systems.evaluation.conspicuity import conspicuous_length
 from sonoservo.systems.evaluation.metrics import MetricsParameters, detection
 from sonoservo.systems.evaluation.run_errors import at_times, in_frame
@@ -80,17 +80,16 @@ def _run_search(scenario: FollowingScenario, trackers: Sequence[str]) -> dict[st
     While it follows nothing, the probe moves over the phantom; see `SearchPath`. The others see the
     same volumes, but what they find moves nothing.
     """
-    observers = {
-        kind: MakeLoggedTracker(scenario=scenario, tracker=kind, drives=kind == OURS)
-        for kind in trackers
-    }
+    geometry = make_scene(scenario).geometry
+    observers = {kind: make_bench(scenario, geometry, kind) for kind in trackers if kind != OURS}
     experiment = FollowingExperiment(
         scenario,
-        tracker=MakeSearchingTracker(scenario=scenario, start=SEARCH_START),
+        search=SearchPath(station=scenario.station, start=SEARCH_START),
         observers={f"{kind}_observer": each for kind, each in observers.items()},
     )
     experiment.run()
-    return {kind: log_of(each, experiment.context_of(each)) for kind, each in observers.items()}
+    logs = {kind: log_of(each, experiment.context_of(each)) for kind, each in observers.items()}
+    return {kind: logs.get(kind) or experiment.log() for kind in trackers}
 
 
 def record(

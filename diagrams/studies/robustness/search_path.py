@@ -1,14 +1,13 @@
-"""The leaf that keeps a probe moving while its tracker has found nothing."""
+"""The leaf that moves a probe over the phantom while its tracker follows nothing."""
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.common.value import Value
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
-from sonoservo.diagrams.experiments.following_events import tracker_events
-from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
-from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
-from sonoservo.diagrams.seeds import draw_seeds
-from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.diagrams.station import StationParameters
+from sonoservo.systems.control.visual_features import needle_features, servo_velocity
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.ports import evaluate
 
@@ -21,89 +20,59 @@ _PERIODS = np.array([31.0, 23.0, 37.0])
 _TURN = np.deg2rad(20)
 """Largest turn from the probe's first direction, in rad."""
 
-_DEPTH, _LENGTH = 0.045, 0.06
-"""Depth of the imagined tip below the phantom's top, and length of the imagined needle, in m."""
+_GAIN = 0.8
+"""Rate in 1/s at which the probe approaches its place on the path."""
 
 
 class SearchPath(LeafSystem):
-    """Outputs a tracker's estimate while it follows something, else an imagined needle that moves.
+    """Hands on a servo's velocity while a needle is followed, else moves along a planned path.
 
     .. pydrake_system::
 
         name: SearchPath
         input_ports:
-        - tracked
-        output_ports:
+        - planar_velocity
         - estimate
+        - X_WP
+        output_ports:
+        - moving_velocity
 
-    Both are NeedleEstimates. The imagined needle lies 45 mm below the phantom and moves to and fro
-    at up to 6 mm/s, so that a servo that follows the output moves the probe over the phantom.
+    Both velocities are (v_x, v_z, omega_y) of P, in P, in m/s and rad/s. The path leads to and fro
+    over the phantom at up to 6 mm/s, and turns the probe by up to 20 deg.
 
     Parameters
     ----------
-    scenario
-        Scenario with the place of phantom and probe.
-    start
-        Time in s until which the tracker's estimate is handed on as it is.
-    """
-
-    def __init__(self, *, scenario: FollowingScenario, start: float) -> None:
-        super().__init__()
-        self._station, self._start = scenario.station, start
-        self.DeclareAbstractInputPort("tracked", Value[object]())
-        self.DeclareAbstractOutputPort("estimate", lambda: Value[object](), self._calc_estimate)
-
-    def _calc_estimate(self, context: Context, output: Value) -> None:
-        tracked = evaluate(self, context, "tracked", NeedleEstimate)
-        follows = bool(tracked) and tracked.mode in (TrackingMode.TRACKING, TrackingMode.COASTING)
-        time = context.get_time()
-        imagined = not follows and time >= self._start
-        output.set_value(self._imagined(time, tracked.volume_time) if imagined else tracked)
-
-    def _imagined(self, time: float, volume_time: float) -> NeedleEstimate:
-        probe = self._station.probe
-        x, y, turn = np.sin(2 * np.pi * (time - self._start) / _PERIODS) * [*_REACH, _TURN]
-        tip = np.array([probe.x + x, probe.y + y, -_DEPTH])
-        heading = np.deg2rad(probe.yaw_deg) + turn
-        entry = tip - _LENGTH * np.array([np.cos(heading), np.sin(heading), 0.0])
-        points = self._station.X_WT.multiply(np.array([entry, tip]).T).T
-        return NeedleEstimate(
-            mode=TrackingMode.TRACKING,
-            time=time,
-            curve=NeedleCurve(points),
-            velocity=np.zeros((2, 3)),
-            covariance=1e-8 * np.eye(12),
-            volume_time=volume_time,
-        )
-
-
-def MakeSearchingTracker(*, scenario: FollowingScenario, start: float) -> Diagram:
-    """Make a scenario's tracker behind a `SearchPath`.
-
-    .. pydrake_system::
-
-        name: searching_tracker
-        input_ports:
-        - volume
-        output_ports:
-        - estimate
-
-    Parameters
-    ----------
-    scenario
-        Scenario with tracker, seed, and place of phantom and probe.
+    station
+        Initial places of phantom and probe.
     start
         Time in s from which the probe searches.
     """
-    tracker = MakeNeedleTracker(
-        parameters=scenario.tracker, seed=draw_seeds(scenario).tracker, **tracker_events(scenario)
-    )
-    builder = DiagramBuilder()
-    builder.AddNamedSystem("needle_tracker", tracker)
-    path = builder.AddNamedSystem("search_path", SearchPath(scenario=scenario, start=start))
-    builder.Connect(tracker.GetOutputPort("estimate"), path.GetInputPort("tracked"))
-    builder.ExportInput(tracker.GetInputPort("volume"), "volume")
-    builder.ExportOutput(path.GetOutputPort("estimate"), "estimate")
-    made = builder.Build()
-    made.set_name("searching_tracker")
-    return made
+
+    def __init__(self, *, station: StationParameters, start: float) -> None:
+        super().__init__()
+        self._station, self._start = station, start
+        self.DeclareVectorInputPort("planar_velocity", 3)
+        self.DeclareAbstractInputPort("estimate", Value[object]())
+        self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
+        self.DeclareVectorOutputPort("moving_velocity", 3, self._calc_velocity)
+
+    def _calc_velocity(self, context: Context, output: BasicVector) -> None:
+        estimate = evaluate(self, context, "estimate", NeedleEstimate)
+        follows = estimate.mode in (TrackingMode.TRACKING, TrackingMode.COASTING)
+        if follows or context.get_time() < self._start:
+            velocity = self.GetInputPort("planar_velocity").Eval(context)
+        else:
+            X_WP: RigidTransform = self.GetInputPort("X_WP").Eval(context)
+            velocity = self._towards_path(context.get_time(), X_WP)
+        output.SetFromVector(velocity)
+
+    def _towards_path(self, time: float, X_WP: RigidTransform) -> NDArray[np.float64]:
+        """Return the velocity towards the place on the path at a time, as eq. 25 gives it."""
+        probe = self._station.probe
+        x, y, turn = np.sin(2 * np.pi * (time - self._start) / _PERIODS) * [*_REACH, _TURN]
+        heading = np.deg2rad(probe.yaw_deg) + turn
+        X_PT = X_WP.InvertAndCompose(self._station.X_WT)
+        place = X_PT.multiply(np.array([probe.x + x, probe.y + y, 0.0]))
+        along = X_PT.rotation().multiply(np.array([np.cos(heading), np.sin(heading), 0.0]))
+        features = needle_features(place, along)
+        return servo_velocity(features, gain=_GAIN, rates=np.zeros(3), rotate=True)

@@ -8,11 +8,7 @@ import pytest
 from sonoservo.diagrams.app.scan import scan
 from sonoservo.diagrams.assembly import load_dome_radius
 from sonoservo.diagrams.experiments.following import FollowingExperiment
-from sonoservo.diagrams.experiments.following_insertion import make_insertion
-from sonoservo.diagrams.experiments.following_tissue import (
-    scanned_deformations,
-    with_tissue_reaction,
-)
+from sonoservo.diagrams.experiments.following_scene import make_scene
 from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.systems.recording.side_files import read_truth
 from sonoservo.systems.robot.phantom_motion import Breathing, PhantomMotionParameters
@@ -68,23 +64,19 @@ def test_truth_moves_with_the_tissue_in_log_recording_and_world(tmp_path):
     np.testing.assert_allclose(truth.needles[-1].tip, log.needle_tip[sample], atol=0.3e-3)
 
 
-def test_tissue_at_rest_needs_no_further_system():
-    sources = {"hand": object()}
-    assert with_tissue_reaction(make_scenario(), sources) is sources
-
-
 def test_scan_deforms_the_tissue_as_a_run_does(tmp_path):
     (tmp_path / "plain.yaml").write_text("tissue: {seed: 1}\n")
     scenario = make_scenario(tissue_reaction=REACTION, phantom=str(tmp_path / "plain.yaml"))
     still, deformed = scan(make_scenario(), time=3.0), scan(scenario, time=3.0)
-    insertion = make_insertion(scenario)
+    scene, motion = make_scene(scenario), deformed.sweep.motion
     geometry = deformed.sweep.geometry
-    X_TP = scenario.station.X_WT.inverse().GetAsMatrix4() @ deformed.sweep.motion.X_WP
-    fields = scanned_deformations(scenario, insertion, deformed.sweep.motion.times, X_TP)
-    middle = fields[geometry.frames // 2]
+    X_TP = scenario.station.X_WT.inverse().GetAsMatrix4() @ motion.X_WP
+    acquired = scene.acquire(motion, X_TP)
+    np.testing.assert_array_equal(acquired.sweep.samples, deformed.sweep.samples)
+    middle = acquired.deformations[geometry.frames // 2]
     assert middle.indentation.depth == pytest.approx(4e-3, abs=1e-6)
     assert 0.5e-3 < middle.drag <= 1e-3
-    true = middle.moved_needle(insertion.needle(3.0)).transformed(scenario.station.X_WT)
+    true = middle.moved_needle(scene.insertion.needle(3.0)).transformed(scenario.station.X_WT)
     np.testing.assert_allclose(deformed.needle.tip, true.tip, atol=1e-9)
     assert np.linalg.norm(deformed.needle.tip - still.needle.tip) > 0.3e-3
 

@@ -10,7 +10,8 @@ from independent_images.cases import draw_kinds
 from scipy.stats import chi2
 
 from sonoservo.diagrams.app.volumes.locate import locate_in
-from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, track_volume
+from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
+from sonoservo.diagrams.tracker_bench import TrackerBench
 from sonoservo.diagrams.trackers.chatelain2013 import Chatelain2013TrackerParameters
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 
@@ -124,7 +125,7 @@ def study_sequences(count, first_seed, say=None):
         for start in STARTS:
             parameters = Chatelain2013TrackerParameters(start=start)
             tracker = MakeNeedleTracker(parameters=parameters, period=1.0, seed=first_seed + i)
-            trackers[start] = tracker, tracker.CreateDefaultContext()
+            trackers[start] = TrackerBench(tracker, logged=False)
         made = [
             {"kind": kind, "kinds": kinds, "seed": first_seed + i, "start": start, "outcomes": [],
              "starts": [], "expected": 0, "tracked": 0, "volumes": 0, "ghosts": 0, "moving": False}
@@ -137,7 +138,7 @@ def study_sequences(count, first_seed, say=None):
             if truth is not None and (path is None or len(truth.curve) >= len(path)):
                 path = truth.curve
             for row in made:
-                estimate = track_volume(*trackers[row["start"]], volume)
+                estimate = trackers[row["start"]].track(volume)
                 note(row, estimate, truth, path, had)
                 row["moving"] |= not volume.X_WP.IsNearlyEqualTo(pose, 1e-6)
         rows += made

@@ -9,9 +9,8 @@ from pydrake.math import RigidTransform
 from recordings import write_sequence_nrrd
 from still_tissue import LyingProbe
 
-from sonoservo.diagrams import MakeCalibratedTracker, MakeNeedleTracker, track_recording
-from sonoservo.diagrams.calibrated_tracker import corrected_frame
-from sonoservo.diagrams.needle_tracker import track_volume
+from sonoservo.diagrams import MakeNeedleTracker, track_recording
+from sonoservo.diagrams.tracker_bench import Sample, TrackerBench
 from sonoservo.systems.recording.recording import Recording
 
 LYING = LyingProbe(delay=0.06, X_PI=RigidTransform([1e-3, 0.0, 1e-3]))
@@ -59,7 +58,7 @@ def test_tracking_corrects_and_reports_the_errors(recorded, tmp_path):
 
 
 def test_a_calibrated_tracker_has_a_tracker_s_ports():
-    own, calibrated = MakeNeedleTracker(period=1.0), MakeCalibratedTracker(period=1.0)
+    own, calibrated = (MakeNeedleTracker(period=1.0, correct_poses=each) for each in (False, True))
 
     def names(system):
         return [system.get_output_port(i).get_name() for i in range(system.num_output_ports())]
@@ -69,15 +68,13 @@ def test_a_calibrated_tracker_has_a_tracker_s_ports():
 
 
 def test_a_place_in_the_image_stays_there_when_poses_are_corrected(recorded):
-    tracker = MakeCalibratedTracker(period=1.0)
-    context = tracker.CreateDefaultContext()
-    recording = Recording(recorded)
-    for volume in recording:
-        track_volume(tracker, context, volume)
-    corrected = tracker.GetOutputPort("corrected_volume").Eval(context)
+    X_WL, frames = RigidTransform([0.1, 0.2, 0.3]), []
+    bench = TrackerBench(MakeNeedleTracker(period=1.0, correct_poses=True))
+    samples = (Sample(volume, X_WL) for volume in Recording(recorded))
+    assert bench.run(samples, [lambda tracked: frames.append((tracked.volume, tracked.X_WL))])
+    assert len(bench.log().compute["track"]) == len(frames) == 14
+    (volume, X), corrected = frames[-1], bench.evaluate("corrected_volume")
     p_P = np.array([5e-3, 40e-3, 2e-3])
-    X_WL = RigidTransform([0.1, 0.2, 0.3])
-    X = corrected_frame(tracker, context, volume, X_WL)
     moved = np.linalg.norm(corrected.X_WP.multiply(p_P) - volume.X_WP.multiply(p_P))
     assert moved > 0.5e-3
     np.testing.assert_allclose(

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from pydrake.common.value import Value
+from pydrake.math import RigidTransform, RotationMatrix
 from synthetic_logs import build_insertion_log
 
 from sonoservo.diagrams import load_scenario
@@ -226,31 +227,34 @@ def test_the_planned_probe_rests_then_follows_and_rides_on_the_breath():
     assert abs((tip - entry)[2]) < 1e-6  # the image is turned to the needle
 
 
-def test_a_search_path_hands_on_what_is_tracked_and_imagines_a_needle_otherwise():
-    scenario = load_scenario("clinic")
-    path = SearchPath(scenario=scenario, start=5.0)
+def test_a_probe_searches_along_a_path_until_a_needle_is_followed():
+    station = load_scenario("clinic").station
+    path = SearchPath(station=station, start=5.0)
     context = path.CreateDefaultContext()
+    context.SetTime(8.0)
+    path.GetInputPort("planar_velocity").FixValue(context, [1.0, 2.0, 3.0])
 
-    def output(estimate, time):
-        context.SetTime(time)
-        path.GetInputPort("tracked").FixValue(context, Value[object](estimate))
-        return path.GetOutputPort("estimate").Eval(context)
+    def velocity(X_WP, mode=TrackingMode.SEARCHING):
+        found = mode is TrackingMode.TRACKING
+        estimate = NeedleEstimate(
+            mode, 0.0, NeedleCurve(np.eye(3)[:2]) if found else None,
+            velocity=np.zeros((2, 3)), covariance=np.eye(12),
+        )  # fmt: skip
+        path.GetInputPort("estimate").FixValue(context, Value[object](estimate))
+        path.GetInputPort("X_WP").FixValue(context, Value(X_WP))
+        return path.GetOutputPort("moving_velocity").Eval(context)
 
-    nothing = NeedleEstimate(TrackingMode.SEARCHING, 0.0)
-    real = NeedleEstimate(
-        TrackingMode.TRACKING,
-        0.0,
-        NeedleCurve(np.eye(3)[:2]),
-        velocity=np.zeros((2, 3)),
-        covariance=np.eye(12),
-    )
-    assert output(nothing, 1.0) is nothing
-    assert output(real, 9.0) is real
-    first, second = output(nothing, 9.0), output(nothing, 10.0)
-    assert first.mode is second.mode is TrackingMode.TRACKING
-    moved = np.linalg.norm(first.curve.tip - second.curve.tip)
-    assert 0.5e-3 < moved < 8e-3
-    assert first.curve.tip[2] == pytest.approx(scenario.station.X_WT.translation()[2] - 0.045)
+    X_WP = station.probe_pose()
+    np.testing.assert_array_equal(velocity(X_WP, TrackingMode.TRACKING), [1, 2, 3])
+    for _ in range(200):  # the velocity leads to a place at which it is zero
+        v_x, v_z, omega = 0.05 * velocity(X_WP)
+        turn = RotationMatrix.MakeYRotation(omega)
+        X_WP = X_WP @ RigidTransform(turn, [v_x, 0, v_z])
+    np.testing.assert_allclose(velocity(X_WP), 0, atol=1e-4)
+    moved = X_WP.translation() - station.probe_pose().translation()
+    assert 0.01 < np.linalg.norm(moved) < 0.03
+    context.SetTime(4.0)
+    np.testing.assert_array_equal(velocity(X_WP), [1, 2, 3])
 
 
 def test_robustness_is_a_study_of_no_paper():
