@@ -16,7 +16,6 @@ from .app.volumes.tracked_recording import TrackedRecording as TrackedRecording
 from .assembly import assemble_arm as assemble_arm
 from .assembly import load_dome_radius as load_dome_radius
 from .assembly import load_probe_body as load_probe_body
-from .calibrated_tracker import MakeCalibratedTracker as MakeCalibratedTracker
 from .experiments.experiment import Experiment as Experiment
 from .experiments.following import FollowingExperiment as FollowingExperiment
 from .experiments.following_insertion import make_insertion as make_insertion
@@ -34,6 +33,8 @@ from .probe_controller import MakeProbeController as MakeProbeController
 from .probe_controller import ProbeControllerParameters as ProbeControllerParameters
 from .scenario import Scenario as Scenario
 from .scenario import require_scenario as require_scenario
+from .scene import MakeReactingTissue as MakeReactingTissue
+from .scene import Scene as Scene
 from .seeds import Seeds as Seeds
 from .seeds import draw_seeds as draw_seeds
 from .shape_predictor import MakeShapePredictor as MakeShapePredictor
@@ -43,6 +44,8 @@ from .station import ProbePlacement as ProbePlacement
 from .station import StationParameters as StationParameters
 from .station import check_reach as check_reach
 from .station import start_posture as start_posture
+from .tracker_bench import MakeTrackerBench as MakeTrackerBench
+from .tracker_bench import TrackerBench as TrackerBench
 from .tracker_bench import track as track
 from .trackers.chatelain2013 import Chatelain2013TrackerParameters as Chatelain2013TrackerParameters
 from .trackers.zhao2012 import Zhao2012TrackerParameters as Zhao2012TrackerParameters

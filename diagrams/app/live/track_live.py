@@ -13,12 +13,8 @@ import numpy as np
 from sonoservo.diagrams.app.interruption import is_interrupted
 from sonoservo.diagrams.app.volumes.calibrate import pose_error_figures
 from sonoservo.diagrams.app.volumes.estimates_table import EstimatesTable, estimate_row
-from sonoservo.diagrams.calibrated_tracker import (
-    MakeCalibratedTracker,
-    corrected_frame,
-    track_volume,
-)
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
+from sonoservo.diagrams.tracker_bench import corrected_frame, track_volume
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
 from sonoservo.systems.files.writing import write_json
 from sonoservo.systems.live.connection.link import Link
@@ -147,8 +143,8 @@ def track_live(
             assert newest is not None
             if tracker is None:
                 noted = newest.acquisition.settings if newest.acquisition else {}
-                make_tracker = MakeCalibratedTracker if correct_poses else MakeNeedleTracker
-                tracker = make_tracker(
+                tracker = MakeNeedleTracker(
+                    correct_poses=correct_poses,
                     parameters=parameters,
                     period=1.0,
                     seed=int(noted.get("tracker_seed", 0)) if seed is None else seed,

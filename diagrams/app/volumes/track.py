@@ -18,8 +18,8 @@ from sonoservo.diagrams.app.volumes.estimates_table import estimate_row
 from sonoservo.diagrams.app.volumes.reconstruct import ReconstructedRecording
 from sonoservo.diagrams.app.volumes.tracked_recording import TrackedRecording
 from sonoservo.diagrams.app.volumes.true_values import true_values
-from sonoservo.diagrams.calibrated_tracker import MakeCalibratedTracker, corrected_frame
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
+from sonoservo.diagrams.tracker_bench import corrected_frame
 from sonoservo.diagrams.trackers.registry import TRACKERS
 from sonoservo.diagrams.trackers.tracker_parts import STARTS, TrackerParameters
 from sonoservo.systems.evaluation.explanation.explanation_files import clear_explanations
@@ -170,8 +170,9 @@ def _track(
     truth_path = side_path(recording.path, TRUTH)
     truth = read_truth(truth_path) if truth_path.is_file() else None
 
-    make_tracker = MakeCalibratedTracker if correct_poses else MakeNeedleTracker
-    tracker = make_tracker(parameters=parameters, period=1.0, seed=seed)
+    tracker = MakeNeedleTracker(
+        parameters=parameters, period=1.0, seed=seed, correct_poses=correct_poses
+    )
     motion = recording[0].motion
     logger = RunLogger(geometry=motion.geometry if motion else None)
     builder = DiagramBuilder()
