@@ -41,7 +41,7 @@ def make_bench(
 
     The tracker has its default parameters; only its log reads the truth.
     """
-    kind = next(each for each in TRACKERS if each.kind == tracker)
+    kind, looks = next(each for each in TRACKERS if each.kind == tracker), observer_events(scenario)
     return MakeTrackerBench(
         tracker=MakeNeedleTracker(
             parameters=kind(),
@@ -51,7 +51,8 @@ def make_bench(
         ),
         observed=_OBSERVED,
         geometry=geometry,
-        **observer_events(scenario),
+        period=looks["period"],
+        offset=looks["offset"],
     )
 
 
