@@ -1,14 +1,21 @@
-"""Executor of a study on the cores of this machine, with joblib."""
+"""Executor of a study on the cores of this machine, in processes that end with their parent."""
 
 import os
-from collections.abc import Callable, Generator, Sequence
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from functools import partial
+from contextlib import contextmanager
+from multiprocessing import active_children, get_context
+from multiprocessing.process import BaseProcess
+from multiprocessing.resource_tracker import ensure_running
+from types import ModuleType
 
-from joblib import Parallel, delayed, effective_n_jobs, parallel_config
-from joblib.externals.loky import get_reusable_executor
+from joblib import cpu_count, wrap_non_picklable_objects
 
-from sonoservo.diagrams.studies.follow_parent import follow_parent, keeping_ctrl_c
 from sonoservo.diagrams.studies.store import Store
 from sonoservo.diagrams.studies.study import (
     CASES_PER_PROCESS,
@@ -19,14 +26,21 @@ from sonoservo.diagrams.studies.study import (
     Work,
     perform,
 )
+from sonoservo.systems.sampling.libraries import LINEAR_ALGEBRA
+
+THREADS = (*LINEAR_ALGEBRA, "OMP_NUM_THREADS", "NUMEXPR_NUM_THREADS", "NUMBA_NUM_THREADS")
+"""Variables that limit the threads of a case to one."""
+
+_WATCH_PERIOD = 0.2
+"""Time in s between two looks of a process at its parent."""
 
 
 class Processes:
     """Executor on the cores of this machine.
 
-    Drake's Python systems are never freed, so the cases run in rounds, each in fresh processes.
-    Each process computes with one thread. A case that kills its process is identified by running
-    the cases again one by one.
+    Each slot has a process of its own with one thread, which is replaced after some cases because
+    Drake's Python systems are never freed, and when a case kills it. The slots do not wait for one
+    another.
 
     Parameters
     ----------
@@ -40,49 +54,118 @@ class Processes:
     @property
     def slots(self) -> int:
         """Number of processes."""
-        return effective_n_jobs(self._jobs)
+        return cpu_count() if self._jobs == -1 else self._jobs
 
     def run(
-        self,
-        work: Work,
-        cases: Sequence[Case],
-        store: Store,
-        notify: Callable[[str], None],
+        self, work: Work, cases: Sequence[Case], store: Store, notify: Callable[[str], None]
     ) -> Generator[Finished]:
         """Run cases, and yield each as it ends; see `Executor`."""
-        pending = dict.fromkeys(cases)
-        most = together = CASES_PER_PROCESS * self.slots
-        while pending:
-            batch = list(pending)[:together]
-            try:
-                for each in _run_round(work, batch, store, self._jobs if together > 1 else 2):
-                    del pending[each.outcome.case]
-                    yield each
-                together = most
-            except BrokenProcessPool:
-                if together == 1:
-                    del pending[batch[0]]
-                    yield Finished(Outcome(batch[0], error=DIED))
-                    together = most
-                else:
-                    together = 1
+        if self._jobs == 1:
+            yield from (perform(work, case, store) for case in cases)
+            return
+        waiting = list(reversed(cases))
+        free = [_Slot() for _ in range(min(self.slots, len(cases)))]
+        running: dict[Future[Finished], tuple[_Slot, Case]] = {}
+        try:
+            while waiting or running:
+                while waiting and free:
+                    slot, case = free.pop(), waiting.pop()
+                    running[slot.submit(work, case, store)] = slot, case
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    slot, case = running.pop(future)
+                    free.append(slot)
+                    try:
+                        yield future.result()
+                    except BrokenProcessPool:
+                        slot.end()
+                        yield Finished(Outcome(case, error=DIED))
+        finally:
+            for slot in (*free, *(slot for slot, _ in running.values())):
+                slot.end()
 
 
-def _run_round(work: Work, cases: list[Case], store: Store, jobs: int) -> Generator[Finished]:
-    with (
-        parallel_config(
-            "loky",
-            n_jobs=jobs,
-            inner_max_num_threads=1,
-            initializer=partial(follow_parent, os.getpid()),
-        ),
-        keeping_ctrl_c(),
-    ):
-        finished = Parallel(return_as="generator_unordered", batch_size=1)(
-            delayed(perform)(work, case, store) for case in cases
-        )
+class _Slot:
+    """A process that runs one case after the other, and its successors.
+
+    A pool's own ``max_tasks_per_child`` may lose count of its processes and wait for ever (CPython
+    issue 115634), and a pool of several cannot tell which case killed a process.
+    """
+
+    def __init__(self) -> None:
+        self._pool: ProcessPoolExecutor | None = None
+        self._processes: set[BaseProcess] = set()
+        self._cases = 0
+
+    def submit(self, work: Work, case: Case, store: Store) -> "Future[Finished]":
+        if self._cases == CASES_PER_PROCESS:
+            self.end()
+        if self._pool is None:
+            self._pool = ProcessPoolExecutor(
+                1, get_context("spawn"), initializer=follow_parent, initargs=(os.getpid(),)
+            )
+        self._cases += 1
+        others = set(active_children())
+        with keeping_ctrl_c(), _single_threaded(), _without_script():
+            future = self._pool.submit(perform, wrap_non_picklable_objects(work), case, store)
+        self._processes |= set(active_children()) - others
+        return future
+
+    def end(self) -> None:
+        """End the process at once, whatever it is doing."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=False, cancel_futures=True)
+        for process in self._processes:
+            process.kill()
+        self._pool, self._cases = None, 0
+        self._processes.clear()
+
+
+@contextmanager
+def _single_threaded() -> Iterator[None]:
+    """Start processes inside whose libraries compute with one thread."""
+    before = {name: os.environ.get(name) for name in THREADS}
+    os.environ |= dict.fromkeys(THREADS, "1")
     try:
-        yield from finished
+        yield
     finally:
-        finished.close()
-        get_reusable_executor(kill_workers=True).shutdown(kill_workers=True)
+        for name, value in before.items():
+            del os.environ[name]
+            if value is not None:
+                os.environ[name] = value
+
+
+@contextmanager
+def _without_script() -> Iterator[None]:
+    """Start processes inside that do not run this process's script again, to import it."""
+    script = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = script
+
+
+@contextmanager
+def keeping_ctrl_c() -> Iterator[None]:
+    """Start processes inside that Ctrl-C never reaches, not even while they import.
+
+    This process receives it after the block.
+    """
+    ensure_running()  # Python lets Ctrl-C through again when it starts its tracker of resources
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def follow_parent(parent: int) -> None:
+    """Leave Ctrl-C to the parent process, given by its number, and end with it however it ends."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(_WATCH_PERIOD)
+        os._exit(1)
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=watch, daemon=True).start()

@@ -5,7 +5,7 @@ import sys
 from multiprocessing.connection import Connection
 
 from sonoservo.diagrams.studies.fingerprint import package_identity
-from sonoservo.diagrams.studies.follow_parent import follow_parent
+from sonoservo.diagrams.studies.processes import follow_parent
 from sonoservo.diagrams.studies.study import perform
 from sonoservo.systems.files.refusals import describe
 

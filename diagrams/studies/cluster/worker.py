@@ -16,11 +16,8 @@ from multiprocessing import Pipe
 from typing import Any, Literal
 
 from sonoservo.diagrams.studies.cluster import case_process
+from sonoservo.diagrams.studies.processes import THREADS
 from sonoservo.diagrams.studies.study import CASES_PER_PROCESS, DIED
-from sonoservo.systems.sampling.libraries import LINEAR_ALGEBRA
-
-_THREADS = (*LINEAR_ALGEBRA, "OMP_NUM_THREADS", "NUMEXPR_NUM_THREADS", "NUMBA_NUM_THREADS")
-"""Variables that limit the threads of a case to one."""
 
 _START_S = 120.0
 """Longest time in s that a process may need to start."""
@@ -63,7 +60,7 @@ class _CaseProcess:
                 pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL,
                 start_new_session=True,  # Ctrl-C is not for cases
-                env={**os.environ, **dict.fromkeys(_THREADS, "1"), "PYTHONPATH": _search_path()},
+                env={**os.environ, **dict.fromkeys(THREADS, "1"), "PYTHONPATH": _search_path()},
             )
         self.connection = ours
         self.cases, self.rested = 0, 0.0

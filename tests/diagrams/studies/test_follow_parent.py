@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from sonoservo.diagrams.studies.follow_parent import keeping_ctrl_c
+from sonoservo.diagrams.studies.processes import keeping_ctrl_c
 
 
 def interrupt_both():

@@ -2,7 +2,7 @@
 
 import os
 
-from sonoservo.diagrams.studies.follow_parent import follow_parent
+from sonoservo.diagrams.studies.processes import follow_parent
 
 PARENT = "SONOSERVO_CLUSTER_PARENT"
 """Variable with the number of the process to follow."""
