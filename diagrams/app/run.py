@@ -19,6 +19,7 @@ from sonoservo.diagrams.experiments.registry import (
     experiment_class,
     load_scenario,
     make_experiment,
+    present,
 )
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.display.console.readings import Sample
@@ -173,15 +174,16 @@ def finish(kept: KeptRun, experiment: Experiment[Any]) -> RunResult:
     log = experiment.log()
     summary = kept.summary(experiment.time, experiment.summarize(log))
     kept.write_summary(summary)
-    plots = experiment.plots(log)
+    presenter = present(experiment)
+    plots = presenter.plots(log)
     kept.write(summary, experiment, log, plots)
     return RunResult(
         summary=summary,
         log=log,
-        labels=experiment.labels,
+        labels=presenter.labels,
         results=experiment.results(),
         failure=kept.unwritten.failure,
-        verdict=experiment.verdict(summary),
+        verdict=presenter.verdict(summary),
         published=experiment.happened().published_figures,
         plots=plots,
     )

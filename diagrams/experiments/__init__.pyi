@@ -8,5 +8,6 @@ from .registry import experiment_class as experiment_class
 from .registry import list_scenarios as list_scenarios
 from .registry import load_scenario as load_scenario
 from .registry import make_experiment as make_experiment
+from .registry import present as present
 from .shape_prediction import ShapePredictionExperiment as ShapePredictionExperiment
 from .shape_prediction_scenario import ShapePredictionScenario as ShapePredictionScenario

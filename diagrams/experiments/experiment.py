@@ -3,12 +3,10 @@
 import os
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Container, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from typing import Any, ClassVar, Generic, Self
 
 import numpy as np
-from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder, System
 
@@ -16,8 +14,6 @@ from sonoservo.diagrams.scenario import Scenario, ScenarioT
 from sonoservo.diagrams.wiring import connect_by_name
 from sonoservo.systems.evaluation.compile_free_clock import CompileFreeClock
 from sonoservo.systems.evaluation.log import Log
-from sonoservo.systems.evaluation.reports.track_plots import VolumePictures
-from sonoservo.systems.evaluation.reports.verdict import Verdict
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.immutable import NotFound
 
@@ -73,12 +69,8 @@ class Experiment(ABC, Generic[ScenarioT]):
         Class of the scenarios of this experiment.
     options
         Options that `make_experiment` may be given.
-    labels
-        Label of each figure of the summary that tables show, by its dotted path.
     log_class
         Class of the log.
-    overlay_caption
-        Caption of `overlay`.
 
     Raises
     ------
@@ -88,9 +80,7 @@ class Experiment(ABC, Generic[ScenarioT]):
 
     scenario_class: ClassVar[type[Scenario]]
     options: ClassVar[frozenset[str]] = frozenset({"meshcat"})
-    labels: ClassVar[Mapping[str, str]]
     log_class: ClassVar[type[Log]]
-    overlay_caption: ClassVar[str]
 
     def __init__(
         self,
@@ -132,40 +122,15 @@ class Experiment(ABC, Generic[ScenarioT]):
     def summarize(self, log: Any) -> dict[str, Any]:
         """Return the figures of a log of this experiment, as in summary.json."""
 
-    @abstractmethod
-    def plots(self, log: Any) -> dict[str, tuple[str, Figure]]:
-        """Return the plots of a log of this experiment: caption and figure by file name."""
-
-    @classmethod
-    def overlay(cls, logs: Mapping[str, Any]) -> Figure:
-        """Return the curves of several runs over one another, by name; empty if none."""
-        return Figure()
-
-    def verdict(self, summary: Mapping[str, Any]) -> Verdict | None:
-        """Return the verdict on a run of this experiment from its summary, if it gives one."""
-        return None
-
-    def words(self) -> list[str]:
-        """Return sentences that describe the scenario, if there are any."""
-        return []
-
-    def key_frames(self, log: Any) -> dict[str, Figure]:
-        """Return pictures of a run's telling moments, by caption; none unless they were kept."""
-        return {}
-
-    def frames(self, log: Any) -> Iterator[NDArray[np.uint8]]:
-        """Yield the frames of a movie, (rows, columns, 3) each, one per volume or slice."""
-        raise NotImplementedError
+    @property
+    def repeatable(self) -> bool:
+        """Whether the scenario alone repeats the run."""
+        return True
 
     @property
-    def pictures(self) -> Sequence[VolumePictures]:
+    def pictures(self) -> Sequence[Any]:
         """Pictures of the volumes so far; none unless the experiment has volumes and keeps them."""
         return ()
-
-    @property
-    def frame_rate(self) -> float:
-        """Volumes or slices per second, and so frames per second of a movie."""
-        return 1 / self._period
 
     def results(self) -> dict[str, Any]:
         """Return results of the run that are neither in the log nor in the summary, by name."""

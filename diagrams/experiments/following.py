@@ -1,13 +1,10 @@
 """Following: the robot finds a needle in volumes, keeps it centred and presses the probe."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-import numpy as np
-from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import System
 
@@ -22,7 +19,6 @@ from sonoservo.diagrams.experiments.following_scene import (
     recording_settings,
     tracker_events,
 )
-from sonoservo.diagrams.experiments.scenario_words import following_words
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, require_tracker
 from sonoservo.diagrams.probe_controller import MakeProbeController
 from sonoservo.diagrams.scenario import Scenario, require_scenario
@@ -32,20 +28,9 @@ from sonoservo.systems.control.operator_settings import OperatorSettings
 from sonoservo.systems.display.console.console_feed import ConsoleFeed
 from sonoservo.systems.display.world.world_view import WorldView, WorldViewParameters
 from sonoservo.systems.evaluation.explanation.explanation_recorder import ExplanationRecorder
-from sonoservo.systems.evaluation.labels import LABELS
 from sonoservo.systems.evaluation.metrics import MetricsParameters, summarize
-from sonoservo.systems.evaluation.reports.comparison_plots import CAPTION, plot_comparison
-from sonoservo.systems.evaluation.reports.key_frames import plot_key_frames
-from sonoservo.systems.evaluation.reports.movie import movie_frames
 from sonoservo.systems.evaluation.reports.picture_recorder import PictureRecorder
-from sonoservo.systems.evaluation.reports.plots import (
-    ERRORS_CAPTION,
-    RUN_CAPTION,
-    plot_errors,
-    plot_run,
-)
 from sonoservo.systems.evaluation.reports.track_plots import VolumePictures
-from sonoservo.systems.evaluation.reports.verdict import Verdict, following_verdict
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.evaluation.run_logger import RunLogger
 from sonoservo.systems.recording.volume_recorder import VolumeRecorder
@@ -114,9 +99,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         {"console", "explain", "meshcat", "observers", "pictures", "record", "record_sweeps"}
         | {"tracker"}
     )
-    labels = LABELS
     log_class = RunLog
-    overlay_caption = CAPTION
 
     def __init__(
         self,
@@ -157,6 +140,8 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         )
         imaging = imaging_systems(scenario, scene)
         self.scanner, self.scan_converter = imaging["scanner"], imaging["scan_converter"]
+        kind = type(tracker)
+        self._own_tracker = f"{kind.__module__}.{kind.__qualname__}" if tracker else ""
         self.needle_tracker = require_tracker(tracker) or MakeNeedleTracker(
             parameters=scenario.tracker,
             period=period,
@@ -237,6 +222,16 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         )
 
     @property
+    def repeatable(self) -> bool:
+        """Whether the scenario alone repeats the run: not with a tracker of one's own."""
+        return not self._own_tracker
+
+    @property
+    def own_tracker(self) -> str:
+        """Module and class of a tracker that replaces the scenario's; empty if none does."""
+        return self._own_tracker
+
+    @property
     def estimate(self) -> NeedleEstimate:
         """Present estimate of the tracker."""
         return cast(NeedleEstimate, self.evaluate(self.needle_tracker, "estimate"))
@@ -263,16 +258,9 @@ class FollowingExperiment(Experiment[FollowingScenario]):
 
     def summarize(self, log: RunLog) -> dict[str, Any]:
         """Summarise a log, see `summarize`, and add what the guard noticed as `guard.noticed`."""
-        figures = summarize(log, MetricsParameters(force_target=self._force_target()))
+        figures = summarize(log, MetricsParameters(force_target=self.force_target))
         figures["guard"]["noticed"] = self._guard.remark or None
         return figures
-
-    def plots(self, log: RunLog) -> dict[str, tuple[str, Figure]]:
-        """Return the plots of a run and of its errors."""
-        return {
-            "run.png": (RUN_CAPTION, plot_run(log, self._force_target())),
-            "errors.png": (ERRORS_CAPTION, plot_errors(log)),
-        }
 
     def happened(self) -> FollowingScenario:
         """Return the scenario that repeats the run, with the changes made in the console."""
@@ -281,32 +269,6 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         changes = self._settings.schedule(self.context_of(self._settings)).changes
         return replace(self.scenario, controller_changes=list(changes))
 
-    @classmethod
-    def overlay(cls, logs: Mapping[str, RunLog]) -> Figure:
-        """Return a figure of the curves of several runs over one another, by name."""
-        return plot_comparison(logs)
-
-    def verdict(self, summary: Mapping[str, Any]) -> Verdict:
-        """Return the verdict on a run, from its summary."""
-        return following_verdict(summary, follows=self.scenario.controller.settings.gain > 0)
-
-    def words(self) -> list[str]:
-        """Return sentences that describe the scenario."""
-        return following_words(self.happened())
-
-    def key_frames(self, log: RunLog) -> dict[str, Figure]:
-        """Return pictures of a run's telling moments, by caption; none unless they were kept."""
-        return plot_key_frames(log, self.pictures)
-
-    def frames(self, log: RunLog) -> Iterator[NDArray[np.uint8]]:
-        """Yield the frames of a movie of a run, (rows, columns, 3) each, one per volume."""
-        return movie_frames(log, self.pictures)
-
-    @property
-    def frame_rate(self) -> float:
-        """Volumes per second."""
-        return self.scenario.imaging.volume_rate
-
     @property
     def pictures(self) -> list[VolumePictures]:
         """Pictures of the volumes so far; none unless they are kept."""
@@ -314,8 +276,9 @@ class FollowingExperiment(Experiment[FollowingScenario]):
             return []
         return self._picture_recorder.pictures(self.context_of(self._picture_recorder))
 
-    def _force_target(self) -> float | None:
-        """Return the controller's target force in N; None if it changes during the run."""
+    @property
+    def force_target(self) -> float | None:
+        """Controller's target force in N; None if it changes during the run."""
         happened = self.happened()
         changed = any(change.force is not None for change in happened.controller_changes)
         return None if changed else happened.controller.force.force

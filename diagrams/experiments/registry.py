@@ -1,6 +1,7 @@
 """Registry of the experiments, and the scenarios that describe them.
 
-A new experiment is a module of this package with a subclass of `Experiment`, and a line here.
+A new experiment is a module of this package with a subclass of `Experiment`, one with a subclass
+of `Presenter`, and a line here.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,13 +25,14 @@ from sonoservo.systems.files.typed_yaml import (
 
 if TYPE_CHECKING:
     from sonoservo.diagrams.experiments.experiment import Experiment
+    from sonoservo.diagrams.experiments.presenter import Presenter
     from sonoservo.diagrams.scenario import Scenario
 
 EXPERIMENTS: Mapping[str, str] = {
-    "following": "FollowingExperiment",
-    "shape_prediction": "ShapePredictionExperiment",
+    "following": "Following",
+    "shape_prediction": "ShapePrediction",
 }
-"""Class of each experiment, by the name of the experiment and of its module."""
+"""Beginning of the names of each experiment's classes, by the name of its module."""
 
 
 def experiment_class(name: str) -> type["Experiment[Any]"]:
@@ -44,8 +46,20 @@ def experiment_class(name: str) -> type["Experiment[Any]"]:
     if not isinstance(name, str) or name not in EXPERIMENTS:
         raise ConfigurationError(f"{name!r} is not allowed; {suggest(str(name), EXPERIMENTS)}")
     module = import_module(f"sonoservo.diagrams.experiments.{name}")
-    found: type[Experiment[Any]] = getattr(module, EXPERIMENTS[name])
+    found: type[Experiment[Any]] = getattr(module, f"{EXPERIMENTS[name]}Experiment")
     return found
+
+
+def presenter_class(name: str) -> "type[Presenter]":
+    """Return the class that presents the runs of an experiment, by the experiment's name."""
+    module = import_module(f"sonoservo.diagrams.experiments.{name}_presenter")
+    found: type[Presenter] = getattr(module, f"{EXPERIMENTS[name]}Presenter")
+    return found
+
+
+def present(experiment: "Experiment[Any]") -> "Presenter":
+    """Return what presents an experiment's run in words, plots and pictures."""
+    return presenter_class(experiment.scenario.experiment)(experiment)
 
 
 def make_experiment(scenario: "Scenario", **options: Any) -> "Experiment[Any]":

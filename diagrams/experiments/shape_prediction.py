@@ -1,19 +1,16 @@
 """Shape prediction: the final shape of a bevelled needle is predicted from axial slices."""
 
 import time
-from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Diagram, System
 
 from sonoservo.diagrams.experiments.experiment import INSTANT, Experiment
-from sonoservo.diagrams.experiments.scenario_words import shape_words
 from sonoservo.diagrams.experiments.shape_prediction_scenario import ShapePredictionScenario
 from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.diagrams.scene import Scene
@@ -21,22 +18,12 @@ from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.diagrams.shape_predictor import MakeShapePredictor
 from sonoservo.systems.display.world.shape_view import ShapeView
 from sonoservo.systems.evaluation.log import Row
-from sonoservo.systems.evaluation.reports.verdict import Verdict
 from sonoservo.systems.evaluation.shape.shape_log import ShapeLog
-from sonoservo.systems.evaluation.shape.shape_metrics import LABELS, summarize_shape
+from sonoservo.systems.evaluation.shape.shape_metrics import summarize_shape
 from sonoservo.systems.evaluation.shape.shape_pictures import (
     SlicePicture,
     picture_slice,
-    plot_key_slices,
-    shape_movie_frames,
 )
-from sonoservo.systems.evaluation.shape.shape_plots import (
-    OVERLAY_CAPTION,
-    SHAPE_CAPTION,
-    plot_shape,
-    plot_shape_comparison,
-)
-from sonoservo.systems.evaluation.shape.shape_verdict import shape_verdict
 from sonoservo.systems.needle.hand import Hand
 from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.needle.insertion_parameters import OUTER_DIAMETER
@@ -81,9 +68,7 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
     """
 
     scenario_class = ShapePredictionScenario
-    labels = LABELS
     log_class = ShapeLog
-    overlay_caption = OVERLAY_CAPTION
     options = frozenset({"meshcat", "pictures"})
 
     def __init__(
@@ -228,32 +213,10 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
         """Summarise a log and the shape; see `summarize_shape`."""
         return {"estimator": self.scenario.estimator, **summarize_shape(log, self.shape)}
 
-    def plots(self, log: ShapeLog) -> dict[str, tuple[str, Figure]]:
-        """Return the plot of the paths, if there are at least two slices."""
-        if len(log.depth) < 2:
-            return {}
-        return {"shape.png": (SHAPE_CAPTION, plot_shape(log, self.shape))}
-
-    @classmethod
-    def overlay(cls, logs: Mapping[str, ShapeLog]) -> Figure:
-        """Return a figure of the curves of several runs over one another, by name."""
-        return plot_shape_comparison(logs)
-
-    def verdict(self, summary: Mapping[str, Any]) -> Verdict:
-        """Return the verdict on a run, from its summary."""
-        return shape_verdict(summary)
-
-    def words(self) -> list[str]:
-        """Return sentences that describe the scenario."""
-        return shape_words(self.scenario)
-
-    def key_frames(self, log: ShapeLog) -> dict[str, Figure]:
-        """Return pictures of a run's telling slices, by caption; none unless they were kept."""
-        return plot_key_slices(log, self._pictures)
-
-    def frames(self, log: ShapeLog) -> Iterator[NDArray[np.uint8]]:
-        """Yield the frames of a movie of a run, (rows, columns, 3) each, one per slice."""
-        return shape_movie_frames(log, self._pictures, self.shape)
+    @property
+    def slice_pictures(self) -> list[SlicePicture]:
+        """Pictures of the slices so far; none unless they are kept."""
+        return self._pictures
 
     def _begin(self) -> None:
         super()._begin()

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 LABELS = {
+    "success.outcome": "outcome",
     "detection.volume": "insertion detected at volume",
     "detection.visible_mm": "needle in view at detection, mm",
     "detection.false_starts": "false starts in the whole run",
@@ -15,6 +16,7 @@ LABELS = {
     "tracking.axis_error_deg.median": "axis error, median, deg",
     "tracking.axis_error_deg.p95": "axis error, 95 %, deg",
     "tracking.consistency.tip.within_95": "share of tips inside the stated 95 %",
+    "tracking.wrong_s": "time with something else taken for the needle, s",
     "tracking.absent_s": "time with an estimate but no needle, s",
     "servo.at_rest.x_mm": "at rest: mean |X|, true, mm",
     "servo.at_rest.z_mm": "at rest: mean |Z|, true, mm",
@@ -55,6 +57,7 @@ _RECORDING = {
 }
 
 _SECTIONS = {
+    "success": "Outcome",
     "detection": "Finding the needle",
     "tracking": "Tracking",
     "servo": "Keeping the needle centred",

@@ -20,6 +20,7 @@ from sonoservo.systems.evaluation.run_errors import (
     needle_speed,
 )
 from sonoservo.systems.evaluation.run_log import RunLog
+from sonoservo.systems.evaluation.success import TrackedVolumes, from_needle, run_outcome
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 from sonoservo.systems.signals.search_reason import ReasonCount
@@ -93,7 +94,7 @@ def summarize(log: RunLog, parameters: MetricsParameters | None = None) -> dict[
     Blocks by name; the functions of this module that compute the blocks document their contents.
     """
     parameters = parameters or MetricsParameters()
-    return {
+    summary: dict[str, Any] = {
         "simulated_s": _number(log.time[-1] if len(log.time) else 0.0),
         "detection": detection(log, parameters),
         "tracking": tracking(log, parameters),
@@ -104,7 +105,10 @@ def summarize(log: RunLog, parameters: MetricsParameters | None = None) -> dict[
             name: {"median": _number(_median(1e3 * t)), "max": _number(_max(1e3 * t))}
             for name, t in sorted(log.compute.items())
         },
+        "success": TrackedVolumes.of(log).figures(),
     }
+    summary["success"]["outcome"] = run_outcome(summary).value
+    return summary
 
 
 def detection(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
@@ -156,10 +160,13 @@ def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     `tracked`: number of these in which the volume itself confirmed the needle (mode tracking);
     `estimated`: number of these with an estimate, over which the errors are taken;
     `lost`: number of these not tracked although more than `min_length` of the needle was in view;
-    `lost_events`: number of times that the needle became lost;
+    `lost_events`: number of times that the needle became lost, of which it is none if the needle
+    was being withdrawn until it was out of view;
     `reasons`: reasons of the volumes of the whole run without an estimate, the most frequent first,
     each with their number;
     `absent_s`: time with an estimate, not a lost one, while no needle is in the tissue;
+    `wrong_s`: time with an estimate, not a lost one, that is more than `start_tolerance` away from
+    the needle, or without a needle: something else is taken for it;
     `absent_travel_mm`: distance that the servo commands the probe to go while there is none;
     `consistency`: see `consistency`;
     `tip_error_mm`: distance from the estimated to the true tip in W, which contains the errors of
@@ -181,13 +188,15 @@ def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
     errors = estimate_errors(log)
     followed = is_known(log.estimate_tip) & (log.estimate_mode != TrackingMode.LOST)
     absent = log.inserted_length == 0
+    right = from_needle(log, log.time, log.estimate_tip) <= parameters.start_tolerance
+    judgeable = np.isfinite(log.inserted_length)
     speed = np.linalg.norm(log.planar_velocity[:, :2], axis=1)
     return {
         "volumes": int(np.sum(judged)),
         "tracked": int(np.sum(judged & tracked)),
         "estimated": int(np.sum(judged & np.isfinite(errors.tip))),
         "lost": int(np.sum(lost)),
-        "lost_events": int(np.sum(_begins(lost))),
+        "lost_events": _losses(lost, in_view, length, parameters.min_length),
         "reasons": ReasonCount(
             reason
             for reason, known in zip(
@@ -196,6 +205,7 @@ def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
             if not known
         ).words,
         "absent_s": _seconds(followed & absent, log.time),
+        "wrong_s": _seconds(followed & judgeable & ~right, log.time),
         "absent_travel_mm": 1e3 * _seconds(absent, log.time, np.nan_to_num(speed)),
         "tip_error_mm": spread(1e3 * errors.tip[judged]),
         "tip_error_in_probe_mm": spread(1e3 * errors.in_probe[judged]),
@@ -205,6 +215,16 @@ def tracking(log: RunLog, parameters: MetricsParameters) -> dict[str, Any]:
         "axis_error_deg": spread(np.degrees(errors.axis[judged])),
         "consistency": consistency(log, judged),
     }
+
+
+def _losses(lost: Mask, in_view: Floats, length: Floats, min_length: float) -> int:
+    """Return how often a needle became lost, unless it was withdrawn from the view meanwhile."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], lost, [False]]).astype(int)))
+    count = 0
+    for start, stop in edges.reshape(-1, 2):
+        gone = stop < len(lost) and in_view[stop] <= min_length and length[stop] < length[start]
+        count += not gone
+    return count
 
 
 def judged_volumes(log: RunLog, parameters: MetricsParameters) -> Mask:
@@ -319,12 +339,7 @@ def _starts(log: RunLog, parameters: MetricsParameters) -> tuple[NDArray[np.intp
     followed = log.volume_estimate_mode != TrackingMode.LOST
     started = np.flatnonzero(_begins(is_known(log.volume_estimate_tip) & followed))
     time, p = log.volume_estimate_time[started], log.volume_estimate_tip[started]
-    tip, entry = at_times(log, log.needle_tip, time), at_times(log, log.needle_entry, time)
-    along = np.sum((p - entry) * (tip - entry), axis=1)
-    squared = np.sum((tip - entry) ** 2, axis=1)
-    u = np.clip(along / np.where(squared > 0, squared, 1.0), 0, 1)[:, np.newaxis]
-    distance = np.linalg.norm(p - (entry + u * (tip - entry)), axis=1)
-    return started, distance <= parameters.start_tolerance
+    return started, from_needle(log, time, p) <= parameters.start_tolerance
 
 
 def _begins(condition: Mask) -> Mask:

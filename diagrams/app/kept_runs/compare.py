@@ -12,8 +12,12 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 from sonoservo.diagrams.app.run_result import format_figure, table_text
-from sonoservo.diagrams.experiments.experiment import Experiment
-from sonoservo.diagrams.experiments.registry import experiment_class, load_scenario
+from sonoservo.diagrams.experiments.presenter import Presenter
+from sonoservo.diagrams.experiments.registry import (
+    experiment_class,
+    load_scenario,
+    presenter_class,
+)
 from sonoservo.diagrams.experiments.scenario_changes import changed_fields
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.evaluation.labels import look_up, sections
@@ -57,9 +61,9 @@ class Comparison:
     runs: Sequence[KeptResults]
 
     @property
-    def experiment(self) -> type[Experiment[Any]]:
-        """Class of the experiment."""
-        return experiment_class(self.runs[0].scenario.experiment)
+    def presenter(self) -> type[Presenter]:
+        """Class that presents the runs."""
+        return presenter_class(self._kind)
 
     @property
     def names(self) -> list[str]:
@@ -79,12 +83,12 @@ class Comparison:
 
     def figures(self) -> dict[str, list[Any]]:
         """Return the figures of all runs, one list each, by their dotted paths."""
-        paths = self.experiment.labels
+        paths = self.presenter.labels
         return {path: [look_up(each.summary, path) for each in self.runs] for path in paths}
 
     def plot(self) -> Figure:
         """Return the curves of all runs over one another."""
-        return self.experiment.overlay({each.name: each.log for each in self.runs})
+        return self.presenter.overlay({each.name: each.log for each in self.runs})
 
     def table(self) -> Table:
         """Return the differences and the figures, for a terminal."""
@@ -96,7 +100,7 @@ class Comparison:
             shown.add_row(row["path"], *(row[name] for name in self.names), style="bold")
         shown.add_section()
         for path, values in self.figures().items():
-            shown.add_row(self.experiment.labels[path], *map(format_figure, values))
+            shown.add_row(self.presenter.labels[path], *map(format_figure, values))
         shown.caption = "Above the line: what differs between the scenarios."
         if not self.changes():
             shown.caption = "The scenarios do not differ."
@@ -128,10 +132,10 @@ class Comparison:
         ]
         parts = ["<h2>What differs between the scenarios</h2>"]
         parts.append(table(["", "field", *heads], changes) if changes else "<p>Nothing.</p>")
-        parts += ["<h2>Curves</h2>", picture(self.experiment.overlay_caption, png(self.plot()))]
+        parts += ["<h2>Curves</h2>", picture(self.presenter.overlay_caption, png(self.plot()))]
         figures = self.figures()
         parts.append("<h2>Figures</h2>")
-        for heading, group in sections(self.experiment.labels).items():
+        for heading, group in sections(self.presenter.labels).items():
             rows = [
                 [html.escape(label), *map(cell_text, figures[path])]
                 for path, label in group.items()

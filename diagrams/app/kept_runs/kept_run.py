@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from pydrake.geometry import Meshcat
 
 from sonoservo.diagrams.experiments.experiment import Experiment
+from sonoservo.diagrams.experiments.registry import present
 from sonoservo.diagrams.experiments.scenario_changes import base_of, changed_fields
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.evaluation.compile_free_clock import CompileFreeClock
@@ -176,9 +177,10 @@ class KeptRun:
         plots
             Caption and figure of each plot, by the name of its file.
         """
+        presenter = present(experiment)
         if self._movie is not None:
             with self.unwritten.collect():
-                write_movie(self._movie, experiment.frames(log), experiment.frame_rate)
+                write_movie(self._movie, presenter.frames(log), presenter.frame_rate)
         if self.out is None:
             return
         if pictures := experiment.pictures:
@@ -203,9 +205,9 @@ class KeptRun:
                 images,
                 story=self.story(summary, experiment, links),
                 key_frames={
-                    caption: png(figure) for caption, figure in experiment.key_frames(log).items()
+                    caption: png(figure) for caption, figure in presenter.key_frames(log).items()
                 },
-                labels=experiment.labels,
+                labels=presenter.labels,
                 paper=experiment.happened().published_figures,
             )
 
@@ -227,10 +229,12 @@ class KeptRun:
             Text of each link, by its relative address.
         """
         base, name = base_of(self.scenario)
-        path = "" if self.out is None else str(self.out / "scenario.yaml")
+        presenter = present(experiment)
+        kept = self.out is not None and experiment.repeatable
+        path = f"{self.out}/scenario.yaml" if kept else ""
         return Story(
-            verdict=experiment.verdict(summary),
-            scenario=experiment.words(),
+            verdict=presenter.verdict(summary),
+            scenario=presenter.words(),
             base=name,
             changes=changed_fields(base, self.scenario),
             command=shlex.join(["sonoservo", "run", path]) if path else "",

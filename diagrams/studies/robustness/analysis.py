@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,54 +14,25 @@ from sonoservo.systems.evaluation.statistics.run_intervals import (
     mean_interval,
     run_interval,
 )
+from sonoservo.systems.evaluation.success import KEPT, TrackedVolumes, finite_or_infinite
 
 Floats = NDArray[np.float64]
-
-ENOUGH_MM = 10.0
-"""Length of needle that stands out from which a volume counts, in mm."""
-
-FOUND_MM, FOUND_DEG = 5.0, 5.0
-"""Errors of tip and axis within which a tracked needle is the right one."""
-
-KEPT = 0.95
-"""Share of the volumes after the detection in which a kept needle is the right one."""
-
-SUCCESS_MM, SUCCESS_DEG = 2.0, 2.0
-"""Median errors of tip and axis of a success."""
 
 _WORTH = 10.0
 """Travel of a probe after a ghost that counts as a chase, in mm."""
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
-    """Run of one tracker; see `runs.record`.
+class Record(TrackedVolumes):
+    """Run of one tracker; see `runs.record` and `TrackedVolumes`.
 
-    Parameters
-    ----------
-    tip, axis
-        (v,) errors in mm and deg; infinite without an estimate.
-    tracking
-        (v,) mask of the volumes that confirmed a needle.
-    conspicuous
-        (v,) length of the true needle that stands out in the volume, in mm.
-    false_starts
-        Number of false starts.
-    seconds
-        Simulated time in s.
-    shown_s
-        Time in s for which a needle is shown while there is none in the image.
-    travel_mm
-        Distance that the probe is commanded meanwhile in mm; None if nothing follows the tracker.
-    inside
-        Whether the truth lies inside the stated 95 % of tip, axis and velocity: (v,) arrays of 1 or
-        0 each, NaN where nothing is stated.
+    `false_starts` is their number, `seconds` the simulated time, `shown_s` the time in s for which
+    a needle is shown while there is none in the image, and `travel_mm` the distance that the probe
+    is commanded meanwhile, None if nothing follows the tracker. `inside` tells whether the truth
+    lies inside the stated 95 % of tip, axis and velocity: (v,) arrays of 1 or 0, NaN where nothing
+    is stated.
     """
 
-    tip: Floats
-    axis: Floats
-    tracking: NDArray[np.bool_]
-    conspicuous: Floats
     false_starts: int
     seconds: float
     shown_s: float
@@ -70,48 +40,20 @@ class Record:
     inside: Mapping[str, Floats]
 
     @classmethod
-    def of(cls, kept: Mapping[str, Any]) -> "Record":
+    def kept_by(cls, kept: Mapping[str, Any]) -> "Record":
         """Return the record that a case has kept."""
         tip, axis = (np.array(kept[name], dtype=float) for name in ("tip_mm", "axis_deg"))
         return cls(
-            tip=np.where(np.isfinite(tip), tip, np.inf),
-            axis=np.where(np.isfinite(axis), axis, np.inf),
+            tip=finite_or_infinite(tip),
+            axis=finite_or_infinite(axis),
             tracking=np.array(kept["tracking"], dtype=bool),
-            conspicuous=np.array(kept["conspicuous_mm"], dtype=float),
+            to_be_seen=np.array(kept["conspicuous_mm"], dtype=float),
             false_starts=int(kept["false_starts"]),
             seconds=float(kept["seconds"]),
             shown_s=float(kept["shown_s"]),
             travel_mm=kept["travel_mm"],
             inside={name: np.array(each, dtype=float) for name, each in kept["inside"].items()},
         )
-
-    @cached_property
-    def right(self) -> NDArray[np.bool_]:
-        """(v,) mask of the volumes in which the right needle is tracked."""
-        return self.tracking & (self.tip <= FOUND_MM) & (self.axis <= FOUND_DEG)
-
-    @property
-    def found(self) -> bool:
-        """True if the right needle is tracked at all."""
-        return bool(self.right.any())
-
-    @cached_property
-    def judged(self) -> NDArray[np.bool_]:
-        """(v,) mask of the volumes from the detection on with enough of the needle to be seen."""
-        return (np.cumsum(self.right) > 0) & (self.conspicuous >= ENOUGH_MM)
-
-    @property
-    def kept(self) -> bool:
-        """True if the needle is found, and the right one is tracked in 95 % of these volumes."""
-        return bool(self.judged.any() and self.right[self.judged].mean() >= KEPT)
-
-    @property
-    def success(self) -> bool:
-        """True if the needle is kept, with median errors of at most 2 mm and 2 deg."""
-        if not self.kept:
-            return False
-        tip, axis = (np.median(each[self.judged]) for each in (self.tip, self.axis))
-        return bool(tip <= SUCCESS_MM and axis <= SUCCESS_DEG)
 
 
 @dataclass(frozen=True)
@@ -135,7 +77,7 @@ class Group:
     """
 
     def __init__(self, outcomes: Sequence[Outcome], tracker: str) -> None:
-        self.records = [Record.of(each.result[tracker]) for each in outcomes if each]
+        self.records = [Record.kept_by(each.result[tracker]) for each in outcomes if each]
         self.total = len(outcomes)
 
     @property

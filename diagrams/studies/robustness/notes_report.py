@@ -1,6 +1,7 @@
 """Title of the study of robustness, and the notes needed to interpret its rows."""
 
-from sonoservo.diagrams.studies.robustness.analysis import (
+from sonoservo.systems.evaluation.conspicuity import STANDS_OUT_DB
+from sonoservo.systems.evaluation.success import (
     ENOUGH_MM,
     FOUND_DEG,
     FOUND_MM,
@@ -8,7 +9,6 @@ from sonoservo.diagrams.studies.robustness.analysis import (
     SUCCESS_DEG,
     SUCCESS_MM,
 )
-from sonoservo.systems.evaluation.conspicuity import STANDS_OUT_DB
 
 TITLE = "Robustness: one dial of the harder world at a time, and all of them in the clinic"
 

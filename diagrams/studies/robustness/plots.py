@@ -6,11 +6,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Picture
 
-from sonoservo.diagrams.studies.robustness.analysis import KEPT, Figure, Group, Record
+from sonoservo.diagrams.studies.robustness.analysis import Figure, Group, Record
 from sonoservo.diagrams.studies.robustness.graded_dials import CLINIC, GRADED
 from sonoservo.diagrams.studies.robustness.runs import OURS, PUBLISHED, TRACKERS, ZHAO
 from sonoservo.diagrams.studies.study_report import StudyFigure
 from sonoservo.systems.evaluation.reports.plots import BLUE, GREEN, ORANGE
+from sonoservo.systems.evaluation.success import KEPT
 
 Curves = Mapping[str, Sequence[tuple[float, Mapping[str, Group]]]]
 Groups = Mapping[str, Mapping[str, Group]]

@@ -19,7 +19,8 @@ from sonoservo.diagrams.tracker_bench import log_of
 from sonoservo.systems.evaluation.conspicuity import conspicuous_length
 from sonoservo.systems.evaluation.metrics import MetricsParameters, detection
 from sonoservo.systems.evaluation.run_errors import at_times, in_frame
-from sonoservo.systems.evaluation.run_log import RunLog, unit
+from sonoservo.systems.evaluation.run_log import RunLog
+from sonoservo.systems.evaluation.success import judged_errors
 from sonoservo.systems.recording.volume_collector import VolumeCollector
 from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.needle_estimate import TrackingMode
@@ -199,33 +200,3 @@ def as_in_probe(log: RunLog) -> RunLog:
         volume_estimate_direction_covariance=turned(log.volume_estimate_direction_covariance),
         volume_estimate_velocity_covariance=turned(log.volume_estimate_velocity_covariance),
     )
-
-
-def judged_errors(log: RunLog, *, across_depth: bool) -> tuple[Floats, Floats]:
-    """Return the errors of the tip in m and of the direction in rad, after each volume.
-
-    Parameters
-    ----------
-    log, across_depth
-        See `record`.
-
-    Returns
-    -------
-    Two (v,) arrays; NaN without an estimate or a needle.
-    """
-    time = log.volume_estimate_time
-    X_WP, points = at_times(log, log.X_WP, time), at_times(log, log.needle_points, time)
-    middle, true_tip, tip, entry = (
-        in_frame(X_WP, each)
-        for each in (
-            points[:, points.shape[1] // 2],
-            points[:, -1],
-            log.volume_estimate_tip,
-            log.volume_estimate_entry,
-        )
-    )
-    counted = np.array([1.0, 0.0, 1.0]) if across_depth else np.ones(3)
-    true, estimated = unit(counted * (true_tip - middle)), unit(counted * (tip - entry))
-    sine = np.linalg.norm(np.cross(true, estimated), axis=1)
-    angle = np.arctan2(sine, np.sum(true * estimated, axis=1))
-    return np.linalg.norm(counted * (tip - true_tip), axis=1), angle

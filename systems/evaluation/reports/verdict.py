@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from sonoservo.systems.evaluation.labels import look_up
+from sonoservo.systems.evaluation.success import RunOutcome, run_outcome
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,15 @@ class Verdict:
         return f"{self.headline}. {self.text}".strip()
 
 
+_ACTS = {
+    RunOutcome.NOT_KEPT: "found, not kept",
+    RunOutcome.INACCURATE: "found and kept, but not accurately",
+}
+
+_SHOWN = 0.5
+"""Time in s from which on it is told that something else was taken for the needle."""
+
+
 def following_verdict(summary: Mapping[str, Any], *, follows: bool = True) -> Verdict:
     """Return the verdict on a run of following, from its summary.
 
@@ -39,27 +49,29 @@ def following_verdict(summary: Mapping[str, Any], *, follows: bool = True) -> Ve
     follows
         Whether the visual servo moves the probe; otherwise nothing is said about centring.
     """
-    found = look_up(summary, "detection.volume") is not None
-    stopped = look_up(summary, "guard.stopped_at_end")
-    lost = look_up(summary, "tracking.lost_events") or 0
-    wrong = look_up(summary, "detection.false_starts") or 0
+    outcome = run_outcome(summary)
     text = " ".join(filter(None, (_missing(summary), _found(summary), _rest(summary, follows))))
     if summary.get("interrupted"):
         text = f"The run was interrupted after {summary['simulated_s']:.1f} s. {text}"
-    if stopped:
-        text = text if found else f"No needle was found. {text}"
+    wrong = look_up(summary, "tracking.wrong_s") or 0.0
+    mistaken = f"something else was taken for it for {wrong:.1f} s" if wrong >= _SHOWN else ""
+    if outcome is RunOutcome.STOPPED:
+        stopped = look_up(summary, "guard.stopped_at_end")
+        text = text if look_up(summary, "success.found") else f"No needle was found. {text}"
         return Verdict(f"The guard stopped the robot because {stopped}", text, "bad")
-    if look_up(summary, "force.touched") is False:
+    if outcome is RunOutcome.UNTOUCHED:
         return Verdict("The probe never touched the body", text, "bad")
-    if not found:
-        return Verdict("No needle was found", text, "bad")
-    acts = "found and followed" if follows else "found and tracked"
-    if wrong:
-        starts = "1 false start" if wrong == 1 else f"{wrong} false starts"
-        return Verdict(f"The needle was {acts}, with {starts}", text, "mixed")
-    if lost:
-        return Verdict(f"The needle was {acts}, and lost {_times(lost)} on the way", text, "mixed")
-    return Verdict(f"The needle was {acts}", text)
+    if outcome is RunOutcome.NOT_FOUND:
+        headline = ", and ".join(filter(None, ("No needle was found", mistaken)))
+        return Verdict(headline, text, "bad")
+    lost = look_up(summary, "tracking.lost_events") or 0
+    acts = _ACTS.get(outcome, "found and followed" if follows else "found and tracked")
+    more = [f"lost {_times(lost)} on the way"] if lost else []
+    headline = ", and ".join([f"The needle was {acts}", *more, *filter(None, [mistaken])])
+    if outcome is RunOutcome.NOT_KEPT:
+        return Verdict(headline, text, "bad")
+    good = outcome is RunOutcome.SUCCESS and not more and not mistaken
+    return Verdict(headline, text, "good" if good else "mixed")
 
 
 def recording_verdict(summary: Mapping[str, Any]) -> Verdict:
@@ -93,9 +105,11 @@ def _found(summary: Mapping[str, Any]) -> str:
     median, p95 = (look_up(tracking, f"tip_error_mm.{each}") for each in ("median", "p95"))
     if median is None:
         return f"{text}."
+    inside = look_up(tracking, "consistency.tip.within_95")
+    stated = "" if inside is None else f", and {100 * inside:.0f} % inside the stated 95 %"
     return (
         f"{text}; half of the estimated tips were less than {median:.2f} mm from the true one, "
-        f"95 % less than {p95:.2f} mm."
+        f"95 % less than {p95:.2f} mm{stated}."
     )
 
 

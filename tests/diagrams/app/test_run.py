@@ -5,9 +5,12 @@ from matplotlib.figure import Figure
 
 from sonoservo.diagrams import load_scenario, run
 from sonoservo.diagrams.app.run_result import RunResult
+from sonoservo.diagrams.experiments.following_presenter import following_words
 from sonoservo.diagrams.experiments.scenario_changes import base_of, changed_fields
-from sonoservo.diagrams.experiments.scenario_words import following_words, shape_words
-from sonoservo.diagrams.experiments.shape_prediction import ShapePredictionExperiment
+from sonoservo.diagrams.experiments.shape_prediction_presenter import (
+    ShapePredictionPresenter,
+    shape_words,
+)
 from sonoservo.systems.files.refusals import ConfigurationError
 
 SHORT = {"depth": 0.02, "observe_until": 0.01, "rotations": [], "step": 2e-3}
@@ -30,7 +33,7 @@ def test_the_summary_is_written_before_anything_is_drawn(monkeypatch, tmp_path):
     def ended(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(ShapePredictionExperiment, "plots", ended)
+    monkeypatch.setattr(ShapePredictionPresenter, "plots", ended)
     with pytest.raises(KeyboardInterrupt):
         run("carriere2016_d60", changes=SHORT, seed=100, out=tmp_path)
     assert json.loads((tmp_path / "summary.json").read_text())["seed"] == 100

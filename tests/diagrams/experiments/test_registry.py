@@ -16,6 +16,7 @@ from sonoservo.diagrams import load_scenario, run
 from sonoservo.diagrams.app.cli import app
 from sonoservo.diagrams.experiments import registry
 from sonoservo.diagrams.experiments.experiment import Experiment
+from sonoservo.diagrams.experiments.presenter import Presenter
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.evaluation.log import Array, Column, Log, read_log
 
@@ -44,7 +45,6 @@ class TickingExperiment(Experiment):
     """Notes the time four times a second."""
 
     scenario_class = TickingScenario
-    labels: ClassVar = {"ticking.count": "number of ticks"}
 
     def __init__(self, scenario):
         self.clock = Clock()
@@ -74,11 +74,15 @@ class TickingExperiment(Experiment):
     def summarize(self, log):
         return {"ticking": {"count": len(log.time)}}
 
-    def plots(self, log):
-        return {"ticks.png": ("ticks", Figure())}
-
     def results(self):
         return {"last": self.ticks[-1]}
+
+
+class TickingPresenter(Presenter):
+    labels: ClassVar = {"ticking.count": "number of ticks"}
+
+    def plots(self, log):
+        return {"ticks.png": ("ticks", Figure())}
 
 
 @pytest.fixture
@@ -86,7 +90,10 @@ def path(monkeypatch, tmp_path):
     module = ModuleType("sonoservo.diagrams.experiments.ticking")
     module.TickingExperiment = TickingExperiment
     monkeypatch.setitem(sys.modules, module.__name__, module)
-    known = {**registry.EXPERIMENTS, "ticking": "TickingExperiment"}
+    presenter = ModuleType(f"{module.__name__}_presenter")
+    presenter.TickingPresenter = TickingPresenter
+    monkeypatch.setitem(sys.modules, presenter.__name__, presenter)
+    known = {**registry.EXPERIMENTS, "ticking": "Ticking"}
     monkeypatch.setattr(registry, "EXPERIMENTS", known)
     path = tmp_path / "clock.yaml"
     path.write_text("experiment: ticking\npublished_figures: {ticking.count: 3}\n")

@@ -12,7 +12,12 @@ import yaml
 from fuzzing.engine import Outcome, judge
 from fuzzing.mutations import NUMBERS, mutate
 from sonoservo.diagrams.app.kept_runs.kept_run import refusing
-from sonoservo.diagrams.experiments.registry import list_scenarios, load_scenario, make_experiment
+from sonoservo.diagrams.experiments.registry import (
+    list_scenarios,
+    load_scenario,
+    make_experiment,
+    present,
+)
 from sonoservo.diagrams.scenario import Scenario
 
 _YAML = [
@@ -129,7 +134,7 @@ def run_case(number: int, folder: Path, seed: int = 0) -> Outcome:
             log = experiment.log()
             figures = experiment.summarize(log)
             if number % 10 == 0:
-                experiment.plots(log)
+                present(experiment).plots(log)
         finally:
             experiment.close()
         assert figures

@@ -77,6 +77,41 @@ def test_an_estimate_that_stays_when_the_needle_has_gone_is_counted(insertion_lo
     assert summarize(insertion_log)["tracking"]["absent_s"] == 0
 
 
+def test_a_needle_that_is_withdrawn_is_not_lost(insertion_log):
+    """From 15 s on it comes out at 30 mm/s, and the tracker searches."""
+    time, volume_time = insertion_log.time, insertion_log.volume_time
+    out = np.clip(0.05 - 0.03 * (time - 15), 0, None)
+    length = np.where(time >= 15, out, insertion_log.inserted_length)
+    mode = np.where(volume_time > 15.2, "searching", insertion_log.volume_estimate_mode)
+    lost = replace(insertion_log, volume_estimate_mode=mode)
+    gone = replace(lost, inserted_length=length)
+    assert summarize(gone)["tracking"]["lost"] > 0
+    assert summarize(gone)["tracking"]["lost_events"] == 0
+    assert summarize(lost)["tracking"]["lost_events"] == 1
+
+
+def test_what_is_taken_for_the_needle_is_timed_and_a_success_has_one_definition(insertion_log):
+    def outcome(**changes):
+        return summarize(replace(insertion_log, **changes))["success"]["outcome"]
+
+    success = summarize(insertion_log)["success"]
+    assert success["outcome"] == "found and kept"
+    assert success["right"] == success["judged"] > 40
+    away = np.where(insertion_log.time[:, np.newaxis] > 18, [0.0, 0.02, 0.0], 0.0)
+    wrong = replace(insertion_log, estimate_tip=insertion_log.estimate_tip + away)
+    assert summarize(wrong)["tracking"]["wrong_s"] == pytest.approx(2, abs=0.1)
+    aside = np.array([0, 3e-3, 0])
+    tip, entry = (
+        each + aside
+        for each in (insertion_log.volume_estimate_tip, insertion_log.volume_estimate_entry)
+    )
+    inaccurate = outcome(volume_estimate_tip=tip, volume_estimate_entry=entry)
+    assert inaccurate == "kept, but inaccurate"
+    mode = insertion_log.volume_estimate_mode.copy()
+    mode[-10:] = "lost"
+    assert outcome(volume_estimate_mode=mode) == "found, not kept"
+
+
 def test_tracking_errors(insertion_log):
     tracking = summarize(insertion_log)["tracking"]
     found = int(np.sum(np.isfinite(insertion_log.volume_estimate_tip[:, 0])))

@@ -10,6 +10,7 @@ from sonoservo.systems.evaluation.reports.key_frames import (
     true_needle,
 )
 from sonoservo.systems.evaluation.reports.verdict import following_verdict, recording_verdict
+from sonoservo.systems.evaluation.success import succeeds
 
 
 @pytest.fixture
@@ -32,16 +33,19 @@ def test_a_good_run_says_what_was_reached(summary):
 @pytest.mark.parametrize(
     ("block", "figures", "grade", "words"),
     [
-        ("tracking", {"lost_events": 2}, "mixed", "and lost twice on the way"),
-        ("detection", {"false_starts": 1}, "mixed", "with 1 false start"),
+        ("tracking", {"lost_events": 2}, "mixed", "followed, and lost twice on the way"),
+        ("tracking", {"wrong_s": 3.1}, "mixed", "and something else was taken for it for 3.1 s"),
+        ("success", {"success": False}, "mixed", "found and kept, but not accurately"),
+        ("success", {"kept": False}, "bad", "The needle was found, not kept."),
+        ("success", {"found": False}, "bad", "No needle was found."),
         ("guard", {"stopped_at_end": "force"}, "bad", "The guard stopped the robot because force"),
         ("force", {"touched": False}, "bad", "The probe never touched the body"),
-        ("detection", {"volume": None, "reason": "Dark."}, "bad", "No needle was found. Dark."),
     ],
 )
 def test_what_went_wrong_comes_first(summary, block, figures, grade, words):
     summary[block] |= figures
     verdict = following_verdict(summary)
+    assert succeeds(summary) == (block == "tracking")
     assert verdict.grade == grade
     assert words in str(verdict)
 

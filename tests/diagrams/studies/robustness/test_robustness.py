@@ -35,13 +35,13 @@ from sonoservo.diagrams.studies.robustness.runs import (
     OURS,
     TRACKERS,
     as_in_probe,
-    judged_errors,
     record,
     run_case,
 )
 from sonoservo.diagrams.studies.robustness.search_path import SearchPath
 from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
 from sonoservo.diagrams.studies.study_report import write_study
+from sonoservo.systems.evaluation.success import judged_errors
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.ultrasound.simulation.tissue import load_tissue
@@ -66,7 +66,7 @@ def kept(tip=1.0, axis=1.0, volumes=20, **changes):
 
 def test_a_success_is_found_kept_and_accurate():
     def judge(**changes):
-        record = Record.of(kept(**changes))
+        record = Record.kept_by(kept(**changes))
         return record.found, record.kept, record.success
 
     assert judge() == (True, True, True)
@@ -117,9 +117,9 @@ def test_doubt_is_judged_where_it_is_stated_from_the_detection_on():
 
 
 def test_a_probe_that_goes_far_after_nothing_chases_a_ghost():
-    assert chased(Record.of(kept(travel_mm=12.0)))
-    assert not chased(Record.of(kept(travel_mm=8.0)))
-    assert not chased(Record.of(kept(travel_mm=None)))
+    assert chased(Record.kept_by(kept(travel_mm=12.0)))
+    assert not chased(Record.kept_by(kept(travel_mm=8.0)))
+    assert not chased(Record.kept_by(kept(travel_mm=None)))
 
 
 @pytest.mark.parametrize(

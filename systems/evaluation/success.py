@@ -1,0 +1,180 @@
+"""Success of a run: whether the needle was found, kept and tracked accurately.
+
+One definition serves the studies, the verdict of a run, its table and the exit status.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonoservo.systems.evaluation.labels import look_up
+from sonoservo.systems.evaluation.run_errors import Floats, at_times, in_frame
+from sonoservo.systems.evaluation.run_log import RunLog, unit
+from sonoservo.systems.signals.needle_estimate import TrackingMode
+
+ENOUGH_MM = 10.0
+"""Length of the needle to be seen in a volume from which the volume counts, in mm."""
+
+FOUND_MM, FOUND_DEG = 5.0, 5.0
+"""Errors of tip and axis within which a tracked needle is the right one."""
+
+KEPT = 0.95
+"""Share of the volumes after the detection in which a kept needle is the right one."""
+
+SUCCESS_MM, SUCCESS_DEG = 2.0, 2.0
+"""Median errors of tip and axis of a success."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedVolumes:
+    """What a tracker made of the v volumes of a run, judged with the truth.
+
+    Parameters
+    ----------
+    tip, axis
+        (v,) errors in mm and deg; infinite without an estimate or a needle.
+    tracking
+        (v,) mask of the volumes that confirmed a needle.
+    to_be_seen
+        (v,) length of the true needle that there was to be seen, in mm: that which stands out in
+        the volume, if it was measured, or else that in view.
+    """
+
+    tip: Floats
+    axis: Floats
+    tracking: NDArray[np.bool_]
+    to_be_seen: Floats
+
+    @classmethod
+    def of(cls, log: RunLog) -> "TrackedVolumes":
+        """Return the volumes of a log; without the length in view, that in the tissue counts."""
+        tip, axis = judged_errors(log)
+        in_view, inside = (
+            at_times(log, each, log.volume_time)
+            for each in (log.visible_length, log.inserted_length)
+        )
+        return cls(
+            tip=finite_or_infinite(1e3 * tip),
+            axis=finite_or_infinite(np.rad2deg(axis)),
+            tracking=log.volume_estimate_mode == TrackingMode.TRACKING,
+            to_be_seen=1e3 * np.nan_to_num(np.where(np.isfinite(in_view), in_view, inside)),
+        )
+
+    @cached_property
+    def right(self) -> NDArray[np.bool_]:
+        """(v,) mask of the volumes in which the right needle is tracked."""
+        return self.tracking & (self.tip <= FOUND_MM) & (self.axis <= FOUND_DEG)
+
+    @property
+    def found(self) -> bool:
+        """True if the right needle is tracked at all."""
+        return bool(self.right.any())
+
+    @cached_property
+    def judged(self) -> NDArray[np.bool_]:
+        """(v,) mask of the volumes from the detection on with enough of the needle to be seen."""
+        return (np.cumsum(self.right) > 0) & (self.to_be_seen >= ENOUGH_MM)
+
+    @property
+    def kept(self) -> bool:
+        """True if the needle is found, and the right one is tracked in 95 % of these volumes."""
+        return bool(self.judged.any() and self.right[self.judged].mean() >= KEPT)
+
+    @property
+    def success(self) -> bool:
+        """True if the needle is kept, with median errors of at most 2 mm and 2 deg."""
+        if not self.kept:
+            return False
+        tip, axis = (np.median(each[self.judged]) for each in (self.tip, self.axis))
+        return bool(tip <= SUCCESS_MM and axis <= SUCCESS_DEG)
+
+    def figures(self) -> dict[str, Any]:
+        """Return the judgement for a summary.
+
+        Returns
+        -------
+        `found`, `kept`, `success`: see the properties; `right`, `judged`: numbers of volumes with
+        the right needle among those from the detection on with enough of it to be seen.
+        """
+        return {
+            "found": self.found,
+            "kept": self.kept,
+            "success": self.success,
+            "right": int(np.sum(self.right & self.judged)),
+            "judged": int(np.sum(self.judged)),
+        }
+
+
+def finite_or_infinite(errors: Floats) -> Floats:
+    """Return errors in which those that nobody knows are infinite."""
+    return np.where(np.isfinite(errors), errors, np.inf)
+
+
+def judged_errors(log: RunLog, *, across_depth: bool = False) -> tuple[Floats, Floats]:
+    """Return the (v,) errors of the tip in m and of the direction in rad, after each volume.
+
+    The true direction is that of the needle's front half. They are NaN without an estimate or a
+    needle. ``across_depth`` leaves out the errors along the depth.
+    """
+    time = log.volume_estimate_time
+    X_WP, points = at_times(log, log.X_WP, time), at_times(log, log.needle_points, time)
+    middle, true_tip, tip, entry = (
+        in_frame(X_WP, each)
+        for each in (
+            points[:, points.shape[1] // 2],
+            points[:, -1],
+            log.volume_estimate_tip,
+            log.volume_estimate_entry,
+        )
+    )
+    counted = np.array([1.0, 0.0, 1.0]) if across_depth else np.ones(3)
+    true, estimated = unit(counted * (true_tip - middle)), unit(counted * (tip - entry))
+    sine = np.linalg.norm(np.cross(true, estimated), axis=1)
+    angle = np.arctan2(sine, np.sum(true * estimated, axis=1))
+    return np.linalg.norm(counted * (tip - true_tip), axis=1), angle
+
+
+def from_needle(log: RunLog, time: Floats, p_W: Floats) -> Floats:
+    """Return the (m,) distances in m of (m, 3) points from the true needle at (m,) times in s.
+
+    They are NaN where there is no needle or no point.
+    """
+    tip, entry = at_times(log, log.needle_tip, time), at_times(log, log.needle_entry, time)
+    along = np.sum((p_W - entry) * (tip - entry), axis=1)
+    squared = np.sum((tip - entry) ** 2, axis=1)
+    u = np.clip(along / np.where(squared > 0, squared, 1.0), 0, 1)[:, np.newaxis]
+    return np.asarray(np.linalg.norm(p_W - (entry + u * (tip - entry)), axis=1))
+
+
+class RunOutcome(Enum):
+    """What became of a run in which a robot follows a needle, the gravest that holds."""
+
+    STOPPED = "stopped by the guard"
+    UNTOUCHED = "never touched the body"
+    NOT_FOUND = "not found"
+    NOT_KEPT = "found, not kept"
+    INACCURATE = "kept, but inaccurate"
+    SUCCESS = "found and kept"
+
+
+def run_outcome(summary: Mapping[str, Any]) -> RunOutcome:
+    """Return what became of a run, from its summary; see `summarize`."""
+    if look_up(summary, "guard.stopped_at_end"):
+        return RunOutcome.STOPPED
+    if look_up(summary, "force.touched") is False:
+        return RunOutcome.UNTOUCHED
+    if not look_up(summary, "success.found"):
+        return RunOutcome.NOT_FOUND
+    if not look_up(summary, "success.kept"):
+        return RunOutcome.NOT_KEPT
+    return RunOutcome.SUCCESS if look_up(summary, "success.success") else RunOutcome.INACCURATE
+
+
+def succeeds(summary: Mapping[str, Any]) -> bool:
+    """Return True if a run is a success: the needle was found, kept and tracked accurately."""
+    return run_outcome(summary) is RunOutcome.SUCCESS
