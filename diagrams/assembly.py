@@ -22,18 +22,6 @@ def load_probe_body(name: str) -> ProbeBody:
     """Read the body of a probe from YAML and check it.
 
     A body without directives and without a dome gets the dome that fits the probe's transducer.
-
-    Parameters
-    ----------
-    name
-        Name of a file in ``models/probes``, or a path.
-
-    Raises
-    ------
-    ConfigurationError
-        If the file does not describe a body; the message names the file and the field.
-    FileNotFoundError
-        If there is no such file.
     """
     return _read_probe_body(model_file("probes", name))
 
@@ -60,13 +48,7 @@ def _read_probe_body(path: Path) -> ProbeBody:
 
 
 def load_dome_radius(name: str) -> float:
-    """Return the radius in m of a sphere with the mean curvature of a probe's dome at its apex.
-
-    Parameters
-    ----------
-    name
-        Name of a file in ``models/probes``, or a path.
-    """
+    """Return the radius in m of a sphere with the mean curvature of a probe's dome at its apex."""
     a, b, c = load_probe_body(name).assumed.dome
     return a * c / b
 
@@ -74,13 +56,5 @@ def load_dome_radius(name: str) -> float:
 def assemble_arm(
     arm: str = ARM, probe: str = PROBE, X_PC: RigidTransform | None = None
 ) -> ArmWithProbe:
-    """Make a plant of an arm and its probe alone, for kinematics.
-
-    Parameters
-    ----------
-    arm, probe
-        Names of files in ``models/robots`` and ``models/probes``, or paths.
-    X_PC
-        Pose of the calibrated probe frame in the true one; by default they are the same.
-    """
+    """Make a plant of an arm and its probe alone, for kinematics."""
     return MakeArmPlant(load_arm(arm), load_probe_body(probe), X_PC)

@@ -32,11 +32,6 @@ class Dial:
 
         Numbers change linearly from their value at strength 0 to the moderate one at 1, and beyond.
         Names and switches do not depend on the strength.
-
-        Parameters
-        ----------
-        strength
-            Strength relative to the moderate one, above 0.
         """
         return [f"{path}={self._value(path, strength)}" for path in self.moderate]
 

@@ -38,23 +38,7 @@ def add_measured_pose(
     period: float,
     seed: int,
 ) -> OutputPort:
-    """Add the systems that measure the pose of the probe, and return the port of that pose.
-
-    Parameters
-    ----------
-    builder
-        Builder of the station.
-    true_pose, joint_state
-        Ports of the true pose of the probe and of the joints' measured positions.
-    arm, probe
-        Names of files in models/robots and models/probes, or paths.
-    calibration, delay
-        Errors of the calibration, and delay of the pose; without either, the true pose is measured.
-    period
-        Time step of the plant, in s.
-    seed
-        Seed of the errors.
-    """
+    """Add the systems that measure the pose of the probe, and return the port of that pose."""
     measured = true_pose
     if calibration.moves_probe:
         held = assemble_arm(arm, probe, hand_eye_error(calibration, seed))

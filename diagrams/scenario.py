@@ -51,18 +51,7 @@ class Scenario:
 
     @classmethod
     def as_published(cls, data: Mapping[str, Any]) -> dict[str, Any]:
-        """Return a scenario's data with the whole published method under the data's own fields.
-
-        Parameters
-        ----------
-        data
-            Fields of a scenario of this experiment, as read from its file.
-
-        Raises
-        ------
-        ConfigurationError
-            If the experiment does not belong to a paper.
-        """
+        """Return a scenario's data with the whole published method under the data's own fields."""
         raise ConfigurationError(f"the experiment {cls.experiment!r} is of no paper")
 
     def to_yaml(self) -> str:
@@ -74,20 +63,7 @@ ScenarioT = TypeVar("ScenarioT", bound=Scenario)
 
 
 def require_scenario(scenario: Scenario, wanted: type[ScenarioT]) -> ScenarioT:
-    """Return a scenario after checking that it is of a certain experiment.
-
-    Parameters
-    ----------
-    scenario
-        Scenario of any experiment.
-    wanted
-        Class of the scenarios of the required experiment.
-
-    Raises
-    ------
-    ConfigurationError
-        If the scenario is of another experiment.
-    """
+    """Return a scenario after checking that it is of a certain experiment."""
     if not isinstance(scenario, wanted):
         raise ConfigurationError(
             f"{scenario.name}: a scenario of the experiment {scenario.experiment!r}; "

@@ -101,19 +101,7 @@ class Scene:
         imaging: ImagingParameters | None = None,
         reaction: TissueReactionParameters | None = None,
     ) -> "Scene":
-        """Return the scene of a scenario with the fields phantom, probe, imaging and scanner.
-
-        Parameters
-        ----------
-        scenario
-            Scenario, whose seed draws speckle and noise.
-        insertion
-            Insertion of the needle.
-        imaging
-            Settings of the scanner that replace the scenario's.
-        reaction
-            Reaction of the tissue, if any.
-        """
+        """Return the scene of a scenario with the fields phantom, probe, imaging and scanner."""
         scanned: _Scanned = scenario
         own: Scenario = scenario
         acts = reaction is not None and reaction.acts
@@ -169,17 +157,7 @@ class Scene:
     def acquire(
         self, motion: SweepMotion, X_TP: NDArray[np.float64] | None = None, *, number: int = 0
     ) -> Acquired:
-        """Acquire one sweep without a simulation.
-
-        Parameters
-        ----------
-        motion
-            Time and pose of each frame.
-        X_TP
-            (frames, 4, 4) poses of the probe in the tissue; by default, T is the world frame.
-        number
-            Number of the sweep, which selects the noise and the errors.
-        """
+        """Acquire one sweep without a simulation."""
         poses = motion.X_WP if X_TP is None else X_TP
         needles = [self.insertion.needle(float(time)) for time in motion.times]
         deformations = self._deformations(motion.times, poses)

@@ -38,16 +38,6 @@ def draw_seeds(scenario: Scenario) -> Seeds:
 
 
 def make_tissue(scenario: Scenario, phantom: str, insertion: Insertion) -> Tissue:
-    """Return a phantom's tissue with the layout and the speckle that a scenario's seed draws.
-
-    Parameters
-    ----------
-    scenario
-        Scenario with the seed.
-    phantom
-        Name of a file in models/phantoms, or a path.
-    insertion
-        Insertion of the needle beside which structures lie.
-    """
+    """Return a phantom's tissue with the layout and the speckle that a scenario's seed draws."""
     tissue = load_tissue(phantom).placed(insertion.entry, insertion.direction, scenario.seed)
     return replace(tissue, seed=draw_seeds(scenario).tissue)

@@ -100,12 +100,7 @@ def MakeShapePredictor(
 def predict_from_slices(
     predictor: Diagram, slices: Iterable[ImageSlice]
 ) -> tuple[list[CrossSection | NotFound], list[NeedleShape | NotFound]]:
-    """Predict a needle's shape from recorded slices, without a simulation.
-
-    Returns
-    -------
-    The result of the search in each slice, and the shape after each.
-    """
+    """Predict a needle's shape from recorded slices, without a simulation."""
     context = predictor.CreateDefaultContext()
     found: list[CrossSection | NotFound] = []
     shapes: list[NeedleShape | NotFound] = []
@@ -121,12 +116,7 @@ def predict_from_slices(
 def estimate_shape(
     estimator: ShapeEstimator, cross_sections: Iterable[CrossSection]
 ) -> list[NeedleShape | NotFound]:
-    """Estimate a needle's shape from recorded cross-sections, without a simulation.
-
-    Returns
-    -------
-    The shape after each cross-section.
-    """
+    """Estimate a needle's shape from recorded cross-sections, without a simulation."""
     # Time does not advance, so an event is forced for each cross-section.
     context = estimator.CreateDefaultContext()
     shapes: list[NeedleShape | NotFound] = []

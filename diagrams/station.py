@@ -163,23 +163,7 @@ def start_posture(
 ) -> NDArray[np.float64]:
     """Return the initial joint positions of the arm.
 
-    Parameters
-    ----------
-    parameters
-        Parameters of the station.
-    probe
-        Name of a file in models/probes, or a path.
-    surface
-        Surface of the phantom; level by default.
-
-    Returns
-    -------
-    (n,) joint positions in rad.
-
-    Raises
-    ------
-    ValueError
-        If the arm cannot reach the start.
+    Returns (n,) joint positions in rad.
     """
     try:
         return solve_posture(
@@ -200,20 +184,7 @@ def check_reach(
     probe: str = PROBE,
     surface: BodySurface | None = None,
 ) -> list[bool]:
-    """Return, for each pose X_WP of the probe, True if the arm can reach it from its start.
-
-    Parameters
-    ----------
-    parameters, probe, surface
-        See `start_posture`.
-    poses
-        Poses of the probe.
-
-    Raises
-    ------
-    ValueError
-        If the arm cannot reach the start.
-    """
+    """Return, for each pose X_WP of the probe, True if the arm can reach it from its start."""
     near = start_posture(parameters, probe, surface)
     return reachable(assemble_arm(parameters.arm, probe), poses, near)
 

@@ -218,12 +218,7 @@ class TrackerBench:
         port.FixValue(self._context, value)
 
     def run(self, source: Iterable[Sample], sinks: Sequence[Sink] = ()) -> bool:
-        """Track the volumes of a source, and hand each result to the sinks in order.
-
-        Returns
-        -------
-        True at the end of the source, False after an interruption from the keyboard.
-        """
+        """Track the volumes of a source, and hand each result to the sinks in order."""
         try:
             for sample in source:
                 began = time.perf_counter()

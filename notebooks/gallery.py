@@ -13,10 +13,10 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from needle_echo import measure_needle_echo
 from pydrake.math import RigidTransform, RotationMatrix
 
 from sonoservo.diagrams import load_scenario, scan
-from sonoservo.systems.evaluation import measure_needle_echo
 from sonoservo.systems.needle.insertion_parameters import OUTER_DIAMETER
 from sonoservo.systems.signals import Needle, Plane, sample_sector
 from sonoservo.systems.ultrasound import ImagingParameters, Transducer

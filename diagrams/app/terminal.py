@@ -44,6 +44,7 @@ _MET: Mapping[Verdict | None, Text] = {
     Verdict.MET: Text("yes"),
     Verdict.UNDECIDED: Text("undecided", style="yellow"),
     Verdict.NOT_MET: Text("no", style="bold red"),
+    Verdict.NOT_MEASURED: Text("not measured", style="yellow"),
 }
 
 

@@ -151,26 +151,12 @@ class Experiment(ABC, Generic[ScenarioT]):
     def run(
         self, after_step: Callable[[Self], None] | None = None, real_time: bool = False
     ) -> None:
-        """Simulate the whole scenario.
-
-        Parameters
-        ----------
-        after_step
-            Function called after every volume or slice with the experiment.
-        real_time
-            Whether to limit the speed to real time.
-        """
+        """Simulate the whole scenario."""
         self.start(real_time=real_time)
         self.advance(self.scenario.duration, after_step)
 
     def start(self, *, real_time: bool = False) -> None:
-        """Start at time zero; after a run, restart from the initial state.
-
-        Parameters
-        ----------
-        real_time
-            Whether to limit the speed to real time.
-        """
+        """Start at time zero; after a run, restart from the initial state."""
         _refuse_after_fork()
         # A new context, because a plant keeps its last contact forces in one that is only reset.
         self._simulator.reset_context(self.diagram.CreateDefaultContext())
@@ -230,10 +216,6 @@ class Experiment(ABC, Generic[ScenarioT]):
         The ports are evaluated just before the event that needs them, which then finds them in the
         cache. At the time of the event itself, the plant makes at most one step. If there is
         nothing new, because a volume was lost or is late, nothing is timed.
-
-        Returns
-        -------
-        True if there was a new volume or slice.
         """
         clock, values = [self._clock()], []
         for system, port in self._stages.values():

@@ -32,38 +32,14 @@ _INDENTATION, _SHAFT = 4e-3, 0.15
 
 
 def make_insertion(scenario: FollowingScenario, pushes: list[Push] | None = None) -> Insertion:
-    """Return the insertion of a scenario's needle.
-
-    Parameters
-    ----------
-    scenario
-        Scenario with the needle, the hand and the seed.
-    pushes
-        Pushes that replace the scenario's.
-
-    Raises
-    ------
-    ValueError
-        If the needle's line does not enter the phantom.
-    """
+    """Return the insertion of a scenario's needle."""
     hand = placed_hand(scenario)
     hand = hand if pushes is None else replace(hand, pushes=pushes)
     return Insertion(hand, np.random.default_rng(draw_seeds(scenario).insertion))
 
 
 def placed_hand(scenario: FollowingScenario) -> InsertionParameters:
-    """Return a scenario's hand with its start, azimuth, entry and initial depth filled in.
-
-    Parameters
-    ----------
-    scenario
-        Scenario whose hand may leave these to its probe and phantom.
-
-    Raises
-    ------
-    ValueError
-        If the needle's line does not enter the phantom.
-    """
+    """Return a scenario's hand with its start, azimuth, entry and initial depth filled in."""
     hand = scenario.hand
     if hand.start is None:
         hand = replace(hand, start=_ready_time(scenario))
@@ -110,20 +86,7 @@ def _default_aim(
 
 
 def check_entry(scenario: FollowingScenario, surface: BodySurface) -> None:
-    """Check that the needle enters the phantom.
-
-    Parameters
-    ----------
-    scenario
-        Scenario with the entries of the needle.
-    surface
-        Surface of the phantom.
-
-    Raises
-    ------
-    ValueError
-        If an entry may lie outside the phantom; the message names the field.
-    """
+    """Check that the needle enters the phantom."""
     hand = scenario.hand
     entries = {"hand.entry": placed_hand(scenario).entry}
     for number, push in enumerate(hand.pushes):
@@ -180,22 +143,7 @@ def check_beside_probe(
 
 
 def check_followed(scenario: FollowingScenario, insertion: Insertion, surface: BodySurface) -> None:
-    """Check that the arm can follow the needle to its deepest point.
-
-    Parameters
-    ----------
-    scenario
-        Scenario with the station and the duration.
-    insertion
-        Insertion of the needle.
-    surface
-        Surface of the phantom.
-
-    Raises
-    ------
-    ValueError
-        If the arm cannot reach that point; the message gives it.
-    """
+    """Check that the arm can follow the needle to its deepest point."""
     deepest = max(np.linspace(0, scenario.duration, 200), key=insertion.depth)
     needle = insertion.needle(deepest)
     if not needle:

@@ -33,13 +33,7 @@ if TYPE_CHECKING:
 
 
 def make_scene(scenario: FollowingScenario) -> Scene:
-    """Return the scene of a scenario, with the poses of probe and phantom as its inputs.
-
-    Raises
-    ------
-    ValueError
-        If the needle misses the phantom or meets the probe; the message names the field.
-    """
+    """Return the scene of a scenario, with the poses of probe and phantom as its inputs."""
     scene = Scene.of(scenario, make_insertion(scenario), reaction=scenario.tissue_reaction)
     check_entry(scenario, scene.tissue.surface)
     check_beside_probe(scenario, scene.insertion, scene.tissue.surface)

@@ -36,13 +36,7 @@ EXPERIMENTS: Mapping[str, str] = {
 
 
 def experiment_class(name: str) -> type["Experiment[Any]"]:
-    """Return the class of an experiment by its name; its module is imported on demand.
-
-    Raises
-    ------
-    ConfigurationError
-        If there is no experiment of that name.
-    """
+    """Return the class of an experiment by its name; its module is imported on demand."""
     if not isinstance(name, str) or name not in EXPERIMENTS:
         raise ConfigurationError(f"{name!r} is not allowed; {suggest(str(name), EXPERIMENTS)}")
     module = import_module(f"sonoservo.diagrams.experiments.{name}")

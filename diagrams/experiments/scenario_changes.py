@@ -27,15 +27,7 @@ def base_of(scenario: Scenario) -> tuple[Scenario, str]:
 
 
 def changed_fields(before: Scenario, after: Scenario, *, seed: bool = False) -> list[Change]:
-    """Return the fields in which two scenarios of one class differ.
-
-    Parameters
-    ----------
-    before, after
-        Scenarios to compare.
-    seed
-        Whether the seed counts too.
-    """
+    """Return the fields in which two scenarios of one class differ."""
     one, other = (_flat(yaml.safe_load(each.to_yaml())) for each in (before, after))
     changes = []
     for path in {**one, **other}:

@@ -1,24 +1,29 @@
 """Kept results of papers and studies, and the tables of the documentation that show them.
 
-The results of a paper or study are the file ``results.json`` in its package, made by ``sonoservo
-reproduce all --keep``, or by its own name instead of "all". The tables name the commit that made
-them, and say so if the code that makes them has changed since.
+A paper's or study's package keeps a record of each run, made by ``sonoservo reproduce all --keep``,
+or by its own name instead of "all". The tables are made of the records by the present definitions.
+They name the commit that made the runs, and say so if the code of the runs has changed since.
 """
 
 import json
 import re
 from collections.abc import Mapping, Sequence
-from importlib.metadata import version
+from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from sonoservo.diagrams.studies.fingerprint import study_fingerprint, study_room
+from sonoservo.diagrams.studies.records import read_records, write_records
+from sonoservo.diagrams.studies.study_report import Study
 from sonoservo.diagrams.studies.verdicts import Verdict, summary_of, verdict
 from sonoservo.systems.evaluation.reports.web_page import cell_text
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.files.writing import write_atomically, write_json
+from sonoservo.systems.files.writing import write_atomically
 
 _ROOT = Path(__file__).resolve().parents[2]
+
+RECORDS, OLD = "records.json.gz", "results.json"
+"""Names of the file of records, and of older results without records, which are outdated."""
 
 PAGES = (_ROOT / "README.md", _ROOT / "notebooks/docs/results.md")
 """Pages with tables of results."""
@@ -50,58 +55,55 @@ _MAIN_FIGURES = {
 """Quantities of the study of robustness that judge a tracker, each with the prefix of its keys."""
 
 
-def keep_results(results: Mapping[str, Mapping[str, Any]]) -> None:
-    """Keep the results of papers in their packages, and write the tables that show them.
+def keep_results(studies: Sequence[Study], command: str) -> None:
+    """Keep the records of studies in their packages, and write the tables that are made of them.
 
     Parameters
     ----------
-    results
-        Contents of study.json by paper.
+    studies
+        Finished studies.
+    command
+        Command that repeats them.
 
     Raises
     ------
     ConfigurationError
-        If the program was not started from a checkout of its repository, or if the results come
-        from several commits, from files that were not committed or from other code than the present
-        one. Failed runs are no reason: they are part of the statistics, and their number is kept.
+        If the program was not started from a checkout of its repository, its code was not
+        committed, or other code than the present one made a run. Failed runs are no reason: they
+        are part of the statistics, and their number is kept.
     """
     if not (_ROOT / "pyproject.toml").is_file():
         raise ConfigurationError("--keep: results are kept in a checkout of the repository only")
-    commits = sorted({data["commit"] for data in results.values()})
-    if len(commits) > 1:
-        raise ConfigurationError(f"--keep: results come from {len(commits)} commits: {commits}")
-    if commits and commits[0].endswith("+"):
-        raise ConfigurationError(f"--keep: the code of {commits[0]} was not committed")
-    if stale := [
-        name for name in results if results[name]["fingerprint"] != study_fingerprint(name)
-    ]:
-        raise ConfigurationError(f"--keep: other code than the present one made {stale[0]}")
-    for paper, data in results.items():
-        write_json(_results_path(paper), {key: data[key] for key in data if key != "failures"})
+    for each in studies:
+        write_records(_folder(each.paper) / RECORDS, each.outcomes, command)
+        (_folder(each.paper) / OLD).unlink(missing_ok=True)
     write_tables()
 
 
+@cache
 def kept_results(paper: str) -> dict[str, Any] | None:
-    """Return the kept results of a paper; None if there are none."""
-    path = _results_path(paper)
-    if not path.is_file():
-        return None
-    kept: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    return kept
+    """Return the figures of a paper's kept results, as in study.json; None if there are none.
 
-
-def is_outdated(kept: Mapping[str, Any]) -> bool:
-    """Return True if results were made by other code than the present one.
-
-    With another version of Drake than the one that made them, nobody can tell.
-
-    Parameters
-    ----------
-    kept
-        Contents of study.json.
+    They are made of the records of its runs by the present definitions. `outdated` tells whether
+    the code of the runs has changed since. An older file of figures without records is outdated.
     """
-    same_drake = kept["drake"] == version("drake")
-    return bool(same_drake and kept["fingerprint"] != study_fingerprint(kept["paper"]))
+    records = read_records(_folder(paper) / RECORDS)
+    if records is not None:
+        report = import_module(
+            f"sonoservo.diagrams.{study_room(paper)}.{paper}.reproduction"
+        ).report
+        study: Study = report(records.outcomes)
+        made = {"commit": records.commit, "outdated": records.is_outdated}
+        return study.as_json(records.command) | made
+    old = _folder(paper) / OLD
+    if not old.is_file():
+        return None
+    return {**json.loads(old.read_text(encoding="utf-8")), "outdated": True}
+
+
+def study_room(name: str) -> str:
+    """Return the folder of `diagrams` in which a study's package lies: "papers" or "studies"."""
+    return "papers" if (_ROOT / "diagrams" / "papers" / name).is_dir() else "studies"
 
 
 def results_table(kept: Mapping[str, Any], rows: str) -> str:
@@ -119,7 +121,7 @@ def results_table(kept: Mapping[str, Any], rows: str) -> str:
     numbers = sorted({len(seeds) for seeds in kept["seeds"].values()})
     seeds = " to ".join(map(str, dict.fromkeys((numbers[0], numbers[-1]))))
     source = f"Commit {kept['commit'][:10]}, `{kept['command']}`, {seeds} seeds an experiment"
-    changed = CHANGED if is_outdated(kept) else ""
+    changed = CHANGED if kept.get("outdated") else ""
     if rows == "thresholds":
         return f"{source}.{changed}\n\n{_thresholds_table(kept['thresholds'])}"
     if rows == "experiments":
@@ -226,10 +228,6 @@ def _interval(low: float | None, high: float | None) -> str:
     if low is None and high is None:
         return ""
     return f"{'-∞' if low is None else _figure(low)} to {'∞' if high is None else _figure(high)}"
-
-
-def _results_path(paper: str) -> Path:
-    return _folder(paper) / "results.json"
 
 
 def _folder(paper: str) -> Path:

@@ -1,4 +1,4 @@
-"""Identity of the program: a digest of its code, and all else that results depend on."""
+"""Identity of what makes results: a digest of its code and data, and the libraries below it."""
 
 import hashlib
 import platform
@@ -13,10 +13,11 @@ from grimp import build_graph
 
 _PARTS = ("systems", "models", "diagrams")
 
-_SHOWS_RESULTS = (
-    "display", "cli", "terminal", "plots", "report", "page", "words", "analysis", "results",
-)  # fmt: skip
-"""Endings of the names of folders and modules that do not affect results."""
+_SHOWING = ("sonoservo.systems.display", "sonoservo.systems.evaluation.reports")
+"""Rooms that only show what a run does: nothing in them makes a result."""
+
+KEPT = ("records.json.gz", "results.json")
+"""Names of the files of kept results, which are made by the code and no part of it."""
 
 _PACKAGES = ("sonoservo", "drake", "numpy", "scipy", "numba", "llvmlite", "filterpy")
 """Packages whose versions affect results."""
@@ -24,47 +25,33 @@ _PACKAGES = ("sonoservo", "drake", "numpy", "scipy", "numba", "llvmlite", "filte
 
 @cache
 def code_fingerprint(*modules: str) -> str:
-    """Return a digest of the code that makes results, of its data files and of Drake's version.
-
-    Code that only displays results (`_SHOWS_RESULTS`) is excluded, and so are pages of
-    documentation: a better plot, or a better word, does not make runs out of date.
+    """Return a digest of the code that makes results, and of all data files.
 
     Parameters
     ----------
     modules
-        Names of the modules that make the results. Code that they do not import, directly or not,
-        is excluded, too; so they must import the classes of their experiments. Without names, or if
-        one of them is none of the package's, all code counts.
+        Names of the modules that make the results, by which all code counts that their imports
+        reach, except in rooms that only show results (`_SHOWING`). A class that is imported by its
+        name at run time is not reached, so they must import the classes of their experiments.
+        Without names, or if one of them is none of the package's, all code counts.
     """
-    digest = hashlib.sha256(f"sonoservo {version('sonoservo')}, drake {version('drake')}".encode())
+    digest = hashlib.sha256()
     reached = _reached_modules(modules)
     for part in _PARTS:
         folder = Path(str(files(f"sonoservo.{part}")))
         for path in sorted(folder.rglob("*")):
             names = (part, *path.relative_to(folder).with_suffix("").parts)
+            module = ".".join(("sonoservo", *names))
             code = path.suffix in (".py", ".pyi")
-            counts = not code or reached is None or ".".join(("sonoservo", *names)) in reached
-            shows = path.suffix == ".md" or any(name.endswith(_SHOWS_RESULTS) for name in names)
-            if path.is_file() and counts and not shows and "__pycache__" not in names:
+            counts = not _shows(module) and (not code or reached is None or module in reached)
+            made = path.suffix == ".md" or path.name in KEPT or "__pycache__" in names
+            if path.is_file() and counts and not made:
                 digest.update("/".join(names).encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:16]
 
 
-def study_fingerprint(name: str) -> str:
-    """Return the digest of the code that makes the results of a paper's reproduction, or a study.
-
-    Parameters
-    ----------
-    name
-        Name of its package.
-    """
-    return code_fingerprint(f"sonoservo.diagrams.{study_room(name)}.{name}.reproduction")
-
-
-def study_room(name: str) -> str:
-    """Return the folder of `diagrams` in which a study's package lies: "papers" or "studies"."""
-    folder = Path(str(files("sonoservo.diagrams")))
-    return "papers" if (folder / "papers" / name).is_dir() else "studies"
+def _shows(module: str) -> bool:
+    return any(module == room or module.startswith(f"{room}.") for room in _SHOWING)
 
 
 def _reached_modules(modules: Sequence[str]) -> set[str] | None:
@@ -76,7 +63,7 @@ def _reached_modules(modules: Sequence[str]) -> set[str] | None:
     if not graph.modules.issuperset(modules):
         return None
     for each in list(graph.modules):
-        if any(name.endswith(_SHOWS_RESULTS) for name in each.split(".")):
+        if _shows(each):
             graph.remove_module(each)
     return set(modules).union(*(graph.find_upstream_modules(each) for each in modules))
 
@@ -91,6 +78,16 @@ def made_with() -> Mapping[str, str]:
     python = ".".join(platform.python_version_tuple()[:2])
     versions = {name: version(name) for name in _PACKAGES}
     return {"python": python, **versions, "instruction set": _instruction_set()}
+
+
+def made_by(module: str) -> dict[str, str]:
+    """Return the identity of what makes the results of a module's function."""
+    return {**made_with(), "module": module, "sonoservo's code": code_fingerprint(module)}
+
+
+def is_outdated(identity: Mapping[str, str]) -> bool:
+    """Return True if the code that made a result has changed since; ``identity`` as `made_by`."""
+    return identity["sonoservo's code"] != code_fingerprint(identity["module"])
 
 
 def _instruction_set() -> str:

@@ -70,13 +70,7 @@ class TimeLeft:
         self._last = self._clock()
 
     def seconds(self, slots: int) -> float | None:
-        """Return the time left in s; None if no case can run.
-
-        Parameters
-        ----------
-        slots
-            Number of cases that run at the same time.
-        """
+        """Return the time left in s; None if no case can run."""
         left = self._left.total()
         slots = min(slots, left)
         if slots < 1:

@@ -11,7 +11,7 @@ from typing import Any
 
 from rich.console import Console
 
-from sonoservo.diagrams.studies.fingerprint import code_fingerprint, made_with
+from sonoservo.diagrams.studies.fingerprint import made_by
 from sonoservo.diagrams.studies.processes import Processes
 from sonoservo.diagrams.studies.progress import StudyProgress
 from sonoservo.diagrams.studies.store import Store
@@ -75,8 +75,7 @@ def run_cases(
     if len(set(cases)) < len(cases):
         raise ValueError(f"{len(cases)} cases, of which {len(set(cases))} differ; all must differ")
     with claim_folder(folder):
-        made_by = {**made_with(), "sonoservo's code": code_fingerprint(_module_of(work))}
-        kept = _Kept(folder, store or Store(str(folder)), made_by)
+        kept = _Kept(folder, store or Store(str(folder)), made_by(_module_of(work)))
         outcomes = {case: kept.read(case) for case in cases}
         pending = [case for case, outcome in outcomes.items() if outcome is None]
         pending.sort(key=lambda case: case.seed)  # if interrupted, all experiments have some runs
@@ -112,7 +111,7 @@ class _Kept:
 
         An outcome that cannot be written still counts, but is computed again the next time.
         """
-        outcome, lasting = finished.outcome, finished.lasting
+        outcome, lasting = replace(finished.outcome, made_by=self._made_by), finished.lasting
         try:
             self.store.write(finished.files)
         except OSError as error:
@@ -121,7 +120,7 @@ class _Kept:
             )
             lasting = False
         if lasting:
-            content = {"made_by": self._made_by, **to_plain(asdict(outcome))}
+            content = to_plain(asdict(outcome))
             with suppress(OSError):
                 write_json(self._path(outcome.case), {**content, "sha256": _digest(content)})
         return outcome
@@ -129,15 +128,13 @@ class _Kept:
     def read(self, case: Case) -> Outcome | None:
         """Read a case's outcome.
 
-        Returns
-        -------
-        None if there is none by the present code and libraries, it was altered, or one of its files
-        is missing or has another size.
+        Returns none if there is none by the present code and libraries, it was altered, or one of
+        its files is missing or has another size.
         """
         try:
             kept = json.loads(self._path(case).read_text(encoding="utf-8"))
             intact = kept.pop("sha256") == _digest(kept)
-            if not intact or kept.pop("made_by") != self._made_by:
+            if not intact or kept["made_by"] != self._made_by:
                 return None
             if kept.pop("case") != asdict(case):
                 return None

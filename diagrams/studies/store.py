@@ -42,16 +42,6 @@ class Store:
 
         On a remote store, all the files appear together when the last one is there, if its file
         system has transactions.
-
-        Parameters
-        ----------
-        files
-            Contents by name, with forward slashes between folders.
-
-        Raises
-        ------
-        OSError
-            If a file cannot be written.
         """
         if self._folder is not None:
             for name, data in files.items():

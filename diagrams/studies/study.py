@@ -121,6 +121,8 @@ class Outcome:
         Wall-clock time of the run, in s.
     files
         Size in bytes (`bytes`) and digest (`sha256`) of each of its files, by name in the store.
+    made_by
+        Identity of the code and the libraries that made it; see `fingerprint.made_by`.
     """
 
     case: Case
@@ -128,6 +130,7 @@ class Outcome:
     error: str = ""
     wall_s: float = 0.0
     files: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    made_by: Mapping[str, str] = field(default_factory=dict)
 
     def __bool__(self) -> bool:
         return not self.error
@@ -188,17 +191,6 @@ class Executor(Protocol):
         """Run cases, and yield each as it ends, in any order.
 
         When the iterator is closed, cases that still run are ended.
-
-        Parameters
-        ----------
-        work
-            Function that runs a case.
-        cases
-            Cases to run.
-        store
-            Store of the cases' files.
-        notify
-            Function that shows a line of text to the user.
         """
 
 

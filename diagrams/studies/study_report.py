@@ -11,7 +11,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from sonoservo.diagrams.studies.commit import present_commit
-from sonoservo.diagrams.studies.fingerprint import made_with, study_fingerprint
+from sonoservo.diagrams.studies.fingerprint import made_with
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.verdicts import Side, Verdict, summary_of, verdict
 from sonoservo.systems.evaluation.reports.plots import png
@@ -132,7 +132,6 @@ class Study:
             "drake": version("drake"),
             "made_with": dict(made_with()),
             "commit": present_commit(),
-            "fingerprint": study_fingerprint(self.paper),
             "seeds": {name: each["seeds"] for name, each in self.experiments.items()},
             "rows": [
                 {key: value for key, value in asdict(row).items() if key != "wanted"}
@@ -153,21 +152,7 @@ class Study:
 
 
 def write_study(folder: Path, study: Study, command: str) -> dict[str, Any]:
-    """Write a study to a folder: study.json, a PNG file for each figure, and report.html.
-
-    Parameters
-    ----------
-    folder
-        Folder for the files.
-    study
-        Study to write.
-    command
-        Command that repeats the study.
-
-    Returns
-    -------
-    Contents of study.json.
-    """
+    """Write a study to a folder: study.json, a PNG file for each figure, and report.html."""
     data = study.as_json(command)
     write_json(folder / "study.json", data)
     pictures = {}
@@ -179,37 +164,13 @@ def write_study(folder: Path, study: Study, command: str) -> dict[str, Any]:
 
 
 def study_page(study: Study, command: str, pictures: Mapping[str, bytes]) -> str:
-    """Return a study as one self-contained HTML page.
-
-    Parameters
-    ----------
-    study
-        Study to show.
-    command
-        Command that repeats the study.
-    pictures
-        Contents of PNG files by caption.
-    """
+    """Return a study as one self-contained HTML page."""
     facts = html.escape(f"{study.title} · sonoservo {version('sonoservo')} · {_met([study])}")
     return web_page(f"{study.paper} reproduced", facts, _body(study, command), pictures)
 
 
 def write_studies(folder: Path, studies: Sequence[Study], command: str) -> dict[str, Any]:
-    """Write studies to their own folders inside a folder, and one report of all of them.
-
-    Parameters
-    ----------
-    folder
-        Folder for report.html and for a folder of each paper; see `write_study`.
-    studies
-        Studies to write.
-    command
-        Command that repeats all of them.
-
-    Returns
-    -------
-    Contents of each study.json by paper.
-    """
+    """Write studies to their own folders inside a folder, and one report of all of them."""
     data = {each.paper: write_study(folder / each.paper, each, command) for each in studies}
     pictures = {
         f"{each.paper}. {shown.caption}": png(shown.figure)
@@ -250,15 +211,7 @@ def target_text(row: StudyRow) -> str:
 
 
 def interval_text(low: float | None, high: float | None, figure: Callable[[float], str]) -> str:
-    """Return an interval such as "0.40 to 0.60"; empty if there is none.
-
-    Parameters
-    ----------
-    low, high
-        Ends of the interval, infinite if too few runs tell.
-    figure
-        Function that returns an end as text.
-    """
+    """Return an interval such as "0.40 to 0.60"; empty if there is none."""
     if low is None or high is None:
         return ""
     if low == -math.inf and high == math.inf:

@@ -1,5 +1,6 @@
 """Verdicts on targets, by figures and their 95 % intervals."""
 
+from collections import Counter
 from collections.abc import Collection
 from enum import StrEnum
 from typing import Literal
@@ -17,24 +18,16 @@ class Verdict(StrEnum):
     NOT_MET = "no"
     UNDECIDED = "undecided"
     """The interval crosses the target: more runs would tell."""
+    NOT_MEASURED = "not measured"
+    """No run gave the figure: it was not asked for, or none got so far."""
 
 
 def verdict(
     value: float | None, low: float | None, high: float | None, target: float, wanted: Side
 ) -> Verdict:
-    """Return the verdict on a target.
-
-    Parameters
-    ----------
-    value
-        Figure; None if there is none, which misses every target.
-    low, high
-        Ends of its interval; None if there is none, and the figure alone decides.
-    target, wanted
-        Target, and the side of it on which the figure must lie.
-    """
+    """Return the verdict on a target."""
     if value is None:
-        return Verdict.NOT_MET
+        return Verdict.NOT_MEASURED
     if low is not None and high is not None and low < target < high:
         return Verdict.UNDECIDED
     good = value <= target if wanted == "at most" else value >= target
@@ -42,15 +35,7 @@ def verdict(
 
 
 def can_be_judged(total: int, target: float, wanted: Side) -> bool:
-    """Return True if a share of runs can meet a target, and can miss it.
-
-    Parameters
-    ----------
-    total
-        Number of runs.
-    target, wanted
-        Target of the share in %, and the side of it on which the share must lie.
-    """
+    """Return True if a share of runs can meet a target, and can miss it."""
     possible = set()
     for number in range(total + 1 if total else 0):
         low, high = proportion_interval(number, total)
@@ -60,10 +45,11 @@ def can_be_judged(total: int, target: float, wanted: Side) -> bool:
 
 
 def summary_of(verdicts: Collection[Verdict]) -> str:
-    """Return how many targets are met, and how many are undecided, as text."""
+    """Return how many of the measured targets are met, and what is open, as text."""
     if not verdicts:
         return "no targets"
-    met, undecided = (
-        sum(each is kind for each in verdicts) for kind in (Verdict.MET, Verdict.UNDECIDED)
-    )
-    return f"{met} of {len(verdicts)} targets met" + (f", {undecided} undecided" * bool(undecided))
+    counts = Counter(verdicts)
+    measured = len(verdicts) - counts[Verdict.NOT_MEASURED]
+    said = [f"{counts[Verdict.MET]} of {measured} targets met"]
+    open_ones = (Verdict.UNDECIDED, Verdict.NOT_MEASURED)
+    return ", ".join([*said, *(f"{counts[each]} {each}" for each in open_ones if counts[each])])

@@ -8,8 +8,6 @@ from .log import read_log as read_log
 from .log import write_log as write_log
 from .metrics import MetricsParameters as MetricsParameters
 from .metrics import summarize as summarize
-from .needle_echo import NeedleEchoFigures as NeedleEchoFigures
-from .needle_echo import measure_needle_echo as measure_needle_echo
 from .reports.key_frames import plot_key_frames as plot_key_frames
 from .reports.movie import movie_frames as movie_frames
 from .reports.movie import write_movie as write_movie

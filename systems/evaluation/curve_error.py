@@ -22,21 +22,12 @@ The tip is always among the points evaluated.
 def curve_deviations(log: RunLog, geometry: SweepGeometry) -> Floats:
     """Return the largest distance between the true and the estimated needle, after each volume.
 
-    The true needle and the probe are taken at the time for which the estimate holds. Only the
-    parts in the image count. The true needle counts from the estimated entry on, where it was
-    first seen, because the estimate does not cover the part before.
+    The true needle and the probe are taken at the time for which the estimate holds. Only the parts
+    in the image count. The true needle counts from the estimated entry on, where it was first seen,
+    because the estimate does not cover the part before.
 
-    Parameters
-    ----------
-    log
-        Log of the run.
-    geometry
-        Geometry of the sweeps, which bounds the image.
-
-    Returns
-    -------
-    (v,) distances in m; NaN if there is no estimate or no needle, or if either has no point in the
-    image.
+    Returns (v,) distances in m; NaN if there is no estimate or no needle, or if either has no point
+    in the image.
     """
     time = log.volume_estimate_time
     true = at_times(log, log.needle_points, time)
@@ -54,15 +45,6 @@ def deviation(true: Floats, estimate: NeedleCurve, geometry: SweepGeometry) -> f
     """Return the largest distance between two curves in the image, in both directions, in m.
 
     It is NaN if either curve has no point in the image.
-
-    Parameters
-    ----------
-    true
-        (m, 3) points evenly spaced along the true needle in P, entry first, in m.
-    estimate
-        Estimated needle in P, in m.
-    geometry
-        Geometry of the sweep.
     """
     u = np.linspace(0, 1, _POINTS)
     truth, guess = CubicSpline(np.linspace(0, 1, len(true)), true)(u), estimate.position(u)

@@ -79,13 +79,7 @@ def look_up(summary: Mapping[str, Any], path: str) -> Any:
 
 
 def recording_labels(modes: Iterable[str]) -> dict[str, str]:
-    """Return the labels of a tracked recording's figures.
-
-    Parameters
-    ----------
-    modes
-        Tracking modes that occurred.
-    """
+    """Return the labels of a tracked recording's figures."""
     after = {f"modes.{mode}": f"volumes after which the mode was {mode}" for mode in modes}
     return _RECORDING | after
 

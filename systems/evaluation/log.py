@@ -50,11 +50,6 @@ class Log(Immutable):
 
     A subclass annotates each array with its column. A field that is a mapping of arrays is written
     as one array for each key, named ``<field>_<key>``. Missing values are NaN, or an empty text.
-
-    Raises
-    ------
-    ValueError
-        If the shape of an array differs from the shape in its column.
     """
 
     def __post_init__(self) -> None:
@@ -97,19 +92,7 @@ def _is_column(hint: Any) -> bool:
 def stack_rows(
     column: Column, name: str, rows: Sequence[Row], extents: Mapping[str, int] | None = None
 ) -> Array:
-    """Return the array of a column from rows that may lack it.
-
-    Parameters
-    ----------
-    column
-        Description of the array.
-    name
-        Key of the column's values in the rows.
-    rows
-        One row for each entry along the array's first axis.
-    extents
-        Extents of the column's other axes, by the letter in the column.
-    """
+    """Return the array of a column from rows that may lack it."""
     if column.dtype == "U":
         return np.array([row.get(name, "") for row in rows], dtype=str)
     shape = [each if isinstance(each, int) else (extents or {})[each] for each in column.shape[1:]]

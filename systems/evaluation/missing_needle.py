@@ -17,11 +17,6 @@ def missing_needle(log: RunLog) -> tuple[str, str]:
 
     The reason is the tracker's most frequent one while the needle could be seen, or in the whole
     run if it never could. Whether it could is judged with the truth.
-
-    Parameters
-    ----------
-    log
-        Log of a run in which no needle was found.
     """
     reasons = volume_reasons(log)
     if not reasons:

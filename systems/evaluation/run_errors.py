@@ -21,16 +21,8 @@ _WINDOW = 0.3
 def features(X_WP: ArrayLike, p_WTip: ArrayLike, p_WEntry: ArrayLike) -> Floats:
     """Return the visual features of needles given in W; see `needle_features`.
 
-    Parameters
-    ----------
-    X_WP
-        (n, 4, 4) poses of the probe.
-    p_WTip, p_WEntry
-        (n, 3) positions in m.
-
-    Returns
-    -------
-    (n, 3) array of x and z of the tip in P in m, and of theta in rad; NaN for an unknown needle.
+    Returns (n, 3) array of x and z of the tip in P in m, and of theta in rad; NaN for an unknown
+    needle.
     """
     X_WP, p_WTip = np.asarray(X_WP), np.asarray(p_WTip)
     R_PW = np.swapaxes(X_WP[:, :3, :3], 1, 2)
@@ -43,17 +35,7 @@ def features(X_WP: ArrayLike, p_WTip: ArrayLike, p_WEntry: ArrayLike) -> Floats:
 def needle_speed(log: RunLog, window: float) -> Floats:
     """Return the speed of the true tip in W, without the hand's tremor.
 
-    Parameters
-    ----------
-    log
-        Log of the run.
-    window
-        Averaging time in s. The mean position over the half window after a sample is compared with
-        that over the half window before.
-
-    Returns
-    -------
-    (n,) speed in m/s; NaN while the needle is outside the tissue.
+    Returns (n,) speed in m/s; NaN while the needle is outside the tissue.
     """
     known = is_known(log.needle_tip)
     speed = np.full(len(log.time), np.nan)
@@ -123,17 +105,8 @@ def estimate_errors(log: RunLog) -> EstimateErrors:
 def normalized_squared_errors(errors: Floats, covariances: Floats) -> Floats:
     """Return the normalised estimation error squared (NEES) of each estimate.
 
-    Parameters
-    ----------
-    errors
-        (v, 3) errors.
-    covariances
-        (v, 3, 3) stated covariances, perhaps of lower rank.
-
-    Returns
-    -------
-    (v,) squared Mahalanobis distances; NaN where an error or a covariance is unknown. Their mean is
-    the rank if the uncertainty is right.
+    Returns (v,) squared Mahalanobis distances; NaN where an error or a covariance is unknown. Their
+    mean is the rank if the uncertainty is right.
     """
     result = np.full(len(errors), np.nan)
     known = is_known(errors) & is_known(covariances.reshape(-1, 9))
@@ -202,17 +175,8 @@ def in_frame(X_WP: Floats, p_W: Floats) -> Floats:
 def _direction(points: Floats, entry: Floats) -> Floats:
     """Return the directions of needles, from the point where each is first seen to its tip.
 
-    Parameters
-    ----------
-    points
-        (v, m, 3) evenly spaced points along each needle, in m.
-    entry
-        (v, 3) points where the needles are first seen, in m.
-
-    Returns
-    -------
-    (v, 3) unit vectors; NaN for a needle with NaN in its points or its entry. At least the last
-    tenth of the needle is used.
+    Returns (v, 3) unit vectors; NaN for a needle with NaN in its points or its entry. At least the
+    last tenth of the needle is used.
     """
     direction = np.full((len(points), 3), np.nan)
     known = is_known(points).all(axis=1) & is_known(entry)

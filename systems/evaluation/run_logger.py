@@ -140,15 +140,7 @@ class RunLogger(LeafSystem):
         self.DeclareForcedPublishEvent(self._sample)
 
     def log(self, context: Context, compute: Mapping[str, ArrayLike] | None = None) -> RunLog:
-        """Return the log so far; it is complete up to that time even if the run was cut short.
-
-        Parameters
-        ----------
-        context
-            Context of this system in which the run took place.
-        compute
-            Computing time per volume in s, by stage, if it was measured.
-        """
+        """Return the log so far; it is complete up to that time even if the run was cut short."""
         times = {name: np.asarray(each, float) for name, each in (compute or {}).items()}
         return RunLog(**self._kept(context).arrays(), compute=times)
 

@@ -117,15 +117,7 @@ def gravest(findings: Iterable[Finding]) -> Finding | None:
 
 
 def check_times(times: ArrayLike, what: str = "volumes") -> list[Finding]:
-    """Check the rate of volumes or frames, how steady it is, and what is missing.
-
-    Parameters
-    ----------
-    times
-        (n,) times in s as they stand in the source; they need not rise.
-    what
-        Word for volumes or frames.
-    """
+    """Check the rate of volumes or frames, how steady it is, and what is missing."""
     known = np.asarray(times, float)
     odd = int((~np.isfinite(known)).sum())
     known = known[np.isfinite(known)]
@@ -179,15 +171,7 @@ def check_times(times: ArrayLike, what: str = "volumes") -> list[Finding]:
 
 
 def check_matrices(name: str, matrices: ArrayLike) -> list[Finding]:
-    """Check that the matrices of a transform are rigid motions, or pixel sizes for an image.
-
-    Parameters
-    ----------
-    name
-        Name of the transform, as ``ProbeToTracker``.
-    matrices
-        (n, 4, 4) matrices with positions in mm; those with NaN are left aside.
-    """
+    """Check that the matrices of a transform are rigid motions, or pixel sizes for an image."""
     each = np.asarray(matrices, float).reshape(-1, 4, 4)
     each = each[np.isfinite(each).all(axis=(1, 2))]
     if not len(each):
@@ -244,17 +228,7 @@ _TRACKER = "look at the tracker: is the tool in its sight?"
 
 
 def check_motion(name: str, matrices: ArrayLike, times: ArrayLike) -> list[Finding]:
-    """Check that poses move as those of a probe do, and do not only repeat.
-
-    Parameters
-    ----------
-    name
-        Name of the transform.
-    matrices
-        (n, 4, 4) matrices with positions in mm; NaN where there is none.
-    times
-        (n,) times in s.
-    """
+    """Check that poses move as those of a probe do, and do not only repeat."""
     each = np.asarray(matrices, float).reshape(-1, 4, 4)
     there = np.isfinite(each).all(axis=(1, 2))
     findings = []

@@ -94,13 +94,7 @@ class TrackedVolumes:
         return bool(tip <= SUCCESS_MM and axis <= SUCCESS_DEG)
 
     def figures(self) -> dict[str, Any]:
-        """Return the judgement for a summary.
-
-        Returns
-        -------
-        `found`, `kept`, `success`: see the properties; `right`, `judged`: numbers of volumes with
-        the right needle among those from the detection on with enough of it to be seen.
-        """
+        """Return the judgement for a summary."""
         return {
             "found": self.found,
             "kept": self.kept,

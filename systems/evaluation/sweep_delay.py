@@ -27,15 +27,6 @@ def sweep_delay(sweeps: Sequence[Sequence[PosedFrame]]) -> tuple[float, float] |
     the sweep back to the other. The delay is that at which both correlate best; its standard
     deviation is that of the mean over pairs of sweeps, widened for their small number so that twice
     of it is the 95 % interval.
-
-    Parameters
-    ----------
-    sweeps
-        Frames of each sweep, in order of time. The tissue must stand still.
-
-    Returns
-    -------
-    Delay and standard deviation in s, or a `NotFound` with the reason why it is unknown.
     """
     delays = [
         best

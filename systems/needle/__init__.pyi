@@ -1,5 +1,4 @@
 from .beam_path import BeamPath as BeamPath
-from .bicycle_model import BicyclePath as BicyclePath
 from .hand import Hand as Hand
 from .insertion import Insertion as Insertion
 from .insertion_parameters import FeedParameters as FeedParameters

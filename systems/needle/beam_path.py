@@ -69,15 +69,7 @@ class BeamPath(Immutable):
     depth: float
 
     def positions(self, distances: Floats, cut: tuple[Floats, Floats] | None = None) -> Floats:
-        """Return the (k, 3) positions of points on the shaft, in m.
-
-        Parameters
-        ----------
-        distances
-            (k,) distances from the entry in m, in ascending order; the last is the tip's.
-        cut
-            Not used: a template does not turn the needle but at ``rotations``.
-        """
+        """Return the (k, 3) positions of points on the shaft, in m."""
         count = int(np.ceil(self.depth / _STEP)) + 3
         long = round(_JUDGED / _STEP)
         scale = _JUDGED**2 / (2 * self.radius) / _deflections((), long + 1)[long, long]

@@ -143,19 +143,7 @@ def next_push(
     time: float,
     parameters: OperatorHandParameters,
 ) -> Push:
-    """Return the hand's push in the next period.
-
-    Parameters
-    ----------
-    driven
-        Insertion so far.
-    target
-        (4,) wanted inserted length in m; angle about the axis, azimuth and dip in rad.
-    time
-        Present time, in s.
-    parameters
-        Limits of the hand's motion.
-    """
+    """Return the hand's push in the next period."""
     period = parameters.period
     depth, turn_deg = float(target[0]), float(np.rad2deg(target[1]))
     aim = new_aim(driven.insertion, target) if _can_follow(driven.insertion, target, time) else {}

@@ -31,16 +31,8 @@ WANDER_STEP = 0.5e-3
 def cut_arcs(depths: Floats, turns: Floats) -> tuple[Floats, Floats]:
     """Return the arcs that make up the path at the end of a history.
 
-    Parameters
-    ----------
-    depths
-        (n,) successive inserted lengths, in m; the last is the present one.
-    turns
-        (n,) angles of the bevel at the same times, in rad.
-
-    Returns
-    -------
-    (m,) length of each arc from the entry to the tip in m, and (m,) its bevel's angle in rad.
+    Returns (m,) length of each arc from the entry to the tip in m, and (m,) its bevel's angle in
+    rad.
     """
     # A stretch of the path exists if the tip passed it on its way in and has not been shallower
     # since. Its length is the amount that a step adds to the smallest depth from then on.
@@ -58,20 +50,7 @@ def cut_arcs(depths: Floats, turns: Floats) -> tuple[Floats, Floats]:
 def draw_wander(length: float, std: float, scale: float, rng: np.random.Generator) -> Floats:
     """Draw the curvature along a path, relative to its mean.
 
-    Parameters
-    ----------
-    length
-        Length of the path in m.
-    std
-        Standard deviation of the relative curvature.
-    scale
-        Standard deviation of the Gaussian that smooths it, in m.
-    rng
-        Generator of the random numbers. A longer path begins like a shorter one.
-
-    Returns
-    -------
-    (n,) values, each for one `WANDER_STEP` of the path.
+    Returns (n,) values, each for one `WANDER_STEP` of the path.
     """
     sigma = scale / WANDER_STEP
     count = len(np.arange(0, length, WANDER_STEP))
@@ -114,17 +93,7 @@ class SteeredPath(Immutable):
     def positions(self, distances: Floats, cut: tuple[Floats, Floats] | None = None) -> Floats:
         """Return positions along the path.
 
-        Parameters
-        ----------
-        distances
-            (k,) distances along the path from the entry in m, in ascending order.
-        cut
-            Lengths in m, and angles relative to `roll` in rad, of the arcs that the hand has cut
-            (see `cut_arcs`); None if the hand does not turn the needle.
-
-        Returns
-        -------
-        (k, 3) coordinates in m along the aimed direction, up and beside.
+        Returns (k, 3) coordinates in m along the aimed direction, up and beside.
         """
         found: Floats = positions(*self._arcs(np.array(self.rotations), cut)[0], distances)
         return found @ self._first_axes if self.angle else found
@@ -178,16 +147,8 @@ class SteeredPath(Immutable):
 def positions(lengths, angles, curvatures, distances):  # type: ignore[no-untyped-def]
     """Return positions along a path of arcs.
 
-    Parameters
-    ----------
-    lengths, angles, curvatures
-        (m,) lengths in m, angles of the bevel in rad and curvatures in 1/m of the arcs.
-    distances
-        (k,) distances along the path from the entry in m, in ascending order.
-
-    Returns
-    -------
-    (k, 3) coordinates in m along the first d, u and v. The last arc continues beyond its end.
+    Returns (k, 3) coordinates in m along the first d, u and v. The last arc continues beyond its
+    end.
     """
     found = np.empty((len(distances), 3))
     p = np.zeros(3)
@@ -217,21 +178,8 @@ def positions(lengths, angles, curvatures, distances):  # type: ignore[no-untype
 def turn_at_depths(lengths, angles, curvatures, depths, errors, axis):  # type: ignore[no-untyped-def]
     """Split arcs at depths, at each of which the bevel is turned by 180 deg.
 
-    Parameters
-    ----------
-    lengths, angles, curvatures
-        (m,) lengths in m, angles of the bevel in rad and curvatures in 1/m of the arcs.
-    depths
-        (r,) depths along an axis in m, in ascending order.
-    errors
-        (r,) angles in rad by which the bevel is turned in addition.
-    axis
-        (3,) unit vector of the axis, in coordinates along the first d, u and v.
-
-    Returns
-    -------
-    (n,) lengths, angles and curvatures of the arcs, and (r,) path lengths in m down to the depths,
-    infinite for those that are not reached.
+    Returns (n,) lengths, angles and curvatures of the arcs, and (r,) path lengths in m down to the
+    depths, infinite for those that are not reached.
     """
     most = len(lengths) + len(depths)
     new_lengths, new_angles, new_curvatures = np.empty(most), np.empty(most), np.empty(most)

@@ -13,6 +13,7 @@ GALLERY = Path(__file__).parents[2] / "notebooks" / "gallery.py"
 def test_gallery_runs_and_its_figures_say_what_they_should(tmp_path, monkeypatch):
     matplotlib.use("Agg")
     monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(GALLERY.parent)
     drawn = runpy.run_path(str(GALLERY))
     with Image.open(tmp_path / "gallery.png") as picture:
         assert min(picture.size) > 600
@@ -42,6 +43,7 @@ def test_gallery_runs_and_its_figures_say_what_they_should(tmp_path, monkeypatch
 def test_every_dial_is_drawn_at_three_strengths(tmp_path, monkeypatch):
     matplotlib.use("Agg")
     monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(GALLERY.parent)
     drawn = runpy.run_path(str(GALLERY.with_name("gallery_of_dials.py")))
     assert all(len(shown) == 3 for shown in drawn["ROWS"].values())
     with Image.open(tmp_path / "gallery_of_dials.png") as picture:

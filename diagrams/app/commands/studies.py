@@ -174,5 +174,5 @@ def reproduce_command(
         data = write_study(folder, studies[0], shlex.join(command))
     say_report(folder)
     if keep:
-        keep_results(data if paper == ALL else {paper: data})
+        keep_results(studies, shlex.join(command))
     write_printed(json_path, data)

@@ -62,8 +62,8 @@ NOTES = (
 )
 
 
-def make_study(outcomes: Sequence[Outcome]) -> Study:
-    """Return the study of the runs of all experiments."""
+def report(outcomes: Sequence[Outcome], pictured: bool = False) -> Study:
+    """Return the study of the runs of all experiments, with its figures on request."""
     rows = [
         row for name in PROTOCOLS if (mine := _of(outcomes, name)) for row in set_rows(name, mine)
     ]
@@ -73,7 +73,7 @@ def make_study(outcomes: Sequence[Outcome]) -> Study:
         "soft-tissue based on image segmentation and particle filtering (AIM 2016)",
         rows=[*rows, *sweep_rows(_of(outcomes, SWEPT))],
         outcomes=outcomes,
-        figures=_figures(outcomes),
+        figures=_figures(outcomes) if pictured else (),
         compute_ms=_compute(outcomes),
         notes=NOTES,
     )

@@ -18,7 +18,7 @@ from sonoservo.diagrams.papers.carriere2016.protocols import (
     SWEEP_SEEDS,
     SWEPT,
 )
-from sonoservo.diagrams.papers.carriere2016.report import make_study
+from sonoservo.diagrams.papers.carriere2016.report import report
 from sonoservo.diagrams.papers.carriere2016.runs import UNTAUGHT, run_needle, teach
 from sonoservo.diagrams.studies.runs import run_cases
 from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
@@ -54,7 +54,7 @@ def reproduce(options: StudyOptions) -> Study:
         cluster=options.cluster,
         console=options.console,
     )
-    return make_study(outcomes)
+    return report(outcomes, pictured=True)
 
 
 def _lessons(options: StudyOptions) -> dict[str, dict[str, Any]]:

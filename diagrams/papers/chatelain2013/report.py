@@ -9,12 +9,7 @@ import numpy as np
 
 from sonoservo.diagrams.papers.chatelain2013.notes_report import NOTES, TITLE
 from sonoservo.diagrams.papers.chatelain2013.plots import study_figures
-from sonoservo.diagrams.studies.following.analysis import (
-    Run,
-    converged,
-    lag,
-    quantile,
-)
+from sonoservo.diagrams.studies.following.analysis import Run, quantile
 from sonoservo.diagrams.studies.following.cases import AS_PUBLISHED
 from sonoservo.diagrams.studies.following.method_report import (
     Comparison,
@@ -35,8 +30,11 @@ from sonoservo.systems.ultrasound.transducer import load_transducer
 
 _MM, _DEG = 1e3, float(np.rad2deg(1))
 
+_ABLATION = "fig5, "
+"""Beginning of the name of an experiment with one part of our method switched off."""
 
-def report(outcomes: Sequence[Outcome], logs: Path, ablations: Sequence[str]) -> Study:
+
+def report(outcomes: Sequence[Outcome], logs: Path | None = None) -> Study:
     """Return the study of finished runs.
 
     Parameters
@@ -44,11 +42,10 @@ def report(outcomes: Sequence[Outcome], logs: Path, ablations: Sequence[str]) ->
     outcomes
         Outcomes of all experiments.
     logs
-        Folder of their logs.
-    ablations
-        Names of the ablations, as in the experiments "fig5, NAME".
+        Folder of their logs; without it, there are no figures.
     """
     names = dict.fromkeys(each.case.experiment.removesuffix(AS_PUBLISHED) for each in outcomes)
+    ablations = [each.removeprefix(_ABLATION) for each in names if each.startswith(_ABLATION)]
     groups = {name: Comparison(outcomes, name, logs) for name in names}
     for name, group in groups.items():
         if name == "fig5":
@@ -59,7 +56,7 @@ def report(outcomes: Sequence[Outcome], logs: Path, ablations: Sequence[str]) ->
             _no_needle(group)
         elif name.startswith("settings"):
             _settings(group)
-        elif name.removeprefix("fig5, ") in ablations:
+        elif name.startswith(_ABLATION):
             _ablation(group)
     runs = {name: group.runs for name, group in groups.items()}
     runs |= {name + AS_PUBLISHED: group.published.runs for name, group in groups.items()}
@@ -68,7 +65,7 @@ def report(outcomes: Sequence[Outcome], logs: Path, ablations: Sequence[str]) ->
         title=TITLE,
         rows=[row for group in groups.values() for row in group.rows],
         outcomes=outcomes,
-        figures=study_figures(runs, ablations),
+        figures=study_figures(runs, ablations) if logs else (),
         compute_ms=_compute_ms(groups["fig4"].runs) if "fig4" in groups else {},
         notes=NOTES,
     )
@@ -125,7 +122,7 @@ def _fig5(group: Comparison, eq_25: Comparison | None) -> None:
     add_rest_rows(group, _AT_REST, share=100)
 
     def lagging(method: MethodRuns) -> Value:
-        return method.mean(lambda run: _MM * lag(run.log, run.scenario))
+        return method.mean(lambda run: _MM * run.lag)
 
     group.row("lag in X while the hand moves at 5 mm/s", "mm", lagging)
     if eq_25:
@@ -221,14 +218,14 @@ def _bent(group: Comparison) -> None:
     group.row(
         "runs with the tip centred",
         "%",
-        lambda method: method.share(lambda run: converged(run.log, straight=False)),
+        lambda method: method.share(lambda run: run.converged(straight=False)),
     )
     add_reliability_rows(group)
 
 
 def _directions(group: Comparison) -> None:
     add_error_rows(group)
-    group.row("runs that converged", "%", lambda m: m.share(lambda run: converged(run.log)))
+    group.row("runs that converged", "%", lambda m: m.share(lambda run: run.converged()))
     add_reliability_rows(group)
 
 
@@ -272,7 +269,7 @@ def _compute_ms(runs: Sequence[Run]) -> dict[str, dict[str, float | None]]:
     """Return the median and largest times of rendering, conversion and tracking, in ms."""
     columns: dict[str, list[Any]] = {}
     for run in runs:
-        for name, times in run.log.compute.items():
+        for name, times in run.compute.items():
             columns.setdefault(name, []).append(1e3 * times)
     return {
         name: {

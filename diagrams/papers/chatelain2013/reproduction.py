@@ -192,7 +192,7 @@ def reproduce(options: StudyOptions) -> Study:
         console=options.console,
     )
     with (options.console or Console(quiet=True)).status("Making the report from the logs ..."):
-        return report(outcomes, logs, list(ABLATIONS))
+        return report(outcomes, logs)
 
 
 def study_cases(options: StudyOptions) -> list[Case]:

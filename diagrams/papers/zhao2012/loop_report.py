@@ -1,7 +1,6 @@
 """Rows of Zhao 2012's tracker in the loop of Chatelain 2013's fig. 5."""
 
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,9 +16,7 @@ from sonoservo.diagrams.studies.following.method_report import (
 from sonoservo.diagrams.studies.following.tracking_rows import add_tracking_rows
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.study_report import StudyRow
-from sonoservo.systems.evaluation.run_errors import at_times
 from sonoservo.systems.evaluation.statistics.run_intervals import run_interval
-from sonoservo.systems.signals.needle_estimate import TrackingMode
 
 Floats = NDArray[np.float64]
 
@@ -39,32 +36,30 @@ _SETTLED = 1.0
 """Time in s after the beginning of a push from which on its speed counts."""
 
 
-def loop_rows(outcomes: Sequence[Outcome], logs: Path) -> list[StudyRow]:
+def loop_rows(outcomes: Sequence[Outcome]) -> list[StudyRow]:
     """Return the rows of the runs in the loop.
 
     Parameters
     ----------
     outcomes
         Outcomes of all experiments.
-    logs
-        Folder of their logs.
     """
     names = list(dict.fromkeys(each.case.experiment for each in outcomes))
     rows: list[StudyRow] = []
     if CLOSED_LOOP in names:
-        group = Comparison(outcomes, CLOSED_LOOP, logs)
+        group = Comparison(outcomes, CLOSED_LOOP)
         add_rest_rows(group)
         add_tracking_rows(group)
         rows += group.rows
     for name in (each for each in names if each + NO_VELOCIMETER in names):
-        rows += _speed_rows(outcomes, name, logs)
+        rows += _speed_rows(outcomes, name)
     return rows
 
 
-def _speed_rows(outcomes: Sequence[Outcome], name: str, logs: Path) -> list[StudyRow]:
+def _speed_rows(outcomes: Sequence[Outcome], name: str) -> list[StudyRow]:
     """Return bias and root mean square error of the estimated speed at each true speed."""
-    group = Comparison(outcomes, name, logs)
-    without = MethodRuns(outcomes, name + NO_VELOCIMETER, logs)
+    group = Comparison(outcomes, name)
+    without = MethodRuns(outcomes, name + NO_VELOCIMETER)
     ours, published, baseline = (
         [speed_errors(run) for run in each.runs] for each in (group.ours, group.published, without)
     )
@@ -122,14 +117,10 @@ def speed_errors(run: Run) -> dict[float, Floats]:
     Volumes count from `_SETTLED` after the beginning of a push on, NaN if not tracked. The first
     push, during which the needle is found, does not count.
     """
-    log, hand = run.log, run.scenario.hand
+    hand, volumes = run.scenario.hand, run.volumes
     assert hand.start is not None
-    dated = np.isfinite(log.volume_estimate_time)
-    time = np.where(dated, log.volume_estimate_time, log.volume_time)
-    tip, entry = (at_times(log, each, time) for each in (log.needle_tip, log.needle_entry))
-    k = (tip - entry) / np.linalg.norm(tip - entry, axis=1, keepdims=True)
-    along = 1e3 * np.sum(log.volume_estimate_velocity * k, axis=1)
-    along[log.volume_estimate_mode != TrackingMode.TRACKING] = np.nan
+    time = volumes.time
+    along = np.where(volumes.tracked, 1e3 * volumes.along, np.nan)
     begin = hand.start + hand.pushes[0].duration
     errors: dict[float, Floats] = {}
     for push in hand.pushes[1:]:

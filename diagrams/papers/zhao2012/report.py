@@ -28,7 +28,7 @@ _UNITS = dict(zip(QUANTITIES, ("deg", "deg", "mm", "mm", "mm", "mm"), strict=Tru
 _KINDS = ("fresh speckle", "same volumes")
 
 
-def report(outcomes: Sequence[Outcome], logs: Path) -> Study:
+def report(outcomes: Sequence[Outcome], logs: Path | None = None) -> Study:
     """Return the study of finished runs.
 
     Parameters
@@ -36,7 +36,7 @@ def report(outcomes: Sequence[Outcome], logs: Path) -> Study:
     outcomes
         Outcomes of all experiments.
     logs
-        Folder of the logs of the runs in the loop.
+        Folder of the runs; without it, there are no figures.
     """
     rows: list[StudyRow] = []
     figures = []
@@ -48,14 +48,14 @@ def report(outcomes: Sequence[Outcome], logs: Path) -> Study:
             continue
         published = name.endswith(_KINDS)
         rows += _reductions(name, errors, published) + _absolutes(name, errors)
-        if published:
+        if published and logs:
             figures += plot_rmse(name, errors.lengths, errors.rmse(), NAMES)
     speeds = {name: speed_errors(outcomes, name) for name in dynamic}
     for name, found in speeds.items():
         rows += speed_rows(name, found)
-    if any(speeds.values()):
+    if logs and any(speeds.values()):
         figures.append(plot_speeds(speeds))
-    rows += _kept_voxel_rows(outcomes) + loop_rows(outcomes, logs)
+    rows += _kept_voxel_rows(outcomes) + loop_rows(outcomes)
     seconds = [s for each in outcomes for s in each.result.get("seconds", [])]
     return Study(
         paper="zhao2012",

@@ -18,11 +18,6 @@ def serve(connection: Connection) -> None:
 
     The first message is the `package_identity` of this process. Each case is answered by a pair:
     "finished" and the `Finished` case, or "unloadable" and why the function cannot be loaded.
-
-    Parameters
-    ----------
-    connection
-        Connection to the worker.
     """
     connection.send(package_identity())
     while connection.poll(IDLE_S):

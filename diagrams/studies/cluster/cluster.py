@@ -81,15 +81,7 @@ class Cluster:
         store: Store,
         notify: Callable[[str], None],
     ) -> Generator[Finished]:
-        """Run cases, and yield each as it ends; see `Executor`.
-
-        Raises
-        ------
-        ConfigurationError
-            If no worker has the same package.
-        ConnectionError
-            If the scheduler is gone.
-        """
+        """Run cases, and yield each as it ends; see `Executor`."""
         waiting = deque((case, 1) for case in cases)
         attempts: dict[str, _Attempt] = {}
         ended: queue.SimpleQueue[str] = queue.SimpleQueue()

@@ -23,15 +23,6 @@ def local_cluster(cases: int) -> Iterator[LocalCluster]:
 
     The worker only waits for its cases, whose processes end with this one. A process for each would
     cost more than a second of processor.
-
-    Parameters
-    ----------
-    cases
-        Number of cases to run at the same time; each has a process of its own.
-
-    Yields
-    ------
-    The cluster.
     """
     with (
         dask.config.set(_CALM),

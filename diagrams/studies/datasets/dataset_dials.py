@@ -49,11 +49,6 @@ def draw_dials(rng: np.random.Generator) -> DrawnDials:
     Each dial of `load_dials` that shows in a volume is on in half of the sequences, with a strength
     from 0.1 to 1. Of dials that set the same field, at most one is on. The needle's angle and speed
     are drawn anyway; their dials raise the upper limits.
-
-    Parameters
-    ----------
-    rng
-        Generator of the draws.
     """
     dials = load_dials()
     strengths: dict[str, float] = {}

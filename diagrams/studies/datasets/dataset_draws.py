@@ -90,17 +90,7 @@ class DrawnScanner:
 def draw_scanner(
     scenario: FollowingScenario, transducers: list[str], rng: np.random.Generator
 ) -> DrawnScanner:
-    """Draw the transducer, the scanner's settings and the tissue.
-
-    Parameters
-    ----------
-    scenario
-        Scenario with the settings that are not drawn.
-    transducers
-        Names or paths of the probes to draw from.
-    rng
-        Generator of the draws.
-    """
+    """Draw the transducer, the scanner's settings and the tissue."""
     name = transducers[rng.integers(len(transducers))]
     transducer = load_transducer(name)
     # Properties that manufacturers do not publish.
@@ -162,25 +152,7 @@ def draw_insertion(
     rng: np.random.Generator,
     dials: DrawnDials,
 ) -> tuple[RigidTransform, InsertionParameters]:
-    """Draw the pose of the probe, and a needle that enters its view from the side.
-
-    Parameters
-    ----------
-    scenario
-        Scenario with the station, and with the settings of the hand that are not drawn.
-    geometry
-        Geometry of the sweeps.
-    volumes
-        Number of volumes during which the needle is pushed.
-    rng
-        Generator of the draws.
-    dials
-        Dials with the limits of the needle's angle and speed.
-
-    Returns
-    -------
-    Pose X_TP of the probe, and the parameters of the insertion.
-    """
+    """Draw the pose of the probe, and a needle that enters its view from the side."""
     station = scenario.station
     X_TP = station.X_WT.InvertAndCompose(
         station.probe_pose(

@@ -39,19 +39,6 @@ def needle_as_imaged(
 
     Each of its points is where the frame that saw it had it, at the depth that follows from the
     speed of sound that the scanner assumes.
-
-    Parameters
-    ----------
-    needle
-        Needle in T, in the tissue at rest.
-    X_TP
-        (frames, 4, 4) poses of the probe in the tissue.
-    deformations
-        (frames,) deformations of the tissue; None for undeformed tissue.
-    acoustic, geometry
-        Geometry of the samples in the tissue, and as the scanner assumes it.
-    direction
-        Direction of the sweep.
     """
     if not needle:
         return needle

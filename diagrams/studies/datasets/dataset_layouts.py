@@ -55,23 +55,7 @@ LAYOUTS: Mapping[str, tuple[Callable[[str, Iterable[Labelled], Path], None], str
 def write_layout(
     layout: str, name: str, volumes: Iterable[Labelled], labels: Callable[[], Mapping[str, Any]]
 ) -> dict[str, bytes]:
-    """Return the files of a sequence in a layout.
-
-    Parameters
-    ----------
-    layout
-        One of the `LAYOUTS`.
-    name
-        Name of the sequence.
-    volumes
-        Volumes and their masks, read one at a time.
-    labels
-        Function that returns the labels of the sequence, called after the last volume.
-
-    Returns
-    -------
-    Contents of the files by their names in the store.
-    """
+    """Return the files of a sequence in a layout."""
     write, path = LAYOUTS[layout]
     with TemporaryDirectory() as temporary:
         folder = Path(temporary)
@@ -87,11 +71,6 @@ def nnunet_files(sequences: Sequence[Mapping[str, Any]]) -> dict[str, bytes]:
 
     The volumes of a sequence resemble each other, so each of the five folds validates with
     sequences that it does not train with.
-
-    Parameters
-    ----------
-    sequences
-        Entries of the manifest; those of another layout are ignored.
     """
     ending = ".nrrd"
     names = [

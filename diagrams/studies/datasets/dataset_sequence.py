@@ -49,14 +49,7 @@ def processor_type() -> str:
 
 
 def make_sequence(case: Case) -> WithFiles:
-    """Make a sequence, and return its entry in the manifest and its files.
-
-    Parameters
-    ----------
-    case
-        Case with the seed, and with the settings `scenario` (YAML), `volumes`, `transducers`,
-        `randomize` and `layout`.
-    """
+    """Make a sequence, and return its entry in the manifest and its files."""
     settings, name = case.settings, f"sequence_{case.seed:05d}"
     dials = DrawnDials()
     if settings["randomize"]:

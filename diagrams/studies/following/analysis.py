@@ -1,18 +1,19 @@
 """Analysis of finished runs of following from their logs."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
+from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.diagrams.scenario import require_scenario
-from sonoservo.diagrams.studies.following.cases import load_case
-from sonoservo.diagrams.studies.study import Outcome
+from sonoservo.diagrams.studies.study import Case, Outcome
+from sonoservo.systems.evaluation.curve_error import curve_deviations
 from sonoservo.systems.evaluation.log import read_log
 from sonoservo.systems.evaluation.metrics import at_rest
 from sonoservo.systems.evaluation.run_errors import (
@@ -21,8 +22,9 @@ from sonoservo.systems.evaluation.run_errors import (
     features,
     in_frame,
 )
-from sonoservo.systems.evaluation.run_log import RunLog
+from sonoservo.systems.evaluation.run_log import RunLog, unit
 from sonoservo.systems.signals.needle_estimate import TrackingMode
+from sonoservo.systems.signals.sweep import SweepGeometry
 
 Floats = NDArray[np.float64]
 
@@ -48,30 +50,30 @@ _LAG_TIME = 2.0
 """Time in s before the end of a push over which the fully developed lag is measured."""
 
 
-@dataclass(frozen=True)
 class Run:
-    """One finished run.
+    """One finished run of following, as its record keeps it; see `describe_run`.
 
     Parameters
     ----------
     outcome
         Outcome of a run of the study that has not failed.
     logs
-        Folder of the logs.
+        Folder of the logs, which plots read; None if there are none.
     """
 
-    outcome: Outcome
-    logs: Path
+    def __init__(self, outcome: Outcome, logs: Path | None = None) -> None:
+        self.outcome, self._logs = outcome, logs
 
     @property
     def log(self) -> RunLog:
         """Log of the run, read each time, because the logs of a study do not fit in memory."""
-        return read_log(self.logs / f"{self.outcome.case.name}.npz", RunLog)
+        assert self._logs is not None
+        return read_log(self._logs / f"{self.outcome.case.name}.npz", RunLog)
 
     @property
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Mapping[str, Any]:
         """Figures of the run, as in summary.json."""
-        return dict(self.outcome.result["summary"])
+        return cast(Mapping[str, Any], self.outcome.result["summary"])
 
     def figure(self, *path: str) -> float | None:
         """Return a figure of the summary by its path."""
@@ -83,28 +85,87 @@ class Run:
     @cached_property
     def scenario(self) -> FollowingScenario:
         """Scenario of the run."""
-        loaded = load_case(self.outcome.case)
-        return require_scenario(loaded, FollowingScenario)
+        return load_case(self.outcome.case)
 
-    @cached_property
+    @property
     def rest(self) -> tuple[Floats, Floats]:
-        """Mean errors at rest; see `rest_errors`."""
-        return rest_errors(self.log)
+        """True and estimated mean errors at rest; see `rest_errors`."""
+        true, estimated = (_array(each, np.nan) for each in self.outcome.result["rest"])
+        return true, estimated
 
-    @cached_property
+    @property
     def found(self) -> list[tuple[float, float]]:
         """Lengths when the needle was found; see `found_after`."""
-        return found_after(self.log)
+        pairs = [_array(each, np.inf) for each in self.outcome.result["found"]]
+        return [(float(visible), float(inserted)) for visible, inserted in pairs]
 
-    @cached_property
+    @property
     def recovery_times(self) -> list[float]:
         """Times of recovery after each move of the phantom; see `recovery_times`."""
-        return recovery_times(self.log, self.scenario)
+        return [float(each) for each in _array(self.outcome.result["recovery_times"], np.inf)]
+
+    def converged(self, straight: bool = True) -> bool:
+        """Return True if the needle was centred throughout the last second; see `centred`."""
+        return bool(self.outcome.result["converged"]["straight" if straight else "bent"])
+
+    @property
+    def lag(self) -> float:
+        """Lag in m while the needle moves; see `lag`."""
+        return float(_array(self.outcome.result["lag"], np.nan))
+
+    @property
+    def compute(self) -> Mapping[str, Floats]:
+        """Computing times of the volumes in s, by stage."""
+        return {name: np.array(each) for name, each in self.outcome.result["compute"].items()}
 
     @cached_property
     def volumes(self) -> "Volumes":
         """Errors and features by volume."""
-        return volumes(self.log, np.array(self.outcome.result["curve_deviation"], dtype=float))
+        kept = self.outcome.result["volumes"]
+        arrays: dict[str, Any] = {
+            name: np.array(each, dtype=bool)
+            if name in _MASKS
+            else _array(each, np.inf if name in _ERRORS else np.nan)
+            for name, each in kept.items()
+        }
+        return Volumes(**arrays)
+
+
+def load_case(case: Case) -> FollowingScenario:
+    """Return the scenario of a case, with the published method if the case asks for it."""
+    settings = case.settings
+    loaded = load_scenario(
+        settings["scenario"],
+        seed=case.seed,
+        changes=list(settings["changes"]),
+        as_published=bool(settings.get("as_published", False)),
+    )
+    return require_scenario(loaded, FollowingScenario)
+
+
+_MASKS, _ERRORS = ("enough", "tracked", "lost"), ("tip", "axis", "curve")
+
+
+def _array(kept: Any, missing: float) -> Floats:
+    """Return kept numbers as an array; JSON has no infinite numbers, so they are missing."""
+    array = np.array(kept, dtype=float)
+    return np.where(np.isfinite(array), array, missing)
+
+
+def describe_run(
+    log: RunLog, scenario: FollowingScenario, geometry: SweepGeometry
+) -> dict[str, Any]:
+    """Return what a study keeps of a run beside its summary; see `Run`."""
+    found = volumes(log, curve_deviations(log, geometry))
+    return {
+        "rest": rest_errors(log),
+        "found": found_after(log),
+        "recovery_times": recovery_times(log, scenario),
+        "converged": {"straight": converged(log), "bent": converged(log, straight=False)},
+        "lag": lag(log, scenario),
+        "compute": dict(log.compute),
+        "volumes": {each.name: getattr(found, each.name) for each in fields(Volumes)},
+    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,6 +189,10 @@ class Volumes:
         (v, 3) true and estimated tip in P, in m.
     track_time
         (v,) computing time of the tracker, in s.
+    time
+        (v,) times for which the estimates hold, or else of the volumes, in s.
+    along
+        (v,) estimated speed along the true needle, in m/s.
     """
 
     enough: NDArray[np.bool_]
@@ -141,6 +206,8 @@ class Volumes:
     p_PTip: Floats
     p_PTip_estimated: Floats
     track_time: Floats
+    time: Floats
+    along: Floats
 
 
 def volumes(log: RunLog, curve_deviation: Floats) -> Volumes:
@@ -167,6 +234,8 @@ def volumes(log: RunLog, curve_deviation: Floats) -> Volumes:
         p_PTip=in_frame(X_WP, tip),
         p_PTip_estimated=in_frame(measured, log.volume_estimate_tip),
         track_time=np.asarray(log.compute["track"]),
+        time=time,
+        along=np.sum(log.volume_estimate_velocity * unit(tip - entry), axis=1),
     )
 
 
@@ -175,17 +244,7 @@ def _or_infinite(errors: Floats) -> Floats:
 
 
 def pooled(runs: Sequence[Run], failed: int, values: Callable[[Volumes], Floats]) -> Floats:
-    """Return the values of all volumes with enough of the needle in view, over all runs.
-
-    Parameters
-    ----------
-    runs
-        Finished runs.
-    failed
-        Number of failed runs. Each counts as one more run of median length without any estimate.
-    values
-        Function that returns the (v,) values of a run.
-    """
+    """Return the values of all volumes with enough of the needle in view, over all runs."""
     return np.concatenate([np.zeros(0), *pooled_runs(runs, failed, values)])
 
 
@@ -206,12 +265,7 @@ def quantile(values: Sequence[float] | Floats, q: float) -> float | None:
 
 
 def found_after(log: RunLog) -> list[tuple[float, float]]:
-    """Return the lengths of needle in the image and in the tissue when it was found, in m.
-
-    Returns
-    -------
-    Both lengths for each insertion of at least `ENOUGH_IN_VIEW`; infinite if it was not found.
-    """
+    """Return the lengths of needle in the image and in the tissue when it was found, in m."""
     time = log.volume_estimate_time
     tracked = log.volume_estimate_mode == TrackingMode.TRACKING
     right = tracked & (estimate_errors(log).tip < _RIGHT_PLACE)
@@ -235,9 +289,7 @@ def rest_errors(log: RunLog) -> tuple[Floats, Floats]:
 
     All samples count, tracked or not. Without an estimate, the true error takes its place.
 
-    Returns
-    -------
-    Two (3,) errors of X, Z and Theta in m and rad; NaN if the needle never rests.
+    Returns two (3,) errors of X, Z and Theta in m and rad; NaN if the needle never rests.
     """
     rest = at_rest(log)
     if not rest.any():
@@ -275,7 +327,7 @@ def recovery_times(log: RunLog, scenario: FollowingScenario) -> list[float]:
     good = centred(log)
     moves = scenario.phantom_motion.moves
     times = []
-    for move, following in zip(moves, [*moves[1:], None], strict=True):
+    for move, following in zip(moves, [*moves[1:], None], strict=False):
         end = move.start + move.duration
         limit = min(following.start if following else np.inf, log.time[-1])
         if limit <= end + _STAYS:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sonoservo.diagrams.studies.following.analysis import Run, Volumes, converged, pooled_runs
+from sonoservo.diagrams.studies.following.analysis import Run, Volumes, pooled_runs
 from sonoservo.diagrams.studies.following.cases import AS_PUBLISHED
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.study_report import StudyRow
@@ -51,10 +51,10 @@ class MethodRuns:
     name
         Name of the experiment.
     logs
-        Folder of the logs.
+        Folder of the logs, if there are any.
     """
 
-    def __init__(self, outcomes: Sequence[Outcome], name: str, logs: Path) -> None:
+    def __init__(self, outcomes: Sequence[Outcome], name: str, logs: Path | None = None) -> None:
         mine = [each for each in outcomes if each.case.experiment == name]
         self.runs = [Run(each, logs) for each in mine if each]
         self.failed = len(mine) - len(self.runs)
@@ -148,7 +148,7 @@ class Comparison:
         See `MethodRuns`.
     """
 
-    def __init__(self, outcomes: Sequence[Outcome], name: str, logs: Path) -> None:
+    def __init__(self, outcomes: Sequence[Outcome], name: str, logs: Path | None = None) -> None:
         self.name = name
         self.ours = MethodRuns(outcomes, name, logs)
         self.published = MethodRuns(outcomes, name + AS_PUBLISHED, logs)
@@ -162,18 +162,7 @@ class Comparison:
     def row(
         self, quantity: str, unit: str, figure: Callable[[MethodRuns], Value], **more: Any
     ) -> None:
-        """Add a row with the same figure of both methods.
-
-        Parameters
-        ----------
-        quantity, unit
-            Quantity with its conditions, and unit.
-        figure
-            Function that returns the figure of a method's runs.
-        more
-            Paper's figure, target, and its side; see `StudyRow`. The target of a share is left
-            out if so few runs can never meet it, or never miss it.
-        """
+        """Add a row with the same figure of both methods."""
         ours, published = figure(self.ours), figure(self.published)
         target = more.get("target")
         if target is not None and ours.share_of is not None:
@@ -219,18 +208,9 @@ def add_rest_rows(
     """Add the rows of the features at rest: where a run converged, and its median over all.
 
     A mean over all runs would tell how far the runs that failed happened to go.
-
-    Parameters
-    ----------
-    group
-        Runs with both methods, to which the rows are added.
-    known
-        Paper's figure and target of each feature.
-    share
-        Target of the share of runs that converge, in %.
     """
     group.row(
-        "runs that converged", "%", lambda m: m.share(lambda run: converged(run.log)),
+        "runs that converged", "%", lambda m: m.share(lambda run: run.converged()),
         target=share, wanted="at least",
     )  # fmt: skip
     for k, (name, (paper, target)) in enumerate(zip(("X", "Z", "Theta"), known, strict=True)):
@@ -258,7 +238,7 @@ def _at_rest(method: MethodRuns, feature: int, factor: float, every: bool = Fals
     figures = partial(error, estimated=False), partial(error, estimated=True)
     if every:
         return method.median(*figures)
-    return method.those(lambda run: converged(run.log)).mean(*figures)
+    return method.those(lambda run: run.converged()).mean(*figures)
 
 
 def _median(values: Floats) -> float:

@@ -98,13 +98,6 @@ class Group:
 
         Volumes without an estimate count as infinite errors. So does the volume that stands for a
         run in which the needle was not found, or that failed.
-
-        Parameters
-        ----------
-        error
-            "tip" or "axis".
-        q
-            Share of the volumes below the quantile.
         """
         runs = [
             getattr(each, error)[each.judged] if each.judged.any() else np.array([np.inf])
@@ -118,11 +111,6 @@ class Group:
 
         Only volumes with a stated uncertainty count, so runs in which the needle was not found, or
         that failed, do not.
-
-        Parameters
-        ----------
-        error
-            "tip", "axis" or "velocity".
         """
         stated = [each.inside[error][each.judged] for each in self.records]
         runs = [100 * each[np.isfinite(each)] for each in stated]
@@ -191,13 +179,7 @@ class Threshold:
 
 
 def threshold(points: Sequence[tuple[float, Figure]]) -> Threshold:
-    """Return the threshold of a dial.
-
-    Parameters
-    ----------
-    points
-        Value of the dial and share of successes in % at each strength studied, the weakest first.
-    """
+    """Return the threshold of a dial."""
     before = None
     for value, share in points:
         if share.value is not None and share.value < 100 * KEPT:

@@ -137,13 +137,6 @@ def turned(name: str, strength: float) -> Turned:
 
     Structures, the speed of sound and the friction are those of a phantom's file, so that a
     strength other than the moderate one needs a phantom of its own.
-
-    Parameters
-    ----------
-    name
-        Name of one of the `GRADED` dials.
-    strength
-        Strength relative to the moderate one.
     """
     dial = GRADED[name]
     value = dial.value(strength)
@@ -161,15 +154,7 @@ def turned(name: str, strength: float) -> Turned:
 
 @contextmanager
 def scenario_of(settings: Mapping[str, Any], seed: int) -> Iterator[FollowingScenario]:
-    """Load the scenario of a case; the file of a changed phantom exists until the end.
-
-    Parameters
-    ----------
-    settings
-        Settings of a case: `scenario`, `changes`, and perhaps `phantom` and `phantom_changes`.
-    seed
-        Seed of the run.
-    """
+    """Load the scenario of a case; the file of a changed phantom exists until the end."""
     with TemporaryDirectory() as folder:
         changes = list(settings["changes"])
         if settings.get("phantom"):

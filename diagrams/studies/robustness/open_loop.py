@@ -62,19 +62,6 @@ def run_open_loop(
     """Acquire a scenario's volumes with a probe that is moved as planned, and track in them.
 
     Every tracker gets the same volumes with the same poses; none of them moves the probe.
-
-    Parameters
-    ----------
-    scenario
-        Scenario of following, of which the controller and the arm play no part.
-    trackers
-        Kinds of the trackers.
-    correct_poses
-        Whether each tracker corrects the poses of its volumes first.
-
-    Returns
-    -------
-    Log of each tracker, by its kind, and the volumes.
     """
     scene = make_scene(scenario)
     benches = {

@@ -26,15 +26,7 @@ error up to which a run succeeds."""
 
 
 def study_figures(curves: Curves, groups: Groups) -> list[StudyFigure]:
-    """Return all figures for which there are runs.
-
-    Parameters
-    ----------
-    curves
-        Runs of the open loop by dial: strength, and runs by tracker.
-    groups
-        Runs by experiment and tracker.
-    """
+    """Return all figures for which there are runs."""
     figures = []
     if any(name in GRADED for name in curves):
         figures = [
@@ -74,23 +66,7 @@ def plot_dials(
     wanted: float,
     second: Callable[[Group], Figure] | None = None,
 ) -> Picture:
-    """Plot a figure of the trackers against the strength of each dial, one panel a dial.
-
-    Parameters
-    ----------
-    curves
-        Runs by dial. "plain" gives the first point of every panel.
-    figure
-        Function that returns the figure of a group of runs.
-    label
-        Label of the vertical axes.
-    highest
-        Upper end of the vertical axes.
-    wanted
-        Value at which a dotted line is drawn.
-    second
-        Function that returns a second figure, drawn pale.
-    """
+    """Plot a figure of the trackers against the strength of each dial, one panel a dial."""
     names = [name for name in curves if name != "plain"]
     rows = -(-len(names) // _COLUMNS)
     picture = Picture(figsize=(3.1 * _COLUMNS, 0.6 + 2.5 * rows), layout="constrained")

@@ -86,13 +86,7 @@ class RobustnessStudy(Study):
 
 
 def report(outcomes: Sequence[Outcome]) -> RobustnessStudy:
-    """Return the study of finished runs.
-
-    Parameters
-    ----------
-    outcomes
-        Outcomes of all cases.
-    """
+    """Return the study of finished runs."""
     groups = group_outcomes(outcomes)
     curves = dial_curves([each for each in outcomes if _is_shared(each)])
     thresholds = dial_thresholds(curves)

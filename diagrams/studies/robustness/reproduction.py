@@ -64,13 +64,7 @@ _QUICK_DIALS = ("faint needle", "breathing", "hand-eye calibration", "speed of s
 
 
 def reproduce(options: StudyOptions) -> Study:
-    """Run the study.
-
-    Parameters
-    ----------
-    options
-        Number of runs, folder and number of processes.
-    """
+    """Run the study."""
     outcomes = run_cases(
         run_case,
         study_cases(options),

@@ -147,16 +147,7 @@ def record(
 def conspicuous_lengths(log: RunLog, volumes: Sequence[Volume]) -> Floats:
     """Return the length of the true needle that stands out in each volume of a log, in m.
 
-    Parameters
-    ----------
-    log
-        Log of the run.
-    volumes
-        Volumes of the run, at least those that are acquired while the needle is in the tissue.
-
-    Returns
-    -------
-    (v,) lengths; 0 without a needle, and for a volume that was not given.
+    Returns (v,) lengths; 0 without a needle, and for a volume that was not given.
     """
     time = log.volume_time
     true_X, points = at_times(log, log.X_WP, time), at_times(log, log.needle_points, time)

@@ -14,21 +14,7 @@ _WINDOW = 0.3
 
 
 def inside_stated(log: RunLog, *, across_depth: bool = False) -> dict[str, list[bool | None]]:
-    """Compare the errors of tip, axis and velocity with the uncertainty stated for them.
-
-    Parameters
-    ----------
-    log
-        Log of the run.
-    across_depth
-        Whether only the parts across the depth (along X and Z of P) count.
-
-    Returns
-    -------
-    `tip`, `axis`, `velocity`: for each volume, whether the truth lies inside the ellipsoid of 95 %;
-    None without an estimate, a stated covariance or a needle. An axis that points the other way
-    does not.
-    """
+    """Compare the errors of tip, axis and velocity with the uncertainty stated for them."""
     time = log.volume_estimate_time
     points = at_times(log, log.needle_points, time)
     before, after = (at_times(log, log.needle_tip, time + each / 2) for each in (-_WINDOW, _WINDOW))

@@ -143,19 +143,7 @@ def explain_volume(
     after: NeedleEstimate,
     occasion: str,
 ) -> ExplainedVolume:
-    """Return the record of a tracker's search in a volume.
-
-    Parameters
-    ----------
-    volume
-        Volume that was searched.
-    explanation
-        Account of the search for the needle in it.
-    before, after
-        Estimates before and after the volume; None before the first one.
-    occasion
-        Reason for keeping the record.
-    """
+    """Return the record of a tracker's search in a volume."""
     predicted, measured = explanation.prediction, explanation.measurement
     expected = predicted.curve if isinstance(predicted, NeedlePrediction) else None
     found = measured.curve if isinstance(measured, NeedleMeasurement) else None

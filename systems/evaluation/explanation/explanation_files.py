@@ -20,13 +20,7 @@ def write_explanation(run: Path, explained: ExplainedVolume) -> Path:
 
 
 def read_explanations(run: Path) -> list[ExplainedVolume]:
-    """Read the explained volumes in the folder of a run, in order of time.
-
-    Raises
-    ------
-    ValueError
-        If a file is damaged.
-    """
+    """Read the explained volumes in the folder of a run, in order of time."""
     kept = [read_log(path, ExplainedVolume) for path in (run / FOLDER).glob(_FILES)]
     return sorted(kept, key=lambda each: float(each.volume_time))
 

@@ -36,18 +36,6 @@ def plot_explanation(
     On the left are two orthogonal slices through the needle, with the region, the candidates and
     the curves projected onto them. On the right are the intensity along the fitted axis, and the
     distances of measurements from their predictions.
-
-    Parameters
-    ----------
-    explained
-        Volume to show.
-    kept
-        All kept volumes of the run, for the distances from the predictions.
-    needle
-        (m, 3) points of the true needle in P as the volume shows it (`imaged_needle`), entry to
-        tip, in m; None if unknown.
-    tip_error
-        Distance from the estimated to the true tip, in m; NaN if unknown.
     """
     needle = np.zeros((0, 3)) if needle is None else needle
     figure = Figure(figsize=(15, 9.5), layout="constrained")

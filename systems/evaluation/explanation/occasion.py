@@ -11,17 +11,7 @@ BEFORE, AFTER = "before", "after"
 def find_occasion(
     before: NeedleEstimate | None, after: NeedleEstimate, *, detected: bool, max_jump: float
 ) -> str:
-    """Return the reason why a volume is worth explaining; an empty text if it is not.
-
-    Parameters
-    ----------
-    before, after
-        Estimates before and after the volume; None before the first one.
-    detected
-        Whether this is the first volume in which an insertion was detected.
-    max_jump
-        Largest distance of the tip from its expected position that is not a jump, in m.
-    """
+    """Return the reason why a volume is worth explaining; an empty text if it is not."""
     if before is None:
         return "first volume" if after.mode == TrackingMode.TRACKING else ""
     if before.mode != after.mode:

@@ -21,13 +21,7 @@ CAPTION = (
 
 
 def plot_comparison(logs: Mapping[str, RunLog]) -> Figure:
-    """Return a figure of the servo's errors, the tip's error and the force of several runs.
-
-    Parameters
-    ----------
-    logs
-        Logs of the runs, by name.
-    """
+    """Return a figure of the servo's errors, the tip's error and the force of several runs."""
     figure = Figure(figsize=(9, 10), layout="constrained")
     x, z, theta, tip, force = figure.subplots(5, 1, sharex=True)
     for number, (name, log) in enumerate(logs.items()):

@@ -26,15 +26,7 @@ VIEWS = ("along needle and beam", "along the needle, across the beam")
 
 
 def plot_key_frames(log: RunLog, pictures: Sequence[VolumePictures]) -> dict[str, Figure]:
-    """Return a figure of each telling moment of a run, by its caption.
-
-    Parameters
-    ----------
-    log
-        Log of the run.
-    pictures
-        Pictures of its volumes, as a `PictureRecorder` kept them.
-    """
+    """Return a figure of each telling moment of a run, by its caption."""
     if not pictures or not len(log.volume_time):
         return {}
     times = np.array([each.time for each in pictures])
@@ -60,13 +52,6 @@ def key_volumes(log: RunLog, parameters: MetricsParameters | None = None) -> dic
 
     These are the detection, the first loss, the largest error of the tip and the last rest. If no
     needle was found, it is the volume that shows most of the needle.
-
-    Parameters
-    ----------
-    log
-        Log of a run with at least one volume.
-    parameters
-        Thresholds, as for the metrics.
     """
     parameters = parameters or MetricsParameters()
     judged = judged_volumes(log, parameters)
@@ -96,15 +81,7 @@ def key_volumes(log: RunLog, parameters: MetricsParameters | None = None) -> dic
 
 
 def true_needle(log: RunLog, volume: int) -> Floats:
-    """Return the (9, 3) points on the true needle in a volume's P, in m; none if it is outside.
-
-    Parameters
-    ----------
-    log
-        Log of the run.
-    volume
-        Number of the volume. The needle is that at the time for which the estimate holds.
-    """
+    """Return the (9, 3) points on the true needle in a volume's P, in m; none if it is outside."""
     time = log.volume_estimate_time[[volume]]
     time = np.where(np.isfinite(time), time, log.volume_true_time[[volume]])
     points = at_times(log, log.needle_points, time)[0]
@@ -113,17 +90,7 @@ def true_needle(log: RunLog, volume: int) -> Floats:
 
 
 def draw_plane(axes: Axes, picture: PlanePicture, true: Floats | None = None) -> None:
-    """Draw a slice, and the needles over it.
-
-    Parameters
-    ----------
-    axes
-        Axes to draw in.
-    picture
-        Slice to draw.
-    true
-        (m, 3) points on the true needle in P, in m; None draws neither needle.
-    """
+    """Draw a slice, and the needles over it."""
     axes.imshow(picture.grey, cmap="gray", vmin=0, vmax=255, extent=picture.extent)
     if true is not None:
         for points, colour, mark, style in (

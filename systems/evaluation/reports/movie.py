@@ -41,13 +41,7 @@ _HUES = (BLUE, ORANGE, GREEN, ESTIMATE, TRUTH)
 
 
 def check_movie(path: Path) -> None:
-    """Check that a movie can be written, before anything is simulated.
-
-    Raises
-    ------
-    ConfigurationError
-        If the suffix is none of `FORMATS`, or a package is missing.
-    """
+    """Check that a movie can be written, before anything is simulated."""
     if path.suffix.lower() not in FORMATS:
         raise ConfigurationError(f"{path} must end in {' or '.join(FORMATS)}")
     if path.suffix.lower() == ".mp4" and not (find_spec("imageio") and find_spec("imageio_ffmpeg")):
@@ -101,15 +95,7 @@ def _palette() -> Image.Image:
 
 
 def movie_frames(log: RunLog, pictures: Sequence[VolumePictures]) -> Iterator[Frame]:
-    """Yield a picture of each volume: its slices with both needles, beside curves of the run.
-
-    Parameters
-    ----------
-    log
-        Log of the run.
-    pictures
-        Pictures of its volumes, as a `PictureRecorder` kept them.
-    """
+    """Yield a picture of each volume: its slices with both needles, beside curves of the run."""
     figure = Figure(figsize=(9.6, 5.4))
     canvas = FigureCanvasAgg(figure)
     inside = {"bottom": 0.09, "top": 0.88, "hspace": 0.45}

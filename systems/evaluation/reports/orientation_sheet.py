@@ -20,17 +20,7 @@ _IN_PLANE = 0.6
 
 
 def orientation_sheet(volume: Volume, R_LP: RotationMatrix, *, caption: str = "") -> Figure:
-    """Return a figure of the three middle planes of a volume.
-
-    Parameters
-    ----------
-    volume
-        Volume to show.
-    R_LP
-        Orientation of P in LPS; arrows show where its directions run.
-    caption
-        Line below the pictures.
-    """
+    """Return a figure of the three middle planes of a volume."""
     figure = Figure(figsize=(11, 4.6), layout="constrained")
     low, high = 1e3 * volume.origin, 1e3 * volume.upper
     middle = [n // 2 for n in volume.intensities.shape]

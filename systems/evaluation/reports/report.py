@@ -127,10 +127,6 @@ def save_replay(meshcat: Meshcat, path: str | Path) -> Path:
 
     Call ``meshcat.StartRecording()`` before the simulator is initialised: the recording lacks
     everything shown or hidden earlier. The live page, if one is open, plays the recording too.
-
-    Returns
-    -------
-    Path of the page.
     """
     meshcat.StopRecording()
     meshcat.PublishRecording()

@@ -53,18 +53,6 @@ def scan_sheet(sweep: Sweep, volume: Volume, needle: Needle, *, caption: str) ->
     Slices are interpolated from the samples of the sweep. A dotted line surrounds the true needle
     at a distance of 3 mm, which leaves its echo visible, and an arrow points at its tip. There are
     two slices if the sweep does not contain the needle.
-
-    Parameters
-    ----------
-    sweep
-        Sweep to show.
-    volume
-        The same sweep after scan conversion, for the extent of the slices and the pose of the
-        probe.
-    needle
-        True needle in W, possibly empty.
-    caption
-        Title of the figure, usually the scanner's settings.
     """
     figure = Figure(figsize=(13, 9.6), facecolor=_PAPER, layout="constrained")
     figure.get_layout_engine().set(w_pad=0.12, h_pad=0.12)
@@ -93,17 +81,7 @@ def scan_sheet(sweep: Sweep, volume: Volume, needle: Needle, *, caption: str) ->
 
 
 def show_view(axes: Axes, view: View, sweep: Sweep, shaft: Floats, radius: float) -> AxesImage:
-    """Draw a view of a sweep.
-
-    Parameters
-    ----------
-    axes
-        Axes to draw in.
-    view, sweep
-        View to draw, and the sweep it shows.
-    shaft, radius
-        (m, 3) points on the true needle's axis in P, possibly none, and its radius, in m.
-    """
+    """Draw a view of a sweep."""
     grey = sweep.sample(view.p_P, outside=np.nan)
     inside = np.isfinite(grey)
     spans = [np.flatnonzero(inside.any(axis=axis)) for axis in (1, 0)]

@@ -40,15 +40,7 @@ _SHOWN = 0.5
 
 
 def following_verdict(summary: Mapping[str, Any], *, follows: bool = True) -> Verdict:
-    """Return the verdict on a run of following, from its summary.
-
-    Parameters
-    ----------
-    summary
-        Summary of the run; see `summarize`.
-    follows
-        Whether the visual servo moves the probe; otherwise nothing is said about centring.
-    """
+    """Return the verdict on a run of following, from its summary."""
     outcome = run_outcome(summary)
     text = " ".join(filter(None, (_missing(summary), _found(summary), _rest(summary, follows))))
     if summary.get("interrupted"):

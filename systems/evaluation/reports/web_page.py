@@ -47,19 +47,7 @@ _PAGE = """<!DOCTYPE html>
 
 
 def web_page(title: str, facts: str, body: str, figures: Mapping[str, bytes]) -> str:
-    """Return a self-contained web page.
-
-    Parameters
-    ----------
-    title
-        Title, as plain text.
-    facts
-        HTML of the line below the title.
-    body
-        HTML of the part before the figures.
-    figures
-        Contents of PNG files by caption; captions are plain text.
-    """
+    """Return a self-contained web page."""
     return _PAGE.format(
         title=html.escape(title),
         facts=facts,

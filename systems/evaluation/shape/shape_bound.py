@@ -44,25 +44,12 @@ class TrueBend:
 def deflection_bound(bend: TrueBend, seen: Floats, noise_std: float, depths: Floats) -> Floats:
     """Return the least standard deviation of a predicted deflection u, in m.
 
-    It is the Bayesian Cramer-Rao bound (Van Trees 1968) with the information at the true path:
-    no estimator that knows the distribution of all needles has a smaller mean squared error. The
+    It is the Bayesian Cramer-Rao bound (Van Trees 1968) with the information at the true path: no
+    estimator that knows the distribution of all needles has a smaller mean squared error. The
     unknowns are the origin, R, theta_0 and the wander of the curvature. The plane of the bend does
     not enter, as an error of it does not change u to first order.
 
-    Parameters
-    ----------
-    bend
-        True path.
-    seen
-        (m,) depths of the measured cross-sections, in m, ascending.
-    noise_std
-        Standard deviation of their measured u, in m.
-    depths
-        (k,) depths of the prediction, in m, ascending.
-
-    Returns
-    -------
-    (k,) standard deviations in m.
+    Returns (k,) standard deviations in m.
     """
     modes = wander_modes(float(depths[-1]), bend.rotations, bend.wander_length)
     prior = [_WIDE, bend.radius_std, bend.angle_std]

@@ -30,15 +30,7 @@ class ShapeLog(Log):
 
     @classmethod
     def from_rows(cls, rows: Sequence[Row], true_path: Callable[[Array], Array]) -> Self:
-        """Make a log from rows that may lack values.
-
-        Parameters
-        ----------
-        rows
-            One row for each slice, with the names of all arrays except `true` as keys.
-        true_path
-            Function that returns the (n, 3) true path at (n,) depths, both in m.
-        """
+        """Make a log from rows that may lack values."""
         arrays: dict[str, Any] = {
             name: stack_rows(column, name, rows) for name, column in columns(cls).items()
         }

@@ -76,18 +76,7 @@ def shape_errors(path: Floats, predicted: Floats) -> ShapeErrors:
 
 
 def shape_coverage(shape: NeedleShape, path: Floats) -> dict[str, float]:
-    """Check whether the estimate's 95 % regions cover an (m, 3) path in I, in m.
-
-    Returns
-    -------
-    tip
-        1 if the tip lies within its 95 % ellipse, else 0.
-    shape
-        1 if the area between path and prediction does not exceed the 95 % quantile of that area
-        over the paths of the estimate's distribution, else 0.
-    points
-        Share of the depths at which the path lies within its 95 % ellipse.
-    """
+    """Check whether the estimate's 95 % regions cover an (m, 3) path in I, in m."""
     mean, covariance = shape.predict(path[:, 2])
     apart = path[:, :2] - mean
     # Regularised, because the covariance is zero at depths where the estimate has no spread.

@@ -44,17 +44,7 @@ class SlicePicture:
 
 
 def picture_slice(image: ImageSlice, depth: float, middle: Floats) -> SlicePicture:
-    """Return a picture of a slice around a point.
-
-    Parameters
-    ----------
-    image
-        Slice to show.
-    depth
-        Depth of the slice, in m.
-    middle
-        (2,) middle of the picture in the probe's frame, in m.
-    """
+    """Return a picture of a slice around a point."""
     low, high = (
         np.clip(
             np.rint((middle + side - image.origin) / image.spacing).astype(int),
@@ -74,15 +64,7 @@ def picture_slice(image: ImageSlice, depth: float, middle: Floats) -> SlicePictu
 
 
 def plot_key_slices(log: ShapeLog, pictures: Sequence[SlicePicture]) -> dict[str, Figure]:
-    """Return a figure of four telling slices, by its caption; none without pictures.
-
-    Parameters
-    ----------
-    log
-        Log of the run.
-    pictures
-        Pictures of its slices.
-    """
+    """Return a figure of four telling slices, by its caption; none without pictures."""
     errors = cross_section_errors(log)
     found = np.flatnonzero(np.isfinite(errors))
     if not pictures or not len(found):
@@ -107,17 +89,7 @@ def plot_key_slices(log: ShapeLog, pictures: Sequence[SlicePicture]) -> dict[str
 def shape_movie_frames(
     log: ShapeLog, pictures: Sequence[SlicePicture], shape: object
 ) -> Iterator[NDArray[np.uint8]]:
-    """Yield a picture of each slice beside the needle's path, measured, true and predicted.
-
-    Parameters
-    ----------
-    log
-        Log of the run.
-    pictures
-        Pictures of its slices.
-    shape
-        Final prediction of the estimator; nothing is drawn for it unless it is a `NeedleShape`.
-    """
+    """Yield a picture of each slice beside the needle's path, measured, true and predicted."""
     figure = Figure(figsize=(9.6, 4.2))
     canvas = FigureCanvasAgg(figure)
     grid = figure.add_gridspec(1, 2, width_ratios=(1, 1.7), left=0.06, right=0.98, bottom=0.13)

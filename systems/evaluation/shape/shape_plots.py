@@ -23,15 +23,7 @@ SHAPE_CAPTION = (
 
 
 def plot_shape(log: ShapeLog, shape: object) -> Figure:
-    """Return a figure like Carriere 2016, fig. 8: measured, true and predicted path, and errors.
-
-    Parameters
-    ----------
-    log
-        Log of the run.
-    shape
-        Final prediction of the estimator; nothing is drawn for it unless it is a `NeedleShape`.
-    """
+    """Return a figure like Carriere 2016, fig. 8: measured, true and predicted path, and errors."""
     figure = Figure(figsize=(9, 8), layout="constrained")
     in_plane, across, tip = figure.subplots(
         3, 1, sharex=True, gridspec_kw={"height_ratios": [3, 1.6, 2]}
@@ -85,13 +77,7 @@ OVERLAY_CAPTION = (
 
 
 def plot_shape_comparison(logs: Mapping[str, ShapeLog]) -> Figure:
-    """Return a figure of the paths and errors of several runs.
-
-    Parameters
-    ----------
-    logs
-        Logs of the runs, by name.
-    """
+    """Return a figure of the paths and errors of several runs."""
     figure = Figure(figsize=(9, 8), layout="constrained")
     path, tip, found = figure.subplots(3, 1, sharex=True)
     for number, (name, log) in enumerate(logs.items()):

@@ -27,13 +27,6 @@ def run_interval(
 
     Whole runs are resampled, as the volumes of one run resemble each other. Values may be infinite.
     The resamples are the same in every call. Fewer than six runs leave the interval unbounded.
-
-    Parameters
-    ----------
-    runs
-        Values of each run, (v,) each; one value for a figure of the run as a whole.
-    statistic
-        Function that returns the figure of the values of all runs, one after another.
     """
     if len(runs) < _FEWEST:
         return UNBOUNDED
@@ -64,12 +57,6 @@ def _bootstrapped(values: NDArray[Any], figure: Callable[..., Any], vectorized: 
 
 
 def count_interval(count: int) -> Interval:
-    """Return the exact interval of the expected number of rare events, of which some were seen.
-
-    Parameters
-    ----------
-    count
-        Number of events; none seen still allows 3.7 to be expected (Poisson, Garwood 1936).
-    """
+    """Return the exact interval of the expected number of rare events, of which some were seen."""
     low = chi2.ppf(0.025, 2 * count) / 2 if count else 0.0
     return Interval(float(low), float(chi2.ppf(0.975, 2 * count + 2) / 2))

@@ -1,30 +1,29 @@
 """Kept results, and the tables that show them."""
 
+import json
 import re
-from importlib.metadata import version
+from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
 from sonoservo.diagrams.papers import results
-from sonoservo.diagrams.papers.registry import PAPERS, STUDIES
-from sonoservo.diagrams.studies.fingerprint import study_fingerprint
+from sonoservo.diagrams.papers.registry import PAPERS
+from sonoservo.diagrams.studies import records
+from sonoservo.diagrams.studies.fingerprint import made_by
 from sonoservo.diagrams.studies.study import Case, Outcome
 from sonoservo.diagrams.studies.study_report import Study, StudyRow
 from sonoservo.systems.files.refusals import ConfigurationError
 
 
 @pytest.mark.parametrize("page", results.PAGES, ids=lambda page: page.name)
-def test_pages_show_what_was_kept_and_nothing_else(page):
-    """If this fails, code that makes results has changed, or the page was edited.
+def test_pages_show_what_the_records_say_by_the_present_definitions(page):
+    """If this fails, a definition has changed, code of the kept runs has, or the page was edited.
 
     `python -c "from sonoservo.diagrams.papers.results import write_tables; write_tables()"`
     """
     text = page.read_text(encoding="utf-8")
-    tables = results.with_tables(text)
-    if any(results.kept_results(each)["drake"] != version("drake") for each in (*PAPERS, *STUDIES)):
-        # With another Drake, nobody can tell whether the code has changed.
-        text, tables = text.replace(results.CHANGED, ""), tables.replace(results.CHANGED, "")
-    assert tables == text
+    assert results.with_tables(text) == text
 
 
 def test_every_paper_has_its_table():
@@ -33,8 +32,8 @@ def test_every_paper_has_its_table():
 
 
 @pytest.fixture
-def data():
-    study = Study(
+def study():
+    return Study(
         paper="chatelain2013",
         title="Someone",
         rows=[
@@ -44,29 +43,72 @@ def data():
             ),
             StudyRow(experiment="fig5", quantity="times lost", true=3, target=0),
         ],
-        outcomes=[Outcome(Case("fig5", 0), {"x": 1})],
+        outcomes=[Outcome(Case("fig5", 0), {"x": 1 / 3}, made_by=made_by("my_study"))],
     )  # fmt: skip
-    return study.as_json("sonoservo reproduce all") | {"commit": "a"}
 
 
-def test_kept_results_become_tables(data, tmp_path, monkeypatch):
-    page = tmp_path / "page.md"
-    page.write_text("a\n<!-- results chatelain2013 published -->\n<!-- end of results -->\nb\n")
-    (tmp_path / "chatelain2013").mkdir()
-    monkeypatch.setattr(results, "_folder", tmp_path.joinpath)
-    monkeypatch.setattr(results, "PAGES", (page,))
+@pytest.fixture
+def data(study):
+    return study.as_json("sonoservo reproduce all") | {"commit": "a", "outdated": False}
+
+
+@pytest.fixture
+def house(study, tmp_path, monkeypatch):
+    """A house with one page and no results, in which a study's records make that study."""
+    (tmp_path / "page.md").write_text(
+        "a\n<!-- results chatelain2013 published -->\n<!-- end of results -->\nb\n"
+    )
+    (tmp_path / "diagrams" / "papers" / "chatelain2013").mkdir(parents=True)
     (tmp_path / "pyproject.toml").touch()
     monkeypatch.setattr(results, "_ROOT", tmp_path)
+    monkeypatch.setattr(results, "PAGES", (tmp_path / "page.md",))
+    monkeypatch.setattr(records, "present_commit", lambda: "abc")
+    seen = []
+    reproduction = SimpleNamespace(report=lambda found: seen.append(found) or study)
+    monkeypatch.setattr(results, "import_module", lambda name: reproduction)
+    results.kept_results.cache_clear()
+    yield tmp_path, seen
+    results.kept_results.cache_clear()
+
+
+def test_records_are_kept_and_become_tables(study, house):
+    folder, seen = house
+    page = folder / "page.md"
     results.write_tables()
     assert "no results yet" in page.read_text()
-    results.keep_results({"chatelain2013": data})
+    results.kept_results.cache_clear()
+    results.keep_results([study], "sonoservo reproduce all")
     text = page.read_text()
-    assert "1 of 2 targets met" in text
+    assert (
+        "Commit abc, `sonoservo reproduce all`, 1 seeds an experiment: 1 of 2 targets met." in text
+    )
     assert "| fig5 | at rest (mm) | 1.10 | 0.500 | 0.600 | 0.400 to 0.700 |" in text
     assert "times lost" not in text  # no figure of the paper
-    assert "| | times lost |" in results.results_table(data, "all").replace("|  |", "| |")
     assert text.startswith("a\n")
     assert text.endswith("-->\nb\n")
+    ((outcome,),) = seen  # to six digits
+    assert outcome == replace(study.outcomes[0], result={"x": 0.333333})
+
+
+def test_figures_without_records_are_outdated(data, house):
+    folder, _ = house
+    old = folder / "diagrams" / "papers" / "chatelain2013" / "results.json"
+    old.write_text(json.dumps({key: data[key] for key in data if key != "outdated"}))
+    assert "has changed since" in results.with_tables((folder / "page.md").read_text())
+
+
+def test_only_records_of_the_present_committed_code_are_kept(study, house, monkeypatch):
+    folder, _ = house
+    other = {**made_by("my_study"), "sonoservo's code": "0"}
+    late = replace(study, outcomes=[replace(study.outcomes[0], made_by=other)])
+    with pytest.raises(ConfigurationError, match="other code than the present one"):
+        results.keep_results([late], "")
+    monkeypatch.setattr(records, "present_commit", lambda: "abc+")
+    with pytest.raises(ConfigurationError, match="not committed"):
+        results.keep_results([study], "")
+    (folder / "pyproject.toml").unlink()
+    with pytest.raises(ConfigurationError, match="in a checkout"):
+        results.keep_results([study], "")
 
 
 def test_bars_stay_in_their_cells(data):
@@ -103,24 +145,8 @@ def test_each_main_figure_is_a_quantity_of_the_study():
     assert {quantity for quantity, _ in results._MAIN_FIGURES.values()} <= quantities
 
 
-def test_only_results_of_one_commit_and_the_present_code_are_kept(data, tmp_path, monkeypatch):
-    monkeypatch.setattr(results, "_ROOT", tmp_path)
-    with pytest.raises(ConfigurationError, match="in a checkout"):
-        results.keep_results({"chatelain2013": data})
-    (tmp_path / "pyproject.toml").touch()
-    monkeypatch.setattr(results, "_folder", (tmp_path / "nowhere").joinpath)
-    for other, message in (({"commit": "b"}, "2 commits"), ({"fingerprint": "0"}, "other code")):
-        with pytest.raises(ConfigurationError, match=message):
-            results.keep_results({"chatelain2013": data, "zhao2012": data | other})
-    with pytest.raises(ConfigurationError, match="not committed"):
-        results.keep_results({"chatelain2013": data | {"commit": data["commit"] + "+"}})
-
-
-def test_a_table_says_whether_its_code_has_changed(data):
-    assert data["fingerprint"] == study_fingerprint("chatelain2013")
+def test_a_table_says_whether_the_code_of_its_runs_has_changed(data):
     said = "has changed since"
     for rows, more in (("all", {}), ("thresholds", {"thresholds": [{"dial": "speed"}]})):
         assert said not in results.results_table(data | more, rows)
-        assert said in results.results_table(data | more | {"fingerprint": "0"}, rows)
-        other_drake = {"fingerprint": "0", "drake": "0"}
-        assert said not in results.results_table(data | more | other_drake, rows)
+        assert said in results.results_table(data | more | {"outdated": True}, rows)

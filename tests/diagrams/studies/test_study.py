@@ -13,7 +13,7 @@ from shutil import copytree
 import pytest
 
 from sonoservo.diagrams.studies import fingerprint, runs
-from sonoservo.diagrams.studies.fingerprint import code_fingerprint, made_with
+from sonoservo.diagrams.studies.fingerprint import code_fingerprint, made_by
 from sonoservo.diagrams.studies.runs import run_cases
 from sonoservo.diagrams.studies.study import Case, StudyOptions
 
@@ -67,15 +67,14 @@ def test_other_settings_other_code_or_a_broken_file_are_done_again(tmp_path, cal
     (folder / f"{outcome.case.name}.json").write_text("{")
     run_cases(square, make_cases(calls, [1]), folder, jobs=1)
     assert seeds_called(calls) == [1, 1, 1]
-    monkeypatch.setattr(runs, "code_fingerprint", lambda *modules: "another")
-    run_cases(square, make_cases(calls, [1]), folder, jobs=1)
-    monkeypatch.setattr(runs, "made_with", lambda: {**made_with(), "instruction set": "another"})
-    run_cases(square, make_cases(calls, [1]), folder, jobs=1)
+    for change in ({"sonoservo's code": "another"}, {"instruction set": "another"}):
+        monkeypatch.setattr(runs, "made_by", lambda module, more=change: made_by(module) | more)
+        run_cases(square, make_cases(calls, [1]), folder, jobs=1)
     assert seeds_called(calls) == [1, 1, 1, 1, 1]
 
 
-def test_the_code_counts_but_not_what_shows_results(tmp_path, monkeypatch):
-    for part in ("systems/display", "models", "diagrams"):
+def test_all_code_counts_but_the_rooms_that_show_and_the_results_themselves(tmp_path, monkeypatch):
+    for part in ("systems/display", "systems/evaluation/reports", "models", "diagrams"):
         (tmp_path / part).mkdir(parents=True)
     monkeypatch.setattr(
         fingerprint, "files", lambda package: tmp_path / package.removeprefix("sonoservo.")
@@ -89,11 +88,15 @@ def test_the_code_counts_but_not_what_shows_results(tmp_path, monkeypatch):
     try:
         first = digest_after("systems/block.py", "a")
         assert digest_after("systems/display/view.py", "a") == first
-        assert digest_after("systems/run_plots.py", "a") == first
-        assert digest_after("diagrams/cli.py", "a") == first
+        assert digest_after("systems/evaluation/reports/page.py", "a") == first
+        for kept in fingerprint.KEPT:
+            assert digest_after(f"diagrams/{kept}", "a") == first
         assert digest_after("systems/block.py", "b") != first
         assert digest_after("systems/block.py", "a") == first
         assert digest_after("models/probe.yaml", "a") != first
+        # A module's name alone says nothing: here lies what a success is.
+        before = digest_after("diagrams/analysis.py", "a")
+        assert digest_after("diagrams/analysis.py", "b") != before
     finally:
         code_fingerprint.cache_clear()
 
@@ -121,11 +124,12 @@ def test_code_counts_where_the_results_come_from_it(tmp_path, monkeypatch):
         seen = {first}
         for path in (
             "systems/tracking/tip.py",
+            "systems/evaluation/success.py",
             "diagrams/experiments/following.py",
             "diagrams/scenarios/clinic.yaml",
         ):
             seen.add(digest_after(path, work))
-        assert len(seen) == 4
+        assert len(seen) == 5
     finally:
         code_fingerprint.cache_clear()
 

@@ -48,7 +48,7 @@ def study():
     [
         ({}, None),
         ({"true": 1.0}, None),
-        ({"target": 1.0}, "no"),
+        ({"target": 1.0}, "not measured"),
         ({"target": 1.0, "true": 1.0}, "yes"),
         ({"target": 1.0, "true": 1.1, "estimated": 0.1}, "no"),
         ({"target": 1.0, "estimated": 0.9}, "yes"),
@@ -61,7 +61,7 @@ def study():
         ({"target": 0, "true": 0, "low": 0.0, "high": 3.7}, "yes"),
     ],
 )
-def test_a_target_is_judged_by_the_truth_and_missed_by_nothing(values, expected):
+def test_a_target_is_judged_by_the_truth(values, expected):
     assert StudyRow(experiment="e", quantity="q", **values).verdict == expected
 
 

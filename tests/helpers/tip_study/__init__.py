@@ -4,7 +4,7 @@ Run ``python -m tip_study --volumes 50 --first-seed 100`` for its table. Tune wi
 only; seeds 0 to 99 are for reports.
 """
 
-from .needles import CONTRASTS, DEPTHS, DIPS, TIPS, End, needle_end, sweep_with
+from .needles import CONTRASTS, DEPTHS, DIPS, TIPS, End, end_of, sweep_with
 from .runs import study
 
-__all__ = ["CONTRASTS", "DEPTHS", "DIPS", "TIPS", "End", "needle_end", "study", "sweep_with"]
+__all__ = ["CONTRASTS", "DEPTHS", "DIPS", "TIPS", "End", "end_of", "study", "sweep_with"]

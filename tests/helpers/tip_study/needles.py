@@ -7,7 +7,6 @@ import numpy as np
 from pydrake.math import RigidTransform
 from renderers import CLEAN
 
-from sonoservo.systems.evaluation.needle_end import NeedleEnd
 from sonoservo.systems.signals.blur import blur_covariance
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.sweep import Sweep, SweepMotion
@@ -21,6 +20,7 @@ from sonoservo.systems.ultrasound.simulation.rays import depth_tables
 from sonoservo.systems.ultrasound.simulation.rendering import SweepRenderer
 from sonoservo.systems.ultrasound.simulation.tissue import Tissue
 from sonoservo.systems.ultrasound.transducer import load_transducer
+from tip_study.needle_end import NeedleEnd
 
 DIPS, DEPTHS, TIPS, CONTRASTS = (
     (0, 15, 30, 45, 60),
@@ -87,7 +87,7 @@ def _needle(p, k, length):
     return Needle(shaft, RADIUS)
 
 
-def needle_end(end, using):
+def end_of(end, using):
     """Return the levels of a needle's end as the bound needs them."""
     dip, p = np.deg2rad(end.dip), np.array([0, end.depth, 0])
     k = np.array([np.cos(dip), np.sin(dip), 0])

@@ -5,12 +5,12 @@ from functools import cache
 
 import numpy as np
 
-from sonoservo.systems.evaluation.needle_end import samples_near
-from sonoservo.systems.evaluation.tip_bound import tip_error_bound, tip_posterior
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.tracking import NeedleLocalizerParameters, localize
 from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
+from tip_study.bound import tip_error_bound, tip_posterior
+from tip_study.needle_end import samples_near
 
 from .needles import (
     CONTRASTS,
@@ -19,7 +19,7 @@ from .needles import (
     RADIUS,
     TIPS,
     End,
-    needle_end,
+    end_of,
     scanner,
     sweep_with,
 )
@@ -55,7 +55,7 @@ def noise_db(end, using):
 def bound_of(end, using, volumes):
     """Return the bound for a needle's end in the scanner's image."""
     return tip_error_bound(
-        needle_end(end, using), using.geometry, using.spread, depth=end.depth, dip_deg=end.dip,
+        end_of(end, using), using.geometry, using.spread, depth=end.depth, dip_deg=end.dip,
         noise_db=noise_db(end, using), volumes=volumes, particles=100,
     )  # fmt: skip
 
@@ -73,7 +73,7 @@ def best_error_along(end, using, seed):
     samples = samples_near(using.geometry, using.spread, echo + off * k, k)
     level = sweep.sample(samples.p_P) - using.imaging.tissue_grey
     envelope = 10 ** (using.imaging.decibels_per_level * level / 20)
-    args = needle_end(end, using), samples, envelope, noise_db(end, using), rng
+    args = end_of(end, using), samples, envelope, noise_db(end, using), rng
     return tip_posterior(*args)[0] + off
 
 

@@ -2,11 +2,11 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from bicycle_model import BicyclePath
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from sonoservo.systems.needle.bicycle_model import BicyclePath
 from sonoservo.systems.signals.bicycle_paths import deflections
 
 radii = st.floats(0.3, 5.0)

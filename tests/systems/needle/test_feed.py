@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bicycle_model import BicyclePath
 
-from sonoservo.systems.needle.bicycle_model import BicyclePath
 from sonoservo.systems.needle.hand import Hand
 from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.needle.insertion_parameters import FeedParameters, InsertionParameters, Push

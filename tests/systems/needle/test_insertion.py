@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
+from bicycle_model import BicyclePath
 from hypothesis import given
 from hypothesis import strategies as st
 from pydrake.math import RigidTransform, RollPitchYaw
 
-from sonoservo.systems.needle.bicycle_model import BicyclePath
 from sonoservo.systems.needle.hand import Hand
 from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.needle.insertion_parameters import InsertionParameters, Push

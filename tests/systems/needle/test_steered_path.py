@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
+from bicycle_model import BicyclePath
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from sonoservo.systems.needle.bicycle_model import BicyclePath
 from sonoservo.systems.needle.steered_path import (
     WANDER_STEP,
     SteeredPath,

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
+from bicycle_model import BicyclePath
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform, RotationMatrix
 from scipy.stats import chi2
 
-from sonoservo.systems.needle.bicycle_model import BicyclePath
 from sonoservo.systems.shape.measurement_noise import MeasurementNoise
 from sonoservo.systems.shape.shape_estimator import ShapeEstimator
 from sonoservo.systems.shape.shape_filter import ShapePaths

@@ -15,7 +15,8 @@ from sonoservo.diagrams.papers.chatelain2013.reproduction import (
     bent_insertion,
     study_cases,
 )
-from sonoservo.diagrams.studies.following.cases import AS_PUBLISHED, load_case
+from sonoservo.diagrams.studies.following.analysis import load_case
+from sonoservo.diagrams.studies.following.cases import AS_PUBLISHED
 from sonoservo.diagrams.studies.study import StudyOptions
 from sonoservo.diagrams.studies.study_report import write_study
 from sonoservo.systems.needle.insertion import Insertion

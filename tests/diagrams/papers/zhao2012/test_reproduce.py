@@ -15,7 +15,8 @@ from sonoservo.diagrams.papers.zhao2012.runs import (
     SPEEDOMETERS,
     run_case,
 )
-from sonoservo.diagrams.studies.following.cases import AS_PUBLISHED, load_case
+from sonoservo.diagrams.studies.following.analysis import load_case
+from sonoservo.diagrams.studies.following.cases import AS_PUBLISHED
 from sonoservo.diagrams.studies.study import Case, Outcome, StudyOptions
 from sonoservo.diagrams.studies.study_report import Study, write_study
 from sonoservo.systems.ultrasound.transducer import load_transducer

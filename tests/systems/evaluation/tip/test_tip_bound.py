@@ -2,19 +2,19 @@ import numpy as np
 import pytest
 from scipy.special import i0
 from scipy.stats import rice
-
-from sonoservo.systems.evaluation.needle_end import (
+from tip_study.bound import (
+    envelope_log_likelihood,
+    field_log_likelihood,
+    tip_error_bound,
+)
+from tip_study.needle_end import (
     EchoModel,
     EndSamples,
     NeedleEnd,
     echo_model,
     samples_near,
 )
-from sonoservo.systems.evaluation.tip_bound import (
-    envelope_log_likelihood,
-    field_log_likelihood,
-    tip_error_bound,
-)
+
 from sonoservo.systems.signals.point_spread import FWHM_PER_SIGMA, PointSpread
 from sonoservo.systems.signals.sweep import SweepGeometry
 

@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-from tip_study import End, needle_end, study
+from tip_study import End, end_of, study
+from tip_study.bound import TipBound
+from tip_study.needle_end import echo_model, samples_near
 from tip_study.needles import RADIUS, scanner, sweep_with
 from tip_study.runs import best_error_along, bound_of, noise_db
 from tip_study.tables import HEAD, figures, plot
-
-from sonoservo.systems.evaluation.needle_end import echo_model, samples_near
-from sonoservo.systems.evaluation.tip_bound import TipBound
 
 STEEP = End(40, 0.05, "blunt", 20)
 
@@ -42,7 +41,7 @@ def test_the_model_is_that_of_the_renderer(end):
         sweep, ends, _ = sweep_with(end, using, seed)
         k = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
         samples = samples_near(using.geometry, using.spread, ends[1] - [0, RADIUS, 0], k)
-        model = echo_model(needle_end(end, using), samples, np.zeros(1), noise_db(end, using))
+        model = echo_model(end_of(end, using), samples, np.zeros(1), noise_db(end, using))
         level = sweep.sample(samples.p_P) - using.imaging.tissue_grey
         near = np.linalg.norm(samples.across, axis=1) < 1
         power = np.abs(model.mean[0]) ** 2 + np.sum(np.abs(model.root[0]) ** 2, axis=1)

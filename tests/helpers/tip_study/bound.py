@@ -8,7 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import i0e
 
-from sonoservo.systems.evaluation.needle_end import (
+from sonoservo.systems.signals.point_spread import PointSpread
+from sonoservo.systems.signals.requirements import require, require_positive
+from sonoservo.systems.signals.sweep import SweepGeometry
+from tip_study.needle_end import (
     INTERVAL,
     EchoModel,
     EndSamples,
@@ -16,9 +19,6 @@ from sonoservo.systems.evaluation.needle_end import (
     echo_model,
     samples_near,
 )
-from sonoservo.systems.signals.point_spread import PointSpread
-from sonoservo.systems.signals.requirements import require, require_positive
-from sonoservo.systems.signals.sweep import SweepGeometry
 
 Floats = NDArray[np.float64]
 

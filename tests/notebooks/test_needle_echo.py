@@ -1,10 +1,15 @@
+import runpy
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from sonoservo.systems.evaluation.needle_echo import measure_needle_echo
 from sonoservo.systems.signals.sweep import Sweep, SweepMotion
 from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
 from sonoservo.systems.ultrasound.transducer import Transducer
+
+NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
+measure_needle_echo = runpy.run_path(str(NOTEBOOKS / "needle_echo.py"))["measure_needle_echo"]
 
 IMAGING = ImagingParameters(gain=0.3)
 GEOMETRY = sweep_geometry(Transducer(), IMAGING)

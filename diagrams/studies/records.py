@@ -1,0 +1,96 @@
+"""Kept records of a study: a small one for each run, from which its tables are made again."""
+
+import gzip
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from sonoservo.diagrams.studies.commit import present_commit
+from sonoservo.diagrams.studies.fingerprint import is_outdated
+from sonoservo.diagrams.studies.study import Case, Outcome
+from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
+from sonoservo.systems.files.writing import write_atomically
+
+_DIGITS = 6
+"""Significant digits of the figures that are kept."""
+
+
+@dataclass(frozen=True)
+class Records:
+    """Records of the runs of a study, and where they come from.
+
+    Parameters
+    ----------
+    command
+        Command that makes them.
+    commit
+        Commit of the program that made them.
+    version
+        Version of that program.
+    outcomes
+        Outcomes of all cases, failures included.
+    """
+
+    command: str
+    commit: str
+    version: str
+    outcomes: Sequence[Outcome]
+
+    @property
+    def is_outdated(self) -> bool:
+        """Whether the code that made any of them has changed since."""
+        identities = {json.dumps(dict(each.made_by), sort_keys=True) for each in self.outcomes}
+        return any(is_outdated(json.loads(each)) for each in identities)
+
+
+def write_records(path: Path, outcomes: Sequence[Outcome], command: str) -> None:
+    """Write the records of finished runs to one compressed file."""
+    commit = present_commit()
+    if commit.endswith("+"):
+        raise ConfigurationError(f"--keep: the code of {commit} was not committed")
+    if Records(command, commit, "", outcomes).is_outdated:
+        raise ConfigurationError("--keep: other code than the present one made some of the runs")
+    identities: list[Mapping[str, str]] = []
+    records = []
+    for each in outcomes:
+        record = {key: value for key, value in asdict(each).items() if key != "files"}
+        if each.made_by not in identities:
+            identities.append(each.made_by)
+        records.append(_rounded(record) | {"made_by": identities.index(each.made_by)})
+    content = {
+        "command": command,
+        "commit": commit,
+        "version": version("sonoservo"),
+        "made_by": [dict(each) for each in identities],
+        "records": records,
+    }
+    text = json.dumps(content, separators=(",", ":"))
+    write_atomically(path, gzip.compress(text.encode(), mtime=0))
+
+
+def read_records(path: Path) -> Records | None:
+    """Read the records of a study; None if there is no such file."""
+    if not path.is_file():
+        return None
+    with refusing_failures(path, "not records of a study, or damaged"):
+        content = json.loads(gzip.decompress(path.read_bytes()))
+        outcomes = [
+            Outcome(
+                **each
+                | {"case": Case(**each["case"]), "made_by": content["made_by"][each["made_by"]]}
+            )
+            for each in content["records"]
+        ]
+        return Records(content["command"], content["commit"], content["version"], outcomes)
+
+
+def _rounded(value: Any) -> Any:
+    """Return a value of JSON with its numbers rounded to the digits that are kept."""
+    if isinstance(value, float):
+        return float(f"{value:.{_DIGITS}g}")
+    if isinstance(value, Mapping):
+        return {key: _rounded(each) for key, each in value.items()}
+    return [_rounded(each) for each in value] if isinstance(value, list | tuple) else value
