@@ -11,7 +11,10 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import Diagram, System
 
 from sonoservo.diagrams.experiments.experiment import INSTANT, Experiment
-from sonoservo.diagrams.experiments.shape_prediction_scenario import ShapePredictionScenario
+from sonoservo.diagrams.experiments.shape_prediction_scenario import (
+    SHAPE_FILTERS,
+    ShapePredictionScenario,
+)
 from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.diagrams.scene import Scene
 from sonoservo.diagrams.seeds import draw_seeds
@@ -30,7 +33,6 @@ from sonoservo.systems.needle.insertion_parameters import OUTER_DIAMETER
 from sonoservo.systems.robot.probe_stepper import ProbeStepper
 from sonoservo.systems.shape.shape_estimator import ShapeEstimator
 from sonoservo.systems.shape.shape_filter import ShapeFilter
-from sonoservo.systems.shape.shape_filters import SHAPE_FILTERS
 from sonoservo.systems.signals.cross_section import CrossSection
 from sonoservo.systems.signals.image_slice import ImageSlice
 from sonoservo.systems.signals.immutable import NotFound

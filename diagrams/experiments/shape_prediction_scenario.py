@@ -2,25 +2,33 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from sonoservo.diagrams.published import published
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.files.typed_yaml import suggest
 from sonoservo.systems.needle.insertion_parameters import FeedParameters, InsertionParameters
 from sonoservo.systems.shape.cross_section import CrossSectionParameters
-from sonoservo.systems.shape.published_particle_filter import (
-    PublishedParticleFilterParameters,
-)
-from sonoservo.systems.shape.shape_filters import SHAPE_FILTERS
+from sonoservo.systems.shape.shape_filters import SHAPE_FILTERS as OUR_SHAPE_FILTERS
+from sonoservo.systems.shape.shape_filters import ShapeFilterChoice
 from sonoservo.systems.shape.shape_least_squares import ShapeLeastSquaresParameters
+from sonoservo.systems.shape.shape_parameters import ShapeEstimatorParameters
 from sonoservo.systems.shape.shape_posterior import ShapeParticleFilterParameters
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
 from sonoservo.systems.ultrasound.simulation.needles.needle_kind import NEEDLE
 from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 
+SHAPE_FILTERS: dict[str, ShapeFilterChoice] = {**OUR_SHAPE_FILTERS, **published("shape_filter")}
+"""Name, parameters and filter of every shape estimator, ours and the papers'."""
+
 ESTIMATORS = tuple(SHAPE_FILTERS)
 """Names of the shape estimators; each is also a field of `ShapePredictionScenario`."""
+
+if TYPE_CHECKING:
+    PublishedShapeParameters = ShapeEstimatorParameters
+else:
+    PublishedShapeParameters = SHAPE_FILTERS["published"].parameters
 
 _PUBLISHED_TRACKER = {
     "deviations": "both",
@@ -135,8 +143,8 @@ class ShapePredictionScenario(Scenario):
         default_factory=ShapeParticleFilterParameters
     )
     least_squares: ShapeLeastSquaresParameters = field(default_factory=ShapeLeastSquaresParameters)
-    published: PublishedParticleFilterParameters = field(
-        default_factory=PublishedParticleFilterParameters
+    published: PublishedShapeParameters = field(
+        default_factory=SHAPE_FILTERS["published"].parameters
     )
     processing_time: float = 0.01
 

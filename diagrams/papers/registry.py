@@ -1,21 +1,20 @@
 """Registry of the papers and studies that ``sonoservo reproduce`` knows.
 
 A new paper is a package beside this module that exports ``reproduce(options: StudyOptions) ->
-Study``, and an entry here. A study of no paper is such a package among the studies.
+Study``, and a line in `PAPERS`. A study of no paper is such a package among the studies, and an
+entry here.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from sonoservo.diagrams.published import PAPERS
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.typed_yaml import suggest
 
 if TYPE_CHECKING:
     from sonoservo.diagrams.studies.study import StudyOptions
     from sonoservo.diagrams.studies.study_report import Study
-
-PAPERS = ("carriere2016", "chatelain2013", "zhao2012")
-"""Name of each paper's package."""
 
 STUDIES = ("robustness",)
 """Name of the package of each study that belongs to no paper."""

@@ -11,6 +11,8 @@ from pathlib import Path
 import llvmlite.binding
 from grimp import build_graph
 
+from sonoservo.diagrams.published import method_modules, published
+
 _PARTS = ("systems", "models", "diagrams")
 
 _SHOWING = ("sonoservo.systems.display", "sonoservo.systems.evaluation.reports")
@@ -62,6 +64,9 @@ def _reached_modules(modules: Sequence[str]) -> set[str] | None:
     graph = build_graph(*packages, cache_dir=None, exclude_type_checking_imports=True)
     if not graph.modules.issuperset(modules):
         return None
+    for each in method_modules():
+        # Imported by its name, which the graph does not see.
+        graph.add_import(importer=published.__module__, imported=each)
     for each in list(graph.modules):
         if _shows(each):
             graph.remove_module(each)

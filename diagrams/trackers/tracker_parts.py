@@ -1,23 +1,21 @@
 """Parts common to the needle trackers, and their wiring."""
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Self
 
 from pydrake.systems.framework import DiagramBuilder
 
 from sonoservo.systems.signals.requirements import require
-from sonoservo.systems.tracking.insertion_detector import InsertionDetector
 from sonoservo.systems.tracking.line_follower import LineFollower
 from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.tracking.needle_filter import NeedleFilter
 from sonoservo.systems.tracking.needle_localizer import NeedleLocalizer
-from sonoservo.systems.tracking.published_detection import PublishedDetectionParameters
-from sonoservo.systems.tracking.published_lifecycle import PublishedLifecycle
+from sonoservo.systems.tracking.pipeline import explain_localization
 from sonoservo.systems.tracking.track_lifecycle import TrackLifecycle
 from sonoservo.systems.tracking.track_manager import TrackManager
 from sonoservo.systems.tracking.track_parameters import TrackParameters
 from sonoservo.systems.tracking.volume_gate import VolumeGate
-from sonoservo.systems.tracking.volume_memory import VolumeMemory
 from sonoservo.systems.tracking.volume_plausibility import VolumePlausibilityParameters
 
 VOLUME_GATE = "volume_gate"
@@ -143,10 +141,12 @@ def add_tracker_parts(
         needle_filter=needle_filter,
         anywhere=parameters.start == "anywhere",
     )
-    manager = _connect_parts(
+    manager = connect_parts(
         builder,
         gate=VolumeGate(parameters=parameters.plausibility, **events),
-        localizer=NeedleLocalizer(parameters=parameters.localizer, seed=seed),
+        localizer=NeedleLocalizer(
+            localize=partial(explain_localization, parameters=parameters.localizer), seed=seed
+        ),
         manager=TrackManager(lifecycle=lifecycle, **events),
     )
     follower = builder.AddNamedSystem(
@@ -159,65 +159,7 @@ def add_tracker_parts(
     return manager
 
 
-def add_published_parts(
-    builder: DiagramBuilder,
-    *,
-    parameters: TrackerParameters,
-    detection: PublishedDetectionParameters,
-    needle_filter: NeedleFilter[Any],
-    localizer: NeedleLocalizer,
-    min_length: float,
-    period: float,
-    offset: float,
-) -> TrackManager:
-    """Add and connect the parts of a tracker as published, and export its ports.
-
-    Detection and the life of a track are those of Chatelain 2013: consecutive sweeps of one
-    direction are compared, and a lost needle is not looked for.
-
-    Parameters
-    ----------
-    builder
-        Builder to add to.
-    parameters
-        Parameters of any tracker.
-    detection
-        Thresholds of the detection.
-    needle_filter
-        Filter of the track manager.
-    localizer
-        Localizer with the published method.
-    min_length
-        Smallest length of a needle, in m.
-    period, offset
-        See `MakeNeedleTracker`.
-
-    Returns
-    -------
-    The track manager, for further connections.
-    """
-    events = {"period": period, "offset": offset}
-    lifecycle = PublishedLifecycle(
-        order=parameters.order, needle_filter=needle_filter, min_length=min_length
-    )
-    manager = _connect_parts(
-        builder,
-        gate=VolumeGate(parameters=parameters.plausibility, **events),
-        localizer=localizer,
-        manager=TrackManager(lifecycle=lifecycle, **events),
-    )
-    memory = builder.AddNamedSystem("volume_memory", VolumeMemory(same_direction=True, **events))
-    detector = builder.AddNamedSystem("insertion_detector", InsertionDetector(parameters=detection))
-    gate = builder.GetSubsystemByName(VOLUME_GATE)
-    for each in (memory, detector):
-        builder.Connect(gate.GetOutputPort("volume"), each.GetInputPort("volume"))
-    previous = memory.GetOutputPort("previous_volume")
-    builder.Connect(previous, detector.GetInputPort("previous_volume"))
-    builder.Connect(detector.GetOutputPort("detection"), manager.GetInputPort("detection"))
-    return manager
-
-
-def _connect_parts(
+def connect_parts(
     builder: DiagramBuilder,
     *,
     gate: VolumeGate,

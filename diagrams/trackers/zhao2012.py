@@ -1,8 +1,7 @@
 """Tracker of Zhao 2012: a filter on axis and tip that uses the velocity of the tip's speckle."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from functools import partial
 
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
@@ -24,12 +23,6 @@ from sonoservo.systems.tracking.speckle_velocimeter import (
 )
 from sonoservo.systems.tracking.track_manager import TrackManager
 from sonoservo.systems.tracking.volume_memory import VolumeMemory
-
-_METHODS: dict[str, Callable[..., Any]] = {
-    "speckle": measure_velocity,
-    "edge": measure_edge_velocity,
-}
-"""Function of each kind of velocimeter."""
 
 
 @dataclass(kw_only=True)
@@ -87,9 +80,14 @@ def MakeZhao2012Tracker(
         seed=seed,
         **events,
     )
-    parts = parameters.velocimeter
-    velocimeter = SpeckleVelocimeter(parameters=parts, method=_METHODS[parts.kind])
+    chosen = parameters.velocimeter
+    measure = (
+        partial(measure_velocity, parameters=chosen)
+        if isinstance(chosen, SpeckleVelocimeterParameters)
+        else partial(measure_edge_velocity, parameters=chosen)
+    )
     memory = VolumeMemory(same_direction=True, **events)
+    velocimeter = SpeckleVelocimeter(measure=measure)
     connect_velocimeter(builder, manager, velocimeter, memory, speckle_port=speckle_port)
     return builder.Build()
 

@@ -2,11 +2,6 @@ from .cross_section import CrossSectionParameters as CrossSectionParameters
 from .cross_section_localizer import CrossSectionLocalizer as CrossSectionLocalizer
 from .cross_section_memory import CrossSectionMemory as CrossSectionMemory
 from .measurement_noise import MeasurementNoise as MeasurementNoise
-from .published_particle_filter import PublishedBelief as PublishedBelief
-from .published_particle_filter import PublishedParticleFilter as PublishedParticleFilter
-from .published_particle_filter import (
-    PublishedParticleFilterParameters as PublishedParticleFilterParameters,
-)
 from .shape_estimator import ShapeEstimator as ShapeEstimator
 from .shape_filter import ShapeFilter as ShapeFilter
 from .shape_filter import ShapePaths as ShapePaths

@@ -3,10 +3,6 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from sonoservo.systems.shape.published_particle_filter import (
-    PublishedParticleFilter,
-    PublishedParticleFilterParameters,
-)
 from sonoservo.systems.shape.shape_filter import ShapeFilter
 from sonoservo.systems.shape.shape_least_squares import (
     ShapeLeastSquares,
@@ -27,6 +23,5 @@ class ShapeFilterChoice(NamedTuple):
 SHAPE_FILTERS = {
     "particle_filter": ShapeFilterChoice(ShapeParticleFilterParameters, ShapeParticleFilter),
     "least_squares": ShapeFilterChoice(ShapeLeastSquaresParameters, ShapeLeastSquares),
-    "published": ShapeFilterChoice(PublishedParticleFilterParameters, PublishedParticleFilter),
 }
-"""Name, parameters and filter of every shape estimator."""
+"""Name, parameters and filter of each of our shape estimators; a paper adds its own."""

@@ -1,8 +1,8 @@
 """Leaf system that localizes the needle in one volume, given a prediction."""
 
-from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol
 
+import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem
 
@@ -12,8 +12,15 @@ from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.signals.ports import evaluate
 from sonoservo.systems.signals.random_streams import random_stream
 from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
-from sonoservo.systems.tracking.pipeline import explain_localization
+
+
+class LocalizationMethod(Protocol):
+    """Form of `explain_localization` with its parameters."""
+
+    def __call__(
+        self, volume: Volume, prediction: NeedlePrediction | NotFound, *, rng: np.random.Generator
+    ) -> LocalizationExplanation:
+        """Localize the needle in a volume, and return all intermediate results."""
 
 
 class NeedleLocalizer(LeafSystem):
@@ -38,24 +45,15 @@ class NeedleLocalizer(LeafSystem):
 
     Parameters
     ----------
-    parameters
-        Thresholds of the method, in SI units.
+    localize
+        Function that localizes the needle, such as `explain_localization` with its parameters.
     seed
         Seed of the random samples.
-    method
-        Function that localizes the needle, with the arguments of `explain_localization`.
     """
 
-    def __init__(
-        self,
-        *,
-        parameters: Any = None,
-        seed: int = 0,
-        method: Callable[..., LocalizationExplanation] = explain_localization,
-    ) -> None:
+    def __init__(self, *, localize: LocalizationMethod, seed: int = 0) -> None:
         super().__init__()
-        self._parameters = parameters or NeedleLocalizerParameters()
-        self._method = method
+        self._localize = localize
         self._seed = seed
         self.DeclareAbstractInputPort("volume", Value[object]())
         self.DeclareAbstractInputPort("prediction", Value[object]())
@@ -74,7 +72,7 @@ class NeedleLocalizer(LeafSystem):
             output.set_value(volume)
             return
         rng = random_stream(self._seed, "localization", volume.time)
-        output.set_value(self._method(volume, prediction, self._parameters, rng))
+        output.set_value(self._localize(volume, prediction, rng=rng))
 
     def _calc_measurement(self, context: Context, output: Value) -> None:
         found: Any = self.GetOutputPort("explanation").Eval(context)

@@ -92,6 +92,8 @@ class SpeckleVelocimeterParameters:
 Speckle = Volume | RadioFrequencySweep
 """Types in which speckle can be tracked; both give the positions of their elements."""
 
+Floats = NDArray[np.float64]
+
 
 def _values(speckle: Speckle) -> NDArray[np.float32] | NDArray[np.uint8]:
     return speckle.intensities if isinstance(speckle, Volume) else speckle.lines
@@ -184,19 +186,10 @@ def measure_velocity(
     return VelocityMeasurement(velocity, covariance, match.correlation)
 
 
-def measure_velocity_as_published(
-    current: Speckle,
-    previous: Speckle,
-    p_WBefore: NDArray[np.float64],
-    p_WPredicted: NDArray[np.float64],
-    direction: NDArray[np.float64],
-    parameters: SpeckleVelocimeterParameters,
-) -> VelocityMeasurement | NotFound:
-    """Measure the velocity with both windows around the known tip, as printed in Zhao 2012, 2.3.
-
-    The search region is not centred on the predicted tip; see `measure_velocity` for the arguments.
-    """
-    return measure_velocity(current, previous, p_WBefore, p_WBefore, direction, parameters)
+VelocityMethod = Callable[
+    [Speckle, Speckle, Floats, Floats, Floats], VelocityMeasurement | NotFound
+]
+"""Form of `measure_velocity` with its parameters."""
 
 
 class SpeckleVelocimeter(LeafSystem):
@@ -218,21 +211,13 @@ class SpeckleVelocimeter(LeafSystem):
 
     Parameters
     ----------
-    parameters
-        Parameters of the method, in SI units.
-    method
-        Function that measures the velocity, with the arguments of `measure_velocity`.
+    measure
+        Function that measures the velocity, such as `measure_velocity` with its parameters.
     """
 
-    def __init__(
-        self,
-        *,
-        parameters: Any = None,
-        method: Callable[..., VelocityMeasurement | NotFound] = measure_velocity,
-    ) -> None:
+    def __init__(self, *, measure: VelocityMethod) -> None:
         super().__init__()
-        self._parameters = parameters or SpeckleVelocimeterParameters()
-        self._method = method
+        self._measure = measure
         for name in ("volume", "previous_volume", "prediction"):
             self.DeclareAbstractInputPort(name, Value[object]())
         self.DeclareAbstractOutputPort("velocity", lambda: Value[object](), self._calc_velocity)
@@ -255,11 +240,7 @@ class SpeckleVelocimeter(LeafSystem):
             before, predicted = (
                 curve.tip + (each.time - time) * velocity for each in (previous, current)
             )
-            output.set_value(
-                self._method(
-                    current, previous, before, predicted, curve.direction, self._parameters
-                )
-            )
+            output.set_value(self._measure(current, previous, before, predicted, curve.direction))
 
     def _speckle(self, context: Context, port: str) -> Speckle | NotFound:
         value = evaluate(self, context, port, (Volume, RadioFrequencySweep, NotFound))

@@ -44,8 +44,8 @@ class TrackManager(LeafSystem):
     A line that is a needle with enough probability starts a track, once the needle is localized
     along it. If a volume does not show the needle, or its measurement fails the gate, the track
     coasts and the region of interest grows. After several such volumes the needle is lost, and any
-    line may be it. After some time, or once the needle was withdrawn, a new one is awaited. See
-    `TrackLifecycle`, or `PublishedLifecycle` for other rules.
+    line may be it. After some time, or once the needle was withdrawn, a new one is awaited; see
+    `TrackLifecycle`.
 
     ``prediction`` is the `NeedlePrediction` for the volume at the input, or a `NotFound`. It
     depends on the state, on the lines, and on that volume's time and pose, never on a measurement

@@ -9,11 +9,12 @@ from pydrake.systems.framework import LeafSystem
 from synthetic_volumes import Scene, entry_on_side
 
 from sonoservo.diagrams.needle_tracker import MakeNeedleTracker, require_tracker
+from sonoservo.diagrams.papers.chatelain2013.method import Chatelain2013AsPublishedParameters
+from sonoservo.diagrams.papers.chatelain2013.method.detection import PublishedDetectionParameters
+from sonoservo.diagrams.papers.zhao2012.method import Zhao2012AsPublishedParameters
 from sonoservo.diagrams.tracker_bench import track
 from sonoservo.diagrams.trackers import (
-    Chatelain2013AsPublishedParameters,
     Chatelain2013TrackerParameters,
-    Zhao2012AsPublishedParameters,
     Zhao2012TrackerParameters,
 )
 from sonoservo.diagrams.trackers.registry import TRACKERS
@@ -21,7 +22,6 @@ from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.tracking.axis_tip_filter import AxisTipFilter
-from sonoservo.systems.tracking.published_detection import PublishedDetectionParameters
 
 PERIOD = 0.303
 SPEED = 5e-3

@@ -21,7 +21,8 @@ from sonoservo.diagrams.app.options import (
     say_report,
     write_printed,
 )
-from sonoservo.diagrams.papers.registry import ALL, PAPERS, STUDIES, reproduce, require_paper
+from sonoservo.diagrams.papers.registry import ALL, STUDIES, reproduce, require_paper
+from sonoservo.diagrams.published import PAPERS
 from sonoservo.diagrams.studies.cluster.opening import CASE_LIMIT_S
 from sonoservo.diagrams.studies.heartbeat import Heartbeat
 from sonoservo.systems.files.refusals import ConfigurationError

@@ -14,6 +14,9 @@ from sonoservo.diagrams.experiments.shape_prediction_scenario import (
     ESTIMATORS,
     ShapePredictionScenario,
 )
+from sonoservo.diagrams.papers.carriere2016.method.shape_filter import (
+    PublishedParticleFilterParameters,
+)
 from sonoservo.diagrams.papers.carriere2016.protocols import SWEEPS
 from sonoservo.diagrams.scenario import require_scenario
 from sonoservo.diagrams.shape_predictor import estimate_shape, predict_from_slices
@@ -121,16 +124,18 @@ def _experiment(name: str, seed: int, changes: Sequence[str] = ()) -> ShapePredi
         load_scenario(name, changes=list(changes), seed=seed), ShapePredictionScenario
     )
     experiment = ShapePredictionExperiment(scenario)
-    scenario.published.bevel_direction_deg = _bevel_mark(experiment, seed)
+    _set_bevel(scenario, experiment)
     return experiment
 
 
-def _bevel_mark(experiment: ShapePredictionExperiment, seed: int) -> float:
-    """Return the direction in deg that the mark on the needle's hub shows for the bevel."""
-    mark = np.random.default_rng([seed, 1]).uniform(-BEVEL_MARK_DEG, BEVEL_MARK_DEG)
+def _set_bevel(scenario: ShapePredictionScenario, experiment: ShapePredictionExperiment) -> None:
+    """Give the published filter the bevel's direction that the mark on the needle's hub shows."""
+    mark = np.random.default_rng([scenario.seed, 1]).uniform(-BEVEL_MARK_DEG, BEVEL_MARK_DEG)
     assert experiment.insertion.path is not None
+    assert isinstance(scenario.published, PublishedParticleFilterParameters)
     # The path's roll is measured from the upward direction, the plane from the lateral X of P.
-    return float(np.rad2deg(experiment.insertion.path.roll) - 90 + mark)
+    roll = float(np.rad2deg(experiment.insertion.path.roll))
+    scenario.published.bevel_direction_deg = roll - 90 + mark
 
 
 def _published(
@@ -146,7 +151,7 @@ def _published(
         ),
         ShapePredictionScenario,
     )
-    scenario.published.bevel_direction_deg = _bevel_mark(experiment, case.seed)
+    _set_bevel(scenario, experiment)
     return scenario
 
 

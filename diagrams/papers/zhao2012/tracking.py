@@ -6,6 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import Value
 
+from sonoservo.diagrams.papers.zhao2012.method.whole_volume_ransac import (
+    WholeVolumeRansacParameters,
+    localize_in_whole_volume,
+)
 from sonoservo.diagrams.trackers.zhao2012 import MakeZhao2012Tracker, Zhao2012TrackerParameters
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
@@ -22,10 +26,6 @@ from sonoservo.systems.tracking.speckle_velocimeter import SpeckleVelocimeterPar
 from sonoservo.systems.tracking.tip import TipParameters
 from sonoservo.systems.tracking.track_manager import TrackManager
 from sonoservo.systems.tracking.track_parameters import TrackParameters
-from sonoservo.systems.tracking.whole_volume_ransac import (
-    WholeVolumeRansacParameters,
-    localize_in_whole_volume,
-)
 from sonoservo.systems.ultrasound.radio_frequency import detect_envelope, detected_geometry
 from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
 

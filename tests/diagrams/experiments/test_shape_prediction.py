@@ -7,6 +7,7 @@ import pytest
 from sonoservo.diagrams import load_scenario, make_experiment, run
 from sonoservo.diagrams.experiments.shape_prediction_scenario import (
     ESTIMATORS,
+    SHAPE_FILTERS,
     ShapePredictionScenario,
 )
 from sonoservo.diagrams.shape_predictor import estimate_shape, predict_from_slices
@@ -14,7 +15,6 @@ from sonoservo.systems.evaluation.log import read_log
 from sonoservo.systems.evaluation.shape.shape_log import ShapeLog
 from sonoservo.systems.evaluation.shape.shape_metrics import cross_section_errors, prediction
 from sonoservo.systems.files.refusals import ConfigurationError
-from sonoservo.systems.shape.shape_filters import SHAPE_FILTERS
 from sonoservo.systems.signals.needle_shape import NeedleShape
 
 SHORT = ["depth=0.04", "rotations=[0.025]", "observe_until=0.025", "step=1e-3"]

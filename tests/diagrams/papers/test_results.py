@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from sonoservo.diagrams.papers import results
-from sonoservo.diagrams.papers.registry import PAPERS
+from sonoservo.diagrams.published import PAPERS
 from sonoservo.diagrams.studies import records
 from sonoservo.diagrams.studies.fingerprint import made_by
 from sonoservo.diagrams.studies.study import Case, Outcome

@@ -1,3 +1,5 @@
+from functools import partial
+
 import numpy as np
 import pytest
 from pydrake.common.value import Value
@@ -7,7 +9,9 @@ from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
+from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters
 from sonoservo.systems.tracking.needle_localizer import NeedleLocalizer
+from sonoservo.systems.tracking.pipeline import explain_localization
 
 ENDS = entry_on_side() + np.outer([0, 0.03], [0.96, 0.24, 0.1])
 
@@ -16,7 +20,9 @@ class Bench:
     """The leaf with its inputs in hand."""
 
     def __init__(self):
-        self.localizer = NeedleLocalizer()
+        self.localizer = NeedleLocalizer(
+            localize=partial(explain_localization, parameters=NeedleLocalizerParameters())
+        )
         self.context = self.localizer.CreateDefaultContext()
         self.fix("prediction", self.prediction())
 

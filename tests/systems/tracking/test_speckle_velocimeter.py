@@ -1,6 +1,7 @@
 """The tip's velocity from speckle that is displaced exactly."""
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 import pytest
@@ -165,7 +166,7 @@ def expected_at(time, tip, velocity):
 
 
 def velocity_of(current, previous, prediction):
-    leaf = SpeckleVelocimeter(parameters=PARAMETERS)
+    leaf = SpeckleVelocimeter(measure=partial(measure_velocity, parameters=PARAMETERS))
     context = leaf.CreateDefaultContext()
     for port, value in (
         ("volume", current),

@@ -14,7 +14,8 @@ from sonoservo.diagrams import load_scenario
 from sonoservo.diagrams.dials import load_dials
 from sonoservo.diagrams.experiments.following_insertion import make_insertion
 from sonoservo.diagrams.papers import results
-from sonoservo.diagrams.papers.registry import PAPERS, STUDIES, require_paper
+from sonoservo.diagrams.papers.registry import STUDIES, require_paper
+from sonoservo.diagrams.published import PAPERS
 from sonoservo.diagrams.studies.robustness import reproduction
 from sonoservo.diagrams.studies.robustness.analysis import (
     Figure,

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sonoservo.diagrams.papers.chatelain2013.method.field_of_view import closest_face
+from sonoservo.diagrams.papers.chatelain2013.method.geometric_median import geometric_median
+from sonoservo.diagrams.papers.chatelain2013.method.volume_difference import top_differences
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.insertion_detection import InsertionDetection
 from sonoservo.systems.signals.requirements import require_positive
 from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.tracking.field_of_view import closest_face
-from sonoservo.systems.tracking.geometric_median import geometric_median
-from sonoservo.systems.tracking.volume_difference import top_differences
 
 
 @dataclass(kw_only=True)

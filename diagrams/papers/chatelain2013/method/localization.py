@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sonoservo.diagrams.papers.chatelain2013.method.intensity_drop import intensity_drops
+from sonoservo.diagrams.papers.chatelain2013.method.local_optimization import optimize_locally
 from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.localization_explanation import (
@@ -20,8 +22,6 @@ from sonoservo.systems.signals.requirements import require_positive
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.axis import Axis, axis_through
 from sonoservo.systems.tracking.candidates import select_candidates
-from sonoservo.systems.tracking.intensity_drop import intensity_drops
-from sonoservo.systems.tracking.local_optimization import optimize_locally
 from sonoservo.systems.tracking.ransac import RansacParameters, ransac_axis
 from sonoservo.systems.tracking.tip import TipParameters, axis_profile
 

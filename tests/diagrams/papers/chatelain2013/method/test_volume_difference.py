@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from sonoservo.systems.tracking.volume_difference import top_differences
+from sonoservo.diagrams.papers.chatelain2013.method.volume_difference import top_differences
 
 SHAPE = (17, 13, 11)
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform
 
+from sonoservo.diagrams.papers.chatelain2013.method.lifecycle import PublishedLifecycle
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.insertion_detection import InsertionDetection
 from sonoservo.systems.signals.needle_curve import NeedleCurve
@@ -11,7 +12,6 @@ from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.tracking.axis_tip_filter import AxisTipFilter
 from sonoservo.systems.tracking.control_point_filter import ControlPointFilter
-from sonoservo.systems.tracking.published_lifecycle import PublishedLifecycle
 
 LIFE = PublishedLifecycle(order=2, needle_filter=ControlPointFilter(), min_length=10e-3)
 NOTHING = NotFound("nothing")

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from synthetic_volumes import GEOMETRY, Scene, entry_on_side
 
-from sonoservo.systems.tracking.field_of_view import closest_face
-from sonoservo.systems.tracking.published_detection import (
+from sonoservo.diagrams.papers.chatelain2013.method.detection import (
     PublishedDetectionParameters,
     detect_as_published,
 )
+from sonoservo.diagrams.papers.chatelain2013.method.field_of_view import closest_face
 
 ENTRY = entry_on_side()
 INWARD = np.array([1, 0.2, 0.1]) / np.linalg.norm([1, 0.2, 0.1])

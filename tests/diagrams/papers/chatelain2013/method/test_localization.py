@@ -4,19 +4,19 @@ import numpy as np
 import pytest
 from synthetic_volumes import Scene, entry_on_side
 
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.needle_curve import NeedleCurve
-from sonoservo.systems.signals.needle_prediction import NeedlePrediction
-from sonoservo.systems.tracking.axis import axis_through
-from sonoservo.systems.tracking.local_optimization import (
+from sonoservo.diagrams.papers.chatelain2013.method.local_optimization import (
     optimize_locally,
     principal_axis,
     relative_sagitta,
 )
-from sonoservo.systems.tracking.published_localization import (
+from sonoservo.diagrams.papers.chatelain2013.method.localization import (
     PublishedLocalizationParameters,
     explain_published_localization,
 )
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.needle_curve import NeedleCurve
+from sonoservo.systems.signals.needle_prediction import NeedlePrediction
+from sonoservo.systems.tracking.axis import axis_through
 
 SCENE = Scene(seed=5, spacing=1.0e-3, balls=[([0.01, 0.06, 0.03], 2e-3)])
 ENTRY = entry_on_side()

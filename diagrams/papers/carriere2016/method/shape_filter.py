@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.systems.shape.shape_filter import ShapePaths
+from sonoservo.systems.shape.shape_filters import ShapeFilterChoice
 from sonoservo.systems.shape.shape_parameters import (
     MAX_PARTICLES,
     ShapeEstimatorParameters,
@@ -186,3 +187,9 @@ def _plane_of_deflection(points: Floats, bevel_direction_deg: float | None) -> f
         towards = np.array([np.cos(turn), np.sin(turn)])
     axis = axes[0] if axes[0] @ towards >= 0 else -axes[0]
     return float(np.arctan2(axis[1], axis[0]))
+
+
+PUBLISHED = {
+    "published": ShapeFilterChoice(PublishedParticleFilterParameters, PublishedParticleFilter)
+}
+"""Parameters and filter, by the name that a scenario chooses."""

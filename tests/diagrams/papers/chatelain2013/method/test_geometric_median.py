@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.optimize import minimize
 
-from sonoservo.systems.tracking.geometric_median import geometric_median
+from sonoservo.diagrams.papers.chatelain2013.method.geometric_median import geometric_median
 
 coordinates = st.integers(-40, 40).map(lambda n: 1e-3 * n)
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from sonoservo.diagrams.papers.chatelain2013.method.intensity_drop import intensity_drops
 from sonoservo.systems.sampling.kernels import chosen_ties
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.localization_explanation import LocalizationExplanation
@@ -14,7 +15,6 @@ from sonoservo.systems.signals.needle_prediction import NeedlePrediction
 from sonoservo.systems.signals.requirements import require_positive
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.axis_fit import AxisFit
-from sonoservo.systems.tracking.intensity_drop import intensity_drops
 from sonoservo.systems.tracking.ransac import RansacParameters, ransac_axis
 from sonoservo.systems.tracking.tip import TipParameters, axis_profile
 

@@ -1,27 +1,34 @@
 """Tracker of Zhao 2012 as published, with nothing of ours."""
 
 from dataclasses import dataclass, field
+from functools import partial
 
+import numpy as np
+from numpy.typing import NDArray
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
-from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters, add_published_parts
+from sonoservo.diagrams.papers.chatelain2013.method.detection import PublishedDetectionParameters
+from sonoservo.diagrams.papers.chatelain2013.method.tracker import add_published_parts
+from sonoservo.diagrams.papers.zhao2012.method.whole_volume_ransac import (
+    WholeVolumeLocalizationParameters,
+    explain_whole_volume_localization,
+)
+from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
 from sonoservo.diagrams.trackers.zhao2012 import connect_velocimeter
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 from sonoservo.systems.tracking.axis_tip_filter import AxisTipFilter
 from sonoservo.systems.tracking.needle_filter import require_order
 from sonoservo.systems.tracking.needle_localizer import NeedleLocalizer
 from sonoservo.systems.tracking.needle_motion import NeedleMotionParameters
-from sonoservo.systems.tracking.published_detection import PublishedDetectionParameters
 from sonoservo.systems.tracking.ransac import RansacParameters
 from sonoservo.systems.tracking.speckle_velocimeter import (
+    Speckle,
     SpeckleVelocimeter,
     SpeckleVelocimeterParameters,
-    measure_velocity_as_published,
+    measure_velocity,
 )
 from sonoservo.systems.tracking.volume_memory import VolumeMemory
-from sonoservo.systems.tracking.whole_volume_ransac import (
-    WholeVolumeLocalizationParameters,
-    explain_whole_volume_localization,
-)
 
 
 def _published_localization() -> WholeVolumeLocalizationParameters:
@@ -93,6 +100,21 @@ class Zhao2012AsPublishedParameters(TrackerParameters):
         require_order(self.order, self.filter)
 
 
+def measure_velocity_as_published(
+    current: Speckle,
+    previous: Speckle,
+    p_WBefore: NDArray[np.float64],
+    p_WPredicted: NDArray[np.float64],
+    direction: NDArray[np.float64],
+    parameters: SpeckleVelocimeterParameters,
+) -> VelocityMeasurement | NotFound:
+    """Measure the velocity with both windows around the known tip, as printed in Zhao 2012, 2.3.
+
+    The search region is not centred on the predicted tip; see `measure_velocity` for the arguments.
+    """
+    return measure_velocity(current, previous, p_WBefore, p_WBefore, direction, parameters)
+
+
 def MakeZhao2012AsPublishedTracker(
     *,
     parameters: Zhao2012AsPublishedParameters,
@@ -108,14 +130,19 @@ def MakeZhao2012AsPublishedTracker(
         detection=parameters.detection,
         needle_filter=parameters.filter,
         localizer=NeedleLocalizer(
-            parameters=parameters.localization, seed=seed, method=explain_whole_volume_localization
+            localize=partial(explain_whole_volume_localization, parameters=parameters.localization),
+            seed=seed,
         ),
         min_length=parameters.localization.min_length,
         period=period,
         offset=offset,
     )
     velocimeter = SpeckleVelocimeter(
-        parameters=parameters.velocimeter, method=measure_velocity_as_published
+        measure=partial(measure_velocity_as_published, parameters=parameters.velocimeter)
     )
     connect_velocimeter(builder, manager, velocimeter, VolumeMemory(period=period, offset=offset))
     return builder.Build()
+
+
+PUBLISHED = {Zhao2012AsPublishedParameters: MakeZhao2012AsPublishedTracker}
+"""Function that makes the tracker, by the class of its parameters."""

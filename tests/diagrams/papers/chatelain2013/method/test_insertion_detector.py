@@ -4,10 +4,10 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from synthetic_volumes import Scene, entry_on_side
 
+from sonoservo.diagrams.papers.chatelain2013.method.detection import PublishedDetectionParameters
+from sonoservo.diagrams.papers.chatelain2013.method.insertion_detector import InsertionDetector
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.tracking.insertion_detector import InsertionDetector
-from sonoservo.systems.tracking.published_detection import PublishedDetectionParameters
 from sonoservo.systems.tracking.volume_memory import VolumeMemory
 
 ENTRY = entry_on_side()

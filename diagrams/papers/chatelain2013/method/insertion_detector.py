@@ -3,13 +3,13 @@
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem
 
-from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.ports import evaluate
-from sonoservo.systems.signals.volume import Volume
-from sonoservo.systems.tracking.published_detection import (
+from sonoservo.diagrams.papers.chatelain2013.method.detection import (
     PublishedDetectionParameters,
     detect_as_published,
 )
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.volume import Volume
 
 
 class InsertionDetector(LeafSystem):

@@ -1,0 +1,3 @@
+from .shape_filter import PublishedBelief as PublishedBelief
+from .shape_filter import PublishedParticleFilter as PublishedParticleFilter
+from .shape_filter import PublishedParticleFilterParameters as PublishedParticleFilterParameters
