@@ -28,7 +28,9 @@ def test_pages_show_what_the_records_say_by_the_present_definitions(page):
 
 def test_every_paper_has_its_table():
     text = results.PAGES[1].read_text(encoding="utf-8")
-    assert all(f"<!-- results {paper} all -->" in text for paper in PAPERS)
+    kept = [paper for paper in PAPERS if results.kept_results(paper)]
+    assert kept
+    assert all(f"<!-- results {paper} all -->" in text for paper in kept)
 
 
 @pytest.fixture
