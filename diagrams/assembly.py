@@ -1,8 +1,11 @@
 """Arm, probe and phantom by name: the models behind a station and a controller."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 
@@ -56,5 +59,33 @@ def load_dome_radius(name: str) -> float:
 def assemble_arm(
     arm: str = ARM, probe: str = PROBE, X_PC: RigidTransform | None = None
 ) -> ArmWithProbe:
-    """Make a plant of an arm and its probe alone, for kinematics."""
-    return MakeArmPlant(load_arm(arm), load_probe_body(probe), X_PC)
+    """Return a plant of an arm and its probe alone, for kinematics; it is shared, do not change it.
+
+    Parameters
+    ----------
+    arm, probe
+        Names of files in ``models/robots`` and ``models/probes``, or paths.
+    X_PC
+        Pose of the calibrated probe frame in the true one; by default they are the same.
+    """
+    pose = (X_PC or RigidTransform()).GetAsMatrix4().tobytes()
+    return _assembled(_Same(load_arm(arm)), _Same(load_probe_body(probe)), pose)
+
+
+@dataclass(frozen=True, eq=False)
+class _Same:
+    """A model as a key: files that have not changed give the same object again."""
+
+    model: Any
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Same) and self.model is other.model
+
+    def __hash__(self) -> int:
+        return id(self.model)
+
+
+@lru_cache(maxsize=8)
+def _assembled(arm: _Same, body: _Same, X_PC: bytes) -> ArmWithProbe:
+    pose = RigidTransform(np.frombuffer(X_PC).reshape(4, 4))
+    return MakeArmPlant(arm.model, body.model, pose)

@@ -1,12 +1,10 @@
 """Output in the terminal: progress during a run, and figures at its end."""
 
-from collections.abc import Callable, Mapping, Sequence
-from itertools import groupby
+from collections.abc import Mapping, Sequence
 from types import TracebackType
 from typing import Any, Self
 
 import typer
-from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as RichProgress
@@ -16,8 +14,7 @@ from rich.text import Text
 from sonoservo.diagrams.app.run_result import RunResult, format_figure, reasons_text
 from sonoservo.diagrams.experiments.experiment import Experiment
 from sonoservo.diagrams.scenario import Scenario
-from sonoservo.diagrams.studies.study_report import Study, StudyRow, interval_text, target_text
-from sonoservo.diagrams.studies.verdicts import Verdict
+from sonoservo.diagrams.studies.study_report import Study, rows_table
 from sonoservo.systems.evaluation.labels import LABELS, look_up, recording_labels
 from sonoservo.systems.evaluation.source_checks import Finding, Grade, sort_findings
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
@@ -39,72 +36,19 @@ def end_run(result: RunResult) -> None:
         raise typer.Exit(3)
 
 
-_MET: Mapping[Verdict | None, Text] = {
-    None: Text(""),
-    Verdict.MET: Text("yes"),
-    Verdict.UNDECIDED: Text("undecided", style="yellow"),
-    Verdict.NOT_MET: Text("no", style="bold red"),
-    Verdict.NOT_MEASURED: Text("not measured", style="yellow"),
-}
-
-
-def _figure(value: float | None) -> Text:
-    return Text("" if value is None else format_figure(value))
-
-
-_CELLS: Mapping[str, Callable[[StudyRow], Text]] = {
-    "paper": lambda row: _figure(row.paper),
-    "estimated": lambda row: _figure(row.estimated),
-    "true": lambda row: _figure(row.true),
-    "95 %": lambda row: Text(interval_text(row.low, row.high, format_figure)),
-    "as published, estimated": lambda row: _figure(row.published_estimated),
-    "as published, true": lambda row: _figure(row.published_true),
-    "as published, 95 %": lambda row: Text(
-        interval_text(row.published_low, row.published_high, format_figure)
-    ),
-    "target": lambda row: Text(target_text(row)),
-    "met": lambda row: _MET[row.verdict],
-}
-"""Cells of a study's table after the quantity, by column."""
-
-_NEEDS_WIDTH = {"estimated", "as published, estimated", "as published, 95 %"}
+_NEEDS_WIDTH = ("ours, estimated", "as published, estimated", "as published, 95 %")
 """Columns that a terminal of fewer than 120 characters has no room for."""
 
 
 def study_table(study: Study, width: int) -> Table:
-    """Return the rows of a study, for a terminal.
-
-    Columns in which nothing stands are left out.
-
-    Parameters
-    ----------
-    study
-        Study to show.
-    width
-        Characters in a line of the terminal. Below 120, only what is true is shown.
-    """
+    """Return the rows of a study, for a terminal of so many characters in a line."""
+    table = rows_table(study.rows).grouped()
+    if width < 120:
+        table = table.without(_NEEDS_WIDTH)
     failed = sum(not each for each in study.outcomes)
-    columns = {
-        name: cell
-        for name, cell in _CELLS.items()
-        if (width >= 120 or name not in _NEEDS_WIDTH) and any(map(cell, study.rows))
-    }
-    table = Table(
-        title=f"{study.paper} reproduced",
-        caption=f"{len(study.outcomes)} runs, {failed} failed",
-        box=box.SIMPLE_HEAD,
-        collapse_padding=True,
-        pad_edge=False,
+    return table.without_empty_columns().terminal(
+        f"{study.paper} reproduced", f"{len(study.outcomes)} runs, {failed} failed"
     )
-    table.add_column("")
-    for name in columns:
-        table.add_column(name, justify="right", max_width=10)
-    for experiment, rows in groupby(study.rows, lambda row: row.experiment):
-        table.add_row(Text(experiment, style="bold"))
-        for row in rows:
-            quantity = row.quantity + (f", {row.unit}" if row.unit else "")
-            table.add_row(Text(quantity), *(cell(row) for cell in columns.values()))
-    return table
 
 
 def _make_bar(console: Console) -> RichProgress:

@@ -6,17 +6,19 @@ They name the commit that made the runs, and say so if the code of the runs has 
 """
 
 import json
+import math
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from sonoservo.diagrams.studies.records import read_records, write_records
-from sonoservo.diagrams.studies.study_report import Study
-from sonoservo.diagrams.studies.verdicts import Verdict, summary_of, verdict
-from sonoservo.systems.evaluation.reports.web_page import cell_text
+from sonoservo.diagrams.studies.study_report import Study, StudyRow, interval_text, rows_table
+from sonoservo.diagrams.studies.verdicts import summary_of
+from sonoservo.systems.evaluation.table import Table, cell_text
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.files.writing import write_atomically
 
@@ -34,11 +36,6 @@ _NONE = "*There are no results yet. `sonoservo reproduce {} --keep` makes them, 
 
 CHANGED = " *The code that makes these results has changed since.*"
 """Note beside results that the present code did not make."""
-
-_HEADS = (
-    "experiment", "quantity", "paper", "ours, estimated", "ours, true", "95 %",
-    "as published, estimated", "as published, true", "95 %", "target", "met",
-)  # fmt: skip
 
 _MAIN_FIGURES = {
     "found (%)": ("found", ""),
@@ -126,15 +123,10 @@ def results_table(kept: Mapping[str, Any], rows: str) -> str:
         return f"{source}.{changed}\n\n{_thresholds_table(kept['thresholds'])}"
     if rows == "experiments":
         return f"{source}.{changed}\n\n{_experiments_table(kept)}"
-    verdicts = [each for row in kept["rows"] if (each := _verdict(row)) is not None]
-    lines = []
-    before = ""
-    for row in kept["rows"]:
-        if rows == "published" and row["paper"] is None:
-            continue
-        lines.append(_cells(row, before))
-        before = row["experiment"]
-    return f"{source}: {summary_of(verdicts)}.{changed}\n\n{_markdown_table(_HEADS, lines)}"
+    study_rows = [_row(each) for each in kept["rows"]]
+    met = summary_of([each.verdict for each in study_rows if each.verdict is not None])
+    shown = [each for each in study_rows if rows != "published" or each.paper is not None]
+    return f"{source}: {met}.{changed}\n\n{rows_table(shown).markdown()}"
 
 
 def write_tables() -> None:
@@ -165,7 +157,7 @@ def with_tables(text: str) -> str:
 def _thresholds_table(thresholds: Sequence[Mapping[str, str]]) -> str:
     """Return the dials' thresholds as Markdown, with a column for each tracker."""
     heads = list(dict.fromkeys(key for each in thresholds for key in each))
-    return _markdown_table(heads, [[each.get(key, "") for key in heads] for each in thresholds])
+    return Table(heads, [[each.get(key, "") for key in heads] for each in thresholds]).markdown()
 
 
 def _experiments_table(kept: Mapping[str, Any]) -> str:
@@ -179,55 +171,23 @@ def _experiments_table(kept: Mapping[str, Any]) -> str:
         for quantity, prefix in _MAIN_FIGURES.values():
             row = experiments[name].get(quantity, {})
             figure, low, high = (row.get(prefix + key) for key in ("true", "low", "high"))
-            known = figure is not None and low is not None
-            cells.append(_figure(figure) + (f" ({_interval(low, high)})" if known else ""))
+            text = cell_text(figure, "")
+            if figure is not None and low is not None:
+                text += f" ({interval_text(low, math.inf if high is None else high)})"
+            cells.append(text)
         lines.append(cells)
-    return _markdown_table(["experiment", "seeds", *_MAIN_FIGURES], lines)
+    return Table(["experiment", "seeds", *_MAIN_FIGURES], lines).markdown()
 
 
-def _markdown_table(heads: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    """Return a table as Markdown; bars in cells are escaped."""
-    escaped = [[cell.replace("|", r"\|") for cell in cells] for cells in lines]
-    head, *body = (f"| {' | '.join(cells)} |" for cells in (heads, *escaped))
-    return "\n".join([head, "|" + "---|" * len(heads), *body])
-
-
-def _cells(row: Mapping[str, Any], before: str) -> list[str]:
-    quantity = row["quantity"] + (f" ({row['unit']})" if row["unit"] else "")
-    target = "" if row["target"] is None else f"{_SIDES[row['wanted']]} {row['target']:g}"
-    return [
-        row["experiment"] if row["experiment"] != before else "",
-        quantity,
-        *(_figure(row[key]) for key in ("paper", "estimated", "true")),
-        _interval(row["low"], row["high"]),
-        *(_figure(row[key]) for key in ("published_estimated", "published_true")),
-        _interval(row["published_low"], row["published_high"]),
-        target,
-        "**no**" if _verdict(row) is Verdict.NOT_MET else _verdict(row) or "",
-    ]
-
-
-def _verdict(row: Mapping[str, Any]) -> Verdict | None:
-    """Return the verdict on a row's target by today's definition; None if it has none."""
-    if row["target"] is None:
-        return None
-    value = row["estimated"] if row["true"] is None else row["true"]
-    return verdict(value, row["low"], row["high"], row["target"], row["wanted"])
-
-
-_SIDES = {"at most": "≤", "at least": "≥"}
-
-
-def _figure(value: float | None) -> str:
-    if value is None:
-        return ""
-    return cell_text(value) if value else "0"
-
-
-def _interval(low: float | None, high: float | None) -> str:
-    if low is None and high is None:
-        return ""
-    return f"{'-∞' if low is None else _figure(low)} to {'∞' if high is None else _figure(high)}"
+def _row(kept: Mapping[str, Any]) -> StudyRow:
+    """Return a row from study.json, which has no infinite numbers."""
+    known = {each.name: kept[each.name] for each in fields(StudyRow) if each.name in kept}
+    for prefix in ("", "published_"):
+        low, high = known.get(f"{prefix}low"), known.get(f"{prefix}high")
+        if (low is None) != (high is None):
+            known[f"{prefix}low"] = -math.inf if low is None else low
+            known[f"{prefix}high"] = math.inf if high is None else high
+    return StudyRow(**known)
 
 
 def _folder(paper: str) -> Path:

@@ -2,7 +2,7 @@
 
 import html
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -15,7 +15,8 @@ from sonoservo.diagrams.studies.fingerprint import made_with
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.verdicts import Side, Verdict, summary_of, verdict
 from sonoservo.systems.evaluation.reports.plots import png
-from sonoservo.systems.evaluation.reports.web_page import cell_text, table, web_page
+from sonoservo.systems.evaluation.reports.web_page import web_page
+from sonoservo.systems.evaluation.table import Strong, Table, cell_text
 from sonoservo.systems.files.writing import write_atomically, write_json
 
 
@@ -59,6 +60,11 @@ class StudyRow:
     published_high: float | None = None
     target: float | None = None
     wanted: Side = "at most"
+
+    @property
+    def named(self) -> str:
+        """Quantity with its unit."""
+        return self.quantity + (f" ({self.unit})" if self.unit else "")
 
     @property
     def verdict(self) -> Verdict | None:
@@ -193,77 +199,61 @@ def _body(study: Study, command: str) -> str:
     """Return the HTML of a study's command, notes and tables."""
     body = [f"<p><code>{html.escape(command)}</code></p>"]
     body += [f"<p>{html.escape(note)}</p>" for note in study.notes]
-    body += [_rows_table(study.rows), _cases_table(study), _failures_table(study)]
-    if study.compute_ms:
-        lines = [
-            [html.escape(name), cell_text(each.get("median")), cell_text(each.get("max"))]
-            for name, each in study.compute_ms.items()
-        ]
-        body.append("<h2>Computing time per volume (ms)</h2>" + table(["", "median", "max"], lines))
+    runs = [
+        [name, _ranges(each["seeds"]), each["cases"], each["failed"]]
+        for name, each in study.experiments.items()
+    ]
+    failed = [[each.case.name, each.case.seed, each.error] for each in study.outcomes if not each]
+    times = [[name, *map(each.get, ("median", "max"))] for name, each in study.compute_ms.items()]
+    for title, table in (
+        ("Results", rows_table(study.rows)),
+        ("Runs", Table(["", "seeds", "runs", "of these, failed"], runs)),
+        ("Failed runs", Table(["", "seed", "error"], failed)),
+        ("Computing time per volume (ms)", Table(["", "median", "max"], times, missing="–")),
+    ):
+        if table.rows:
+            body.append(f"<h2>{title}</h2>{table.html()}")
     return "\n".join(body)
 
 
-def target_text(row: StudyRow) -> str:
-    """Return a row's target with its side, such as "≤ 0.7"; empty if there is none."""
-    if row.target is None:
-        return ""
-    return f"{'≤' if row.wanted == 'at most' else '≥'} {row.target:g}"
+HEADS = (
+    "experiment", "quantity", "paper", "ours, estimated", "ours, true", "95 %",
+    "as published, estimated", "as published, true", "as published, 95 %", "target", "met",
+)  # fmt: skip
+"""Heads of `rows_table`."""
 
 
-def interval_text(low: float | None, high: float | None, figure: Callable[[float], str]) -> str:
+def rows_table(rows: Sequence[StudyRow]) -> Table:
+    """Return the rows of a study as a table; an experiment stands in the first of its rows."""
+    names = [row.experiment for row in rows]
+    return Table(
+        HEADS,
+        [
+            [
+                "" if row.experiment == before else row.experiment,
+                row.named,
+                *(row.paper, row.estimated, row.true),
+                interval_text(row.low, row.high),
+                *(row.published_estimated, row.published_true),
+                interval_text(row.published_low, row.published_high),
+                "" if row.target is None else f"{_SIDES[row.wanted]} {row.target:g}",
+                Strong(row.verdict) if row.verdict is Verdict.NOT_MET else row.verdict or "",
+            ]
+            for row, before in zip(rows, ["", *names], strict=False)
+        ],
+    )
+
+
+_SIDES = {"at most": "≤", "at least": "≥"}
+
+
+def interval_text(low: float | None, high: float | None) -> str:
     """Return an interval such as "0.40 to 0.60"; empty if there is none."""
     if low is None or high is None:
         return ""
     if low == -math.inf and high == math.inf:
         return "too few runs"
-    return f"{figure(low)} to {figure(high)}"
-
-
-def _cell(value: float | None) -> str:
-    return "" if value is None else cell_text(value)
-
-
-def _rows_table(rows: Sequence[StudyRow]) -> str:
-    heads = [
-        "", "", "paper", "ours, estimated", "ours, true", "95 %",
-        "as published, estimated", "as published, true", "95 %", "target", "met",
-    ]  # fmt: skip
-    lines, before = [], ""
-    for row in rows:
-        quantity = row.quantity + (f" ({row.unit})" if row.unit else "")
-        lines.append(
-            [
-                html.escape(row.experiment if row.experiment != before else ""),
-                html.escape(quantity),
-                *map(_cell, (row.paper, row.estimated, row.true)),
-                interval_text(row.low, row.high, cell_text),
-                *map(_cell, (row.published_estimated, row.published_true)),
-                interval_text(row.published_low, row.published_high, cell_text),
-                target_text(row),
-                f"<b>{row.verdict}</b>" if row.verdict is Verdict.NOT_MET else row.verdict or "",
-            ]
-        )
-        before = row.experiment
-    return "<h2>Results</h2>" + table(heads, lines)
-
-
-def _cases_table(study: Study) -> str:
-    lines = [
-        [html.escape(name), _ranges(each["seeds"]), str(each["cases"]), str(each["failed"])]
-        for name, each in study.experiments.items()
-    ]
-    return "<h2>Runs</h2>" + table(["", "seeds", "runs", "of these, failed"], lines)
-
-
-def _failures_table(study: Study) -> str:
-    failed = [each for each in study.outcomes if not each]
-    if not failed:
-        return ""
-    lines = [
-        [html.escape(each.case.name), str(each.case.seed), html.escape(each.error)]
-        for each in failed
-    ]
-    return "<h2>Failed runs</h2>" + table(["", "seed", "error"], lines)
+    return f"{cell_text(low)} to {cell_text(high)}"
 
 
 def _ranges(numbers: Sequence[int]) -> str:

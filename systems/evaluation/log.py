@@ -10,6 +10,7 @@ from typing import Any, TypeVar, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
+from sonoservo.systems.evaluation.table import Code, Table
 from sonoservo.systems.files.memory import require_memory
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.writing import write_atomically
@@ -103,10 +104,10 @@ def stack_rows(
 def column_table(log_class: type[Log]) -> str:
     """Return the arrays of a log's file as a Markdown table: name, shape, unit, meaning."""
     rows = [
-        f"| `{name}` | {_text(column.shape)} | {column.unit} | {column.what} |"
+        [Code(name), _text(column.shape), column.unit, column.what]
         for name, column in columns(log_class).items()
     ]
-    return "\n".join(["| array | shape | unit | meaning |", "|---|---|---|---|", *rows])
+    return Table(["array", "shape", "unit", "meaning"], rows).markdown()
 
 
 def _text(shape: tuple[int | str, ...]) -> str:

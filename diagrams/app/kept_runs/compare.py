@@ -23,7 +23,9 @@ from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.evaluation.labels import look_up, sections
 from sonoservo.systems.evaluation.log import Log, read_log
 from sonoservo.systems.evaluation.reports.plots import png
-from sonoservo.systems.evaluation.reports.web_page import cell_text, picture, table, web_page
+from sonoservo.systems.evaluation.reports.web_page import picture, web_page
+from sonoservo.systems.evaluation.table import Code
+from sonoservo.systems.evaluation.table import Table as ResultTable
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
 from sonoservo.systems.files.writing import write_atomically, write_json
 
@@ -124,23 +126,21 @@ class Comparison:
         return table_text(self.table())
 
     def _repr_html_(self) -> str:
-        heads = [html.escape(name) for name in self.names]
+        heads = self.names
         changes = [
-            [html.escape(row["meaning"]), f"<code>{html.escape(row['path'])}</code>"]
-            + [html.escape(row[name]) for name in self.names]
+            [row["meaning"], Code(row["path"]), *(row[name] for name in heads)]
             for row in self.changes()
         ]
         parts = ["<h2>What differs between the scenarios</h2>"]
-        parts.append(table(["", "field", *heads], changes) if changes else "<p>Nothing.</p>")
+        shown = ResultTable(["", "field", *heads], changes).html()
+        parts.append(shown if changes else "<p>Nothing.</p>")
         parts += ["<h2>Curves</h2>", picture(self.presenter.overlay_caption, png(self.plot()))]
         figures = self.figures()
         parts.append("<h2>Figures</h2>")
         for heading, group in sections(self.presenter.labels).items():
-            rows = [
-                [html.escape(label), *map(cell_text, figures[path])]
-                for path, label in group.items()
-            ]
-            parts.append(f"<h3>{html.escape(heading)}</h3>\n{table(['', *heads], rows)}")
+            rows = [[label, *figures[path]] for path, label in group.items()]
+            shown = ResultTable(["", *heads], rows, missing="–").html()
+            parts.append(f"<h3>{html.escape(heading)}</h3>\n{shown}")
         return "\n".join(parts)
 
 

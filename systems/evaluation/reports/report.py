@@ -10,7 +10,8 @@ from pydrake.geometry import Meshcat
 
 from sonoservo.systems.evaluation.labels import LABELS, MORE_LABELS, look_up, sections
 from sonoservo.systems.evaluation.reports.verdict import Verdict
-from sonoservo.systems.evaluation.reports.web_page import cell_text, picture, table, web_page
+from sonoservo.systems.evaluation.reports.web_page import picture, web_page
+from sonoservo.systems.evaluation.table import Code, Table
 from sonoservo.systems.files.writing import write_atomically
 
 
@@ -182,16 +183,8 @@ def _scenario_text(story: Story) -> str:
 
 def changes_table(story: Story, heads: Sequence[str] = ("", "field", "default", "here")) -> str:
     """Return the changed fields of a scenario as an HTML table."""
-    rows = [
-        (
-            html.escape(each.meaning),
-            f"<code>{html.escape(each.path)}</code>",
-            html.escape(each.before),
-            html.escape(each.after),
-        )
-        for each in story.changes
-    ]
-    return table([html.escape(head) for head in heads], rows)
+    rows = [(each.meaning, Code(each.path), each.before, each.after) for each in story.changes]
+    return Table(heads, rows).html()
 
 
 def _figures_text(
@@ -206,15 +199,15 @@ def _figures_text(
             continue
         rows = [
             [
-                html.escape(label),
-                cell_text(look_up(summary, path)),
-                cell_text(float(paper[path])) if path in paper else "",
+                label,
+                look_up(summary, path),
+                float(paper[path]) if path in paper else "",
             ]
             for path, label in shown.items()
         ]
         compared = any(path in paper for path in shown)
         heads = ["", "this run", "paper"] if compared else ["", ""]
-        body = table(heads, [row[: len(heads)] for row in rows])
+        body = Table(heads, [row[: len(heads)] for row in rows], missing="–").html()
         tables.append(f"<section><h3>{html.escape(heading)}</h3>\n{body}</section>")
     if not tables:
         return ""

@@ -2,9 +2,7 @@
 
 import base64
 import html
-import math
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping
 
 _PAGE = """<!DOCTYPE html>
 <html lang="en">
@@ -63,23 +61,3 @@ def picture(caption: str, data: bytes) -> str:
         f'<figure><img alt="{text}" src="data:image/png;base64,{base64.b64encode(data).decode()}">'
         f"<figcaption>{text}</figcaption></figure>"
     )
-
-
-def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return an HTML table; heads and cells are HTML, and each row begins with its label."""
-    head = "".join(f"<th>{each}</th>" for each in heads)
-    lines = [f"<tr>{head}</tr>"] if any(heads) else []
-    for label, *cells in rows:
-        lines.append(f"<tr><th>{label}</th>{''.join(f'<td>{each}</td>' for each in cells)}</tr>")
-    return "<table>" + "\n".join(lines) + "</table>"
-
-
-def cell_text(value: Any) -> str:
-    """Return a value as the HTML of a table cell, with about three digits; a dash for None."""
-    if value is None:
-        return "–"
-    if isinstance(value, float) and math.isinf(value):
-        return "∞"
-    if isinstance(value, float):
-        return f"{value:.{sum(abs(value) < limit for limit in (1, 10, 100))}f}"
-    return html.escape(str(value))

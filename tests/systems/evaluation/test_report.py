@@ -102,7 +102,7 @@ def test_page(insertion_log):
     assert page.links == ["replay.html"]
     assert ["Gain", "imaging.gain", "0.42", "0.5"] in page.rows
     assert ["tip error, median, mm", "0.500"] in page.rows
-    assert ["at rest: mean |X|, true, mm", "0.000", "1.10"] in page.rows
+    assert ["at rest: mean |X|, true, mm", "0", "1.10"] in page.rows
     (mean,) = (row for row in page.rows if row[0] == "contact force, mean, N")
     assert mean[2] == "2.00"
     pictures = re.findall(r"data:image/png;base64,([^\"]+)", text)
