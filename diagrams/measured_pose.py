@@ -2,7 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import DiagramBuilder, OutputPort
+from pydrake.systems.framework import OutputPort
 from pydrake.systems.primitives import Adder, ConstantVectorSource
 
 from sonoservo.diagrams.assembly import assemble_arm
@@ -11,6 +11,7 @@ from sonoservo.systems.robot.errors.calibration import CalibrationParameters, ha
 from sonoservo.systems.robot.errors.pose_delay import PoseDelay, PoseDelayParameters
 from sonoservo.systems.robot.external_torque import ExternalTorque
 from sonoservo.systems.robot.forward_kinematics import ForwardKinematics
+from sonoservo.systems.signals.ports import DiagramBuilder
 
 
 def add_offset(

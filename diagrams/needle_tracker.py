@@ -1,12 +1,13 @@
 """Needle trackers: diagrams that turn volumes into an estimate of the needle."""
 
-from pydrake.systems.framework import Diagram, DiagramBuilder, System
+from pydrake.systems.framework import Diagram, System
 
 from sonoservo.diagrams.trackers.chatelain2013 import Chatelain2013TrackerParameters
 from sonoservo.diagrams.trackers.registry import TRACKERS
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
 from sonoservo.systems.calibration.pose_corrector import PoseCorrector
 from sonoservo.systems.files.refusals import ConfigurationError
+from sonoservo.systems.signals.ports import DiagramBuilder
 
 
 def MakeNeedleTracker(

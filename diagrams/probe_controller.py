@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Diagram, DiagramBuilder, System
+from pydrake.systems.framework import Diagram, System
 
 from sonoservo.diagrams.assembly import ARM, PROBE, assemble_arm
 from sonoservo.systems.control.controller_schedule import ControllerSettings
@@ -19,6 +19,7 @@ from sonoservo.systems.control.guard import Guard
 from sonoservo.systems.control.guard_parameters import GuardParameters
 from sonoservo.systems.control.visual_servo import VisualServo, VisualServoParameters
 from sonoservo.systems.robot.arm import load_arm
+from sonoservo.systems.signals.ports import DiagramBuilder
 from sonoservo.systems.signals.requirements import require, require_within
 
 MAX_FORCE = 8.0

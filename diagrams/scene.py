@@ -8,13 +8,14 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Diagram, DiagramBuilder, System
+from pydrake.systems.framework import Diagram, System
 
 from sonoservo.diagrams.assembly import load_dome_radius
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.seeds import draw_seeds, make_tissue
 from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.ports import DiagramBuilder
 from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
 from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
 from sonoservo.systems.ultrasound.simulation.acquisition import acquire_sweep

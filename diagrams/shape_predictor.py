@@ -5,7 +5,7 @@ from typing import Any
 
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.framework import Diagram
 
 from sonoservo.systems.shape.cross_section import CrossSectionParameters
 from sonoservo.systems.shape.cross_section_localizer import CrossSectionLocalizer
@@ -17,6 +17,7 @@ from sonoservo.systems.signals.cross_section import CrossSection
 from sonoservo.systems.signals.image_slice import ImageSlice
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_shape import NeedleShape
+from sonoservo.systems.signals.ports import DiagramBuilder
 
 
 def MakeShapePredictor(

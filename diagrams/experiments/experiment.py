@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Generic, Self
 
 import numpy as np
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Context, DiagramBuilder, System
+from pydrake.systems.framework import Context, System
 
 from sonoservo.diagrams.scenario import Scenario, ScenarioT
 from sonoservo.diagrams.wiring import connect_by_name
@@ -16,6 +16,7 @@ from sonoservo.systems.evaluation.compile_free_clock import CompileFreeClock
 from sonoservo.systems.evaluation.log import Log
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.ports import DiagramBuilder
 
 INSTANT = 1e-6
 """Time in s between an event and an observation just before or after it."""

@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass, field
 
-from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.framework import Diagram
 
 from sonoservo.diagrams.trackers.tracker_parts import (
     CommonTrackerParameters,
     add_tracker_parts,
 )
+from sonoservo.systems.signals.ports import DiagramBuilder
 from sonoservo.systems.tracking.interacting_filter import InteractingFilter
 from sonoservo.systems.tracking.needle_filter import AnyFilter, require_order
 

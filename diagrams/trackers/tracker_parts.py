@@ -4,8 +4,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Self
 
-from pydrake.systems.framework import DiagramBuilder
-
+from sonoservo.systems.signals.ports import DiagramBuilder
 from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.tracking.line_follower import LineFollower
 from sonoservo.systems.tracking.localizer_parameters import NeedleLocalizerParameters

@@ -2,14 +2,16 @@
 
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
-from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.framework import Diagram
 
 from sonoservo.diagrams.trackers.tracker_parts import (
     VOLUME_GATE,
     CommonTrackerParameters,
     add_tracker_parts,
 )
+from sonoservo.systems.signals.ports import DiagramBuilder
 from sonoservo.systems.tracking.axis_tip_filter import AxisTipFilter
 from sonoservo.systems.tracking.edge_velocimeter import (
     EdgeVelocimeterParameters,
@@ -71,7 +73,7 @@ def MakeZhao2012Tracker(
         Whether the velocimeter has its own input port ``speckle``, for the `RadioFrequencySweep` of
         each volume; otherwise it uses the volumes.
     """
-    events = {"period": period, "offset": offset}
+    events: dict[str, Any] = {"period": period, "offset": offset}
     builder = DiagramBuilder()
     manager = add_tracker_parts(
         builder,

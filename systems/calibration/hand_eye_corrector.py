@@ -6,7 +6,7 @@ from pydrake.systems.framework import Context, LeafSystem
 
 from sonoservo.systems.calibration.pose_errors import PoseErrors
 from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import declare_inputs, evaluate
 
 
 class HandEyeCorrector(LeafSystem):
@@ -29,7 +29,7 @@ class HandEyeCorrector(LeafSystem):
     def __init__(self) -> None:
         super().__init__()
         self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
-        self.DeclareAbstractInputPort("pose_errors", Value[object]())
+        declare_inputs(self, pose_errors=(PoseErrors, NotFound))
         self.DeclareAbstractOutputPort(
             "corrected_X_WP", lambda: Value(RigidTransform()), self._calc_pose
         )

@@ -8,7 +8,7 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 from sonoservo.systems.calibration.pose_calibration import PoseCalibration
 from sonoservo.systems.calibration.pose_errors import PoseErrors
 from sonoservo.systems.signals.immutable import Immutable, NotFound
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import declare_inputs, declare_output, evaluate
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 from sonoservo.systems.signals.volume import Volume
 
@@ -50,14 +50,15 @@ class PoseCorrector(LeafSystem):
         super().__init__()
         require_not_negative(offset=offset)
         require_positive(period=period)
-        self.DeclareAbstractInputPort("volume", Value[object]())
+        declare_inputs(self, volume=(Volume, NotFound))
         self._history = self.DeclareAbstractState(Value[object](_History()))
-        self.DeclareAbstractOutputPort("volume", lambda: Value[object](), self._calc_volume)
-        self.DeclareAbstractOutputPort(
+        declare_output(self, "volume", (Volume, NotFound), self._calc_volume)
+        declare_output(
+            self,
             "pose_errors",
-            lambda: Value[object](),
+            (PoseErrors, NotFound),
             self._calc_errors,
-            prerequisites_of_calc={self.abstract_state_ticket(self._history)},
+            {self.abstract_state_ticket(self._history)},
         )
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, offset, self._update)
         self.DeclareForcedUnrestrictedUpdateEvent(self._update)

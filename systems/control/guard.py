@@ -33,6 +33,7 @@ from sonoservo.systems.control.guard_sight import (
 )
 from sonoservo.systems.control.joint_limits import keeps_limits
 from sonoservo.systems.signals.guard_status import GuardState, GuardStatus
+from sonoservo.systems.signals.ports import declare_output
 from sonoservo.systems.signals.requirements import require_positive
 from sonoservo.systems.signals.scratch_context import declare_scratch_context, scratch_context
 
@@ -156,12 +157,7 @@ class Guard(LeafSystem):
             self._calc_joint_command,
             prerequisites_of_calc={self._wanted.ticket(), self.xd_ticket(), self.time_ticket()},
         )
-        self.DeclareAbstractOutputPort(
-            "guard",
-            lambda: Value[object](),
-            self._calc_guard,
-            prerequisites_of_calc={self.xd_ticket()},
-        )
+        declare_output(self, "guard", GuardStatus, self._calc_guard, {self.xd_ticket()})
         self.DeclareStateOutputPort("approach_scale", self._approach_scale)
         self.DeclareStateOutputPort("acting", self._acting)
         self.DeclareInitializationDiscreteUpdateEvent(self._initialize)

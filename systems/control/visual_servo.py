@@ -16,7 +16,7 @@ from sonoservo.systems.control.visual_features import (
     significant_velocity,
 )
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
-from sonoservo.systems.signals.ports import evaluate_port
+from sonoservo.systems.signals.ports import declare_inputs, declare_output, evaluate_port
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 
 _FOLLOWED = (TrackingMode.TRACKING, TrackingMode.COASTING)
@@ -185,15 +185,17 @@ class VisualServo(LeafSystem):
     def __init__(self, *, parameters: VisualServoParameters):
         super().__init__()
         self._parameters = parameters
-        self._estimate = self.DeclareAbstractInputPort("estimate", Value[object]())
+        declare_inputs(self, estimate=NeedleEstimate)
+        self._estimate = self.GetInputPort("estimate")
         self._X_WP = self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
         self._gain = self.DeclareVectorInputPort("gain", 1)
         self.DeclareVectorOutputPort("planar_velocity", 3, self._calc_planar_velocity)
-        self.DeclareAbstractOutputPort(
+        declare_output(
+            self,
             "hold_reason",
-            lambda: Value[object](),
+            str,
             self._calc_hold_reason,
-            prerequisites_of_calc={
+            {
                 self._estimate.ticket(),
                 self._gain.ticket(),
                 self.time_ticket(),

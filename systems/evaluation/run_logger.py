@@ -19,17 +19,23 @@ from sonoservo.systems.signals.motion_record import MotionRecord
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
-from sonoservo.systems.signals.ports import evaluate_port
+from sonoservo.systems.signals.ports import Types, declare_inputs, evaluate_port
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.signals.volume_check import VolumeCheck
 
 T = TypeVar("T")
 
-_OBJECTS = (
-    "motion_record", "needle", "estimate", "measurement", "detection", "guard", "hold_reason",
-    "volume_check",
-)  # fmt: skip
+_OBJECTS: dict[str, Types] = {
+    "motion_record": (MotionRecord, NotFound),
+    "needle": Needle,
+    "estimate": NeedleEstimate,
+    "measurement": (NeedleMeasurement, NotFound),
+    "detection": object,
+    "guard": GuardStatus,
+    "hold_reason": str,
+    "volume_check": VolumeCheck,
+}
 
 
 class _Rows:
@@ -118,8 +124,7 @@ class RunLogger(LeafSystem):
         self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
         self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
         self.DeclareAbstractInputPort("true_X_WP", Value(RigidTransform()))
-        for name in _OBJECTS:
-            self.DeclareAbstractInputPort(name, Value[object]())
+        declare_inputs(self, **_OBJECTS)
         self.DeclareVectorInputPort("joint_state", 2 * joints)
         self.DeclareAbstractInputPort("wrist_force", Value(SpatialForce()))
         self.DeclareVectorInputPort("contact_force", 1)

@@ -1,6 +1,5 @@
 from .memory import require_memory as require_memory
 from .refusals import ConfigurationError as ConfigurationError
-from .renamed import current_name as current_name
 from .typed_yaml import apply_changes as apply_changes
 from .typed_yaml import dump_typed as dump_typed
 from .typed_yaml import load_typed as load_typed

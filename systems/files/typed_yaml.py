@@ -1,7 +1,7 @@
 """Typed YAML with errors that name the field, its value and the allowed values.
 
-Drake's `yaml_load_typed` does the conversion. The checks before and after it add the path of the
-field, the nearest known name, and the dataclasses' own validation.
+Dataclasses are filled here, so that an error names the path of the field and the nearest known
+name; Drake's own schema classes inside them are filled by Drake's `yaml_load_typed`.
 """
 
 import dataclasses
@@ -11,13 +11,13 @@ import sys
 import types
 import typing
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
 
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
-from sonoservo.systems.files.renamed import current_name, moved_fields, removed
 from sonoservo.systems.files.yaml_loader import MAX_DEPTH, MAX_LENGTH, Dumper, Tagged, load_yaml
 
 T = TypeVar("T")
@@ -75,13 +75,9 @@ def load_typed(schema: type[T], data: Mapping[str, Any], source: str) -> T:
         If a field is unknown or its value is not allowed. The message names the field by its path,
         its value and the allowed values.
     """
-    from pydrake.common.yaml import yaml_load_typed  # imported late, as it takes half a second
-
     with refusing_failures(source):
-        _check(schema, data, source, "")
-        text = yaml.dump(_tagged(schema, dict(data)), Dumper=Dumper)
-        loaded = yaml_load_typed(schema=schema, data=text, defaults=schema())
-        return _validated(loaded, source, "")
+        made: T = _Loader(source).fill(schema, data, "")
+        return made
 
 
 def dump_typed(value: Any) -> str:
@@ -94,17 +90,20 @@ def dump_typed(value: Any) -> str:
 
 def _plain(value: Any) -> Any:
     """Return a value as YAML's own types."""
-    if fields := _fields(type(value)):
+    schema: Any = type(value)
+    if fields := _fields(schema):
         return {name: _plain(getattr(value, name)) for name in fields}
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
     return [_plain(item) for item in value] if isinstance(value, list) else value
 
 
+@cache
 def _fields(schema: Any) -> dict[str, Any]:
     """Return the fields of a dataclass or of one of Drake's schema classes, and their types."""
     if dataclasses.is_dataclass(schema):
-        return {field.name: field.type for field in dataclasses.fields(schema)}
+        hints = typing.get_type_hints(schema)
+        return {field.name: hints[field.name] for field in dataclasses.fields(schema)}
     return {field.name: field.type for field in getattr(schema, "__fields__", ())}
 
 
@@ -192,117 +191,110 @@ def _index(items: list[Any], key: str, path: str) -> int:
     return int(key)
 
 
-def _check(schema: Any, value: Any, source: str, path: str, default: Any = None) -> None:
-    """Raise ConfigurationError if ``value`` does not match ``schema``."""
+class _Loader:
+    """Makes a dataclass of a mapping; ``source`` stands at the start of every error."""
 
-    def fail(wanted: str) -> typing.NoReturn:
-        raise ConfigurationError(f"{source}: {path}: {value!r} is not allowed; expected {wanted}")
+    def __init__(self, source: str) -> None:
+        self._source = source
 
-    if typing.get_origin(schema) in (types.UnionType, typing.Union):
-        options = [each for each in typing.get_args(schema) if each is not type(None)]
-        if value is None:
-            if len(options) == len(typing.get_args(schema)):
-                fail("a value")
-        elif len(options) == 1:
-            _check(options[0], value, source, path)
-        else:
-            kinds = _kinds(schema)
-            if not kinds:
-                return  # one of Drake's own choices, which `yaml_load_typed` checks
-            mapping = {"kind": value} if isinstance(value, str) else value
-            if not isinstance(mapping, Mapping):
-                fail(f"one of {', '.join(kinds)}, or a mapping")
-            kind = _kind(mapping, kinds, default)
-            if not isinstance(kind, str) or kind not in kinds:
-                hint = suggest(str(kind), kinds)
-                raise ConfigurationError(f"{source}: {path}: unknown kind {kind!r}; {hint}")
-            _check(kinds[kind], mapping, source, path)
-    elif fields := _fields(schema):
-        if isinstance(value, Tagged):
-            return
-        if not isinstance(value, Mapping):
-            fail("a mapping")
-        defaults: Any = typing.cast(Any, schema)()
-        for key, item in value.items():
-            where = f"{path}.{key}" if path else str(key)
-            if key not in fields:
-                if moved := moved_fields(where, item):
-                    old, new = next(iter(moved.items()))
-                    raise ConfigurationError(f"{source}: {old}: is now {new!r}")
-                now = current_name(str(key), fields) or _path_to(str(key), fields, path)
-                if now:
-                    raise ConfigurationError(f"{source}: {where}: is now called {now!r}")
-                if instead := removed(str(key)):
-                    raise ConfigurationError(f"{source}: {where}: {instead}")
-                raise ConfigurationError(
-                    f"{source}: {where}: unknown field; {suggest(str(key), fields)}"
+    def _fail(self, path: str, text: str) -> typing.NoReturn:
+        raise ConfigurationError(f"{self._source}: {path}: {text}")
+
+    def _refuse(self, path: str, value: Any, wanted: str) -> typing.NoReturn:
+        self._fail(path, f"{value!r} is not allowed; expected {wanted}")
+
+    def make(self, hint: Any, value: Any, path: str, default: Any = None) -> Any:
+        """Return a value of a field's type, or refuse it; a mapping changes the default."""
+        hint = _plain_type(hint)
+        origin, options = typing.get_origin(hint), typing.get_args(hint)
+        if origin in (types.UnionType, typing.Union):
+            return self._choose(hint, value, path, default)
+        if dataclasses.is_dataclass(hint) or hasattr(hint, "__fields__"):
+            return self.fill(hint, value, path, default)
+        if origin is list:
+            if not isinstance(value, list):
+                self._refuse(path, value, "a list")
+            return [self.make(options[0], item, f"{path}.{k}") for k, item in enumerate(value)]
+        if origin is dict:
+            if not isinstance(value, Mapping):
+                self._refuse(path, value, "a mapping")
+            return {
+                self.make(options[0], key, f"{path}: key"): self.make(
+                    options[1], item, f"{path}.{key}"
                 )
-            _check(fields[key], item, source, where, getattr(defaults, key))
-    elif typing.get_origin(schema) is list:
-        if not isinstance(value, list):
-            fail("a list")
-        for index, item in enumerate(value):
-            _check(typing.get_args(schema)[0], item, source, f"{path}.{index}")
-    elif typing.get_origin(schema) is dict:
-        if not isinstance(value, Mapping):
-            fail("a mapping")
-        for key, item in value.items():
-            _check(typing.get_args(schema)[0], key, source, f"{path}: key")
-            _check(typing.get_args(schema)[1], item, source, f"{path}.{key}")
-    elif schema is float:
-        if isinstance(value, bool) or not _is_number(value):
-            fail("a finite number")
-    elif schema is int:
-        if isinstance(value, bool) or not isinstance(value, int):
-            fail("a whole number")
-    elif schema is bool:
-        if not isinstance(value, bool):
-            fail("true or false")
-    elif schema is str and not isinstance(value, str):
-        fail("text")
+                for key, item in value.items()
+            }
+        if hint is float:
+            if isinstance(value, bool) or not _is_number(value):
+                self._refuse(path, value, "a finite number")
+            return float(value)
+        for kind, wanted in ((bool, "true or false"), (int, "a whole number"), (str, "text")):
+            fits = isinstance(value, kind) and (kind is not int or not isinstance(value, bool))
+            if hint is kind and not fits:
+                self._refuse(path, value, wanted)
+        return value
 
-
-def _path_to(key: str, fields: Mapping[str, Any], path: str) -> str | None:
-    """Return the path of a field of one of Drake's schema classes in ``fields``, or None."""
-    prefix = f"{path}." if path else ""
-    drakes = {name: type_ for name, type_ in fields.items() if hasattr(type_, "__fields__")}
-    found = (name for name, type_ in drakes.items() if key in _fields(type_))
-    return next((f"{prefix}{name}.{key}" for name in found), None)
-
-
-def _kinds(schema: Any) -> dict[str, Any]:
-    """Return the dataclasses among which ``kind`` chooses, by name; empty if there is no choice."""
-    if typing.get_origin(schema) not in (types.UnionType, typing.Union):
-        return {}
-    options: list[Any] = [
-        each for each in typing.get_args(schema) if dataclasses.is_dataclass(each)
-    ]
-    return {each().kind: each for each in options} if len(options) > 1 else {}
-
-
-def _kind(mapping: Mapping[str, Any], kinds: Mapping[str, Any], default: Any) -> Any:
-    """Return the kind that a mapping chooses, which is that of the field's default if missing."""
-    return mapping.get("kind", getattr(default, "kind", next(iter(kinds))))
-
-
-def _tagged(schema: Any, value: Any, default: Any = None) -> Any:
-    """Return checked data with tags for the chosen dataclasses, as `yaml_load_typed` needs them."""
-    kinds = _kinds(schema)
-    if kinds and value is not None:
+    def _choose(self, hint: Any, value: Any, path: str, default: Any) -> Any:
+        """Return a value of one of several types; among dataclasses, its ``kind`` chooses."""
+        options = [each for each in typing.get_args(hint) if each is not type(None)]
+        if value is None:
+            if len(options) == len(typing.get_args(hint)):
+                self._refuse(path, value, "a value")
+            return None
+        if len(options) == 1:
+            return self.make(options[0], value, path, default)
+        found: list[Any] = [each for each in options if dataclasses.is_dataclass(each)]
+        kinds = {each().kind: each for each in found}
+        if not kinds:
+            return value  # one of Drake's own choices, which Drake checks
         mapping = {"kind": value} if isinstance(value, str) else value
-        chosen = kinds[_kind(mapping, kinds, default)]
-        tagged = Tagged(_tagged(chosen, mapping))
-        tagged.tag = chosen.__name__
-        return tagged
-    if isinstance(value, Mapping) and dataclasses.is_dataclass(schema):
-        fields = {field.name: field.type for field in dataclasses.fields(schema)}
-        defaults: Any = typing.cast(Any, schema)()
-        return {
-            key: _tagged(fields[key], item, getattr(defaults, key)) for key, item in value.items()
-        }
-    if isinstance(value, list) and typing.get_origin(schema) is list:
-        return [_tagged(typing.get_args(schema)[0], item) for item in value]
-    return value
+        if not isinstance(mapping, Mapping):
+            self._refuse(path, value, f"one of {', '.join(kinds)}, or a mapping")
+        kind = mapping.get("kind", getattr(default, "kind", next(iter(kinds))))
+        if not isinstance(kind, str) or kind not in kinds:
+            self._fail(path, f"unknown kind {kind!r}; {suggest(str(kind), kinds)}")
+        chosen = kinds[kind]
+        return self.fill(chosen, mapping, path, default if type(default) is chosen else None)
+
+    def fill(self, schema: Any, value: Any, path: str, default: Any = None) -> Any:
+        """Return a dataclass, or one of Drake's schema classes, with the fields of a mapping."""
+        if isinstance(value, Tagged):
+            return value
+        if not isinstance(value, Mapping):
+            self._refuse(path, value, "a mapping")
+        fields, prefix = _fields(schema), f"{path}." if path else ""
+        default = schema() if default is None else default
+        made = {}
+        for key, item in value.items():
+            if key not in fields:
+                inside = _inside(str(key), fields)
+                hint = f"did you mean {prefix + inside!r}?" if inside else suggest(str(key), fields)
+                self._fail(f"{prefix}{key}", f"unknown field; {hint}")
+            made[key] = self.make(fields[key], item, f"{prefix}{key}", getattr(default, key))
+        if not dataclasses.is_dataclass(schema):
+            from pydrake.common.yaml import yaml_load_typed  # late, as it takes half a second
+
+            text = yaml.dump(dict(value), Dumper=Dumper)
+            return yaml_load_typed(schema=schema, data=text, defaults=default)
+        try:
+            return dataclasses.replace(default, **made)
+        except ConfigurationError:
+            raise
+        except ValueError as error:
+            raise ConfigurationError(f"{self._source}: {prefix}{error}") from error
+
+
+def _plain_type(hint: Any) -> Any:
+    return hint.__origin__ if typing.get_origin(hint) is typing.Annotated else hint
+
+
+def _inside(key: str, fields: Mapping[str, Any]) -> str | None:
+    """Return the path of a field by its name in one of the sections, or None."""
+    for name, hint in fields.items():
+        union = typing.get_origin(hint) in (types.UnionType, typing.Union)
+        if any(key in _fields(each) for each in (typing.get_args(hint) if union else [hint])):
+            return f"{name}.{key}"
+    return None
 
 
 def _is_number(value: Any) -> bool:
@@ -311,25 +303,3 @@ def _is_number(value: Any) -> bool:
         return math.isfinite(float(value))
     except (TypeError, ValueError, OverflowError):
         return False
-
-
-def _validated(value: Any, source: str, path: str) -> Any:
-    """Run every dataclass's own validation, innermost first.
-
-    `yaml_load_typed` sets fields after construction, so ``__post_init__`` has not checked them yet.
-    """
-    if isinstance(value, list):
-        return [_validated(item, source, f"{path}.{index}") for index, item in enumerate(value)]
-    if not dataclasses.is_dataclass(value) or isinstance(value, type):
-        return value
-    prefix = f"{path}." if path else ""
-    fields = {
-        field.name: _validated(getattr(value, field.name), source, prefix + field.name)
-        for field in dataclasses.fields(value)
-    }
-    try:
-        return dataclasses.replace(value, **fields)
-    except ConfigurationError:
-        raise
-    except ValueError as error:
-        raise ConfigurationError(f"{source}: {prefix}{error}") from error

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.common.value import Value
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.framework import Context
 
@@ -19,7 +18,7 @@ from sonoservo.systems.live.connection.items import (
 from sonoservo.systems.live.sender import Outlet, Sender
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import declare_inputs, evaluate
 from sonoservo.systems.signals.requirements import require
 
 _POINTS = 21
@@ -126,7 +125,7 @@ class NeedleSender(Sender):
     ) -> None:
         super().__init__(outlet=outlet, period=period, offset=offset)
         self._names = names or NeedleNames()
-        self.DeclareAbstractInputPort("estimate", Value[object]())
+        declare_inputs(self, estimate=NeedleEstimate)
 
     def _publish(self, context: Context) -> None:
         estimate = evaluate(self, context, "estimate", NeedleEstimate)

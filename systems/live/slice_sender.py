@@ -1,7 +1,6 @@
 """The leaf that sends the two slices along the needle that a scanner's monitor shows."""
 
 import numpy as np
-from pydrake.common.value import Value
 from pydrake.systems.framework import Context
 
 from sonoservo.systems.live.connection.items import ImageItem, Item
@@ -10,7 +9,7 @@ from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.planes import sample_plane, slice_planes
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import declare_inputs, evaluate
 from sonoservo.systems.signals.volume import Volume
 
 SLICES = ("SliceA_Probe", "SliceB_Probe")
@@ -60,8 +59,7 @@ class SliceSender(Sender):
 
     def __init__(self, *, outlet: Outlet, period: float, offset: float = 0.0) -> None:
         super().__init__(outlet=outlet, period=period, offset=offset)
-        for name in ("volume", "estimate"):
-            self.DeclareAbstractInputPort(name, Value[object]())
+        declare_inputs(self, volume=(Volume, NotFound), estimate=NeedleEstimate)
 
     def _publish(self, context: Context) -> None:
         volume = evaluate(self, context, "volume", (Volume, NotFound))

@@ -1,7 +1,6 @@
 """The leaf that sends the frames of each sweep as they were acquired."""
 
 import numpy as np
-from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context
 
@@ -9,7 +8,7 @@ from sonoservo.systems.live.connection.items import ImageItem, Item, PoseItem
 from sonoservo.systems.live.image_matcher import DEFAULT_POSES
 from sonoservo.systems.live.sender import KEEP, Outlet, Sender
 from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import declare_inputs, evaluate
 from sonoservo.systems.signals.sweep import Sweep
 
 FRAME = "Frame"
@@ -57,7 +56,7 @@ class SweepSender(Sender):
     ) -> None:
         super().__init__(outlet=outlet, period=period, offset=offset)
         self._name = name
-        self.DeclareAbstractInputPort("sweep", Value[object]())
+        declare_inputs(self, sweep=(Sweep, NotFound))
 
     def _publish(self, context: Context) -> None:
         sweep = evaluate(self, context, "sweep", (Sweep, NotFound))

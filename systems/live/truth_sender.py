@@ -7,7 +7,7 @@ from pydrake.systems.framework import Context
 from sonoservo.systems.live.connection.items import CurveItem, Item, PoseItem
 from sonoservo.systems.live.sender import Outlet, Sender
 from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import declare_inputs, evaluate
 
 TIP, NEEDLE, TISSUE = "TrueTipToReference", "TrueNeedle", "TrueTissueToRef"
 """Device names; trackers take none that begins with True."""
@@ -59,7 +59,7 @@ class TruthSender(Sender):
 
     def __init__(self, *, outlet: Outlet, period: float, offset: float = 0.0) -> None:
         super().__init__(outlet=outlet, period=period, offset=offset)
-        self.DeclareAbstractInputPort("needle", Value[object]())
+        declare_inputs(self, needle=Needle)
         self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
 
     def _publish(self, context: Context) -> None:

@@ -8,6 +8,7 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.ports import declare_state_output
 from sonoservo.systems.signals.requirements import require_positive
 from sonoservo.systems.signals.volume import Volume
 
@@ -59,7 +60,7 @@ class VolumeReceiver(LeafSystem):
         self._source, self._stale_after, self._clock = source, stale_after, clock
         self._since = clock()
         self._volume = self.DeclareAbstractState(Value[object](NotFound("no volume has come yet")))
-        self.DeclareStateOutputPort("volume", self._volume)
+        declare_state_output(self, "volume", (Volume, NotFound), self._volume)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._update)
         self.DeclarePerStepUnrestrictedUpdateEvent(self._update)
         self.DeclareForcedUnrestrictedUpdateEvent(self._update)

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from pydrake.common.value import Value
 from pydrake.systems.framework import Context
 
 from sonoservo.systems.live.acquisition import acquisition_item
@@ -12,7 +11,7 @@ from sonoservo.systems.live.connection.items import ImageItem, Item, PoseItem
 from sonoservo.systems.live.image_matcher import DEFAULT_POSES
 from sonoservo.systems.live.sender import KEEP, Outlet, Sender
 from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import declare_inputs, evaluate
 from sonoservo.systems.signals.volume import Volume
 
 IMAGE = "Image_Probe"
@@ -77,7 +76,7 @@ class VolumeSender(Sender):
     ) -> None:
         super().__init__(outlet=outlet, period=period, offset=offset)
         self._name, self._settings = name, settings
-        self.DeclareAbstractInputPort("volume", Value[object]())
+        declare_inputs(self, volume=(Volume, NotFound))
 
     def _publish(self, context: Context) -> None:
         volume = evaluate(self, context, "volume", (Volume, NotFound))

@@ -5,6 +5,7 @@ from pydrake.systems.framework import Context, LeafSystem
 
 from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.ports import declare_output
 
 
 class Hand(LeafSystem):
@@ -28,13 +29,7 @@ class Hand(LeafSystem):
         super().__init__()
         self.set_name("hand")
         self._insertion = insertion
-        empty: Needle = insertion.needle(-1e6)
-        self.DeclareAbstractOutputPort(
-            "needle",
-            lambda: Value[object](empty),
-            self._calc_needle,
-            prerequisites_of_calc={self.time_ticket()},
-        )
+        declare_output(self, "needle", Needle, self._calc_needle, {self.time_ticket()})
 
     def _calc_needle(self, context: Context, output: Value) -> None:
         output.set_value(self._insertion.needle(context.get_time()))

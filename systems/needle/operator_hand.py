@@ -12,6 +12,8 @@ from pydrake.systems.framework import Context, LeafSystem, State
 from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.needle.insertion_parameters import Push
 from sonoservo.systems.signals.immutable import Immutable
+from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.ports import declare_output
 from sonoservo.systems.signals.requirements import require_positive
 
 
@@ -94,14 +96,10 @@ class OperatorHand(LeafSystem):
         self._parameters = parameters or OperatorHandParameters()
         insertion = make_insertion([])
         start = OperatorInsertion(insertion, insertion.parameters.initial_depth or 0.0)
-        empty = insertion.needle(-1.0)
         self.DeclareVectorInputPort("needle_target", 4)
         self.DeclareAbstractState(Value[object](start))
-        self.DeclareAbstractOutputPort(
-            "needle",
-            lambda: Value[object](empty),
-            self._calc_needle,
-            prerequisites_of_calc={self.time_ticket(), self.xa_ticket()},
+        declare_output(
+            self, "needle", Needle, self._calc_needle, {self.time_ticket(), self.xa_ticket()}
         )
         self.DeclarePeriodicUnrestrictedUpdateEvent(self._parameters.period, 0.0, self._update)
 

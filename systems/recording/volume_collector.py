@@ -4,7 +4,7 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem, ValueProducer
 
 from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import declare_inputs, evaluate
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 from sonoservo.systems.signals.volume import Volume
 
@@ -32,7 +32,7 @@ class VolumeCollector(LeafSystem):
         super().__init__()
         require_positive(period=period)
         require_not_negative(offset=offset)
-        self.DeclareAbstractInputPort("volume", Value[object]())
+        declare_inputs(self, volume=(Volume, NotFound))
         self._volumes = self.DeclareCacheEntry(
             "volumes",
             ValueProducer(lambda: Value[object]([]), ValueProducer.NoopCalc),

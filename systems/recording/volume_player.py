@@ -9,6 +9,7 @@ from pydrake.systems.framework import Context, LeafSystem
 
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.ports import declare_output
 from sonoservo.systems.signals.requirements import require, require_not_negative
 from sonoservo.systems.signals.volume import Volume
 
@@ -54,12 +55,7 @@ class VolumePlayer(LeafSystem):
         self._due = times + shift + delay
         # The framework evaluates the port again after every event; a volume is read only once.
         self._read = lru_cache(maxsize=1)(recording.__getitem__)
-        self.DeclareAbstractOutputPort(
-            "volume",
-            lambda: Value[object](NotFound("no volume is due yet")),
-            self._calc_volume,
-            prerequisites_of_calc={self.time_ticket()},
-        )
+        declare_output(self, "volume", (Volume, NotFound), self._calc_volume, {self.time_ticket()})
 
     @property
     def end(self) -> float:

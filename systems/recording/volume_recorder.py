@@ -13,7 +13,7 @@ from sonoservo.systems.recording.recording_writer import RecordingWriter, SweepW
 from sonoservo.systems.recording.side_files import TRUTH, LinesWriter
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import declare_inputs, evaluate
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 from sonoservo.systems.signals.sweep import Sweep
 from sonoservo.systems.signals.volume import Volume
@@ -127,8 +127,7 @@ class VolumeRecorder(LeafSystem):
             ValueProducer(lambda: Value[object](_Run()), ValueProducer.NoopCalc),
             {self.nothing_ticket()},
         )
-        for name in ("volume", "sweep", "needle"):
-            self.DeclareAbstractInputPort(name, Value[object]())
+        declare_inputs(self, volume=(Volume, NotFound), sweep=(Sweep, NotFound), needle=Needle)
         self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
         self.DeclareVectorInputPort("contact_force", 1)
         self.DeclareInitializationPublishEvent(self._start)

@@ -18,7 +18,7 @@ from sonoservo.systems.signals.image_click import ImageClick
 from sonoservo.systems.signals.image_slice import ImageSlice
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_shape import NeedleShape
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import declare_inputs, declare_output, evaluate
 
 
 class CrossSectionLocalizer(LeafSystem):
@@ -55,16 +55,19 @@ class CrossSectionLocalizer(LeafSystem):
         super().__init__()
         self.set_name("cross_section_localizer")
         self._parameters = parameters
-        nothing = NotFound("no slice yet")
-        self.DeclareAbstractInputPort("slice", Value[object](nothing))
-        self.DeclareAbstractInputPort("cross_section_track", Value[object](CrossSectionTrack()))
-        self.DeclareAbstractInputPort("shape", Value[object](NotFound("no shape")))
-        self.DeclareAbstractInputPort("click", Value[object](NotFound("no click")))
-        self.DeclareAbstractOutputPort(
+        declare_inputs(
+            self,
+            slice=(ImageSlice, NotFound),
+            cross_section_track=CrossSectionTrack,
+            shape=(NeedleShape, NotFound),
+            click=(ImageClick, NotFound),
+        )
+        declare_output(
+            self,
             "cross_section",
-            lambda: Value[object](nothing),
+            (CrossSection, NotFound),
             self._calc_cross_section,
-            prerequisites_of_calc={self.all_input_ports_ticket()},
+            {self.all_input_ports_ticket()},
         )
 
     def _calc_cross_section(self, context: Context, output: Value) -> None:

@@ -9,7 +9,7 @@ from sonoservo.systems.signals.cross_section import CrossSection
 from sonoservo.systems.signals.cross_section_track import CrossSectionTrack
 from sonoservo.systems.signals.image_slice import ImageSlice
 from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import declare_inputs, declare_state_output, evaluate
 
 
 class CrossSectionMemory(LeafSystem):
@@ -41,11 +41,9 @@ class CrossSectionMemory(LeafSystem):
         super().__init__()
         self.set_name("cross_section_memory")
         self._start_slices = start_slices
-        nothing = NotFound("no slice yet")
-        self.DeclareAbstractInputPort("slice", Value[object](nothing))
-        self.DeclareAbstractInputPort("cross_section", Value[object](nothing))
+        declare_inputs(self, slice=(ImageSlice, NotFound), cross_section=(CrossSection, NotFound))
         track = self.DeclareAbstractState(Value[object](CrossSectionTrack()))
-        self.DeclareStateOutputPort("cross_section_track", track)
+        declare_state_output(self, "cross_section_track", CrossSectionTrack, track)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, offset, self._update)
         self.DeclareForcedUnrestrictedUpdateEvent(self._update)
 

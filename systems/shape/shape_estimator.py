@@ -12,7 +12,7 @@ from sonoservo.systems.shape.shape_filter import ShapeFilter
 from sonoservo.systems.signals.cross_section import CrossSection
 from sonoservo.systems.signals.immutable import Immutable, NotFound
 from sonoservo.systems.signals.needle_shape import NeedleShape
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import declare_inputs, declare_output, evaluate
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,14 +82,15 @@ class ShapeEstimator(LeafSystem):
         self.set_name("shape_estimator")
         self._filter = shape_filter
         self._seed = seed
-        self.DeclareAbstractInputPort("cross_section", Value[object](NotFound("no slice")))
+        declare_inputs(self, cross_section=(CrossSection, NotFound))
         memory = _Memory(shape_filter.begin(self._rng(0)), X_WI=X_WI)
         self._memory = self.DeclareAbstractState(Value[object](memory))
-        self.DeclareAbstractOutputPort(
+        declare_output(
+            self,
             "shape",
-            lambda: Value[object](NotFound("no cross-section yet")),
+            (NeedleShape, NotFound),
             self._calc_shape,
-            prerequisites_of_calc={self.abstract_state_ticket(self._memory)},
+            {self.abstract_state_ticket(self._memory)},
         )
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, offset, self._update_memory)
         self.DeclareForcedUnrestrictedUpdateEvent(self._update_memory)

@@ -36,10 +36,15 @@ from .planes import sample_plane as sample_plane
 from .planes import sample_sector as sample_sector
 from .planes import slice_planes as slice_planes
 from .point_spread import PointSpread as PointSpread
+from .ports import DiagramBuilder as DiagramBuilder
+from .ports import declare_inputs as declare_inputs
+from .ports import declare_output as declare_output
 from .ports import evaluate as evaluate
 from .radio_frequency_sweep import RadioFrequencySweep as RadioFrequencySweep
 from .random_streams import random_stream as random_stream
 from .reconstructed_volume import ReconstructedVolume as ReconstructedVolume
+from .requirements import Bounded as Bounded
+from .requirements import check_bounds as check_bounds
 from .requirements import require as require
 from .requirements import require_not_negative as require_not_negative
 from .requirements import require_positive as require_positive

@@ -1,11 +1,100 @@
-"""Typed access to a system's abstract input ports."""
+"""Abstract ports that know the types of their values.
 
+Drake sees ``Value[object]`` on every wire that carries a Python object, and connects any two of
+them. A port declared here states its types in its model value, which diagrams hand on with the
+ports they export; `DiagramBuilder` compares them when it connects.
+"""
+
+from collections.abc import Callable, Iterable
 from typing import Any, TypeVar, overload
 
-from pydrake.systems.framework import Context, InputPort, System
+from pydrake.common.value import Value
+from pydrake.systems import framework
+from pydrake.systems.framework import (
+    AbstractStateIndex,
+    Context,
+    InputPort,
+    LeafSystem,
+    OutputPort,
+    PortDataType,
+    System,
+)
 
 T = TypeVar("T")
 U = TypeVar("U")
+Types = type | tuple[type, ...]
+
+
+def declare_inputs(system: LeafSystem, **types: Types) -> None:
+    """Declare abstract input ports by name, each with the type or types that it accepts."""
+    for name, accepted in types.items():
+        system.DeclareAbstractInputPort(name, Value[object](accepted))
+
+
+def declare_output(
+    system: LeafSystem,
+    name: str,
+    types: Types,
+    calc: Callable[[Context, Any], None],
+    prerequisites: Iterable[Any] | None = None,
+) -> OutputPort:
+    """Declare an abstract output port that gives Python objects.
+
+    Parameters
+    ----------
+    system
+        System that is being constructed.
+    name
+        Name of the port.
+    types
+        Type or types of the value.
+    calc
+        Callback that sets the port's value.
+    prerequisites
+        Tickets of all that the value depends on; every source if None.
+    """
+    allocate = Value[object](types).Clone
+    if prerequisites is None:
+        return system.DeclareAbstractOutputPort(name, allocate, calc)
+    return system.DeclareAbstractOutputPort(
+        name, allocate, calc, prerequisites_of_calc=set(prerequisites)
+    )
+
+
+def declare_state_output(
+    system: LeafSystem, name: str, types: Types, index: AbstractStateIndex
+) -> OutputPort:
+    """Declare an output port that gives an abstract state of the system, with its types."""
+
+    def calc(context: Context, output: Any) -> None:
+        output.set_value(context.get_abstract_state(index).get_value())
+
+    return declare_output(system, name, types, calc, {system.abstract_state_ticket(index)})
+
+
+def port_types(port: InputPort | OutputPort) -> tuple[type, ...]:
+    """Return the types that a port declares; empty for Drake's own types."""
+    if port.get_data_type() != PortDataType.kAbstractValued:
+        return ()
+    incoming = isinstance(port, InputPort)
+    model = port.get_system().AllocateInputAbstract(port) if incoming else port.Allocate()
+    types = model.get_value() if isinstance(model, Value[object]) else ()
+    types = types if isinstance(types, tuple) else (types,)
+    return types if all(isinstance(each, type) for each in types) else ()
+
+
+class DiagramBuilder(framework.DiagramBuilder):
+    """Builder of diagrams that refuses to connect ports of different types."""
+
+    def Connect(self, output: OutputPort, input: InputPort) -> None:
+        """Connect two ports; a TypeError names both if the input refuses what the output gives."""
+        given, accepted = port_types(output), port_types(input)
+        if given and accepted and not all(issubclass(each, accepted) for each in given):
+            raise TypeError(
+                f"{_name(output)} gives {_words(given)}, but {_name(input)} accepts "
+                f"{_words(accepted)}"
+            )
+        super().Connect(output, input)
 
 
 @overload
@@ -16,17 +105,8 @@ def evaluate(
 ) -> T | U: ...
 @overload
 def evaluate(system: System, context: Context, port: str, expected: tuple[type[T], ...]) -> T: ...
-def evaluate(system: System, context: Context, port: str, expected: type | tuple[type, ...]) -> Any:
-    """Evaluate an abstract input port and check the type of its value.
-
-    ``Value[object]`` ports are untyped, and ``Connect`` silently accepts a wrong connection. This
-    function detects it.
-
-    Raises
-    ------
-    TypeError
-        If the value is of another type.
-    """
+def evaluate(system: System, context: Context, port: str, expected: Types) -> Any:
+    """Evaluate an abstract input port; a TypeError names it if the value has another type."""
     return evaluate_port(system.GetInputPort(port), context, expected)
 
 
@@ -34,10 +114,17 @@ def evaluate_port(port: InputPort, context: Context, expected: type[T] | tuple[t
     """Evaluate an abstract input port as `evaluate` does, without looking it up by its name."""
     value = port.Eval(context)
     if not isinstance(value, expected):
-        names = expected if isinstance(expected, tuple) else (expected,)
-        wanted = " or ".join(each.__name__ for each in names)
+        types = expected if isinstance(expected, tuple) else (expected,)
         raise TypeError(
-            f"port {port.get_name()!r} of {port.get_system().get_name()!r} received a value of "
-            f"type {type(value).__name__}; expected {wanted}"
+            f"{_name(port)} received a value of type {type(value).__name__}; "
+            f"expected {_words(types)}"
         )
     return value
+
+
+def _name(port: InputPort | OutputPort) -> str:
+    return f"port {port.get_name()!r} of {port.get_system().get_name()!r}"
+
+
+def _words(types: tuple[type, ...]) -> str:
+    return " or ".join(each.__name__ for each in types)

@@ -1,6 +1,13 @@
-"""Checks that raise a ValueError naming the field, its value and what is allowed."""
+"""Requirements on values, as checks and as annotations of a dataclass's fields.
+
+A failed one is a ValueError that names the field, its value and what is allowed.
+"""
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from functools import cache
+from typing import Annotated, Any, TypeAlias, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -43,3 +50,125 @@ def require_time(*, positive: bool = False, **values: float) -> None:
 
 def _is_finite(value: object) -> bool:
     return isinstance(value, (int, float, np.number)) and math.isfinite(value)
+
+
+@dataclass(frozen=True)
+class Bound:
+    """What is allowed of a value, in words and as a predicate; it goes into an ``Annotated``."""
+
+    allowed: str
+    fits: Callable[[Any], bool]
+
+
+def above(low: float, unit: str = "") -> Bound:
+    """Return the bound of a number above a limit."""
+    return Bound(f"a number above {low:g}{unit}", lambda value: _is_finite(value) and value > low)
+
+
+def at_least(low: float, unit: str = "") -> Bound:
+    """Return the bound of a number that is not below a limit."""
+    return Bound(
+        f"a number of at least {low:g}{unit}", lambda value: _is_finite(value) and value >= low
+    )
+
+
+def within(low: float, high: float, unit: str = "") -> Bound:
+    """Return the bound of a number between two limits, or equal to one."""
+    return Bound(
+        f"from {low:.4g} to {high:.4g}{unit}",
+        lambda value: _is_finite(value) and low <= value <= high,
+    )
+
+
+def between(low: float, high: float, unit: str = "") -> Bound:
+    """Return the bound of a number between two limits, and equal to none."""
+    return Bound(
+        f"between {low:g} and {high:g}{unit}",
+        lambda value: _is_finite(value) and low < value < high,
+    )
+
+
+def one_of(*words: str) -> Bound:
+    """Return the bound of a word from a list."""
+    return Bound(" or ".join(map(repr, words)), lambda value: value in words)
+
+
+def count_of(count: int, what: str = "numbers") -> Bound:
+    """Return the bound of a list with so many elements."""
+    numerals = {2: "two", 3: "three", 6: "six"}
+    return Bound(f"{numerals.get(count, count)} {what}", lambda value: len(value) == count)
+
+
+Positive: TypeAlias = Annotated[float, above(0)]
+"""Number above 0."""
+
+NotNegative: TypeAlias = Annotated[float, at_least(0)]
+"""Number of at least 0."""
+
+Fraction: TypeAlias = Annotated[float, within(0, 1)]
+"""Number from 0 to 1."""
+
+PositiveInt: TypeAlias = Annotated[int, at_least(1)]
+"""Whole number of at least 1."""
+
+Time: TypeAlias = Annotated[
+    float,
+    Bound(f"from 0 to {MAX_TIME:g} s", lambda value: _is_finite(value) and 0 <= value <= MAX_TIME),
+]
+"""Time from 0 to `MAX_TIME`, in s."""
+
+PositiveTime: TypeAlias = Annotated[
+    float,
+    Bound(
+        f"above 0 and at most {MAX_TIME:g} s",
+        lambda value: _is_finite(value) and 0 < value <= MAX_TIME,
+    ),
+]
+"""Time above 0 and up to `MAX_TIME`, in s."""
+
+Point: TypeAlias = Annotated[list[float], count_of(3, "coordinates in m")]
+"""Three coordinates, in m."""
+
+
+def check_bounds(value: Any) -> None:
+    """Raise ValueError unless each field of a dataclass is within the bounds of its annotation.
+
+    A field that may be None is not checked while it is; of a list, each element is.
+    """
+    schema: Any = type(value)
+    for name, bound, of_elements in _bounds(schema):
+        held = getattr(value, name)
+        if held is None:
+            continue
+        if not of_elements:
+            require(bound.fits(held), name, held, bound.allowed)
+            continue
+        for number, each in enumerate(held):
+            require(bound.fits(each), f"{name}.{number}", each, bound.allowed)
+
+
+class Bounded:
+    """Base of dataclasses whose bounds are checked after construction.
+
+    A dataclass with rules of its own calls ``check_bounds(self)`` and then checks them.
+    """
+
+    __slots__ = ()
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+
+@cache
+def _bounds(schema: type) -> list[tuple[str, Bound, bool]]:
+    """Return field, bound, and whether it is that of a list's elements, of all bounds."""
+    hints = get_type_hints(schema, include_extras=True)
+    return [(each.name, *bound) for each in fields(schema) for bound in _found(hints[each.name])]
+
+
+def _found(hint: Any, of_elements: bool = False) -> list[tuple[Bound, bool]]:
+    if get_origin(hint) is Annotated:
+        own = [(each, of_elements) for each in hint.__metadata__ if isinstance(each, Bound)]
+        return own + _found(hint.__origin__, of_elements)
+    inner = of_elements or get_origin(hint) is list
+    return [bound for each in get_args(hint) for bound in _found(each, inner)]

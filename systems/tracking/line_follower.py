@@ -4,8 +4,9 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.line_hypotheses import LineHypotheses
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import declare_inputs, declare_output, evaluate
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 from sonoservo.systems.signals.search_reason import SearchReason
 from sonoservo.systems.signals.volume import Volume
@@ -50,16 +51,13 @@ class LineFollower(LeafSystem):
         require_positive(period=period)
         require_not_negative(offset=offset)
         self._anywhere = anywhere
-        for name in ("volume", "estimate"):
-            self.DeclareAbstractInputPort(name, Value[object]())
+        declare_inputs(self, volume=(Volume, NotFound), estimate=NeedleEstimate)
         self._belief = self.DeclareAbstractState(Value[object](LineBelief()))
         inputs = {self.all_input_ports_ticket(), self.abstract_state_ticket(self._belief)}
-        self._after = self.DeclareAbstractOutputPort(
-            "belief", lambda: Value[object](), self._calc_belief, prerequisites_of_calc=inputs
+        self._after = declare_output(
+            self, "belief", (LineBelief, NotFound), self._calc_belief, inputs
         )
-        self.DeclareAbstractOutputPort(
-            "lines", lambda: Value[object](), self._calc_lines, prerequisites_of_calc=inputs
-        )
+        declare_output(self, "lines", (LineHypotheses, NotFound), self._calc_lines, inputs)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, offset, self._update)
         self.DeclareForcedUnrestrictedUpdateEvent(self._update)
 

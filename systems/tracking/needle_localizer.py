@@ -8,8 +8,9 @@ from pydrake.systems.framework import Context, LeafSystem
 
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.localization_explanation import LocalizationExplanation
+from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import declare_inputs, declare_output, evaluate
 from sonoservo.systems.signals.random_streams import random_stream
 from sonoservo.systems.signals.volume import Volume
 
@@ -55,14 +56,11 @@ class NeedleLocalizer(LeafSystem):
         super().__init__()
         self._localize = localize
         self._seed = seed
-        self.DeclareAbstractInputPort("volume", Value[object]())
-        self.DeclareAbstractInputPort("prediction", Value[object]())
-        self.DeclareAbstractOutputPort(
-            "measurement", lambda: Value[object](), self._calc_measurement
-        )
+        declare_inputs(self, volume=(Volume, NotFound), prediction=(NeedlePrediction, NotFound))
+        declare_output(self, "measurement", (NeedleMeasurement, NotFound), self._calc_measurement)
         # The cache entry of this port serves both outputs, so the explanation costs nothing extra.
-        self.DeclareAbstractOutputPort(
-            "explanation", lambda: Value[object](), self._calc_explanation
+        declare_output(
+            self, "explanation", (LocalizationExplanation, NotFound), self._calc_explanation
         )
 
     def _calc_explanation(self, context: Context, output: Value) -> None:

@@ -14,7 +14,7 @@ from sonoservo.systems.shape.normalized_cross_correlation import best_match
 from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import declare_inputs, declare_output, evaluate
 from sonoservo.systems.signals.radio_frequency_sweep import RadioFrequencySweep
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
@@ -218,9 +218,13 @@ class SpeckleVelocimeter(LeafSystem):
     def __init__(self, *, measure: VelocityMethod) -> None:
         super().__init__()
         self._measure = measure
-        for name in ("volume", "previous_volume", "prediction"):
-            self.DeclareAbstractInputPort(name, Value[object]())
-        self.DeclareAbstractOutputPort("velocity", lambda: Value[object](), self._calc_velocity)
+        declare_inputs(
+            self,
+            volume=(Volume, RadioFrequencySweep, NotFound),
+            previous_volume=(Volume, RadioFrequencySweep, NotFound),
+            prediction=(NeedlePrediction, NotFound),
+        )
+        declare_output(self, "velocity", (VelocityMeasurement, NotFound), self._calc_velocity)
 
     def _calc_velocity(self, context: Context, output: Value) -> None:
         current = self._speckle(context, "volume")

@@ -10,10 +10,15 @@ from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.insertion_detection import InsertionDetection
 from sonoservo.systems.signals.line_hypotheses import LineHypotheses
 from sonoservo.systems.signals.localization_explanation import LocalizationExplanation
-from sonoservo.systems.signals.needle_estimate import TrackingMode
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.signals.needle_prediction import NeedlePrediction
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import (
+    declare_inputs,
+    declare_output,
+    declare_state_output,
+    evaluate,
+)
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 from sonoservo.systems.signals.volume import Volume
@@ -74,8 +79,15 @@ class TrackManager(LeafSystem):
         require_positive(period=period)
         require_not_negative(offset=offset)
         self._lifecycle = lifecycle
-        for name in ("volume", "detection", "lines", "measurement", "velocity", "explanation"):
-            self.DeclareAbstractInputPort(name, Value[object]())
+        declare_inputs(
+            self,
+            volume=(Volume, NotFound),
+            detection=(InsertionDetection, NotFound),
+            lines=(LineHypotheses, NotFound),
+            measurement=(NeedleMeasurement, NotFound),
+            velocity=(VelocityMeasurement, NotFound),
+            explanation=(LocalizationExplanation, NotFound),
+        )
         none = NotFound("no volume has been seen")
         self._track = self.DeclareAbstractState(Value[object](self._lifecycle.without_needle(0.0)))
         self._prediction = self.DeclareAbstractState(Value[object](none))
@@ -87,16 +99,28 @@ class TrackManager(LeafSystem):
             self.input_port_ticket(self.GetInputPort(name).get_index())
             for name in ("volume", "lines", "explanation")
         )
-        for port, calculate, prerequisites in (
-            ("estimate", self._calc_estimate, {track}),
-            ("prediction", self._calc_prediction, {track, served, volume, lines}),
-            ("explanation", self._calc_explanation, {track, explanation}),
+        for port, kind, calculate, prerequisites in (
+            ("estimate", NeedleEstimate, self._calc_estimate, {track}),
+            (
+                "prediction",
+                (NeedlePrediction, NotFound),
+                self._calc_prediction,
+                {track, served, volume, lines},
+            ),
+            (
+                "explanation",
+                (LocalizationExplanation, NotFound),
+                self._calc_explanation,
+                {track, explanation},
+            ),
         ):
-            self.DeclareAbstractOutputPort(
-                port, lambda: Value[object](), calculate, prerequisites_of_calc=prerequisites
-            )
-        self.DeclareStateOutputPort("last_detection", self._detection)
-        self.DeclareStateOutputPort("last_measurement", self._measurement)
+            declare_output(self, port, kind, calculate, prerequisites)
+        declare_state_output(
+            self, "last_detection", (InsertionDetection, NotFound), self._detection
+        )
+        declare_state_output(
+            self, "last_measurement", (NeedleMeasurement, NotFound), self._measurement
+        )
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, offset, self._update)
         self.DeclareForcedUnrestrictedUpdateEvent(self._update)
 

@@ -6,7 +6,7 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from sonoservo.systems.signals.immutable import Immutable, NotFound
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import declare_inputs, declare_output, evaluate
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.signals.volume_check import VolumeCheck
@@ -67,14 +67,15 @@ class VolumeGate(LeafSystem):
         require_not_negative(offset=offset)
         require_positive(period=period)
         self._parameters = parameters or VolumePlausibilityParameters()
-        self.DeclareAbstractInputPort("volume", Value[object]())
+        declare_inputs(self, volume=(Volume, NotFound))
         self._history = self.DeclareAbstractState(Value[object](_History()))
-        self.DeclareAbstractOutputPort("volume", lambda: Value[object](), self._calc_volume)
-        self.DeclareAbstractOutputPort(
+        declare_output(self, "volume", (Volume, NotFound), self._calc_volume)
+        declare_output(
+            self,
             "volume_check",
-            lambda: Value[object](),
+            VolumeCheck,
             self._calc_check,
-            prerequisites_of_calc={self.abstract_state_ticket(self._history)},
+            {self.abstract_state_ticket(self._history)},
         )
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, offset, self._update)
         self.DeclareForcedUnrestrictedUpdateEvent(self._update)

@@ -4,7 +4,7 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import declare_inputs, declare_output, evaluate
 from sonoservo.systems.signals.radio_frequency_sweep import RadioFrequencySweep
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 from sonoservo.systems.signals.volume import Volume
@@ -37,6 +37,8 @@ class VolumeMemory(LeafSystem):
     ----------
     same_direction
         Whether both volumes must come from sweeps in the same direction.
+    kinds
+        Kinds of volume that may arrive.
     period, offset
         Period and offset of the event that stores a volume, in s.
     """
@@ -45,6 +47,7 @@ class VolumeMemory(LeafSystem):
         self,
         *,
         same_direction: bool = False,
+        kinds: tuple[type, ...] = (Volume, RadioFrequencySweep),
         period: float,
         offset: float = 0.0,
     ) -> None:
@@ -52,11 +55,9 @@ class VolumeMemory(LeafSystem):
         require_not_negative(offset=offset)
         require_positive(period=period)
         self._same_direction = same_direction
-        self.DeclareAbstractInputPort("volume", Value[object]())
+        declare_inputs(self, volume=(*kinds, NotFound))
         self._volumes = self.DeclareAbstractState(Value[object](()))
-        self.DeclareAbstractOutputPort(
-            "previous_volume", lambda: Value[object](), self._calc_previous_volume
-        )
+        declare_output(self, "previous_volume", (*kinds, NotFound), self._calc_previous_volume)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, offset, self._update_volumes)
         self.DeclareForcedUnrestrictedUpdateEvent(self._update_volumes)
 

@@ -7,9 +7,10 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem
 
 from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import declare_inputs, declare_output, evaluate
 from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.signals.sweep import Sweep, SweepGeometry
+from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.ultrasound.scan_conversion import ScanConversion, make_grid
 
 
@@ -70,13 +71,9 @@ class ScanConverter(LeafSystem):
                 compensate_motion=parameters.compensate_motion,
             )
         )
-        sweep = self.DeclareAbstractInputPort("sweep", Value[object](NotFound("no sweep")))
-        self.DeclareAbstractOutputPort(
-            "volume",
-            lambda: Value[object](NotFound("no volume")),
-            self._calc_volume,
-            prerequisites_of_calc={sweep.ticket()},
-        )
+        declare_inputs(self, sweep=(Sweep, NotFound))
+        sweep = self.GetInputPort("sweep")
+        declare_output(self, "volume", (Volume, NotFound), self._calc_volume, {sweep.ticket()})
 
     def _calc_volume(self, context: Context, output: Value) -> None:
         sweep = evaluate(self, context, "sweep", (Sweep, NotFound))

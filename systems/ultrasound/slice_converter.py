@@ -5,8 +5,9 @@ from functools import lru_cache
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem
 
+from sonoservo.systems.signals.image_slice import ImageSlice
 from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import declare_inputs, declare_output, evaluate
 from sonoservo.systems.signals.sweep import Sweep, SweepGeometry
 from sonoservo.systems.ultrasound.slice_conversion import SliceConversion
 
@@ -37,13 +38,9 @@ class SliceConverter(LeafSystem):
         self.set_name("slice_converter")
         # The framework marks all state as changed at every event, but a sweep is immutable.
         self._conversion = lru_cache(maxsize=1)(SliceConversion(geometry, spacing))
-        sweep = self.DeclareAbstractInputPort("sweep", Value[object](NotFound("no sweep")))
-        self.DeclareAbstractOutputPort(
-            "slice",
-            lambda: Value[object](NotFound("no slice")),
-            self._calc_slice,
-            prerequisites_of_calc={sweep.ticket()},
-        )
+        declare_inputs(self, sweep=(Sweep, NotFound))
+        sweep = self.GetInputPort("sweep")
+        declare_output(self, "slice", (ImageSlice, NotFound), self._calc_slice, {sweep.ticket()})
 
     def _calc_slice(self, context: Context, output: Value) -> None:
         sweep = evaluate(self, context, "sweep", (Sweep, NotFound))

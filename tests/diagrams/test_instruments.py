@@ -169,7 +169,10 @@ def test_lost_volumes_leave_the_estimate_as_it_was():
         ("scanner.motor.backlash_deg=-1", "backlash_deg: -1.0"),
         ("scanner.clock.offset=5", "offset: 5.0 .* from -1 to 1 s"),
         ("scanner.connection.lost_sweeps=1", "lost_sweeps: 1.0 .* below 1"),
-        ("station.force_noise=1", "station.force_noise: is now called 'wrist_sensor.force_noise'"),
+        (
+            "station.force_noise=1",
+            "station.force_noise: unknown field; did you mean 'station.wrist_sensor.force_noise'",
+        ),
     ],
 )
 def test_a_dial_out_of_range_is_one_clear_line(change, message):

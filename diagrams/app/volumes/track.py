@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import DiagramBuilder
 
 from sonoservo.diagrams.app.pages.pacer import Pacer
 from sonoservo.diagrams.app.volumes.calibrate import pose_error_figures
@@ -35,6 +34,7 @@ from sonoservo.systems.files.writing import Unwritten
 from sonoservo.systems.recording.recording import Recording
 from sonoservo.systems.recording.side_files import TRUTH, Truth, read_truth, side_path
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
+from sonoservo.systems.signals.ports import DiagramBuilder
 from sonoservo.systems.signals.search_reason import ReasonCount
 from sonoservo.systems.signals.volume import Volume
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Diagram, DiagramBuilder, System
+from pydrake.systems.framework import Diagram, System
 
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.experiments.following_scene import (
@@ -24,6 +24,7 @@ from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.recording.volume_collector import VolumeCollector
 from sonoservo.systems.robot.errors.calibration import hand_eye_error
 from sonoservo.systems.robot.errors.pose_delay import PoseDelay
+from sonoservo.systems.signals.ports import DiagramBuilder
 from sonoservo.systems.signals.sweep import SweepGeometry
 from sonoservo.systems.signals.volume import Volume
 

@@ -9,7 +9,7 @@ from pydrake.systems.framework import BasicVector, Context, LeafSystem
 from sonoservo.diagrams.station import StationParameters
 from sonoservo.systems.control.visual_features import needle_features, servo_velocity
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import declare_inputs, evaluate
 
 _REACH = np.array([0.025, 0.012])
 """Half width of the path along X and Y of the phantom, in m."""
@@ -52,7 +52,7 @@ class SearchPath(LeafSystem):
         super().__init__()
         self._station, self._start = station, start
         self.DeclareVectorInputPort("planar_velocity", 3)
-        self.DeclareAbstractInputPort("estimate", Value[object]())
+        declare_inputs(self, estimate=NeedleEstimate)
         self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
         self.DeclareVectorOutputPort("moving_velocity", 3, self._calc_velocity)
 

@@ -13,7 +13,7 @@ from sonoservo.systems.signals.guard_status import GuardStatus
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import declare_inputs, evaluate
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 from sonoservo.systems.signals.volume import Volume
 
@@ -67,8 +67,14 @@ class ConsoleFeed(LeafSystem):
         self._start()
         for name in ("X_WP", "X_WT"):
             self.DeclareAbstractInputPort(name, Value(RigidTransform()))
-        for name in ("volume", "needle", "estimate", "guard", "hold_reason"):
-            self.DeclareAbstractInputPort(name, Value[object]())
+        declare_inputs(
+            self,
+            volume=(Volume, NotFound),
+            needle=Needle,
+            estimate=NeedleEstimate,
+            guard=GuardStatus,
+            hold_reason=str,
+        )
         for name in ("contact_force", "force_target"):
             self.DeclareVectorInputPort(name, 1)
         self.DeclareInitializationPublishEvent(publish=lambda context: self._start())

@@ -28,7 +28,7 @@ from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 from sonoservo.systems.signals.needle_shape import NeedleShape
 from sonoservo.systems.signals.planes import Plane, box_edges
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import declare_inputs, evaluate
 
 _TISSUE = Rgba(0.55, 0.35, 0.30)
 _PROBE = Rgba(0.85, 0.87, 0.9)
@@ -119,8 +119,13 @@ class ShapeView(LeafSystem):
         self._probe_radius = probe_radius
         self._depths = np.linspace(0, depth, _SEGMENTS + 1)
         self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
-        for name in ("needle", "slice", "cross_section", "shape"):
-            self.DeclareAbstractInputPort(name, Value[object]())
+        declare_inputs(
+            self,
+            needle=Needle,
+            slice=(ImageSlice, NotFound),
+            cross_section=(CrossSection, NotFound),
+            shape=(NeedleShape, NotFound),
+        )
         self._start()
         self.DeclareInitializationPublishEvent(publish=lambda context: self._start())
         self.DeclarePeriodicPublishEvent(period, offset, self._publish)

@@ -29,7 +29,7 @@ from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.planes import sample_sector, slice_planes
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import declare_inputs, evaluate
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 from sonoservo.systems.signals.search_reason import SearchReason
 from sonoservo.systems.signals.sweep import SweepGeometry
@@ -149,8 +149,13 @@ class WorldView(LeafSystem):
         self._parameters = parameters or WorldViewParameters()
         self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
         self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
-        for name in ("needle", "estimate", "volume", "guard"):
-            self.DeclareAbstractInputPort(name, Value[object]())
+        declare_inputs(
+            self,
+            needle=Needle,
+            estimate=NeedleEstimate,
+            volume=(Volume, NotFound),
+            guard=GuardStatus,
+        )
         self.DeclareVectorInputPort("contact_force", 1)
         self._start()
         self.DeclareInitializationPublishEvent(publish=lambda context: self._start())

@@ -17,7 +17,7 @@ from sonoservo.systems.evaluation.explanation.occasion import AFTER, BEFORE, fin
 from sonoservo.systems.signals.immutable import Immutable, NotFound
 from sonoservo.systems.signals.localization_explanation import LocalizationExplanation
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import declare_inputs, evaluate
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 from sonoservo.systems.signals.volume import Volume
 
@@ -97,8 +97,13 @@ class ExplanationRecorder(LeafSystem):
             require(count >= 0, name, count, "0 or more")
         self._folder = folder
         self._before, self._after, self._max_jump = before, after, max_jump
-        for port in ("volume", "estimate", "explanation", "detection"):
-            self.DeclareAbstractInputPort(port, Value[object]())
+        declare_inputs(
+            self,
+            volume=(Volume, NotFound),
+            estimate=NeedleEstimate,
+            explanation=(LocalizationExplanation, NotFound),
+            detection=object,
+        )
         self._run = self.DeclareCacheEntry(
             "run",
             ValueProducer(lambda: Value[object](_Run()), ValueProducer.NoopCalc),

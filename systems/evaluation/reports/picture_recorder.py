@@ -6,7 +6,7 @@ from pydrake.systems.framework import Context, LeafSystem, ValueProducer
 from sonoservo.systems.evaluation.reports.track_plots import VolumePictures, picture_planes
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import declare_inputs, evaluate
 from sonoservo.systems.signals.requirements import require_not_negative, require_positive
 from sonoservo.systems.signals.volume import Volume
 
@@ -40,8 +40,7 @@ class PictureRecorder(LeafSystem):
         super().__init__()
         require_positive(period=period)
         require_not_negative(offset=offset)
-        for name in ("volume", "estimate"):
-            self.DeclareAbstractInputPort(name, Value[object]())
+        declare_inputs(self, volume=(Volume, NotFound), estimate=NeedleEstimate)
         self._pictures = self.DeclareCacheEntry(
             "pictures",
             ValueProducer(lambda: Value[object]([]), ValueProducer.NoopCalc),

@@ -13,7 +13,7 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 from sonoservo.systems.signals.immutable import Immutable, NotFound
 from sonoservo.systems.signals.motion_record import MotionRecord
 from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import declare_inputs, declare_output, evaluate
 from sonoservo.systems.signals.requirements import require_not_negative
 from sonoservo.systems.signals.sweep import Sweep, SweepGeometry, SweepMotion
 from sonoservo.systems.ultrasound.imaging import ImagingParameters
@@ -148,24 +148,18 @@ class Scanner(LeafSystem):
         self._rendered = lru_cache(maxsize=2)(self._render)
         self.DeclareAbstractInputPort("X_WP", Value(RigidTransform()))
         self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
-        self.DeclareAbstractInputPort("needle", Value[object]())
-        self.DeclareAbstractInputPort("deformation", Value[object]())
+        declare_inputs(self, needle=Needle, deformation=Deformation)
         self.DeclareAbstractInputPort("true_X_WP", Value(RigidTransform()))
         self._parameters, self._seed, self._processing_time = parameters, seed, processing_time
         ahead = math.ceil(abs(parameters.clock.offset) / self.geometry.frame_period)
         self._kept = self.geometry.frames + 2 * ahead + 2
         start = _Progress(_Snapshots(0), (), (), Reception())
         self._progress = self.DeclareAbstractState(Value[object](start))
-        for name, calc in (
-            ("sweep", self._calc_sweep),
-            ("motion_record", self._calc_motion_record),
-        ):
-            self.DeclareAbstractOutputPort(
-                name,
-                lambda: Value[object](),
-                calc,
-                prerequisites_of_calc={self.abstract_state_ticket(self._progress)},
-            )
+        read = {self.abstract_state_ticket(self._progress)}
+        declare_output(self, "sweep", (Sweep, NotFound), self._calc_sweep, read)
+        declare_output(
+            self, "motion_record", (MotionRecord, NotFound), self._calc_motion_record, read
+        )
         self.DeclarePeriodicUnrestrictedUpdateEvent(
             period_sec=self.geometry.frame_period, offset_sec=0.0, update=self._update_frames
         )

@@ -122,22 +122,6 @@ def test_every_shape_filter_has_its_field_in_the_scenario(name):
     assert isinstance(getattr(ShapePredictionScenario(), name), SHAPE_FILTERS[name].parameters)
 
 
-@pytest.mark.parametrize(
-    ("old", "now"),
-    [
-        ("greatest_radius=2.0", "bend_radius_spread"),
-        ("min_radius=0.8", "bend_radius"),
-        ("greatest_angle_deg=2.0", "bend_angle_spread_deg"),
-        ("lead=0.0", "feed.lead"),
-        ("speed=0.02", "feed.speed"),
-        ("depth=0.1", "feed.depth"),
-    ],
-)
-def test_former_names_of_the_hand_are_told_the_new_ones(old, now):
-    with pytest.raises(ConfigurationError, match=f"is now called '{now}'"):
-        load_scenario("carriere2016_d60", changes=[f"hand.{old}"])
-
-
 def test_a_hand_cannot_take_the_place_of_the_feed():
     with pytest.raises(ConfigurationError, match="hand.feed"):
         load_scenario("carriere2016_d60", changes=["hand.feed=null"])

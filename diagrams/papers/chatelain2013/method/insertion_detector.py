@@ -8,7 +8,8 @@ from sonoservo.diagrams.papers.chatelain2013.method.detection import (
     detect_as_published,
 )
 from sonoservo.systems.signals.immutable import NotFound
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.insertion_detection import InsertionDetection
+from sonoservo.systems.signals.ports import declare_inputs, declare_output, evaluate
 from sonoservo.systems.signals.volume import Volume
 
 
@@ -38,9 +39,8 @@ class InsertionDetector(LeafSystem):
     def __init__(self, *, parameters: PublishedDetectionParameters | None = None) -> None:
         super().__init__()
         self._parameters = parameters or PublishedDetectionParameters()
-        self.DeclareAbstractInputPort("volume", Value[object]())
-        self.DeclareAbstractInputPort("previous_volume", Value[object]())
-        self.DeclareAbstractOutputPort("detection", lambda: Value[object](), self._calc_detection)
+        declare_inputs(self, volume=(Volume, NotFound), previous_volume=(Volume, NotFound))
+        declare_output(self, "detection", (InsertionDetection, NotFound), self._calc_detection)
 
     def _calc_detection(self, context: Context, output: Value) -> None:
         volume = evaluate(self, context, "volume", (Volume, NotFound))

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.framework import Diagram
 
 from sonoservo.diagrams.papers.chatelain2013.method.detection import PublishedDetectionParameters
 from sonoservo.diagrams.papers.chatelain2013.method.insertion_detector import InsertionDetector
@@ -14,6 +14,8 @@ from sonoservo.diagrams.papers.chatelain2013.method.localization import (
     explain_published_localization,
 )
 from sonoservo.diagrams.trackers.tracker_parts import VOLUME_GATE, TrackerParameters, connect_parts
+from sonoservo.systems.signals.ports import DiagramBuilder
+from sonoservo.systems.signals.volume import Volume
 from sonoservo.systems.tracking.control_point_filter import ControlPointFilter
 from sonoservo.systems.tracking.needle_filter import NeedleFilter, require_order
 from sonoservo.systems.tracking.needle_localizer import NeedleLocalizer
@@ -122,7 +124,7 @@ def add_published_parts(
     -------
     The track manager, for further connections.
     """
-    events = {"period": period, "offset": offset}
+    events: dict[str, Any] = {"period": period, "offset": offset}
     lifecycle = PublishedLifecycle(
         order=parameters.order, needle_filter=needle_filter, min_length=min_length
     )
@@ -132,7 +134,9 @@ def add_published_parts(
         localizer=localizer,
         manager=TrackManager(lifecycle=lifecycle, **events),
     )
-    memory = builder.AddNamedSystem("volume_memory", VolumeMemory(same_direction=True, **events))
+    memory = builder.AddNamedSystem(
+        "volume_memory", VolumeMemory(same_direction=True, kinds=(Volume,), **events)
+    )
     detector = builder.AddNamedSystem("insertion_detector", InsertionDetector(parameters=detection))
     gate = builder.GetSubsystemByName(VOLUME_GATE)
     for each in (memory, detector):

@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.framework import Diagram
 
 from sonoservo.diagrams.papers.chatelain2013.method.detection import PublishedDetectionParameters
 from sonoservo.diagrams.papers.chatelain2013.method.tracker import add_published_parts
@@ -16,6 +16,7 @@ from sonoservo.diagrams.papers.zhao2012.method.whole_volume_ransac import (
 from sonoservo.diagrams.trackers.tracker_parts import TrackerParameters
 from sonoservo.diagrams.trackers.zhao2012 import connect_velocimeter
 from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.ports import DiagramBuilder
 from sonoservo.systems.signals.velocity_measurement import VelocityMeasurement
 from sonoservo.systems.tracking.axis_tip_filter import AxisTipFilter
 from sonoservo.systems.tracking.needle_filter import require_order

@@ -7,7 +7,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
 from sonoservo.systems.signals.needle import Needle
-from sonoservo.systems.signals.ports import evaluate
+from sonoservo.systems.signals.ports import declare_inputs, declare_output, evaluate
 from sonoservo.systems.signals.requirements import require, require_positive
 from sonoservo.systems.ultrasound.simulation.reaction.deformation import (
     Deformation,
@@ -119,12 +119,10 @@ class TissueReaction(LeafSystem):
         self._parameters, self._dome_radius = parameters, dome_radius
         self.DeclareAbstractInputPort("true_X_WP", Value(RigidTransform()))
         self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
-        self.DeclareAbstractInputPort("pushed_needle", Value[object]())
+        declare_inputs(self, pushed_needle=Needle)
         self.DeclareDiscreteState(4)  # time, inserted length, drag, and 1 while the tissue slides
-        self.DeclareAbstractOutputPort("needle", lambda: Value[object](), self._calc_needle)
-        self.DeclareAbstractOutputPort(
-            "deformation", lambda: Value[object](Deformation()), self._calc_deformation
-        )
+        declare_output(self, "needle", Needle, self._calc_needle)
+        declare_output(self, "deformation", Deformation, self._calc_deformation)
         if parameters.drag.distance > 0:
             self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._update)
 
