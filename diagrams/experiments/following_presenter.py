@@ -11,12 +11,13 @@ from sonoservo.diagrams.experiments.following_insertion import placed_hand
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.experiments.presenter import Presenter, description, needle_words
 from sonoservo.systems.evaluation.labels import LABELS
-from sonoservo.systems.evaluation.reports.comparison_plots import CAPTION, plot_comparison
 from sonoservo.systems.evaluation.reports.key_frames import plot_key_frames
 from sonoservo.systems.evaluation.reports.movie import movie_frames
 from sonoservo.systems.evaluation.reports.plots import (
+    CAPTION,
     ERRORS_CAPTION,
     RUN_CAPTION,
+    plot_comparison,
     plot_errors,
     plot_run,
 )

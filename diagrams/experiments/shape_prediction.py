@@ -21,8 +21,7 @@ from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.diagrams.shape_predictor import MakeShapePredictor
 from sonoservo.systems.display.world.shape_view import ShapeView
 from sonoservo.systems.evaluation.log import Row
-from sonoservo.systems.evaluation.shape.shape_log import ShapeLog
-from sonoservo.systems.evaluation.shape.shape_metrics import summarize_shape
+from sonoservo.systems.evaluation.shape.shape_metrics import ShapeLog, summarize_shape
 from sonoservo.systems.evaluation.shape.shape_pictures import (
     SlicePicture,
     picture_slice,

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from sonoservo.diagrams.experiments.presenter import Presenter, description, needle_words
 from sonoservo.diagrams.experiments.shape_prediction_scenario import ShapePredictionScenario
 from sonoservo.systems.evaluation.reports.verdict import Verdict
-from sonoservo.systems.evaluation.shape.shape_log import ShapeLog
-from sonoservo.systems.evaluation.shape.shape_metrics import LABELS
+from sonoservo.systems.evaluation.shape.shape_metrics import LABELS, ShapeLog, shape_verdict
 from sonoservo.systems.evaluation.shape.shape_pictures import plot_key_slices, shape_movie_frames
 from sonoservo.systems.evaluation.shape.shape_plots import (
     OVERLAY_CAPTION,
@@ -19,7 +18,6 @@ from sonoservo.systems.evaluation.shape.shape_plots import (
     plot_shape,
     plot_shape_comparison,
 )
-from sonoservo.systems.evaluation.shape.shape_verdict import shape_verdict
 
 
 class ShapePredictionPresenter(Presenter):

@@ -1,6 +1,5 @@
 from .cluster.opening import open_cluster as open_cluster
 from .datasets.dataset import make_dataset as make_dataset
-from .fingerprint import code_fingerprint as code_fingerprint
 from .runs import run_cases as run_cases
 from .store import Store as Store
 from .study import Case as Case
@@ -10,5 +9,4 @@ from .study import WithFiles as WithFiles
 from .study_report import Study as Study
 from .study_report import StudyFigure as StudyFigure
 from .study_report import StudyRow as StudyRow
-from .study_report import study_page as study_page
 from .study_report import write_study as write_study

@@ -2,13 +2,13 @@
 
 import gzip
 import json
+import subprocess
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from sonoservo.diagrams.studies.commit import present_commit
 from sonoservo.diagrams.studies.fingerprint import is_outdated
 from sonoservo.diagrams.studies.study import Case, Outcome
 from sonoservo.systems.files.refusals import ConfigurationError, refusing_failures
@@ -94,3 +94,25 @@ def _rounded(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {key: _rounded(each) for key, each in value.items()}
     return [_rounded(each) for each in value] if isinstance(value, list | tuple) else value
+
+
+def present_commit() -> str:
+    """Return the commit of the checkout the program runs from, or "unknown" outside of one.
+
+    A plus sign is added if tracked files differ from the commit.
+    """
+    folder = Path(__file__).resolve().parent
+    try:
+        commit, changes = (
+            subprocess.run(
+                ["git", "-C", str(folder), *arguments],
+                capture_output=True,
+                text=True,
+                check=True,
+                timeout=10,
+            ).stdout.strip()
+            for arguments in (("rev-parse", "HEAD"), ("status", "--porcelain", "-uno"))
+        )
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"
+    return commit + "+" if changes else commit

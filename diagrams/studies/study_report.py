@@ -10,8 +10,8 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from sonoservo.diagrams.studies.commit import present_commit
 from sonoservo.diagrams.studies.fingerprint import made_with
+from sonoservo.diagrams.studies.records import present_commit
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.verdicts import Side, Verdict, summary_of, verdict
 from sonoservo.systems.evaluation.reports.plots import png

@@ -5,7 +5,7 @@ from collections.abc import Collection
 from enum import StrEnum
 from typing import Literal
 
-from sonoservo.systems.evaluation.statistics.intervals import proportion_interval
+from sonoservo.systems.evaluation.intervals import proportion_interval
 
 Side = Literal["at most", "at least"]
 """Side of a target on which a figure must lie."""

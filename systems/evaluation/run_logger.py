@@ -10,8 +10,7 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialForce
 from pydrake.systems.framework import Context, LeafSystem, ValueProducer
 
-from sonoservo.systems.evaluation.log import Array, Column, Row, columns
-from sonoservo.systems.evaluation.log_rows import LogRows
+from sonoservo.systems.evaluation.log import Array, Column, LogRows, Row, columns
 from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.signals.guard_status import GuardStatus
 from sonoservo.systems.signals.immutable import NotFound

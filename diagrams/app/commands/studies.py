@@ -24,7 +24,7 @@ from sonoservo.diagrams.app.options import (
 from sonoservo.diagrams.papers.registry import ALL, STUDIES, reproduce, require_paper
 from sonoservo.diagrams.published import PAPERS
 from sonoservo.diagrams.studies.cluster.opening import CASE_LIMIT_S
-from sonoservo.diagrams.studies.heartbeat import Heartbeat
+from sonoservo.diagrams.studies.progress import Heartbeat
 from sonoservo.systems.files.refusals import ConfigurationError
 
 if TYPE_CHECKING:

@@ -9,11 +9,14 @@ import numpy as np
 from matplotlib.figure import Figure
 from rich.table import Table
 
-from sonoservo.systems.evaluation.explanation.explained_volume import ExplainedVolume
-from sonoservo.systems.evaluation.explanation.explanation_files import FOLDER, read_explanations
+from sonoservo.systems.evaluation.explanation.explained_volume import (
+    FOLDER,
+    ExplainedVolume,
+    imaged_needle,
+    read_explanations,
+)
+from sonoservo.systems.evaluation.explanation.explanation_recorder import AFTER, BEFORE
 from sonoservo.systems.evaluation.explanation.explanation_sheet import plot_explanation
-from sonoservo.systems.evaluation.explanation.occasion import AFTER, BEFORE
-from sonoservo.systems.evaluation.explanation.true_needle import imaged_needle
 from sonoservo.systems.evaluation.log import read_log
 from sonoservo.systems.evaluation.run_errors import estimate_errors
 from sonoservo.systems.evaluation.run_log import RunLog

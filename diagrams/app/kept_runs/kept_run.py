@@ -18,7 +18,7 @@ from sonoservo.diagrams.experiments.registry import present
 from sonoservo.diagrams.experiments.scenario_changes import base_of, changed_fields
 from sonoservo.diagrams.scenario import Scenario
 from sonoservo.systems.evaluation.compile_free_clock import CompileFreeClock
-from sonoservo.systems.evaluation.explanation.explanation_files import clear_explanations
+from sonoservo.systems.evaluation.explanation.explained_volume import clear_explanations
 from sonoservo.systems.evaluation.log import Log
 from sonoservo.systems.evaluation.reports.movie import write_movie
 from sonoservo.systems.evaluation.reports.picture_files import write_pictures

@@ -21,7 +21,7 @@ from sonoservo.diagrams.needle_tracker import MakeNeedleTracker
 from sonoservo.diagrams.tracker_bench import corrected_frame
 from sonoservo.diagrams.trackers.registry import TRACKERS
 from sonoservo.diagrams.trackers.tracker_parts import STARTS, TrackerParameters
-from sonoservo.systems.evaluation.explanation.explanation_files import clear_explanations
+from sonoservo.systems.evaluation.explanation.explained_volume import clear_explanations
 from sonoservo.systems.evaluation.explanation.explanation_recorder import ExplanationRecorder
 from sonoservo.systems.evaluation.metrics import summarize
 from sonoservo.systems.evaluation.reports.track_plots import VolumePictures, picture_planes

@@ -8,9 +8,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
+from sonoservo.systems.evaluation.intervals import mean_interval, proportion_interval
 from sonoservo.systems.evaluation.shape.shape_metrics import plane_of
-from sonoservo.systems.evaluation.statistics.intervals import proportion_interval
-from sonoservo.systems.evaluation.statistics.run_intervals import mean_interval
 from sonoservo.systems.shape.cross_section import variance_image
 
 Results = Mapping[str, Sequence[Mapping[str, Any]]]

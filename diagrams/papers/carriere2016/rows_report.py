@@ -11,8 +11,7 @@ from sonoservo.diagrams.papers.carriere2016.runs import AS_PUBLISHED, TAUGHT
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.study_report import StudyRow
 from sonoservo.diagrams.studies.verdicts import can_be_judged
-from sonoservo.systems.evaluation.statistics.intervals import proportion_interval
-from sonoservo.systems.evaluation.statistics.run_intervals import mean_interval
+from sonoservo.systems.evaluation.intervals import mean_interval, proportion_interval
 
 Floats = NDArray[np.float64]
 

@@ -15,16 +15,14 @@ from sonoservo.diagrams.studies.following.method_report import (
     Comparison,
     MethodRuns,
     Value,
-    add_rest_rows,
-)
-from sonoservo.diagrams.studies.following.tracking_rows import (
     add_error_rows,
     add_false_start_rows,
     add_reliability_rows,
+    add_rest_rows,
 )
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.study_report import Study
-from sonoservo.systems.evaluation.statistics.run_intervals import run_interval
+from sonoservo.systems.evaluation.intervals import run_interval
 from sonoservo.systems.ultrasound.imaging import sweep_geometry
 from sonoservo.systems.ultrasound.transducer import load_transducer
 

@@ -12,11 +12,11 @@ from sonoservo.diagrams.studies.following.method_report import (
     Comparison,
     MethodRuns,
     add_rest_rows,
+    add_tracking_rows,
 )
-from sonoservo.diagrams.studies.following.tracking_rows import add_tracking_rows
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.study_report import StudyRow
-from sonoservo.systems.evaluation.statistics.run_intervals import run_interval
+from sonoservo.systems.evaluation.intervals import run_interval
 
 Floats = NDArray[np.float64]
 

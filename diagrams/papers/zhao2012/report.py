@@ -15,8 +15,7 @@ from sonoservo.diagrams.papers.zhao2012.runs import ESTIMATORS, QUANTITIES
 from sonoservo.diagrams.papers.zhao2012.speed_report import speed_errors, speed_rows
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.study_report import Study, StudyRow
-from sonoservo.systems.evaluation.statistics.intervals import Interval
-from sonoservo.systems.evaluation.statistics.run_intervals import run_interval
+from sonoservo.systems.evaluation.intervals import Interval, run_interval
 
 TABLE_2 = {"static": (58, 68, 40, 40, 36, 40), "dynamic": (37, 36, 30, 24, 30, 30)}
 """Published mean improvement of RANSAC and Kalman over RANSAC for the `QUANTITIES`, in percent."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from sonoservo.diagrams.papers.zhao2012.runs import SPEEDOMETERS
 from sonoservo.diagrams.studies.study import Outcome
 from sonoservo.diagrams.studies.study_report import StudyRow
-from sonoservo.systems.evaluation.statistics.run_intervals import run_interval
+from sonoservo.systems.evaluation.intervals import run_interval
 
 SPEEDOMETER_NAMES = {
     "velocimeter": "velocimeter in our tracker",

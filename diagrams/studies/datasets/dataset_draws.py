@@ -1,6 +1,7 @@
 """Random draws of a data set: scanner, tissue, pose of the probe, and needle."""
 
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -9,9 +10,9 @@ from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
 from sonoservo.diagrams.assembly import load_dome_radius
+from sonoservo.diagrams.dials import load_dials
 from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.scene import Scene
-from sonoservo.diagrams.studies.datasets.dataset_dials import DrawnDials
 from sonoservo.systems.needle.insertion import Insertion
 from sonoservo.systems.needle.insertion_parameters import InsertionParameters, Push
 from sonoservo.systems.signals.sweep import SweepGeometry
@@ -19,6 +20,71 @@ from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geomet
 from sonoservo.systems.ultrasound.simulation.scanner_parameters import ScannerParameters
 from sonoservo.systems.ultrasound.simulation.tissue import Ball, Fibre, Tissue, load_tissue
 from sonoservo.systems.ultrasound.transducer import Transducer, load_transducer
+
+_SEEN = (
+    "phantom",
+    "phantom_motion.",
+    "scanner.air_pockets.",
+    "scanner.motor.",
+    "scanner.needle.",
+    "tissue_reaction.",
+)
+"""Beginnings of the fields that show in the volumes of a probe held still."""
+
+_DIP, _SPEED = "hand.dip_deg", "hand.pushes.0.speed"
+
+_WEAKEST = 0.1
+"""Smallest strength of a dial that is on."""
+
+
+@dataclass(frozen=True)
+class DrawnDials:
+    """Dials of one sequence.
+
+    Parameters
+    ----------
+    strengths
+        Strength of each dial that is on, relative to the moderate one.
+    changes
+        Assignments that turn the dials in a scenario.
+    max_dip_deg, max_speed
+        Upper limits of the needle's angle below the horizontal in deg, and of its speed in m/s.
+    """
+
+    strengths: Mapping[str, float] = field(default_factory=dict)
+    changes: tuple[str, ...] = ()
+    max_dip_deg: float = 30.0
+    max_speed: float = 12e-3
+
+
+def draw_dials(rng: np.random.Generator) -> DrawnDials:
+    """Draw which dials are on, and how far.
+
+    Each dial of `load_dials` that shows in a volume is on in half of the sequences, with a strength
+    from 0.1 to 1. Of dials that set the same field, at most one is on. The needle's angle and speed
+    are drawn anyway; their dials raise the upper limits.
+    """
+    dials = load_dials()
+    strengths: dict[str, float] = {}
+    changes: list[str] = []
+    taken: set[str] = set()
+    limits = {_DIP: DrawnDials.max_dip_deg, _SPEED: DrawnDials.max_speed}
+    for name in rng.permutation(sorted(dials)):
+        dial, on, strength = dials[name], rng.random() < 0.5, rng.uniform(_WEAKEST, 1)
+        raised = [path for path in dial.moderate if path in limits]
+        if not on or taken & dial.moderate.keys():
+            continue
+        if raised:
+            for path in raised:
+                limits[path] = max(limits[path], strength * dial.moderate[path])
+        elif all(path.startswith(_SEEN) for path in dial.moderate):
+            taken |= dial.moderate.keys()
+            changes += dial.changes(strength)
+        else:
+            continue
+        strengths[str(name)] = strength
+    return DrawnDials(strengths, tuple(changes), limits[_DIP], limits[_SPEED])
+
 
 _OUTSIDE = 15e-3
 """Length of needle in the tissue before it enters the field of view, in m."""

@@ -13,11 +13,11 @@ from sonoservo.diagrams.experiments.following_scenario import FollowingScenario
 from sonoservo.diagrams.experiments.registry import load_scenario
 from sonoservo.diagrams.scenario import require_scenario
 from sonoservo.diagrams.studies.study import Case, Outcome
-from sonoservo.systems.evaluation.curve_error import curve_deviations
 from sonoservo.systems.evaluation.log import read_log
 from sonoservo.systems.evaluation.metrics import at_rest
 from sonoservo.systems.evaluation.run_errors import (
     at_times,
+    curve_deviations,
     estimate_errors,
     features,
     in_frame,

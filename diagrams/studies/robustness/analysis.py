@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonoservo.diagrams.studies.study import Outcome
-from sonoservo.systems.evaluation.statistics.intervals import proportion_interval
-from sonoservo.systems.evaluation.statistics.run_intervals import (
+from sonoservo.systems.evaluation.intervals import (
     count_interval,
     mean_interval,
+    proportion_interval,
     run_interval,
 )
 from sonoservo.systems.evaluation.success import KEPT, TrackedVolumes, finite_or_infinite

@@ -1,10 +1,3 @@
-from .explained_volume import ExplainedVolume as ExplainedVolume
-from .explained_volume import deciding_attempt as deciding_attempt
-from .explained_volume import explain_volume as explain_volume
-from .explanation_files import clear_explanations as clear_explanations
-from .explanation_files import read_explanations as read_explanations
-from .explanation_files import write_explanation as write_explanation
+from .explained_volume import read_explanations as read_explanations
 from .explanation_recorder import ExplanationRecorder as ExplanationRecorder
 from .explanation_sheet import plot_explanation as plot_explanation
-from .occasion import find_occasion as find_occasion
-from .true_needle import imaged_needle as imaged_needle

@@ -1,12 +1,15 @@
 """Record of a tracker's search in one volume, in the form stored in a file."""
 
 from dataclasses import astuple, dataclass
+from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
 import numpy as np
 from pydrake.math import RigidTransform
 
-from sonoservo.systems.evaluation.log import Array, Column, Log, columns
+from sonoservo.systems.evaluation.log import Array, Column, Log, columns, read_log, write_log
+from sonoservo.systems.evaluation.run_errors import at_times
+from sonoservo.systems.evaluation.run_log import RunLog
 from sonoservo.systems.signals.acquisition import acquired_from
 from sonoservo.systems.signals.localization_explanation import (
     LocalizationAttempt,
@@ -234,3 +237,69 @@ def _search(explanation: LocalizationExplanation) -> dict[str, Any]:
         arrays["start"], arrays["tip"] = extent.start, extent.tip
         arrays["leaves"], arrays["faint"] = extent.leaves, extent.faint
     return arrays
+
+
+FOLDER = "explanation"
+"""Name of the subfolder of the explained volumes."""
+
+_FILES = "*s.npz"
+
+
+def write_explanation(run: Path, explained: ExplainedVolume) -> Path:
+    """Write an explained volume into the folder of a run, atomically.
+
+    Its file is named after the volume's time.
+    """
+    return write_log(run / FOLDER / f"{float(explained.volume_time):08.3f}s.npz", explained)
+
+
+def read_explanations(run: Path) -> list[ExplainedVolume]:
+    """Read the explained volumes in the folder of a run, in order of time."""
+    kept = [read_log(path, ExplainedVolume) for path in (run / FOLDER).glob(_FILES)]
+    return sorted(kept, key=lambda each: float(each.volume_time))
+
+
+def clear_explanations(run: Path) -> None:
+    """Remove the explained volumes of an earlier run from the folder of a run, if there are any."""
+    for path in (run / FOLDER).glob(_FILES):
+        path.unlink()
+    if (run / FOLDER).is_dir() and not any((run / FOLDER).iterdir()):
+        (run / FOLDER).rmdir()
+
+
+_POINTS_EACH = 4
+"""Number of segments between neighbouring points of the log."""
+
+
+def imaged_needle(log: RunLog, explained: ExplainedVolume) -> Array:
+    """Return the true needle as a volume shows it, with each point at the time of its acquisition.
+
+    Parameters
+    ----------
+    log
+        Log of the run.
+    explained
+        Volume of the run.
+
+    Returns
+    -------
+    (m, 3) points along the needle in P, entry to tip, in m; none if it is outside the tissue or
+    unknown.
+    """
+    logged = np.linspace(0, 1, log.needle_points.shape[1])
+    u = np.linspace(0, 1, _POINTS_EACH * (len(logged) - 1) + 1)
+    times = np.full(len(u), float(explained.volume_time))
+    p_P = np.zeros((0, 3))
+    for _ in range(3):  # position and time of a point's acquisition depend on each other
+        needles = at_times(log, log.needle_points, times)
+        if not np.isfinite(needles).all():
+            return np.zeros((0, 3))
+        points = [
+            [np.interp(each, logged, axis) for axis in needle.T]
+            for each, needle in zip(u, needles, strict=True)
+        ]
+        p_P = explained.to_probe(np.array(points))
+        if explained.motion is None:
+            break
+        times = explained.motion.to_world(p_P)[1]
+    return p_P

@@ -4,19 +4,19 @@ from collections import deque
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem, ValueProducer
 
-from sonoservo.systems.evaluation.explanation.explained_volume import explain_volume
-from sonoservo.systems.evaluation.explanation.explanation_files import (
+from sonoservo.systems.evaluation.explanation.explained_volume import (
     FOLDER,
     clear_explanations,
+    explain_volume,
     write_explanation,
 )
-from sonoservo.systems.evaluation.explanation.occasion import AFTER, BEFORE, find_occasion
 from sonoservo.systems.signals.immutable import Immutable, NotFound
 from sonoservo.systems.signals.localization_explanation import LocalizationExplanation
-from sonoservo.systems.signals.needle_estimate import NeedleEstimate
+from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
 from sonoservo.systems.signals.ports import declare_inputs, evaluate
 from sonoservo.systems.signals.requirements import require, require_not_negative, require_positive
 from sonoservo.systems.signals.volume import Volume
@@ -162,3 +162,29 @@ class ExplanationRecorder(LeafSystem):
             look.volume, look.explanation, before=look.before, after=look.after, occasion=occasion
         )
         write_explanation(self._folder, explained)
+
+
+BEFORE, AFTER = "before", "after"
+"""Names for the volumes kept because they precede or follow an occasion."""
+
+
+def find_occasion(
+    before: NeedleEstimate | None, after: NeedleEstimate, *, detected: bool, max_jump: float
+) -> str:
+    """Return the reason why a volume is worth explaining; an empty text if it is not."""
+    if before is None:
+        return "first volume" if after.mode == TrackingMode.TRACKING else ""
+    if before.mode != after.mode:
+        return f"{before.mode} to {after.mode}"
+    if detected:
+        return "first detection"
+    jump = tip_jump(before, after)
+    return f"tip jumped {1e3 * jump:.1f} mm" if jump > max_jump else ""
+
+
+def tip_jump(before: NeedleEstimate, after: NeedleEstimate) -> float:
+    """Return the distance in m of a tip from its expected position; 0 if there is no curve."""
+    if before.curve is None or after.curve is None:
+        return 0.0
+    expected = before.curve.tip + before.tip_velocity * (after.time - before.time)
+    return float(np.linalg.norm(after.curve.tip - expected))

@@ -10,7 +10,7 @@ from pydrake.math import RigidTransform
 from scipy.stats import chi2
 
 from sonoservo.systems.evaluation.explanation.explained_volume import ExplainedVolume
-from sonoservo.systems.evaluation.explanation.occasion import AFTER, BEFORE
+from sonoservo.systems.evaluation.explanation.explanation_recorder import AFTER, BEFORE
 from sonoservo.systems.evaluation.log import Array
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import TrackingMode

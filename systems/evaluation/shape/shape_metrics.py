@@ -1,13 +1,16 @@
 """Metrics of a predicted needle shape (Carriere 2016, section V)."""
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sonoservo.systems.evaluation.labels import look_up
+from sonoservo.systems.evaluation.log import Array, Column, Log, Row, columns, stack_rows
 from sonoservo.systems.evaluation.metrics import spread
-from sonoservo.systems.evaluation.shape.shape_log import ShapeLog
+from sonoservo.systems.evaluation.reports.verdict import Verdict
 from sonoservo.systems.signals.confidence import SQUARED_DISTANCE_95
 from sonoservo.systems.signals.needle_shape import NeedleShape
 
@@ -95,6 +98,36 @@ def shape_coverage(shape: NeedleShape, path: Floats) -> dict[str, float]:
     }
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ShapeLog(Log):
+    """Log with one row for each slice; positions are in the probe frame I of the first slice.
+
+    Each field is an array of the file `log.npz`, under its own name. A missing value is NaN, or an
+    empty text. The truth is the point at which the needle's axis would cross the slice if the
+    tissue had not moved.
+    """
+
+    depth: Annotated[Array, Column("depth of the slice", "m", ("n",))]
+    measured: Annotated[Array, Column("cross-section of the needle that was found", "m", ("n", 3))]
+    true: Annotated[Array, Column("truth: the needle's axis in the slice", "m", ("n", 3))]
+    correlation: Annotated[Array, Column("correlation with the template", "", ("n",))]
+    reason: Annotated[Array, Column("why no cross-section was found", "", ("n",), "U")]
+    tip: Annotated[
+        Array, Column("predicted x and y of the tip at full depth after the slice", "m", ("n", 2))
+    ]
+    tip_covariance: Annotated[Array, Column("covariance of `tip`", "m^2", ("n", 2, 2))]
+    image_s: Annotated[Array, Column("processor time of the tracker", "s", ("n",))]
+    estimate_s: Annotated[Array, Column("processor time of the estimator", "s", ("n",))]
+
+    @classmethod
+    def from_rows(cls, rows: Sequence[Row], true_path: Callable[[Array], Array]) -> Self:
+        """Make a log from rows that may lack values."""
+        arrays: dict[str, Any] = {
+            name: stack_rows(column, name, rows) for name, column in columns(cls).items()
+        }
+        return cls(**{**arrays, "true": true_path(arrays["depth"])})
+
+
 def cross_section_errors(log: ShapeLog) -> Floats:
     """Return the (n,) distances of the cross-sections from the needle, in m; NaN if not found."""
     return np.linalg.norm(log.measured[:, :2] - log.true[:, :2], axis=1)
@@ -153,3 +186,27 @@ def prediction(log: ShapeLog, shape: NeedleShape) -> dict[str, Any]:
         figures["shape_error_measured_mm2"] = 1e6 * measured.shape
     figures |= {f"covers_{name}": each for name, each in shape_coverage(shape, log.true).items()}
     return figures
+
+
+def shape_verdict(summary: Mapping[str, Any]) -> Verdict:
+    """Return the verdict on a run of shape prediction, from its summary."""
+    tracking = summary["tracking"]
+    text = f"Its cross-section was found in {tracking['found']} of {tracking['slices']} slices"
+    median = look_up(tracking, "error_mm.median")
+    text += "." if median is None else f", {median:.2f} mm from the true one (median)."
+    if summary.get("interrupted"):
+        text = f"The run was interrupted. {text}"
+    prediction = summary["prediction"]
+    if "tip_error_true_mm" not in prediction:
+        return Verdict("The needle's shape was not predicted", text, "bad")
+    headline = (
+        f"From the first {prediction['observed_mm']:.0f} mm, the tip was predicted to "
+        f"{prediction['tip_error_true_mm']:.2f} mm"
+    )
+    held = 100 * prediction["covers_points"]
+    text = (
+        f"The estimate states a standard deviation of {prediction['tip_std_mm']:.2f} mm, and its "
+        f"95 % tube holds the true needle at {held:.0f} % of the depths. {text}"
+    )
+    good = tracking["to_the_end"] and prediction["covers_tip"]
+    return Verdict(headline, text, "good" if good else "mixed")

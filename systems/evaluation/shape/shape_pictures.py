@@ -12,8 +12,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from sonoservo.systems.evaluation.reports.key_frames import ESTIMATE, TRUTH
-from sonoservo.systems.evaluation.shape.shape_log import ShapeLog
-from sonoservo.systems.evaluation.shape.shape_metrics import cross_section_errors, plane_of
+from sonoservo.systems.evaluation.shape.shape_metrics import (
+    ShapeLog,
+    cross_section_errors,
+    plane_of,
+)
 from sonoservo.systems.signals.confidence import RADIUS_95
 from sonoservo.systems.signals.image_slice import ImageSlice
 from sonoservo.systems.signals.needle_shape import NeedleShape

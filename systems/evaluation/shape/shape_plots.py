@@ -5,9 +5,12 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
-from sonoservo.systems.evaluation.reports.comparison_plots import COLOURS
-from sonoservo.systems.evaluation.shape.shape_log import ShapeLog
-from sonoservo.systems.evaluation.shape.shape_metrics import cross_section_errors, plane_of
+from sonoservo.systems.evaluation.reports.plots import COLOURS
+from sonoservo.systems.evaluation.shape.shape_metrics import (
+    ShapeLog,
+    cross_section_errors,
+    plane_of,
+)
 from sonoservo.systems.signals.confidence import RADIUS_95
 from sonoservo.systems.signals.needle_shape import NeedleShape
 

@@ -12,8 +12,11 @@ from sonoservo.diagrams.experiments.shape_prediction_scenario import (
 )
 from sonoservo.diagrams.shape_predictor import estimate_shape, predict_from_slices
 from sonoservo.systems.evaluation.log import read_log
-from sonoservo.systems.evaluation.shape.shape_log import ShapeLog
-from sonoservo.systems.evaluation.shape.shape_metrics import cross_section_errors, prediction
+from sonoservo.systems.evaluation.shape.shape_metrics import (
+    ShapeLog,
+    cross_section_errors,
+    prediction,
+)
 from sonoservo.systems.files.refusals import ConfigurationError
 from sonoservo.systems.signals.needle_shape import NeedleShape
 

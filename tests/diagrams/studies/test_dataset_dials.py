@@ -8,8 +8,8 @@ from pydrake.math import RigidTransform
 
 from sonoservo.diagrams import load_scenario
 from sonoservo.diagrams.dials import load_dials
-from sonoservo.diagrams.studies.datasets.dataset_dials import draw_dials
-from sonoservo.diagrams.studies.datasets.dataset_labels import needle_as_imaged
+from sonoservo.diagrams.studies.datasets.dataset_draws import draw_dials
+from sonoservo.diagrams.studies.datasets.dataset_sequence import needle_as_imaged
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.ultrasound.imaging import ImagingParameters, sweep_geometry
 from sonoservo.systems.ultrasound.transducer import load_transducer

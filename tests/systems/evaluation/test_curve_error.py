@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from synthetic_volumes import GEOMETRY
 
-from sonoservo.systems.evaluation.curve_error import curve_deviations, deviation
+from sonoservo.systems.evaluation.run_errors import curve_deviations, deviation
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 

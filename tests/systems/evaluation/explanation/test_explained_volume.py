@@ -17,17 +17,15 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from synthetic_logs import build_log
 
 from sonoservo.systems.evaluation.explanation.explained_volume import (
-    deciding_attempt,
-    explain_volume,
-)
-from sonoservo.systems.evaluation.explanation.explanation_files import (
     FOLDER,
     clear_explanations,
+    deciding_attempt,
+    explain_volume,
+    imaged_needle,
     read_explanations,
     write_explanation,
 )
-from sonoservo.systems.evaluation.explanation.occasion import find_occasion
-from sonoservo.systems.evaluation.explanation.true_needle import imaged_needle
+from sonoservo.systems.evaluation.explanation.explanation_recorder import find_occasion
 from sonoservo.systems.evaluation.log import columns
 from sonoservo.systems.signals.immutable import NotFound
 from sonoservo.systems.signals.localization_explanation import LocalizationExplanation

@@ -3,8 +3,8 @@ import pytest
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.evaluation.log import read_log, write_log
-from sonoservo.systems.evaluation.shape.shape_log import ShapeLog
 from sonoservo.systems.evaluation.shape.shape_metrics import (
+    ShapeLog,
     cross_section_errors,
     plane_of,
     prediction,

@@ -3,9 +3,13 @@ import warnings
 import numpy as np
 import pytest
 
-from sonoservo.systems.evaluation.statistics.intervals import (
+from sonoservo.systems.evaluation.intervals import (
+    UNBOUNDED,
     bootstrap_interval,
+    count_interval,
+    mean_interval,
     proportion_interval,
+    run_interval,
 )
 
 
@@ -41,3 +45,43 @@ def test_intervals_exist_for_few_and_equal_values_and_runs_without_a_value():
         assert bootstrap_interval([1.0, 2.0, np.nan, 4.0]) == bootstrap_interval([1.0, 2.0, 4.0])
         low, high = bootstrap_interval([1.0, 1.0, 1.0, 5.0], "median")
     assert 1 <= low <= high <= 5
+
+
+def median(values):
+    return float(np.quantile(values, 0.5, method="inverted_cdf"))
+
+
+def test_covers_the_truth_in_about_95_percent():
+    rng = np.random.default_rng(1)
+    hits = 0
+    for _ in range(20):
+        runs = [level + 0.1 * rng.normal(size=30) for level in rng.normal(size=20)]
+        low, high = run_interval(runs, np.mean)
+        hits += low <= 0 <= high
+    assert 16 <= hits <= 20  # resampling volumes instead of runs would give about 5
+
+
+def test_means_of_one_value_a_run():
+    values = np.random.default_rng(1).normal(size=50)
+    low, high = mean_interval(values)
+    assert low < values.mean() < high
+    assert high - low == pytest.approx(4 * values.std() / np.sqrt(50), rel=0.2)
+    assert mean_interval(values[:5]) == UNBOUNDED
+    assert mean_interval(np.array([*values[:6], np.inf])).high == np.inf
+
+
+def test_few_runs_tell_nothing():
+    assert run_interval(5 * [np.ones(1000)], median) == UNBOUNDED
+    assert run_interval(6 * [np.ones(10)], median) == (1, 1)
+
+
+def test_a_run_without_an_estimate_counts_as_infinite():
+    runs = [*(np.full(9, float(n)) for n in range(4)), *(2 * [np.full(9, np.inf)])]
+    low, high = run_interval(runs, median)
+    assert low < 2.5
+    assert high == np.inf
+
+
+@pytest.mark.parametrize(("count", "low", "high"), [(0, 0.0, 3.69), (5, 1.62, 11.67)])
+def test_counts(count, low, high):
+    np.testing.assert_allclose(count_interval(count), (low, high), atol=0.01)
