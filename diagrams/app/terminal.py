@@ -17,6 +17,7 @@ from sonoservo.diagrams.scenario import Scenario
 from sonoservo.diagrams.studies.study_report import Study, rows_table
 from sonoservo.systems.evaluation.labels import LABELS, look_up, recording_labels
 from sonoservo.systems.evaluation.source_checks import Finding, Grade, sort_findings
+from sonoservo.systems.evaluation.success import RunOutcome, run_outcome
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 
 
@@ -31,8 +32,7 @@ def end_run(result: RunResult) -> None:
     """
     if result.failure is not None:
         raise result.failure
-    touched = look_up(result.summary, "force.touched")
-    if look_up(result.summary, "guard.stopped_at_end") or touched is False:
+    if run_outcome(result.summary) in (RunOutcome.STOPPED, RunOutcome.UNTOUCHED):
         raise typer.Exit(3)
 
 

@@ -59,6 +59,8 @@ class Experiment(ABC, Generic[ScenarioT]):
         port that are evaluated just before the event.
     event
         Name of the last stage: whatever is computed at the event itself.
+    background
+        Total time in s so far of a stage's work, for stages that work in the background too.
     clock
         Clock of the stages, in s. The compilation of kernels is not counted.
     optional, sees_truth
@@ -92,6 +94,7 @@ class Experiment(ABC, Generic[ScenarioT]):
         offset: float,
         stages: Mapping[str, tuple[System, str]],
         event: str,
+        background: Mapping[str, Callable[[], float]] | None = None,
         clock: Callable[[], float] = time.perf_counter,
         optional: Container[str] = (),
         sees_truth: Container[str] = (),
@@ -99,6 +102,7 @@ class Experiment(ABC, Generic[ScenarioT]):
         self.scenario = scenario
         self._period, self._offset = period, offset
         self._stages, self._event, self._clock = stages, event, CompileFreeClock(clock)
+        self._background = background or {}
         builder = DiagramBuilder()
         for name, system in systems.items():
             builder.AddNamedSystem(name, system)
@@ -210,6 +214,8 @@ class Experiment(ABC, Generic[ScenarioT]):
         self._steps = 0
         self._newest: Any = None
         self._compute: dict[str, list[float]] = {name: [] for name in (*self._stages, self._event)}
+        self._worked = {name: total() for name, total in self._background.items()}
+        self._compiled = self._clock.compiled
 
     def _make_step(self, due: float) -> bool:
         """Compute the volume or slice and the estimate that are due, and time each stage.
@@ -227,6 +233,11 @@ class Experiment(ABC, Generic[ScenarioT]):
         if values[0] is self._newest or isinstance(values[0], NotFound):
             return False
         self._newest = values[0]
-        for name, seconds in zip(self._compute, np.diff(clock), strict=True):
-            self._compute[name].append(float(seconds))
+        seconds = dict(zip(self._compute, np.diff(clock), strict=True))
+        compiled, self._compiled = self._clock.compiled - self._compiled, self._clock.compiled
+        for name, total in self._background.items():
+            before, self._worked[name] = self._worked[name], total()
+            seconds[name] = max(self._worked[name] - before - compiled, 0.0)
+        for name, each in seconds.items():
+            self._compute[name].append(float(each))
         return True

@@ -38,6 +38,7 @@ from sonoservo.systems.robot.errors.calibration import hand_eye_error
 from sonoservo.systems.signals.guard_status import GuardState, GuardStatus
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.requirements import require
+from sonoservo.systems.ultrasound.simulation.scanner import Scanner
 
 if TYPE_CHECKING:
     from sonoservo.systems.display.console.console import Console
@@ -140,6 +141,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
         )
         imaging = imaging_systems(scenario, scene)
         self.scanner, self.scan_converter = imaging["scanner"], imaging["scan_converter"]
+        scanner = cast(Scanner, self.scanner)
         kind = type(tracker)
         self._own_tracker = f"{kind.__module__}.{kind.__qualname__}" if tracker else ""
         self.needle_tracker = require_tracker(tracker) or MakeNeedleTracker(
@@ -209,6 +211,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
                 "convert": (self.scan_converter, "volume"),
             },
             event="track",
+            background={"render": lambda: scanner.work_s},
             optional=(
                 "confirmation",
                 "deformation",

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
 from threading import Lock
+from time import thread_time
 from typing import TypeVar
 
 import numpy as np
@@ -68,6 +69,8 @@ class SweepRenderer:
         Scale of the image, in dB per grey level.
     parameters, seed
         See above.
+    work_s
+        Processor time of all images so far, in s, whichever thread made them.
     """
 
     def __init__(
@@ -92,6 +95,7 @@ class SweepRenderer:
             for part in self.groups(direction)
         }
         self._begun: list[tuple[Frames, int, Future[NDArray[np.uint8]]]] = []
+        self._lock, self.work_s = Lock(), 0.0
 
     def groups(self, direction: int) -> list[slice]:
         """Return the groups in which frames are rendered, in the order of their acquisition."""
@@ -298,7 +302,11 @@ class SweepRenderer:
         _each(render, [whole.among(part) for part in self.groups(whole.direction)])
 
     def _image(self, frames: Frames, number: int) -> NDArray[np.uint8]:
-        return self._renderer.grey_levels(self._echo(frames), frames, number)
+        began = thread_time()
+        grey = self._renderer.grey_levels(self._echo(frames), frames, number)
+        with self._lock:
+            self.work_s += thread_time() - began
+        return grey
 
     def _echo(self, frames: Frames) -> NDArray[np.complex64]:
         """Return the echoes of a group of frames."""

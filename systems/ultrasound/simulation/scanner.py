@@ -164,6 +164,11 @@ class Scanner(LeafSystem):
             period_sec=self.geometry.frame_period, offset_sec=0.0, update=self._update_frames
         )
 
+    @property
+    def work_s(self) -> float:
+        """Processor time of rendering so far, in s, in the background or not."""
+        return self._renderer.work_s
+
     def _update_frames(self, context: Context, state: State) -> EventStatus:
         time = context.get_time()
         before: _Progress = context.get_abstract_state(self._progress).get_value()
