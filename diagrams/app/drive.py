@@ -42,8 +42,8 @@ _MIN_TRY = 1.0
 """Shortest drive in s that is saved to a file of its own; clicks may follow one another quickly."""
 
 DRIVING = """\
-Drive with the sliders in the page, or switch its keys on; ? lists them. Space pauses, and "finish"
-ends the drive as Ctrl-C does here."""
+In the page, switch the keys on and press W to push the needle in, S to pull it out; or use the
+sliders. ? lists all keys. Space pauses, and "finish" ends the drive as Ctrl-C does here."""
 """Instructions for the operator, shown in the terminal."""
 
 
@@ -108,8 +108,11 @@ class DrivenExperiment(FollowingExperiment):
 
     def hint(self) -> str:
         """Return a hint for the operator; empty if there is none."""
-        held = self._hand.is_held(self.context_of(self._hand))
-        return "aim it when it is outside" if held else ""
+        context = self.context_of(self._hand)
+        if self._hand.is_held(context):
+            return "aim it when it is outside"
+        pushed = any(push.speed for push in self._hand.insertion(context).parameters.pushes)
+        return "" if pushed else "press W to push the needle in: switch the keys on first"
 
     def happened(self) -> FollowingScenario:
         """Return the scenario that repeats the operator's actions so far."""

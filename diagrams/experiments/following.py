@@ -219,6 +219,7 @@ class FollowingExperiment(Experiment[FollowingScenario]):
                 "detection",
                 "guard",
                 "hold_reason",
+                "lines",
                 "volume_check",
             ),
             sees_truth={"station", *sources, *_OBSERVERS, *observers},

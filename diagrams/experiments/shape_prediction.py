@@ -2,7 +2,7 @@
 
 import time
 from dataclasses import replace
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from sonoservo.diagrams.scenario import Scenario, require_scenario
 from sonoservo.diagrams.scene import Scene
 from sonoservo.diagrams.seeds import draw_seeds
 from sonoservo.diagrams.shape_predictor import MakeShapePredictor
+from sonoservo.systems.display.console.shape_feed import ShapeFeed
 from sonoservo.systems.display.world.shape_view import ShapeView
 from sonoservo.systems.evaluation.log import Row
 from sonoservo.systems.evaluation.shape.shape_metrics import ShapeLog, summarize_shape
@@ -39,6 +40,9 @@ from sonoservo.systems.signals.needle_shape import NeedleShape
 from sonoservo.systems.signals.requirements import require
 from sonoservo.systems.ultrasound.slice_converter import SliceConverter
 
+if TYPE_CHECKING:
+    from sonoservo.systems.display.console.console import Console
+
 Floats = NDArray[np.float64]
 
 
@@ -50,7 +54,7 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
         name: (the scenario's)
 
     The subsystems are hand, probe_stepper, scanner, slice_converter, shape_predictor and, with a
-    Meshcat, shape_view. W and T are the same except for the tissue's shifts. Computing times are
+    Meshcat or a console, shape_view and shape_feed. W and T are the same except for the tissue's shifts. Computing times are
     processor times of this thread, independent of the machine's other load.
 
     Parameters
@@ -59,6 +63,8 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
         Scenario of shape prediction.
     meshcat
         Meshcat that draws the run, if any.
+    console
+        Console that shows the run, if any.
     pictures
         Whether to keep pictures of the slices, for `key_frames` and `frames`.
 
@@ -70,10 +76,15 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
 
     scenario_class = ShapePredictionScenario
     log_class = ShapeLog
-    options = frozenset({"meshcat", "pictures"})
+    options = frozenset({"console", "meshcat", "pictures"})
 
     def __init__(
-        self, scenario: Scenario, meshcat: Meshcat | None = None, *, pictures: bool = False
+        self,
+        scenario: Scenario,
+        meshcat: Meshcat | None = None,
+        *,
+        console: "Console | None" = None,
+        pictures: bool = False,
     ) -> None:
         self._pictured = pictures
         self.scenario = scenario = require_scenario(scenario, ShapePredictionScenario)
@@ -125,7 +136,12 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
         if meshcat is not None:
             systems["shape_view"] = ShapeView(
                 meshcat=meshcat, tissue_size=tissue.size, depth=scenario.depth,
-                probe_radius=geometry.array_radius,
+                geometry=geometry,
+                period=scenario.period, offset=events["offset"] + INSTANT,
+            )  # fmt: skip
+        if console is not None:
+            systems["shape_feed"] = ShapeFeed(
+                console=console, depth=scenario.depth,
                 period=scenario.period, offset=events["offset"] + INSTANT,
             )  # fmt: skip
         super().__init__(
@@ -140,7 +156,7 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
             event="estimate",
             clock=time.thread_time,
             optional=("deformation", "true_X_WP"),
-            sees_truth=("scanner", "shape_view"),
+            sees_truth=("scanner", "shape_view", "shape_feed"),
         )
 
     def make_predictor(self, scenario: ShapePredictionScenario) -> Diagram:

@@ -155,6 +155,7 @@ def add_tracker_parts(
     builder.Connect(gate.GetOutputPort("volume"), follower.GetInputPort("volume"))
     builder.Connect(manager.GetOutputPort("estimate"), follower.GetInputPort("estimate"))
     builder.Connect(follower.GetOutputPort("lines"), manager.GetInputPort("lines"))
+    builder.ExportOutput(follower.GetOutputPort("lines"), "lines")
     return manager
 
 

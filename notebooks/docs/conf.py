@@ -1,6 +1,5 @@
 """Settings of the documentation; `make docs` builds it."""
 
-import os
 import sys
 from importlib.metadata import version as version_of
 from pathlib import Path
@@ -11,7 +10,7 @@ from docutils.parsers.rst import Directive
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from field_reference import write_reference
+from reference import write_reference
 
 from sonoservo.systems.files.writing import write_atomically
 
@@ -20,14 +19,12 @@ author = copyright = "the sonoservo authors"
 release = version = version_of("sonoservo")
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.doctest"]
 html_theme = "furo"
+html_static_path = ["wide.css"]
+html_css_files = ["wide.css"]
 exclude_patterns = ["_build"]
 myst_heading_anchors = 3
-myst_enable_extensions = ["dollarmath"]
-nb_execution_mode = os.environ.get("SONOSERVO_NOTEBOOKS", "cache")
-nb_execution_cache_path = str(Path(__file__).parents[2] / "build" / "notebooks")
-nb_execution_in_temp = True
-nb_execution_timeout = 900
-nb_execution_raise_on_error = True
+myst_enable_extensions = ["dollarmath", "colon_fence"]
+nb_execution_mode = "off"  # the notebooks hold their outputs
 nb_merge_streams = True
 autodoc_typehints = "signature"
 napoleon_google_docstring = False
@@ -35,11 +32,11 @@ doctest_test_doctest_blocks = ""
 suppress_warnings = ["myst.xref_missing", "ref.python"]
 
 HERE = Path(__file__).parent
-write_reference(HERE / "fields.md")
-# The tutorials are the notebooks beside this folder, which Sphinx runs to show their outputs.
+write_reference(HERE)
+# The tutorials are the notebooks beside this folder.
 (HERE / "tutorials").mkdir(exist_ok=True)
-for notebook in HERE.parent.glob("[1-9]*.ipynb"):
-    write_atomically(HERE / "tutorials" / notebook.name, notebook.read_bytes())
+for page in (*HERE.parent.glob("[1-9]*.ipynb"), *HERE.parent.glob("*.png")):
+    write_atomically(HERE / "tutorials" / page.name, page.read_bytes())
 
 
 class PortsDirective(Directive):

@@ -56,8 +56,7 @@ function show() {
   text("pace", state.pace ?? "");
   $("report").hidden = !state.report;
   if (state.report) $("report").href = state.report + location.search;
-  for (const name of ["x", "z", "theta", "depth"]) text(name, number(state[name], 1));
-  for (const name of ["force", "error"]) text(name, number(state[name], 2));
+  showReadings();
   if (described.buttons?.includes("pause"))
     $("buttons").querySelector("[data-name=pause]").firstChild.textContent =
       state.paused ? "go on" : "pause";
@@ -76,17 +75,53 @@ function show() {
     frame.hidden = false;
     $("legend").hidden = $("see").hidden = state.world === "probe";
   }
+  if (state.legend && $("legend").dataset.said !== String(state.legend)) {
+    $("legend").dataset.said = state.legend;
+    $("legend").replaceChildren(...state.legend.map((entry) => {
+      const [colour, ...words] = entry.split(" "), each = document.createElement("span");
+      each.append(Object.assign(document.createElement("i"), { className: colour }),
+        words.join(" "));
+      return each;
+    }));
+    $("close-up").hidden = true;
+  }
   const without = state.without ?? [];
   seek(frame);
-  for (const each of ["world", "slices", "planes", "cine", "strips", "readings"])
+  for (const each of ["world", "slices", "second", "planes", "cine", "strips", "readings"])
     document.body.classList.toggle(`no-${each}`, without.includes(each));
-  for (const each of ["force", "error"])
-    $(`strip-${each}`).hidden = $(each).parentElement.hidden = without.includes(each);
+  for (const each of document.querySelectorAll(".strip"))
+    each.hidden = without.includes(each.dataset.name) || (each.matches(".chart") && !charted);
+  const bottom = [...document.querySelectorAll(".strip:not(.chart, [hidden])")].at(-1);
+  for (const each of document.querySelectorAll(".strip:not(.chart)"))
+    figures[each.dataset.name].below[0].visible = each === bottom;
   scale();
   fit();
   contrast();
   const shown = state.number;
   requestAnimationFrame(() => { send("drawn", shown); });
+}
+
+function showReadings() {
+  const readings = (state.readings ?? []).filter(([name]) => !state.without?.includes(name));
+  const row = $("readings");
+  if (row.children.length !== readings.length)
+    row.replaceChildren(...readings.map(() => {
+      const each = document.createElement("div");
+      each.append(document.createElement("label"), document.createElement("b"), "");
+      return each;
+    }));
+  row.hidden = !readings.length;
+  row.style.gridTemplateColumns = `repeat(${readings.length > 6 ? 4 : readings.length}, 1fr)`;
+  readings.forEach(([name, label, value, unit], n) => {
+    const [title, number] = row.children[n].children;
+    if (title.textContent !== label) title.textContent = label;
+    if (number.textContent !== value) number.textContent = value;
+    number.id = name;
+    row.children[n].lastChild.textContent = unit;
+  });
+  const lines = Object.entries(state.lines ?? {});
+  text("lines", lines.length
+    ? `lines followed: ${lines.map(([name, count]) => `${count} ${name}`).join(", ")}` : "");
 }
 
 function describe() {

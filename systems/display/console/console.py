@@ -11,13 +11,17 @@ from sonoservo.systems.display.console.history import Cine, Frame, Strips
 from sonoservo.systems.display.console.readings import (
     Sample,
     describe_state,
+    needle_readings,
     sample_estimate,
-    shown_number,
 )
 from sonoservo.systems.display.console.slices import slice_pictures
 from sonoservo.systems.display.pages.site import Site
+from sonoservo.systems.signals.line_hypotheses import LineHypotheses
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.volume import Volume
+
+Shown = tuple[Volume, NeedleEstimate | None, int, LineHypotheses | None]
+"""Volume, the estimate in it, its number, and the lines that are followed."""
 
 if TYPE_CHECKING:
     from bokeh.document import Document
@@ -73,7 +77,7 @@ class Console:
         self._title = title
         probe = world == ""
         self._facts: dict[str, Any] = {"title": title, "world": "probe" if probe else world or ""}
-        self._newest: tuple[Volume, NeedleEstimate | None, int] | Frame | None = None
+        self._newest: Shown | Frame | None = None
         self._shown = 0
         self._views: set[_View] = set()
         self.strips, self.cine = Strips(), Cine()
@@ -106,16 +110,21 @@ class Console:
         values
             Tip's ``error`` in mm and contact ``force`` in N, if they are known.
         """
-        self.say(without=[name for name in ("force", "error") if name not in values])
+        without = [name for name in ("force", "error", "inserted") if name not in values]
+        self.say(without=[*without, *(("probability",) if estimate is None else ())])
         self.show_volume(volume, estimate, number)
         self.add(sample_estimate(volume.time, estimate, volume.X_WP, **values))
 
     def show_volume(
-        self, volume: Volume, estimate: NeedleEstimate | None = None, number: int | None = None
+        self,
+        volume: Volume,
+        estimate: NeedleEstimate | None = None,
+        number: int | None = None,
+        lines: LineHypotheses | None = None,
     ) -> None:
-        """Show the slices of a volume only; see `show`."""
+        """Show the slices of a volume only, with the lines that are followed; see `show`."""
         self._shown = self._shown + 1 if number is None else number
-        self._newest = volume, estimate, self._shown
+        self._newest = volume, estimate, self._shown, lines
         self._wake()
 
     def show_frame(self, frame: Frame) -> None:
@@ -134,9 +143,10 @@ class Console:
         Parameters
         ----------
         facts
-            ``paused``; ``pace``, ``note`` and ``ended`` in words; address of the ``report``; and
-            the parts of the page that it goes ``without``: world, slices, planes, cine, strips,
-            readings, force, error. ``seek`` is the time in s to which a recorded world is wound.
+            ``paused``; ``pace``, ``note`` and ``ended`` in words; address of the ``report``; the
+            ``legend`` of the world; and the parts of the page that it goes ``without``: world,
+            slices, the second one, planes, cine, strips and readings, and each of these by name.
+            ``seek`` is the time in s to which a recorded world is wound.
         """
         if any(self._facts.get(name) != value for name, value in facts.items()):
             self._facts = self._facts | facts
@@ -161,7 +171,7 @@ class Console:
             if self.cine.at(newest.time) is not newest:
                 self.cine.append(newest)
             return newest
-        volume, _, number = newest
+        volume, _, number, _ = newest
         last = self.cine.at(volume.time)
         if last is None or (last.number, last.time) != (number, volume.time):
             last = picture_volume(*newest)
@@ -173,7 +183,7 @@ class Console:
         newest = self._newest
         if newest is None or isinstance(newest, Frame):
             return newest
-        return picture_volume(*newest, offsets)
+        return picture_volume(*newest, offsets=offsets)
 
     def _open(self, document: "Document") -> None:
         view = _View(self, document)
@@ -292,9 +302,8 @@ class _View:
         state: dict[str, Any] = {**console.facts, **describe_state(sample)}
         state["values"], state["speed"] = console.controls.shown[1], console.controls.speed
         if sample is not None:
-            state |= {"time": sample.time, "held": sample.held}
-            for name in ("x", "z", "theta", "depth", "force", "error"):
-                state[name] = shown_number(getattr(sample, name))
+            state |= {"time": sample.time, "held": sample.held, "lines": dict(sample.lines)}
+            state["readings"] = [each.shown() for each in needle_readings(sample)]
         times = console.cine.times
         state["cine"] = [times[0], times[-1]] if times else None
         state["live"] = self._cine is None
@@ -338,13 +347,11 @@ def picture_volume(
     volume: Volume,
     estimate: NeedleEstimate | None,
     number: int,
+    lines: LineHypotheses | None = None,
     offsets: tuple[float, float] = (0.0, 0.0),
 ) -> Frame:
     """Return the pictures of a volume; see `slice_pictures` for the offsets."""
-    return Frame(
-        number,
-        volume.time,
-        str(estimate.mode) if estimate is not None else "",
-        slice_pictures(volume, estimate.curve if estimate is not None else None, offsets),
-        volume.decibels_per_level,
-    )
+    curve = estimate.curve if estimate is not None else None
+    pictures = slice_pictures(volume, curve, offsets, lines)
+    mode = str(estimate.mode) if estimate is not None else ""
+    return Frame(number, volume.time, mode, pictures, volume.decibels_per_level)

@@ -11,6 +11,7 @@ from pydrake.systems.framework import Context, LeafSystem
 from sonoservo.systems.display.console.readings import sample_estimate, tip_error
 from sonoservo.systems.signals.guard_status import GuardStatus
 from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.line_hypotheses import LineHypotheses
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.ports import declare_inputs, evaluate
@@ -45,10 +46,12 @@ class ConsoleFeed(LeafSystem):
         - force_target (optional)
         - guard (optional)
         - hold_reason (optional)
+        - lines (optional)
 
     `volume` is a `Volume`, or a `NotFound` while there is none, and `estimate` a `NeedleEstimate`.
-    The true `needle`, a `Needle` in T, and `contact_force` serve the display only. Volumes are
-    counted from 1 in each run.
+    The true `needle`, a `Needle` in T, and `contact_force` serve the display only. `lines` are the
+    `LineHypotheses` of a tracker that tells which lines it follows. Volumes are counted from 1 in
+    each run.
 
     Parameters
     ----------
@@ -74,6 +77,7 @@ class ConsoleFeed(LeafSystem):
             estimate=NeedleEstimate,
             guard=GuardStatus,
             hold_reason=str,
+            lines=(LineHypotheses, NotFound),
         )
         for name in ("contact_force", "force_target"):
             self.DeclareVectorInputPort(name, 1)
@@ -103,7 +107,13 @@ class ConsoleFeed(LeafSystem):
         self._volume_time = volume.time
         self._number += 1
         estimate = self._value(context, "estimate", NeedleEstimate)
-        self._console.show_volume(volume, estimate, self._number)
+        self._console.show_volume(volume, estimate, self._number, self._lines(context))
+
+    def _lines(self, context: Context) -> LineHypotheses | None:
+        if not self.GetInputPort("lines").HasValue(context):
+            return None
+        lines = evaluate(self, context, "lines", (LineHypotheses, NotFound))
+        return lines if isinstance(lines, LineHypotheses) else None
 
     def _sample(self, context: Context) -> None:
         time = context.get_time()
@@ -111,6 +121,7 @@ class ConsoleFeed(LeafSystem):
         values: dict[str, Any] = {}
         X_WT = self._value(context, "X_WT", RigidTransform)
         needle = self._value(context, "needle", Needle)
+        values["inserted"] = 1e3 * needle.length if needle is not None else float("nan")
         if needle and X_WT is not None:
             self._tips.append((time, X_WT.multiply(needle.tip)))
         else:
@@ -126,4 +137,5 @@ class ConsoleFeed(LeafSystem):
             values["stopped"] = guard.reason
         values["held"] = self._value(context, "hold_reason", str) or ""
         X_WP = self._value(context, "X_WP", RigidTransform) or RigidTransform()
-        self._console.add(sample_estimate(time, estimate, X_WP, **values))
+        lines = self._lines(context)
+        self._console.add(sample_estimate(time, estimate, X_WP, lines, **values))

@@ -57,8 +57,8 @@ function build() {
   arm(false);
   $("keys").replaceChildren(...[
     ...names.filter((name) => BUTTONS[name][1]).map((name) => [[BUTTONS[name][1]], HELP[name]]),
-    ...sliders.filter((each) => each.keys.length)
-      .map((each) => [each.keys, `${each.label}, by ${each.step} ${each.unit}`]),
+    ...sliders.flatMap((each) => each.keys.map((key, end) =>
+      [[key], `${each.ends[end]}, by ${each.step} ${each.unit}`]).reverse()),
     [["KeyN"], "show or hide the needle beside its echo"], [["?"], "this help"],
   ].map(([keys, what]) => {
     const row = document.createElement("tr");
@@ -78,11 +78,11 @@ function slider(each) {
     move(each, Math.round(input.value / each.step) * each.step);
   };
   input.onchange = () => { held = null; input.blur(); };
-  const key = (code) => code
-    ? [Object.assign(document.createElement("kbd"), { textContent: letter(code) })] : [];
+  const key = (code, end) => code ? [Object.assign(document.createElement("kbd"),
+    { textContent: letter(code), title: each.ends[end] })] : [];
   const name = Object.assign(document.createElement("span"),
     { className: "name", textContent: each.label });
-  row.append(name, ...key(each.keys[0]), input, ...key(each.keys[1]),
+  row.append(name, ...key(each.keys[0], 0), input, ...key(each.keys[1], 1),
     document.createElement("output"));
   return row;
 }

@@ -35,6 +35,8 @@ class Control:
         Initial value of the slider.
     keys
         Keys that lower and raise the slider by a step, as the browser names them.
+    ends
+        What these keys do, in words; by default, the label with a sign.
     axis, rate
         Axis of the gamepad, and the slider's speed at full deflection, in slider units per s. The
         rate is negative if up or left raises the value.
@@ -50,6 +52,7 @@ class Control:
     step: float
     start: float = 0.0
     keys: tuple[str, ...] = ()
+    ends: tuple[str, ...] = ()
     axis: int | None = None
     rate: float = 0.0
 
@@ -92,7 +95,7 @@ def operator_controls(*, depth: float = 0.0, azimuth_deg: float, dip_deg: float)
     return [
         Control(name="depth", port="needle_target", label="needle in", unit_label="mm", unit=1e-3,
                 least=-5, most=max(100, 1e3 * depth + 60), step=1, start=1e3 * depth,
-                keys=("KeyS", "KeyW"), axis=1, rate=-20),
+                keys=("KeyS", "KeyW"), ends=("needle out", "needle in"), axis=1, rate=-20),
         Control(name="turn", port="needle_target", label="turn", unit_label="deg", unit=_DEG,
                 least=-360, most=360, step=5, keys=("KeyA", "KeyD"), axis=0, rate=90),
         Control(name="azimuth", port="needle_target", label="azimuth", unit_label="deg", unit=_DEG,
@@ -251,6 +254,7 @@ class Controls:
                     "most": each.most,
                     "step": each.step,
                     "keys": list(each.keys),
+                    "ends": list(each.ends or (f"{each.label} −", f"{each.label} +")),
                 }
                 for each in controls
             ],

@@ -19,6 +19,7 @@ from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from sonoservo.systems.display.colours import (
+    CROSS_SECTION,
     FORCE,
     MODE_COLOURS,
     SECTOR,
@@ -37,8 +38,13 @@ _COLOURS = {str(mode): hexadecimal(colour) for mode, colour in MODE_COLOURS.item
 _PAGE_COLOURS = {
     **{str(mode): colour for mode, colour in MODE_COLOURS.items()},
     "stopped": STOPPED, "steel": STEEL, "sector": SECTOR, "uncertainty": UNCERTAINTY,
-    "force": FORCE,
+    "force": FORCE, "cross-section": CROSS_SECTION,
 }  # fmt: skip
+LINE_COLOURS = {
+    "needle": _COLOURS["tracking"], "resting": _FIRST, "riding": _SECOND, "appeared": "#d98cc4",
+}  # fmt: skip
+"""Colours of the lines that are followed, by their class."""
+
 _DASHES = {"tracking": "solid", "coasting": "dashed", "lost": "dotted"}
 _HEARD: Mapping[str, Any] = {"order": {}, "drawn": -1}
 _LONGEST = 0.5
@@ -47,13 +53,17 @@ _LONGEST = 0.5
 _RING = 2.5
 """Radius of the ring at the tip, in mm."""
 
-_LINES: Sequence[tuple[str, str, Sequence[tuple[str, str, str]], float]] = (
+_LINES: Sequence[tuple[str, str, Sequence[tuple[str, str, str]], float | None]] = (
     ("features", "X, Z (mm)", (("x", _FIRST, "X"), ("z", _SECOND, "Z")), 2.0),
     ("angle", "Theta (°)", (("theta", _FIRST, ""),), 4.0),
     ("force", "force (N)", (("force", _FIRST, "force"), ("target", _SECOND, "target")), 1.0),
     ("error", "error (mm)", (("error", _FIRST, ""),), 0.5),
+    ("probability", "P(needle)", (("probability", _FIRST, ""),), None),
 )
-"""Name, axis, lines (column, colour and label) and smallest range of each strip."""
+"""Name, axis, lines (column, colour and label) and smallest range of each strip; None is 0 to 1."""
+
+CHARTS = {"chart_x": "x", "chart_y": "y"}
+"""Charts of the deflection along an axis over the depth."""
 
 _SCRIPTS = ("console.js", "controls.js", "views.js")
 """Scripts of the page, which share one scope."""
@@ -103,9 +113,11 @@ class PageDocument:
         self._strips = ColumnDataSource({name: [] for name in (*STRIPS, "colour", "begin")})
         self._time: float | None = None
         grey = LinearColorMapper(palette=Greys256, low=0, high=255, name="grey")
-        roots = {
-            f"slice_{number}": _slice_figure(grey) for number in range(2)
-        } | self._strip_figures()
+        roots = (
+            {f"slice_{number}": _slice_figure(grey) for number in range(2)}
+            | self._strip_figures()
+            | _chart_figures()
+        )
         # They belong to the document, and follow its changes, only if one of its roots names them.
         roots["mode"].tags = list(self.link.models.values())
         with document.models.freeze():
@@ -174,8 +186,9 @@ class PageDocument:
         time = Range1d(0, 10, name="time")
         plots = {}
         for name, label, lines, least in _LINES:
+            low, high = (-0.05, 1.05) if least is None else (-0.5 * least, 0.5 * least)
             plot = figure(
-                x_range=time, y_range=Range1d(-0.5 * least, 0.5 * least),
+                x_range=time, y_range=Range1d(low, high),
                 tools="", toolbar_location=None, sizing_mode="stretch_both", min_border=0,
                 tags=[least],
             )  # fmt: skip
@@ -189,6 +202,7 @@ class PageDocument:
             if any(text for *_, text in lines):
                 _style_legend(plot)
             plot.yaxis.axis_label = label
+            plot.xaxis.axis_label = "time (s)"
             plot.xaxis.visible = False
             plots[name] = plot
         modes = figure(
@@ -224,7 +238,44 @@ def _slice_figure(grey: LinearColorMapper) -> Any:
     plot.circle(
         "x", "y", radius=_RING, source=tip, fill_color=None, line_width=2, name="ring"
     )  # fmt: skip
+    lines = ColumnDataSource({"xs": [], "ys": [], "colour": []})
+    plot.multi_line("xs", "ys", source=lines, line_color="colour", line_width=1.5,
+                    line_alpha=0.8, name="lines")  # fmt: skip
     return plot
+
+
+def _chart_figures() -> dict[str, Any]:
+    """Return the charts of a needle's deflection over its depth, which share their axes."""
+    depth, deflection = Range1d(0, 100), Range1d(-2, 2)
+    true, predicted = hexadecimal(STEEL), _COLOURS["tracking"]
+    found = hexadecimal(CROSS_SECTION)
+    plots = {}
+    for name, axis in CHARTS.items():
+        plot = figure(
+            x_range=depth, y_range=deflection, tools="", toolbar_location=None,
+            sizing_mode="stretch_both", min_border=0,
+        )  # fmt: skip
+        _style(plot)
+        path, seen, needle = (
+            ColumnDataSource({column: [] for column in columns})
+            for columns in (
+                ("depth", axis, f"{axis}_low", f"{axis}_high"), ("depth", axis), ("depth", axis),
+            )
+        )  # fmt: skip
+        plot.varea("depth", f"{axis}_low", f"{axis}_high", source=path, fill_alpha=0.35,
+                   fill_color=hexadecimal(FORCE), name="path", legend_label="95 %")  # fmt: skip
+        plot.line("depth", axis, source=path, line_color=predicted, line_width=2,
+                  legend_label="predicted")  # fmt: skip
+        plot.scatter("depth", axis, source=seen, size=3, line_color=None, fill_color=found,
+                     name="found", legend_label="found")  # fmt: skip
+        plot.line("depth", axis, source=needle, line_color=true, line_width=2, line_dash="dashed",
+                  name="true", legend_label="true")  # fmt: skip
+        _style_legend(plot)
+        plot.yaxis.axis_label = f"deflection {axis.upper()} (mm)"
+        plot.xaxis.axis_label = "depth (mm)"
+        plot.min_border_left, plot.min_border_right = 62, 8
+        plots[name] = plot
+    return plots
 
 
 def page_template() -> str:
@@ -249,6 +300,9 @@ def _describe_frame(frame: Frame) -> tuple[dict[str, Any], list[NDArray[np.uint8
             "window": picture.window,
             "rails": [np.round(rail.T, 2).tolist() for rail in picture.rails],
             "tip": np.round(picture.tip, 2).tolist(),
+            "lines": [
+                [LINE_COLOURS[name], *np.round(line.T, 2).tolist()] for name, line in picture.lines
+            ],
         }
         for picture in frame.pictures
     ]  # fmt: skip
@@ -256,6 +310,7 @@ def _describe_frame(frame: Frame) -> tuple[dict[str, Any], list[NDArray[np.uint8
         "pictures": [*pictures, None, None][:2],
         "colour": _COLOURS.get(frame.mode, _INK),
         "dash": _DASHES.get(frame.mode, "solid"),
+        "paths": frame.paths,
     }
     return words, [picture.grey for picture in frame.pictures[:2] if picture is not None]
 

@@ -1,8 +1,9 @@
 """What the console has shown so far: strips and pictures of the last minute."""
 
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 from sonoservo.systems.display.console.readings import Sample
 from sonoservo.systems.display.console.slices import SlicePicture
@@ -10,7 +11,7 @@ from sonoservo.systems.display.console.slices import SlicePicture
 MINUTE = 60.0
 """Time in s for which strips and pictures are kept."""
 
-STRIPS = ("time", "x", "z", "theta", "force", "target", "error", "mode")
+STRIPS = ("time", "x", "z", "theta", "force", "target", "error", "probability", "mode")
 """Columns of the strips."""
 
 
@@ -28,6 +29,8 @@ class Frame:
         Slices through the needle; None for one that misses the volume.
     decibels_per_level
         Decibels per grey level.
+    paths
+        Columns of the charts of a needle's deflection, in mm; see `ShapeFeed`.
     """
 
     number: int
@@ -35,6 +38,7 @@ class Frame:
     mode: str
     pictures: Sequence[SlicePicture | None]
     decibels_per_level: float
+    paths: Mapping[str, Sequence[Any]] = field(default_factory=dict)
 
 
 class Strips:

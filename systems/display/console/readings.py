@@ -1,8 +1,9 @@
 """Readings of the console: the state in words, and the values of its strips."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
 from sonoservo.systems.control.visual_features import needle_features
+from sonoservo.systems.display.console.slices import line_classes
+from sonoservo.systems.signals.line_hypotheses import LineHypotheses
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate
 from sonoservo.systems.signals.search_reason import SearchReason
 
@@ -17,6 +20,22 @@ Floats = NDArray[np.float64]
 
 _NONE = math.nan
 _WAITING = "waiting for the first volume (kernels are compiled once, up to a minute)"
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A labelled number of the page: name, label, value, unit and number of decimals."""
+
+    name: str
+    label: str
+    value: float
+    unit: str
+    digits: int = 1
+
+    def shown(self) -> list[str]:
+        """Return name, label, number and unit as the page shows them; a dash for no number."""
+        text = f"{self.value:.{self.digits}f}".replace("-", "\u2212")
+        return [self.name, self.label, text if math.isfinite(self.value) else "\u2013", self.unit]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +55,15 @@ class Sample:
     force, target
         Contact force and its target, in N.
     error
-        Distance of the estimated tip from the true one, in mm.
+        Distance of the estimated tip, or cross-section, from the true one, in mm.
+    probability
+        Probability that there is a needle: the estimate's, or that of the most probable line.
+    inserted
+        True inserted length of the needle, in mm.
+    lines
+        Numbers of lines that are followed, by class.
+    readings
+        Readings that replace those of a tracked needle.
     reason, held, stopped
         Why the tracker did not confirm the needle, why the servo holds, and why the guard has
         stopped the robot; empty if there is nothing to say.
@@ -51,13 +78,21 @@ class Sample:
     force: float = _NONE
     target: float = _NONE
     error: float = _NONE
+    probability: float = _NONE
+    inserted: float = _NONE
+    lines: Mapping[str, int] = field(default_factory=dict)
+    readings: Sequence["Reading"] = ()
     reason: str = ""
     held: str = ""
     stopped: str = ""
 
 
 def sample_estimate(
-    time: float, estimate: NeedleEstimate | None, X_WP: RigidTransform, **values: Any
+    time: float,
+    estimate: NeedleEstimate | None,
+    X_WP: RigidTransform,
+    lines: LineHypotheses | None = None,
+    **values: Any,
 ) -> Sample:
     """Return a sample with the features of an estimate, seen from the probe.
 
@@ -69,15 +104,21 @@ def sample_estimate(
         Estimate of the needle; None without a tracker.
     X_WP
         Pose of the probe.
+    lines
+        Lines that are followed, if the tracker tells.
     values
         Further fields of the `Sample`.
     """
+    if lines:
+        followed = Counter(name for name in line_classes(lines) if name != "nothing")
+        values |= {"lines": followed, "probability": float(lines.probabilities.max())}
     if estimate is None:
         return Sample(time=time, **values)
     seen = estimate.volume_time > -math.inf
     values |= {"mode": str(estimate.mode), "reason": estimate.reason if seen else _WAITING}
     if estimate.curve is None:
         return Sample(time=time, **values)
+    values["probability"] = estimate.probability
     entry, tip = X_WP.inverse().multiply(np.stack([estimate.curve.entry, estimate.curve.tip]).T).T
     x, z, theta = needle_features(tip, tip - entry).tolist()
     return Sample(
@@ -107,6 +148,22 @@ def tip_error(estimate: NeedleEstimate, tips: Sequence[tuple[float, Floats]]) ->
 def shown_number(value: float) -> float | None:
     """Return a number for a page, which shows thousandths; None if it is not finite."""
     return round(value, 3) if math.isfinite(value) else None
+
+
+def needle_readings(sample: Sample) -> list[Reading]:
+    """Return the readings of a sample: its own, or those of a tracked needle."""
+    if sample.readings:
+        return list(sample.readings)
+    return [
+        Reading("x", "X", sample.x, "mm"),
+        Reading("z", "Z", sample.z, "mm"),
+        Reading("theta", "Theta", sample.theta, "deg"),
+        Reading("depth", "tip depth", sample.depth, "mm"),
+        Reading("force", "force", sample.force, "N", 2),
+        Reading("error", "tip error", sample.error, "mm", 2),
+        Reading("probability", "P(needle)", 100 * sample.probability, "%", 0),
+        Reading("inserted", "inserted", sample.inserted, "mm"),
+    ]
 
 
 def describe_state(sample: Sample | None) -> dict[str, str]:

@@ -1,11 +1,13 @@
 """The two slices through the needle, with coordinates in mm and an overlay beside the echo."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 
+from sonoservo.systems.signals.line_hypotheses import LINE_CLASSES, LineHypotheses
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.planes import Plane, sample_plane, slice_planes
 from sonoservo.systems.signals.volume import Volume
@@ -21,6 +23,9 @@ _BESIDE = 2.5e-3
 _POINTS = 21
 _IN_PLANE = 1.5e-3
 """Largest distance of a slice from the needle at which the overlay belongs to it, in m."""
+
+_NEARBY = 3e-3
+"""Largest distance in m from a slice at which a followed line is drawn in it."""
 
 _NAMES = (
     (("Lateral plane", ("X", "depth")), ("Elevation plane", ("Z", "depth"))),
@@ -75,6 +80,8 @@ class SlicePicture:
         Two (m, 2) polylines beside the needle, one on each side; none without a needle.
     tip
         (2,) coordinates of the tip; empty without a needle.
+    lines
+        Class and (2, 2) ends of each other line that is followed near the slice.
     """
 
     title: str
@@ -85,6 +92,7 @@ class SlicePicture:
     window: tuple[float, float, float, float]
     rails: list[Floats]
     tip: Floats
+    lines: Sequence[tuple[str, Floats]] = ()
 
 
 def slice_views(
@@ -192,7 +200,10 @@ def kept_slice(number: int, slice_: Plane, grey: NDArray[np.uint8], needle: Floa
 
 
 def slice_pictures(
-    volume: Volume, curve: NeedleCurve | None = None, offsets: tuple[float, float] = (0.0, 0.0)
+    volume: Volume,
+    curve: NeedleCurve | None = None,
+    offsets: tuple[float, float] = (0.0, 0.0),
+    lines: LineHypotheses | None = None,
 ) -> list[SlicePicture | None]:
     """Return the pictures of the two orthogonal planes through the needle; see `slice_views`."""
     pictures: list[SlicePicture | None] = []
@@ -221,9 +232,31 @@ def slice_pictures(
                 (float(left), float(right), float(top), float(bottom)),
                 rails,
                 tip,
+                lines_near(view, volume, lines) if lines else (),
             )
         )
     return pictures
+
+
+def line_classes(lines: LineHypotheses) -> list[str]:
+    """Return the most probable class of each line; see `LINE_CLASSES`."""
+    return [LINE_CLASSES[number] for number in lines.classes.argmax(axis=1)]
+
+
+def lines_near(view: SliceView, volume: Volume, lines: LineHypotheses) -> list[tuple[str, Floats]]:
+    """Return class and (2, 2) ends in mm of the parts of lines within 3 mm of a slice."""
+    ends = volume.to_probe(lines.ends.reshape(-1, 3)).reshape(-1, 2, 3)
+    R, middle = view.plane.X_PS.rotation().matrix(), view.plane.X_PS.translation()
+    near: list[tuple[str, Floats]] = []
+    for name, line in zip(line_classes(lines), ends, strict=True):
+        first, last = (line - middle) @ R[:, 2]
+        slope = last - first or 1e-12
+        low, high = sorted((side - first) / slope for side in (-_NEARBY, _NEARBY))
+        low, high = max(low, 0.0), min(high, 1.0)
+        if name != "nothing" and low < high:
+            part = line[0] + np.outer([low, high], line[1] - line[0])
+            near.append((name, 1e3 * view.coordinates(part)))
+    return near
 
 
 def beside(polyline: Floats, distance: float) -> list[Floats]:

@@ -52,28 +52,57 @@ function closeUp(frame) {
   $("close-up").setAttribute("aria-pressed", Boolean(far));
 }
 
+let wound = null;
 function seek(frame) {
   const animator = frame.contentWindow.viewer?.animator;
-  if (state.seek == null || !(animator?.duration > 0)) return;
+  const at = state.seek ?? (state.ended && wound !== animator ? Infinity : null);
+  if (at == null || !(animator?.duration > 0)) return;
+  wound = animator; // at the end of a run it shows the end, until somebody plays it
   if (animator.playing) animator.pause();
   frame.contentWindow.viewer.set_property(["phase"], "visible", false); // it is said beside it
-  animator.seek(Math.min(state.seek, animator.duration));
+  animator.seek(Math.min(at, animator.duration));
 }
 
 // Slices
 
+// Charts of a deflection
+
+let charted = false;
+function showPaths(paths) {
+  charted = Boolean(paths.depth);
+  if (!charted) return;
+  let [low, high, end] = [-1, 1, 10];
+  for (const axis of ["x", "y"])
+    for (const { name, data_source: source } of figures[`chart_${axis}`].renderers) {
+      if (!name) continue;
+      const prefix = name === "path" ? "" : `${name}_`;
+      source.data = Object.fromEntries(Object.keys(plain(source.data)).map(
+        (column) => [column, (paths[prefix + column] ?? []).map((value) => value ?? NaN)]));
+      for (const [column, values] of Object.entries(source.data))
+        for (const value of values.filter(Number.isFinite))
+          if (column === "depth") end = Math.max(end, value);
+          else [low, high] = [Math.min(low, value), Math.max(high, value)];
+    }
+  const margin = 0.08 * (high - low), { x_range: depth, y_range: range } = figures.chart_x;
+  depth.setv({ start: 0, end });
+  range.setv({ start: low - margin, end: high + margin });
+}
+
 let slices = [];
-function showPictures({ pictures, colour, dash }, images) {
+function showPictures({ pictures, colour, dash, paths }, images) {
+  showPaths(paths);
   slices = pictures;
   slices.forEach((picture, n) => {
-    const plot = figures[`slice_${n}`], [image, rails, ring] = plot.renderers;
+    const plot = figures[`slice_${n}`], [image, rails, ring, others] = plot.renderers;
     const one = (value) => (picture ? [value] : []);
-    const { corner: [x, y], size: [dw, dh], rails: lines, tip } =
-      picture ?? { corner: [], size: [], rails: [], tip: [] };
+    const { corner: [x, y], size: [dw, dh], rails: lines, tip, lines: followed } =
+      picture ?? { corner: [], size: [], rails: [], tip: [], lines: [] };
     image.data_source.data = { image: picture ? [images.shift()] : [],
       x: one(x), y: one(y), dw: one(dw), dh: one(dh) };
     rails.data_source.data = { xs: lines.map(([xs]) => xs), ys: lines.map(([, ys]) => ys) };
     ring.data_source.data = { x: tip.slice(0, 1), y: tip.slice(1) };
+    others.data_source.data = { colour: followed.map(([colour]) => colour),
+      xs: followed.map(([, xs]) => xs), ys: followed.map(([, , ys]) => ys) };
     for (const { glyph } of [rails, ring])
       glyph.setv({ line_color: { value: colour }, line_dash: { value: dash } });
     if (picture) [plot.below[0].axis_label, plot.left[0].axis_label] = picture.axes;
@@ -139,5 +168,5 @@ function overlay() {
   $("overlay").setAttribute("aria-pressed", on);
   for (const n of [0, 1])
     for (const each of figures[`slice_${n}`].renderers)
-      if (/rails|ring/.test(each.name ?? "")) each.visible = on;
+      if (/rails|ring|lines/.test(each.name ?? "")) each.visible = on;
 }

@@ -3,8 +3,6 @@ from .ellipsoid import confidence_ellipsoid as confidence_ellipsoid
 from .film import Film as Film
 from .force_arrow import ForceArrow as ForceArrow
 from .label import Label as Label
-from .legend import draw_legend as draw_legend
-from .legend import legend_image as legend_image
 from .needle_view import EstimateView as EstimateView
 from .needle_view import NeedleView as NeedleView
 from .rod import Rod as Rod

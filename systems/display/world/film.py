@@ -6,7 +6,7 @@ from pydrake.geometry import Meshcat
 from sonoservo.systems.display.textured_quads import gltf_mesh
 
 _RECENT = 16
-"""Number of pictures held for pages that have yet to fetch them, if no replay is kept."""
+"""Number of pictures held, besides those of a replay, for pages that have yet to fetch them."""
 
 
 class Film:
@@ -41,14 +41,13 @@ class Film:
         live = f"{self._path}/live"
         mesh = gltf_mesh(gltf)
         self._meshcat.SetObject(live, mesh)
-        if not self._frames:
+        if self._kept == self._frames or time < self._newest + self._period:
             # Meshcat drops the textures of a replaced object, but a slow page may still ask for
             # them.
             recent = f"{self._path}/recent/{self._shown % _RECENT}"
             self._meshcat.SetObject(recent, mesh)
             self._meshcat.SetProperty(recent, "visible", False)
             self._shown += 1
-        if self._kept == self._frames or time < self._newest + self._period:
             return
         path = f"{self._path}/{self._kept}"
         self._meshcat.SetObject(path, mesh)

@@ -64,7 +64,7 @@ class WorldViewParameters:
         Length of the whole needle, in m. The part that is not in the tissue is drawn outside it.
     camera, camera_target
         Initial position of the camera and the point at the centre of its view, in W, in m. By
-        default, the whole arm is in the frame.
+        default, probe and phantom fill the frame, and the needle is seen.
     field_of_view_deg
         Field of view of the camera, from the lower edge of the view to the upper one, in deg.
     phase_position
@@ -76,9 +76,9 @@ class WorldViewParameters:
     film_frames: int = 0
     film_period: float = 0.2
     needle_length: float = 0.15
-    camera: list[float] = field(default_factory=lambda: [0.92, -0.66, 0.54])
-    camera_target: list[float] = field(default_factory=lambda: [0.37, -0.02, 0.40])
-    field_of_view_deg: float = 58.0
+    camera: list[float] = field(default_factory=lambda: [0.86, -0.54, 0.40])
+    camera_target: list[float] = field(default_factory=lambda: [0.46, -0.02, 0.22])
+    field_of_view_deg: float = 42.0
     phase_position: list[float] = field(default_factory=lambda: [0.62, 0.0, 0.62])
 
     def __post_init__(self) -> None:

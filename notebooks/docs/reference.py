@@ -1,0 +1,91 @@
+"""Pages of the reference: a page for each room, and one for the fields of each experiment."""
+
+import inspect
+from collections.abc import Iterator
+from importlib import import_module
+from itertools import groupby
+from pathlib import Path
+
+from pydrake.systems.framework import Diagram, LeafSystem
+
+from sonoservo.diagrams.experiments.registry import EXPERIMENTS, experiment_class
+from sonoservo.systems.files.field_meanings import field_rows
+from sonoservo.systems.files.writing import write_atomically
+
+FIRST = ("run", "track", "track_recording", "locate", "locate_in", "scan", "load_scenario", "drive")
+"""Functions that most programs begin with."""
+
+ROOMS = {
+    "diagrams": "Everything a program starts with, and diagrams that are wired already.",
+    "systems.signals": "Values on the wires.",
+    "systems.ultrasound": "From echoes to volumes.",
+    "systems.tracking": "Finding and following a needle in volumes.",
+    "systems.shape": "Cross-sections and shape of a needle that bends.",
+    "systems.control": "Servo, force and guard.",
+    "systems.robot": "Arm, probe, phantom and sensors.",
+    "systems.needle": "The needle and the hand that pushes it.",
+    "systems.calibration": "Delay and hand-eye error of the poses.",
+    "systems.recording": "Volumes in files.",
+    "systems.live": "Volumes over sockets.",
+    "systems.evaluation": "Logs, metrics and pictures of a run.",
+    "systems.display.console": "The console.",
+}
+"""Rooms of the reference, and what each holds."""
+
+
+def write_reference(folder: Path) -> None:
+    """Write the reference as pages of Markdown into a folder, below ``fields`` and ``python``."""
+    for name in EXPERIMENTS:
+        write_atomically(folder / "fields" / f"{name}.md", fields_page(name))
+    for room, words in ROOMS.items():
+        write_atomically(folder / "python" / f"{room.split('.')[-1]}.md", room_page(room, words))
+
+
+def fields_page(name: str) -> str:
+    """Return the page of all fields of an experiment, by section, with the meaning beside each."""
+    page = [f"# Fields: {name.replace('_', ' ')}", "", f"`experiment: {name}`"]
+    rows = field_rows(experiment_class(name).scenario_class)
+    for section, fields in groupby(rows, lambda row: row[0].partition(".")[0]):
+        fields = list(fields)
+        inner = len(fields) > 1
+        if inner or not any(line.startswith("| ") for line in page[-1:]):
+            page += ["", f"## {section if inner else 'Fields'}", ""]
+            page += ["| field | meaning | default |", "|---|---|---|"]
+        for path, default, text in fields:
+            page.append(f"| `{path}` | {text} | {default} |")
+    return "\n".join(page) + "\n"
+
+
+def room_page(room: str, words: str) -> str:
+    """Return the page of a room: what programs begin with, systems, classes and functions."""
+    module = f"sonoservo.{room}"
+    page = [f"# {room.split('.')[-1].capitalize()}", "", f"{words} `from {module} import ...`"]
+    for title, names in _sections(module):
+        page += ["", f"## {title}", "", "```{eval-rst}"]
+        for name in names:
+            kind = "class" if inspect.isclass(getattr(import_module(module), name)) else "function"
+            page.append(f".. auto{kind}:: {module}.{name}")
+            page += ["   :members:", ""] if kind == "class" else [""]
+        page.append("```")
+    return "\n".join(page) + "\n"
+
+
+def _sections(module: str) -> Iterator[tuple[str, list[str]]]:
+    """Yield the titles and names of a room's sections that are not empty."""
+    room = import_module(module)
+    kinds: dict[str, list[str]] = {
+        "First": [], "Systems": [], "Classes": [], "Parameters": [], "Functions": []
+    }  # fmt: skip
+    for name in room.__all__:
+        value = getattr(room, name)
+        is_class = inspect.isclass(value)
+        if name in FIRST and module == "sonoservo.diagrams":
+            kinds["First"].append(name)
+        elif is_class and issubclass(value, LeafSystem | Diagram) or name.startswith("Make"):
+            kinds["Systems"].append(name)
+        elif is_class:
+            kinds["Parameters" if name.endswith("Parameters") else "Classes"].append(name)
+        else:
+            kinds["Functions"].append(name)
+    kinds["First"].sort(key=FIRST.index)
+    return ((title, names) for title, names in kinds.items() if names)

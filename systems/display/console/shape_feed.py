@@ -1,0 +1,185 @@
+"""The leaf that feeds the console of a shape prediction: each slice, and the needle's deflection."""
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import Context, LeafSystem
+
+from sonoservo.systems.display.console.history import Frame
+from sonoservo.systems.display.console.readings import Reading, Sample
+from sonoservo.systems.display.console.slices import SlicePicture
+from sonoservo.systems.signals.confidence import RADIUS_95
+from sonoservo.systems.signals.cross_section import CrossSection
+from sonoservo.systems.signals.image_slice import ImageSlice
+from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.needle import Needle
+from sonoservo.systems.signals.needle_estimate import TrackingMode
+from sonoservo.systems.signals.needle_shape import NeedleShape
+from sonoservo.systems.signals.ports import declare_inputs, evaluate
+
+if TYPE_CHECKING:  # a run without a page does not import it
+    from sonoservo.systems.display.console.console import Console
+
+Floats = NDArray[np.float64]
+
+_POINTS = 41
+_LEGEND = ("steel needle", "tracking predicted", "force 95 % of it", "cross-section found here")
+"""Marks of the world, by the class of their colour in the page, and their words."""
+
+PATHS = ("depth", "x", "x_low", "x_high", "y", "y_low", "y_high")
+"""Columns of the predicted path: depth, and the mean and 95 % of the deflection along X and Y."""
+
+
+class ShapeFeed(LeafSystem):
+    """Shows each slice with the cross-section in it, and the deflection over depth, on a console.
+
+    .. pydrake_system::
+
+        name: ShapeFeed
+        input_ports:
+        - needle
+        - X_WT
+        - slice
+        - cross_section
+        - shape
+
+    The ports are those of `ShapeView`. The deflection is that from the first cross-section, along
+    X and along Y of the probe at the first slice: what was predicted with its 95 %, what was found
+    in each slice, and the true needle so far.
+
+    Parameters
+    ----------
+    console
+        Console to feed.
+    depth
+        Depth down to which the shape is predicted, in m.
+    period, offset
+        Period of the slices and time of the first one, in s: shortly after the estimator's events.
+    """
+
+    def __init__(
+        self, *, console: "Console", depth: float, period: float, offset: float = 0.0
+    ) -> None:
+        super().__init__()
+        self._console = console
+        self._depths = np.linspace(0, depth, _POINTS)
+        console.say(
+            without=["second", "planes", "features", "angle", "force", "probability", "mode"],
+            legend=_LEGEND,
+        )
+        self.DeclareAbstractInputPort("X_WT", Value(RigidTransform()))
+        declare_inputs(
+            self,
+            needle=Needle,
+            slice=(ImageSlice, NotFound),
+            cross_section=(CrossSection, NotFound),
+            shape=(NeedleShape, NotFound),
+        )
+        self._start()
+        self.DeclareInitializationPublishEvent(publish=lambda context: self._start())
+        self.DeclarePeriodicPublishEvent(period, offset, self._publish)
+        self.DeclareForcedPublishEvent(self._publish)
+
+    def _start(self) -> None:
+        self._first: RigidTransform | None = None
+        self._origin: Floats | None = None
+        self._found: list[list[float]] = []
+        self._number = 0
+        self._time = -math.inf
+
+    def _publish(self, context: Context) -> None:
+        image = evaluate(self, context, "slice", (ImageSlice, NotFound))
+        if not isinstance(image, ImageSlice) or image.time <= self._time:
+            return
+        self._time, self._number = image.time, self._number + 1
+        self._first = self._first or image.X_WP
+        found = evaluate(self, context, "cross_section", (CrossSection, NotFound))
+        shape = evaluate(self, context, "shape", (NeedleShape, NotFound))
+        needle = evaluate(self, context, "needle", Needle)
+        X_WT = evaluate(self, context, "X_WT", RigidTransform)
+        shaft = self._first.inverse().multiply(X_WT.multiply(needle.shaft.T)).T.reshape(-1, 3)
+        if isinstance(found, CrossSection):
+            place = self._first.inverse().multiply(found.position)
+            if self._origin is None:
+                self._origin = place[:2]
+            self._found.append(place.tolist())
+        if self._origin is None:
+            self._origin = shaft[0, :2] if len(shaft) else np.zeros(2)
+        picture = slice_picture(image, found)
+        paths = self._paths(shape, shaft)
+        mode = TrackingMode.TRACKING if isinstance(found, CrossSection) else TrackingMode.LOST
+        self._console.show_frame(
+            Frame(self._number, image.time, mode, [picture], image.decibels_per_level, paths)
+        )
+        self._console.add(self._sample(context.get_time(), image, found, shape, shaft))
+
+    def _paths(self, shape: NeedleShape | NotFound, shaft: Floats) -> dict[str, list[float]]:
+        """Return columns in mm: the predicted path, those found, and the true one; see `PATHS`."""
+        columns: dict[str, list[float]] = {name: [] for name in PATHS}
+        assert self._origin is not None
+        if isinstance(shape, NeedleShape):
+            mean, covariance = shape.predict(self._depths)
+            columns["depth"] = (1e3 * self._depths).tolist()
+            for axis, name in enumerate("xy"):
+                middle = 1e3 * (mean[:, axis] - self._origin[axis])
+                # 95 % of a normal distribution along one axis.
+                reach = 1.96e3 * np.sqrt(covariance[:, axis, axis])
+                for column, values in (("", middle), ("_low", middle - reach),
+                                       ("_high", middle + reach)):  # fmt: skip
+                    columns[name + column] = np.round(values, 3).tolist()
+        for prefix, points in (("found", np.reshape(self._found, (-1, 3))), ("true", shaft)):
+            inside = points[points[:, 2] >= 0]
+            shown = 1e3 * (inside - [*self._origin, 0.0])
+            for name, values in zip(("x", "y", "depth"), shown.T, strict=True):
+                columns[f"{prefix}_{name}"] = np.round(values, 3).tolist()
+        return columns
+
+    def _sample(
+        self,
+        time: float,
+        image: ImageSlice,
+        found: CrossSection | NotFound,
+        shape: NeedleShape | NotFound,
+        shaft: Floats,
+    ) -> Sample:
+        assert self._first is not None
+        assert self._origin is not None
+        depth = float((self._first.inverse() @ image.X_WP).translation()[2])
+        bend, final, sure, error = (math.nan,) * 4
+        if len(shaft):
+            bend = 1e3 * float(np.linalg.norm(shaft[-1, :2] - self._origin))
+        if isinstance(shape, NeedleShape):
+            mean, _ = shape.predict(self._depths[-1:])
+            final = 1e3 * float(np.linalg.norm(mean[0] - self._origin))
+            sure = 1e3 * RADIUS_95 * float(shape.std(self._depths[-1:])[0])
+        if isinstance(found, CrossSection) and len(shaft):
+            true = [np.interp(depth, shaft[:, 2], axis) for axis in shaft[:, :2].T]
+            place = self._first.inverse().multiply(found.position)
+            error = 1e3 * float(np.linalg.norm(place[:2] - true))
+        end = f"bend at {1e3 * self._depths[-1]:.0f}"
+        readings = [
+            Reading("depth", "slice at", 1e3 * depth, "mm"),
+            Reading("error", "section off", error, "mm", 2),
+            Reading("bend", "true bend", bend, "mm"),
+            Reading("final", end, final, "mm"),
+            Reading("sure", "95 % within", sure, "mm", 2),
+        ]
+        said = "following the needle" if isinstance(found, CrossSection) else found.reason
+        return Sample(time=time, error=error, readings=readings, reason=said)
+
+
+def slice_picture(image: ImageSlice, found: CrossSection | NotFound) -> SlicePicture:
+    """Return the picture of an axial slice, with a ring around the cross-section found in it."""
+    size = 1e3 * image.spacing * image.intensities.shape
+    left, top = 1e3 * (image.position([0, 0]) - 0.5 * image.spacing)
+    window = float(left), float(left + size[0]), float(top), float(top + size[1])
+    centre = 1e3 * found.centre if isinstance(found, CrossSection) else np.zeros(0)
+    return SlicePicture(
+        "Axial slice, with the cross-section found in it", ("X", "depth"),
+        np.ascontiguousarray(image.intensities.T), (float(left), float(top)),
+        (float(size[0]), float(size[1])), window, [], centre,
+    )  # fmt: skip
