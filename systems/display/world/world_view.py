@@ -79,7 +79,7 @@ class WorldViewParameters:
     camera: list[float] = field(default_factory=lambda: [0.86, -0.54, 0.40])
     camera_target: list[float] = field(default_factory=lambda: [0.46, -0.02, 0.22])
     field_of_view_deg: float = 42.0
-    phase_position: list[float] = field(default_factory=lambda: [0.62, 0.0, 0.62])
+    phase_position: list[float] = field(default_factory=lambda: [0.60, 0.09, 0.34])
 
     def __post_init__(self) -> None:
         require_positive(
