@@ -2,7 +2,7 @@
 # # In your own diagram
 #
 # Every block is a Drake system. Here the tracker and the visual servo stand in a diagram of your
-# own, between a scanner and a robot that are yours. The blocks' ports (dashed: needed only by some):
+# own, between a scanner and a robot that are yours. The blocks' ports (grey: optional):
 #
 # ![Ports of scanner, tracker, controller and robot](ports.png)
 

@@ -54,8 +54,8 @@ class ShapePredictionExperiment(Experiment[ShapePredictionScenario]):
         name: (the scenario's)
 
     The subsystems are hand, probe_stepper, scanner, slice_converter, shape_predictor and, with a
-    Meshcat or a console, shape_view and shape_feed. W and T are the same except for the tissue's shifts. Computing times are
-    processor times of this thread, independent of the machine's other load.
+    Meshcat or a console, shape_view and shape_feed. W and T are the same except for the tissue's
+    shifts. Computing times are processor times of this thread, independent of other load.
 
     Parameters
     ----------

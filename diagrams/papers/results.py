@@ -11,7 +11,9 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from functools import cache
+from html import escape
 from importlib import import_module
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +29,7 @@ _ROOT = Path(__file__).resolve().parents[2]
 RECORDS, OLD = "records.json.gz", "results.json"
 """Names of the file of records, and of older results without records, which are outdated."""
 
-PAGES = (_ROOT / "README.md", _ROOT / "notebooks/docs/results.md")
+PAGES = (_ROOT / "README.md", *sorted((_ROOT / "notebooks/docs").glob("results_*.md")))
 """Pages with tables of results."""
 
 _TABLE = re.compile(r"<!-- results (\w+) (\w+) -->\n.*?<!-- end of results -->", re.S)
@@ -111,9 +113,9 @@ def results_table(kept: Mapping[str, Any], rows: str) -> str:
     kept
         Contents of study.json.
     rows
-        "all"; "published" for those with a figure of the paper; in the study of robustness,
-        "thresholds" for the strengths at which success ends, and "experiments" for a line with the
-        main figures of each experiment.
+        "all", folded by experiment; "published" for those with a figure of the paper; in the study
+        of robustness, "thresholds" for the strengths at which success ends, and "experiments" for a
+        line with the main figures of each experiment.
     """
     numbers = sorted({len(seeds) for seeds in kept["seeds"].values()})
     seeds = " to ".join(map(str, dict.fromkeys((numbers[0], numbers[-1]))))
@@ -126,7 +128,32 @@ def results_table(kept: Mapping[str, Any], rows: str) -> str:
     study_rows = [_row(each) for each in kept["rows"]]
     met = summary_of([each.verdict for each in study_rows if each.verdict is not None])
     shown = [each for each in study_rows if rows != "published" or each.paper is not None]
-    return f"{source}: {met}.{changed}\n\n{rows_table(shown).markdown()}"
+    head = f"{source}: {met}.{changed}\n\n"
+    if rows == "published":
+        return head + _first_table(shown).markdown()
+    groups = groupby(shown, lambda row: row.experiment)
+    return head + "\n\n".join(_folded(name, list(each)) for name, each in groups)
+
+
+def _first_table(rows: Sequence[StudyRow]) -> Table:
+    """Return the rows in five columns, for README."""
+    lines = []
+    for row in rows:
+        interval = interval_text(row.low, row.high)
+        true = cell_text(row.true, "") + (f" ({interval})" if interval else "")
+        name = f"{row.experiment}: {row.named}"
+        lines.append([name, row.paper, row.estimated, true, row.published_true])
+    heads = ["quantity", "paper", "ours, estimated", "ours, true (95 %)", "as published, true"]
+    return Table(heads, lines)
+
+
+def _folded(experiment: str, rows: Sequence[StudyRow]) -> str:
+    """Return the table of one experiment, which a click on its line unfolds."""
+    verdicts = [each.verdict for each in rows if each.verdict is not None]
+    judged = f": {summary_of(verdicts)}" if verdicts else ""
+    table = rows_table(rows).without(["experiment"]).markdown()
+    summary = f"<summary>{escape(experiment)}{judged}</summary>"
+    return f"<details>\n{summary}\n\n{table}\n\n</details>"
 
 
 def write_tables() -> None:

@@ -81,7 +81,7 @@ def _sections(module: str) -> Iterator[tuple[str, list[str]]]:
         is_class = inspect.isclass(value)
         if name in FIRST and module == "sonoservo.diagrams":
             kinds["First"].append(name)
-        elif is_class and issubclass(value, LeafSystem | Diagram) or name.startswith("Make"):
+        elif (is_class and issubclass(value, LeafSystem | Diagram)) or name.startswith("Make"):
             kinds["Systems"].append(name)
         elif is_class:
             kinds["Parameters" if name.endswith("Parameters") else "Classes"].append(name)

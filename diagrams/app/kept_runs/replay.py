@@ -195,7 +195,8 @@ def log_samples(log: RunLog, settings: ControllerSchedule) -> list[Sample]:
         sample = Sample(
             time=now, mode=str(log.estimate_mode[row]), force=float(log.contact_force[row]),
             target=settings.at(now).force, error=float(error[row]), reason=reason,
-            inserted=1e3 * float(log.inserted_length[row]), held=str(log.hold_reason[row]), stopped=str(log.guard_reason[row]) if acts else "",
+            inserted=1e3 * float(log.inserted_length[row]), held=str(log.hold_reason[row]),
+            stopped=str(log.guard_reason[row]) if acts else "",
         )  # fmt: skip
         if np.isfinite(log.estimate_tip[row]).all():
             ends = np.stack([log.estimate_entry[row], log.estimate_tip[row]], axis=1)

@@ -8,6 +8,7 @@ from .operator_panel import OperatorPanel as OperatorPanel
 from .readings import Sample as Sample
 from .readings import describe_state as describe_state
 from .readings import sample_estimate as sample_estimate
+from .shape_feed import ShapeFeed as ShapeFeed
 from .slices import SlicePicture as SlicePicture
 from .slices import SliceView as SliceView
 from .slices import slice_pictures as slice_pictures

@@ -1,4 +1,4 @@
-"""The leaf that feeds the console of a shape prediction: each slice, and the needle's deflection."""
+"""The leaf that feeds the console of a shape prediction: slices and the needle's deflection."""
 
 import math
 from typing import TYPE_CHECKING

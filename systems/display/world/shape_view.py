@@ -142,7 +142,7 @@ class ShapeView(LeafSystem):
         set_scene(self._meshcat, camera.tolist(), middle.tolist(), _FIELD_OF_VIEW_DEG)
 
     def _draw_probe(self) -> None:
-        """Draw the probe: a rod around whose axis the array lies, or a flat head above its slice."""
+        """Draw the probe: a rod with the array around its axis, or a flat head above its slice."""
         radius, body = self._geometry.array_radius, f"{self._path}/probe/body"
         if radius <= _ROUND:
             shape: Cylinder | Box = Cylinder(radius, _HANDLE + _AHEAD)

@@ -27,7 +27,7 @@ def test_pages_show_what_the_records_say_by_the_present_definitions(page):
 
 
 def test_every_paper_has_its_table():
-    text = results.PAGES[1].read_text(encoding="utf-8")
+    text = "".join(page.read_text(encoding="utf-8") for page in results.PAGES)
     kept = [paper for paper in PAPERS if results.kept_results(paper)]
     assert kept
     assert all(f"<!-- results {paper} all -->" in text for paper in kept)
@@ -84,7 +84,7 @@ def test_records_are_kept_and_become_tables(study, house):
     assert (
         "Commit abc, `sonoservo reproduce all`, 1 seeds an experiment: 1 of 2 targets met." in text
     )
-    assert "| fig5 | at rest (mm) | 1.10 | 0.500 | 0.600 | 0.400 to 0.700 |" in text
+    assert "| fig5: at rest (mm) | 1.10 | 0.500 | 0.600 (0.400 to 0.700) | 2.50 |" in text
     assert "times lost" not in text  # no figure of the paper
     assert text.startswith("a\n")
     assert text.endswith("-->\nb\n")

@@ -102,6 +102,10 @@ class Page:
         """What the console has sent last."""
         return json.loads(self._said("state")[0])
 
+    def reading(self, name):
+        """A reading as the page shows it."""
+        return {each: value for each, _, value, _ in self.state["readings"]}[name]
+
     @property
     def described(self):
         return json.loads(self._said("described")[0])
@@ -168,16 +172,16 @@ def test_a_late_page_gets_all_of_it(console, make_volume):
     on_the_site(console)
     with Page(console) as page:
         assert page.state["volume"] == 42
-        assert page.state["x"] == 8.0
+        assert page.reading("x") == "8.0"
         assert page.strips["x"] == list(range(9))
         image, _ = page.pictures
         assert image.dtype == np.uint8
         assert image.max() > 100
         console.add(Sample(time=9 / 8, mode="tracking", x=9.0))
-        wait_for(lambda: page.state["x"] == 9.0)
+        wait_for(lambda: page.reading("x") == "9.0")
         assert page.strips["x"] == list(range(10))
         console.add(Sample(time=0.0, mode="lost", x=-1.0))  # a new run
-        wait_for(lambda: page.state["x"] == -1.0)
+        wait_for(lambda: page.reading("x") == "−1.0")
         assert page.strips["x"] == [-1.0]
         assert page.strips["begin"] == [-0.5]
 

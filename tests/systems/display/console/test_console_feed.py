@@ -8,6 +8,7 @@ from pydrake.systems.framework import DiagramBuilder, LeafSystem, PortDataType
 from sonoservo.systems.display.console.console_feed import ConsoleFeed
 from sonoservo.systems.signals.guard_status import GuardState, GuardStatus
 from sonoservo.systems.signals.immutable import NotFound
+from sonoservo.systems.signals.line_hypotheses import LineHypotheses
 from sonoservo.systems.signals.needle import Needle
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import NeedleEstimate, TrackingMode
@@ -22,8 +23,8 @@ class Shown(list):
         super().__init__()
         self.samples = []
 
-    def show_volume(self, volume, estimate, number):
-        self.append((volume, estimate, number))
+    def show_volume(self, volume, estimate, number, lines):
+        self.append((volume, estimate, number, lines))
 
     def add(self, sample):
         self.samples.append(sample)
@@ -51,14 +52,14 @@ def test_each_volume_is_shown_once_and_counted(make_volume):
     first, second = make_volume(zeros, time=0.5), make_volume(zeros, time=0.8)
     for volume in (first, first, second):
         publish(leaf, volume=volume, estimate=SEARCHING)
-    assert shown == [(first, SEARCHING, 1), (second, SEARCHING, 2)]
+    assert shown == [(first, SEARCHING, 1, None), (second, SEARCHING, 2, None)]
 
 
 def test_no_tracker_is_needed(make_volume):
     shown = Shown()
     volume = make_volume(zeros)
     publish(ConsoleFeed(console=shown, period=0.3), volume=volume)
-    assert shown == [(volume, None, 1)]
+    assert shown == [(volume, None, 1, None)]
 
 
 def test_a_wrong_value_is_refused(make_volume):
@@ -92,10 +93,30 @@ def test_a_sample_holds_what_instruments_truth_and_guard_say(make_volume):
     publish(leaf, **values)
     (sample,) = shown.samples
     assert sample.mode == "coasting"
+    assert sample.inserted == pytest.approx(50.0)
+    assert sample.lines == {}
     assert sample.error == pytest.approx(1.0)
     assert (sample.force, sample.target) == (1.9, 2.0)
     assert (sample.reason, sample.held) == ("no line", "the probe does not press")
     assert sample.stopped == "the sensor is frozen"
+
+
+def test_a_searching_tracker_tells_of_its_lines(make_volume):
+    ends = [[[0, 0, 0], [0.05, 0, 0]], [[0, 0, 0.02], [0, 0.01, 0.02]], [[0, 0, 0], [0, 0, 0.1]]]
+    classes = [[0.6, 0.1, 0.1, 0.1, 0.1], [0.1, 0.6, 0.1, 0.1, 0.1], [0.1, 0.1, 0.1, 0.1, 0.6]]
+    lines = LineHypotheses(
+        time=0.5, ends=ends, probabilities=[0.6, 0.1, 0.0], classes=classes,
+        looks=np.zeros(3), looked=np.ones(3), numbers=np.arange(3),
+    )  # fmt: skip
+    shown = Shown()
+    feed = ConsoleFeed(console=shown, period=0.3)
+    publish(feed, volume=make_volume(zeros, time=0.5), estimate=SEARCHING, lines=lines)
+    assert shown[0][3] is lines
+    (sample,) = shown.samples
+    assert sample.probability == pytest.approx(0.6)
+    assert sample.lines == {"needle": 1, "resting": 1}  # the third is but speckle
+    publish(feed, volume=make_volume(zeros), estimate=SEARCHING, lines=NotFound("tracked"))
+    assert np.isnan(shown.samples[1].probability)
 
 
 class Scanner(LeafSystem):
@@ -122,8 +143,8 @@ def test_in_a_diagram_every_volume_of_each_run_is_shown(make_volume):
     builder.Connect(source.GetOutputPort("volume"), leaf.GetInputPort("volume"))
     simulator = Simulator(builder.Build())
     simulator.AdvanceTo(1.3)
-    assert [volume.time for volume, _, _ in shown] == [0.25, 0.5, 0.75, 1.0, 1.25]
+    assert [volume.time for volume, *_ in shown] == [0.25, 0.5, 0.75, 1.0, 1.25]
     simulator.reset_context(simulator.get_system().CreateDefaultContext())
     simulator.AdvanceTo(0.6)
-    assert [number for _, _, number in shown] == [1, 2, 3, 4, 5, 1, 2]
+    assert [number for _, _, number, _ in shown] == [1, 2, 3, 4, 5, 1, 2]
     assert len(shown.samples) == 11 + 5  # eight a second

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from sonoservo.systems.display.console.slices import beside, slice_pictures, slice_views
+from sonoservo.systems.signals.line_hypotheses import LineHypotheses
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 
 ENTRY, TIP = np.array([-0.03, 0.03, -0.02]), np.array([0.01, 0.05, 0.01])
@@ -111,3 +112,21 @@ def test_slices_beside_the_needle_show_what_is_there(make_volume):
 def test_a_needle_outside_the_volume_leaves_out_its_slice(make_volume):
     volume = make_volume(ball_at_the_tip)
     assert len(pictures(volume, ENTRY + 1.0, TIP + 1.0)) < 2
+
+
+def test_a_line_that_is_followed_is_drawn_as_far_as_it_is_near_a_slice(make_volume):
+    volume = make_volume(zeros)
+    ends = np.array(
+        [[[-0.02, 0.03, -0.01], [0.02, 0.03, 0.01]], [[0, 0.02, 0.02], [0, 0.04, 0.02]]]
+    )
+    ends = volume.X_WP.multiply(ends.reshape(-1, 3).T).T.reshape(-1, 2, 3)
+    lines = LineHypotheses(
+        time=0.0, ends=ends, probabilities=[0.5, 0.1], classes=np.eye(5)[[0, 2]],
+        looks=np.zeros(2), looked=np.ones(2), numbers=np.arange(2),
+    )  # fmt: skip
+    lateral, elevation = slice_pictures(volume, lines=lines)
+    ((name, drawn),) = lateral.lines  # the other is 20 mm beside it
+    assert name == "needle"
+    np.testing.assert_allclose(drawn, [[-6, 30], [6, 30]], atol=1e-6)  # 3 mm to either side
+    assert [each for each, _ in elevation.lines] == ["needle", "riding"]
+    np.testing.assert_allclose(elevation.lines[1][1], [[20, 20], [20, 40]], atol=1e-6)
