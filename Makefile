@@ -18,7 +18,7 @@ help:
 	@echo "make fuzz   damage files, scenarios and commands at random (an hour)"
 	@echo "make lint   ruff, mypy, imports      make clean  remove what was built"
 	@echo "make docs   build the documentation in build/docs"
-	@echo "make notebooks   write the .ipynb    make pictures   take the README's screens"
+	@echo "make notebooks   run the notebooks   make pictures   take the README's screens"
 
 # Development tools are installed together with the rest where they are needed: one call of pip.
 EXTRAS := $(if $(filter-out help compile run docs clean,$(MAKECMDGOALS))$(wildcard $(VENV)/.installed.dev),dev,run)
@@ -40,7 +40,7 @@ run: $(VENV)/.compiled
 	@$(BIN)/sonoservo run $(SCENARIO) $(ARGS)
 
 test: $(VENV)/.installed.dev $(VENV)/.compiled
-	@$(BIN)/python -m pytest -n 2 --dist loadfile $(ARGS)
+	@$(BIN)/python -m pytest -n 2 --dist loadfile -rs $(ARGS)
 
 fuzz: $(VENV)/.installed.dev
 	@PYTHONPATH=tests/helpers $(BIN)/python -m fuzzing $(ARGS)
@@ -50,20 +50,19 @@ bench: $(VENV)/.installed.dev $(VENV)/.compiled
 	@$(BIN)/python -m pytest tests/benchmarks -m "slow or not slow" --benchmark-enable --benchmark-only --benchmark-json=out/bench.json $(ARGS)
 	@$(BIN)/python tests/benchmarks/plot_cost.py out/bench.json out/render_cost.png
 
-# The tutorials are run once, which takes some minutes, and again after a change.
 docs: $(VENV)/.compiled
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
 	@$(BIN)/sphinx-build -q -W -E -b html notebooks/docs build/docs
 	@echo "Written: build/docs/index.html"
 
-KERNEL := '{"kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}}'
-# The notebooks are written as scripts; what Jupyter opens is made of them.
-notebooks: $(VENV)/.installed.dev
-	@$(BIN)/jupytext --quiet --to ipynb --update --update-metadata $(KERNEL) notebooks/[1-9]*.py
+# The notebooks are written as scripts; what Jupyter opens is made of them, with its outputs.
+notebooks: $(VENV)/.installed.dev $(VENV)/.compiled
+	@$(BIN)/python notebooks/execute.py $(ARGS)
 
 pictures: $(VENV)/.installed.dev
 	@$(BIN)/python notebooks/screenshots.py
 	@$(BIN)/python notebooks/moving_picture.py
+	@$(BIN)/python notebooks/ports.py
 	@cd notebooks && $(abspath $(BIN))/python gallery.py
 	@mkdir -p out && cd out && $(abspath $(BIN))/python ../notebooks/gallery_of_dials.py
 

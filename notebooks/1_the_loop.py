@@ -40,9 +40,11 @@ for system in make_experiment(scenario).diagram.GetSystems():
 # %% [markdown]
 # The console shows each volume as it is acquired: the two orthogonal planes through the estimated
 # needle, with lines beside its echo and a ring around the tip. Run the next two cells and watch it
-# here. (In the terminal, `make run` also shows the whole world in it.)
+# here. In the terminal, `make run` also shows the whole world in it:
+#
+# ![The console](console.png)
 
-# %%
+# %% tags=["remove-output"]
 console = Console()
 console
 

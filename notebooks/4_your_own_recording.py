@@ -45,7 +45,7 @@ print(f"from {recording.times[0]:.2f} to {recording.times[-1]:.2f} s; poses: {re
 # Track the needle, and watch the console meanwhile. In the terminal, use `sonoservo track
 # mine.seq.nrrd --show`.
 
-# %%
+# %% tags=["remove-output"]
 console = Console()
 console
 
