@@ -44,6 +44,7 @@ from sonoservo.diagrams.app.options import (
     console,
     free_folder,
     say_report,
+    waiting,
     with_common_options,
     write_printed,
 )
@@ -84,7 +85,7 @@ def compile_command(
     """Compile the kernels of `make run` beforehand; else the first run does, in about a minute."""
     from sonoservo.diagrams.app.compile import compile_kernels
 
-    with console.status("Compiling groups of kernels; the longest takes about a minute ..."):
+    with waiting("Compiling groups of kernels; the longest takes about a minute ..."):
         for line in compile_kernels(everything=everything):
             console.print(line)
 
@@ -144,6 +145,7 @@ def run_command(
         title = f"{loaded.name}, seed {loaded.seed}"
         pages = open_pages(console, title, host=host, by_itself=open_page)
     with (
+        waiting(f"Simulating {loaded.duration:g} s ...", shown=False),
         serving(console, serve, loaded, wait_for) as observers,
         Progress(console, loaded) as progress,
     ):

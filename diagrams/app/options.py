@@ -1,7 +1,8 @@
 """Options shared by several commands of ``sonoservo``, and their console."""
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from functools import wraps
 from itertools import chain, count
 from pathlib import Path
@@ -16,6 +17,16 @@ from sonoservo.systems.files.writing import to_json, write_json
 
 console = Console(markup=False, emoji=False)
 """Console of all commands. It takes no markup, because paths may contain square brackets."""
+
+
+@contextmanager
+def waiting(words: str, shown: bool = True) -> Iterator[None]:
+    """Say what takes a while: a moving line in a terminal if `shown`, and a plain one elsewhere."""
+    if not console.is_terminal:
+        console.print(words)
+    with console.status(words) if shown else nullcontext():
+        yield
+
 
 _STANDARD_OUTPUT = Path("-")
 
