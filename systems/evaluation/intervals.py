@@ -5,8 +5,8 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binomtest, bootstrap, chi2
 
+from sonoservo.systems.signals.confidence import squared_distance
 from sonoservo.systems.signals.requirements import require
 
 _RESAMPLES = 2000
@@ -36,6 +36,8 @@ def proportion_interval(successes: int, total: int) -> Interval:
     require(0 <= successes <= total, "successes", successes, f"from 0 to {total}")
     if not total:
         return Interval(0.0, 1.0)
+    from scipy.stats import binomtest  # slow to load, and wanted only where runs are pooled
+
     found = binomtest(int(successes), int(total)).proportion_ci(0.95, method="wilson")
     return Interval(float(found.low), float(found.high))
 
@@ -61,6 +63,8 @@ def bootstrap_interval(
         return Interval(np.nan, np.nan)
     if np.ptp(known) == 0:
         return Interval(float(known[0]), float(known[0]))
+    from scipy.stats import bootstrap
+
     found = bootstrap(
         (known,),
         {"mean": np.mean, "median": np.median}[statistic],
@@ -106,6 +110,8 @@ def mean_interval(values: NDArray[np.float64]) -> Interval:
 
 def _bootstrapped(values: NDArray[Any], figure: Callable[..., Any], vectorized: bool) -> Interval:
     with np.errstate(invalid="ignore"):  # values may be infinite
+        from scipy.stats import bootstrap
+
         found = bootstrap(
             (values,),
             figure,
@@ -120,5 +126,5 @@ def _bootstrapped(values: NDArray[Any], figure: Callable[..., Any], vectorized: 
 
 def count_interval(count: int) -> Interval:
     """Return the exact interval of the expected number of rare events, of which some were seen."""
-    low = chi2.ppf(0.025, 2 * count) / 2 if count else 0.0
-    return Interval(float(low), float(chi2.ppf(0.975, 2 * count + 2) / 2))
+    low = squared_distance(0.025, 2 * count) / 2 if count else 0.0
+    return Interval(low, squared_distance(0.975, 2 * count + 2) / 2)

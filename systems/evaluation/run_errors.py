@@ -4,13 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 from scipy.spatial.distance import cdist
-from scipy.stats import chi2
 
 from sonoservo.systems.control.visual_features import needle_features
 from sonoservo.systems.evaluation.run_log import RunLog, unit
+from sonoservo.systems.signals.confidence import squared_distance
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.sweep import SweepGeometry
 
@@ -47,7 +46,8 @@ def needle_speed(log: RunLog, window: float) -> Floats:
     time, tip = log.time[known], log.needle_tip[known]
     half = 0.5 * min(window, time[-1] - time[0])
     middle = np.clip(time, time[0] + half, time[-1] - half)
-    integral = cumulative_trapezoid(tip, time, axis=0, initial=0)
+    steps = 0.5 * (tip[1:] + tip[:-1]) * np.diff(time)[:, np.newaxis]
+    integral = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
     before, now, after = (
         np.stack([np.interp(t, time, column) for column in integral.T], axis=1)
         for t in (middle - half, middle, middle + half)
@@ -159,8 +159,8 @@ def consistency(log: RunLog, judged: Mask) -> dict[str, dict[str, float | None]]
         squared = squared[~np.isnan(squared)]
         figures[name] = {"nees": None, "within_95": None}
         if len(squared):
-            within = squared <= chi2.ppf(0.95, freedom)
-            nees = float(np.median(squared) / chi2.median(freedom))
+            within = squared <= squared_distance(0.95, freedom)
+            nees = float(np.median(squared) / squared_distance(0.5, freedom))
             figures[name] = {"nees": nees, "within_95": float(within.mean())}
     return figures
 

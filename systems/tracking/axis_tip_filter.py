@@ -9,8 +9,8 @@ from filterpy.kalman import predict, update
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
+from sonoservo.systems.signals.confidence import squared_distance
 from sonoservo.systems.signals.immutable import Immutable, read_only
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
@@ -216,7 +216,7 @@ class AxisTipFilter:
 
 @lru_cache
 def _gate(probability: float) -> float:
-    return float(chi2.ppf(probability, 3))
+    return squared_distance(probability, 3)
 
 
 def _moved(before: AxisTipState, after: AxisTipState) -> AxisTipState:

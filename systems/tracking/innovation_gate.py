@@ -3,8 +3,8 @@
 from functools import lru_cache
 
 import numpy as np
-from scipy.stats import chi2
 
+from sonoservo.systems.signals.confidence import squared_distance
 from sonoservo.systems.signals.needle_measurement import NeedleMeasurement
 from sonoservo.systems.tracking.needle_filter import NeedleState
 
@@ -20,4 +20,4 @@ def innovation_distance(state: NeedleState, measurement: NeedleMeasurement) -> f
 @lru_cache
 def gate_distance(gate: float, order: int) -> float:
     """Return the Mahalanobis distance that a true measurement exceeds with probability 1 - gate."""
-    return float(np.sqrt(chi2.ppf(gate, 3 * order)))
+    return float(np.sqrt(squared_distance(gate, 3 * order)))

@@ -4,9 +4,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.geometry import Meshcat, Rgba, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
-from scipy.stats import chi2
 
 from sonoservo.systems.display.world.rod import Switch
+from sonoservo.systems.signals.confidence import squared_distance
 from sonoservo.systems.signals.requirements import require
 
 
@@ -35,7 +35,7 @@ def confidence_ellipsoid(
     variances, axes = np.linalg.eigh(np.asarray(covariance, dtype=float))
     if np.linalg.det(axes) < 0:
         axes = axes * [1, 1, -1]
-    half_axes = np.sqrt(np.maximum(variances, 0) * chi2.ppf(probability, 3))
+    half_axes = np.sqrt(np.maximum(variances, 0) * squared_distance(probability, 3))
     return RotationMatrix(axes), half_axes
 
 

@@ -7,11 +7,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from pydrake.math import RigidTransform
-from scipy.stats import chi2
 
 from sonoservo.systems.evaluation.explanation.explained_volume import ExplainedVolume
 from sonoservo.systems.evaluation.explanation.explanation_recorder import AFTER, BEFORE
 from sonoservo.systems.evaluation.log import Array
+from sonoservo.systems.signals.confidence import squared_distance
 from sonoservo.systems.signals.needle_curve import NeedleCurve
 from sonoservo.systems.signals.needle_estimate import TrackingMode
 
@@ -169,7 +169,7 @@ def _draw_tip(axes: Axes, explained: ExplainedVolume, R_SP: Array, tip: Array) -
     """Draw the 95 % confidence ellipse of the measured tip."""
     R_SW = R_SP @ RigidTransform(explained.X_WP).rotation().matrix().T
     values, vectors = np.linalg.eigh(R_SW @ explained.measured_tip_covariance @ R_SW.T)
-    width, height = 2e3 * np.sqrt(chi2.ppf(0.95, 2) * values[::-1])
+    width, height = 2e3 * np.sqrt(squared_distance(0.95, 2) * values[::-1])
     angle = np.degrees(np.arctan2(vectors[1, -1], vectors[0, -1]))
     ellipse = Ellipse(
         (tip[0], tip[1]), width, height, angle=angle, fill=False, edgecolor=MEASURED,
