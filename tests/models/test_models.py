@@ -30,6 +30,14 @@ DH = {
         (0, 0, -np.pi / 2, 0),
         (0, 0.080, 0, -np.pi),
     ),
+    "ur5e": (
+        (0, 0.1625, np.pi / 2, 0),
+        (-0.425, 0, 0, 0),
+        (-0.3922, 0, 0, 0),
+        (0, 0.1333, np.pi / 2, 0),
+        (0, 0.0997, -np.pi / 2, 0),
+        (0, 0.0996, 0, 0),
+    ),
     "lbr_iiwa_14": (
         (0, 0.360, -np.pi / 2, 0),
         (0, 0, np.pi / 2, 0),
@@ -41,6 +49,7 @@ DH = {
     ),
 }
 LIMITS_DEG = {
+    "ur5e": 6 * ((-360, 360),),
     "viper_s850": ((-170, 170), (-190, 45), (-29, 256), (-190, 190), (-120, 120), (-360, 360)),
     "lbr_iiwa_14": tuple((-limit, limit) for limit in (170, 120, 170, 120, 170, 120, 175)),
 }
@@ -82,7 +91,7 @@ def test_every_model_parses_and_steps(name):
 
 def test_the_models_asked_for_are_there():
     assert set(ROBOTS) == set(DH)
-    assert PROBES == ["4dc7_3_40", "4dl14_5_38", "trus", "zhao2012"]
+    assert PROBES == ["4dc7_3_40", "4dl14_5_38", "matrix", "trus", "zhao2012"]
     papers, shapes = {"agar", "beef", "beef_two_needles", "prostate"}, {"abdomen", "limb", "liver"}
     assert set(PHANTOMS) == papers | shapes | {"calcified", "clinic", "rough", "slow"}
     assert {"robots/viper_s850.urdf", "probes/4dc7_3_40.sdf", "phantoms/phantom.sdf"} <= set(MODELS)
