@@ -19,7 +19,7 @@ from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import ConstantValueSource, LogVectorOutput
 
 from sonoservo.diagrams import MakeNeedleTracker, load_scenario, run
-from sonoservo.systems.control import VisualServo
+from sonoservo.systems.control import VisualServo, VisualServoParameters
 from sonoservo.systems.recording import Recording
 
 # %% [markdown]
@@ -58,7 +58,7 @@ builder = DiagramBuilder()
 scanner = builder.AddNamedSystem("my_scanner", MyScanner(volumes))
 robot = builder.AddNamedSystem("my_robot", ConstantValueSource(Value(volumes[0].X_WP)))
 tracker = builder.AddNamedSystem("needle_tracker", MakeNeedleTracker(period=PERIOD))
-servo = builder.AddNamedSystem("visual_servo", VisualServo())
+servo = builder.AddNamedSystem("visual_servo", VisualServo(parameters=VisualServoParameters()))
 builder.Connect(scanner.GetOutputPort("volume"), tracker.GetInputPort("volume"))
 builder.Connect(tracker.GetOutputPort("estimate"), servo.GetInputPort("estimate"))
 builder.Connect(robot.get_output_port(), servo.GetInputPort("X_WP"))
