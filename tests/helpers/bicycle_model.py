@@ -45,7 +45,7 @@ class BicyclePath(Immutable):
     rotations: tuple[float, ...] = ()
 
     def deflection(self, depth: ArrayLike) -> Floats:
-        """Return the deflection u in m at depths v in m, in closed form (eqs. 3 and 4, corrected)."""
+        """Return the deflection u in m at depths v in m (eqs. 3 and 4, corrected)."""
         depth = np.asarray(depth, dtype=float)
         order = np.argsort(depth, axis=None)
         parameters = np.array([[1 / self.radius, np.sin(self.angle)]])
