@@ -166,7 +166,7 @@ class FrameRenderer:
         # With this amplitude, mean intensity 1 (0 dB) is that of the tissue at every depth.
         amplitude = np.sqrt(2**1.5 / (tissue.scatterers_per_cell * (1 - FADE / 3)))
         amplitude *= 10 ** (tissue.level_db / 20)
-        self._tissue_pulse = np.repeat(pulses.tabulate([amplitude], [0.0])[0], 2, axis=1)
+        self._tissue_pulse = np.repeat(pulses.tabulate([amplitude], [0.0])[:, ::2], 2, axis=1)
         self._point_pulse = pulses.tabulate([1.0], [0.0])
         self._scene = Scene(
             tissue,
@@ -232,7 +232,7 @@ class FrameRenderer:
             transmission = np.ones(iq.shape, np.float32)
             if gains is not None:
                 expand_gains(transmission, gains, nodes_per_metre * self.acoustic.sample_pitch)
-            parts = (scene.pieces, scene.growth(times), rays, tables, scene.pulses, scene.taps)
+            parts = (scene.pieces, scene.growth(times), rays, tables, scene.pulses, scene.widths)
             render_surfaces(iq, transmission, X_FT, *parts, view, field, gains is not None)
         views = FrameViews(X_FT, rays, tables, view, transmission, times)
         for needle, renderer in self._resting:

@@ -15,6 +15,7 @@ from sonoservo.systems.ultrasound.simulation.kernels.projection import (
     phasor,
     transformed,
 )
+from sonoservo.systems.ultrasound.simulation.kernels.vector_addition import add_pulse
 
 SIDE_LOBE_WIDTH = 3
 """Ratio of the width of the side lobes, a second Gaussian, to that of the main lobe."""
@@ -44,7 +45,7 @@ def add_point(  # type: ignore[no-untyped-def]
     Parameters
     ----------
     layer
-        (2, lines, samples + 2 taps) float32 real and imaginary parts, added to.
+        (lines, 2 (samples + 2 taps)) float32, real and imaginary parts alternating, added to.
     shadow
         (lines, samples) float32 greatest loss that begins at each sample; (0, 0) for no shadow.
     x, y, z, closer
@@ -56,12 +57,11 @@ def add_point(  # type: ignore[no-untyped-def]
     rays, tables
         Quantities of the frame's lines and of each depth.
     pulse
-        (2, FRACTIONS + 1, taps) float32 real and imaginary parts; it begins ``rays.lead`` samples
-        before the echo.
+        (FRACTIONS + 1, 2 taps) float32; it begins ``rays.lead`` samples before the echo.
     """
-    lines = layer.shape[1]
-    taps = pulse.shape[2]
-    samples = layer.shape[2] - 2 * taps
+    lines = layer.shape[0]
+    taps = pulse.shape[1] // 2
+    samples = layer.shape[1] // 2 - 2 * taps
     line, e, r = line_coordinates(x, y, z, rays)
     depth = r - rays.array_radius
     at = np.int64(depth * rays.samples_per_metre + 0.5)
@@ -96,10 +96,7 @@ def add_point(  # type: ignore[no-untyped-def]
         side = np.float32(near * wide + far * narrow)
         a = main * re - side * im
         b = main * im + side * re
-        for tap in range(taps):
-            layer[0, j, start + tap] += a * pulse[0, fraction, tap] - b * pulse[1, fraction, tap]
-        for tap in range(taps):
-            layer[1, j, start + tap] += a * pulse[1, fraction, tap] + b * pulse[0, fraction, tap]
+        add_pulse(layer, j, start, pulse, fraction, 2 * taps, a, b)
         if shadow.size > 0:
             shadow[j, k] = max(shadow[j, k], np.float32(shadow_strength) * main)
     return first <= last
@@ -135,11 +132,11 @@ def render_points(  # type: ignore[no-untyped-def]
         Displacements of the tissue, or `NO_DISPLACEMENTS`.
     """
     frames, lines, samples = iq.shape
-    taps = pulse.shape[2]
+    taps = pulse.shape[1] // 2
     bends, deforms = len(view.table) > 0, len(fields.counts) > 0
     slab = seen_within(samples, rays, tables) + view.furthest + fields.deepest + fields.widest_push
     for frame in range(frames):
-        layer = np.zeros((2, lines, samples + 2 * taps), np.float32)
+        layer = np.zeros((lines, 2 * (samples + 2 * taps)), np.float32)
         no_shadow = np.empty((0, 0), np.float32)
         node = np.empty(15)
         F = np.empty((3, 3))
@@ -166,4 +163,4 @@ def add_layer(iq, layer, taps):  # type: ignore[no-untyped-def]
     """Add a layer of bright points to a frame's (lines, samples) complex64 echoes."""
     for j in range(iq.shape[0]):
         for i in range(iq.shape[1]):
-            iq[j, i] += complex(layer[0, j, i + taps], layer[1, j, i + taps])
+            iq[j, i] += complex(layer[j, 2 * (i + taps)], layer[j, 2 * (i + taps) + 1])

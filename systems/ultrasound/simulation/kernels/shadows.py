@@ -23,8 +23,8 @@ def cast_shadows(transmission, layer, loss, touched, margin, pad):  # type: igno
         late = np.float32(0)
         for i in range(samples):
             through = transmission[j, i] * max(np.float32(1) - late, np.float32(0))
-            layer[0, j, i + pad] *= through
-            layer[1, j, i + pad] *= through
+            layer[j, 2 * (i + pad)] *= through
+            layer[j, 2 * (i + pad) + 1] *= through
             through = np.float32(1) - taken
             # Pieces cover an opaque surface to within one per cent.
             transmission[j, i] *= through if through > _OPAQUE else np.float32(0)
@@ -39,7 +39,7 @@ def join_layer(iq, transmission, layer, touched, weakened, pad):  # type: ignore
     for j in range(iq.shape[0]):
         if touched[j]:
             for i in range(iq.shape[1]):
-                echo = complex(layer[0, j, i + pad], layer[1, j, i + pad])
+                echo = complex(layer[j, 2 * (i + pad)], layer[j, 2 * (i + pad) + 1])
                 iq[j, i] = iq[j, i] * transmission[j, i] + echo
         elif weakened:
             for i in range(iq.shape[1]):

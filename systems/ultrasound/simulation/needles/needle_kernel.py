@@ -78,12 +78,12 @@ def render_needles(  # type: ignore[no-untyped-def]
         there are none.
     """
     frames, lines, samples = iq.shape
-    taps = pulse.shape[2]
+    taps = pulse.shape[1] // 2
     slab = seen_within(samples, rays, tables)
     for frame in range(frames):
         shaft = shafts[starts[frame] : starts[frame + 1]]
         if len(shaft) > 1:
-            layer = np.zeros((2, lines, samples + 2 * taps), np.float32)
+            layer = np.zeros((lines, 2 * (samples + 2 * taps)), np.float32)
             shadow = np.zeros((lines, samples), np.float32)
             beam = (slab, rays, tables, pulse)
             seen = _add_tip(layer, shadow, X_FT[frame], shaft[-1], echo, tip, view, frame, *beam)
@@ -237,5 +237,5 @@ def _weaken_layer(layer, transmission, taps):  # type: ignore[no-untyped-def]
     """Weaken a layer by a frame's (lines, samples) transmission."""
     for j in range(transmission.shape[0]):
         for i in range(transmission.shape[1]):
-            layer[0, j, i + taps] *= transmission[j, i]
-            layer[1, j, i + taps] *= transmission[j, i]
+            layer[j, 2 * (i + taps)] *= transmission[j, i]
+            layer[j, 2 * (i + taps) + 1] *= transmission[j, i]
