@@ -4,6 +4,12 @@ import numpy as np
 from numba import njit
 
 from sonoservo.systems.sampling.kernels import OPTIONS
+from sonoservo.systems.ultrasound.simulation.kernels.layers import (
+    cast_shadows,
+    empty_layer,
+    join_layer,
+    touch,
+)
 from sonoservo.systems.ultrasound.simulation.kernels.pieces import place_pieces
 from sonoservo.systems.ultrasound.simulation.kernels.projection import (
     FRACTIONS,
@@ -11,7 +17,6 @@ from sonoservo.systems.ultrasound.simulation.kernels.projection import (
     line_coordinates,
     phasor,
 )
-from sonoservo.systems.ultrasound.simulation.kernels.shadows import cast_shadows, join_layer
 from sonoservo.systems.ultrasound.simulation.kernels.vector_addition import add_pulse
 
 FURTHEST = 3.0**2 / 2
@@ -31,8 +36,6 @@ _OWN_SHADOW = 2.5e-3
 @njit(**OPTIONS)
 def _add_piece(  # type: ignore[no-untyped-def]
     layer,
-    loss,
-    touched,
     place,
     times,
     specular,
@@ -50,12 +53,7 @@ def _add_piece(  # type: ignore[no-untyped-def]
     Parameters
     ----------
     layer
-        (lines, 2 (samples + 2 pad)) float32, real and imaginary parts alternating, added to.
-    loss
-        (lines, samples) float32 shares of the amplitude that each sample takes from those behind
-        it, added to; (0, 0) for none.
-    touched
-        (lines,) flags of the lines on which the layer or the loss changes, set.
+        `Layer`, added to.
     place
         (4,) apparent position in F in m, and the cosine of the sound's angle to the normal.
     times
@@ -65,9 +63,8 @@ def _add_piece(  # type: ignore[no-untyped-def]
     rays, tables, pulses, widths, kind
         See `render_surfaces`, and the pulse's number.
     """
-    lines = layer.shape[0]
-    samples = tables.bright.size
-    pad = (layer.shape[1] // 2 - samples) // 2
+    lines, samples = layer.loss.shape
+    pad = (layer.echoes.shape[1] // 2 - samples) // 2
     line, e, r = line_coordinates(place[0], place[1], place[2], rays)
     depth = r - rays.array_radius
     at = np.int64(depth * rays.samples_per_metre + 0.5)
@@ -98,7 +95,7 @@ def _add_piece(  # type: ignore[no-untyped-def]
     # A piece's echo ends where the tissue's hides it; its shadow needs a smaller range.
     loudness = np.sqrt(re * re + im * im)
     furthest = min(np.log(loudness / FAINT_PIECE + 1e-9), FURTHEST)
-    if loss.size > 0 and blocked > 0:
+    if blocked > 0:
         furthest = max(furthest, SHADOW_REACH)
     if u > furthest:
         return
@@ -113,12 +110,12 @@ def _add_piece(  # type: ignore[no-untyped-def]
     start = k - rays.lead + pad
     audible = loudness > 0.1 * FAINT_PIECE
     for j in range(first, last + 1):
-        touched[j] = True
+        touch(layer, j, start, start + width // 2)
         main = gaussian(np.float32(u + precision * (j - line) * (j - line)))
         if audible:
-            add_pulse(layer, j, start, pulses, row, width, main * re, main * im)
-        if loss.size > 0:
-            loss[j, k] += np.float32(share) * main
+            add_pulse(layer.echoes, j, start, pulses, row, width, main * re, main * im)
+        if blocked > 0:
+            layer.loss[j, k] += np.float32(share) * main
 
 
 @njit(**OPTIONS)
@@ -200,21 +197,18 @@ def _render_frame(  # type: ignore[no-untyped-def]
                 for i in range(samples):
                     iq[j, i] *= transmission[j, i]
         return
-    layer = np.zeros((lines, 2 * (samples + 2 * pad)), np.float32)
-    loss = np.zeros((lines, samples), np.float32)
-    no_loss = np.empty((0, 0), np.float32)
-    touched = np.zeros(lines, np.bool_)
+    layer = empty_layer(lines, samples, pad)
     for number in range(count):
         i = seen[number]
         facing = abs(places[number, 3])
         diffuse = pieces.diffuse[i] * facing
         blocked = pieces.blocked[i] * facing
         _add_piece(
-            layer, loss, touched, places[number], 1.0, pieces.specular[i], diffuse, blocked,
+            layer, places[number], 1.0, pieces.specular[i], diffuse, blocked,
             pieces.steps[i], rays, tables, pulses, widths, 0,
         )  # fmt: skip
     margin = np.int64(_OWN_SHADOW * rays.samples_per_metre)
-    cast_shadows(transmission, layer, loss, touched, margin, pad)
+    cast_shadows(transmission, layer, margin)
     for number in range(count):
         i = seen[number]
         surface = pieces.surfaces[i]
@@ -228,11 +222,11 @@ def _render_frame(  # type: ignore[no-untyped-def]
         again = 1.0 if kind > 0 else level
         while again > _FAINTEST:
             _add_piece(
-                layer, no_loss, touched, places[number], times, pieces.specular[i] * again,
+                layer, places[number], times, pieces.specular[i] * again,
                 diffuse, 0.0, pieces.steps[i], rays, tables, pulses, widths, kind,
             )  # fmt: skip
             if kind > 0:
                 break
             again *= level
             times += 1
-    join_layer(iq, transmission, layer, touched, weakened, pad)
+    join_layer(iq, transmission, layer, weakened)
