@@ -184,7 +184,7 @@ class FrameRenderer:
         errors_db = gain_errors(parameters.gain_error_db, geometry.samples, rng)
         self._offsets = (imaging.tissue_grey + imaging.grey_per_db * errors_db).astype(np.float32)
         clutter = 10 ** (parameters.clutter_db / 20) * np.exp(-depths / parameters.clutter_length)
-        self._clutter = clutter.astype(np.float32)
+        self._clutter = np.repeat(clutter.astype(np.float32), 2)
         self._changing = np.sqrt(parameters.decorrelation) * 10 ** (tissue.level_db / 20)
         self._field = np.zeros((self.geometry.frames, 0, 0), np.complex64)
         if parameters.clutter_db > -200 or parameters.decorrelation > 0:
