@@ -17,8 +17,8 @@ from sonoservo.systems.ultrasound.simulation.kernels.bright_echo import render_p
 from sonoservo.systems.ultrasound.simulation.kernels.displacement import Displacements
 from sonoservo.systems.ultrasound.simulation.kernels.echo import FADE, render_tissue
 from sonoservo.systems.ultrasound.simulation.kernels.image_formation import form_image
-from sonoservo.systems.ultrasound.simulation.kernels.line_blur import line_kernel
 from sonoservo.systems.ultrasound.simulation.kernels.layers import expand_gains
+from sonoservo.systems.ultrasound.simulation.kernels.line_blur import line_kernel
 from sonoservo.systems.ultrasound.simulation.kernels.surface_echo import render_surfaces
 from sonoservo.systems.ultrasound.simulation.needles.needle_echo import NeedleEchoParameters
 from sonoservo.systems.ultrasound.simulation.needles.needle_renderer import (

@@ -48,9 +48,9 @@ def _add_to_rows(  # type: ignore[no-untyped-def]
 ):
     """Add an envelope, every value twice, times an amplitude, to three rows at given weights.
 
-    With ``a = (real, imaginary, real, imaginary, ...)`` and ``n = 0 .. LANES - 1``, with flat
-    indices into contiguous float32 arrays, unchecked: ``rows[at + n] += a[n] * table[start + n] * below``, and
-    so on with ``here`` and ``above``, each ``width`` numbers further on.
+    With ``a = (real, imaginary, real, imaginary, ...)`` and ``n = 0 .. LANES - 1``, at flat indices
+    of contiguous float32 arrays, unchecked: ``rows[at + n] += a[n] * table[start + n] * below``,
+    and so on with ``here`` and ``above``, each ``width`` numbers further on.
     """
     number, scalar = types.int64, types.float32
     signature = types.none(
