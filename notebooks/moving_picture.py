@@ -24,11 +24,11 @@ from sonoservo.systems.evaluation import write_movie
 from sonoservo.systems.evaluation.reports.key_frames import ESTIMATE, TRUTH, true_needle
 from sonoservo.systems.evaluation.run_errors import at_times, features
 
-PATH = Path(__file__).with_name("needle.gif")
-WORLD, SLICE = (430, 400), (230, 184)
+PATH = Path(__file__).with_name("needle.webp")
+WORLD, SLICE = (560, 500), (330, 246)
 FIRST, LAST, RATE = 7.5, 22.0, 6.0
-CAMERA, TARGET, FIELD_OF_VIEW = [0.80, -0.62, 0.44], [0.47, 0.0, 0.20], np.radians(34)
-GREYS = 16
+CAMERA, TARGET, FIELD_OF_VIEW = [1.05, -0.95, 0.62], [0.27, 0.0, 0.36], np.radians(40)
+QUALITY = 60
 BACKGROUND, INK, SECTOR = (245, 246, 248), (40, 44, 52), (90, 120, 170)
 
 

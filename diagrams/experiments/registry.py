@@ -159,9 +159,11 @@ def _load(
     changes: Mapping[str, Any] | Sequence[str] | None,
     seed: int | None,
 ) -> "Scenario":
-    before = data.get("needle")
+    before = _needle_of(data)
+    if seed is not None:
+        data["seed"] = without_numpy(seed)
     apply_changes(data, changes)
-    if data.get("needle") != before:
+    if _needle_of(data) != before:
         # Another kind of needle replaces what the scenario had, except for the other changes.
         data = merged(data, _of_needle(data))
         apply_changes(data, changes)
@@ -170,13 +172,25 @@ def _load(
     return load_typed(_schema(data, source), data, source)
 
 
+def _needle_of(data: Mapping[str, Any]) -> tuple[Any, Any]:
+    """Return a scenario's kind of needle, with the seed if that draws it."""
+    kind = data.get("needle")
+    return kind, data.get("seed", 0) if kind == "drawn" else None
+
+
 def _of_needle(data: Mapping[str, Any]) -> dict[str, Any]:
     """Return the fields of a scenario that its kind of needle sets."""
     if not isinstance(data.get("needle"), str):
         return {}
     # Loaded here, so that a list of scenarios needs no renderer.
-    from sonoservo.systems.ultrasound.simulation.needles.needle_kind import load_needle
+    from sonoservo.systems.ultrasound.simulation.needles.needle_kind import (
+        DRAWN,
+        draw_needle,
+        load_needle,
+    )
 
+    if data["needle"] == DRAWN:
+        return draw_needle(without_numpy(data.get("seed", 0)))
     kind = load_needle(data["needle"])
     return {"hand": {"gauge": kind.gauge}, "scanner": {"needle": asdict(kind.echo)}}
 
