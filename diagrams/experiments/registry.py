@@ -145,7 +145,7 @@ def load_scenario(
     if path.suffix not in (".yaml", ".yml"):
         raise ConfigurationError(f"unknown scenario {str(scenario)!r}; {suggest(path.name, known)}")
     data: dict[str, Any] = {"name": path.stem, **read_yaml(path)}
-    apply_changes(data, changes)
+    _change(data, changes, seed)
     data = merged(_of_needle(data), data)
     if as_published:
         published = _schema(data, scenario).as_published(data)
@@ -160,16 +160,21 @@ def _load(
     seed: int | None,
 ) -> "Scenario":
     before = _needle_of(data)
-    if seed is not None:
-        data["seed"] = without_numpy(seed)
-    apply_changes(data, changes)
+    _change(data, changes, seed)
     if _needle_of(data) != before:
-        # Another kind of needle replaces what the scenario had, except for the other changes.
+        # Another needle replaces what the scenario had, except for the other changes.
         data = merged(data, _of_needle(data))
-        apply_changes(data, changes)
+        _change(data, changes, seed)
+    return load_typed(_schema(data, source), data, source)
+
+
+def _change(
+    data: dict[str, Any], changes: Mapping[str, Any] | Sequence[str] | None, seed: int | None
+) -> None:
+    """Apply changes to a scenario's data, and its seed."""
+    apply_changes(data, changes)
     if seed is not None:
         data["seed"] = without_numpy(seed)
-    return load_typed(_schema(data, source), data, source)
 
 
 def _needle_of(data: Mapping[str, Any]) -> tuple[Any, Any]:
